@@ -1,0 +1,1 @@
+"""CAN frames: codec, buses, receive loop, logs."""

@@ -1,0 +1,1 @@
+"""The yield monitor itself, sans I/O: frames in, frames out."""

@@ -1,0 +1,18 @@
+"""Errors that a user can mend: one line that says where, what is wrong and what was expected."""
+
+from __future__ import annotations
+
+
+class InputError(ValueError):
+    """A file, key, row or argument that cannot be used.
+
+    `where` names the place (file, row, key), `problem` what is wrong with it, `expected` what would be right. The text is
+    always one line; the command line prints it and exits with 2.
+    """
+
+    def __init__(self, where: str, problem: str, expected: str = "") -> None:
+        self.where = where
+        self.problem = problem
+        self.expected = expected
+        text = f"{where}: {problem}" + (f"; expected {expected}" if expected else "")
+        super().__init__(" ".join(text.split()))

@@ -1,0 +1,1 @@
+"""YAML and CSV at the edges: machines, parameters, tables."""

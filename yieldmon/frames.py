@@ -1,0 +1,134 @@
+"""The vocabulary between bus, engine and plant: one frame as a message name with physical signal values.
+
+It names the messages and signals of dbc/yieldmon.dbc and nothing of how they are packed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import Enum
+from typing import NamedTuple
+
+
+class Unusable(Enum):
+    """What J1939 sends in place of a value."""
+
+    NOT_AVAILABLE = "not available"
+    ERROR = "error"
+
+
+NOT_AVAILABLE = Unusable.NOT_AVAILABLE
+ERROR = Unusable.ERROR
+
+Value = float | int | Unusable
+#: A signal's physical value: float in the DBC's unit, int for counters and coded values (never a value-table object).
+
+
+class Frame(NamedTuple):
+    """One decoded frame.
+
+    time_s: the bus's own time of reception, seconds (any epoch; the engine uses differences only).
+    message: name in the DBC. signals: signal name -> physical value.
+    """
+
+    time_s: float
+    message: str
+    signals: Mapping[str, Value]
+
+
+IMPACT_SENSOR_SAMPLES = "ImpactSensorSamples"
+ELEVATOR_SPEED = "ElevatorSpeed"
+PLATE_ACTUATOR_FEEDBACK = "PlateActuatorFeedback"
+GRAIN_CONDITION = "GrainCondition"
+TANK_SCALE = "TankScale"
+PLATE_ACTUATOR_COMMAND = "PlateActuatorCommand"
+MASS_FLOW = "MassFlow"
+ACCUMULATED_MASS = "AccumulatedMass"
+SELF_CALIBRATION_STATUS = "SelfCalibrationStatus"
+YIELD_MONITOR_STATUS = "YieldMonitorStatus"
+
+INPUTS = (IMPACT_SENSOR_SAMPLES, ELEVATOR_SPEED, PLATE_ACTUATOR_FEEDBACK, GRAIN_CONDITION, TANK_SCALE)
+OUTPUTS = (PLATE_ACTUATOR_COMMAND, MASS_FLOW, ACCUMULATED_MASS, SELF_CALIBRATION_STATUS, YIELD_MONITOR_STATUS)
+
+#: Samples in one ImpactSensorSamples frame (Sample0 .. Sample3), 1 ms apart, the last one at the frame's time.
+SAMPLES_PER_FRAME = 4
+SAMPLE_INTERVAL_S = 0.001
+
+
+class SensorStatus(int, Enum):
+    """ImpactSensorSamples.SensorStatus."""
+
+    OK = 0
+    OVER_RANGE = 1
+    FAULT = 2
+
+
+class ActuatorState(int, Enum):
+    """PlateActuatorFeedback.ActuatorState."""
+
+    IDLE = 0
+    MOVING = 1
+    FAULT = 2
+    MANUAL = 3
+    """An operator or another controller holds the plate; commands are ignored."""
+
+
+class CommandMode(int, Enum):
+    """PlateActuatorCommand.CommandMode."""
+
+    RELEASE = 0
+    """Not driving; the actuator holds where it is."""
+    GO_TO_ANGLE = 1
+    GO_HOME = 2
+
+
+class ScaleStatus(int, Enum):
+    """TankScale.TankScaleStatus."""
+
+    STABLE = 0
+    UNSTABLE = 1
+    FAULT = 2
+
+
+class EstimateQuality(int, Enum):
+    """MassFlow.EstimateQuality: what the number beside it is worth."""
+
+    OK = 0
+    NOT_HARVESTING = 1
+    """MassFlowRate is not available: no flow is being measured, which is not a flow of 0."""
+    OUTSIDE_CALIBRATION = 2
+    SATURATED = 3
+    DEGRADED = 4
+    """Measured, but with samples lost, an aged calibration or another fault that widens MassFlowStdDev."""
+    SWEEPING = 5
+    """Measured at a plate angle other than home, with the larger uncertainty that goes with it."""
+    NOT_AVAILABLE = 6
+    """An input is missing or broken; MassFlowRate is not available."""
+
+
+class SweepState(int, Enum):
+    """SelfCalibrationStatus.SweepState."""
+
+    IDLE = 0
+    WAITING = 1
+    """Due, but conditions do not hold yet."""
+    MOVING = 2
+    SETTLING = 3
+    MEASURING = 4
+    RETURNING = 5
+    ABORTED = 6
+    UPDATED = 7
+    """The last sweep taught something and the parameters moved."""
+    NOT_LEARNED = 8
+    """The last sweep ended well and the parameters stay: it said nothing new."""
+
+
+class OperatingState(int, Enum):
+    """YieldMonitorStatus.OperatingState."""
+
+    STARTING = 0
+    ZEROING = 1
+    NOT_HARVESTING = 2
+    HARVESTING = 3
+    SWEEPING = 4
+    FAULT = 5

@@ -1,0 +1,69 @@
+"""Machine geometry.
+
+Axes: origin at the upper sprocket's centre, x to the right, y down, angles clockwise from +x; the paddle points straight up at
+3 pi/2. Source: "Self-Calibrating Mass Flow Sensor" (Univ. of Illinois / Deere), tables 8.1 and 11.1, figure 8.1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+
+RPM = 2.0 * pi / 60.0
+"""rad/s in one revolution per minute."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImpactSensor:
+    """The force cell behind the plate: horizontal force, linear in voltage above its zero-load voltage."""
+
+    gain_n_per_mv: float = 0.4448
+    full_scale_mv: float = 4000.0
+
+
+@dataclass(frozen=True, slots=True)
+class Machine:
+    """Clean-grain elevator head and impact plate. Lengths in m, angles in rad, speeds in rad/s.
+
+    paddle_spacings_m is the repeating pattern of distances along the chain. The plate turns about its top edge
+    (plate_pivot_x_m, plate_pivot_y_m); paddle_length_m is from the sprocket's centre to the tip.
+    """
+
+    name: str = "sprocket-8"
+    sprocket_pitch_radius_m: float = 0.0541
+    paddle_spacings_m: tuple[float, ...] = (0.1656, 0.2071)
+    paddle_length_m: float = 0.16
+    paddle_width_m: float = 0.21
+    plate_pivot_x_m: float = 0.4
+    plate_pivot_y_m: float = -0.16
+    plate_length_m: float = 0.1887
+    home_plate_angle_rad: float = 70.0 * pi / 180.0
+    min_plate_angle_rad: float = 40.0 * pi / 180.0
+    max_plate_angle_rad: float = 90.0 * pi / 180.0
+    nominal_elevator_speed_rad_s: float = 400.0 * RPM
+    min_elevator_speed_rad_s: float = 250.0 * RPM
+    max_elevator_speed_rad_s: float = 599.0 * RPM
+    sensor: ImpactSensor = ImpactSensor()
+
+    def __post_init__(self) -> None:
+        for key in ("sprocket_pitch_radius_m", "paddle_length_m", "paddle_width_m", "plate_length_m"):
+            if not getattr(self, key) > 0.0:
+                raise ValueError(f"machine {self.name}: {key} is {getattr(self, key)}, expected a length above 0 m")
+        if not self.paddle_spacings_m or min(self.paddle_spacings_m) <= 0.0:
+            raise ValueError(f"machine {self.name}: paddle_spacings_m is {self.paddle_spacings_m}, expected lengths above 0 m")
+        if not self.min_plate_angle_rad <= self.home_plate_angle_rad <= self.max_plate_angle_rad:
+            raise ValueError(f"machine {self.name}: the home plate angle lies outside the plate's range")
+
+    @property
+    def paddle_spacing_m(self) -> float:
+        """Mean distance between paddles, m."""
+        return sum(self.paddle_spacings_m) / len(self.paddle_spacings_m)
+
+    @property
+    def pattern_length_m(self) -> float:
+        """Chain travel after which the paddle pattern repeats, m."""
+        return sum(self.paddle_spacings_m)
+
+    def paddle_speed_m_s(self, elevator_speed_rad_s: float) -> float:
+        """Chain speed at a sprocket speed, m/s."""
+        return elevator_speed_rad_s * self.sprocket_pitch_radius_m

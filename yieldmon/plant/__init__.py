@@ -1,0 +1,1 @@
+"""The virtual combine: an independent source of frames and truth."""
