@@ -46,9 +46,52 @@ MASS_FLOW = "MassFlow"
 ACCUMULATED_MASS = "AccumulatedMass"
 SELF_CALIBRATION_STATUS = "SelfCalibrationStatus"
 YIELD_MONITOR_STATUS = "YieldMonitorStatus"
+ACTIVE_DIAGNOSTICS = "ActiveDiagnostics"
+HARVEST_STATE = "HarvestState"
+VEHICLE_POSITION = "VehiclePosition"
+VEHICLE_DIRECTION_SPEED = "VehicleDirectionSpeed"
 
-INPUTS = (IMPACT_SENSOR_SAMPLES, ELEVATOR_SPEED, PLATE_ACTUATOR_FEEDBACK, GRAIN_CONDITION, TANK_SCALE)
-OUTPUTS = (PLATE_ACTUATOR_COMMAND, MASS_FLOW, ACCUMULATED_MASS, SELF_CALIBRATION_STATUS, YIELD_MONITOR_STATUS)
+INPUTS = (
+    IMPACT_SENSOR_SAMPLES,
+    ELEVATOR_SPEED,
+    PLATE_ACTUATOR_FEEDBACK,
+    GRAIN_CONDITION,
+    TANK_SCALE,
+    HARVEST_STATE,
+    VEHICLE_POSITION,
+    VEHICLE_DIRECTION_SPEED,
+)
+OUTPUTS = (
+    PLATE_ACTUATOR_COMMAND,
+    MASS_FLOW,
+    ACCUMULATED_MASS,
+    SELF_CALIBRATION_STATUS,
+    YIELD_MONITOR_STATUS,
+    ACTIVE_DIAGNOSTICS,
+)
+
+#: YieldMonitorStatus: signals that hold a FaultState each, in the order of their bits.
+FAULTS = (
+    "SensorMissing",
+    "SensorStuck",
+    "SensorSaturated",
+    "ZeroDrifted",
+    "SpeedMissing",
+    "SpeedOutOfRange",
+    "PlateNotFollowing",
+    "PlateFeedbackStale",
+    "SweepAborted",
+    "CalibrationOld",
+    "FlowOutsideCalibration",
+    "NotIdentifiable",
+    "ModelDisagrees",
+    "StoreFailing",
+    "FramesLost",
+    "ClockJumped",
+    "BusError",
+    "OutputConflict",
+    "ScaleFault",
+)
 
 #: Samples in one ImpactSensorSamples frame (Sample0 .. Sample3), 1 ms apart, the last one at the frame's time.
 SAMPLES_PER_FRAME = 4
@@ -132,3 +175,24 @@ class OperatingState(int, Enum):
     HARVESTING = 3
     SWEEPING = 4
     FAULT = 5
+
+
+class FaultState(int, Enum):
+    """YieldMonitorStatus: each signal of FAULTS."""
+
+    OFF = 0
+    ON = 1
+
+
+class HeaderDown(int, Enum):
+    """HarvestState.HeaderDown."""
+
+    UP = 0
+    DOWN = 1
+
+
+class WorkState(int, Enum):
+    """HarvestState.WorkState."""
+
+    NOT_WORKING = 0
+    WORKING = 1

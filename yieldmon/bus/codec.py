@@ -1,0 +1,145 @@
+"""can.Message <-> Frame, one frame at a time, from the layout that the DBC gives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import can
+
+from yieldmon.bus.layout import EXTENDED_ID_MASK, GROUP_MASK, IDENTITY_MASK, MessageLayout, SignalLayout, load_layouts
+from yieldmon.frames import ERROR, NOT_AVAILABLE, Frame, Unusable, Value
+
+#: One entry per signal, in the order in which decode() unpacks them: name, start, mask, scale, offset, largest valid raw
+#: value, smallest "not available", codes or None, integral.
+_Unpack = tuple[str, int, int, float, float, int, int, frozenset[int] | None, bool]
+
+
+class FrameError(ValueError):
+    """A frame of ours that is not as the DBC says, or a Frame that cannot be packed."""
+
+
+class Codec:
+    """Decodes and encodes the frames of one DBC.
+
+    Values in the J1939 "not available" range decode to NOT_AVAILABLE; error and reserved ranges, and codes that the value
+    table does not define, decode to ERROR. Counters and coded signals are int, everything else float in the DBC's unit.
+    """
+
+    def __init__(self, dbc_path: Path | str | None = None) -> None:
+        """Reads the DBC at `dbc_path` (default: the shipped one). Raises InputError when it cannot be used."""
+        self.layouts: Mapping[str, MessageLayout] = load_layouts(dbc_path)
+        self._by_identity: dict[int, tuple[MessageLayout, tuple[_Unpack, ...]]] = {}
+        self._by_group: dict[int, tuple[MessageLayout, tuple[_Unpack, ...]]] = {}
+        for layout in self.layouts.values():
+            table = self._by_group if layout.any_source else self._by_identity
+            table[layout.identity] = (layout, tuple(_unpack(signal) for signal in layout.signals))
+
+    def layout_of(self, arbitration_id: int) -> MessageLayout | None:
+        """Layout of the message that a 29-bit identifier names, None when it is not one of ours. Priority is ignored."""
+        entry = self._entry(arbitration_id)
+        return entry[0] if entry is not None else None
+
+    def decode(self, message: can.Message) -> Frame | None:
+        """Frame with the message's timestamp, or None when the message is not one of ours.
+
+        None: an identifier that the DBC does not name, an 11-bit identifier, a remote frame, an error frame (the receiver
+        reports those). Raises FrameError when the length is not the DBC's.
+        """
+        if message.is_error_frame or message.is_remote_frame or not message.is_extended_id:
+            return None
+        entry = self._entry(message.arbitration_id)
+        if entry is None:
+            return None
+        layout, unpack = entry
+        data = message.data
+        if len(data) != layout.length:
+            raise FrameError(
+                f"{layout.name} (0x{message.arbitration_id:08X}): {len(data)} bytes of data, expected {layout.length}"
+            )
+        payload = int.from_bytes(data, "little")
+        signals: dict[str, Value] = {}
+        for name, start, mask, scale, offset, raw_max, raw_not_available, codes, integral in unpack:
+            raw = payload >> start & mask
+            if raw > raw_max:
+                signals[name] = NOT_AVAILABLE if raw >= raw_not_available else ERROR
+            elif not integral:
+                signals[name] = raw * scale + offset
+            elif codes is None or raw in codes:
+                signals[name] = raw
+            else:
+                signals[name] = ERROR
+        return Frame(message.timestamp, layout.name, signals)
+
+    def encode(self, frame: Frame) -> can.Message:
+        """Message with the frame's time as timestamp. Bits that no signal uses are 1.
+
+        Raises FrameError for a message the DBC does not name, a signal too many or too few, a value outside the signal's
+        range (nothing is clipped) or no number, a code that the value table does not define, and for NOT_AVAILABLE or
+        ERROR on a signal that has no raw value for it.
+        """
+        layout = self.layouts.get(frame.message)
+        if layout is None:
+            raise FrameError(f"{frame.message}: no such message, expected one of {', '.join(self.layouts)}")
+        if len(frame.signals) != len(layout.signals) or any(s.name not in frame.signals for s in layout.signals):
+            raise FrameError(
+                f"{frame.message}: signals {', '.join(frame.signals)}; "
+                f"expected {', '.join(signal.name for signal in layout.signals)}"
+            )
+        payload = (1 << 8 * layout.length) - 1
+        for signal in layout.signals:
+            raw = _raw(signal, frame.signals[signal.name], layout.name)
+            payload ^= (raw ^ signal.mask) << signal.start
+        return can.Message(
+            timestamp=frame.time_s,
+            arbitration_id=layout.frame_id,
+            is_extended_id=True,
+            data=payload.to_bytes(layout.length, "little"),
+        )
+
+    def filters(self, messages: Iterable[str]) -> list[can.typechecking.CanFilter]:
+        """python-can filters that let just these messages through, from any priority; any sender where the DBC says so."""
+        return [
+            {"can_id": self.layouts[name].identity, "can_mask": self.layouts[name].identity_mask, "extended": True}
+            for name in messages
+        ]
+
+    def _entry(self, arbitration_id: int) -> tuple[MessageLayout, tuple[_Unpack, ...]] | None:
+        entry = self._by_identity.get(arbitration_id & IDENTITY_MASK)
+        if entry is None:
+            entry = self._by_group.get(arbitration_id & GROUP_MASK)
+        return entry if arbitration_id <= EXTENDED_ID_MASK else None
+
+
+def _unpack(signal: SignalLayout) -> _Unpack:
+    return (
+        signal.name,
+        signal.start,
+        signal.mask,
+        signal.scale,
+        signal.offset,
+        signal.raw_max,
+        signal.raw_not_available,
+        signal.codes,
+        signal.integral,
+    )
+
+
+def _raw(signal: SignalLayout, value: Value, message: str) -> int:
+    where = f"{message}.{signal.name}"
+    if isinstance(value, Unusable):
+        if not signal.has_reserved_values:
+            raise FrameError(f"{where}: cannot say {value.value!r}, every raw value is a count")
+        return signal.mask if value is NOT_AVAILABLE else signal.raw_error
+    if not math.isfinite(value):
+        raise FrameError(f"{where}: {value}, expected a finite number or NOT_AVAILABLE")
+    if signal.integral and value != int(value):
+        raise FrameError(f"{where}: {value}, expected a whole number")
+    raw = round((value - signal.offset) / signal.scale)
+    if not 0 <= raw <= signal.raw_max:
+        low, high = signal.offset, signal.raw_max * signal.scale + signal.offset
+        raise FrameError(f"{where}: {value:.10g} {signal.unit}".rstrip() + f", expected {low:.10g} to {high:.10g}")
+    if signal.codes is not None and raw not in signal.codes:
+        raise FrameError(f"{where}: code {raw}, expected one of {', '.join(map(str, sorted(signal.codes)))}")
+    return raw
