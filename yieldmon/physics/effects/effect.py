@@ -1,0 +1,53 @@
+"""What a named effect is: parameters with units and bounds, and hooks into the stages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from ..numerics import AnyArray
+from ..stages import Arrival, Impulse, Jet, Load, Reading, Setting
+
+Values = Mapping[str, AnyArray]
+"""An effect's own parameters by short name, each with a trailing node axis."""
+
+
+@dataclass(frozen=True, slots=True)
+class EffectParameter:
+    """One parameter: null is the value at which the effect vanishes; lower and upper are physical bounds."""
+
+    name: str
+    unit: str
+    null: float
+    lower: float
+    upper: float
+    prior_sd: float
+    description: str
+    typical: float
+    """A size at which the effect matters; where searches start."""
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """A physical effect that the published model leaves out.
+
+    stage: where in the machine it acts (fill, settle, release, flight, impact, sensor, crop). The hooks take the state of one
+    step of the throw, the effect's own values and the setting, and return the altered state. needs_misses asks the model to
+    follow grain that passes below the plate as well.
+    """
+
+    name: str
+    stage: str
+    summary: str
+    signature: str
+    source: str
+    parameters: tuple[EffectParameter, ...]
+    setting: Callable[[Setting, Values], Setting] | None = None
+    load: Callable[[Load, Values, Setting], Load] | None = None
+    jet: Callable[[Jet, Values, Setting], Jet] | None = None
+    arrival: Callable[[Arrival, Values, Setting], Arrival] | None = None
+    impulse: Callable[[Impulse, Values, Setting], Impulse] | None = None
+    reading: Callable[[Reading, Values, Setting], Reading] | None = None
+    needs_misses: bool = False
+    unit_follows_response: bool = False
+    """True where a parameter is in the reading's own unit, so that it scales with the table's response unit."""

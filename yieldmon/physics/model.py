@@ -1,0 +1,315 @@
+"""The forward model: mass flow to force on the plate, through the four stages and any named effects.
+
+Source: "Self-Calibrating Mass Flow Sensor" (Univ. of Illinois / Deere), chapter 8. Evaluated by Gauss-Legendre quadrature over
+the paddle's rotation at release, split where grain begins to pass below the plate; exact to rounding at the default order for
+ordinary loads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from . import flight, impact, release, settling
+from .effects import Effect, get_effect
+from .machine import Machine
+from .numerics import COMPLEX_STEP, AnyArray, Array, first_root, gauss_legendre, minimum, real
+from .stages import STAGES, Arrival, Jet, Load, Setting
+
+GRAIN_PARAMETERS = ("friction", "density", "shape_ratio")
+RESTITUTION_FORM = ("restitution",)
+EXCHANGE_FORM = ("k1", "k2")
+
+Parameters = Mapping[str, ArrayLike]
+"""Name -> value: friction, density (kg/m3), shape_ratio, restitution or k1 and k2, and `effect.parameter` for effects."""
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """What the machine does while it is measured; arrays that broadcast against each other and against the parameters.
+
+    plate_angle_rad, elevator_speed_rad_s; one of mass_flow_kg_s and paddle_mass_kg; moisture_pct only where an effect needs it.
+    """
+
+    plate_angle_rad: ArrayLike
+    elevator_speed_rad_s: ArrayLike
+    mass_flow_kg_s: ArrayLike | None = None
+    paddle_mass_kg: ArrayLike | None = None
+    moisture_pct: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        if (self.mass_flow_kg_s is None) == (self.paddle_mass_kg is None):
+            raise ValueError("conditions: exactly one of mass_flow_kg_s and paddle_mass_kg is needed")
+
+
+class ForwardModel:
+    """Force on the plate of one machine, with zero or more named effects.
+
+    nodes: Gauss-Legendre order of each panel. Parameters are given at each call, so one model serves any grain. All methods
+    broadcast conditions against parameters; parameters may be complex (complex-step derivatives).
+    """
+
+    def __init__(self, machine: Machine, effects: Iterable[str] = (), *, nodes: int = 20) -> None:
+        names = tuple(effects)
+        if len(set(names)) != len(names):
+            raise ValueError(f"effects {names}: each may be named once")
+        self.machine = machine
+        self.nodes = nodes
+        chosen = [get_effect(name) for name in names]
+        self._effects: tuple[Effect, ...] = tuple(sorted(chosen, key=lambda effect: effect.name))
+        self._misses = any(effect.needs_misses for effect in self._effects)
+
+    def __repr__(self) -> str:
+        return f"ForwardModel({self.machine.name!r}, effects={list(self.effects)!r}, nodes={self.nodes})"
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the effects, in alphabetical order, which is also the order in which they act within a stage."""
+        return tuple(effect.name for effect in self._effects)
+
+    @property
+    def effect_parameters(self) -> tuple[str, ...]:
+        """Qualified names (`effect.parameter`) of the effects' parameters."""
+        return tuple(f"{e.name}.{p.name}" for e in self._effects for p in e.parameters)
+
+    def with_effects(self, effects: Iterable[str]) -> ForwardModel:
+        """The same machine and order with other effects."""
+        return ForwardModel(self.machine, effects, nodes=self.nodes)
+
+    def throw(
+        self,
+        plate_angle_rad: ArrayLike,
+        elevator_speed_rad_s: ArrayLike,
+        parameters: Parameters,
+        moisture_pct: ArrayLike | None = None,
+    ) -> Throw:
+        """All that does not depend on the load, worked out once; see `Throw`."""
+        return Throw(self, plate_angle_rad, elevator_speed_rad_s, parameters, moisture_pct)
+
+    def paddle_momentum(self, conditions: Conditions, parameters: Parameters, *, overfull: str = "raise") -> AnyArray:
+        """Horizontal momentum given to the plate per paddle, kg m/s (or the response's unit where k1, k2 carry it).
+
+        overfull: what to do with a load above a full paddle [8.9]: "raise" ValueError, or give "nan" there.
+        """
+        throw = self._throw(conditions, parameters)
+        momentum = throw.momentum(throw.offered_mass(conditions))
+        if overfull == "raise":
+            self._refuse_overfull(throw, conditions, momentum)
+        return momentum
+
+    def force(self, conditions: Conditions, parameters: Parameters, *, overfull: str = "raise") -> AnyArray:
+        """Mean horizontal force, N: momentum per paddle times paddle passes per second [8.24]."""
+        throw = self._throw(conditions, parameters)
+        momentum = throw.momentum(throw.offered_mass(conditions))
+        if overfull == "raise":
+            self._refuse_overfull(throw, conditions, momentum)
+        return momentum * throw.passes_per_s
+
+    def derivatives(
+        self, conditions: Conditions, parameters: Parameters, names: Sequence[str], *, of: str = "momentum"
+    ) -> tuple[Array, Array]:
+        """Value and exact first derivatives by complex step, one forward pass a name.
+
+        names: parameters, or "mass_flow_kg_s" / "paddle_mass_kg" for the load. of: "momentum" or "force". Returns arrays of
+        shape S and S + (len(names),); nan where the load is above a full paddle.
+        """
+        evaluate = self.paddle_momentum if of == "momentum" else self.force
+        value = real(np.asarray(evaluate(conditions, parameters, overfull="nan")))
+        columns = []
+        for name in names:
+            if name in ("mass_flow_kg_s", "paddle_mass_kg"):
+                load = getattr(conditions, name)
+                if load is None:
+                    raise ValueError(f"derivative by {name}: the conditions do not give it")
+                moved = replace(conditions, **{name: np.asarray(load, dtype=complex) + 1j * COMPLEX_STEP})
+                perturbed = evaluate(moved, parameters, overfull="nan")
+            else:
+                if name not in parameters:
+                    raise ValueError(f"derivative by {name}: not among the parameters {', '.join(parameters)}")
+                shifted = dict(parameters)
+                shifted[name] = np.asarray(parameters[name], dtype=complex) + 1j * COMPLEX_STEP
+                perturbed = evaluate(conditions, shifted, overfull="nan")
+            columns.append(np.broadcast_to(np.imag(perturbed) / COMPLEX_STEP, value.shape))
+        jacobian = np.stack(columns, axis=-1) if columns else np.empty((*value.shape, 0))
+        return value, np.where(np.isnan(value)[..., None], np.nan, jacobian)
+
+    def _throw(self, conditions: Conditions, parameters: Parameters) -> Throw:
+        return self.throw(
+            conditions.plate_angle_rad, conditions.elevator_speed_rad_s, parameters, conditions.moisture_pct
+        )
+
+    def _refuse_overfull(self, throw: Throw, conditions: Conditions, momentum: AnyArray) -> None:
+        mass, full = np.broadcast_arrays(real(throw.load_mass(throw.offered_mass(conditions))), real(throw.full_mass_kg))
+        over = (mass > full * (1.0 + 1e-12)) | (mass < 0.0)
+        if np.any(over):
+            first = np.flatnonzero(over)[0]
+            raise ValueError(
+                f"load of {mass.ravel()[first]:.6g} kg a paddle: expected 0 to {full.ravel()[first]:.6g} kg, a full paddle"
+            )
+
+
+class Throw:
+    """The part of a throw that holds for any load: setting, and the rotation at which grain starts to miss the plate.
+
+    Inverting force to flow evaluates many loads at one setting; this keeps what they share. Shapes: every public method takes
+    and gives arrays without the node axis.
+    """
+
+    def __init__(
+        self,
+        model: ForwardModel,
+        plate_angle_rad: ArrayLike,
+        elevator_speed_rad_s: ArrayLike,
+        parameters: Parameters,
+        moisture_pct: ArrayLike | None = None,
+    ) -> None:
+        self._model = model
+        self._values = _effect_values(model._effects, parameters)
+        machine = model.machine
+        setting = Setting(
+            machine=machine,
+            plate_angle_rad=_with_nodes(plate_angle_rad),
+            elevator_speed_rad_s=_with_nodes(elevator_speed_rad_s),
+            moisture_pct=_with_nodes(np.nan if moisture_pct is None else moisture_pct),
+            paddle_length_m=np.asarray([machine.paddle_length_m]),
+            plate_pivot_x_m=np.asarray([machine.plate_pivot_x_m]),
+            plate_pivot_y_m=np.asarray([machine.plate_pivot_y_m]),
+            friction=_parameter(parameters, "friction"),
+            density=_parameter(parameters, "density"),
+            shape_ratio=_parameter(parameters, "shape_ratio"),
+            restitution=_parameter(parameters, "restitution") if "restitution" in parameters else None,
+            k1=_parameter(parameters, "k1") if "k1" in parameters else None,
+            k2=_parameter(parameters, "k2") if "k2" in parameters else None,
+            gravity_m_s2=np.zeros(1),
+            release_angle_rad=np.zeros(1),
+            radial_speed=np.zeros(1),
+        )
+        for effect in model._effects:
+            if effect.setting is not None:
+                setting = effect.setting(setting, self._values[effect.name])
+        if (setting.restitution is None) == (setting.k1 is None or setting.k2 is None):
+            raise ValueError("parameters: give either restitution, or k1 and k2")
+        self.setting = setting
+        self._miss_rotation = self._find_miss_rotation()
+
+    @property
+    def passes_per_s(self) -> AnyArray:
+        """Paddle passes per second."""
+        return self.setting.passes_per_s[..., 0]
+
+    @property
+    def full_mass_kg(self) -> AnyArray:
+        """Mass of a full paddle, kg [8.9]."""
+        return self.setting.full_paddle_mass_kg[..., 0]
+
+    def offered_mass(self, conditions: Conditions) -> AnyArray:
+        """Mass that each paddle is offered, kg [8.1]."""
+        if conditions.paddle_mass_kg is not None:
+            return np.asarray(conditions.paddle_mass_kg)
+        return np.asarray(conditions.mass_flow_kg_s) / self.passes_per_s
+
+    def load_mass(self, offered_mass_kg: AnyArray) -> AnyArray:
+        """Mass on the paddle at release, kg, after the effects that act on filling."""
+        return self._load(np.asarray(offered_mass_kg)[..., None]).paddle_mass_kg[..., 0]
+
+    def momentum(self, offered_mass_kg: AnyArray) -> AnyArray:
+        """Horizontal momentum per paddle, kg m/s; nan above a full paddle."""
+        return self.reading(offered_mass_kg).momentum_kg_m_s[..., 0]
+
+    def reading(self, offered_mass_kg: AnyArray) -> impact.Reading:
+        """The whole chain of states of one throw, for inspection of any stage."""
+        load = self._load(np.asarray(offered_mass_kg)[..., None])
+        jet = self._jet(load)
+        arrival = self._arrival(jet)
+        impulse = impact.strike(arrival, self.setting)
+        impulse = self._alter("impulse", impulse)
+        return self._alter("reading", impact.read(impulse, self.setting))
+
+    def _alter(self, stage: str, state):  # type: ignore[no-untyped-def]
+        for effect in self._model._effects:
+            hook = getattr(effect, stage)
+            if hook is not None:
+                state = hook(state, self._values[effect.name], self.setting)
+        return state
+
+    def _load(self, offered_mass_kg: AnyArray) -> Load:
+        load: Load = self._alter("load", Load(offered_mass_kg, offered_mass_kg))
+        return load
+
+    def _jet(self, load: Load) -> Jet:
+        setting = self.setting
+        heap = setting.density * setting.machine.paddle_width_m * setting.paddle_length_m**2
+        inner = settling.inner_radius(load.paddle_mass_kg / heap, setting.shape_ratio)
+        emptied = release.rotation_to_empty(inner, setting, self._longest_rotation())
+        points, weights = gauss_legendre(self._model.nodes)
+        hit_end = minimum(emptied, self._miss_rotation)
+        tau, width = hit_end * points, hit_end * weights
+        if self._model._misses:
+            rest = emptied - hit_end
+            tau = np.concatenate((tau, hit_end + rest * points), axis=-1)
+            width = np.concatenate((width, rest * weights), axis=-1)
+        flow = release.outflow(tau, setting)
+        psi = settling.opening_angle(flow.release_radius, inner, setting.shape_ratio)
+        mass = heap * width * flow.inward_rate * flow.release_radius * psi
+        x, y, vx, vy = release.at_tip(tau, flow, setting)
+        jet: Jet = self._alter("jet", Jet(load, inner, flow.release_radius, mass, tau, x, y, vx, vy))
+        return jet
+
+    def _arrival(self, jet: Jet) -> Arrival:
+        meeting = flight.meet_plate(jet.x_m, jet.y_m, jet.vx_m_s, jet.vy_m_s, self.setting)
+        share = np.ones(1)
+        if self._model._misses:
+            share = np.repeat([1.0, 0.0], self._model.nodes)
+        speed = np.sqrt(jet.vx_m_s**2 + jet.vy_m_s**2)
+        arrival: Arrival = self._alter(
+            "arrival",
+            Arrival(
+                jet,
+                meeting.from_low_edge_m,
+                meeting.time_s,
+                meeting.time_s * speed,
+                meeting.normal_speed_m_s,
+                meeting.tangential_speed_m_s,
+                share,
+            ),
+        )
+        return arrival
+
+    def _longest_rotation(self) -> AnyArray:
+        # Grain released later than this leaves the tip heading down and back; no heap holds any.
+        return np.full(1, 2.0 * np.pi)
+
+    def _find_miss_rotation(self) -> AnyArray:
+        setting = self.setting
+        # Beyond this rotation the path runs along the plate or away from it (radial speed stays below the tip speed).
+        upper = setting.plate_angle_rad - setting.release_angle_rad + np.arctan(1.0 + setting.radial_speed)
+
+        def miss(tau: AnyArray) -> AnyArray:
+            flow = release.outflow(tau, setting)
+            return flight.meet_plate(*release.at_tip(tau, flow, setting), setting).miss
+
+        return first_root(miss, upper)
+
+
+def _with_nodes(value: ArrayLike) -> AnyArray:
+    return np.asarray(value)[..., None] * 1.0
+
+
+def _parameter(parameters: Parameters, name: str) -> AnyArray:
+    try:
+        return _with_nodes(parameters[name])
+    except KeyError:
+        raise ValueError(f"parameters: {name} is missing; given are {', '.join(parameters)}") from None
+
+
+def _effect_values(effects: Sequence[Effect], parameters: Parameters) -> dict[str, dict[str, AnyArray]]:
+    return {
+        effect.name: {p.name: _parameter(parameters, f"{effect.name}.{p.name}") for p in effect.parameters}
+        for effect in effects
+    }
+
+
+__all__ = ["EXCHANGE_FORM", "GRAIN_PARAMETERS", "RESTITUTION_FORM", "STAGES", "Conditions", "ForwardModel", "Throw"]

@@ -1,0 +1,85 @@
+"""Array helpers that keep complex perturbations intact, so that one code serves values and complex-step derivatives.
+
+Comparisons look at real parts only; everything else is analytic. Source of the method: Squire and Trapp, "Using complex
+variables to estimate derivatives of real functions", SIAM Review 40 (1998).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+AnyArray = NDArray[np.float64] | NDArray[np.complex128]
+
+COMPLEX_STEP = 1e-30
+
+
+def real(x: AnyArray) -> Array:
+    """Real part, as float64."""
+    return np.real(x)
+
+
+def minimum(a: AnyArray, b: AnyArray) -> AnyArray:
+    """Elementwise minimum by real part; the derivative follows the chosen branch."""
+    return np.where(real(a) <= real(b), a, b)
+
+
+def maximum(a: AnyArray, b: AnyArray) -> AnyArray:
+    """Elementwise maximum by real part; the derivative follows the chosen branch."""
+    return np.where(real(a) >= real(b), a, b)
+
+
+@lru_cache(maxsize=16)
+def gauss_legendre(nodes: int) -> tuple[Array, Array]:
+    """Nodes and weights of the Gauss-Legendre rule on [0, 1]; each of shape (nodes,)."""
+    x, w = np.polynomial.legendre.leggauss(nodes)
+    return 0.5 * (x + 1.0), 0.5 * w
+
+
+@lru_cache(maxsize=16)
+def chebyshev_points(count: int) -> Array:
+    """Chebyshev-Lobatto points on [0, 1], ascending, shape (count,)."""
+    return 0.5 * (1.0 - np.cos(np.pi * np.arange(count) / (count - 1)))
+
+
+def first_root(
+    function: Callable[[AnyArray], AnyArray], upper: AnyArray, *, points: int = 14, refinements: int = 2
+) -> AnyArray:
+    """First root in (0, upper] of a smooth function that is negative at 0, along the last axis.
+
+    function maps an array of shape (..., n) to values of the same shape; upper has shape (..., 1). Where the function is not
+    negative at 0 the root is 0; where it stays negative up to `upper`, the root is `upper`. The result has shape (..., 1) and
+    carries complex perturbations of the function to first order.
+    """
+    t = real(upper) * chebyshev_points(points)
+    f = real(function(t))
+    t = np.broadcast_to(t, f.shape)
+    positive = f >= 0.0
+    right = np.argmax(positive, axis=-1)[..., None]
+    found = np.take_along_axis(positive, right, -1)
+    left = np.maximum(right - 1, 0)
+    a, b = np.take_along_axis(t, left, -1), np.take_along_axis(t, right, -1)
+    fa, fb = np.take_along_axis(f, left, -1), np.take_along_axis(f, right, -1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x = np.where(fb > fa, a - fa * (b - a) / (fb - fa), b)
+    for _ in range(refinements):
+        h = 1e-4 * (b - a) + 1e-12
+        probe = np.concatenate((x - h, x, x + h), axis=-1)
+        fm, f0, fp = np.split(real(function(probe)), 3, axis=-1)
+        slope, curve = (fp - fm) / (2.0 * h), (fp - 2.0 * f0 + fm) / (h * h)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            newton = f0 / slope
+            step = newton * (1.0 + 0.5 * newton * curve / slope)
+        x = np.clip(np.where(np.isfinite(step), x - step, x), a, b)
+    x = np.where(found, np.where(right == 0, 0.0, x), real(upper))
+    value = function(x)
+    if np.iscomplexobj(value):
+        h = 1e-6 * real(upper) + 1e-12
+        slope = (real(function(x + h)) - real(function(x - h))) / (2.0 * h)
+        inside = found & (right > 0)
+        x = np.where(inside, x - 1j * np.imag(value) / np.where(inside, slope, 1.0), np.where(found, x, upper))
+    return x

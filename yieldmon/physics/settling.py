@@ -1,0 +1,77 @@
+"""Stage 2, settling: the heap against the housing, with a straight inner surface [8.4-8.9, appendix E].
+
+Lengths in units of the paddle length l; x = h0 / l is where the inner surface meets the paddle, psi_f = h_f (1 - x) the angle at
+which it meets the housing.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .numerics import AnyArray, real
+
+
+def filled_fraction(x: AnyArray, shape_ratio: AnyArray) -> AnyArray:
+    """M / (eta w l^2) of a heap with inner radius x: h_f (1-x) / 2 - (x/2) sin(h_f (1-x)) [8.8]."""
+    psi = shape_ratio * (1.0 - x)
+    return 0.5 * psi - 0.5 * x * np.sin(psi)
+
+
+def inner_radius(fraction: AnyArray, shape_ratio: AnyArray) -> AnyArray:
+    """x = h0/l of a heap of `fraction` = M / (eta w l^2), 0 <= fraction <= shape_ratio / 2; nan outside.
+
+    Newton from the thin-heap limit 1 - x = sqrt(2 a / h_f), which lies on the side from which the iteration is monotone for
+    thin heaps; steps that leave [0, 1] are halved back. Complex perturbations are carried by a last step.
+    """
+    a = real(fraction)
+    h = real(shape_ratio)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        thickness = np.minimum(np.sqrt(2.0 * a / h), 1.0)
+        for _ in range(60):
+            psi = h * thickness
+            sin, cos = np.sin(psi), np.cos(psi)
+            value = 0.5 * psi - 0.5 * (1.0 - thickness) * sin - a
+            slope = 0.5 * h + 0.5 * sin - 0.5 * (1.0 - thickness) * h * cos
+            step = np.where(thickness > 0.0, value / slope, 0.0)
+            trial = thickness - step
+            trial = np.where(trial > 1.0, 0.5 * (thickness + 1.0), np.where(trial < 0.0, 0.5 * thickness, trial))
+            moved = np.abs(trial - thickness)
+            thickness = trial
+            if not np.any(moved > 1e-14 * thickness):
+                break
+    # Rounding may ask for a hair more than a full paddle; beyond that the heap does not exist.
+    thickness = np.where((a >= 0.0) & (a <= 0.5 * h * (1.0 + 1e-12)), thickness, np.nan)
+    x = 1.0 - thickness
+    if np.iscomplexobj(fraction) or np.iscomplexobj(shape_ratio):
+        psi = h * thickness
+        slope = -(0.5 * h + 0.5 * np.sin(psi) - 0.5 * x * h * np.cos(psi))
+        return x - 1j * np.imag(filled_fraction(x, shape_ratio) - fraction) / np.where(slope == 0.0, 1.0, slope)
+    return x
+
+
+def opening_angle(rho: AnyArray, x: AnyArray, shape_ratio: AnyArray) -> AnyArray:
+    """psi(rho): angle over which the heap holds grain at radius rho >= x, rad; the inverse of h, in closed form.
+
+    The inner surface is the straight line from (x, 0) to the polar point (1, psi_f); at distance p from the centre and foot
+    angle alpha, rho cos(psi - alpha) = p.
+    """
+    psi_f = shape_ratio * (1.0 - x)
+    dx, dy = np.cos(psi_f) - x, np.sin(psi_f)
+    length = np.sqrt(dx * dx + dy * dy)
+    length = np.where(real(length) > 0.0, length, 1.0)
+    along = x * dx / length
+    p = x * dy / length
+    # Position along the line, measured from the foot of the perpendicular, is sqrt(rho^2 - p^2) on the outer branch.
+    outer = np.sqrt(np.where(real(rho * rho - p * p) > 0.0, rho * rho - p * p, 0.0))
+    s = outer - along
+    px, py = x + s * dx / length, s * dy / length
+    return _arctan2(py, px)
+
+
+def _arctan2(y: AnyArray, x: AnyArray) -> AnyArray:
+    if np.iscomplexobj(y) or np.iscomplexobj(x):
+        yr, xr = real(y), real(x)
+        radius2 = xr * xr + yr * yr
+        slope = (xr * np.imag(y) - yr * np.imag(x)) / np.where(radius2 > 0.0, radius2, 1.0)
+        return np.arctan2(yr, xr) + 1j * slope
+    return np.arctan2(y, x)

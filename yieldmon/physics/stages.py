@@ -1,0 +1,124 @@
+"""What passes from stage to stage of one throw; a named effect alters one of these and hands it on.
+
+Every array carries a trailing axis for the quadrature nodes (length 1 where a quantity is the same for all of them), so that
+anything broadcasts with anything. SI units and radians.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .machine import Machine
+from .numerics import AnyArray
+
+STAGES = ("setting", "load", "jet", "arrival", "impulse", "reading")
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """What holds before any grain comes: geometry, operating point and grain."""
+
+    machine: Machine
+    plate_angle_rad: AnyArray
+    elevator_speed_rad_s: AnyArray
+    moisture_pct: AnyArray
+    """nan where unknown; an effect that needs it refuses then."""
+    paddle_length_m: AnyArray
+    plate_pivot_x_m: AnyArray
+    plate_pivot_y_m: AnyArray
+    friction: AnyArray
+    density: AnyArray
+    """kg/m3"""
+    shape_ratio: AnyArray
+    restitution: AnyArray | None
+    k1: AnyArray | None
+    k2: AnyArray | None
+    gravity_m_s2: AnyArray
+    """0 in the published model."""
+    release_angle_rad: AnyArray
+    """Paddle angle at release, past the vertical in the sense of rotation; 0 in the published model."""
+    radial_speed: AnyArray
+    """Radial speed at release over (elevator speed x radius of the grain); 0 in the published model."""
+
+    @property
+    def paddle_speed_m_s(self) -> AnyArray:
+        """Chain speed."""
+        return self.elevator_speed_rad_s * self.machine.sprocket_pitch_radius_m
+
+    @property
+    def passes_per_s(self) -> AnyArray:
+        """Mean number of paddles that pass in a second."""
+        return self.paddle_speed_m_s / self.machine.paddle_spacing_m
+
+    @property
+    def full_paddle_mass_kg(self) -> AnyArray:
+        """M_full [8.9]: the heap that reaches from the sprocket's centre to the tip."""
+        return 0.5 * self.shape_ratio * self.density * self.machine.paddle_width_m * self.paddle_length_m**2
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """The grain on one paddle after filling."""
+
+    offered_mass_kg: AnyArray
+    """What the mass flow brings to each paddle [8.1]."""
+    paddle_mass_kg: AnyArray
+    """What reaches the release point."""
+
+
+@dataclass(frozen=True, slots=True)
+class Jet:
+    """The heap as it leaves the tip, node by node from the tip inwards."""
+
+    load: Load
+    inner_radius: AnyArray
+    """h0 / l"""
+    release_radius: AnyArray
+    """rho_0 / l"""
+    mass_kg: AnyArray
+    """Mass that each node stands for (quadrature weight included)."""
+    travel_angle_rad: AnyArray
+    """tau_d: paddle rotation from release to the tip."""
+    x_m: AnyArray
+    y_m: AnyArray
+    vx_m_s: AnyArray
+    vy_m_s: AnyArray
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """The jet where it meets the plate's line."""
+
+    jet: Jet
+    from_low_edge_m: AnyArray
+    """kappa: along the plate, negative above its low edge."""
+    flight_time_s: AnyArray
+    flight_length_m: AnyArray
+    normal_speed_m_s: AnyArray
+    """Into the plate."""
+    tangential_speed_m_s: AnyArray
+    """Along the plate, positive towards its low edge."""
+    landing_share: AnyArray
+    """Share of the node's mass that strikes the plate."""
+
+
+@dataclass(frozen=True, slots=True)
+class Impulse:
+    """What each node's grain gives to the plate, per mass that strikes, m/s."""
+
+    arrival: Arrival
+    normal_gain: AnyArray
+    """Normal impulse over normal momentum: 1 + e, or k1 M / M_full + k2."""
+    tangential_m_s: AnyArray
+    """Tangential impulse per mass, positive towards the low edge."""
+    weight: AnyArray
+    """Response of the sensor to a unit of horizontal impulse at the node's place on the plate."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What the sensor makes of one paddle; here the node axis has length 1."""
+
+    impulse: Impulse
+    momentum_kg_m_s: AnyArray
+    """Horizontal momentum per paddle pass, in the sensor's scale."""
