@@ -1,0 +1,86 @@
+"""YAML that is plain data, and everything else refused in one line."""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from yieldmon.errors import InputError
+from yieldmon.files import strict_yaml
+
+SCALARS = [
+    ("1", 1), ("-7", -7), ("010", 10), ("1e-3", 1e-3), ("2.5E+2", 250.0), (".5", 0.5), ("3.", 3.0), ("true", True),
+    ("false", False), ("null", None), ("~", None), ("", None), ("yes", "yes"), ("off", "off"), ("1:30", "1:30"),
+    ("2020-13-45", "2020-13-45"), ("0x10", "0x10"), ("1_000", "1_000"), ("'1'", "1"), ("<<", "<<"), ("=", "="),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "value"), SCALARS)
+def test_scalars_are_those_of_the_core_schema(text, value):
+    result = strict_yaml.parse(f"key: {text}\n", "f")["key"]
+    assert result == value
+    assert type(result) is type(value)
+
+
+def test_infinities_and_nan_are_numbers_for_the_reader_to_refuse():
+    values = strict_yaml.parse("[.inf, -.inf, .nan]", "f")
+    assert values[:2] == [math.inf, -math.inf]
+    assert math.isnan(values[2])
+
+
+REFUSED = [
+    ("a: 1\na: 2", "f:2: key 'a' appears twice"),
+    ("a: &x 1\nb: *x", "f:1: anchors and aliases"),
+    ("a:\n  !!python/object/apply:os.system ['true']", "f:2: tags such as"),
+    ("[" * 500 + "]" * 500, "f:1: more than 20 levels deep"),
+    ("{[1]: 2}", "f:1: a key must be a word"),
+    ("a: '", "f:1: found unexpected end of stream"),
+    ("a: " + "9" * 5000, "f:1: '9999999999999999999999999999999999999999' has too many digits"),
+    ("a: 1\n---\nb: 2", "f:2: but found another document"),
+    ("a: \x00", "f: unacceptable character"),
+    ("a: " + "x" * strict_yaml.MAX_BYTES, "characters; expected at most"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), REFUSED)
+def test_what_is_doubtful_is_refused_with_its_line(text, message):
+    with pytest.raises(InputError) as caught:
+        strict_yaml.parse(text, "f")
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+PLAIN = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(st.characters(codec="utf-8")),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text("abcdef_", min_size=1), inner, max_size=4),
+    max_leaves=20,
+)
+
+
+@settings(max_examples=200, deadline=None)
+@given(PLAIN)
+def test_plain_data_survives_writing_and_reading(document):
+    assert strict_yaml.parse(yaml.safe_dump(document, allow_unicode=False), "f") == document
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.text(st.sampled_from("ab:-[]{}&*!|>'\"#%@`,? \n\t01.e~<=\\")))
+def test_any_text_is_data_or_one_line(text):
+    with suppress(InputError):
+        strict_yaml.parse(text, "f")
+
+
+def test_unreadable_files_are_one_line(tmp_path):
+    with pytest.raises(InputError, match="No such file"):
+        strict_yaml.load(tmp_path / "missing.yaml")
+    with pytest.raises(InputError, match="directory"):
+        strict_yaml.load(tmp_path)
+    latin = tmp_path / "latin.yaml"
+    latin.write_bytes(b"name: K\xf6ln\n")
+    with pytest.raises(InputError, match="byte 7 is not UTF-8"):
+        strict_yaml.load(latin)

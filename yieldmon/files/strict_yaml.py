@@ -1,0 +1,111 @@
+"""YAML as data and nothing else: plain mappings, lists, numbers, strings; what is doubtful is refused.
+
+No tags, anchors or aliases, no key twice, a bound on size and depth, and the scalars of YAML 1.2's core schema (1e-3 is
+a number; 1:30 and 2020-01-01 are words, and so are yes and off), so that a file can neither run anything, nor mean
+something other than what it shows, nor grow in memory.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Hashable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from yieldmon.errors import InputError
+
+MAX_BYTES = 1_000_000
+MAX_DEPTH = 20
+
+
+class _Refused(yaml.MarkedYAMLError):
+    def __init__(self, problem: str, place: Any) -> None:
+        super().__init__(None, None, problem, place.start_mark)
+
+
+class _StrictLoader(yaml.SafeLoader):
+    def __init__(self, stream: str) -> None:
+        super().__init__(stream)
+        self._depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        event = self.peek_event()  # type: ignore[no-untyped-call]
+        if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None) is not None:
+            raise _Refused("anchors and aliases are not supported", event)
+        if getattr(event, "tag", None) is not None:
+            raise _Refused(f"tags such as {event.tag!r} are not supported", event)
+        if self._depth >= MAX_DEPTH:
+            raise _Refused(f"more than {MAX_DEPTH} levels deep", event)
+        self._depth += 1
+        try:
+            return super().compose_node(parent, index)
+        finally:
+            self._depth -= 1
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                raise _Refused("a key must be a word", key)
+            if key.value in seen:
+                raise _Refused(f"key {key.value!r} appears twice", key)
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+    def construct_number(self, node: yaml.ScalarNode) -> int | float:
+        text = node.value
+        try:
+            return int(text) if node.tag.endswith(":int") else float(text.replace(".inf", "inf").replace(".nan", "nan"))
+        except ValueError as error:
+            raise _Refused(f"{text[:40]!r} has too many digits", node) from error
+
+
+def _resolvers() -> dict[str, list[tuple[str, re.Pattern[str]]]]:
+    """First character -> the core schema's scalars that can begin with it."""
+    core = {
+        "null": (r"null|~|", ["n", "~", ""]),
+        "bool": (r"true|false", ["t", "f"]),
+        "int": (r"[-+]?[0-9]+", list("-+0123456789")),
+        "float": (r"[-+]?(\.[0-9]+|[0-9]+\.?[0-9]*)([eE][-+]?[0-9]+)?|[-+]?\.inf|\.nan", list("-+.0123456789")),
+    }
+    table: dict[str, list[tuple[str, re.Pattern[str]]]] = {}
+    for name, (pattern, firsts) in core.items():
+        for first in firsts:
+            table.setdefault(first, []).append((f"tag:yaml.org,2002:{name}", re.compile(rf"(?:{pattern})\Z")))
+    return table
+
+
+_StrictLoader.yaml_implicit_resolvers = _resolvers()
+for _number in ("int", "float"):
+    _StrictLoader.add_constructor(f"tag:yaml.org,2002:{_number}", _StrictLoader.construct_number)
+
+
+def parse(text: str, where: str) -> Any:
+    """The document in `text`; None when it is empty.
+
+    Raises InputError, naming `where` and the line, for anything that is not plain YAML.
+    """
+    if len(text) > MAX_BYTES:
+        raise InputError(where, f"{len(text)} characters", f"at most {MAX_BYTES}")
+    try:
+        return yaml.load(text, Loader=_StrictLoader)  # noqa: S506 - a SafeLoader with less
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line = f"{where}:{mark.line + 1}" if mark is not None else where
+        raise InputError(line, error.problem or error.context or "not YAML") from error
+    except yaml.YAMLError as error:
+        raise InputError(where, str(error), "a YAML file") from error
+
+
+def load(path: Path | str) -> Any:
+    """The document in the file at `path`. Raises InputError as parse() does, and when the file cannot be read."""
+    try:
+        with open(path, "rb") as file:
+            content = file.read(MAX_BYTES + 1)
+        return parse(content.decode("utf-8"), str(path))
+    except OSError as error:
+        raise InputError(str(path), error.strerror or str(error), "a readable YAML file") from error
+    except UnicodeDecodeError as error:
+        raise InputError(str(path), f"byte {error.start} is not UTF-8", "a YAML file in UTF-8") from error
