@@ -34,7 +34,7 @@ def meet_plate(x_m: AnyArray, y_m: AnyArray, vx_m_s: AnyArray, vy_m_s: AnyArray,
     from_top = rx * cos + ry * sin
     vn = vx_m_s * sin - vy_m_s * cos
     vt = vx_m_s * cos + vy_m_s * sin
-    if np.any(g != 0.0):
+    if g is not None:
         square = vn * vn - 2.0 * g * cos * gap
         reaches = (real(square) >= 0.0) & (real(vn) > 0.0)
         closing = 0.5 * (vn + np.sqrt(np.where(reaches, square, 0.0)))
@@ -46,7 +46,7 @@ def meet_plate(x_m: AnyArray, y_m: AnyArray, vx_m_s: AnyArray, vy_m_s: AnyArray,
     miss = (from_top - setting.machine.plate_length_m) * closing + gap * vt
     safe = np.where(reaches, closing, 1.0)
     time = np.where(reaches, gap / safe, np.inf)
-    if np.any(g != 0.0):
+    if g is not None:
         flown = np.where(reaches, time, 0.0)
         fallen = 0.5 * g * sin * flown * flown
         miss = miss + fallen * closing

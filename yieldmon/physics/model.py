@@ -22,6 +22,7 @@ from .stages import STAGES, Arrival, Jet, Load, Setting
 GRAIN_PARAMETERS = ("friction", "density", "shape_ratio")
 RESTITUTION_FORM = ("restitution",)
 EXCHANGE_FORM = ("k1", "k2")
+LATEST_ROTATION_RAD = 2.0 * np.pi
 
 Parameters = Mapping[str, ArrayLike]
 """Name -> value: friction, density (kg/m3), shape_ratio, restitution or k1 and k2, and `effect.parameter` for effects."""
@@ -61,6 +62,7 @@ class ForwardModel:
         chosen = [get_effect(name) for name in names]
         self._effects: tuple[Effect, ...] = tuple(sorted(chosen, key=lambda effect: effect.name))
         self._misses = any(effect.needs_misses for effect in self._effects)
+        self._alters_load = any(effect.load is not None for effect in self._effects)
 
     def __repr__(self) -> str:
         return f"ForwardModel({self.machine.name!r}, effects={list(self.effects)!r}, nodes={self.nodes})"
@@ -183,9 +185,6 @@ class Throw:
             restitution=_parameter(parameters, "restitution") if "restitution" in parameters else None,
             k1=_parameter(parameters, "k1") if "k1" in parameters else None,
             k2=_parameter(parameters, "k2") if "k2" in parameters else None,
-            gravity_m_s2=np.zeros(1),
-            release_angle_rad=np.zeros(1),
-            radial_speed=np.zeros(1),
         )
         for effect in model._effects:
             if effect.setting is not None:
@@ -193,6 +192,7 @@ class Throw:
         if (setting.restitution is None) == (setting.k1 is None or setting.k2 is None):
             raise ValueError("parameters: give either restitution, or k1 and k2")
         self.setting = setting
+        self._heap_scale_kg = setting.density * machine.paddle_width_m * setting.paddle_length_m**2
         self._miss_rotation = self._find_miss_rotation()
 
     @property
@@ -219,14 +219,37 @@ class Throw:
         """Horizontal momentum per paddle, kg m/s; nan above a full paddle."""
         return self.reading(offered_mass_kg).momentum_kg_m_s[..., 0]
 
+    def load_curve(self, q: AnyArray) -> tuple[AnyArray, AnyArray]:
+        """Offered mass, kg, and momentum, kg m/s, along the load curve from an empty (q = 0) to a full paddle (q = 1).
+
+        Works from the heap's thickness q = 1 - h0/l, for which the mass is explicit, unless an effect acts on filling; then
+        from the offered mass q^2 M_full, where loads that overfill the paddle give nan.
+        """
+        mass = self.offered_along_curve(q)
+        if self._model._alters_load:
+            return mass, self.momentum(mass)
+        inner = 1.0 - np.asarray(q)[..., None]
+        reading = self._read(self._jet(Load(mass[..., None], mass[..., None]), inner))
+        return mass, reading.momentum_kg_m_s[..., 0]
+
+    def offered_along_curve(self, q: AnyArray) -> AnyArray:
+        """The offered mass of `load_curve`, kg."""
+        thickness = np.asarray(q)[..., None]
+        if self._model._alters_load:
+            return (thickness * thickness * self.setting.full_paddle_mass_kg)[..., 0]
+        return (self._heap_scale_kg * settling.filled_fraction(1.0 - thickness, self.setting.shape_ratio))[..., 0]
+
     def reading(self, offered_mass_kg: AnyArray) -> impact.Reading:
         """The whole chain of states of one throw, for inspection of any stage."""
         load = self._load(np.asarray(offered_mass_kg)[..., None])
-        jet = self._jet(load)
+        inner = settling.inner_radius(load.paddle_mass_kg / self._heap_scale_kg, self.setting.shape_ratio)
+        return self._read(self._jet(load, inner))
+
+    def _read(self, jet: Jet) -> impact.Reading:
         arrival = self._arrival(jet)
-        impulse = impact.strike(arrival, self.setting)
-        impulse = self._alter("impulse", impulse)
-        return self._alter("reading", impact.read(impulse, self.setting))
+        impulse = self._alter("impulse", impact.strike(arrival, self.setting))
+        reading: impact.Reading = self._alter("reading", impact.read(impulse, self.setting))
+        return reading
 
     def _alter(self, stage: str, state):  # type: ignore[no-untyped-def]
         for effect in self._model._effects:
@@ -239,11 +262,11 @@ class Throw:
         load: Load = self._alter("load", Load(offered_mass_kg, offered_mass_kg))
         return load
 
-    def _jet(self, load: Load) -> Jet:
+    def _jet(self, load: Load, inner: AnyArray) -> Jet:
         setting = self.setting
-        heap = setting.density * setting.machine.paddle_width_m * setting.paddle_length_m**2
-        inner = settling.inner_radius(load.paddle_mass_kg / heap, setting.shape_ratio)
-        emptied = release.rotation_to_empty(inner, setting, self._longest_rotation())
+        # Grain released after LATEST leaves the tip heading back; where misses do not count, nothing after them does.
+        limit = np.full(1, LATEST_ROTATION_RAD) if self._model._misses else self._miss_rotation
+        emptied = release.rotation_to_empty(inner, setting, limit)
         points, weights = gauss_legendre(self._model.nodes)
         hit_end = minimum(emptied, self._miss_rotation)
         tau, width = hit_end * points, hit_end * weights
@@ -253,7 +276,7 @@ class Throw:
             width = np.concatenate((width, rest * weights), axis=-1)
         flow = release.outflow(tau, setting)
         psi = settling.opening_angle(flow.release_radius, inner, setting.shape_ratio)
-        mass = heap * width * flow.inward_rate * flow.release_radius * psi
+        mass = self._heap_scale_kg * width * flow.inward_rate * flow.release_radius * psi
         x, y, vx, vy = release.at_tip(tau, flow, setting)
         jet: Jet = self._alter("jet", Jet(load, inner, flow.release_radius, mass, tau, x, y, vx, vy))
         return jet
@@ -278,14 +301,14 @@ class Throw:
         )
         return arrival
 
-    def _longest_rotation(self) -> AnyArray:
-        # Grain released later than this leaves the tip heading down and back; no heap holds any.
-        return np.full(1, 2.0 * np.pi)
-
     def _find_miss_rotation(self) -> AnyArray:
         setting = self.setting
         # Beyond this rotation the path runs along the plate or away from it (radial speed stays below the tip speed).
-        upper = setting.plate_angle_rad - setting.release_angle_rad + np.arctan(1.0 + setting.radial_speed)
+        upper = setting.plate_angle_rad + 0.25 * np.pi
+        if setting.release_angle_rad is not None:
+            upper = upper - setting.release_angle_rad
+        if setting.radial_speed is not None:
+            upper = upper + 0.5 * setting.radial_speed
 
         def miss(tau: AnyArray) -> AnyArray:
             flow = release.outflow(tau, setting)

@@ -47,7 +47,7 @@ def chebyshev_points(count: int) -> Array:
 
 
 def first_root(
-    function: Callable[[AnyArray], AnyArray], upper: AnyArray, *, points: int = 14, refinements: int = 2
+    function: Callable[[AnyArray], AnyArray], upper: AnyArray, *, points: int = 24, refinements: int = 1
 ) -> AnyArray:
     """First root in (0, upper] of a smooth function that is negative at 0, along the last axis.
 
@@ -67,7 +67,7 @@ def first_root(
     with np.errstate(divide="ignore", invalid="ignore"):
         x = np.where(fb > fa, a - fa * (b - a) / (fb - fa), b)
     for _ in range(refinements):
-        h = 1e-4 * (b - a) + 1e-12
+        h = 1e-3 * (b - a) + 1e-12
         probe = np.concatenate((x - h, x, x + h), axis=-1)
         fm, f0, fp = np.split(real(function(probe)), 3, axis=-1)
         slope, curve = (fp - fm) / (2.0 * h), (fp - 2.0 * f0 + fm) / (h * h)

@@ -37,24 +37,33 @@ def outflow(tau: AnyArray, setting: Setting) -> Outflow:
     cosh, sinh = 0.5 * (grow + 1.0 / grow), 0.5 * (grow - 1.0 / grow)
     position = damping * (cosh + mu / s * sinh)
     velocity = damping * sinh / s
-    particular, particular_rate = 0.0, 0.0
-    initial = setting.radial_speed
-    if np.any(initial != 0.0):
+    if setting.radial_speed is not None:
         rate = damping * (cosh - mu / s * sinh)
-        position, velocity = position + initial * velocity, velocity + initial * rate
-    if np.any(setting.gravity_m_s2 != 0.0):
-        particular, particular_rate = _forced(tau, mu, s, damping, cosh, sinh, setting)
-    release = (1.0 - particular) / position
-    radial = release * velocity + particular_rate
-    return Outflow(release, radial, radial / position)
+        position, velocity = position + setting.radial_speed * velocity, velocity + setting.radial_speed * rate
+    if setting.gravity_m_s2 is not None:
+        forced, forced_rate = _forced(tau, mu, s, damping, cosh, sinh, setting)
+        release = (1.0 - forced) / position
+        radial = release * velocity + forced_rate
+    else:
+        release = 1.0 / position
+        radial = release * velocity
+    return Outflow(release, radial, radial * release if setting.gravity_m_s2 is None else radial / position)
+
+
+def start_angle(setting: Setting) -> AnyArray:
+    """Paddle angle at which the heap is let go, rad."""
+    if setting.release_angle_rad is None:
+        return np.full(1, TOP)
+    return TOP + setting.release_angle_rad
 
 
 def _forced(
     tau: AnyArray, mu: AnyArray, s: AnyArray, damping: AnyArray, cosh: AnyArray, sinh: AnyArray, setting: Setting
 ) -> tuple[AnyArray, AnyArray]:
     """Solution for G (sin theta + mu cos theta) that starts at rest at the centre, and its rate."""
+    assert setting.gravity_m_s2 is not None
     number = setting.gravity_m_s2 / (setting.paddle_length_m * setting.elevator_speed_rad_s**2)
-    start = TOP + setting.release_angle_rad
+    start = start_angle(setting)
     a = -number * (1.0 - mu * mu) / (2.0 * (1.0 + mu * mu))
     b = -number * mu / (1.0 + mu * mu)
     free, free_rate = damping * (cosh + mu / s * sinh), damping * sinh / s
@@ -70,37 +79,38 @@ def _forced(
 def rotation_to_empty(inner_radius: AnyArray, setting: Setting, limit: AnyArray) -> AnyArray:
     """tau at which the innermost grain (radius `inner_radius`, in l) leaves the tip, at most `limit`, rad.
 
-    Newton on log rho_0, which is nearly linear once past the start; complex perturbations are carried by a last step.
+    Newton on log rho_0, kept inside a bracket; complex perturbations are carried by a last step.
     """
-    x = maximum(inner_radius, np.asarray(1e-300))
-    goal = real(x)
-    tau = np.minimum(np.arccosh(np.maximum(1.0 / np.maximum(goal, 1e-12), 1.0)), real(limit))
-    low, high = np.zeros_like(tau), np.broadcast_to(real(limit), tau.shape).copy()
+    goal = np.maximum(real(inner_radius), 1e-12)
+    end = real(limit)
+    tau = np.minimum(np.arccosh(np.maximum(1.0 / goal, 1.0)), end)
+    shape = np.broadcast_shapes(tau.shape, setting.friction.shape, setting.elevator_speed_rad_s.shape)
+    tau, goal = np.broadcast_to(tau, shape), np.broadcast_to(goal, shape)
+    low, high = np.zeros(shape), np.broadcast_to(end, shape)
     for _ in range(60):
         flow = outflow(tau, setting)
         rho, rate = real(flow.release_radius), real(flow.inward_rate)
         late = rho < goal
         low, high = np.where(late, low, tau), np.where(late, tau, high)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            trial = tau + np.where(rho > 0.0, rho * np.log(rho / goal), rho - goal) / rate
-        inside = (trial >= low) & (trial <= high)
-        trial = np.where(inside, trial, 0.5 * (low + high))
+        trial = np.minimum(tau + rho * np.log(np.maximum(rho, 1e-300) / goal) / np.maximum(rate, 1e-300), end)
+        trial = np.where((trial >= low) & (trial <= high), trial, 0.5 * (low + high))
         moved = np.abs(trial - tau)
         tau = trial
-        if not np.any(moved > 1e-14 * tau + 1e-300):
+        # Quadratic convergence: a step this small leaves an error at rounding.
+        if not np.any(moved > 1e-8 * tau + 1e-300):
             break
-    flow = outflow(tau, setting)
-    if np.iscomplexobj(flow.release_radius) or np.iscomplexobj(x):
+    if any(map(np.iscomplexobj, (flow.release_radius, inner_radius, limit))):
+        flow = outflow(tau, setting)
         rate = real(flow.inward_rate)
-        inside = (tau < real(limit)) & (rate > 0.0)
-        step = 1j * np.imag(flow.release_radius - x) / np.where(inside, rate, 1.0)
-        return np.where(inside, tau + step, np.where(tau < real(limit), tau, limit))
+        inside = (tau < end) & (rate > 0.0)
+        step = 1j * np.imag(flow.release_radius - inner_radius) / np.where(inside, rate, 1.0)
+        return np.where(inside, tau + step, np.where(tau < end, tau, limit))
     return tau
 
 
 def at_tip(tau: AnyArray, flow: Outflow, setting: Setting) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
     """Place (x, y) in m and velocity (x, y) in m/s of the grain as it leaves the tip [8.16]."""
-    theta = TOP + setting.release_angle_rad + tau
+    theta = start_angle(setting) + tau
     sin, cos = np.sin(theta), np.cos(theta)
     length = setting.paddle_length_m
     tip_speed = length * setting.elevator_speed_rad_s

@@ -23,21 +23,21 @@ def inner_radius(fraction: AnyArray, shape_ratio: AnyArray) -> AnyArray:
     Newton from the thin-heap limit 1 - x = sqrt(2 a / h_f), which lies on the side from which the iteration is monotone for
     thin heaps; steps that leave [0, 1] are halved back. Complex perturbations are carried by a last step.
     """
-    a = real(fraction)
-    h = real(shape_ratio)
+    a, h = real(fraction), real(shape_ratio)
     with np.errstate(invalid="ignore", divide="ignore"):
         thickness = np.minimum(np.sqrt(2.0 * a / h), 1.0)
         for _ in range(60):
             psi = h * thickness
-            sin, cos = np.sin(psi), np.cos(psi)
-            value = 0.5 * psi - 0.5 * (1.0 - thickness) * sin - a
-            slope = 0.5 * h + 0.5 * sin - 0.5 * (1.0 - thickness) * h * cos
-            step = np.where(thickness > 0.0, value / slope, 0.0)
-            trial = thickness - step
+            x = 1.0 - thickness
+            sin = np.sin(psi)
+            value = 0.5 * (psi - x * sin) - a
+            slope = 0.5 * (h + sin - x * h * np.cos(psi))
+            trial = thickness - value / slope
             trial = np.where(trial > 1.0, 0.5 * (thickness + 1.0), np.where(trial < 0.0, 0.5 * thickness, trial))
             moved = np.abs(trial - thickness)
-            thickness = trial
-            if not np.any(moved > 1e-14 * thickness):
+            thickness = np.where(a == 0.0, 0.0, trial)
+            # Quadratic convergence: a step this small leaves an error at rounding.
+            if not np.any(moved > 1e-8 * thickness):
                 break
     # Rounding may ask for a hair more than a full paddle; beyond that the heap does not exist.
     thickness = np.where((a >= 0.0) & (a <= 0.5 * h * (1.0 + 1e-12)), thickness, np.nan)

@@ -33,12 +33,12 @@ class Setting:
     restitution: AnyArray | None
     k1: AnyArray | None
     k2: AnyArray | None
-    gravity_m_s2: AnyArray
-    """0 in the published model."""
-    release_angle_rad: AnyArray
-    """Paddle angle at release, past the vertical in the sense of rotation; 0 in the published model."""
-    radial_speed: AnyArray
-    """Radial speed at release over (elevator speed x radius of the grain); 0 in the published model."""
+    gravity_m_s2: AnyArray | None = None
+    """None in the published model, which drops gravity."""
+    release_angle_rad: AnyArray | None = None
+    """Paddle angle at release, past the vertical in the sense of rotation; None in the published model: at the vertical."""
+    radial_speed: AnyArray | None = None
+    """Radial speed at release over (elevator speed x radius of the grain); None in the published model: at rest."""
 
     @property
     def paddle_speed_m_s(self) -> AnyArray:

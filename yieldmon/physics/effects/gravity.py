@@ -9,7 +9,7 @@ from .effect import Effect, EffectParameter, Values
 
 
 def _setting(setting: Setting, values: Values) -> Setting:
-    return replace(setting, gravity_m_s2=setting.gravity_m_s2 + values["acceleration_m_s2"])
+    return replace(setting, gravity_m_s2=values["acceleration_m_s2"])
 
 
 EFFECT = Effect(

@@ -1,0 +1,215 @@
+"""Open loop: force to mass flow, one window at a time, with known parameters (thesis, section 9.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from yieldmon.physics.model import ForwardModel, Throw
+from yieldmon.physics.numerics import Array, chebyshev_points
+
+from .parameters import ParameterSet
+
+_GRID = chebyshev_points(16)
+_STENCIL = np.array([-1.0, 0.0, 1.0])
+
+
+class FlowStatus(IntEnum):
+    """What a flow estimate is worth."""
+
+    OK = 0
+    NO_GRAIN = 1
+    """The force is at or below that of an empty machine; the flow is 0 within its standard deviation."""
+    OUTSIDE_CALIBRATION = 2
+    """An estimate, but flow, angle, speed or moisture lie outside the range that the parameters were calibrated in."""
+    SATURATED = 3
+    """More force than a full paddle gives; no estimate (nan)."""
+    NOT_AVAILABLE = 4
+    """An input is missing or meaningless; no estimate (nan)."""
+
+
+@dataclass(frozen=True, slots=True)
+class FlowEstimate:
+    """Mass flow and its standard deviation, kg/s (nan where there is none), and FlowStatus codes, all of one shape."""
+
+    mass_flow_kg_s: Array
+    std_dev_kg_s: Array
+    status: NDArray[np.int64]
+
+
+def invert_force(throw: Throw, force_n: Array, *, tolerance: float = 1e-13) -> tuple[Array, Array]:
+    """Mass flow at which `throw` gives `force_n`, and d(force)/d(mass flow) there, by a bracketed solver.
+
+    throw and force have shapes that broadcast to S; returns two arrays of shape S. The bracket is an empty to a full paddle; of
+    several solutions the lowest is taken. Below the empty reading the flow is 0, above the highest reading it is nan. Inside the
+    bracket: inverse interpolation over a grid in heap thickness, then Halley steps that may not leave their interval.
+    """
+    passes = np.asarray(throw.passes_per_s)
+    shape = np.broadcast_shapes(passes[..., 0].shape, force_n.shape)
+    target = np.broadcast_to(force_n, shape)[..., None] / passes
+    _, grid = throw.load_curve(_GRID)
+    grid = np.broadcast_to(grid, (*shape, _GRID.size))
+    reaches = grid >= target
+    right = np.maximum(np.argmax(reaches, axis=-1)[..., None], 1)
+    found = np.any(reaches, axis=-1)
+    empty = grid[..., :1]
+    low, high = _GRID[right - 1], _GRID[right]
+    # Momentum rises as thickness squared, so its root is nearly linear in the thickness.
+    root = np.sqrt(np.maximum(grid - empty, 0.0))
+    goal = np.sqrt(np.maximum(target - empty, 0.0))
+    near = np.clip(right - 2, 0, _GRID.size - 4) + np.arange(4)
+    q = np.clip(_inverse_interpolation(np.take_along_axis(root, near, -1), _GRID[near], goal), low, high)
+    slope = np.ones_like(q)
+    for _ in range(60):
+        width = 1e-3 * np.minimum(np.minimum(q, 1.0 - q), high - low) + 1e-9
+        probe = np.clip(q + width * _STENCIL, 0.0, 1.0)
+        _, momentum = throw.load_curve(probe)
+        centre = momentum[..., 1:2]
+        left_slope = (centre - momentum[..., :1]) / np.maximum(probe[..., 1:2] - probe[..., :1], 1e-300)
+        right_slope = (momentum[..., 2:] - centre) / np.maximum(probe[..., 2:] - probe[..., 1:2], 1e-300)
+        slope = 0.5 * (left_slope + right_slope)
+        curve = (right_slope - left_slope) / width
+        error = centre - target
+        low, high = np.where(error < 0.0, q, low), np.where(error > 0.0, q, high)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            newton = error / slope
+            halley = newton / (1.0 - 0.5 * newton * curve / slope)
+        trial = q - np.where(np.isfinite(halley), halley, 0.0)
+        trial = np.where((trial >= low) & (trial <= high), trial, 0.5 * (low + high))
+        moved = np.abs(trial - q)
+        q = trial
+        settled = (moved <= 1e-5 * q) | (np.abs(error) <= tolerance * np.abs(target)) | ~found[..., None]
+        if np.all(settled):
+            break
+    mass = np.broadcast_to(throw.offered_along_curve(q), (*shape, 1))
+    beside = throw.offered_along_curve(np.clip(q + width * _STENCIL[[0, 2]], 0.0, 1.0))
+    span = np.maximum(q + width, 0.0) - np.maximum(q - width, 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mass_slope = (beside[..., 1:] - beside[..., :1]) / span
+        gain = slope / mass_slope
+    flow = mass * passes
+    below = (target <= empty)[..., 0]
+    flow_out = np.where(below, 0.0, np.where(found, flow[..., 0], np.nan))
+    # The masses per pass cancel: d(force)/d(flow) = d(momentum)/d(mass).
+    return flow_out, np.where(found | below, np.broadcast_to(gain, (*shape, 1))[..., 0], np.nan)
+
+
+class OpenLoop:
+    """Force to mass flow with one set of parameters.
+
+    parameter_sd enters the standard deviation through the covariance of the set; window noise is given at each call.
+    """
+
+    def __init__(self, model: ForwardModel, parameters: ParameterSet) -> None:
+        if set(parameters.effects) != set(model.effects):
+            raise ValueError(f"parameters speak of effects {parameters.effects}; the model has {model.effects}")
+        self.model = model
+        self.parameters = parameters
+        names = parameters.covariance_names
+        base = {name: np.asarray(value) for name, value in parameters.values.items()}
+        self._base = base
+        # One row a parameter: a step of a thousandth of its standard deviation keeps the difference linear and above rounding.
+        steps = np.array([1e-3 * parameters.standard_deviation(name) for name in names])
+        self._steps = steps
+        self._rows = {
+            name: value + (np.eye(len(names))[names.index(name)] * steps if name in names else 0.0)
+            for name, value in base.items()
+        }
+
+    def invert(
+        self,
+        force_n: ArrayLike,
+        plate_angle_rad: ArrayLike,
+        elevator_speed_rad_s: ArrayLike,
+        moisture_pct: ArrayLike | None = None,
+    ) -> Array:
+        """Mass flow alone, kg/s: 0 at or below the empty reading, nan above that of a full paddle. Finite input only."""
+        throw = self._throw(plate_angle_rad, elevator_speed_rad_s, moisture_pct)
+        return invert_force(throw, np.asarray(force_n, dtype=float))[0]
+
+    def estimate(
+        self,
+        force_n: ArrayLike,
+        plate_angle_rad: ArrayLike,
+        elevator_speed_rad_s: ArrayLike,
+        force_std_dev_n: ArrayLike = 0.0,
+        moisture_pct: ArrayLike | None = None,
+    ) -> FlowEstimate:
+        """Mass flow with standard deviation and status; scalars or arrays that broadcast, any of them nan where unknown."""
+        moisture = np.nan if moisture_pct is None else moisture_pct
+        force, angle, speed, noise, moist = np.broadcast_arrays(
+            *(np.asarray(v, dtype=float) for v in (force_n, plate_angle_rad, elevator_speed_rad_s, force_std_dev_n, moisture))
+        )
+        usable = np.isfinite(force) & np.isfinite(angle) & np.isfinite(speed) & (speed > 0.0) & np.isfinite(noise)
+        machine = self.model.machine
+        force = np.where(usable, force, 0.0)
+        angle = np.where(usable, angle, machine.home_plate_angle_rad)
+        speed = np.where(usable, speed, machine.nominal_elevator_speed_rad_s)
+        flow, gain = invert_force(self._throw(angle, speed, moist), force)
+        spread = np.hypot(np.where(usable, noise, 0.0), self._parameter_force_sd(flow, angle, speed, moist))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            sd = spread / np.abs(gain)
+        status = np.full(force.shape, int(FlowStatus.OK))
+        status = np.where(self._outside(flow, angle, speed, moist), FlowStatus.OUTSIDE_CALIBRATION, status)
+        status = np.where(flow <= 0.0, FlowStatus.NO_GRAIN, status)
+        status = np.where(np.isnan(flow), FlowStatus.SATURATED, status)
+        status = np.where(usable & (np.isfinite(sd) | np.isnan(flow)), status, FlowStatus.NOT_AVAILABLE)
+        known = (status != FlowStatus.SATURATED) & (status != FlowStatus.NOT_AVAILABLE)
+        return FlowEstimate(np.where(known, flow, np.nan), np.where(known, sd, np.nan), status)
+
+    def _throw(self, angle: ArrayLike, speed: ArrayLike, moisture: ArrayLike | None) -> Throw:
+        return self.model.throw(
+            np.asarray(angle)[..., None],
+            np.asarray(speed)[..., None],
+            self._base,
+            None if moisture is None else np.asarray(moisture)[..., None],
+        )
+
+    def _parameter_force_sd(self, flow: Array, angle: Array, speed: Array, moisture: Array) -> Array:
+        """Standard deviation of the predicted force from the parameters' covariance, N."""
+        if not len(self._steps):
+            return np.zeros(flow.shape)
+        throw = self.model.throw(angle[..., None], speed[..., None], self._rows, moisture[..., None])
+        centre = self._throw(angle, speed, moisture)
+        mass = np.nan_to_num(flow)[..., None]
+        moved = throw.momentum(mass / throw.passes_per_s) * throw.passes_per_s
+        still = centre.momentum(mass / centre.passes_per_s) * centre.passes_per_s
+        with np.errstate(divide="ignore", invalid="ignore"):
+            jacobian = np.where(self._steps > 0.0, (moved - still) / self._steps, 0.0)
+        variance = np.zeros(flow.shape)
+        for i in range(jacobian.shape[-1]):
+            for j in range(jacobian.shape[-1]):
+                variance = variance + jacobian[..., i] * jacobian[..., j] * self.parameters.covariance[i, j]
+        return np.sqrt(np.maximum(variance, 0.0))
+
+    def _outside(self, flow: Array, angle: Array, speed: Array, moisture: Array) -> NDArray[np.bool_]:
+        outside = np.zeros(flow.shape, dtype=bool)
+        calibrated = self.parameters.calibrated
+        for value, limits in (
+            (flow, calibrated.mass_flow_kg_s),
+            (angle, calibrated.plate_angle_rad),
+            (speed, calibrated.elevator_speed_rad_s),
+            (moisture, calibrated.moisture_pct),
+        ):
+            if limits is not None:
+                slack = 1e-9 * max(abs(limits[0]), abs(limits[1]))
+                outside |= (value < limits[0] - slack) | (value > limits[1] + slack)
+        return outside
+
+
+def _inverse_interpolation(values: Array, places: Array, goal: Array) -> Array:
+    """Place at which a function through (places, values) takes the value goal; Lagrange in the values, along the last axis."""
+    total = np.zeros_like(goal)
+    count = values.shape[-1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for i in range(count):
+            term = places[..., i : i + 1]
+            for j in range(count):
+                if j != i:
+                    gap = values[..., i : i + 1] - values[..., j : j + 1]
+                    term = term * (goal - values[..., j : j + 1]) / gap
+            total = total + term
+    return np.where(np.isfinite(total), total, 0.5 * (places[..., 1:2] + places[..., 2:3]))

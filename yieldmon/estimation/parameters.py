@@ -1,0 +1,90 @@
+"""A calibrated set of parameters: values, what is known of their errors, where they hold and where they came from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+
+from yieldmon.physics.effects import get_effect
+from yieldmon.physics.numerics import Array
+
+
+@dataclass(frozen=True, slots=True)
+class CalibratedRange:
+    """Where the calibration data lay: (lowest, highest), SI and radians; None where it is not known."""
+
+    mass_flow_kg_s: tuple[float, float] | None = None
+    plate_angle_rad: tuple[float, float] | None = None
+    elevator_speed_rad_s: tuple[float, float] | None = None
+    moisture_pct: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class ParameterSet:
+    """Values by name (friction, density in kg/m3, shape_ratio, restitution or k1 and k2, `effect.parameter`).
+
+    covariance: (n, n) in the order of covariance_names, a subset of the values; the others count as exactly known. provenance:
+    plain text entries (data file hash, date, method, parent version). Raises ValueError when the pieces do not fit together.
+    """
+
+    values: Mapping[str, float]
+    covariance_names: tuple[str, ...] = ()
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    calibrated: CalibratedRange = CalibratedRange()
+    response_unit: str = "N"
+    version: int = 1
+    provenance: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
+        object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
+        covariance = np.array(self.covariance, dtype=float)
+        covariance.setflags(write=False)
+        object.__setattr__(self, "covariance", covariance)
+        count = len(self.covariance_names)
+        if covariance.shape != (count, count):
+            raise ValueError(f"covariance has shape {covariance.shape}; expected ({count}, {count}) for its names")
+        missing = [name for name in self.covariance_names if name not in self.values]
+        if missing:
+            raise ValueError(f"covariance names {missing} have no value; expected some of {list(self.values)}")
+        if count and not np.allclose(covariance, covariance.T, rtol=1e-9, atol=0.0):
+            raise ValueError("covariance is not symmetric")
+        if count and np.any(np.diag(covariance) < 0.0):
+            raise ValueError("covariance has a negative variance")
+        for name in ("friction", "density", "shape_ratio"):
+            if name not in self.values:
+                raise ValueError(f"parameter {name} is missing; given are {list(self.values)}")
+        if ("restitution" in self.values) == ("k1" in self.values or "k2" in self.values):
+            raise ValueError("parameters need either restitution, or k1 and k2")
+        for name in self.effects:
+            get_effect(name)
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the effects that the values speak of, in alphabetical order."""
+        return tuple(sorted({name.partition(".")[0] for name in self.values if "." in name}))
+
+    @property
+    def impact_form(self) -> tuple[str, ...]:
+        """("restitution",) or ("k1", "k2")."""
+        return ("restitution",) if "restitution" in self.values else ("k1", "k2")
+
+    def standard_deviation(self, name: str) -> float:
+        """Standard deviation of one parameter, 0 where it counts as exactly known."""
+        if name not in self.covariance_names:
+            return 0.0
+        index = self.covariance_names.index(name)
+        return float(np.sqrt(self.covariance[index, index]))
+
+    def covariance_of(self, names: Iterable[str]) -> Array:
+        """Covariance in the order of `names`; zero rows for parameters that count as exactly known."""
+        wanted = list(names)
+        out = np.zeros((len(wanted), len(wanted)))
+        for i, a in enumerate(wanted):
+            for j, b in enumerate(wanted):
+                if a in self.covariance_names and b in self.covariance_names:
+                    out[i, j] = self.covariance[self.covariance_names.index(a), self.covariance_names.index(b)]
+        return out
