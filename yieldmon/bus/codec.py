@@ -11,8 +11,8 @@ import can
 from yieldmon.bus.layout import EXTENDED_ID_MASK, GROUP_MASK, IDENTITY_MASK, MessageLayout, SignalLayout, load_layouts
 from yieldmon.frames import ERROR, NOT_AVAILABLE, Frame, Unusable, Value
 
-#: One entry per signal, in the order in which decode() unpacks them: name, start, mask, scale, offset, largest valid raw
-#: value, smallest "not available", codes or None, integral.
+#: One entry per signal, in the order in which decode() unpacks them: name, start, mask, scale, offset, largest valid
+#: raw value, smallest "not available", codes or None, integral.
 _Unpack = tuple[str, int, int, float, float, int, int, frozenset[int] | None, bool]
 
 
@@ -23,8 +23,9 @@ class FrameError(ValueError):
 class Codec:
     """Decodes and encodes the frames of one DBC.
 
-    Values in the J1939 "not available" range decode to NOT_AVAILABLE; error and reserved ranges, and codes that the value
-    table does not define, decode to ERROR. Counters and coded signals are int, everything else float in the DBC's unit.
+    Values in the J1939 "not available" range decode to NOT_AVAILABLE; error and reserved ranges, and codes that the
+    value table does not define, decode to ERROR. Counters and coded signals are int, everything else float in the DBC's
+    unit.
     """
 
     def __init__(self, dbc_path: Path | str | None = None) -> None:
@@ -37,15 +38,15 @@ class Codec:
             table[layout.identity] = (layout, tuple(_unpack(signal) for signal in layout.signals))
 
     def layout_of(self, arbitration_id: int) -> MessageLayout | None:
-        """Layout of the message that a 29-bit identifier names, None when it is not one of ours. Priority is ignored."""
+        """Layout of the message that a 29-bit identifier names, whatever its priority; None for one not of ours."""
         entry = self._entry(arbitration_id)
         return entry[0] if entry is not None else None
 
     def decode(self, message: can.Message) -> Frame | None:
         """Frame with the message's timestamp, or None when the message is not one of ours.
 
-        None: an identifier that the DBC does not name, an 11-bit identifier, a remote frame, an error frame (the receiver
-        reports those). Raises FrameError when the length is not the DBC's.
+        None: an identifier that the DBC does not name, an 11-bit identifier, a remote frame, an error frame (the
+        receiver reports those). Raises FrameError when the length is not the DBC's.
         """
         if message.is_error_frame or message.is_remote_frame or not message.is_extended_id:
             return None
@@ -75,9 +76,9 @@ class Codec:
     def encode(self, frame: Frame) -> can.Message:
         """Message with the frame's time as timestamp. Bits that no signal uses are 1.
 
-        Raises FrameError for a message the DBC does not name, a signal too many or too few, a value outside the signal's
-        range (nothing is clipped) or no number, a code that the value table does not define, and for NOT_AVAILABLE or
-        ERROR on a signal that has no raw value for it.
+        Raises FrameError for a message the DBC does not name, a signal too many or too few, a value outside the
+        signal's range (nothing is clipped) or no number, a code that the value table does not define, and for
+        NOT_AVAILABLE or ERROR on a signal that has no raw value for it.
         """
         layout = self.layouts.get(frame.message)
         if layout is None:
@@ -99,7 +100,7 @@ class Codec:
         )
 
     def filters(self, messages: Iterable[str]) -> list[can.typechecking.CanFilter]:
-        """python-can filters that let just these messages through, from any priority; any sender where the DBC says so."""
+        """python-can filters that let just these messages through, whatever their priority."""
         return [
             {"can_id": self.layouts[name].identity, "can_mask": self.layouts[name].identity_mask, "extended": True}
             for name in messages

@@ -1,7 +1,7 @@
 """How the DBC packs its frames: messages and signals reduced to shifts, masks and J1939 raw ranges.
 
-Everything that decodes or encodes, frame by frame (codec) or in bulk, works from these tables, so that there is one reading
-of the DBC.
+Everything that decodes or encodes, frame by frame (codec) or in bulk, works from these tables, so that there is one
+reading of the DBC.
 """
 
 from __future__ import annotations
@@ -10,8 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import cantools
+from cantools.database.can import Database
 from cantools.database.can import Message as DbcMessage
 from cantools.database.can import Signal as DbcSignal
+from cantools.database.errors import Error as DbcError
 
 from yieldmon.errors import InputError
 from yieldmon.resources import shipped
@@ -26,7 +28,7 @@ _RESERVED_CHOICES = ("SignalError", "SignalNotAvailable")
 
 
 def largest_valid_raw(bits: int) -> int:
-    """Largest raw value that is a measurement (SAE J1939-71, ranges scaled to the signal's width by its leading 8 bits)."""
+    """Largest raw value that is a measurement (SAE J1939-71 ranges, by the leading 8 bits whatever the width)."""
     return (0xFB << bits - 8) - 1 if bits >= 8 else (1 << bits) - 3
 
 
@@ -44,8 +46,8 @@ def error_raw(bits: int) -> int:
 class SignalLayout:
     """Place and meaning of one unsigned little-endian signal.
 
-    Physical value = raw * scale + offset. Raw values above `raw_max` are no measurement: from `raw_not_available` on they
-    say "not available", below it "error" (error and reserved ranges). A signal that uses its whole range has
+    Physical value = raw * scale + offset. Raw values above `raw_max` are no measurement: from `raw_not_available` on
+    they say "not available", below it "error" (error and reserved ranges). A signal that uses its whole range has
     raw_max = mask and no such values. `codes` holds the defined codes of a coded signal, else it is None.
     """
 
@@ -108,8 +110,9 @@ def load_layouts(dbc_path: Path | str | None = None) -> dict[str, MessageLayout]
         database = cantools.database.load_file(path, database_format="dbc")
     except OSError as error:
         raise InputError(str(path), error.strerror or str(error), "a readable DBC file") from error
-    except (cantools.database.UnsupportedDatabaseFormatError, cantools.Error, UnicodeDecodeError) as error:
+    except (DbcError, UnicodeDecodeError) as error:
         raise InputError(str(path), str(error), "a DBC file") from error
+    assert isinstance(database, Database), "what the dbc format gives"
     return {message.name: _message_layout(message, str(path)) for message in database.messages}
 
 

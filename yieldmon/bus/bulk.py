@@ -1,0 +1,178 @@
+"""Frames by the million: logs as arrays, and the codec's decoding over arrays, equal to it bit for bit.
+
+A block keeps frames as SocketCAN does: can_id with the extended, remote and error flags of linux/can.h, and the data as
+one little-endian 64-bit number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import can
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.bus.candump import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from yieldmon.bus.codec import Codec
+from yieldmon.bus.layout import MessageLayout, SignalLayout
+
+#: SignalColumn.status
+USABLE = 0
+NOT_AVAILABLE = 1
+ERROR = 2
+
+_PAYLOAD_BYTES = 8
+
+
+@dataclass(frozen=True)
+class FrameBlock:
+    """Frames in the order of the log, one row each; all arrays of shape (n,).
+
+    time_s: float64, seconds, the recorder's epoch. can_id: uint32 with flags. length: uint8, bytes of data (of a remote
+    frame: the length asked for). payload: uint64, the first 8 bytes of data, first byte lowest, absent bytes 0 (beyond
+    8 bytes a CAN FD frame's data are not kept: no frame of ours is longer). channel: int16 index into `channels`.
+    """
+
+    time_s: NDArray[np.float64]
+    can_id: NDArray[np.uint32]
+    length: NDArray[np.uint8]
+    payload: NDArray[np.uint64]
+    channel: NDArray[np.int16]
+    channels: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def take(self, rows: NDArray[np.intp] | slice) -> FrameBlock:
+        """The rows named, in that order."""
+        return FrameBlock(
+            self.time_s[rows],
+            self.can_id[rows],
+            self.length[rows],
+            self.payload[rows],
+            self.channel[rows],
+            self.channels,
+        )
+
+
+@dataclass(frozen=True)
+class SignalColumn:
+    """One signal over the rows of one message.
+
+    values: float64 in the DBC's unit, NaN where unusable; for counters and codes int64, -1 where unusable. status:
+    uint8, USABLE, NOT_AVAILABLE or ERROR.
+    """
+
+    values: NDArray[np.float64] | NDArray[np.int64]
+    status: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class MessageColumns:
+    """All frames of one message in a block. rows: their places in the block, rising; time_s beside them, shape (n,)."""
+
+    name: str
+    rows: NDArray[np.intp]
+    time_s: NDArray[np.float64]
+    signals: Mapping[str, SignalColumn]
+
+
+@dataclass(frozen=True)
+class DecodedBlock:
+    """messages: those that occur. wrong_length: rows that Codec.decode() raises FrameError for, rising."""
+
+    messages: Mapping[str, MessageColumns]
+    wrong_length: NDArray[np.intp]
+
+
+def decode_block(codec: Codec, block: FrameBlock) -> DecodedBlock:
+    """What codec.decode() says of every row: the same values, the same rows passed over, the same rows refused."""
+    is_data = (block.can_id & np.uint32(EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG)) == EXTENDED_FLAG
+    messages = {}
+    refused = []
+    for layout in codec.layouts.values():
+        rows = np.flatnonzero(is_data & ((block.can_id & np.uint32(layout.identity_mask)) == layout.identity))
+        right = block.length[rows] == layout.length
+        refused.append(rows[~right])
+        rows = rows[right]
+        if len(rows):
+            messages[layout.name] = _columns(layout, rows, block.time_s[rows], block.payload[rows])
+    return DecodedBlock(messages, np.sort(np.concatenate(refused)) if refused else np.empty(0, np.intp))
+
+
+def block_of(messages: Iterable[can.Message]) -> FrameBlock:
+    """The same frames as a block."""
+    channels: dict[str, int] = {}
+    rows = [
+        (
+            message.timestamp,
+            _can_id(message),
+            message.dlc if message.is_remote_frame else len(message.data),
+            int.from_bytes(message.data[:_PAYLOAD_BYTES], "little"),
+            channels.setdefault(_channel_name(message), len(channels)),
+        )
+        for message in messages
+    ]
+    time_s, can_id, length, payload, channel = zip(*rows, strict=True) if rows else ((), (), (), (), ())
+    return FrameBlock(
+        np.array(time_s, np.float64),
+        np.array(can_id, np.uint32),
+        np.array(length, np.uint8),
+        np.array(payload, np.uint64),
+        np.array(channel, np.int16),
+        tuple(channels),
+    )
+
+
+def concatenate(blocks: Sequence[FrameBlock]) -> FrameBlock:
+    """One block with the rows of all, in order; channels are merged by name."""
+    names = tuple(dict.fromkeys(name for block in blocks for name in block.channels))
+    place = {name: index for index, name in enumerate(names)}
+    channel = [
+        np.array([place[name] for name in block.channels], np.int16)[block.channel] for block in blocks if len(block)
+    ]
+    return FrameBlock(
+        np.concatenate([np.empty(0), *(block.time_s for block in blocks)]),
+        np.concatenate([np.empty(0, np.uint32), *(block.can_id for block in blocks)]),
+        np.concatenate([np.empty(0, np.uint8), *(block.length for block in blocks)]),
+        np.concatenate([np.empty(0, np.uint64), *(block.payload for block in blocks)]),
+        np.concatenate([np.empty(0, np.int16), *channel]),
+        names,
+    )
+
+
+def _columns(
+    layout: MessageLayout, rows: NDArray[np.intp], time_s: NDArray[np.float64], payload: NDArray[np.uint64]
+) -> MessageColumns:
+    signals = {signal.name: _column(signal, payload) for signal in layout.signals}
+    return MessageColumns(layout.name, rows, time_s, signals)
+
+
+def _column(signal: SignalLayout, payload: NDArray[np.uint64]) -> SignalColumn:
+    raw = (payload >> np.uint64(signal.start) & np.uint64(signal.mask)).astype(np.int64)
+    status = np.zeros(len(raw), np.uint8)
+    status[raw > signal.raw_max] = ERROR
+    status[raw >= signal.raw_not_available] = NOT_AVAILABLE
+    if signal.codes is not None:
+        defined = np.isin(raw, np.array(sorted(signal.codes), np.int64))
+        status[~defined & (raw <= signal.raw_max)] = ERROR
+    values: NDArray[np.float64] | NDArray[np.int64]
+    if signal.integral:
+        values = np.where(status == USABLE, raw, -1)
+    else:
+        values = np.where(status == USABLE, raw * signal.scale + signal.offset, np.nan)
+    return SignalColumn(values, status)
+
+
+def _can_id(message: can.Message) -> int:
+    flags = (
+        EXTENDED_FLAG * bool(message.is_extended_id and not message.is_error_frame)
+        | REMOTE_FLAG * bool(message.is_remote_frame)
+        | ERROR_FLAG * bool(message.is_error_frame)
+    )
+    return message.arbitration_id | flags
+
+
+def _channel_name(message: can.Message) -> str:
+    return "" if message.channel is None else str(message.channel)

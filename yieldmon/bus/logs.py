@@ -1,0 +1,280 @@
+"""Reading CAN logs: every format of python-can, each also gzipped, and what to do with the damaged ones.
+
+Text formats (.log, .asc, .csv, .trc): a damaged line is reported with its number and skipped, the rest is read.
+Binary formats (.blf, .db, .mf4) and gzip streams: what stands before the damage is read, the damage is reported with
+its place, and reading stops there. A file in which nothing at all can be read raises InputError.
+"""
+
+from __future__ import annotations
+
+import gzip
+import importlib
+import logging
+import shutil
+import tempfile
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any, cast
+
+import can
+
+from yieldmon.bus.candump import dropped_frames, parse_line
+from yieldmon.errors import InputError
+
+_log = logging.getLogger(__name__)
+
+TEXT_SUFFIXES = (".log", ".asc", ".csv", ".trc")
+BINARY_SUFFIXES = (".blf", ".db", ".mf4")
+#: What read_log() takes; each may be followed by .gz.
+SUFFIXES = TEXT_SUFFIXES + BINARY_SUFFIXES
+
+#: Longest line that is looked at. The longest line of any text format, a CAN FD frame in .asc, has under 400
+#: characters.
+_LONGEST_LINE_BYTES = 4096
+_LARGEST_ID = 0x1FFFFFFF
+
+#: What stands for a header when a reader goes on behind a damaged line: the line it may skip without loss.
+_RESUME_LINE = {".asc": "internal events logged", ".csv": "header", ".trc": ";"}
+
+_GZIP_DAMAGE = (EOFError, zlib.error, gzip.BadGzipFile)
+
+
+@dataclass(frozen=True)
+class Damage:
+    """One place of a log that could not be read. where: ``FILE:LINE``, or ``FILE: byte N`` in a binary file."""
+
+    where: str
+    problem: str
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.problem}"
+
+
+@dataclass
+class LogNotes:
+    """What reading a log met beside its frames; filled while the iterator runs.
+
+    dropped_by_recorder: frames that candump says it lost itself. damages: the first of them; damaged_places counts all.
+    """
+
+    frames: int = 0
+    error_frames: int = 0
+    dropped_by_recorder: int = 0
+    damaged_places: int = 0
+    damages: list[Damage] = field(default_factory=list)
+    on_damage: Callable[[Damage], None] | None = None
+
+    _KEPT = 20
+
+    def damage(self, where: str, problem: str) -> None:
+        """Counts a damaged place and hands it to on_damage, or to the log while there are few."""
+        damage = Damage(where, " ".join(problem.split())[:200])
+        self.damaged_places += 1
+        if len(self.damages) < self._KEPT:
+            self.damages.append(damage)
+        if self.on_damage is not None:
+            self.on_damage(damage)
+        elif self.damaged_places <= self._KEPT:
+            _log.warning("%s", damage)
+
+    def frame(self, message: can.Message) -> None:
+        """Counts a frame."""
+        self.frames += 1
+        self.error_frames += message.is_error_frame
+
+
+def read_log(path: Path | str, notes: LogNotes | None = None) -> Iterator[can.Message]:
+    """The log's frames in the order of the file, error and remote frames included.
+
+    `notes` is filled on the way. Raises InputError, when iterated, for a file that is missing, of an unknown format, in
+    UTF-16, or in which every single place is damaged.
+    """
+    path = Path(path)
+    notes = notes if notes is not None else LogNotes()
+    suffix, compressed = log_format(path)
+    read = _read_text if suffix in TEXT_SUFFIXES else _read_binary
+    try:
+        for message in read(path, suffix, compressed, notes):
+            notes.frame(message)
+            yield message
+    except OSError as error:
+        raise InputError(str(path), error.strerror or str(error), "a readable CAN log") from error
+    if notes.damages and not notes.frames:
+        raise InputError(str(path), f"no frame in it can be read ({notes.damages[0]})", f"a {suffix} CAN log")
+
+
+def log_format(path: Path) -> tuple[str, bool]:
+    """Suffix of the log's format in lower case, and whether it is gzipped. Raises InputError for an unknown one."""
+    suffixes = [suffix.lower() for suffix in path.suffixes]
+    compressed = suffixes[-1:] == [".gz"]
+    suffix = (suffixes[-2:-1] if compressed else suffixes[-1:]) or [""]
+    if suffix[0] not in SUFFIXES:
+        raise InputError(str(path), "unknown log format", f"one of {' '.join(SUFFIXES)}, each also with .gz behind")
+    return suffix[0], compressed
+
+
+def open_bytes(path: Path, compressed: bool) -> IO[bytes]:
+    """The log's bytes, decompressed."""
+    return cast("IO[bytes]", gzip.open(path, "rb")) if compressed else path.open("rb")
+
+
+class _Lines:
+    """Line by line what a text reader of python-can may see; damaged bytes never reach it.
+
+    Stands in for an open text file: iterable, with close(). `number` is the line handed out last, from 1.
+    """
+
+    def __init__(self, stream: IO[bytes], path: Path, notes: LogNotes) -> None:
+        self.number = 0
+        self.resume_with: str | None = None
+        self._stream = stream
+        self._path = path
+        self._notes = notes
+
+    def __iter__(self) -> _Lines:
+        return self
+
+    def __next__(self) -> str:
+        if self.resume_with is not None:
+            line, self.resume_with = self.resume_with, None
+            return line
+        while True:
+            raw = self._read_line()
+            self.number += 1
+            if self.number == 1:
+                self._refuse_utf16(raw)
+                raw = raw.removeprefix(b"\xef\xbb\xbf")
+            problem = self._skip_rest_of_long_line(raw) or _junk(raw)
+            if problem is None:
+                return raw.decode("utf-8", errors="replace").rstrip("\r\n")
+            self.damage(problem)
+
+    def close(self) -> None:
+        """The stream belongs to whoever opened it."""
+
+    def damage(self, problem: str) -> None:
+        """Reports the line handed out last."""
+        self._notes.damage(f"{self._path}:{self.number}", problem)
+
+    def _read_line(self) -> bytes:
+        try:
+            raw = self._stream.readline(_LONGEST_LINE_BYTES)
+        except _GZIP_DAMAGE as error:
+            self.number += 1
+            self.damage(f"compressed data damaged: {error}")
+            raise StopIteration from error
+        if not raw:
+            raise StopIteration
+        return raw
+
+    def _skip_rest_of_long_line(self, raw: bytes) -> str | None:
+        if len(raw) < _LONGEST_LINE_BYTES or raw.endswith(b"\n"):
+            return None
+        length = len(raw)
+        while raw and not raw.endswith(b"\n"):
+            try:
+                raw = self._read_line()
+            except StopIteration:
+                break
+            length += len(raw)
+        return f"line of {length} bytes, expected at most {_LONGEST_LINE_BYTES}"
+
+    def _refuse_utf16(self, raw: bytes) -> None:
+        if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
+            raise InputError(str(self._path), "UTF-16 text", "UTF-8 or ASCII")
+
+
+def _junk(raw: bytes) -> str | None:
+    control = next((byte for byte in raw if byte < 0x20 and byte not in b"\t\r\n"), None)
+    return f"binary junk (byte 0x{control:02X})" if control is not None else None
+
+
+def _read_text(path: Path, suffix: str, compressed: bool, notes: LogNotes) -> Iterator[can.Message]:
+    with open_bytes(path, compressed) as stream:
+        lines = _Lines(stream, path, notes)
+        yield from _read_candump(lines, notes) if suffix == ".log" else _read_with_python_can(lines, suffix)
+
+
+def _read_candump(lines: _Lines, notes: LogNotes) -> Iterator[can.Message]:
+    for line in lines:
+        text = line.strip()
+        message = parse_line(text)
+        if message is not None:
+            yield message
+        elif (dropped := dropped_frames(text)) is not None:
+            notes.dropped_by_recorder += dropped
+        elif text:
+            lines.damage(f"{text[:60]!r} is no candump line")
+
+
+def _read_with_python_can(lines: _Lines, suffix: str) -> Iterator[can.Message]:
+    reader: can.io.generic.MessageReader = cast("Any", can.io.player.MESSAGE_READERS[suffix])(lines)
+    while True:
+        try:
+            for message in reader:
+                problem = _impossible(message)
+                if problem is None:
+                    yield message
+                else:
+                    lines.damage(problem)
+            return
+        except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
+            lines.damage(f"not as {suffix} has it: {error}")
+            lines.resume_with = _RESUME_LINE[suffix]
+
+
+def _impossible(message: can.Message) -> str | None:
+    if not 0 <= message.arbitration_id <= (_LARGEST_ID if message.is_extended_id else 0x7FF):
+        return f"identifier 0x{message.arbitration_id:X}"
+    limit = 64 if message.is_fd else 8
+    if message.dlc > limit or len(message.data) > limit:
+        return f"{max(message.dlc, len(message.data))} bytes of data"
+    if not message.is_remote_frame and not message.is_error_frame and len(message.data) != message.dlc:
+        return f"{len(message.data)} bytes of data where the length says {message.dlc}"
+    return None
+
+
+def _read_binary(path: Path, suffix: str, compressed: bool, notes: LogNotes) -> Iterator[can.Message]:
+    if suffix == ".mf4":
+        importlib.import_module("asammdf")
+    with ExitStack() as stack:
+        plain = stack.enter_context(_decompressed(path, suffix, notes)) if compressed else path
+        size = plain.stat().st_size
+        reader: Any = None
+        count = 0
+        try:
+            reader = cast("Any", can.io.player.MESSAGE_READERS[suffix])(str(plain))
+            stack.callback(reader.stop)
+            # The reader takes a container that is cut off for a short one; its header knows better.
+            announced = reader.file_size if suffix == ".blf" else 0
+            for message in reader:
+                count += 1
+                problem = _impossible(message)
+                if problem is None:
+                    yield message
+                else:
+                    notes.damage(f"{path}: frame {count}", problem)
+            if announced > size:
+                notes.damage(f"{path}: byte {size}", f"the file ends, its header announces {announced} bytes")
+        except OSError:
+            raise
+        except Exception as error:  # noqa: BLE001 - parsers of binary formats raise anything on damaged bytes
+            stream = getattr(reader, "file", None)
+            place = f"frame {count + 1}" if stream is None or stream.closed else f"byte {stream.tell()}"
+            notes.damage(f"{path}: {place}", f"{type(error).__name__} {error}; reading stopped")
+
+
+@contextmanager
+def _decompressed(path: Path, suffix: str, notes: LogNotes) -> Iterator[Path]:
+    """A temporary file with the decompressed bytes: SQLite and MF4 readers want a file with a name."""
+    with tempfile.TemporaryDirectory(prefix="yieldmon-") as folder:
+        plain = Path(folder) / f"log{suffix}"
+        with open_bytes(path, compressed=True) as packed, plain.open("wb") as out:
+            try:
+                shutil.copyfileobj(packed, out)
+            except _GZIP_DAMAGE as error:
+                notes.damage(f"{path}: byte {out.tell()} of the decompressed data", f"compressed data damaged: {error}")
+        yield plain
