@@ -17,7 +17,7 @@ from . import flight, impact, release, settling
 from .effects import Effect, get_effect
 from .machine import Machine
 from .numerics import COMPLEX_STEP, AnyArray, Array, first_root, gauss_legendre, minimum, real
-from .stages import STAGES, Arrival, Jet, Load, Setting
+from .stages import STAGES, Arrival, Jet, Load, Reading, Setting
 
 GRAIN_PARAMETERS = ("friction", "density", "shape_ratio")
 RESTITUTION_FORM = ("restitution",)
@@ -239,16 +239,16 @@ class Throw:
             return (thickness * thickness * self.setting.full_paddle_mass_kg)[..., 0]
         return (self._heap_scale_kg * settling.filled_fraction(1.0 - thickness, self.setting.shape_ratio))[..., 0]
 
-    def reading(self, offered_mass_kg: AnyArray) -> impact.Reading:
+    def reading(self, offered_mass_kg: AnyArray) -> Reading:
         """The whole chain of states of one throw, for inspection of any stage."""
         load = self._load(np.asarray(offered_mass_kg)[..., None])
         inner = settling.inner_radius(load.paddle_mass_kg / self._heap_scale_kg, self.setting.shape_ratio)
         return self._read(self._jet(load, inner))
 
-    def _read(self, jet: Jet) -> impact.Reading:
+    def _read(self, jet: Jet) -> Reading:
         arrival = self._arrival(jet)
         impulse = self._alter("impulse", impact.strike(arrival, self.setting))
-        reading: impact.Reading = self._alter("reading", impact.read(impulse, self.setting))
+        reading: Reading = self._alter("reading", impact.read(impulse, self.setting))
         return reading
 
     def _alter(self, stage: str, state):  # type: ignore[no-untyped-def]

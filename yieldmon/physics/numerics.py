@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-AnyArray = NDArray[np.float64] | NDArray[np.complex128]
+AnyArray = NDArray[Any]
+"""float64, or complex128 when a derivative is carried along."""
 
 COMPLEX_STEP = 1e-30
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .numerics import AnyArray, maximum, real
+from .numerics import AnyArray, real
 from .stages import Setting
 
 TOP = 1.5 * np.pi

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from ..numerics import AnyArray
-from ..stages import Arrival, Impulse, Jet, Load, Reading, Setting
+from yieldmon.physics.numerics import AnyArray
+from yieldmon.physics.stages import Arrival, Impulse, Jet, Load, Reading, Setting
 
 Values = Mapping[str, AnyArray]
 """An effect's own parameters by short name, each with a trailing node axis."""

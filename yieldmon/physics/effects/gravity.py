@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from ..stages import Setting
+from yieldmon.physics.stages import Setting
+
 from .effect import Effect, EffectParameter, Values
 
 

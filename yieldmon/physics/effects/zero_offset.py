@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from ..stages import Reading, Setting
+from yieldmon.physics.stages import Reading, Setting
+
 from .effect import Effect, EffectParameter, Values
 
 

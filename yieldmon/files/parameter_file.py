@@ -1,0 +1,189 @@
+"""Parameter files: versioned YAML with values, effects, covariance, calibrated range and provenance.
+
+Numbers are written with Python's shortest exact representation, so a file read and written again is the same to the bit.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from math import isfinite, radians
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from yieldmon.errors import InputError
+from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
+from yieldmon.physics.effects import effect_parameter
+from yieldmon.physics.machine import RPM
+from yieldmon.resources import shipped
+
+from .yaml_file import load_mapping, number
+
+DEFAULT = "config/parameters/corn.yaml"
+FORMAT = 1
+
+#: Physical limits: unit, lowest, highest. k1 and k2 carry the response's own unit and are only finite.
+GRAIN_LIMITS: Mapping[str, tuple[str, float, float]] = {
+    "friction": ("", 0.0, 5.0),
+    "density": ("kg/m3", 1.0, 20000.0),
+    "shape_ratio": ("", 0.05, 6.0),
+    "restitution": ("", 0.0, 1.0),
+    "k1": ("", -1e9, 1e9),
+    "k2": ("", -1e9, 1e9),
+}
+_RANGES = {
+    "mass_flow_kg_s": ("mass_flow_kg_s", "kg/s", 1.0),
+    "plate_angle_deg": ("plate_angle_rad", "deg", radians(1.0)),
+    "elevator_speed_rpm": ("elevator_speed_rad_s", "rpm", RPM),
+    "moisture_pct": ("moisture_pct", "%", 1.0),
+}
+_KEYS = ("format", "version", "effects", "covariance", "calibrated_range", "response_unit", "provenance")
+
+
+def load(path: str | Path | None = None) -> ParameterSet:
+    """The parameters in a YAML file, or the shipped corn. Raises InputError naming file, key, value and range."""
+    path = shipped(DEFAULT) if path is None else path
+    return from_document(load_mapping(path), str(path))
+
+
+def from_document(document: Mapping[str, Any], where: str) -> ParameterSet:
+    """ParameterSet from the mapping of a parameter file. Raises InputError as `load`."""
+    for key in document:
+        if key not in GRAIN_LIMITS and key not in _KEYS:
+            raise InputError(f"{where}: {key}", "unknown key", f"one of {', '.join([*GRAIN_LIMITS, *_KEYS])}")
+    if document.get("format", FORMAT) != FORMAT:
+        raise InputError(f"{where}: format", f"is {document['format']!r}", f"{FORMAT}")
+    values = {k: number(document[k], f"{where}: {k}", *GRAIN_LIMITS[k]) for k in GRAIN_LIMITS if k in document}
+    values |= _effect_values(document.get("effects") or {}, where)
+    names, covariance = _covariance(document.get("covariance"), where)
+    provenance = document.get("provenance") or {}
+    if not isinstance(provenance, dict) or not all(isinstance(k, str) for k in provenance):
+        raise InputError(f"{where}: provenance", f"is {provenance!r}", "a mapping of texts")
+    unit = document.get("response_unit", "N")
+    version = document.get("version", 1)
+    if not isinstance(unit, str):
+        raise InputError(f"{where}: response_unit", f"is {unit!r}", "a text such as N")
+    if not isinstance(version, int) or isinstance(version, bool) or version < 1:
+        raise InputError(f"{where}: version", f"is {version!r}", "a whole number from 1")
+    try:
+        return ParameterSet(
+            values=values,
+            covariance_names=names,
+            covariance=covariance,
+            calibrated=_calibrated(document.get("calibrated_range") or {}, where),
+            response_unit=unit,
+            version=version,
+            provenance={k: str(v) for k, v in provenance.items()},
+        )
+    except ValueError as error:
+        raise InputError(where, str(error)) from error
+
+
+def to_document(parameters: ParameterSet) -> dict[str, Any]:
+    """The mapping that `from_document` reads back to an equal set."""
+    document: dict[str, Any] = {"format": FORMAT, "version": parameters.version}
+    document |= {k: float(v) for k, v in parameters.values.items() if "." not in k}
+    effects: dict[str, dict[str, float]] = {}
+    for name, value in parameters.values.items():
+        effect, _, short = name.partition(".")
+        if short:
+            effects.setdefault(effect, {})[short] = float(value)
+    document["effects"] = effects
+    document["response_unit"] = parameters.response_unit
+    document["covariance"] = {
+        "names": list(parameters.covariance_names),
+        "matrix": [[float(v) for v in row] for row in parameters.covariance],
+    }
+    document["calibrated_range"] = {
+        key: [float(_outward(v, scale)) for v in limits]
+        for key, (attribute, _, scale) in _RANGES.items()
+        if (limits := getattr(parameters.calibrated, attribute)) is not None
+    }
+    document["provenance"] = dict(parameters.provenance)
+    return document
+
+
+def save(parameters: ParameterSet, path: str | Path) -> None:
+    """Write the file whole or not at all (a new file is synced, then put in place of the old)."""
+    path = Path(path)
+    text = yaml.dump(to_document(parameters), Dumper=_ExactDumper, sort_keys=False, allow_unicode=True)
+    scratch = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with open(scratch, "w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(scratch, path)
+
+
+class _ExactDumper(yaml.SafeDumper):
+    pass
+
+
+def _represent_float(dumper: _ExactDumper, value: float) -> yaml.ScalarNode:
+    text = repr(value)
+    # YAML 1.1 takes 1e-05 for a text; it wants a point in the mantissa.
+    if "e" in text and "." not in text:
+        text = text.replace("e", ".0e")
+    return dumper.represent_scalar("tag:yaml.org,2002:float", text)
+
+
+_ExactDumper.add_representer(float, _represent_float)
+
+
+def _outward(value: float, scale: float) -> float:
+    return value if scale == 1.0 else round(value / scale, 10)
+
+
+def _effect_values(effects: Any, where: str) -> dict[str, float]:
+    if not isinstance(effects, dict):
+        raise InputError(f"{where}: effects", f"is {effects!r}", "a mapping of effect names to parameters")
+    values: dict[str, float] = {}
+    for effect, parameters in effects.items():
+        if not isinstance(parameters, dict):
+            raise InputError(f"{where}: effects.{effect}", f"is {parameters!r}", "a mapping of parameter names to values")
+        for name, value in parameters.items():
+            qualified = f"{effect}.{name}"
+            try:
+                known = effect_parameter(qualified)
+            except ValueError as error:
+                raise InputError(f"{where}: effects.{qualified}", str(error)) from error
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not isfinite(value):
+                raise InputError(f"{where}: effects.{qualified}", f"is {value!r}", f"a finite number, {known.unit}")
+            values[qualified] = float(value)
+    return values
+
+
+def _covariance(document: Any, where: str) -> tuple[tuple[str, ...], np.ndarray]:
+    if document is None:
+        return (), np.zeros((0, 0))
+    if not isinstance(document, dict) or set(document) != {"names", "matrix"}:
+        raise InputError(f"{where}: covariance", f"is {document!r}", "a mapping with names and matrix")
+    names, rows = document["names"], document["matrix"]
+    if not isinstance(names, list) or not all(isinstance(n, str) for n in names):
+        raise InputError(f"{where}: covariance.names", f"is {names!r}", "a list of parameter names")
+    if not isinstance(rows, list) or not all(isinstance(r, list) and len(r) == len(names) for r in rows):
+        raise InputError(f"{where}: covariance.matrix", "is not square", f"{len(names)} rows of {len(names)} numbers")
+    flat = [number(v, f"{where}: covariance.matrix", "", -1e30, 1e30) for row in rows for v in row]
+    if len(rows) != len(names):
+        raise InputError(f"{where}: covariance.matrix", f"has {len(rows)} rows", f"{len(names)}")
+    return tuple(names), np.array(flat).reshape(len(names), len(names))
+
+
+def _calibrated(document: Any, where: str) -> CalibratedRange:
+    if not isinstance(document, dict):
+        raise InputError(f"{where}: calibrated_range", f"is {document!r}", "a mapping of ranges")
+    limits: dict[str, tuple[float, float]] = {}
+    for key, value in document.items():
+        if key not in _RANGES:
+            raise InputError(f"{where}: calibrated_range.{key}", "unknown key", f"one of {', '.join(_RANGES)}")
+        attribute, unit, scale = _RANGES[key]
+        if not isinstance(value, list) or len(value) != 2:
+            raise InputError(f"{where}: calibrated_range.{key}", f"is {value!r}", f"[lowest, highest] in {unit}")
+        low, high = (number(v, f"{where}: calibrated_range.{key}", unit, -1e6, 1e6) for v in value)
+        if low > high:
+            raise InputError(f"{where}: calibrated_range.{key}", f"is {value!r}", "the lowest first")
+        limits[attribute] = (low * scale, high * scale)
+    return CalibratedRange(**limits)
