@@ -1,0 +1,207 @@
+"""The receive thread on fake buses that fail on cue, and on python-can's virtual bus."""
+
+from __future__ import annotations
+
+import queue
+import threading
+
+import can
+import pytest
+
+from yieldmon.bus.opening import BusUnavailable
+from yieldmon.bus.receiver import BusEvent, BusEventKind, Receiver
+
+WAIT_S = 10.0
+
+
+class ScriptedBus(can.BusABC):
+    """Gives what the test feeds it: messages, or exceptions that recv() raises."""
+
+    def __init__(self, *script) -> None:
+        super().__init__(channel="scripted")
+        self.feed: queue.Queue = queue.Queue()
+        self.closed = threading.Event()
+        self.all_taken = threading.Event()
+        self.sent: list[can.Message] = []
+        for item in script:
+            self.feed.put(item)
+
+    def _recv_internal(self, timeout):
+        if self.feed.empty():
+            self.all_taken.set()
+        try:
+            item = self.feed.get(block=bool(timeout), timeout=timeout)
+        except queue.Empty:
+            return None, True
+        if isinstance(item, BaseException):
+            raise item
+        return item, True
+
+    def send(self, msg, timeout=None) -> None:
+        self.sent.append(msg)
+
+    def shutdown(self) -> None:
+        super().shutdown()
+        self.closed.set()
+
+
+def opener(*outcomes):
+    """An open_bus that gives the outcomes one after the other; exceptions are raised."""
+    remaining = list(outcomes)
+
+    def open_bus():
+        outcome = remaining.pop(0)
+        if isinstance(outcome, BaseException):
+            raise outcome
+        return outcome
+
+    return open_bus
+
+
+def frame(number: int) -> can.Message:
+    return can.Message(arbitration_id=number, timestamp=float(number), data=b"")
+
+
+def error_frame(classes: int, data: bytes = bytes(8)) -> can.Message:
+    return can.Message(arbitration_id=classes, is_error_frame=True, timestamp=7.0, data=data)
+
+
+def collect(receiver: Receiver, count: int) -> list:
+    """The next items in short: ids of frames, kinds of events."""
+    items = []
+    while len(items) < count:
+        got = receiver.get_many(count - len(items), WAIT_S)
+        assert got, f"only {items} came"
+        items += got
+    return [item.kind if isinstance(item, BusEvent) else item.arbitration_id for item in items]
+
+
+DOWN = can.CanOperationError("Error receiving: Network is down", 100)
+
+
+def test_frames_come_out_in_order() -> None:
+    with Receiver(opener(ScriptedBus(*(frame(k) for k in range(100))))) as receiver:
+        assert collect(receiver, 100) == list(range(100))
+    assert receiver.counters().received == 100
+    assert receiver.counters().dropped == 0
+
+
+@pytest.mark.parametrize(
+    ("received", "kind", "detail"),
+    [
+        (error_frame(0x040), BusEventKind.BUS_OFF, "bus off"),
+        (error_frame(0x100), BusEventKind.BUS_RESTARTED, "controller restarted"),
+        (error_frame(0x088), BusEventKind.BUS_ERROR, "protocol violation, bus error"),
+        (error_frame(0x004, bytes([0, 0x01])), BusEventKind.FRAMES_DROPPED, "receive buffer overflow"),
+        (error_frame(0x004, bytes([0, 0x20])), BusEventKind.BUS_ERROR, "transmit error passive"),
+        (error_frame(0, b""), BusEventKind.BUS_ERROR, "bus error"),
+    ],
+)
+def test_error_frames_become_events(received: can.Message, kind: BusEventKind, detail: str) -> None:
+    with Receiver(opener(ScriptedBus(frame(1), received, frame(2)))) as receiver:
+        first, event, second = (receiver.get(WAIT_S) for _ in range(3))
+    assert (first.arbitration_id, second.arbitration_id) == (1, 2)
+    assert (event.kind, event.time_s) == (kind, 7.0)
+    assert detail in event.detail
+    assert receiver.counters().error_frames == 1
+    assert receiver.counters().bus_offs == (kind is BusEventKind.BUS_OFF)
+
+
+def test_full_queue_drops_and_marks_the_place() -> None:
+    bus = ScriptedBus(*(frame(k) for k in range(10)))
+    receiver = Receiver(opener(bus), capacity=4)
+    with receiver:
+        assert bus.all_taken.wait(WAIT_S)
+        assert collect(receiver, 4) == [0, 1, 2, 3]
+        bus.feed.put(frame(10))
+        marked, late = receiver.get(WAIT_S), receiver.get(WAIT_S)
+    assert (marked.kind, marked.count) == (BusEventKind.FRAMES_DROPPED, 6)
+    assert late.arbitration_id == 10
+    assert receiver.counters().dropped == 6
+
+
+def test_endless_error_frames_stay_bounded() -> None:
+    """A broken bus and a consumer that has stopped: memory does not grow."""
+    alternating = [error_frame(0x080), error_frame(0x008)]
+    bus = ScriptedBus(*(alternating * 3000))
+    with Receiver(opener(bus), capacity=10) as receiver:
+        assert bus.all_taken.wait(WAIT_S)
+        assert receiver.counters().error_frames == 6000
+        assert len(receiver.get_many(10_000, 0)) <= 1010
+
+
+def test_same_error_again_is_one_event_with_a_count() -> None:
+    bus = ScriptedBus(*([error_frame(0x080)] * 500), frame(1))
+    with Receiver(opener(bus)) as receiver:
+        assert bus.all_taken.wait(WAIT_S)
+        event, last = receiver.get(WAIT_S), receiver.get(WAIT_S)
+    assert (event.kind, event.count) == (BusEventKind.BUS_ERROR, 500)
+    assert last.arbitration_id == 1
+
+
+@pytest.mark.parametrize("loss", [DOWN, OSError(19, "No such device"), ValueError("file descriptor cannot be -1")])
+def test_interface_goes_and_comes_back(loss: Exception) -> None:
+    """Absent, then present but down, then back: one loss and one restoration, and no frame out of order."""
+    gone, down, back = ScriptedBus(frame(1), loss), ScriptedBus(DOWN), ScriptedBus(frame(2), frame(3))
+    with Receiver(opener(gone, BusUnavailable("no such device"), down, back)) as receiver:
+        assert collect(receiver, 5) == [1, BusEventKind.INTERFACE_LOST, BusEventKind.INTERFACE_RESTORED, 2, 3]
+        assert receiver.bus is back
+        assert gone.closed.is_set()
+        assert down.closed.is_set()
+    assert back.closed.is_set()
+    assert receiver.counters().interface_losses == 1
+
+
+def test_an_error_nobody_foresaw_is_told_and_survived(caplog: pytest.LogCaptureFixture) -> None:
+    with Receiver(opener(ScriptedBus(frame(1), ZeroDivisionError("boom")), ScriptedBus(frame(2)))) as receiver:
+        items = [receiver.get(WAIT_S) for _ in range(4)]
+    kinds = [item.kind for item in items if isinstance(item, BusEvent)]
+    assert kinds == [BusEventKind.RECEIVER_FAILED, BusEventKind.INTERFACE_RESTORED]
+    assert items[1].detail == "ZeroDivisionError: boom"
+    assert items[3].arbitration_id == 2
+    assert receiver.counters().failures == 1
+    assert "ZeroDivisionError" in caplog.text
+
+
+def test_missing_bus_at_the_start_is_raised() -> None:
+    with pytest.raises(BusUnavailable, match="no such device"):
+        Receiver(opener(BusUnavailable("no such device"))).start()
+
+
+def test_stop_ends_a_wait_for_the_interface() -> None:
+    receiver = Receiver(opener(ScriptedBus(DOWN), *[BusUnavailable("away")] * 1000))
+    receiver.start()
+    assert receiver.get(WAIT_S).kind is BusEventKind.INTERFACE_LOST
+    receiver.stop()
+    assert receiver.bus is None
+    assert receiver.get(WAIT_S) is None
+
+
+def test_send_while_away_is_a_can_error() -> None:
+    receiver = Receiver(opener(ScriptedBus(DOWN), *[BusUnavailable("away")] * 1000))
+    with receiver:
+        assert receiver.get(WAIT_S).kind is BusEventKind.INTERFACE_LOST
+        with pytest.raises(can.CanError, match="away"):
+            receiver.send(frame(1))
+
+
+def test_sends_on_the_bus_it_reads() -> None:
+    bus = ScriptedBus()
+    with Receiver(opener(bus)) as receiver:
+        receiver.send(frame(5))
+    assert [message.arbitration_id for message in bus.sent] == [5]
+
+
+def test_stopped_receiver_still_gives_what_it_has() -> None:
+    bus = ScriptedBus(frame(1))
+    receiver = Receiver(opener(bus))
+    receiver.start()
+    assert bus.all_taken.wait(WAIT_S)
+    receiver.stop()
+    assert receiver.get(0).arbitration_id == 1
+    assert receiver.get(0) is None
+
+
+def test_a_receiver_starts_once() -> None:
+    with Receiver(opener(ScriptedBus())) as receiver, pytest.raises(RuntimeError, match="once"):
+        receiver.start()
