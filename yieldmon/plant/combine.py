@@ -1,0 +1,392 @@
+"""The virtual combine: frames as the real machine's nodes would send them, and the truth behind them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import floor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon import frames
+from yieldmon.frames import Frame
+from yieldmon.physics.machine import RPM, Machine
+from yieldmon.plant import elevator, profiles, sensor
+from yieldmon.plant.actuator import ActuatorFault, PlateActuator
+from yieldmon.plant.field import Track
+from yieldmon.plant.pulse_table import QUANTILES, Condition, Detail, PulseTable
+from yieldmon.plant.scenario import Channel, Scenario
+from yieldmon.plant.sensor import ImpactCell, SensorFault
+from yieldmon.plant.tank import Load, Tank
+
+Array = NDArray[np.float64]
+
+BLOCK_S = 0.02
+"""Commands take effect at the start of the next block."""
+
+_BLOCK_SAMPLES = 20
+_CHUNK_SAMPLES = 1000
+_PULSE_ROOM = 400
+"""Samples ahead of a block into which its paddles' pulses may reach."""
+
+_MOISTURE_NODES = 5
+_CHANGING = Detail(masses=22, angles_deg=(36.0, 94.0, 12), speeds_rpm=(240.0, 620.0, 7), cells=96)
+
+TRUTH_COLUMNS = {
+    "time_s": "end of the second",
+    "mass_flow_kg_s": "mass past the plate in that second",
+    "total_mass_kg": "mass past the plate since the start",
+    "tank_mass_kg": "mass in the tank",
+    "plate_angle_deg": "mean true plate angle, offset included",
+    "elevator_speed_rpm": "mean true sprocket speed",
+    "force_n": "mean horizontal force of the grain on the plate, scatter included, noise not",
+    "zero_mv": "mean voltage of the cell without grain or vibration",
+    "moisture_pct": "true grain moisture",
+    "working": "1 with the header in the crop",
+    "load_number": "loads emptied so far",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """A stretch of 1 kHz samples: time of each (s), voltage (mV), and the true plate angle (deg) and sprocket speed (rad/s)."""
+
+    time_s: Array
+    sample_mv: Array
+    plate_angle_deg: Array
+    speed_rad_s: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What really happened: one row a second in columns TRUTH_COLUMNS, the loads emptied, and every paddle so far.
+
+    paddles: columns time_s, mass_kg, impulse_n_s (with scatter), plate_angle_deg.
+    """
+
+    columns: dict[str, Array]
+    loads: Sequence[Load]
+    paddles: dict[str, Array]
+
+
+def pulse_table(scenario: Scenario, machine: Machine) -> PulseTable:
+    """Pulses of a scenario's crop and machine; worth keeping when several combines share them."""
+    crop, effects = scenario.crop, scenario.effects
+    end = crop.moisture_pct if crop.end_moisture_pct is None else crop.end_moisture_pct
+    if effects.moisture_dependence is None or end == crop.moisture_pct:
+        grain = crop.grain.at_moisture(crop.moisture_pct, effects.moisture_dependence)
+        return PulseTable(machine, [Condition(crop.moisture_pct, grain, effects)])
+    nodes = np.linspace(min(end, crop.moisture_pct), max(end, crop.moisture_pct), _MOISTURE_NODES)
+    conditions = [
+        Condition(float(m), crop.grain.at_moisture(float(m), effects.moisture_dependence), effects) for m in nodes
+    ]
+    return PulseTable(machine, conditions, _CHANGING)
+
+
+class VirtualCombine:
+    """A combine on a bus. Bus time starts at 0; the same scenario, machine, seed and commands give the same frames.
+
+    :meth:`frames_until` and :meth:`samples_until` advance it (use one of them); :meth:`handle` takes PlateActuatorCommand
+    frames; :attr:`truth` tells what really happened so far. The combine ends at the scenario's duration.
+    """
+
+    def __init__(
+        self, scenario: Scenario, machine: Machine | None = None, seed: int = 0, table: PulseTable | None = None
+    ) -> None:
+        self.scenario = scenario
+        self.machine = machine or Machine()
+        seeds = np.random.SeedSequence(seed).spawn(7)
+        flow_rng, speed_rng, scatter_rng, self._noise_rng, zero_rng, actuator_rng, self._other_rng = (
+            np.random.default_rng(s) for s in seeds
+        )
+        self._table = table or pulse_table(scenario, self.machine)
+        effects = scenario.effects
+        slip = effects.chain_slip.share if effects.chain_slip else 0.0
+        self._harvest = profiles.harvest(scenario.flow, scenario.duration_s + 1.0, flow_rng)
+        self._run = elevator.run(scenario.elevator, self.machine, self._harvest, slip, speed_rng)
+        lag = self._mean_lag_s()
+        self._paddles = elevator.paddles(
+            self._run, self._harvest, self.machine, slip, lag, float(flow_rng.random()), self._table.largest_mass_kg
+        )
+        self._delivered = np.cumsum(self._paddles.mass_kg)
+        scatter = scenario.paddle_scatter_pct / 100.0 * scatter_rng.standard_normal(len(self._paddles.mass_kg))
+        self._scatter = np.maximum(1.0 + scatter, 0.0)
+        self._slip = slip
+        self._speed_low, self._speed_high = self._table.speed_range_rad_s
+        self._cell = ImpactCell(
+            scenario.sensor, self.machine.sensor, effects.cell_nonlinearity.share if effects.cell_nonlinearity else 0.0
+        )
+        self._actuator = PlateActuator(scenario.actuator, self.machine, actuator_rng)
+        self._angle_offset = effects.plate_angle_offset.angle_deg if effects.plate_angle_offset else 0.0
+        self._tank = Tank(scenario.tank)
+        self._track = Track(scenario.field)
+        self._zero_walk = np.cumsum(
+            scenario.sensor.drift_mv_per_sqrt_h / 60.0 * zero_rng.standard_normal(int(scenario.duration_s) + 2)
+        )
+        self._commands: list[Frame] = []
+        self._block = 0
+        self._blocks = floor(scenario.duration_s / BLOCK_S + 1e-9)
+        self._next_paddle = 0
+        self._ahead = np.zeros(_BLOCK_SAMPLES + _PULSE_ROOM)
+        self._background = np.zeros(0)
+        self._rows: list[tuple[float, ...]] = []
+        self._second: list[tuple[Array, Array]] = []
+        self._impulses: list[tuple[float, float]] = []
+
+    def _mean_lag_s(self) -> float:
+        """Time from a paddle's pointing up to the middle of its pulse in the samples, at nominal speed and home angle."""
+        speed = self.scenario.elevator.speed_rpm * RPM
+        mass = 10.0 * self.machine.paddle_spacing_m / self.machine.paddle_speed_m_s(speed)
+        home = self.machine.home_plate_angle_rad
+        times = self._table.arrival_times_s(mass, home, speed, self.scenario.crop.moisture_pct)
+        return float(np.trapezoid(times, QUANTILES)) + 2.0 * self.scenario.sensor.response_s
+
+    @property
+    def time_s(self) -> float:
+        """Bus time reached."""
+        return self._block * BLOCK_S
+
+    def handle(self, frame: Frame) -> None:
+        """Take a frame from the bus; other messages than PlateActuatorCommand are none of the combine's business."""
+        if frame.message == frames.PLATE_ACTUATOR_COMMAND:
+            self._commands.append(frame)
+
+    def frames_until(self, time_s: float) -> Iterator[Frame]:
+        """Frames up to a bus time (or the scenario's end), in time order. Commands taken meanwhile act from the next block on."""
+        while self._block < self._blocks and self.time_s + BLOCK_S <= time_s + 1e-9:
+            start = self._block
+            voltage, _, _ = self._advance()
+            yield from self._frames(start, voltage)
+
+    def samples_until(self, time_s: float) -> Samples:
+        """The same samples as arrays, without making frames."""
+        blocks = []
+        first = self._block
+        while self._block < self._blocks and self.time_s + BLOCK_S <= time_s + 1e-9:
+            blocks.append(self._advance())
+        voltage, angle, speed = (np.concatenate([b[i] for b in blocks]) if blocks else np.zeros(0) for i in range(3))
+        time = (first * _BLOCK_SAMPLES + np.arange(1.0, len(voltage) + 1.0)) * frames.SAMPLE_INTERVAL_S
+        return Samples(time, voltage, angle, speed)
+
+    @property
+    def truth(self) -> Truth:
+        """What really happened up to the last whole second."""
+        table = np.array(self._rows).reshape(-1, len(TRUTH_COLUMNS))
+        done = len(self._impulses)
+        impulses = np.array(self._impulses).reshape(-1, 2)
+        return Truth(
+            columns={name: table[:, i] for i, name in enumerate(TRUTH_COLUMNS)},
+            loads=tuple(self._tank.loads),
+            paddles={
+                "time_s": self._paddles.time_s[:done],
+                "mass_kg": self._paddles.mass_kg[:done],
+                "impulse_n_s": impulses[:, 0],
+                "plate_angle_deg": impulses[:, 1],
+            },
+        )
+
+    def _advance(self) -> tuple[Array, Array, Array]:
+        """One block: voltage, true plate angle (deg) and sprocket speed of its samples."""
+        start_s = self.time_s
+        end_s = (self._block + 1) * BLOCK_S
+        self._actuator.fault = self._actuator_fault(start_s)
+        for command in self._commands:
+            self._actuator.command(command, start_s)
+        self._commands.clear()
+        angle_deg = self._actuator.step(end_s, BLOCK_S) + self._angle_offset
+        self._drop_paddles(end_s, angle_deg)
+
+        force = self._ahead[:_BLOCK_SAMPLES].copy()
+        self._ahead[:-_BLOCK_SAMPLES] = self._ahead[_BLOCK_SAMPLES:]
+        self._ahead[-_BLOCK_SAMPLES:] = 0.0
+        if len(self._background) == 0:
+            self._background, self._speeds = self._next_chunk()
+        background, self._background = np.split(self._background, [_BLOCK_SAMPLES])
+        speeds, self._speeds = np.split(self._speeds, [_BLOCK_SAMPLES])
+        still = self._still_force_n(start_s, angle_deg) / self.machine.sensor.gain_n_per_mv
+        voltage = self._cell.samples_mv(force, background + still, self._sensor_fault(start_s))
+        self._second.append((force, np.array([angle_deg, float(speeds[-1])])))
+        self._block += 1
+        if self._block % round(1.0 / BLOCK_S) == 0:
+            self._close_second()
+        return voltage, np.full(_BLOCK_SAMPLES, angle_deg), speeds
+
+    def _drop_paddles(self, end_s: float, angle_deg: float) -> None:
+        """Add the pulses of the paddles that point up in this block to the force ahead."""
+        start_s = self._block * BLOCK_S
+        while self._next_paddle < len(self._paddles.time_s) and self._paddles.time_s[self._next_paddle] < end_s:
+            i = self._next_paddle
+            self._next_paddle += 1
+            mass, time = float(self._paddles.mass_kg[i]), float(self._paddles.time_s[i])
+            impulse = 0.0
+            if mass > 0.0:
+                impulse, arrivals = self._pulse(mass, np.deg2rad(angle_deg), float(self._paddles.speed_rad_s[i]), time)
+                impulse *= float(self._scatter[i])
+                edges = start_s + np.arange(len(self._ahead) + 1) * frames.SAMPLE_INTERVAL_S
+                arrived = np.interp(edges, time + arrivals, QUANTILES, left=0.0, right=1.0)
+                self._ahead += impulse / frames.SAMPLE_INTERVAL_S * np.diff(arrived)
+            self._impulses.append((impulse, angle_deg))
+
+    def _pulse(self, mass_kg: float, angle_rad: float, speed_rad_s: float, time_s: float) -> tuple[float, Array]:
+        """Impulse and arrival times. Below the table's speeds what lands shrinks with the square of the speed."""
+        covered = min(max(speed_rad_s, self._speed_low), self._speed_high)
+        arguments = (mass_kg, angle_rad, covered, self._moisture_pct(time_s))
+        impulse = float(self._table.impulse_n_s(*arguments)) * (speed_rad_s / covered) ** 2
+        return impulse, self._table.arrival_times_s(*arguments)
+
+    def _still_force_n(self, time_s: float, angle_deg: float) -> float:
+        """Force that does not come in pulses: what sticks to the plate, and an offset that comes with the grain."""
+        effects, force = self.scenario.effects, 0.0
+        if effects.plate_buildup is not None:
+            angle = np.deg2rad(angle_deg)
+            force += effects.plate_buildup.mass_kg * 9.81 * float(np.cos(angle) * np.sin(angle))
+        if effects.zero_offset is not None and self._at(self._harvest.flow_kg_s, time_s) > 0.0:
+            force += effects.zero_offset.force_n
+        return force
+
+    def _next_chunk(self) -> tuple[Array, Array]:
+        """Zero voltage with noise and vibration (mV), and sprocket speed, for the next second of samples."""
+        settings = self.scenario.sensor
+        time = (self._block * _BLOCK_SAMPLES + 1 + np.arange(_CHUNK_SAMPLES)) * frames.SAMPLE_INTERVAL_S
+        grid = time / profiles.SAMPLE_INTERVAL_S
+        index = np.minimum(grid.astype(int), len(self._run.speed_rad_s) - 2)
+        share = grid - index
+        speed = self._run.speed_rad_s[index] * (1.0 - share) + self._run.speed_rad_s[index + 1] * share
+        chain = self._run.chain_m[index] * (1.0 - share) + self._run.chain_m[index + 1] * share
+        vibration = sensor.vibration_n(
+            settings,
+            chain / (2.0 * np.pi * self.machine.sprocket_pitch_radius_m),
+            chain / self.machine.pattern_length_m,
+            speed / (400.0 * RPM),
+            len(self.machine.paddle_spacings_m),
+        )
+        noise = settings.noise_mv * self._noise_rng.standard_normal(_CHUNK_SAMPLES)
+        zero = np.interp(time, np.arange(len(self._zero_walk)), self._zero_walk) + self._zero_mv(float(time[0]))
+        return zero + noise + vibration / self.machine.sensor.gain_n_per_mv, speed
+
+    def _close_second(self) -> None:
+        end_s = self.time_s
+        force = np.concatenate([f for f, _ in self._second])
+        state = np.array([s for _, s in self._second])
+        self._second.clear()
+        total, before = (self._delivered_until(t) for t in (end_s, end_s - 1.0))
+        working = bool(self._at(self._harvest.working, end_s - 0.5))
+        self._tank.step(end_s, total - before, working)
+        zero = self._zero_mv(end_s) + float(np.interp(end_s, np.arange(len(self._zero_walk)), self._zero_walk))
+        self._rows.append(
+            (
+                end_s,
+                total - before,
+                total,
+                self._tank.mass_kg,
+                float(state[:, 0].mean()),
+                float(state[:, 1].mean()) / RPM,
+                float(force.mean()),
+                zero,
+                self._moisture_pct(end_s),
+                float(working),
+                float(len(self._tank.loads)),
+            )
+        )
+
+    def _delivered_until(self, time_s: float) -> float:
+        paddles = self._paddles
+        if len(paddles.mass_kg) == 0:
+            return 0.0
+        return float(np.interp(time_s, paddles.delivered_until_s, self._delivered, left=0.0))
+
+    def _frames(self, block: int, voltage: Array) -> Iterator[Frame]:
+        """Frames of one block, in time order."""
+        start_ms = block * _BLOCK_SAMPLES
+        out: list[Frame] = []
+        fault = self._sensor_fault(start_ms * 1e-3)
+        if fault is not SensorFault.SILENT:
+            per = frames.SAMPLES_PER_FRAME
+            for k in range(0, _BLOCK_SAMPLES, per):
+                values = voltage[k : k + per]
+                number = (start_ms + k) // per
+                signals: dict[str, frames.Value] = {f"Sample{j}": float(values[j]) for j in range(per)}
+                signals["SampleCounter"] = number % 256
+                signals["SensorStatus"] = int(self._cell.status(float(values.max()), fault))
+                out.append(Frame((start_ms + k + per) * 1e-3, frames.IMPACT_SENSOR_SAMPLES, signals))
+        for milliseconds in range(start_ms + 10, start_ms + _BLOCK_SAMPLES + 1, 10):
+            out.extend(self._slow_frames(milliseconds))
+        out.sort(key=lambda frame: frame.time_s)
+        yield from out
+
+    def _slow_frames(self, milliseconds: int) -> Iterator[Frame]:
+        time = milliseconds * 1e-3
+        if milliseconds % 50 == 0 and (feedback := self._actuator.feedback()) is not None:
+            yield Frame(
+                time, frames.PLATE_ACTUATOR_FEEDBACK, {"PlateAngle": feedback[0], "ActuatorState": int(feedback[1])}
+            )
+        if milliseconds % 100 == 0:
+            yield from self._spoken(
+                Channel.ELEVATOR_SPEED,
+                Frame(time, frames.ELEVATOR_SPEED, {"ElevatorSpeed": self._at(self._run.speed_rad_s, time) / RPM}),
+            )
+            if self.scenario.frames.harvest_state:
+                working = int(self._at(self._harvest.working, time))
+                yield Frame(time, "HarvestState", {"HeaderDown": working, "WorkState": working})
+        if milliseconds % 1000 == 0:
+            yield from self._second_frames(time)
+
+    def _second_frames(self, time: float) -> Iterator[Frame]:
+        crop, rng = self.scenario.crop, self._other_rng
+        working = bool(self._at(self._harvest.working, time))
+        if self.scenario.frames.grain_condition:
+            moisture = self._moisture_pct(time)
+            grain = crop.grain.at_moisture(moisture, self.scenario.effects.moisture_dependence)
+            signals: dict[str, frames.Value] = {
+                "Moisture": max(moisture + crop.moisture_noise_pct * float(rng.standard_normal()), 0.0),
+                "GrainTemperature": self._temperature_degc(time),
+                "TestWeight": grain.bulk_density_kg_m3 * crop.test_weight_share,
+            }
+            yield from self._spoken(Channel.GRAIN_CONDITION, Frame(time, frames.GRAIN_CONDITION, signals))
+        if self.scenario.tank.scale:
+            mass, status = self._tank.reading(working, rng)
+            yield from self._spoken(
+                Channel.TANK_SCALE, Frame(time, frames.TANK_SCALE, {"TankMass": mass, "TankScaleStatus": int(status)})
+            )
+        if self.scenario.frames.position:
+            place = self._track.step(1.0, working)
+            yield Frame(time, "VehiclePosition", {"Latitude": place.latitude_deg, "Longitude": place.longitude_deg})
+            yield Frame(
+                time,
+                "VehicleDirectionSpeed",
+                {"CompassBearing": place.bearing_deg, "NavigationSpeed": place.ground_speed_km_h},
+            )
+
+    def _spoken(self, channel: Channel, frame: Frame) -> Iterator[Frame]:
+        """The frame, or what is left of it under a fault of its source."""
+        for fault in self.scenario.faults.messages:
+            if fault.message is channel and fault.active(frame.time_s):
+                if fault.error:
+                    yield Frame(frame.time_s, frame.message, dict.fromkeys(frame.signals, frames.ERROR))
+                return
+        yield frame
+
+    def _actuator_fault(self, time_s: float) -> ActuatorFault | None:
+        return next((f.kind for f in self.scenario.faults.actuator if f.active(time_s)), None)
+
+    def _sensor_fault(self, time_s: float) -> SensorFault | None:
+        return next((f.kind for f in self.scenario.faults.sensor if f.active(time_s)), None)
+
+    @staticmethod
+    def _at(values: Array | NDArray[np.bool_], time_s: float) -> float:
+        return float(values[min(int(time_s / profiles.SAMPLE_INTERVAL_S + 0.5), len(values) - 1)])
+
+    def _between(self, start: float, end: float | None, time_s: float) -> float:
+        return start if end is None else start + (end - start) * min(time_s / self.scenario.duration_s, 1.0)
+
+    def _moisture_pct(self, time_s: float) -> float:
+        return self._between(self.scenario.crop.moisture_pct, self.scenario.crop.end_moisture_pct, time_s)
+
+    def _temperature_degc(self, time_s: float) -> float:
+        return self._between(self.scenario.crop.temperature_degc, self.scenario.crop.end_temperature_degc, time_s)
+
+    def _zero_mv(self, time_s: float) -> float:
+        settings = self.scenario.sensor
+        warmer = self._temperature_degc(time_s) - self.scenario.crop.temperature_degc
+        return settings.zero_mv + settings.temperature_mv_per_degc * warmer

@@ -1,0 +1,159 @@
+"""A scenario: everything that the virtual combine is to do, from one YAML file."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from yieldmon.errors import InputError
+from yieldmon.plant.actuator import ActuatorFault, ActuatorSettings
+from yieldmon.plant.effects import Effects
+from yieldmon.plant.elevator import ElevatorSettings
+from yieldmon.plant.field import FieldSettings
+from yieldmon.plant.grain import Grain
+from yieldmon.plant.profiles import FlowProfile, Steady
+from yieldmon.plant.sensor import SensorFault, SensorSettings
+from yieldmon.plant.tank import TankSettings
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Crop(_Section):
+    """The grain, with its moisture running from start to end of the scenario."""
+
+    friction: Annotated[float, Field(ge=0, le=1)] = 0.2
+    restitution: Annotated[float, Field(ge=0, le=1)] = 0.55
+    bulk_density_kg_m3: Annotated[float, Field(ge=300, le=2500)] = 1100.0
+    shape_ratio: Annotated[float, Field(ge=0.5, le=3)] = 2.0
+    reference_moisture_pct: Annotated[float, Field(ge=5, le=45)] = 15.0
+    moisture_pct: Annotated[float, Field(ge=5, le=45)] = 15.0
+    end_moisture_pct: Annotated[float, Field(ge=5, le=45)] | None = None
+    temperature_degc: Annotated[float, Field(ge=-30, le=60)] = 20.0
+    end_temperature_degc: Annotated[float, Field(ge=-30, le=60)] | None = None
+    test_weight_share: Annotated[float, Field(ge=0.2, le=1.5)] = 0.655
+    """Test weight (what GrainCondition frames tell) over the bulk density of the heap on a paddle."""
+    moisture_noise_pct: Annotated[float, Field(ge=0, le=5)] = 0.2
+
+    @property
+    def grain(self) -> Grain:
+        """Properties at the reference moisture."""
+        return Grain(
+            self.friction, self.restitution, self.bulk_density_kg_m3, self.shape_ratio, self.reference_moisture_pct
+        )
+
+
+class Channel(StrEnum):
+    """Messages whose source can fail as a whole, besides actuator and sensor."""
+
+    ELEVATOR_SPEED = "elevator_speed"
+    GRAIN_CONDITION = "grain_condition"
+    TANK_SCALE = "tank_scale"
+
+
+class _Timed(_Section):
+    start_s: Annotated[float, Field(ge=0)]
+    end_s: Annotated[float, Field(gt=0)]
+
+    @model_validator(mode="after")
+    def _ordered(self) -> _Timed:
+        if self.end_s <= self.start_s:
+            raise ValueError(f"end_s {self.end_s:g} is not after start_s {self.start_s:g}")
+        return self
+
+    def active(self, time_s: float) -> bool:
+        """Whether the fault is present at a time."""
+        return self.start_s <= time_s < self.end_s
+
+
+class TimedActuatorFault(_Timed):
+    """An actuator fault from start_s to end_s."""
+
+    kind: ActuatorFault
+
+
+class TimedSensorFault(_Timed):
+    """A sensor fault from start_s to end_s."""
+
+    kind: SensorFault
+
+
+class TimedSilence(_Timed):
+    """A message that is not sent (`error: false`) or that says "error" (`error: true`)."""
+
+    message: Channel
+    error: bool = False
+
+
+class Faults(_Section):
+    """What goes wrong and when."""
+
+    actuator: list[TimedActuatorFault] = []
+    sensor: list[TimedSensorFault] = []
+    messages: list[TimedSilence] = []
+
+
+class Frames(_Section):
+    """Optional frames."""
+
+    grain_condition: bool = True
+    position: bool = False
+    harvest_state: bool = False
+
+
+class Scenario(_Section):
+    """See config/scenarios for examples and docs of each section's keys in the classes."""
+
+    duration_s: Annotated[float, Field(ge=1, le=400_000)] = 120.0
+    machine: Annotated[str, Field(min_length=1)] = "sprocket-8"
+    """Name of a shipped machine file, or the path of one."""
+    crop: Crop = Crop()
+    effects: Effects = Effects()
+    flow: FlowProfile = FlowProfile(pieces=[Steady(kind="steady", duration_s=60.0, flow_kg_s=10.0)])
+    elevator: ElevatorSettings = ElevatorSettings()
+    actuator: ActuatorSettings = ActuatorSettings()
+    sensor: SensorSettings = SensorSettings()
+    tank: TankSettings = TankSettings()
+    field: FieldSettings = FieldSettings()
+    frames: Frames = Frames()
+    faults: Faults = Faults()
+    paddle_scatter_pct: Annotated[float, Field(ge=0, le=50)] = 7.0
+    """Standard deviation of a pulse's impulse about what its load should give; the load itself is true."""
+
+
+def from_mapping(values: Any, where: str) -> Scenario:
+    """Scenario from plain values; `where` names their source in errors. Raises InputError for the first wrong key."""
+    if not isinstance(values, dict):
+        raise InputError(where, "is not a mapping of keys", "keys such as duration_s and flow")
+    try:
+        return Scenario.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "scenario"
+        if first["type"] == "extra_forbidden":
+            raise InputError(f"{where}: {key}", "is no key of a scenario", "a key that the documentation names") from None
+        if first["type"] == "missing":
+            raise InputError(f"{where}: {key}", "is missing", "a value") from None
+        expected = first["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
+        shown = first["input"] if isinstance(first["input"], (str, int, float, bool, type(None))) else "not usable"
+        raise InputError(f"{where}: {key}", f"is {shown!r}", expected) from None
+
+
+def load(path: Path) -> Scenario:
+    """Read a scenario file. Raises InputError naming file, key, value and what was expected."""
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(str(path), f"cannot be read ({error.strerror})", "a scenario file") from None
+    except UnicodeDecodeError:
+        raise InputError(str(path), "is not UTF-8 text", "a YAML scenario") from None
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f", line {mark.line + 1}" if mark else ""
+        raise InputError(f"{path}{line}", "is not YAML", "a YAML scenario") from None
+    return from_mapping(values if values is not None else {}, str(path))
