@@ -13,8 +13,10 @@ from yieldmon.physics.numerics import Array, chebyshev_points
 
 from .parameters import ParameterSet
 
-_GRID = chebyshev_points(16)
+_GRID = chebyshev_points(24)
 _STENCIL = np.array([-1.0, 0.0, 1.0])
+_NEAR = np.arange(4)
+_DIAGONAL = np.eye(4, dtype=bool)
 
 
 class FlowStatus(IntEnum):
@@ -48,24 +50,29 @@ def invert_force(throw: Throw, force_n: Array, *, tolerance: float = 1e-13) -> t
     bracket: inverse interpolation over a grid in heap thickness, then Halley steps that may not leave their interval.
     """
     passes = np.asarray(throw.passes_per_s)
-    shape = np.broadcast_shapes(passes[..., 0].shape, force_n.shape)
-    target = np.broadcast_to(force_n, shape)[..., None] / passes
+    shape = np.broadcast_shapes(passes.shape[:-1], force_n.shape)
+    target = force_n[..., None] / passes
     _, grid = throw.load_curve(_GRID)
-    grid = np.broadcast_to(grid, (*shape, _GRID.size))
-    reaches = grid >= target
-    right = np.maximum(np.argmax(reaches, axis=-1)[..., None], 1)
-    found = np.any(reaches, axis=-1)
-    empty = grid[..., :1]
-    low, high = _GRID[right - 1], _GRID[right]
+    rows = np.arange(int(np.prod(shape)))[:, None]
+    grid = np.broadcast_to(grid, (*shape, _GRID.size)).reshape(-1, _GRID.size)
+    goal = np.broadcast_to(target, (*shape, 1)).reshape(-1, 1)
+    reaches = grid >= goal
+    found = np.any(reaches, axis=-1).reshape(shape)
+    right = np.maximum(reaches.argmax(axis=-1)[:, None], 1)
+    empty = grid[:, :1]
+    below = np.less_equal(goal, empty).reshape(shape)
     # Momentum rises as thickness squared, so its root is nearly linear in the thickness.
-    root = np.sqrt(np.maximum(grid - empty, 0.0))
-    goal = np.sqrt(np.maximum(target - empty, 0.0))
-    near = np.clip(right - 2, 0, _GRID.size - 4) + np.arange(4)
-    q = np.clip(_inverse_interpolation(np.take_along_axis(root, near, -1), _GRID[near], goal), low, high)
+    near = np.minimum(np.maximum(right - 2, 0), _GRID.size - 4) + _NEAR
+    root = np.sqrt(np.maximum(grid[rows, near] - empty, 0.0))
+    start = _inverse_interpolation(root, _GRID[near], np.sqrt(np.maximum(goal - empty, 0.0)))
+    low, high = _GRID[right - 1], _GRID[right]
+    q = np.minimum(np.maximum(start, low), high).reshape(*shape, 1)
+    low, high = low.reshape(q.shape), high.reshape(q.shape)
     slope = np.ones_like(q)
+    settled = np.zeros(q.shape, dtype=bool)
     for _ in range(60):
         width = 1e-3 * np.minimum(np.minimum(q, 1.0 - q), high - low) + 1e-9
-        probe = np.clip(q + width * _STENCIL, 0.0, 1.0)
+        probe = np.minimum(np.maximum(q + width * _STENCIL, 0.0), 1.0)
         _, momentum = throw.load_curve(probe)
         centre = momentum[..., 1:2]
         left_slope = (centre - momentum[..., :1]) / np.maximum(probe[..., 1:2] - probe[..., :1], 1e-300)
@@ -80,8 +87,9 @@ def invert_force(throw: Throw, force_n: Array, *, tolerance: float = 1e-13) -> t
         trial = q - np.where(np.isfinite(halley), halley, 0.0)
         trial = np.where((trial >= low) & (trial <= high), trial, 0.5 * (low + high))
         moved = np.abs(trial - q)
-        q = trial
-        settled = (moved <= 1e-5 * q) | (np.abs(error) <= tolerance * np.abs(target)) | ~found[..., None]
+        # A row that has settled stays as it is, so that its result does not depend on the rows beside it.
+        q = np.where(settled, q, trial)
+        settled |= (moved <= 1e-4 * q) | (np.abs(error) <= tolerance * np.abs(target)) | ~found.reshape(q.shape)
         if np.all(settled):
             break
     mass = np.broadcast_to(throw.offered_along_curve(q), (*shape, 1))
@@ -91,7 +99,6 @@ def invert_force(throw: Throw, force_n: Array, *, tolerance: float = 1e-13) -> t
         mass_slope = (beside[..., 1:] - beside[..., :1]) / span
         gain = slope / mass_slope
     flow = mass * passes
-    below = (target <= empty)[..., 0]
     flow_out = np.where(below, 0.0, np.where(found, flow[..., 0], np.nan))
     # The masses per pass cancel: d(force)/d(flow) = d(momentum)/d(mass).
     return flow_out, np.where(found | below, np.broadcast_to(gain, (*shape, 1))[..., 0], np.nan)
@@ -202,14 +209,8 @@ class OpenLoop:
 
 def _inverse_interpolation(values: Array, places: Array, goal: Array) -> Array:
     """Place at which a function through (places, values) takes the value goal; Lagrange in the values, along the last axis."""
-    total = np.zeros_like(goal)
-    count = values.shape[-1]
+    gaps = values[..., :, None] - values[..., None, :]
     with np.errstate(divide="ignore", invalid="ignore"):
-        for i in range(count):
-            term = places[..., i : i + 1]
-            for j in range(count):
-                if j != i:
-                    gap = values[..., i : i + 1] - values[..., j : j + 1]
-                    term = term * (goal - values[..., j : j + 1]) / gap
-            total = total + term
+        ratios = (goal[..., None] - values[..., None, :]) / gaps
+        total = np.sum(places * np.prod(np.where(_DIAGONAL, 1.0, ratios), axis=-1), axis=-1, keepdims=True)
     return np.where(np.isfinite(total), total, 0.5 * (places[..., 1:2] + places[..., 2:3]))

@@ -13,7 +13,8 @@ def strike(arrival: Arrival, setting: Setting) -> Impulse:
     if setting.restitution is not None:
         gain = 1.0 + setting.restitution
     else:
-        assert setting.k1 is not None and setting.k2 is not None
+        assert setting.k1 is not None
+        assert setting.k2 is not None
         gain = setting.k1 * arrival.jet.load.paddle_mass_kg / setting.full_paddle_mass_kg + setting.k2
     return Impulse(arrival, gain, np.zeros(1), np.ones(1))
 

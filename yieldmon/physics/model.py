@@ -236,8 +236,10 @@ class Throw:
         """The offered mass of `load_curve`, kg."""
         thickness = np.asarray(q)[..., None]
         if self._model._alters_load:
-            return (thickness * thickness * self.setting.full_paddle_mass_kg)[..., 0]
-        return (self._heap_scale_kg * settling.filled_fraction(1.0 - thickness, self.setting.shape_ratio))[..., 0]
+            mass: AnyArray = thickness * thickness * self.setting.full_paddle_mass_kg
+        else:
+            mass = self._heap_scale_kg * settling.filled_fraction(1.0 - thickness, self.setting.shape_ratio)
+        return mass[..., 0]
 
     def reading(self, offered_mass_kg: AnyArray) -> Reading:
         """The whole chain of states of one throw, for inspection of any stage."""

@@ -85,8 +85,7 @@ def rotation_to_empty(inner_radius: AnyArray, setting: Setting, limit: AnyArray)
     end = real(limit)
     tau = np.minimum(np.arccosh(np.maximum(1.0 / goal, 1.0)), end)
     shape = np.broadcast_shapes(tau.shape, setting.friction.shape, setting.elevator_speed_rad_s.shape)
-    tau, goal = np.broadcast_to(tau, shape), np.broadcast_to(goal, shape)
-    low, high = np.zeros(shape), np.broadcast_to(end, shape)
+    low, high = np.zeros(shape), end
     for _ in range(60):
         flow = outflow(tau, setting)
         rho, rate = real(flow.release_radius), real(flow.inward_rate)

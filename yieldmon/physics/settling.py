@@ -28,10 +28,9 @@ def inner_radius(fraction: AnyArray, shape_ratio: AnyArray) -> AnyArray:
         thickness = np.minimum(np.sqrt(2.0 * a / h), 1.0)
         for _ in range(60):
             psi = h * thickness
-            x = 1.0 - thickness
             sin = np.sin(psi)
-            value = 0.5 * (psi - x * sin) - a
-            slope = 0.5 * (h + sin - x * h * np.cos(psi))
+            value = 0.5 * (psi - (1.0 - thickness) * sin) - a
+            slope = 0.5 * (h + sin - (1.0 - thickness) * h * np.cos(psi))
             trial = thickness - value / slope
             trial = np.where(trial > 1.0, 0.5 * (thickness + 1.0), np.where(trial < 0.0, 0.5 * thickness, trial))
             moved = np.abs(trial - thickness)
@@ -41,11 +40,11 @@ def inner_radius(fraction: AnyArray, shape_ratio: AnyArray) -> AnyArray:
                 break
     # Rounding may ask for a hair more than a full paddle; beyond that the heap does not exist.
     thickness = np.where((a >= 0.0) & (a <= 0.5 * h * (1.0 + 1e-12)), thickness, np.nan)
-    x = 1.0 - thickness
+    x: AnyArray = 1.0 - thickness
     if np.iscomplexobj(fraction) or np.iscomplexobj(shape_ratio):
         psi = h * thickness
         slope = -(0.5 * h + 0.5 * np.sin(psi) - 0.5 * x * h * np.cos(psi))
-        return x - 1j * np.imag(filled_fraction(x, shape_ratio) - fraction) / np.where(slope == 0.0, 1.0, slope)
+        x = x - 1j * np.imag(filled_fraction(x, shape_ratio) - fraction) / np.where(slope == 0.0, 1.0, slope)
     return x
 
 
@@ -69,9 +68,9 @@ def opening_angle(rho: AnyArray, x: AnyArray, shape_ratio: AnyArray) -> AnyArray
 
 
 def _arctan2(y: AnyArray, x: AnyArray) -> AnyArray:
+    angle: AnyArray = np.arctan2(real(y), real(x))
     if np.iscomplexobj(y) or np.iscomplexobj(x):
         yr, xr = real(y), real(x)
         radius2 = xr * xr + yr * yr
-        slope = (xr * np.imag(y) - yr * np.imag(x)) / np.where(radius2 > 0.0, radius2, 1.0)
-        return np.arctan2(yr, xr) + 1j * slope
-    return np.arctan2(y, x)
+        angle = angle + 1j * (xr * np.imag(y) - yr * np.imag(x)) / np.where(radius2 > 0.0, radius2, 1.0)
+    return angle

@@ -53,7 +53,8 @@ class Setting:
     @property
     def full_paddle_mass_kg(self) -> AnyArray:
         """M_full [8.9]: the heap that reaches from the sprocket's centre to the tip."""
-        return 0.5 * self.shape_ratio * self.density * self.machine.paddle_width_m * self.paddle_length_m**2
+        full: AnyArray = 0.5 * self.shape_ratio * self.density * self.machine.paddle_width_m * self.paddle_length_m**2
+        return full
 
 
 @dataclass(frozen=True, slots=True)
