@@ -20,6 +20,13 @@ from pathlib import Path
 from typing import IO, Any, cast
 
 import can
+from can.io.blf import (
+    FILE_HEADER_STRUCT,
+    LOG_CONTAINER,
+    LOG_CONTAINER_STRUCT,
+    OBJ_HEADER_BASE_STRUCT,
+    ZLIB_DEFLATE,
+)
 
 from yieldmon.bus.candump import dropped_frames, parse_line
 from yieldmon.errors import InputError
@@ -242,23 +249,24 @@ def _read_binary(path: Path, suffix: str, compressed: bool, notes: LogNotes) -> 
         importlib.import_module("asammdf")
     with ExitStack() as stack:
         plain = stack.enter_context(_decompressed(path, suffix, notes)) if compressed else path
-        size = plain.stat().st_size
+        plain.stat()  # SQLite would make a missing file
         reader: Any = None
         count = 0
         try:
             reader = cast("Any", can.io.player.MESSAGE_READERS[suffix])(str(plain))
             stack.callback(reader.stop)
-            # The reader takes a container that is cut off for a short one; its header knows better.
-            announced = reader.file_size if suffix == ".blf" else 0
+            flaw = _first_flaw_of_blf(plain) if suffix == ".blf" else None
             for message in reader:
+                if flaw is not None and reader.file.tell() > flaw[0]:
+                    break
                 count += 1
                 problem = _impossible(message)
                 if problem is None:
                     yield message
                 else:
                     notes.damage(f"{path}: frame {count}", problem)
-            if announced > size:
-                notes.damage(f"{path}: byte {size}", f"the file ends, its header announces {announced} bytes")
+            if flaw is not None:
+                notes.damage(f"{path}: byte {flaw[0]}", f"{flaw[1]}; reading stopped")
         except OSError:
             raise
         except Exception as error:  # noqa: BLE001 - parsers of binary formats raise anything on damaged bytes
@@ -278,3 +286,32 @@ def _decompressed(path: Path, suffix: str, notes: LogNotes) -> Iterator[Path]:
             except _GZIP_DAMAGE as error:
                 notes.damage(f"{path}: byte {out.tell()} of the decompressed data", f"compressed data damaged: {error}")
         yield plain
+
+
+def _first_flaw_of_blf(path: Path) -> tuple[int, str] | None:
+    """Byte at which the first damaged object begins and what is wrong with it; None for a sound file.
+
+    python-can inflates a container without looking at its checksum or its end, and takes what comes out for frames.
+    """
+    with path.open("rb") as stream:
+        header = FILE_HEADER_STRUCT.unpack(stream.read(FILE_HEADER_STRUCT.size))
+        stream.seek(header[1])
+        while True:
+            start = stream.tell()
+            base = stream.read(OBJ_HEADER_BASE_STRUCT.size)
+            if not base:
+                return None
+            if len(base) < OBJ_HEADER_BASE_STRUCT.size:
+                return start, "the file ends within an object"
+            signature, _, _, size, kind = OBJ_HEADER_BASE_STRUCT.unpack(base)
+            if signature != b"LOBJ" or size < len(base):
+                return start, "no object begins here"
+            body = stream.read(size - len(base))
+            if len(body) < size - len(base):
+                return start, f"the file ends within an object of {size} bytes"
+            if kind == LOG_CONTAINER and LOG_CONTAINER_STRUCT.unpack_from(body)[0] == ZLIB_DEFLATE:
+                try:
+                    zlib.decompress(body[LOG_CONTAINER_STRUCT.size :])
+                except zlib.error as error:
+                    return start, f"compressed container damaged: {error}"
+            stream.read(size % 4)

@@ -1,0 +1,320 @@
+"""Every log format written by python-can and read back, every candump dialect, and every kind of damage."""
+
+from __future__ import annotations
+
+import gzip
+import itertools
+import shutil
+from pathlib import Path
+
+import can
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from yieldmon.bus.candump import parse_line
+from yieldmon.bus.logs import LogNotes, read_log
+from yieldmon.errors import InputError
+
+#: Formats that this installation can write; MF4 needs the mf4 extra.
+FORMATS = [".log", ".asc", ".csv", ".trc", ".blf", ".db"]
+TEXT_FORMATS = [".log", ".csv", ".trc", ".asc"]
+START_S = 1_700_000_000.0
+
+
+def sample_log() -> list[can.Message]:
+    """Frames that every format can hold, 4 ms apart, channels left out."""
+    return [
+        can.Message(
+            timestamp=START_S + 0.004 * k,
+            arbitration_id=0x08FF1081 if k % 3 else 0x123,
+            is_extended_id=bool(k % 3),
+            data=bytes((k + j) % 256 for j in range(8 if k % 3 else k % 9)),
+        )
+        for k in range(60)
+    ]
+
+
+def write(path: Path, messages: list[can.Message]) -> Path:
+    with can.Logger(path) as writer:
+        for message in messages:
+            writer.on_message_received(message)
+    return path
+
+
+def essence(messages) -> list[tuple]:
+    return [(m.arbitration_id, m.is_extended_id, m.is_remote_frame, m.is_error_frame, bytes(m.data)) for m in messages]
+
+
+def refusal(path: Path, messages: list[can.Message], notes: LogNotes) -> str:
+    """Reads into `messages`; the text of the InputError, empty when there was none."""
+    try:
+        messages.extend(read_log(path, notes))
+    except InputError as error:
+        return str(error)
+    return ""
+
+
+def read(path: Path) -> tuple[list[can.Message], LogNotes]:
+    notes = LogNotes(on_damage=lambda damage: None)
+    return list(read_log(path, notes)), notes
+
+
+@pytest.mark.parametrize("packed", [False, True], ids=["plain", "gzipped"])
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_round_trip(tmp_path: Path, suffix: str, packed: bool) -> None:
+    path = write(tmp_path / f"drive{suffix}", sample_log())
+    if packed:
+        with path.open("rb") as plain, gzip.open(tmp_path / f"drive{suffix}.gz", "wb") as out:
+            shutil.copyfileobj(plain, out)
+        path = tmp_path / f"drive{suffix}.gz"
+    messages, notes = read(path)
+    assert essence(messages) == essence(sample_log())
+    assert (notes.frames, notes.damaged_places) == (60, 0)
+    steps = [later.timestamp - first.timestamp for first, later in itertools.pairwise(messages)]
+    assert steps == pytest.approx([0.004] * 59, abs=0.0011), "TRC keeps milliseconds"
+
+
+def test_mf4_without_its_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "asammdf", None)
+    (tmp_path / "drive.mf4").write_bytes(b"MDF     4.10    ")
+    with pytest.raises(ModuleNotFoundError) as caught:
+        list(read_log(tmp_path / "drive.mf4"))
+    assert caught.value.name == "asammdf"
+
+
+CANDUMP = [
+    ("(1436509052.249713) can0 123#2A366C2BBA", 0x123, "2A366C2BBA", {}),
+    ("(1436509052.249713) can0 18FF1380#0102030405060708", 0x18FF1380, "0102030405060708", {"is_extended_id": True}),
+    ("(1436509052.249713) can0 18ff1380#ab", 0x18FF1380, "AB", {"is_extended_id": True}),
+    ("(1436509052.249713) can0 123#11.22.33", 0x123, "112233", {}),
+    ("(1436509052.249713) can0 123#", 0x123, "", {"dlc": 0}),
+    ("(1436509052.249713) can0 123#AA R", 0x123, "AA", {"is_rx": True}),
+    ("(1436509052.249713) can0 123#AA T", 0x123, "AA", {"is_rx": False}),
+    ("(1436509052.249713) can0 123#1122334455667788_E", 0x123, "1122334455667788", {"dlc": 8}),
+    ("(1436509052.249713) can0 123#R", 0x123, "", {"is_remote_frame": True, "dlc": 0}),
+    ("(1436509052.249713) can0 123#R5", 0x123, "", {"is_remote_frame": True, "dlc": 5}),
+    ("(1436509052.249713) can0 123##1" + "0A" * 12, 0x123, "0A" * 12, {"is_fd": True, "bitrate_switch": True}),
+    ("(1436509052.249713) can0 123##2AA", 0x123, "AA", {"is_fd": True, "error_state_indicator": True}),
+    ("(1436509052.249713) can0 20000004#0001000000000000", 4, "0001000000000000", {"is_error_frame": True}),
+    ("(1436509052.249713) can0 20000088#0000000000000000 R", 0x88, "00" * 8, {"is_error_frame": True}),
+    ("(1436509052.249713)  can0  123   [2]  2A 36", 0x123, "2A36", {}),
+    ("(1436509052.249713)  can0  18FF1380   [0]", 0x18FF1380, "", {"is_extended_id": True}),
+    ("(1436509052.249713)  can0  123   [1]  41   'A'", 0x123, "41", {}),
+    ("(1436509052.249713)  can0  123   [4]  remote request", 0x123, "", {"is_remote_frame": True, "dlc": 4}),
+    ("(1436509052.249713)  can0  TX - -  123   [1]  2A", 0x123, "2A", {"is_rx": False}),
+    ("(1436509052.249713)  can0  123  [12]  " + "0A " * 11 + "0A", 0x123, "0A" * 12, {"is_fd": True}),
+    (
+        "(1436509052.249713)  can0  20000004   [8]  00 01 00 00 00 00 00 00   ERRORFRAME",
+        4,
+        "0001" + "00" * 6,
+        {"is_error_frame": True},
+    ),
+]
+
+
+@pytest.mark.parametrize(("line", "arbitration_id", "data", "more"), CANDUMP, ids=[entry[0][20:] for entry in CANDUMP])
+def test_candump_dialects(line: str, arbitration_id: int, data: str, more: dict) -> None:
+    message = parse_line(line)
+    assert (message.arbitration_id, bytes(message.data).hex().upper()) == (arbitration_id, data)
+    assert (message.timestamp, message.channel) == (1436509052.249713, "can0")
+    expected = {"is_extended_id": False, "is_remote_frame": False, "is_error_frame": False, "is_fd": False} | more
+    assert {name: getattr(message, name) for name in expected} == expected
+
+
+@pytest.mark.parametrize("digits", ["5", "249713", "249713456"])
+def test_candump_fraction_digits(digits: str) -> None:
+    assert parse_line(f"(1436509052.{digits}) can0 123#").timestamp == float(f"1436509052.{digits}")
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "(1436509052.249713) can0 123",
+        "(1436509052.249713) can0 123#1",
+        "(1436509052.249713) can0 123#112233445566778899",
+        "(1436509052.249713) can0 1234#11",
+        "(1436509052.249713) can0 800#11",
+        "(1436509052.249713) can0 40000123#11",
+        "(1436509052.249713) can0 123##1" + "00" * 65,
+        "(1436509052.249713) can0 123##1" + "00" * 9,
+        "(1436509052.249713) can0 123#XY",
+        "(14365x9052.249713) can0 123#11",
+        "1436509052.249713 can0 123#11",
+        "(1436509052.249713)  can0  123   [3]  2A 36",
+        "(1436509052.249713) can0 123#11 R extra",
+    ],
+)
+def test_candump_damage(line: str) -> None:
+    assert parse_line(line) is None
+
+
+@given(st.text(max_size=80))
+@settings(max_examples=300, deadline=None)
+def test_candump_parser_takes_any_text(line: str) -> None:
+    parse_line(line)
+
+
+def test_damaged_candump_lines_are_told_and_the_rest_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "drive.log"
+    good = b"(1.000000) can0 123#01\n"
+    path.write_bytes(
+        good
+        + b"(1.000000) can0 12\n"
+        + b"DROPCOUNT: dropped 37 CAN frames on 'can0' socket (total drops 37)\n"
+        + b"\n"
+        + b"\x00\x01\xff\xfe binary\n"
+        + b"(2.000000) can0 20000080#0000000000000000 R\r\n"
+        + b"(3.0) can0 "
+        + b"A" * 300_000
+        + b"\n"
+        + b"(3.0) can0 123#\xe4\n"
+        + good
+        + b"(4.000000) can0 123#0"
+    )
+    messages, notes = read(path)
+    assert [(m.timestamp, m.is_error_frame) for m in messages] == [(1.0, False), (2.0, True), (1.0, False)]
+    assert (notes.frames, notes.error_frames, notes.dropped_by_recorder, notes.damaged_places) == (3, 1, 37, 5)
+    assert [damage.where for damage in notes.damages] == [f"{path}:{line}" for line in (2, 5, 7, 8, 10)]
+    assert "300012 bytes" in notes.damages[2].problem
+    assert "0x00" in notes.damages[1].problem
+
+
+@pytest.mark.parametrize("suffix", TEXT_FORMATS)
+@pytest.mark.parametrize("junk", [b"\x00\xff\x01\n", b"x" * 9000 + b"\n"], ids=["binary", "huge"])
+def test_a_damaged_line_in_any_text_format_costs_that_line(tmp_path: Path, suffix: str, junk: bytes) -> None:
+    path = write(tmp_path / f"drive{suffix}", sample_log())
+    lines = path.read_bytes().splitlines(keepends=True)
+    place = len(lines) // 2
+    lines.insert(place, junk)
+    path.write_bytes(b"".join(lines))
+    messages, notes = read(path)
+    assert essence(messages) == essence(sample_log())
+    assert [damage.where for damage in notes.damages] == [f"{path}:{place + 1}"]
+
+
+@pytest.mark.parametrize(
+    ("suffix", "old", "new"),
+    [
+        (".csv", b",0x8ff1081,1,0,0,8,", b",0xnonsense,1,0,0,8,"),
+        (".csv", b",0x8ff1081,1,0,0,8,", b",0x8ff1081,1,0,0,80,"),
+        (".csv", b",0x8ff1081,1,0,0,8,", b",0xFFFFFFFFFF,1,0,0,8,"),
+        (".csv", b",0x8ff1081,1,0,0,8,", b","),
+        (".trc", b" 8FF1081 ", b" 8XX1081 "),
+        (".trc", b"Rx -  8 ", b"Rx -  9 "),
+        (".asc", b"8FF1081x", b"8XX1081x"),
+        (".log", b"08FF1081#", b"08XX1081#"),
+    ],
+)
+def test_a_wrong_field_costs_its_line(tmp_path: Path, suffix: str, old: bytes, new: bytes) -> None:
+    path = write(tmp_path / f"drive{suffix}", sample_log())
+    lines = path.read_bytes().splitlines(keepends=True)
+    victim = [number for number, line in enumerate(lines) if old in line][20]
+    lines[victim] = lines[victim].replace(old, new)
+    path.write_bytes(b"".join(lines))
+    messages, notes = read(path)
+    assert len(messages) == 59
+    assert [damage.where for damage in notes.damages] == [f"{path}:{victim + 1}"]
+
+
+@pytest.mark.parametrize("suffix", [f"{name}.gz" for name in TEXT_FORMATS])
+def test_cut_off_gzip_gives_what_is_there(tmp_path: Path, suffix: str) -> None:
+    long_log = sample_log() * 200
+    plain = write(tmp_path / f"drive{suffix.removesuffix('.gz')}", long_log)
+    packed = gzip.compress(plain.read_bytes())
+    path = tmp_path / f"drive{suffix}"
+    path.write_bytes(packed[: len(packed) // 2])
+    messages, notes = read(path)
+    assert 100 < len(messages) < len(long_log)
+    assert essence(messages) == essence(long_log)[: len(messages)]
+    assert "compressed data damaged" in notes.damages[-1].problem
+
+
+def damaged(content: bytes, how: str) -> bytes:
+    half = len(content) // 2
+    return {
+        "cut off": content[:half],
+        "junk in the middle": content[:half] + b"\xa5" * 2000 + content[half + 2000 :],
+        "junk at the end": content[:-3000] + b"\xa5" * 3000,
+    }[how]
+
+
+@pytest.mark.parametrize("how", ["cut off", "junk in the middle", "junk at the end"])
+@pytest.mark.parametrize("suffix", [".blf", ".db", ".blf.gz", ".db.gz"])
+def test_damaged_binary_format_is_told_with_its_place(tmp_path: Path, suffix: str, how: str) -> None:
+    long_log = [
+        can.Message(
+            timestamp=START_S + 0.001 * k,
+            arbitration_id=k * 7919 % 0x1FFFFFFF,
+            data=(k * 2654435761 % 2**64).to_bytes(8),
+        )
+        for k in range(40_000)
+    ]
+    plain = write(tmp_path / f"whole{suffix.removesuffix('.gz')}", long_log)
+    content = damaged(plain.read_bytes(), how)
+    path = tmp_path / f"drive{suffix}"
+    path.write_bytes(gzip.compress(content, 1) if suffix.endswith(".gz") else content)
+    messages: list[can.Message] = []
+    notes = LogNotes(on_damage=lambda damage: None)
+    refused = refusal(path, messages, notes)
+    assert ("no frame in it can be read" in refused) is (not messages)
+    assert notes.damaged_places == 1
+    assert notes.damages[0].where.startswith(f"{path}: ")
+    assert len(messages) < len(long_log)
+    assert essence(messages) == essence(long_log)[: len(messages)]
+
+
+@pytest.mark.parametrize("content", [b"\xa5" * 5000, b"no log at all\n" * 50], ids=["binary", "text"])
+@pytest.mark.parametrize("suffix", [".log", ".csv", ".blf", ".db", ".log.gz", ".blf.gz", ".db.gz"])
+def test_nothing_readable_is_an_input_error(tmp_path: Path, suffix: str, content: bytes) -> None:
+    path = tmp_path / f"drive{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="no frame in it can be read") as caught:
+        read(path)
+    assert str(caught.value).startswith(str(path))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "problem"),
+    [
+        ("absent.log", None, "No such file"),
+        ("absent.db", None, "No such file"),
+        ("drive.pcap", b"", r"unknown log format; expected one of \.log"),
+        ("drive", b"", "unknown log format"),
+        ("drive.gz", b"", "unknown log format"),
+        ("drive.log", "(1.0) can0 123#\n".encode("utf-16"), "UTF-16 text; expected UTF-8"),
+    ],
+)
+def test_unusable_files(tmp_path: Path, name: str, content: bytes | None, problem: str) -> None:
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=problem):
+        read(tmp_path / name)
+    assert content is not None or not (tmp_path / name).exists()
+
+
+def test_a_folder_is_no_log(tmp_path: Path) -> None:
+    (tmp_path / "drive.log").mkdir()
+    with pytest.raises(InputError, match="Is a directory"):
+        read(tmp_path / "drive.log")
+
+
+def test_empty_log_has_no_frames(tmp_path: Path) -> None:
+    (tmp_path / "drive.log").write_bytes(b"")
+    assert read(tmp_path / "drive.log")[0] == []
+
+
+def test_utf8_mark_is_no_damage(tmp_path: Path) -> None:
+    (tmp_path / "drive.log").write_bytes(b"\xef\xbb\xbf(1.0) can0 123#11\n")
+    messages, notes = read(tmp_path / "drive.log")
+    assert (len(messages), notes.damaged_places) == (1, 0)
+
+
+@given(st.binary(max_size=400))
+@settings(max_examples=150, deadline=None)
+@pytest.mark.parametrize("suffix", [".log", ".csv", ".trc", ".asc", ".blf"])
+def test_any_bytes_give_frames_or_an_input_error(tmp_path_factory, suffix: str, content: bytes) -> None:
+    path = tmp_path_factory.getbasetemp() / f"any{suffix}"
+    path.write_bytes(content)
+    refused = refusal(path, [], LogNotes(on_damage=lambda damage: None))
+    assert not refused or refused.startswith(str(path))
