@@ -10,7 +10,7 @@ from yieldmon.errors import InputError
 from yieldmon.physics.machine import RPM, ImpactSensor, Machine
 from yieldmon.resources import shipped
 
-from .yaml_file import load_mapping, number
+from .checked import load_mapping, number
 
 DEFAULT = "config/machines/sprocket-8.yaml"
 

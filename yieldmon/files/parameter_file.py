@@ -20,7 +20,7 @@ from yieldmon.physics.effects import effect_parameter
 from yieldmon.physics.machine import RPM
 from yieldmon.resources import shipped
 
-from .yaml_file import load_mapping, number
+from .checked import load_mapping, number
 
 DEFAULT = "config/parameters/corn.yaml"
 FORMAT = 1
@@ -111,11 +111,14 @@ def save(parameters: ParameterSet, path: str | Path) -> None:
     path = Path(path)
     text = yaml.dump(to_document(parameters), Dumper=_ExactDumper, sort_keys=False, allow_unicode=True)
     scratch = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    with open(scratch, "w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(scratch, path)
+    try:
+        with open(scratch, "w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(scratch, path)
+    finally:
+        scratch.unlink(missing_ok=True)
 
 
 class _ExactDumper(yaml.SafeDumper):

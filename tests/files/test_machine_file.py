@@ -1,0 +1,61 @@
+"""Machine files: the shipped ones, the round trip, and one line for each way to get them wrong."""
+
+from __future__ import annotations
+
+import pytest
+import yaml
+
+from yieldmon.errors import InputError
+from yieldmon.files import machine_file
+from yieldmon.physics.machine import Machine
+from yieldmon.resources import shipped
+
+
+def test_the_default_is_the_production_machine():
+    assert machine_file.load() == Machine()
+
+
+def test_the_ten_tooth_machine_differs_in_its_sprocket_only():
+    ten = machine_file.to_document(machine_file.load(shipped("config/machines/sprocket-10.yaml")))
+    eight = machine_file.to_document(machine_file.load())
+    assert {key for key in ten if ten[key] != eight[key]} == {"name", "sprocket_pitch_radius_m"}
+    assert ten["sprocket_pitch_radius_m"] == 0.067
+
+
+def test_round_trip(tmp_path):
+    path = tmp_path / "machine.yaml"
+    path.write_text(yaml.safe_dump(machine_file.to_document(Machine())), encoding="utf-8")
+    assert machine_file.load(path) == Machine()
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("paddle_length_m", -0.1, "paddle_length_m: is -0.1; expected a number from 0.02 to 1 m"),
+        ("paddle_length_m", "long", "paddle_length_m: is 'long'"),
+        ("paddle_length_m", True, "paddle_length_m: is True"),
+        ("paddle_spacings_m", [], "paddle_spacings_m: is []; expected a list of distances"),
+        ("paddle_spacings_m", [0.1, 0], "paddle_spacings_m[1]: is 0"),
+        ("home_plate_angle_deg", 95, "home plate angle lies outside"),
+        ("sensor", {"gain_n_per_mv": 1}, "sensor: is"),
+        ("colour", "green", "colour: unknown key"),
+        ("name", 8, "name: is 8; expected a text"),
+    ],
+)
+def test_bad_values_are_named(tmp_path, key, value, expected):
+    document = machine_file.to_document(Machine()) | {key: value}
+    path = tmp_path / "machine.yaml"
+    path.write_text(yaml.safe_dump(document), encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        machine_file.load(path)
+    assert expected in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+def test_a_missing_key_is_named(tmp_path):
+    document = machine_file.to_document(Machine())
+    del document["plate_length_m"]
+    path = tmp_path / "machine.yaml"
+    path.write_text(yaml.safe_dump(document), encoding="utf-8")
+    with pytest.raises(InputError, match="plate_length_m: missing"):
+        machine_file.load(path)

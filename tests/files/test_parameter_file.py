@@ -1,0 +1,108 @@
+"""Parameter files: exact round trip, and one line for each way to get them wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from yieldmon.errors import InputError
+from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
+from yieldmon.files import parameter_file
+
+finite = st.floats(min_value=-1e6, max_value=1e6, allow_nan=False)
+
+
+def same(a: ParameterSet, b: ParameterSet) -> bool:
+    return (
+        dict(a.values) == dict(b.values)
+        and a.covariance_names == b.covariance_names
+        and np.array_equal(a.covariance, b.covariance)
+        and a.response_unit == b.response_unit
+        and a.version == b.version
+        and dict(a.provenance) == dict(b.provenance)
+    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    friction=st.floats(min_value=0.0, max_value=5.0),
+    density=st.floats(min_value=1.0, max_value=20000.0),
+    impact=st.one_of(
+        st.builds(lambda e: {"restitution": e}, st.floats(min_value=0.0, max_value=1.0)),
+        st.builds(lambda a, b: {"k1": a, "k2": b}, finite, finite),
+    ),
+    offset=st.one_of(st.none(), st.floats(min_value=-1e-5, max_value=1e-5)),
+    root=st.lists(finite, min_size=4, max_size=4),
+    note=st.text(max_size=30),
+)
+def test_round_trip_is_exact(tmp_path_factory, friction, density, impact, offset, root, note):
+    values = {"friction": friction, "density": density, "shape_ratio": 2.0, **impact}
+    if offset is not None:
+        values["zero_offset.force_n"] = offset
+    half = np.array(root).reshape(2, 2)
+    parameters = ParameterSet(values, ("friction", "density"), half @ half.T, version=3, provenance={"note": note.strip()})
+    path = tmp_path_factory.mktemp("parameters") / "p.yaml"
+    parameter_file.save(parameters, path)
+    assert same(parameter_file.load(path), parameters)
+
+
+def test_the_range_survives_in_the_units_people_use(tmp_path):
+    calibrated = CalibratedRange((0.5, 25.0), tuple(np.radians([40.0, 90.0])), (31.0, 52.0), (12.0, 26.0))
+    parameters = ParameterSet({"friction": 0.2, "density": 1e3, "shape_ratio": 2.0, "k1": 1.0, "k2": 0.5}, calibrated=calibrated)
+    parameter_file.save(parameters, tmp_path / "p.yaml")
+    text = yaml.safe_load((tmp_path / "p.yaml").read_text(encoding="utf-8"))
+    assert text["calibrated_range"]["plate_angle_deg"] == [40.0, 90.0]
+    back = parameter_file.load(tmp_path / "p.yaml").calibrated
+    assert back.elevator_speed_rad_s == pytest.approx((31.0, 52.0), rel=1e-9)
+
+
+def test_the_shipped_corn_loads():
+    assert parameter_file.load().values["density"] > 0.0
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"friction": -0.1}, "friction: is -0.1; expected a number from 0 to 5"),
+        ({"friction": "low"}, "friction: is 'low'"),
+        ({"restitution": 1.2}, "restitution: is 1.2"),
+        ({"k1": 1.0, "k2": 1.0}, "either restitution, or k1 and k2"),
+        ({"fricton": 0.1}, "fricton: unknown key"),
+        ({"format": 9}, "format: is 9; expected 1"),
+        ({"version": 0}, "version: is 0"),
+        ({"effects": {"magic": {"a": 1}}}, "effect 'magic': unknown"),
+        ({"effects": {"gravity": {"a": 1}}}, "effect parameter 'gravity.a': unknown"),
+        ({"effects": {"zero_offset": {"force_n": "x"}}}, "effects.zero_offset.force_n: is 'x'; expected a finite number, N"),
+        ({"covariance": {"names": ["friction"], "matrix": [[1.0, 2.0]]}}, "covariance.matrix: is not square"),
+        ({"covariance": {"names": ["k1"], "matrix": [[1.0]]}}, "covariance names ['k1'] have no value"),
+        ({"covariance": {"names": ["friction"], "matrix": [[-1.0]]}}, "negative variance"),
+        ({"calibrated_range": {"plate_angle_deg": [90, 40]}}, "expected the lowest first"),
+        ({"calibrated_range": {"colour": [1, 2]}}, "calibrated_range.colour: unknown key"),
+    ],
+)
+def test_bad_values_are_named(tmp_path, change, expected):
+    document = {"friction": 0.2, "density": 1100.0, "shape_ratio": 2.0, "restitution": 0.6} | change
+    path = tmp_path / "p.yaml"
+    path.write_text(yaml.safe_dump(document), encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        parameter_file.load(path)
+    assert expected in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
+    path = tmp_path / "p.yaml"
+    parameters = ParameterSet({"friction": 0.2, "density": 1e3, "shape_ratio": 2.0, "restitution": 0.5})
+    parameter_file.save(parameters, path)
+    before = path.read_bytes()
+
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        parameter_file.save(parameters, path)
+    assert path.read_bytes() == before

@@ -1,0 +1,79 @@
+"""Measurement tables: the published ones, unknown values, and one line for each way to get them wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from yieldmon.errors import InputError
+from yieldmon.files import table
+from yieldmon.physics.machine import RPM, Machine
+
+DATA = Path(__file__).parent.parent / "data"
+
+
+@pytest.mark.parametrize(
+    ("name", "rows", "reading"), [("dem_table.csv", 162, "momentum_kg_m_s"), ("bench_table.csv", 360, "response")]
+)
+def test_published_tables(name, rows, reading):
+    loaded = table.load(DATA / name)
+    assert (len(loaded), loaded.load, loaded.reading) == (rows, "paddle_mass_kg", reading)
+    assert len(loaded.text["trial"]) == rows
+    assert loaded.notes == ()
+
+
+def test_unknown_values_and_columns(tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_text(
+        "plate_angle_deg,mass_flow_kg_s,force_n,elevator_speed_rpm,moisture_pct,operator\n"
+        "70,12,100,-,nan,ann\n"
+        "# a remark\n"
+        "60,,50,300,15.5,bob\n",
+        encoding="utf-8",
+    )
+    loaded = table.load(path)
+    np.testing.assert_array_equal(loaded.columns["mass_flow_kg_s"], [12.0, np.nan])
+    np.testing.assert_allclose(loaded.speed_rad_s(Machine()), [Machine().nominal_elevator_speed_rad_s, 300.0 * RPM])
+    assert loaded.text["operator"] == ("ann", "bob")
+    assert "operator" in loaded.notes[0]
+    machine = Machine()
+    passes = loaded.speed_rad_s(machine) * machine.sprocket_pitch_radius_m / machine.paddle_spacing_m
+    np.testing.assert_allclose(loaded.momentum(machine) * passes, [100.0, 50.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", "is empty"),
+        ("plate_angle_deg,mass_flow_kg_s,force_n\n", "has a header and no rows"),
+        ("mass_flow_kg_s,force_n\n1,2\n", "header: has no plate_angle_deg"),
+        ("plate_angle_deg,force_n\n1,2\n", "no load column"),
+        ("plate_angle_deg,mass_flow_kg_s,paddle_mass_kg,force_n\n1,2,3,4\n", "header: has ['mass_flow_kg_s', 'paddle_mass_kg']"),
+        ("plate_angle_deg,mass_flow_kg_s\n1,2\n", "no reading"),
+        ("plate_angle_deg,mass_flow_kg_s,force_n,response\n1,2,3,4\n", "header: has ['force_n', 'response']"),
+        ("plate_angle_deg,mass_flow_kg_s,force_n,force_n\n1,2,3,4\n", "force_n more than once"),
+        ("plate_angle_deg,mass_flow_kg_s,force_n\n70,x,2\n", "row 1, mass_flow_kg_s: is 'x'; expected a number in kg/s"),
+        ("plate_angle_deg,mass_flow_kg_s,force_n\n70,-1,2\n", "row 1, mass_flow_kg_s: is -1; expected 0 to 1000 kg/s"),
+        ("plate_angle_deg,mass_flow_kg_s,force_n\n70,1\n", "row 1: has 2 fields; expected 3"),
+        ("plate_angle_deg,mass_flow_kg_s,force_n\n-,1,2\n", "row 1, plate_angle_deg: is unknown"),
+        ("plate_angle_deg,mass_flow_kg_s,force_n\n700,1,2\n", "row 1, plate_angle_deg: is 700; expected 0 to 180 deg"),
+        ("plate_angle_deg,mass_flow_kg_s,force_n\n70,1,inf\n", "row 1, force_n: is inf"),
+    ],
+)
+def test_bad_tables_are_named(tmp_path, text, expected):
+    path = tmp_path / "t.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        table.load(path)
+    assert expected in str(caught.value)
+    assert str(caught.value).startswith(str(path))
+
+
+def test_a_file_that_is_not_text_and_one_that_is_not_there(tmp_path):
+    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00plate")
+    with pytest.raises(InputError, match="not UTF-8"):
+        table.load(tmp_path / "binary.csv")
+    with pytest.raises(InputError, match="No such file"):
+        table.load(tmp_path / "missing.csv")
