@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from yieldmon.errors import InputError
 from yieldmon.service import schema
+from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import (
     Batch,
     BatchRefusedError,
@@ -19,7 +20,6 @@ from yieldmon.service.store import (
     Load,
     ParameterVersion,
     Retention,
-    Second,
     Store,
     StoreError,
     SweepRecord,
@@ -30,20 +30,23 @@ from yieldmon.service.store import (
 DATA = Path(__file__).parent / "data"
 
 
-def second(number: int, mass_kg: float = 10.0, **changes) -> Second:
+def second(number: int, mass_kg: float = 10.0, **changes) -> SecondRow:
     total = mass_kg * number
-    record = Second(
-        number=number, time_s=1.7e9 + number, load_number=1, mass_kg=mass_kg, load_mass_kg=total, total_mass_kg=total,
-        mass_flow_kg_s=mass_kg, mass_flow_sd_kg_s=0.2, quality=0, operating_state=3, elevator_speed_rpm=400.0,
-        plate_angle_deg=70.0, force_n=8.0, moisture_pct=None, samples_lost=0, parameter_version=1,
+    record = SecondRow(
+        number=number, time_s=1.7e9 + number, duration_s=1.0, mass_flow_kg_s=mass_kg, std_dev_kg_s=0.2, quality=0,
+        operating_state=3, mass_kg=mass_kg, load_number=1, load_kg=total, total_kg=total, coverage=1.0, force_n=8.0,
+        force_std_dev_n=0.1, elevator_speed_rpm=400.0, plate_angle_deg=70.0, plate_still=1, moisture_pct=None,
+        test_weight_kg_m3=None, zero_mv=120.0, pulse_mv=30.0, saturated_share=0.0, lost_frames=0, surplus_frames=0,
+        repeated_frames=0, sweep_id=0, sweep_step=-1, usable_for_calibration=0, parameter_version=1, faults="",
+        latitude_deg=None, longitude_deg=None, ground_speed_m_s=None, course_deg=None,
     )  # fmt: skip
     return replace(record, **changes)
 
 
 def batch(number: int, **changes) -> Batch:
     record = second(number)
-    load = Load(1, "north", "corn", 1.7e9, None, record.load_mass_kg, None)
-    whole = Batch(number, record.time_s, {"total_mass_kg": record.total_mass_kg}, seconds=(record,), loads=(load,))
+    load = Load(1, "north", "corn", 1.7e9, None, record.load_kg, None)
+    whole = Batch(number, record.time_s, {"total_mass_kg": record.total_kg}, seconds=(record,), loads=(load,))
     return replace(whole, **changes)
 
 
@@ -96,8 +99,8 @@ def test_any_order_of_repeats_leaves_totals_that_fit_the_records(tmp_path_factor
             assert numbers_stored == sorted(set(numbers_stored))
             assert store.last_batch() == last
             if seconds:
-                assert store.state() == {"total_mass_kg": seconds[-1].total_mass_kg}
-                assert store.loads()[0].mass_kg == seconds[-1].load_mass_kg
+                assert store.state() == {"total_mass_kg": seconds[-1].total_kg}
+                assert store.loads()[0].mass_kg == seconds[-1].load_kg
 
 
 REFUSED = [
@@ -140,7 +143,7 @@ def test_a_store_of_version_1_grows_up(path):
     old.close()
     with Store(path) as store:
         assert store._pragma("user_version") == schema.VERSION
-        assert [s.total_mass_kg for s in store.seconds()] == [9.5, 9.5, 19.75]
+        assert [s.total_kg for s in store.seconds()] == [9.5, 9.5, 19.75]
         assert store.seconds()[1].moisture_pct is None
         assert store.loads()[1] == Load(2, "north", "corn", 1700000002.0, None, 10.25, None)
         assert store.state() == {"total_mass_kg": 19.75}

@@ -13,23 +13,41 @@ from __future__ import annotations
 APPLICATION_ID = 0x796D6F6E
 
 _VERSION_1 = """
-CREATE TABLE second (              -- one row for each second's window
-    number INTEGER PRIMARY KEY,    -- counts up without a gap over the store's life
+CREATE TABLE second (              -- one row for each second's window; columns as in rows.SecondRow
+    number INTEGER PRIMARY KEY,
     time_s REAL NOT NULL,          -- end of the window
-    load_number INTEGER NOT NULL,
-    mass_kg REAL NOT NULL,         -- added to the totals by this second
-    load_mass_kg REAL NOT NULL,    -- the totals after it
-    total_mass_kg REAL NOT NULL,
+    duration_s REAL NOT NULL,
     mass_flow_kg_s REAL,
-    mass_flow_sd_kg_s REAL,
-    quality INTEGER NOT NULL,      -- EstimateQuality
+    std_dev_kg_s REAL,
+    quality INTEGER NOT NULL,
     operating_state INTEGER NOT NULL,
+    mass_kg REAL NOT NULL,         -- added to the totals by this second
+    load_number INTEGER NOT NULL,
+    load_kg REAL NOT NULL,         -- the totals after it
+    total_kg REAL NOT NULL,
+    coverage REAL NOT NULL,
+    force_n REAL,
+    force_std_dev_n REAL,
     elevator_speed_rpm REAL,
     plate_angle_deg REAL,
-    force_n REAL,
+    plate_still INTEGER NOT NULL,
     moisture_pct REAL,
-    samples_lost INTEGER NOT NULL,
-    parameter_version INTEGER NOT NULL
+    test_weight_kg_m3 REAL,
+    zero_mv REAL,
+    pulse_mv REAL,
+    saturated_share REAL,
+    lost_frames INTEGER NOT NULL,
+    surplus_frames INTEGER NOT NULL,
+    repeated_frames INTEGER NOT NULL,
+    sweep_id INTEGER NOT NULL,
+    sweep_step INTEGER NOT NULL,
+    usable_for_calibration INTEGER NOT NULL,
+    parameter_version INTEGER NOT NULL,
+    faults TEXT NOT NULL,
+    latitude_deg REAL,
+    longitude_deg REAL,
+    ground_speed_m_s REAL,
+    course_deg REAL
 ) STRICT;
 CREATE TABLE load (
     number INTEGER PRIMARY KEY,

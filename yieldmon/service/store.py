@@ -20,28 +20,7 @@ from typing import Any
 
 from yieldmon.errors import InputError
 from yieldmon.service import schema
-
-
-@dataclass(frozen=True)
-class Second:
-    """One second's window. None is "not available"; `quality` and `operating_state` are codes of frames.py."""
-
-    number: int
-    time_s: float
-    load_number: int
-    mass_kg: float
-    load_mass_kg: float
-    total_mass_kg: float
-    mass_flow_kg_s: float | None
-    mass_flow_sd_kg_s: float | None
-    quality: int
-    operating_state: int
-    elevator_speed_rpm: float | None
-    plate_angle_deg: float | None
-    force_n: float | None
-    moisture_pct: float | None
-    samples_lost: int
-    parameter_version: int
+from yieldmon.service.rows import SecondRow
 
 
 @dataclass(frozen=True)
@@ -111,7 +90,7 @@ class Batch:
     number: int
     time_s: float
     state: Mapping[str, Any]
-    seconds: tuple[Second, ...] = ()
+    seconds: tuple[SecondRow, ...] = ()
     loads: tuple[Load, ...] = ()
     sweeps: tuple[SweepRecord, ...] = ()
     parameter_versions: tuple[ParameterVersion, ...] = ()
@@ -153,7 +132,7 @@ def _json(document: Mapping[str, Any]) -> str:
     return json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
-_INSERT_SECOND = f"INSERT INTO second ({_columns(Second)}) VALUES ({_marks(Second)})"
+_INSERT_SECOND = f"INSERT INTO second ({_columns(SecondRow)}) VALUES ({_marks(SecondRow)})"
 _UPSERT_LOAD = f"INSERT OR REPLACE INTO load ({_columns(Load)}) VALUES ({_marks(Load)})"
 _INSERT_SWEEP = f"INSERT INTO sweep ({_columns(SweepRecord)}) VALUES (?, ?, ?, ?)"
 _UPSERT_PARAMETERS = f"INSERT OR REPLACE INTO parameter_set ({_columns(ParameterVersion)}) VALUES (?, ?, ?, ?)"
@@ -309,13 +288,13 @@ class Store:
             row = self._database.execute("SELECT document FROM state").fetchone()
             return None if row is None else json.loads(row[0])
 
-    def seconds(self, first_number: int = 0) -> list[Second]:
+    def seconds(self, first_number: int = 0) -> list[SecondRow]:
         """One-second records from `first_number` on, in order."""
-        return self._rows(Second, "second WHERE number >= ? ORDER BY number", (first_number,))
+        return self._rows(SecondRow, "second WHERE number >= ? ORDER BY number", (first_number,))
 
-    def last_second(self) -> Second | None:
+    def last_second(self) -> SecondRow | None:
         """The newest one-second record."""
-        rows: list[Second] = self._rows(Second, "second ORDER BY number DESC LIMIT 1")
+        rows: list[SecondRow] = self._rows(SecondRow, "second ORDER BY number DESC LIMIT 1")
         return rows[0] if rows else None
 
     def loads(self) -> list[Load]:

@@ -6,7 +6,7 @@ CREATE TABLE counter (
     name TEXT PRIMARY KEY,
     value INTEGER NOT NULL
 ) STRICT, WITHOUT ROWID;
-INSERT INTO "counter" VALUES('samples_lost',4);
+INSERT INTO "counter" VALUES('frames_lost',4);
 CREATE TABLE fault (               -- a row each time a fault comes or goes
     id INTEGER PRIMARY KEY,
     time_s REAL NOT NULL,
@@ -14,7 +14,7 @@ CREATE TABLE fault (               -- a row each time a fault comes or goes
     active INTEGER NOT NULL CHECK (active IN (0, 1)),
     detail TEXT NOT NULL
 ) STRICT;
-INSERT INTO "fault" VALUES(1,1700000002.0,'FRAMES_LOST',1,'4 samples');
+INSERT INTO "fault" VALUES(1,1700000002.0,'FramesLost',1,'4 frames');
 CREATE TABLE load (
     number INTEGER PRIMARY KEY,
     field TEXT NOT NULL,
@@ -32,27 +32,45 @@ CREATE TABLE parameter_set (
     document TEXT NOT NULL         -- JSON: values, covariance, provenance
 ) STRICT;
 INSERT INTO "parameter_set" VALUES(1,1700000000.0,'file','{"friction":0.3}');
-CREATE TABLE second (              -- one row for each second's window
-    number INTEGER PRIMARY KEY,    -- counts up without a gap over the store's life
+CREATE TABLE second (              -- one row for each second's window; columns as in rows.SecondRow
+    number INTEGER PRIMARY KEY,
     time_s REAL NOT NULL,          -- end of the window
-    load_number INTEGER NOT NULL,
-    mass_kg REAL NOT NULL,         -- added to the totals by this second
-    load_mass_kg REAL NOT NULL,    -- the totals after it
-    total_mass_kg REAL NOT NULL,
+    duration_s REAL NOT NULL,
     mass_flow_kg_s REAL,
-    mass_flow_sd_kg_s REAL,
-    quality INTEGER NOT NULL,      -- EstimateQuality
+    std_dev_kg_s REAL,
+    quality INTEGER NOT NULL,
     operating_state INTEGER NOT NULL,
+    mass_kg REAL NOT NULL,         -- added to the totals by this second
+    load_number INTEGER NOT NULL,
+    load_kg REAL NOT NULL,         -- the totals after it
+    total_kg REAL NOT NULL,
+    coverage REAL NOT NULL,
+    force_n REAL,
+    force_std_dev_n REAL,
     elevator_speed_rpm REAL,
     plate_angle_deg REAL,
-    force_n REAL,
+    plate_still INTEGER NOT NULL,
     moisture_pct REAL,
-    samples_lost INTEGER NOT NULL,
-    parameter_version INTEGER NOT NULL
+    test_weight_kg_m3 REAL,
+    zero_mv REAL,
+    pulse_mv REAL,
+    saturated_share REAL,
+    lost_frames INTEGER NOT NULL,
+    surplus_frames INTEGER NOT NULL,
+    repeated_frames INTEGER NOT NULL,
+    sweep_id INTEGER NOT NULL,
+    sweep_step INTEGER NOT NULL,
+    usable_for_calibration INTEGER NOT NULL,
+    parameter_version INTEGER NOT NULL,
+    faults TEXT NOT NULL,
+    latitude_deg REAL,
+    longitude_deg REAL,
+    ground_speed_m_s REAL,
+    course_deg REAL
 ) STRICT;
-INSERT INTO "second" VALUES(1,1700000001.0,1,9.5,9.5,9.5,9.5,0.12,0,3,400.0,70.0,8.25,15.5,0,1);
-INSERT INTO "second" VALUES(2,1700000002.0,1,0.0,9.5,9.5,NULL,NULL,1,2,398.5,70.0,0.0,NULL,4,1);
-INSERT INTO "second" VALUES(3,1700000003.0,2,10.25,10.25,19.75,10.25,0.15,0,3,401.0,70.0,8.75,15.5,0,1);
+INSERT INTO "second" VALUES(1,1700000001.0,1.0,9.5,0.12,0,3,9.5,1,9.5,9.5,1.0,8.25,0.1,400.0,70.0,1,15.5,NULL,120.5,31.0,0.0,0,0,0,0,-1,0,1,'',NULL,NULL,NULL,NULL);
+INSERT INTO "second" VALUES(2,1700000002.0,1.0,NULL,NULL,1,2,0.0,1,9.5,9.5,1.0,8.25,0.1,400.0,70.0,1,NULL,NULL,120.5,31.0,0.0,4,0,0,0,-1,0,1,'FramesLost',NULL,NULL,NULL,NULL);
+INSERT INTO "second" VALUES(3,1700000003.0,1.0,10.25,0.15,0,3,10.25,2,10.25,19.75,1.0,8.25,0.1,400.0,70.0,1,15.5,NULL,120.5,31.0,0.0,0,0,0,0,-1,0,1,'',NULL,NULL,NULL,NULL);
 CREATE TABLE state (               -- what the monitor needs to go on after a restart
     id INTEGER PRIMARY KEY CHECK (id = 1),
     batch INTEGER NOT NULL,        -- number of the last batch that was committed

@@ -1,0 +1,189 @@
+"""The configuration: the shipped file is the model, each wrong key gets its line, and it reaches the engine unchanged."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from yieldmon.cli import main as cli
+from yieldmon.engine.settings import EngineSettings
+from yieldmon.errors import InputError
+from yieldmon.resources import shipped
+from yieldmon.service import configuration
+from yieldmon.service.configuration import ConfigurationError
+from yieldmon.service.document import ENGINE_SECTIONS, FIXED_BY_THE_FRAMES, Document, Section
+
+ROOT = Path(__file__).parents[2]
+ENVIRONMENT = {"STATE_DIRECTORY": "/state", "RUNTIME_DIRECTORY": "/run/yieldmon"}
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(text: str) -> Path:
+        path = tmp_path / "c.yaml"
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def test_the_shipped_file_is_the_documented_default():
+    path = shipped("config/yieldmon.yaml")
+    assert path.read_text() == configuration.document_text(), "run: yieldmon check-config --defaults > config/yieldmon.yaml"
+    assert configuration.load(path, ENVIRONMENT).document == Document()
+
+
+def test_every_key_has_a_meaning_and_every_number_a_range_and_unit():
+    for name, field in Document.model_fields.items():
+        section = field.annotation
+        if not (isinstance(section, type) and issubclass(section, Section)):
+            assert field.description
+            continue
+        assert section.__doc__
+        for key, inner in section.model_fields.items():
+            assert inner.description, f"{name}.{key}"
+            if inner.annotation in (int, float, int | None):
+                low, high = configuration._limits(inner)
+                assert low < high, f"{name}.{key}"
+                assert inner.json_schema_extra["unit"], f"{name}.{key}"
+
+
+@pytest.mark.parametrize("name", ENGINE_SECTIONS)
+def test_every_setting_of_the_engine_has_a_key(name):
+    settings = {field.name for field in dataclasses.fields(getattr(EngineSettings(), name))}
+    fixed = {key.partition(".")[2] for key in FIXED_BY_THE_FRAMES if key.startswith(f"{name}.")}
+    assert set(type(getattr(Document(), name)).model_fields) == settings - fixed
+
+
+def test_an_engine_section_is_never_forgotten():
+    assert {field.name for field in dataclasses.fields(EngineSettings)} == set(ENGINE_SECTIONS)
+
+
+def test_defaults_are_the_engines_own():
+    assert configuration.engine_settings(Document()) == EngineSettings()
+
+
+def test_values_reach_the_engine(written):
+    loaded = configuration.load(written("sweep: {angles_deg: [50, 60], enabled: false}\nzero: {max_step_mv: 7}"), {})
+    assert loaded.engine.sweep == dataclasses.replace(EngineSettings().sweep, angles_deg=(50.0, 60.0), enabled=False)
+    assert loaded.engine.zero.max_step_mv == 7.0
+
+
+def test_an_empty_file_is_the_default(written):
+    assert configuration.load(written("# nothing\n"), ENVIRONMENT).document == Document()
+
+
+FOLDERS = [
+    (ENVIRONMENT, "/state/yieldmon.sqlite", "/run/yieldmon/yieldmon.sock"),
+    ({"STATE_DIRECTORY": "/a:/b"}, "/a/yieldmon.sqlite", "/a/yieldmon.sock"),
+    (
+        {"HOME": "/home/u", "XDG_RUNTIME_DIR": "/run/user/7"},
+        "/home/u/.local/state/yieldmon/yieldmon.sqlite",
+        "/run/user/7/yieldmon/yieldmon.sock",
+    ),
+    ({"XDG_STATE_HOME": "/x"}, "/x/yieldmon/yieldmon.sqlite", "/x/yieldmon/yieldmon.sock"),
+]
+
+
+@pytest.mark.parametrize(("environment", "store", "socket"), FOLDERS)
+def test_folders_are_the_service_managers_or_the_users(written, environment, store, socket):
+    loaded = configuration.load(written(""), environment)
+    assert (str(loaded.store_path), str(loaded.socket_path)) == (store, socket)
+
+
+def test_files_are_found_beside_the_configuration(written, tmp_path):
+    (tmp_path / "m.yaml").write_text(shipped("config/machines/sprocket-10.yaml").read_text())
+    loaded = configuration.load(written("machine_file: m.yaml"), {})
+    assert loaded.machine_path == tmp_path / "m.yaml"
+    assert loaded.machine.sprocket_pitch_radius_m == 0.067
+
+
+WRONG = [
+    ("sweep: {interval_s: 5}", "sweep.interval_s: 5; expected a number from 60 to 1000000 s"),
+    ("sweep: {interval_s: '900'}", "sweep.interval_s: '900'; expected a number from 60 to 1000000 s"),
+    ("sweep: {interval_s: true}", "sweep.interval_s: True; expected a number from 60 to 1000000 s"),
+    ("sweep: {home_every: 2.5}", "sweep.home_every: 2.5; expected a whole number from 1 to 50 angles"),
+    ("sweep: {enabled: yes}", "sweep.enabled: 'yes'; expected true or false"),
+    ("sweep: {angles_deg: [40, fifty]}", "sweep.angles_deg[1]: 'fifty'; expected a list of numbers, deg"),
+    ("sweep: {angles_deg: []}", "sweep.angles_deg: []; expected a list of numbers, deg"),
+    ("sweep: {angles_deg: [40, 20]}", "sweep.angles_deg[1]: 20; expected 40 to 90 deg, the range of sprocket-8"),
+    ("sweep: {angles_deg: [40, 40]}", "sweep.angles_deg: an angle appears twice; expected different angles"),
+    ("store: {size_mb: .nan}", "store.size_mb: nan; expected a number from 16 to 100000 MB"),
+    ("store: {siz_mb: 20}", "store.siz_mb: unknown key; expected size_mb"),
+    ("stroe: {}", "stroe: unknown key; expected store"),
+    ("status: 7", "status: 7; expected keys socket, group, prometheus_file, prometheus_interval_s"),
+    ('machine_file: "a\\x00b"', r"machine_file: 'a\x00b'; expected a word or null"),
+    ("status: {socket: \"a\\nb\"}", "status.socket: 'a\\nb'; expected a word"),
+    ("bus: {bitrate_bit_s: fast}", "bus.bitrate_bit_s: 'fast'; expected a whole number from 10000 to 1000000 bit/s or null"),
+    ("bus: {options: {a: [1]}}", "bus.options.a: [1]; expected keys with plain values"),
+    ("bus: {interface: sockcan}", "bus.interface: 'sockcan'; expected one of"),
+    ("logging: {level: loud}", "logging.level: 'loud'; expected one of debug, info, warning, error"),
+    ("gate: {grain_on_n: 0.1}", "gate.grain_off_n: 0.5; expected at most gate.grain_on_n, 0.1 N"),
+    ("gate: {certain_force_n: 0.5}", "gate.certain_force_n: 0.5; expected at least gate.grain_on_n, 1 N"),
+    ("windows: {min_coverage: 1}", "windows.min_coverage: 1; expected at most windows.full_coverage, 0.98"),
+    ("[]", "[]; expected keys machine_file, parameter_file, bus"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "line"), WRONG)
+def test_a_wrong_key_gets_file_key_value_and_what_was_expected(written, text, line):
+    path = written(text)
+    with pytest.raises(ConfigurationError) as caught:
+        configuration.load(path, {})
+    assert str(caught.value).startswith(f"{path}: {line}")
+    assert len(caught.value.problems) == 1
+
+
+def test_all_faults_are_told_at_once(written, capsys):
+    path = written("store: {size_mb: -1, siz_mb: 3}\nlogging: {level: loud}")
+    assert cli.main(["check-config", str(path)]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert [line.split(": ")[2] for line in captured.err.splitlines()] == ["store.size_mb", "store.siz_mb", "logging.level"]
+
+
+def test_check_config_json(written, capsys):
+    path = written("sweep: {interval_s: 5}")
+    assert cli.main(["check-config", "--json", str(path)]) == 2
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["valid"] is False
+    assert answer["problems"] == [
+        {"where": f"{path}: sweep.interval_s", "problem": "5", "expected": "a number from 60 to 1000000 s"}
+    ]
+    assert cli.main(["check-config", "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["configuration"]["sweep"]["interval_s"] == EngineSettings().sweep.interval_s
+
+
+def test_check_config_prints_the_default(capsys):
+    assert cli.main(["check-config", "--defaults"]) == 0
+    assert yaml.safe_load(capsys.readouterr().out)["bus"]["interface"] == "socketcan"
+
+
+@pytest.mark.parametrize("key", ["machine_file", "parameter_file"])
+def test_a_missing_file_that_the_configuration_names_is_one_line(written, key, tmp_path):
+    with pytest.raises(InputError, match="No such file"):
+        configuration.load(written(f"{key}: absent.yaml"), {})
+
+
+def test_plate_range_of_the_machine_is_taken_exactly(written):
+    loaded = configuration.load(written("sweep: {angles_deg: [40, 90]}"), {})
+    assert math.degrees(loaded.machine.max_plate_angle_rad) == pytest.approx(90.0)
+
+
+def test_mutated_files_give_a_line_or_a_configuration():
+    finished = subprocess.run(
+        [sys.executable, str(ROOT / "tools" / "fuzz-config"), "--count", "250", "--seed", "1", "--json"],
+        capture_output=True, text=True, cwd=ROOT, check=False,
+    )  # fmt: skip
+    assert finished.returncode == 0, finished.stderr
+    counts = json.loads(finished.stdout)
+    assert counts["escapes"] == 0
+    assert min(counts["accepted"], counts["refused"]) > 25, "mutations must reach both sides"

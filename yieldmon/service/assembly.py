@@ -1,0 +1,35 @@
+"""Putting a monitor together from a configuration's parts: the same for the daemon, for logs and for simulated seasons."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.settings import EngineSettings
+from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.physics.machine import Machine
+from yieldmon.physics.model import ForwardModel
+
+
+def build_monitor(settings: EngineSettings, machine: Machine, parameters: ParameterSet) -> Monitor:
+    """A monitor that starts from these parameters."""
+    return Monitor(settings, machine, build_estimator(machine, parameters))
+
+
+def build_estimator(machine: Machine, parameters: ParameterSet) -> OpenLoop:
+    """The open loop with the effects that the parameters speak of."""
+    return OpenLoop(ForwardModel(machine, parameters.effects), parameters)
+
+
+def calibration_age_s(parameters: ParameterSet, now_s: float) -> float | None:
+    """Seconds from the date in the parameters' provenance (ISO 8601; UTC where it names no zone) to Unix time now_s.
+
+    None where there is no such date or it lies in the future.
+    """
+    try:
+        date = datetime.fromisoformat(parameters.provenance["date"])
+    except (KeyError, ValueError):
+        return None
+    age_s = now_s - (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
+    return age_s if age_s >= 0.0 else None

@@ -1,0 +1,274 @@
+"""From the configuration file, and the machine and parameter files that it names, to what the daemon runs with.
+
+Wrong files give one line for each fault: file, key, value, what was expected.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import os
+import types
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, Union, get_args, get_origin
+
+import can
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+
+from yieldmon.engine.settings import EngineSettings
+from yieldmon.errors import InputError
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.files import machine_file, parameter_file, strict_yaml
+from yieldmon.physics.machine import Machine
+from yieldmon.resources import shipped
+from yieldmon.service.document import ENGINE_SECTIONS, Document, Section
+from yieldmon.service.store import Retention
+
+DEFAULT_MACHINE = "config/machines/sprocket-8.yaml"
+DEFAULT_PARAMETERS = "config/parameters/corn.yaml"
+
+
+class ConfigurationError(InputError):
+    """A configuration that cannot be used. `problems` has a line for each fault; the text is the first of them."""
+
+    def __init__(self, problems: list[InputError]) -> None:
+        first = problems[0]
+        super().__init__(first.where, first.problem, first.expected)
+        self.problems = problems
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """All that the daemon runs with. Paths are absolute."""
+
+    path: Path
+    document: Document
+    engine: EngineSettings
+    machine: Machine
+    machine_path: Path
+    parameters: ParameterSet
+    parameter_path: Path
+    store_path: Path
+    retention: Retention
+    socket_path: Path
+    prometheus_path: Path | None
+
+
+def load(path: Path | str, environment: Mapping[str, str] = os.environ) -> Configuration:
+    """Configuration from the YAML file at `path`; an empty file is the default configuration.
+
+    `environment` gives the service manager's folders. Raises ConfigurationError, or InputError from the machine or
+    parameter file.
+    """
+    path = Path(path).absolute()
+    content = strict_yaml.load(path)
+    return build({} if content is None else content, path, environment)
+
+
+def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ) -> Configuration:
+    """Configuration from the content of the file at `path`, as load() does."""
+    try:
+        document = Document.model_validate(content)
+    except ValidationError as error:
+        raise ConfigurationError(_problems(error, str(path))) from error
+    machine_path = _beside(path, document.machine_file, DEFAULT_MACHINE)
+    parameter_path = _beside(path, document.parameter_file, DEFAULT_PARAMETERS)
+    machine = machine_file.load(machine_path)
+    problems = [InputError(f"{path}: {key}", *rest) for key, *rest in _contradictions(document, machine)]
+    if problems:
+        raise ConfigurationError(problems)
+    prometheus = document.status.prometheus_file
+    return Configuration(
+        path=path,
+        document=document,
+        engine=engine_settings(document),
+        machine=machine,
+        machine_path=machine_path,
+        parameters=parameter_file.load(parameter_path),
+        parameter_path=parameter_path,
+        store_path=state_folder(environment) / document.store.path,
+        retention=Retention(document.store.record_hours, document.store.size_mb, document.store.event_rows),
+        socket_path=runtime_folder(environment) / document.status.socket,
+        prometheus_path=state_folder(environment) / prometheus if prometheus is not None else None,
+    )
+
+
+def engine_settings(document: Document) -> EngineSettings:
+    """The engine's settings that a document asks for."""
+    defaults = EngineSettings()
+    sections = {}
+    for name in ENGINE_SECTIONS:
+        values = {
+            key: tuple(value) if isinstance(value, list) else value
+            for key, value in getattr(document, name).model_dump().items()
+        }
+        sections[name] = dataclasses.replace(getattr(defaults, name), **values)
+    return dataclasses.replace(defaults, **sections)
+
+
+def state_folder(environment: Mapping[str, str]) -> Path:
+    """Where a service keeps its data: systemd's StateDirectory, else the user's state folder."""
+    if "STATE_DIRECTORY" in environment:
+        return Path(environment["STATE_DIRECTORY"].partition(":")[0])
+    home = environment.get("HOME", "/var/lib")
+    return Path(environment.get("XDG_STATE_HOME") or Path(home) / ".local" / "state") / "yieldmon"
+
+
+def runtime_folder(environment: Mapping[str, str]) -> Path:
+    """Where a service keeps its socket: systemd's RuntimeDirectory, else the user's, else the state folder."""
+    if "RUNTIME_DIRECTORY" in environment:
+        return Path(environment["RUNTIME_DIRECTORY"].partition(":")[0])
+    if environment.get("XDG_RUNTIME_DIR"):
+        return Path(environment["XDG_RUNTIME_DIR"]) / "yieldmon"
+    return state_folder(environment)
+
+
+def document_text() -> str:
+    """The default configuration as YAML, with the meaning, range and unit of every key."""
+    lines = [
+        "# Configuration of yieldmon, with its defaults. Keys may be left out. Check a changed file with",
+        "# `yieldmon check-config FILE`; a running service takes it with `systemctl reload yieldmon`.",
+        "",
+    ]
+    for name, field in Document.model_fields.items():
+        value = getattr(Document(), name)
+        if isinstance(value, Section):
+            lines += ["", f"# {_first_line(type(value))}", f"{name}:"]
+            for key, inner in type(value).model_fields.items():
+                lines += [f"  # {_meaning(inner)}", f"  {key}: {_yaml(getattr(value, key))}"]
+        else:
+            lines += [f"# {_meaning(field)}", f"{name}: {_yaml(value)}"]
+    return "\n".join(lines) + "\n"
+
+
+def _beside(path: Path, name: str | None, default: str) -> Path:
+    return path.parent / name if name is not None else shipped(default)
+
+
+def _contradictions(document: Document, machine: Machine) -> Iterator[tuple[str, str, str]]:
+    """(key, value, expected) where keys that are right by themselves do not go together."""
+    if document.bus.interface not in can.VALID_INTERFACES:
+        yield "bus.interface", repr(document.bus.interface), f"one of {', '.join(sorted(can.VALID_INTERFACES))}"
+    gate = document.gate
+    if gate.grain_off_n > gate.grain_on_n:
+        yield "gate.grain_off_n", f"{gate.grain_off_n:g}", f"at most gate.grain_on_n, {gate.grain_on_n:g} N"
+    if gate.certain_force_n < gate.grain_on_n:
+        yield "gate.certain_force_n", f"{gate.certain_force_n:g}", f"at least gate.grain_on_n, {gate.grain_on_n:g} N"
+    windows = document.windows
+    if windows.min_coverage > windows.full_coverage:
+        expected = f"at most windows.full_coverage, {windows.full_coverage:g}"
+        yield "windows.min_coverage", f"{windows.min_coverage:g}", expected
+    low, high = (math.degrees(a) for a in (machine.min_plate_angle_rad, machine.max_plate_angle_rad))
+    for index, angle in enumerate(document.sweep.angles_deg):
+        # The range went through radians and back.
+        if not low - 1e-9 <= angle <= high + 1e-9:
+            yield f"sweep.angles_deg[{index}]", f"{angle:g}", f"{low:g} to {high:g} deg, the range of {machine.name}"
+    if len(set(document.sweep.angles_deg)) < len(document.sweep.angles_deg):
+        yield "sweep.angles_deg", "an angle appears twice", "different angles"
+
+
+def _problems(error: ValidationError, path: str) -> list[InputError]:
+    """A line for each key that is wrong; a union that fails in several ways counts once."""
+    problems: dict[str, InputError] = {}
+    for detail in error.errors(include_url=False):
+        keys, model, field = _place(detail["loc"])
+        place = "".join(f"[{k}]" if isinstance(k, int) else f".{k}" for k in keys).lstrip(".")
+        where = f"{path}: {place}" if place else path
+        if detail["type"] == "extra_forbidden":
+            near = difflib.get_close_matches(str(keys[-1]), list(model.model_fields), n=1)
+            known = near[0] if near else "one of " + ", ".join(model.model_fields)
+            problems.setdefault(where, InputError(where, "unknown key", known))
+        else:
+            problems.setdefault(where, InputError(where, _shown(detail["input"]), _expected(model, field)))
+    return list(problems.values())
+
+
+def _place(location: tuple[int | str, ...]) -> tuple[list[int | str], type[BaseModel], FieldInfo | None]:
+    """The keys of an error's place, the section it lies in, and the key's description (None: the section itself)."""
+    model: type[BaseModel] = Document
+    field: FieldInfo | None = None
+    keys: list[int | str] = []
+    for part in location:
+        if field is not None and not isinstance(part, int) and _origin(field.annotation) is not dict:
+            break  # pydantic names the member of a union here
+        keys.append(part)
+        if field is not None:
+            if not isinstance(part, int):
+                break
+            continue
+        found = model.model_fields.get(str(part))
+        if found is None:
+            break
+        if isinstance(found.annotation, type) and issubclass(found.annotation, BaseModel):
+            model = found.annotation
+        else:
+            field = found
+    return keys, model, field
+
+
+def _origin(annotation: Any) -> Any:
+    return get_origin(annotation) or annotation
+
+
+def _kinds(annotation: Any) -> tuple[Any, ...]:
+    return get_args(annotation) if get_origin(annotation) in (Union, types.UnionType) else (annotation,)
+
+
+def _limits(field: FieldInfo) -> tuple[Any, Any]:
+    low = next((m.ge for m in field.metadata if hasattr(m, "ge")), None)
+    high = next((m.le for m in field.metadata if hasattr(m, "le")), None)
+    return low, high
+
+
+def _unit(field: FieldInfo) -> str:
+    extra = field.json_schema_extra
+    unit = extra.get("unit", "") if isinstance(extra, dict) else ""
+    return "" if unit in ("", "1") else f" {unit}"
+
+
+def _expected(model: type[BaseModel], field: FieldInfo | None) -> str:
+    if field is None:
+        return "keys " + ", ".join(model.model_fields)
+    return " or ".join(_kind(kind, field) for kind in _kinds(field.annotation))
+
+
+def _kind(kind: Any, field: FieldInfo) -> str:
+    if kind in (int, float):
+        low, high = _limits(field)
+        span = "" if low is None else f" from {low:.10g} to {high:.10g}"
+        return f"a {'whole ' if kind is int else ''}number{span}{_unit(field)}"
+    if get_origin(kind) is Literal:
+        return "one of " + ", ".join(get_args(kind))
+    if _origin(kind) is list:
+        return f"a list of numbers, {_unit(field).strip()}"
+    words = {bool: "true or false", str: "a word", types.NoneType: "null", dict: "keys with plain values"}
+    return words[_origin(kind)]
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _first_line(model: type[BaseModel]) -> str:
+    return (model.__doc__ or "").splitlines()[0]
+
+
+def _meaning(field: FieldInfo) -> str:
+    low, high = _limits(field)
+    span = f"{low:.10g} to {high:.10g}{_unit(field)}" if low is not None else _unit(field).strip()
+    return f"{field.description} [{span}]" if span else str(field.description)
+
+
+def _yaml(value: Any) -> str:
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    if isinstance(value, list):
+        return "[" + ", ".join(_yaml(item) for item in value) + "]"
+    if isinstance(value, float):
+        return f"{value:.10g}"
+    return "{}" if value == {} else str(value)

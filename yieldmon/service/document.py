@@ -1,0 +1,345 @@
+"""The shape of the configuration file: sections and keys with type, range, unit and meaning.
+
+Defaults of the engine's keys are the engine's own. A key's unit is in its name; `quantity` repeats it for messages and
+for the comments of the shipped file.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from yieldmon.engine.settings import EngineSettings
+
+_ENGINE = EngineSettings()
+
+
+def quantity(default: Any, low: float, high: float, unit: str, meaning: str) -> Any:
+    """A number from `low` to `high`."""
+    return Field(default, ge=low, le=high, description=meaning, json_schema_extra={"unit": unit})
+
+
+def text(default: str | None, meaning: str, max_length: int = 200) -> Any:
+    """A word or path."""
+    return Field(default, max_length=max_length, pattern=r"^[^\x00-\x1f]*$", description=meaning)
+
+
+def choice(default: Any, meaning: str) -> Any:
+    """True or false, or one of a few words."""
+    return Field(default, description=meaning)
+
+
+class Section(BaseModel):
+    """Common rules: no unknown keys, no silent conversion, no infinities."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False, validate_default=True)
+
+
+class Bus(Section):
+    """The CAN bus, through python-can."""
+
+    interface: str = text("socketcan", "python-can interface: socketcan, udp_multicast, virtual, pcan, kvaser ...")
+    channel: str = text("can0", "channel of that interface")
+    bitrate_bit_s: int | None = quantity(
+        None,
+        10_000,
+        1_000_000,
+        "bit/s",
+        "for interfaces that set it; null leaves it alone (SocketCAN: the system sets it)",
+    )
+    options: dict[str, str | int | float | bool] = Field(
+        default_factory=dict, description="further options for that interface, as python-can names them"
+    )
+    receive_buffer_bytes: int = quantity(
+        4 * 1024 * 1024, 65_536, 64 * 1024 * 1024, "bytes", "SocketCAN receive buffer to ask the kernel for"
+    )
+    receive_queue_frames: int = quantity(20_000, 1_000, 1_000_000, "frames", "frames that may wait for the engine")
+    transmit_queue_frames: int = quantity(
+        200, 20, 10_000, "frames", "frames that may wait for the bus; the oldest go first"
+    )
+    idle_after_s: float = quantity(5.0, 0.5, 600.0, "s", "no frame at all for this long means that the bus is idle")
+
+
+class Store(Section):
+    """Records, totals and state on disk."""
+
+    path: str = text("yieldmon.sqlite", "file; relative paths are under the service's state folder")
+    record_hours: float = quantity(2000.0, 1.0, 1e5, "h", "hours of one-second records to keep")
+    size_mb: float = quantity(512.0, 16.0, 1e5, "MB", "limit for the file; the oldest one-second records make room")
+    event_rows: int = quantity(100_000, 100, 10_000_000, "rows", "sweeps, faults and tickets to keep, each")
+    pending_seconds: int = quantity(
+        3600, 10, 100_000, "s", "seconds to hold in memory while the disk fails; totals are kept for longer"
+    )
+
+
+class Status(Section):
+    """What the daemon tells on this machine."""
+
+    socket: str = text("yieldmon.sock", "UNIX socket of `yieldmon status`; relative paths are under the runtime folder")
+    group: str | None = text(None, "group that may use the socket (mode 0660); null: the daemon's user only (0600)")
+    prometheus_file: str | None = text(
+        None, "text file for Prometheus' node exporter, rewritten each interval; null: none"
+    )
+    prometheus_interval_s: float = quantity(15.0, 1.0, 3600.0, "s", "interval of that file")
+
+
+class Diagnostics(Section):
+    """J1939 DM1, active trouble codes."""
+
+    dm1_enabled: bool = choice(True, "send faults as DM1 beside YieldMonitorStatus")
+
+
+class Logging(Section):
+    """What goes to standard error, which the service manager keeps."""
+
+    level: Literal["debug", "info", "warning", "error"] = choice("info", "least severe message to show")
+
+
+_C = _ENGINE.clock
+
+
+class Clock(Section):
+    """Trust in the bus's time stamps."""
+
+    max_gap_s: float = quantity(
+        _C.max_gap_s, 2.0, 3600.0, "s", "longer forward steps between frames are a clock set forward"
+    )
+    backstep_tolerance_s: float = quantity(
+        _C.backstep_tolerance_s,
+        0.0,
+        1.0,
+        "s",
+        "longer backward steps are a clock set back, shorter ones frames out of order",
+    )
+
+
+_W = _ENGINE.windows
+
+
+class Windows(Section):
+    """The one-second results."""
+
+    max_ramp_s: float = quantity(_W.max_ramp_s, 0.1, 0.5, "s", "longest edge of a window")
+    min_coverage: float = quantity(
+        _W.min_coverage, 0.05, 1.0, "1", "share of a window below which no mean is published"
+    )
+    full_coverage: float = quantity(
+        _W.full_coverage, 0.5, 1.0, "1", "share of a window below which the result is degraded"
+    )
+    saturated_share: float = quantity(
+        _W.saturated_share, 0.0, 1.0, "1", "share of samples at the range's end that is too many"
+    )
+    plausible_full_scales: float = quantity(
+        _W.plausible_full_scales, 1.0, 100.0, "full scales", "a sample beyond this is no voltage the sensor can give"
+    )
+    paddle_scatter: float = quantity(
+        _W.paddle_scatter, 0.0, 1.0, "1", "expected scatter of one paddle's momentum over its mean"
+    )
+    scatter_prior_patterns: float = quantity(
+        _W.scatter_prior_patterns,
+        0.0,
+        1000.0,
+        "patterns",
+        "weight of that expectation, in repeats of the paddle pattern",
+    )
+    min_force_std_dev_n: float = quantity(
+        _W.min_force_std_dev_n, 0.0, 10.0, "N", "floor for the standard deviation of a window's mean force"
+    )
+
+
+_I = _ENGINE.inputs
+
+
+class Inputs(Section):
+    """How long the last value of an input may be used."""
+
+    sensor_timeout_s: float = quantity(_I.sensor_timeout_s, 0.01, 1.0, "s", "ImpactSensorSamples")
+    speed_timeout_s: float = quantity(_I.speed_timeout_s, 0.1, 10.0, "s", "ElevatorSpeed")
+    feedback_timeout_s: float = quantity(_I.feedback_timeout_s, 0.1, 10.0, "s", "PlateActuatorFeedback")
+    condition_timeout_s: float = quantity(_I.condition_timeout_s, 1.0, 600.0, "s", "GrainCondition")
+    scale_timeout_s: float = quantity(_I.scale_timeout_s, 1.0, 600.0, "s", "TankScale")
+    vehicle_timeout_s: float = quantity(_I.vehicle_timeout_s, 0.2, 600.0, "s", "HarvestState and vehicle speed")
+    held_angle_std_dev_deg: float = quantity(
+        _I.held_angle_std_dev_deg,
+        0.0,
+        30.0,
+        "deg",
+        "uncertainty of a resting plate's angle while its feedback is silent",
+    )
+
+
+_Z = _ENGINE.zero
+
+
+class Zero(Section):
+    """Zero-load voltage of the impact sensor."""
+
+    first_zero_windows: int = quantity(
+        _Z.first_zero_windows, 1, 60, "s", "empty seconds averaged for the first zero and by `yieldmon zero`"
+    )
+    first_pulse_limit_mv: float = quantity(
+        _Z.first_pulse_limit_mv, 0.1, 1000.0, "mV", "largest amplitude taken for vibration before any was learnt"
+    )
+    pulse_margin_mv: float = quantity(
+        _Z.pulse_margin_mv, 0.0, 1000.0, "mV", "excess over vibration that speaks of grain"
+    )
+    pulse_margin: float = quantity(
+        _Z.pulse_margin, 1.0, 100.0, "1", "the same as a factor; the larger of the two holds"
+    )
+    settle_windows: int = quantity(_Z.settle_windows, 0, 600, "s", "empty seconds before the zero follows")
+    follow_time_s: float = quantity(_Z.follow_time_s, 1.0, 3600.0, "s", "time constant of the following")
+    max_rate_mv_s: float = quantity(_Z.max_rate_mv_s, 0.0, 100.0, "mV/s", "fastest change of the zero")
+    max_step_mv: float = quantity(_Z.max_step_mv, 0.1, 4000.0, "mV", "an empty second further off moves nothing")
+    drift_limit_mv: float = quantity(
+        _Z.drift_limit_mv, 0.1, 4000.0, "mV", "distance from the first zero that is a fault"
+    )
+
+
+_G = _ENGINE.gate
+
+
+class Gate(Section):
+    """When flow is measured and when the machine is not harvesting."""
+
+    grain_on_n: float = quantity(
+        _G.grain_on_n, 0.01, 1000.0, "N", "mean force from which, with pulses, grain is present"
+    )
+    grain_off_n: float = quantity(_G.grain_off_n, 0.0, 1000.0, "N", "mean force below which grain is gone")
+    certain_force_n: float = quantity(
+        _G.certain_force_n, 0.1, 1000.0, "N", "mean force that means grain even without pulses"
+    )
+    off_windows: int = quantity(_G.off_windows, 1, 600, "s", "seconds without grain before the state is not harvesting")
+    emptying_s: float = quantity(_G.emptying_s, 0.0, 600.0, "s", "header up or standing for this long is not harvest")
+    min_ground_speed_m_s: float = quantity(_G.min_ground_speed_m_s, 0.0, 10.0, "m/s", "slower than this is standing")
+    min_turning_rpm: float = quantity(_G.min_turning_rpm, 0.0, 250.0, "rpm", "slower than this the elevator stands")
+
+
+_T = _ENGINE.totals
+
+
+class Totals(Section):
+    """Load and total mass."""
+
+    moisture_reference_pct: float = quantity(
+        _T.moisture_reference_pct, 0.0, 40.0, "%", "market moisture for dry mass, wet basis"
+    )
+    credit_below_reference: bool = choice(
+        _T.credit_below_reference,
+        "true: grain drier than that counts as more than its wet mass; false: as its wet mass",
+    )
+
+
+_P = _ENGINE.plate
+
+
+class Plate(Section):
+    """Limits on what the plate is told, inside the range of the machine file."""
+
+    max_rate_deg_s: float = quantity(_P.max_rate_deg_s, 0.5, 90.0, "deg/s", "fastest change of the target")
+    command_interval_s: float = quantity(_P.command_interval_s, 0.02, 1.0, "s", "between commands while driving")
+    at_target_tolerance_deg: float = quantity(
+        _P.at_target_tolerance_deg, 0.05, 5.0, "deg", "feedback this near is on target"
+    )
+
+
+_S = _ENGINE.sweep
+
+
+class Sweep(Section):
+    """Self-calibration sweeps of the plate."""
+
+    enabled: bool = choice(_S.enabled, "drive the plate at all")
+    interval_s: float = quantity(_S.interval_s, 60.0, 1e6, "s", "between sweeps")
+    first_after_s: float = quantity(_S.first_after_s, 0.0, 1e6, "s", "harvesting time before the first sweep")
+    angles_deg: list[float] = Field(
+        default=list(_S.angles_deg), min_length=1, max_length=50, description="angles to visit, in the machine's range",
+        json_schema_extra={"unit": "deg"},
+    )  # fmt: skip
+    home_every: int = quantity(_S.home_every, 1, 50, "angles", "the plate returns home after this many")
+    windows_per_step: int = quantity(_S.windows_per_step, 1, 60, "s", "seconds measured at each angle")
+    min_flow_kg_s: float = quantity(_S.min_flow_kg_s, 0.1, 25.0, "kg/s", "least flow for a sweep")
+    steady_windows: int = quantity(_S.steady_windows, 2, 600, "s", "seconds of steady flow before a sweep")
+    steady_cv: float = quantity(_S.steady_cv, 0.001, 1.0, "1", "largest standard deviation over mean in them")
+    flow_change: float = quantity(_S.flow_change, 0.01, 1.0, "1", "change of flow at home that ends a sweep")
+    flow_change_away: float = quantity(_S.flow_change_away, 0.01, 10.0, "1", "the same at other angles")
+    speed_change: float = quantity(_S.speed_change, 0.001, 1.0, "1", "change of elevator speed that ends a sweep")
+    move_margin_s: float = quantity(_S.move_margin_s, 0.1, 60.0, "s", "beyond travel / rate the plate is not following")
+    settle_s: float = quantity(_S.settle_s, 0.0, 60.0, "s", "time on target before measuring")
+    settle_timeout_s: float = quantity(_S.settle_timeout_s, 0.5, 120.0, "s", "longest wait for it")
+    measure_timeout_s: float = quantity(_S.measure_timeout_s, 1.0, 600.0, "s", "longest time at one angle")
+    signal_trend: float = quantity(
+        _S.signal_trend, 0.5, 100.0, "standard errors", "difference of a window's halves that is not yet settled"
+    )
+    return_timeout_s: float = quantity(_S.return_timeout_s, 0.5, 120.0, "s", "longest way home")
+    home_rest_s: float = quantity(_S.home_rest_s, 0.0, 600.0, "s", "rest away from home before the plate is taken home")
+    backoff_s: float = quantity(_S.backoff_s, 1.0, 1e5, "s", "wait after an aborted sweep; doubles up to the interval")
+    lying_log_ratio: float = quantity(
+        _S.lying_log_ratio, 0.05, 5.0, "1", "median |ln(flow at angle / at home)| that says the feedback is wrong"
+    )
+    max_std_dev_factor: float = quantity(
+        _S.max_std_dev_factor, 1.0, 10.0, "1", "widening of the standard deviation of flow away from home"
+    )
+
+
+_F = _ENGINE.faults
+
+
+class Faults(Section):
+    """Limits that belong to no other section."""
+
+    stuck_windows: int = quantity(
+        _F.stuck_windows, 1, 600, "s", "seconds of equal samples before the sensor counts as stuck"
+    )
+    calibration_old_s: float = quantity(_F.calibration_old_s, 3600.0, 1e9, "s", "age from which the calibration is old")
+    clock_jump_hold_windows: int = quantity(_F.clock_jump_hold_windows, 1, 3600, "s", "how long ClockJumped is shown")
+
+
+_A = _ENGINE.anchors
+
+
+class Anchors(Section):
+    """Reference masses from a tank scale."""
+
+    min_increment_kg: float = quantity(
+        _A.min_increment_kg, 10.0, 1e5, "kg", "least gain of the tank that is a reference"
+    )
+    scale_std_dev_kg: float = quantity(_A.scale_std_dev_kg, 0.1, 1e4, "kg", "standard deviation of the scale")
+    unloading_kg: float = quantity(_A.unloading_kg, 1.0, 1e4, "kg", "fall of the tank mass that is unloading")
+    keep: int = quantity(_A.keep, 1, 10_000, "references", "newest references to keep")
+
+
+class Document(Section):
+    """The whole file. Every key may be left out; its default is shown here."""
+
+    machine_file: str | None = choice(
+        None, "machine geometry; null: the shipped 8-tooth sprocket; relative to this file"
+    )
+    parameter_file: str | None = text(None, "grain parameters; null: the shipped corn; relative to this file")
+    bus: Bus = Bus()
+    store: Store = Store()
+    status: Status = Status()
+    diagnostics: Diagnostics = Diagnostics()
+    logging: Logging = Logging()
+    clock: Clock = Clock()
+    windows: Windows = Windows()
+    inputs: Inputs = Inputs()
+    zero: Zero = Zero()
+    gate: Gate = Gate()
+    totals: Totals = Totals()
+    plate: Plate = Plate()
+    sweep: Sweep = Sweep()
+    faults: Faults = Faults()
+    anchors: Anchors = Anchors()
+
+
+#: Sections that hand their keys to the engine's settings of the same name.
+ENGINE_SECTIONS = ("clock", "windows", "inputs", "zero", "gate", "totals", "plate", "sweep", "faults", "anchors")
+
+#: Settings of the engine that the protocol fixes; the file has no key for them.
+FIXED_BY_THE_FRAMES = frozenset(
+    {
+        "windows.window_s", "windows.sample_interval_s", "windows.samples_per_frame", "windows.sample_counter_modulus",
+        "windows.sample_counter_step", "plate.command_counter_modulus",
+    }
+)  # fmt: skip

@@ -1,0 +1,107 @@
+"""The transmit thread: frames go out in order; what cannot go in time does not go at all."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from time import monotonic
+
+import can
+
+_log = logging.getLogger(__name__)
+
+#: A frame older than this is not sent: a late plate command is worse than none, a late figure passes for a fresh one.
+MAX_AGE_S = 0.5
+_SEND_TIMEOUT_S = 0.2
+_FAILURE_HOLD_S = 2.0
+
+
+@dataclass(frozen=True)
+class TransmitCounters:
+    """Since start. `late` frames grew too old or did not fit in the queue; `failed` ones the bus refused."""
+
+    sent: int = 0
+    late: int = 0
+    failed: int = 0
+    last_failure: str = ""
+    last_failure_at_s: float = float("-inf")
+
+    def failing(self, now_s: float) -> bool:
+        """Whether a frame was refused within the last two seconds before now_s (monotonic)."""
+        return now_s - self.last_failure_at_s < _FAILURE_HOLD_S
+
+
+class Transmitter:
+    """Sends on its own thread, so that a full bus never holds up the engine."""
+
+    def __init__(
+        self, send: Callable[[can.Message, float | None], None], capacity: int, clock: Callable[[], float] = monotonic
+    ) -> None:
+        """send: sends one frame, waiting as long as its second argument says; raises can.CanError or OSError.
+        capacity: frames that may wait; beyond it the oldest go."""
+        self._send = send
+        self._clock = clock
+        self._capacity = capacity
+        self._queue: deque[tuple[float, can.Message]] = deque()
+        self._changed = threading.Condition()
+        self._stopping = False
+        self._counters = TransmitCounters()
+        self._thread = threading.Thread(target=self._run, name="can-transmitter", daemon=True)
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def submit(self, message: can.Message) -> None:
+        """Queue a frame; returns at once."""
+        with self._changed:
+            if len(self._queue) >= self._capacity:
+                self._queue.popleft()
+                self._counters = replace(self._counters, late=self._counters.late + 1)
+            self._queue.append((self._clock(), message))
+            self._changed.notify()
+
+    def stop(self) -> None:
+        """Send what is still fresh and end the thread."""
+        with self._changed:
+            self._stopping = True
+            self._changed.notify()
+        self._thread.join()
+
+    def counters(self) -> TransmitCounters:
+        """A consistent copy of the counters."""
+        with self._changed:
+            return self._counters
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._queue or self._stopping)
+                if not self._queue:
+                    return
+                queued_at_s, message = self._queue.popleft()
+            if self._clock() - queued_at_s > MAX_AGE_S:
+                self._count(late=1)
+                continue
+            try:
+                self._send(message, _SEND_TIMEOUT_S)
+            except (can.CanError, OSError, ValueError) as error:
+                self._count(failed=1, failure=str(error))
+            else:
+                self._count(sent=1)
+
+    def _count(self, sent: int = 0, late: int = 0, failed: int = 0, failure: str = "") -> None:
+        with self._changed:
+            before = self._counters
+            if failed and not before.failing(self._clock()):
+                _log.warning("transmit: %s", failure)
+            self._counters = TransmitCounters(
+                sent=before.sent + sent,
+                late=before.late + late,
+                failed=before.failed + failed,
+                last_failure=failure or before.last_failure,
+                last_failure_at_s=self._clock() if failed else before.last_failure_at_s,
+            )

@@ -1,0 +1,159 @@
+"""The store's own thread: takes batches from the engine's without ever making it wait, and outlasts a failing disk."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from yieldmon.service.store import Batch, BatchRefusedError, Store, StoreError
+
+_log = logging.getLogger(__name__)
+
+_RETRY_S = 2.0
+#: Commits between two rounds of making room.
+_PRUNE_EVERY = 60
+#: Events carried along from a batch whose record had to be given up.
+_EVENTS_KEPT = 1000
+
+
+@dataclass(frozen=True)
+class StoreHealth:
+    """`failing` says what is wrong, None while all is well. `pending` batches wait; `records_given_up` one-second
+    records were dropped because too many waited (their mass is in the totals); `batches_refused` broke the schema."""
+
+    failing: str | None = None
+    pending: int = 0
+    committed: int = 0
+    records_given_up: int = 0
+    batches_refused: int = 0
+
+
+class StoreWriter:
+    """Writes batches in order on its own thread; a batch is written once, whatever fails in between."""
+
+    def __init__(self, open_store: Callable[[], Store], capacity: int, retry_s: float = _RETRY_S) -> None:
+        """open_store: opens the store anew each time it is called. capacity: batches that may wait with their records;
+        beyond it the oldest gives up its record and hands its totals and events to the next."""
+        self._open_store = open_store
+        self._capacity = capacity
+        self._retry_s = retry_s
+        self._pending: deque[Batch] = deque()
+        self._changed = threading.Condition()
+        self._stopping = False
+        self._health = StoreHealth()
+        self._thread = threading.Thread(target=self._run, name="store-writer")
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def submit(self, batch: Batch) -> None:
+        """Hand over the next batch; returns at once."""
+        with self._changed:
+            self._pending.append(batch)
+            if len(self._pending) > self._capacity:
+                oldest, following = self._pending.popleft(), self._pending.popleft()
+                self._pending.appendleft(_without_record(oldest, following))
+                given_up = self._health.records_given_up + len(oldest.seconds)
+                self._health = replace(self._health, records_given_up=given_up)
+            self._changed.notify_all()
+
+    def health(self) -> StoreHealth:
+        """How the store does."""
+        with self._changed:
+            return replace(self._health, pending=len(self._pending))
+
+    def wait_until_written(self, timeout_s: float) -> bool:
+        """Wait until nothing is pending; False when that takes longer than timeout_s seconds."""
+        with self._changed:
+            return self._changed.wait_for(lambda: not self._pending, timeout_s)
+
+    def stop(self) -> None:
+        """Write what is pending, once more if the disk fails, and end the thread."""
+        with self._changed:
+            self._stopping = True
+            self._changed.notify_all()
+        self._thread.join()
+
+    def _run(self) -> None:
+        store: Store | None = None
+        while self._wait_for_work():
+            try:
+                store = store or self._open_store()
+                self._write(store)
+            except StoreError as error:
+                self._failed(str(error))
+                if store is not None:
+                    store.close()
+                    store = None
+                if self._wait_before_retry():
+                    break
+        if store is not None:
+            store.close()
+
+    def _wait_for_work(self) -> bool:
+        with self._changed:
+            self._changed.wait_for(lambda: self._pending or self._stopping)
+            return bool(self._pending)
+
+    def _wait_before_retry(self) -> bool:
+        """True when the service is to stop: what is still pending is lost."""
+        with self._changed:
+            stopping = self._changed.wait_for(lambda: self._stopping, self._retry_s)
+            if stopping:
+                _log.error("%d batches could not be written", len(self._pending))
+            return stopping
+
+    def _write(self, store: Store) -> None:
+        with self._changed:
+            batches = tuple(self._pending)
+        try:
+            store.commit(batches)
+            done, refused = len(batches), 0
+        except BatchRefusedError as error:
+            done, refused = self._write_singly(store, batches), 1
+            _log.error("%s; the record is left out", error)
+        with self._changed:
+            # submit() may have merged the oldest batches into one meanwhile; numbers tell which are written.
+            last = batches[done + refused - 1].number
+            while self._pending and self._pending[0].number <= last:
+                self._pending.popleft()
+            if self._health.failing:
+                _log.info("%s: writing again", store.path)
+            committed = self._health.committed + done
+            self._health = replace(
+                self._health, failing=None, committed=committed, batches_refused=self._health.batches_refused + refused
+            )
+            self._changed.notify_all()
+        if committed // _PRUNE_EVERY != (committed - done) // _PRUNE_EVERY:
+            store.prune()
+
+    def _write_singly(self, store: Store, batches: tuple[Batch, ...]) -> int:
+        """Number of batches written before the first that the store refuses."""
+        for count, batch in enumerate(batches):
+            try:
+                store.commit([batch])
+            except BatchRefusedError:
+                return count
+        return len(batches)
+
+    def _failed(self, problem: str) -> None:
+        with self._changed:
+            if self._health.failing != problem:
+                _log.error("%s; measuring goes on, %d seconds wait", problem, len(self._pending))
+            self._health = replace(self._health, failing=problem)
+
+
+def _without_record(oldest: Batch, following: Batch) -> Batch:
+    return replace(
+        following,
+        loads=oldest.loads + following.loads,
+        sweeps=(oldest.sweeps + following.sweeps)[-_EVENTS_KEPT:],
+        parameter_versions=(oldest.parameter_versions + following.parameter_versions)[-_EVENTS_KEPT:],
+        faults=(oldest.faults + following.faults)[-_EVENTS_KEPT:],
+        tickets=oldest.tickets + following.tickets,
+        counters={**oldest.counters, **following.counters},
+    )
