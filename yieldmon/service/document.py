@@ -312,7 +312,7 @@ class Anchors(Section):
 class Document(Section):
     """The whole file. Every key may be left out; its default is shown here."""
 
-    machine_file: str | None = choice(
+    machine_file: str | None = text(
         None, "machine geometry; null: the shipped 8-tooth sprocket; relative to this file"
     )
     parameter_file: str | None = text(None, "grain parameters; null: the shipped corn; relative to this file")
