@@ -1,0 +1,144 @@
+"""Arguments that several verbs share: machine, parameters, changes to them, lists of numbers."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from math import isfinite
+
+import numpy as np
+
+from yieldmon.errors import InputError
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.files import machine_file, parameter_file
+from yieldmon.files.parameter_file import GRAIN_LIMITS
+from yieldmon.files.table import Table
+from yieldmon.physics.effects import effect_parameter, get_effect
+from yieldmon.physics.machine import Machine
+from yieldmon.physics.numerics import Array
+
+RESPONSE = "response"
+"""response_unit of parameters fitted to a table of `response`; N, and kg m/s per paddle, go together as "N"."""
+
+
+def add_model_arguments(parser: argparse.ArgumentParser) -> None:
+    """--machine, --params and --set."""
+    parser.add_argument("--machine", metavar="F", help="machine file (YAML); default: the 8-tooth machine")
+    parser.add_argument("--params", metavar="F", help="parameter file (YAML); default: the shipped corn")
+    add_set_argument(parser)
+
+
+def add_set_argument(parser: argparse.ArgumentParser) -> None:
+    """--set name=value, any number of times."""
+    parser.add_argument(
+        "--set",
+        metavar="NAME=VALUE",
+        action="append",
+        default=[],
+        help="change one parameter, e.g. friction=0.3 or gravity.acceleration_m_s2=9.81 (which adds the effect)",
+    )
+
+
+def machine(args: argparse.Namespace) -> Machine:
+    """The machine that the arguments name."""
+    return machine_file.load(args.machine)
+
+
+def parameters(args: argparse.Namespace) -> ParameterSet:
+    """The parameters that the arguments name, with --set applied."""
+    return with_values(parameter_file.load(args.params), assignments(args.set, "--set"))
+
+
+def assignments(texts: Iterable[str], option: str) -> dict[str, float]:
+    """name=value texts as a mapping. Raises InputError for a bad one."""
+    out: dict[str, float] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise InputError(option, f"is {text!r}", "NAME=VALUE")
+        out[name.strip()] = finite(value, f"{option} {name.strip()}")
+    return out
+
+
+def finite(text: str, where: str) -> float:
+    """A finite number. Raises InputError."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = np.nan
+    if not isfinite(number):
+        raise InputError(where, f"is {text.strip()!r}", "a finite number")
+    return number
+
+
+def check_parameter(name: str, value: float, where: str) -> None:
+    """Raises InputError for a name that does not exist or a value outside its limits."""
+    if "." in name:
+        try:
+            known = effect_parameter(name)
+        except ValueError as error:
+            raise InputError(where, str(error)) from error
+        unit, low, high = known.unit, known.lower, known.upper
+    elif name in GRAIN_LIMITS:
+        unit, low, high = GRAIN_LIMITS[name]
+    else:
+        raise InputError(where, f"{name} is not a parameter", f"one of {', '.join(GRAIN_LIMITS)} or effect.parameter")
+    if not low <= value <= high:
+        raise InputError(f"{where} {name}", f"is {value:g}", f"{low:g} to {high:g} {unit}".rstrip())
+
+
+def with_values(known: ParameterSet, changes: Mapping[str, float], where: str = "--set") -> ParameterSet:
+    """The set with some values replaced; they count as exactly known.
+
+    A name of an effect that the set lacks adds that effect, its other parameters without effect; restitution replaces k1 and k2
+    and the other way round. Raises InputError.
+    """
+    if not changes:
+        return known
+    values = dict(known.values)
+    for name, value in changes.items():
+        check_parameter(name, value, where)
+        if name == "restitution":
+            values = {k: v for k, v in values.items() if k not in ("k1", "k2")}
+        elif name in ("k1", "k2"):
+            values.pop("restitution", None)
+        elif "." in name:
+            effect = name.partition(".")[0]
+            for parameter in get_effect(effect).parameters:
+                values.setdefault(f"{effect}.{parameter.name}", parameter.null)
+        values[name] = value
+    kept = tuple(n for n in known.covariance_names if n in values and n not in changes)
+    try:
+        return replace(known, values=values, covariance_names=kept, covariance=known.covariance_of(kept))
+    except ValueError as error:
+        raise InputError(where, str(error)) from error
+
+
+def numbers(texts: Sequence[str], option: str) -> Array:
+    """Numbers from words such as `2 5 9`, `2,5,9` or `40:90:5` (first:last:step, last included). Raises InputError."""
+    out: list[float] = []
+    for text in (part for word in texts for part in word.split(",") if part.strip()):
+        bounds = [finite(part, option) for part in text.split(":")]
+        if len(bounds) == 1:
+            out += bounds
+        elif len(bounds) == 3 and bounds[2] > 0.0 and bounds[1] >= bounds[0]:
+            count = int(np.floor((bounds[1] - bounds[0]) / bounds[2] * (1.0 + 1e-12) + 1e-9)) + 1
+            if count > 1_000_000:
+                raise InputError(option, f"is {text!r}, {count} numbers", "at most a million")
+            out += [bounds[0] + i * bounds[2] for i in range(count)]
+        else:
+            raise InputError(option, f"is {text!r}", "a number, or first:last:step with a step above 0")
+    if not out:
+        raise InputError(option, "is empty", "numbers")
+    return np.array(out)
+
+
+def check_unit(known: ParameterSet, data: Table) -> None:
+    """Raises InputError when the parameters' scale is not that of the table's reading."""
+    unit = RESPONSE if data.reading == RESPONSE else "N"
+    if known.response_unit != unit:
+        raise InputError(
+            data.path, f"holds {data.reading}, but the parameters are in the unit {known.response_unit!r}",
+            f"parameters in {unit!r} (calibrate them on this kind of reading)",
+        )

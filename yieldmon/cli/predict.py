@@ -1,0 +1,70 @@
+"""Forward model: momentum per paddle and mean force for lists of mass flow, plate angle and elevator speed."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import sys
+
+import numpy as np
+
+from yieldmon.cli import model_options
+from yieldmon.errors import InputError
+from yieldmon.physics.machine import RPM
+from yieldmon.physics.model import Conditions, ForwardModel
+
+COLUMNS = ("mass_flow_kg_s", "plate_angle_deg", "elevator_speed_rpm", "paddle_mass_kg", "paddle_momentum_kg_m_s", "force_n")
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """The verb's arguments."""
+    parser = subparsers.add_parser("predict", help="force from mass flow", description=__doc__)
+    parser.add_argument("--mass-flow", nargs="+", required=True, metavar="KG_S", help="e.g. 2,5,9 or 2:26:1 (kg/s)")
+    parser.add_argument("--plate-angle", nargs="+", metavar="DEG", help="e.g. 40:90:5 (deg); default: home")
+    parser.add_argument("--elevator-speed", nargs="+", metavar="RPM", help="default: the machine's nominal speed")
+    parser.add_argument("--moisture", type=float, metavar="PCT", help="for effects that need it (%%)")
+    model_options.add_model_arguments(parser)
+    parser.add_argument("--json", action="store_true", help='one JSON document, {"rows": [...]}; default: CSV')
+
+
+def run(args: argparse.Namespace) -> int:
+    """One row for each combination, mass flow varying slowest."""
+    machine, known = model_options.machine(args), model_options.parameters(args)
+    flow = model_options.numbers(args.mass_flow, "--mass-flow")
+    angle = (
+        np.degrees([machine.home_plate_angle_rad])
+        if args.plate_angle is None
+        else model_options.numbers(args.plate_angle, "--plate-angle")
+    )
+    speed = (
+        np.array([machine.nominal_elevator_speed_rad_s / RPM])
+        if args.elevator_speed is None
+        else model_options.numbers(args.elevator_speed, "--elevator-speed")
+    )
+    _check(flow >= 0.0, flow, "--mass-flow", "0 kg/s or more")
+    _check((angle > 0.0) & (angle < 180.0), angle, "--plate-angle", "0 to 180 deg, both excluded")
+    _check(speed > 0.0, speed, "--elevator-speed", "above 0 rpm")
+    grid = np.meshgrid(flow, angle, speed, indexing="ij")
+    flow, angle, speed = (axis.ravel() for axis in grid)
+    conditions = Conditions(np.radians(angle), speed * RPM, mass_flow_kg_s=flow, moisture_pct=args.moisture)
+    try:
+        model = ForwardModel(machine, known.effects)
+        momentum = model.paddle_momentum(conditions, known.values)
+    except ValueError as error:
+        raise InputError("predict", str(error)) from error
+    passes = speed * RPM * machine.sprocket_pitch_radius_m / machine.paddle_spacing_m
+    table = np.stack((flow, angle, speed, flow / passes, momentum, momentum * passes), axis=-1).tolist()
+    if args.json:
+        rows = [dict(zip(COLUMNS, row, strict=True)) for row in table]
+        print(json.dumps({"machine": machine.name, "parameters": dict(known.values), "rows": rows}, indent=1))
+    else:
+        writer = csv.writer(sys.stdout, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        writer.writerows([f"{value:.10g}" for value in row] for row in table)
+    return 0
+
+
+def _check(good: np.ndarray, values: np.ndarray, option: str, expected: str) -> None:
+    if not np.all(good):
+        raise InputError(option, f"is {values[np.argmin(good)]:g}", expected)
