@@ -1,0 +1,179 @@
+"""A pulse train and its frames, simple enough to know the answer: for the engine's tests only.
+
+Force per paddle is proportional to its mass, so with `ForceProportional` the flow is known exactly whatever the physics.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from yieldmon import frames as bus
+from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.settings import EngineSettings
+from yieldmon.estimation.open_loop import FlowEstimate, FlowStatus
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.frames import Frame
+from yieldmon.physics.machine import RPM, Machine
+
+MACHINE = Machine()
+HOME_DEG = 70.0
+ZERO_MV = 150.0
+N_PER_KG_S = 4.0
+FULL_FLOW_KG_S = 30.0
+
+PARAMETERS = ParameterSet(values={"friction": 0.2, "density": 1100.0, "shape_ratio": 2.0, "restitution": 0.6})
+
+
+@dataclass
+class ForceProportional:
+    """mass flow = force / N_PER_KG_S at home, growing by 1 % of it per degree towards 90; above 30 kg/s it is saturated."""
+
+    parameters: ParameterSet = PARAMETERS
+    relative_std_dev: float = 0.01
+    calls: int = 0
+
+    def estimate(
+        self,
+        force_n: ArrayLike,
+        plate_angle_rad: ArrayLike,
+        elevator_speed_rad_s: ArrayLike,
+        force_std_dev_n: ArrayLike = 0.0,
+        moisture_pct: ArrayLike | None = None,
+    ) -> FlowEstimate:
+        self.calls += 1
+        force, noise = np.asarray(force_n, dtype=float), np.asarray(force_std_dev_n, dtype=float)
+        gain = N_PER_KG_S * angle_factor(np.degrees(np.asarray(plate_angle_rad, dtype=float)))
+        flow = np.maximum(force / gain, 0.0)
+        std_dev = np.hypot(noise / gain, self.relative_std_dev * flow)
+        status = np.where(flow <= 0.0, FlowStatus.NO_GRAIN, FlowStatus.OK)
+        status = np.where(flow > FULL_FLOW_KG_S, FlowStatus.SATURATED, status)
+        status = np.where(np.isfinite(flow + std_dev), status, FlowStatus.NOT_AVAILABLE)
+        known = (status != FlowStatus.SATURATED) & (status != FlowStatus.NOT_AVAILABLE)
+        return FlowEstimate(np.where(known, flow, np.nan), np.where(known, std_dev, np.nan), status)
+
+
+def angle_factor(angle_deg: Any) -> Any:
+    """Force at an angle over force at home."""
+    return 1.0 + 0.01 * (angle_deg - HOME_DEG)
+
+
+@dataclass
+class Bench:
+    """Frames of an elevator with known flow. flow, rpm, angle are functions of time (s); pulses are Gaussian.
+
+    Times start at start_s. Noise and scatter come from the seed. `drop` says which sample frames never arrive (by their index).
+    """
+
+    flow: Callable[[float], float] = lambda time_s: 0.0
+    rpm: Callable[[float], float] = lambda time_s: 400.0
+    angle: Callable[[float], float] = lambda time_s: HOME_DEG
+    zero: Callable[[float], float] = lambda time_s: ZERO_MV
+    start_s: float = 1000.0
+    noise_mv: float = 0.5
+    scatter: float = 0.0
+    shaft_vibration_mv: float = 0.0
+    pulse_std_dev_s: float = 0.012
+    seed: int = 1
+    drop: Callable[[int], bool] = lambda index: False
+    machine: Machine = field(default_factory=Machine)
+
+    def force_mv(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Sensor voltage above zero: one pulse a paddle, its momentum that of the flow when it passes."""
+        machine, gain = self.machine, N_PER_KG_S / self.machine.sensor.gain_n_per_mv
+        generator = np.random.default_rng(self.seed)
+        grid = np.arange(times_s[0] - 0.5, times_s[-1] + 0.5, 0.001)
+        chain = np.cumsum([machine.paddle_speed_m_s(self.rpm(t) * RPM) for t in grid]) * 0.001
+        voltage = np.zeros_like(times_s)
+        marks = []
+        position = 0.0
+        index = 0
+        spacings = machine.paddle_spacings_m
+        while position < chain[-1]:
+            marks.append((position, spacings[index % len(spacings)]))
+            position += spacings[index % len(spacings)]
+            index += 1
+        for place, spacing in marks:
+            at = float(np.interp(place, chain, grid))
+            mass = max(0.0, self.flow(at)) * spacing / machine.paddle_speed_m_s(self.rpm(at) * RPM)
+            mass *= 1.0 + self.scatter * generator.standard_normal()
+            low, high = np.searchsorted(times_s, (at - 6 * self.pulse_std_dev_s, at + 6 * self.pulse_std_dev_s))
+            shape = np.exp(-0.5 * ((times_s[low:high] - at) / self.pulse_std_dev_s) ** 2)
+            height = mass * gain * angle_factor(self.angle(at)) / (self.pulse_std_dev_s * (2 * np.pi) ** 0.5)
+            voltage[low:high] += height * shape
+        shaft = np.interp(times_s, grid, chain / machine.sprocket_pitch_radius_m)
+        return voltage + self.shaft_vibration_mv * np.sin(shaft)
+
+    def sample_frames(self, seconds: float) -> dict[str, NDArray[np.float64]]:
+        """Sample frames as arrays: times (n,), millivolts (n, 4), counters, statuses."""
+        count = round(seconds * 250)
+        times = self.start_s + 0.004 * np.arange(1, count + 1)
+        sample_times = self.start_s + 0.001 * np.arange(1, 4 * count + 1)
+        generator = np.random.default_rng(self.seed + 1)
+        zero = np.array([self.zero(t) for t in times]).repeat(4)
+        values = self.force_mv(sample_times) + zero + self.noise_mv * generator.standard_normal(4 * count)
+        quantised = np.round(values * 2.0) / 2.0
+        keep = np.array([not self.drop(i) for i in range(count)])
+        return {
+            "times_s": times[keep],
+            "millivolts": quantised.reshape(-1, 4)[keep],
+            "counters": (np.arange(count) % 256).astype(float)[keep],
+            "statuses": np.zeros(count)[keep],
+        }
+
+    def frames(self, seconds: float) -> list[Frame]:
+        """All input frames in order of time."""
+        samples = self.sample_frames(seconds)
+        out = [
+            sample_frame(t, mv, c)
+            for t, mv, c in zip(samples["times_s"].tolist(), samples["millivolts"].tolist(), samples["counters"].tolist(), strict=True)
+        ]
+        out += list(self.slow_frames(seconds))
+        return sorted(out, key=lambda frame: frame.time_s)
+
+    def slow_frames(self, seconds: float) -> Iterator[Frame]:
+        """Speed at 10 Hz and plate feedback at 20 Hz."""
+        for i in range(round(seconds * 10)):
+            t = self.start_s + 0.0011 + 0.1 * i
+            yield Frame(t, bus.ELEVATOR_SPEED, {"ElevatorSpeed": round(self.rpm(t) / 0.125) * 0.125})
+        for i in range(round(seconds * 20)):
+            t = self.start_s + 0.0021 + 0.05 * i
+            yield Frame(t, bus.PLATE_ACTUATOR_FEEDBACK, {"PlateAngle": self.angle(t), "ActuatorState": 0})
+
+
+def sample_frame(time_s: float, millivolts: list[float], counter: float, status: int = 0) -> Frame:
+    """One ImpactSensorSamples frame."""
+    signals: dict[str, bus.Value] = {f"Sample{i}": value for i, value in enumerate(millivolts)}
+    signals["SampleCounter"] = int(counter)
+    signals["SensorStatus"] = status
+    return Frame(time_s, bus.IMPACT_SENSOR_SAMPLES, signals)
+
+
+def monitor(settings: EngineSettings | None = None, **options: Any) -> Monitor:
+    """A monitor with the proportional estimator."""
+    return Monitor(settings or EngineSettings(), MACHINE, options.pop("estimator", ForceProportional()), **options)
+
+
+def feed(target: Monitor, frames: list[Frame]) -> list[Frame]:
+    """Feed frames one by one; returns all output."""
+    return [sent for frame in frames for sent in target.feed(frame)]
+
+
+def only(frames: list[Frame], message: str) -> list[Frame]:
+    """Frames of one message."""
+    return [frame for frame in frames if frame.message == message]
+
+
+def flows(frames: list[Frame]) -> list[float]:
+    """MassFlowRate of each window, nan where it is not available."""
+    rates = (frame.signals["MassFlowRate"] for frame in only(frames, bus.MASS_FLOW))
+    return [float(rate) if isinstance(rate, (int, float)) else float("nan") for rate in rates]
+
+
+def qualities(frames: list[Frame]) -> list[bus.EstimateQuality]:
+    """EstimateQuality of each window."""
+    return [bus.EstimateQuality(frame.signals["EstimateQuality"]) for frame in only(frames, bus.MASS_FLOW)]

@@ -1,0 +1,69 @@
+"""Bus time to engine time: the same while the bus's clock runs, and continuous when it is set.
+
+Engine time never runs back and never jumps. A step of the bus's clock changes the offset between the two and nothing else, so
+windows, time-outs and totals go on as if the clock had not been touched.
+"""
+
+from __future__ import annotations
+
+from math import isfinite
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.engine.settings import ClockSettings
+
+_LARGEST_TIME_S = 1e11
+"""Beyond this a double no longer resolves a sample interval well."""
+
+
+class BusClock:
+    """Maps bus time stamps (s, any epoch) to engine time (s)."""
+
+    def __init__(self, settings: ClockSettings) -> None:
+        self._settings = settings
+        self.offset_s = 0.0
+        self.now_s: float | None = None
+        """Latest engine time; None before the first frame."""
+        self.jumps = 0
+        self.unusable = 0
+
+    def engine_time(self, bus_time_s: float) -> float | None:
+        """Engine time of a frame and advance to it; None when the time stamp is not a usable number.
+
+        A frame out of order by less than the tolerance gets its own, earlier time and does not move `now_s`.
+        """
+        if not isfinite(bus_time_s) or abs(bus_time_s) > _LARGEST_TIME_S:
+            self.unusable += 1
+            return None
+        now = self.now_s
+        time_s = bus_time_s + self.offset_s
+        if now is None:
+            self.now_s = time_s
+            return time_s
+        step = time_s - now
+        if step >= 0.0:
+            if step > self._settings.max_gap_s:
+                self._absorb(bus_time_s, now)
+                return now
+            self.now_s = time_s
+            return time_s
+        if step < -self._settings.backstep_tolerance_s:
+            self._absorb(bus_time_s, now)
+            return now
+        return time_s
+
+    def regular(self, bus_times_s: NDArray[np.float64]) -> bool:
+        """Whether the times run on from now without a backward step or a jump, so that a block needs no frame-by-frame care."""
+        if self.now_s is None or bus_times_s.size == 0:
+            return False
+        steps = np.diff(bus_times_s + self.offset_s, prepend=self.now_s)
+        return bool(np.all((steps >= 0.0) & (steps <= self._settings.max_gap_s)))
+
+    def bus_time(self, engine_time_s: float) -> float:
+        """Bus time stamp for something that happens at an engine time."""
+        return engine_time_s - self.offset_s
+
+    def _absorb(self, bus_time_s: float, now_s: float) -> None:
+        self.offset_s = now_s - bus_time_s
+        self.jumps += 1

@@ -1,0 +1,203 @@
+"""Every number the engine uses, as frozen dataclasses with units in the names.
+
+The defaults are those of the shipped configuration; `service.configuration` builds these from YAML after it has checked ranges.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from yieldmon.frames import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
+
+
+@dataclass(frozen=True, slots=True)
+class ClockSettings:
+    """What the engine believes about the bus's time stamps."""
+
+    max_gap_s: float = 60.0
+    """A longer forward step between two frames is a clock jump (or a hole in a log), not a silent bus."""
+    backstep_tolerance_s: float = 0.1
+    """A smaller backward step is frames out of order; a larger one is a clock set back."""
+
+
+@dataclass(frozen=True, slots=True)
+class WindowSettings:
+    """Forming of the one-second results."""
+
+    window_s: float = 1.0
+    """Fixed: MassFlow is a 1 Hz message."""
+    sample_interval_s: float = SAMPLE_INTERVAL_S
+    samples_per_frame: int = SAMPLES_PER_FRAME
+    sample_counter_modulus: int = 256
+    """SampleCounter counts frames, 0 .. modulus - 1."""
+    max_ramp_s: float = 0.5
+    """Longest window edge. Below the speed at which one paddle pattern takes this long the edge is a ramp of this length."""
+    min_coverage: float = 0.2
+    """Below this share of a window's weight its mean is not published; what was measured still counts in the totals."""
+    full_coverage: float = 0.98
+    """Below this share the result is marked as degraded."""
+    saturated_share: float = 0.01
+    """Share of a window's samples at the end of the sensor's range from which the window counts as saturated."""
+    plausible_full_scales: float = 4.0
+    """A sample beyond this many full scales is no voltage the sensor can give; it is not used."""
+    paddle_scatter: float = 0.07
+    """Prior for the standard deviation of one paddle's momentum, as a share of its mean."""
+    scatter_prior_patterns: float = 6.0
+    """Weight of that prior, in paddle patterns, against the scatter seen within the window."""
+    min_force_std_dev_n: float = 0.05
+    """Floor for the standard deviation of a window's mean force, N (electrical noise, zero)."""
+
+
+@dataclass(frozen=True, slots=True)
+class InputSettings:
+    """How long an input's last value may be used: ten of its periods."""
+
+    sensor_timeout_s: float = 0.04
+    speed_timeout_s: float = 1.0
+    feedback_timeout_s: float = 0.5
+    condition_timeout_s: float = 10.0
+    scale_timeout_s: float = 10.0
+    vehicle_timeout_s: float = 2.0
+    held_angle_std_dev_deg: float = 1.0
+    """Uncertainty of the last known plate angle while the feedback is silent and the plate was at rest, deg."""
+
+
+@dataclass(frozen=True, slots=True)
+class ZeroSettings:
+    """Zero-load voltage. The elevator is taken to run empty while the paddle-synchronous signal is no more than vibration."""
+
+    first_zero_windows: int = 3
+    """Empty windows averaged for the first zero and by the operator's zero calibration."""
+    first_pulse_limit_mv: float = 5.0
+    """Largest paddle-synchronous amplitude taken for vibration before any has been learnt, mV."""
+    pulse_margin_mv: float = 1.5
+    """Excess over the learnt vibration from which the amplitude speaks of grain, mV."""
+    pulse_margin: float = 1.5
+    """The same as a factor on the learnt vibration; the larger of the two margins holds."""
+    settle_windows: int = 5
+    """Empty windows in a row before the zero follows (grain of the last load leaves the elevator first)."""
+    follow_time_s: float = 20.0
+    """Time constant of the following."""
+    max_rate_mv_s: float = 0.2
+    """Fastest change of the zero, mV/s."""
+    max_step_mv: float = 20.0
+    """An empty window further than this from the zero moves nothing: something other than drift has happened."""
+    drift_limit_mv: float = 40.0
+    """Distance from the first zero from which the fault ZeroDrifted is raised, mV."""
+
+
+@dataclass(frozen=True, slots=True)
+class GateSettings:
+    """When flow is measured and when the machine is not harvesting."""
+
+    grain_on_n: float = 1.0
+    """Mean force from which, with paddle pulses, grain is present, N."""
+    grain_off_n: float = 0.5
+    """Mean force below which grain is gone, N."""
+    certain_force_n: float = 10.0
+    """Mean force that means grain even without pulses, N."""
+    off_windows: int = 3
+    """Windows without grain before the state changes to not harvesting."""
+    emptying_s: float = 20.0
+    """With the header up or the machine standing for this long, what is left of a signal is not harvest."""
+    min_ground_speed_m_s: float = 0.3
+    min_turning_rpm: float = 50.0
+    """Below this the elevator stands."""
+
+
+@dataclass(frozen=True, slots=True)
+class TotalsSettings:
+    """Load and total mass."""
+
+    moisture_reference_pct: float = 15.5
+    """Market moisture for dry mass, % wet basis (corn)."""
+    credit_below_reference: bool = False
+    """True: grain drier than the reference counts as more than its wet mass; False: its dry mass is its wet mass."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlateSettings:
+    """Limits on what the plate can be told. The range itself is the machine's."""
+
+    max_rate_deg_s: float = 20.0
+    command_interval_s: float = 0.1
+    at_target_tolerance_deg: float = 0.5
+    command_counter_modulus: int = 256
+
+
+@dataclass(frozen=True, slots=True)
+class SweepSettings:
+    """Self-calibration sweeps of the plate."""
+
+    enabled: bool = True
+    interval_s: float = 1800.0
+    first_after_s: float = 120.0
+    """Time from the start to the first sweep."""
+    angles_deg: tuple[float, ...] = (40.0, 45.0, 50.0, 55.0, 60.0, 65.0, 75.0, 80.0, 85.0, 90.0)
+    home_every: int = 2
+    """The plate returns home after this many angles, so that home windows bracket the flow."""
+    windows_per_step: int = 2
+    min_flow_kg_s: float = 4.0
+    steady_windows: int = 8
+    """Windows over which the flow must have been steady before a sweep starts."""
+    steady_cv: float = 0.08
+    """Largest standard deviation over mean of those windows."""
+    flow_change: float = 0.25
+    """Change of the home-angle flow against the start of the sweep that ends it."""
+    flow_change_away: float = 0.6
+    """The same at other angles, where the estimate leans on the parameters under test."""
+    speed_change: float = 0.06
+    move_margin_s: float = 3.0
+    """Time beyond travel / rate after which the actuator is not following."""
+    settle_s: float = 0.5
+    """Time the feedback must stay on target."""
+    settle_timeout_s: float = 6.0
+    measure_timeout_s: float = 12.0
+    signal_trend: float = 5.0
+    """A window whose first and second half differ by more standard errors than this has not settled."""
+    return_timeout_s: float = 10.0
+    home_rest_s: float = 3.0
+    """Time the plate may rest away from home with nobody driving it before it is taken home."""
+    backoff_s: float = 60.0
+    """Wait after an aborted sweep; doubles with each abort in a row, up to the interval."""
+    lying_log_ratio: float = 0.5
+    """Median |ln(flow at an angle / flow at home)| of a whole sweep beyond which the plate is not where the feedback says."""
+    max_std_dev_factor: float = 1.5
+    """Widening of the standard deviation of flow measured away from home."""
+
+
+@dataclass(frozen=True, slots=True)
+class FaultSettings:
+    """Hysteresis that is more than a count of windows, and limits that belong to no other part."""
+
+    stuck_windows: int = 5
+    """Windows with every sample equal before the sensor counts as stuck."""
+    calibration_old_s: float = 30.0 * 24.0 * 3600.0
+    clock_jump_hold_windows: int = 10
+
+
+@dataclass(frozen=True, slots=True)
+class AnchorSettings:
+    """Reference masses from a tank scale."""
+
+    min_increment_kg: float = 300.0
+    scale_std_dev_kg: float = 20.0
+    unloading_kg: float = 50.0
+    """A fall of the tank mass by this much is unloading."""
+    keep: int = 64
+
+
+@dataclass(frozen=True, slots=True)
+class EngineSettings:
+    """All of the above."""
+
+    clock: ClockSettings = field(default_factory=ClockSettings)
+    windows: WindowSettings = field(default_factory=WindowSettings)
+    inputs: InputSettings = field(default_factory=InputSettings)
+    zero: ZeroSettings = field(default_factory=ZeroSettings)
+    gate: GateSettings = field(default_factory=GateSettings)
+    totals: TotalsSettings = field(default_factory=TotalsSettings)
+    plate: PlateSettings = field(default_factory=PlateSettings)
+    sweep: SweepSettings = field(default_factory=SweepSettings)
+    faults: FaultSettings = field(default_factory=FaultSettings)
+    anchors: AnchorSettings = field(default_factory=AnchorSettings)

@@ -1,0 +1,39 @@
+"""What of the engine outlives a restart, as plain numbers for the store."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
+
+from yieldmon.engine.totals import Totals
+from yieldmon.engine.zero import ZeroState
+
+
+@dataclass(frozen=True, slots=True)
+class EngineState:
+    """windows: closed so far. sweep_due_in_s and calibration_age_s (None: not known) count from the moment of the snapshot."""
+
+    totals: Totals = field(default_factory=Totals)
+    zero: ZeroState | None = None
+    windows: int = 0
+    sweep_id: int = 0
+    sweep_due_in_s: float = 0.0
+    calibration_age_s: float | None = None
+    parameter_version: int = 0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Nested plain dict of numbers, fit for JSON."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> EngineState:
+        """Inverse of `as_dict`. Raises ValueError when a key is missing, unknown or of the wrong kind."""
+        known = {item.name for item in fields(cls)}
+        if set(data) != known:
+            raise ValueError(f"engine state has keys {sorted(data)}; expected {sorted(known)}")
+        try:
+            zero = data["zero"]
+            return cls(**{**data, "totals": Totals(**data["totals"]), "zero": None if zero is None else ZeroState(**zero)})
+        except TypeError as error:
+            raise ValueError(f"engine state: {error}") from error

@@ -1,0 +1,377 @@
+"""The plate sweep as a state machine: it sees ticks and windows and says what it wants of the plate (docs/sweep.md).
+
+    IDLE, ABORTED, UPDATED, NOT_LEARNED    at rest, the plate is nobody's
+    WAITING                                due; conditions do not hold yet
+    MOVING -> SETTLING -> MEASURING        for each angle of the sequence, which begins and ends at home
+    RETURNING                              on the way home after an abort, or because the plate was found away from home
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from enum import StrEnum
+from math import isfinite, log
+
+from yieldmon.engine.plate_commands import GO_HOME, RELEASE, PlateDemand
+from yieldmon.engine.settings import PlateSettings, SweepSettings
+from yieldmon.frames import ActuatorState, CommandMode, SweepState
+
+
+class SweepAbort(StrEnum):
+    """Why a sweep ended early."""
+
+    NOT_FOLLOWING = "the plate did not reach the commanded angle in time"
+    NOT_SETTLING = "plate or signal did not settle"
+    FEEDBACK_STALE = "no usable plate feedback"
+    ACTUATOR_FAULT = "the actuator reports a fault"
+    MANUAL = "the plate is held by hand or by another controller"
+    FLOW_CHANGED = "the flow changed"
+    SPEED_CHANGED = "the elevator speed changed"
+    NOT_MEASURED = "flow was not measured"
+    OPERATOR = "operator"
+    FORCE_DOES_NOT_FOLLOW = "the force does not follow the angle that the plate reports"
+
+
+@dataclass(frozen=True, slots=True)
+class PlateReading:
+    """The plate at one instant of engine time. angle_deg is nan while the feedback is stale."""
+
+    time_s: float
+    angle_deg: float
+    state: ActuatorState
+
+
+@dataclass(frozen=True, slots=True)
+class SweepWindow:
+    """A closed window as the sweep sees it.
+
+    support_start_s: engine time of the earliest sample with weight. flow_kg_s: nan where it was not measured. whole: no part of
+    it is missing or doubtful. still: the plate rested throughout. trend: see `windows.Window`.
+    """
+
+    end_s: float
+    support_start_s: float
+    flow_kg_s: float
+    speed_rad_s: float
+    angle_deg: float
+    whole: bool
+    still: bool
+    trend: float
+
+
+_ACTUATOR_REASONS = (SweepAbort.NOT_FOLLOWING, SweepAbort.FORCE_DOES_NOT_FOLLOW)
+
+
+def sweep_sequence(angles_deg: tuple[float, ...], home_deg: float, home_every: int) -> tuple[float, ...]:
+    """Angles to visit: home first and last, and after every home_every angles."""
+    sequence = [home_deg]
+    for number, angle in enumerate(angles_deg, start=1):
+        sequence.append(angle)
+        if number % home_every == 0 or number == len(angles_deg):
+            sequence.append(home_deg)
+    return tuple(sequence)
+
+
+RESTING = frozenset({SweepState.IDLE, SweepState.WAITING, SweepState.ABORTED, SweepState.UPDATED, SweepState.NOT_LEARNED})
+"""States in which the plate is not driven."""
+VISITING = frozenset({SweepState.MOVING, SweepState.SETTLING, SweepState.MEASURING})
+"""States of a sweep under way."""
+
+
+class SweepMachine:
+    """One plate's sweeps. Times are engine time, s."""
+
+    def __init__(self, settings: SweepSettings, plate: PlateSettings, home_deg: float) -> None:
+        self._settings = settings
+        self._plate = plate
+        self._home_deg = home_deg
+        self.sequence = sweep_sequence(settings.angles_deg, home_deg, settings.home_every)
+        self.state = SweepState.IDLE
+        self.abort_reason: SweepAbort | None = None
+        """Why the last sweep ended early; None when it did not."""
+        self.sweep_id = 0
+        self.step = -1
+        self.completed = False
+        """All steps are measured; the owner calls `finish`."""
+        self.not_following = False
+        """The last movement did not arrive; the next one that does clears it."""
+        self.first_after_s = settings.first_after_s
+        """Time from the first tick to the first sweep, s."""
+        self._due_s: float | None = None
+        self._requested = False
+        self._aborts = 0
+        self._deadline_s = 0.0
+        self._on_target_s: float | None = None
+        self._away_s: float | None = None
+        self._home_try_s = float("-inf")
+        self._settled_s = 0.0
+        self._measured = 0
+        self._flows: deque[float] = deque(maxlen=settings.steady_windows)
+        self._speeds: deque[float] = deque(maxlen=settings.steady_windows)
+        self._base_flow = float("nan")
+        self._base_speed = float("nan")
+        self._home_flows: list[float] = []
+        self._away_flows: list[float] = []
+
+    @property
+    def driving(self) -> bool:
+        """Whether commands go to the plate."""
+        return self.state not in RESTING
+
+    @property
+    def visiting(self) -> bool:
+        """Whether a sweep is under way."""
+        return self.state in VISITING
+
+    @property
+    def progress_pct(self) -> float:
+        """Share of the steps done, %; 0 outside a sweep and 100 after a whole one."""
+        if self.state in (SweepState.UPDATED, SweepState.NOT_LEARNED):
+            return 100.0
+        return 100.0 * max(0, self.step) / len(self.sequence) if self.visiting else 0.0
+
+    def remaining_s(self, now_s: float) -> float:
+        """Time until the next sweep is due, s; 0 when it is."""
+        return self.first_after_s if self._due_s is None else max(0.0, self._due_s - now_s)
+
+    def schedule(self, now_s: float, after_s: float) -> None:
+        """The next sweep is due after_s from now."""
+        self._due_s = now_s + after_s
+
+    def request(self) -> None:
+        """Operator: sweep as soon as the conditions hold, due or not."""
+        self._requested = True
+
+    def abort(self, now_s: float, reason: SweepAbort = SweepAbort.OPERATOR) -> None:
+        """End the sweep under way, if any, and take the plate home. An open request is withdrawn."""
+        self._requested = False
+        if self.visiting or self.completed:
+            self._abort(now_s, reason)
+        elif self.state is SweepState.WAITING:
+            self._enter(SweepState.IDLE)
+            self.schedule(now_s, self._settings.interval_s)
+
+    def finish(self, now_s: float, updated: bool) -> None:
+        """After `completed`: whether the sweep taught something."""
+        self.completed = False
+        self._aborts = 0
+        self.step = -1
+        self.schedule(now_s, self._settings.interval_s)
+        self._enter(SweepState.UPDATED if updated else SweepState.NOT_LEARNED)
+
+    def lying_feedback(self) -> bool:
+        """Whether the flows of the whole sweep speak against the angles: the force did not change as the angle did."""
+        if not self._home_flows or not self._away_flows:
+            return False
+        home = sum(self._home_flows) / len(self._home_flows)
+        ratios = sorted(abs(log(flow / home)) if flow > 0.0 else float("inf") for flow in self._away_flows)
+        return ratios[len(ratios) // 2] > self._settings.lying_log_ratio
+
+    def tick(self, plate: PlateReading) -> PlateDemand | None:
+        """Time passes; what is wanted of the plate now (None: nothing, nobody drives)."""
+        now = plate.time_s
+        if self._due_s is None:
+            self.schedule(now, self.first_after_s)
+        if self.state in RESTING:
+            return self._rest(plate)
+        if self.state is SweepState.RETURNING:
+            return self._return(plate)
+        reason = _plate_trouble(plate)
+        if reason is not None:
+            self._abort(now, reason)
+            return self._return(plate)
+        if self.state is SweepState.MOVING:
+            self._move(plate)
+        elif self.state is SweepState.SETTLING:
+            self._settle(plate)
+        elif not self._on_target(plate):
+            self._enter(SweepState.SETTLING)
+            self._on_target_s = None
+            self._deadline_s = now + self._settings.settle_timeout_s
+        elif now > self._deadline_s:
+            self._abort(now, SweepAbort.NOT_SETTLING)
+        return self._demand(plate)
+
+    def window(self, window: SweepWindow) -> int:
+        """A window closed. Returns the sweep step that it counts for, or -1."""
+        good = window.whole and isfinite(window.flow_kg_s)
+        if self.state in RESTING:
+            at_home = abs(window.angle_deg - self._home_deg) <= 2.0 * self._plate.at_target_tolerance_deg
+            if good and window.still and at_home:
+                self._flows.append(window.flow_kg_s)
+                self._speeds.append(window.speed_rad_s)
+            else:
+                self._flows.clear()
+                self._speeds.clear()
+            return -1
+        if not self.visiting or self.completed:
+            return -1
+        now = window.end_s
+        settled = self.state is SweepState.MEASURING and window.support_start_s >= self._settled_s and window.still
+        usable = settled and good and not window.trend > self._settings.signal_trend
+        at_home = self.sequence[self.step] == self._home_deg
+        reason = self._window_trouble(window, usable, at_home)
+        if reason is not None:
+            self._abort(now, reason)
+        if reason is not None or not usable:
+            return -1
+        (self._home_flows if at_home else self._away_flows).append(window.flow_kg_s)
+        step = self.step
+        self._measured += 1
+        if self._measured >= self._settings.windows_per_step:
+            self._next_step(now, window.angle_deg)
+        return step
+
+    def _window_trouble(self, window: SweepWindow, usable: bool, at_home: bool) -> SweepAbort | None:
+        if not isfinite(window.flow_kg_s):
+            return SweepAbort.NOT_MEASURED
+        if abs(window.speed_rad_s / self._base_speed - 1.0) > self._settings.speed_change:
+            return SweepAbort.SPEED_CHANGED
+        limit = self._settings.flow_change if at_home else self._settings.flow_change_away
+        if usable and abs(window.flow_kg_s / self._base_flow - 1.0) > limit:
+            return SweepAbort.FLOW_CHANGED
+        return None
+
+    def _rest(self, plate: PlateReading) -> PlateDemand | None:
+        now = plate.time_s
+        if self._found_away(plate):
+            self._home_try_s = now
+            self._enter(SweepState.RETURNING)
+            self._deadline_s = now + self._settings.return_timeout_s
+            return self._return(plate)
+        if self.state is not SweepState.WAITING:
+            due = self._settings.enabled and self._due_s is not None and now >= self._due_s
+            if not (due or self._requested):
+                return None
+            self._enter(SweepState.WAITING)
+        if not self._ready(plate):
+            return None
+        self._start(plate)
+        return self._demand(plate)
+
+    def _found_away(self, plate: PlateReading) -> bool:
+        """At rest away from home for long, with nobody else driving it: left there by a sweep that could not end well."""
+        away = (
+            isfinite(plate.angle_deg)
+            and plate.state is ActuatorState.IDLE
+            and abs(plate.angle_deg - self._home_deg) > 2.0 * self._plate.at_target_tolerance_deg
+        )
+        if not away:
+            self._away_s = None
+            return False
+        if self._away_s is None:
+            self._away_s = plate.time_s
+        rested = plate.time_s - self._away_s >= self._settings.home_rest_s
+        return rested and plate.time_s - self._home_try_s >= self._settings.backoff_s
+
+    def _ready(self, plate: PlateReading) -> bool:
+        settings = self._settings
+        if _plate_trouble(plate) is not None or len(self._flows) < settings.steady_windows:
+            return False
+        if abs(plate.angle_deg - self._home_deg) > 2.0 * self._plate.at_target_tolerance_deg:
+            return False
+        return _steady(self._flows, settings.min_flow_kg_s, settings.steady_cv) and _steady(
+            self._speeds, 0.0, 0.5 * settings.speed_change
+        )
+
+    def _start(self, plate: PlateReading) -> None:
+        self.sweep_id += 1
+        self._requested = False
+        self.abort_reason = None
+        self._base_flow = sum(self._flows) / len(self._flows)
+        self._base_speed = sum(self._speeds) / len(self._speeds)
+        self._home_flows, self._away_flows = [], []
+        self._flows.clear()
+        self._speeds.clear()
+        self.step = -1
+        self._next_step(plate.time_s, plate.angle_deg)
+
+    def _next_step(self, now_s: float, angle_deg: float) -> None:
+        self._measured = 0
+        if self.step + 1 >= len(self.sequence):
+            self.completed = True
+            return
+        self.step += 1
+        self._enter(SweepState.MOVING)
+        travel_s = abs(self.sequence[self.step] - angle_deg) / self._plate.max_rate_deg_s
+        self._deadline_s = now_s + travel_s + self._settings.move_margin_s
+
+    def _move(self, plate: PlateReading) -> None:
+        if self._on_target(plate):
+            self.not_following = False
+            self._enter(SweepState.SETTLING)
+            self._on_target_s = plate.time_s
+            self._deadline_s = plate.time_s + self._settings.settle_timeout_s
+        elif plate.time_s > self._deadline_s:
+            self.not_following = True
+            self._abort(plate.time_s, SweepAbort.NOT_FOLLOWING)
+
+    def _settle(self, plate: PlateReading) -> None:
+        now = plate.time_s
+        if not self._on_target(plate) or plate.state is ActuatorState.MOVING:
+            self._on_target_s = None
+        elif self._on_target_s is None:
+            self._on_target_s = now
+        elif now - self._on_target_s >= self._settings.settle_s:
+            self._settled_s = now
+            self._enter(SweepState.MEASURING)
+            self._deadline_s = now + self._settings.measure_timeout_s
+            return
+        if now > self._deadline_s:
+            self._abort(now, SweepAbort.NOT_SETTLING)
+
+    def _return(self, plate: PlateReading) -> PlateDemand:
+        now = plate.time_s
+        if abs(plate.angle_deg - self._home_deg) <= self._plate.at_target_tolerance_deg:
+            self.not_following = self.not_following and self.abort_reason in _ACTUATOR_REASONS
+            self._enter(SweepState.ABORTED if self.abort_reason else SweepState.IDLE)
+            return RELEASE
+        if now > self._deadline_s:
+            self.not_following = plate.state is not ActuatorState.MANUAL
+            self._enter(SweepState.ABORTED if self.abort_reason else SweepState.IDLE)
+            return RELEASE
+        return RELEASE if plate.state is ActuatorState.MANUAL else GO_HOME
+
+    def _abort(self, now_s: float, reason: SweepAbort) -> None:
+        wait = min(self._settings.interval_s, self._settings.backoff_s * 2.0 ** min(self._aborts, 30))
+        self._aborts += 1
+        self.abort_reason = reason
+        self.completed = False
+        self.step = -1
+        self.schedule(now_s, wait)
+        self._home_try_s = now_s
+        if reason is SweepAbort.FORCE_DOES_NOT_FOLLOW:
+            self.not_following = True
+        self._enter(SweepState.RETURNING)
+        self._deadline_s = now_s + self._settings.return_timeout_s
+
+    def _demand(self, plate: PlateReading) -> PlateDemand:
+        if self.state is SweepState.RETURNING:
+            return self._return(plate)
+        return PlateDemand(CommandMode.GO_TO_ANGLE, self.sequence[self.step])
+
+    def _on_target(self, plate: PlateReading) -> bool:
+        return abs(plate.angle_deg - self.sequence[self.step]) <= self._plate.at_target_tolerance_deg
+
+    def _enter(self, state: SweepState) -> None:
+        self.state = state
+        self._away_s = None
+
+
+def _plate_trouble(plate: PlateReading) -> SweepAbort | None:
+    if not isfinite(plate.angle_deg):
+        return SweepAbort.FEEDBACK_STALE
+    if plate.state is ActuatorState.MANUAL:
+        return SweepAbort.MANUAL
+    if plate.state is ActuatorState.FAULT:
+        return SweepAbort.ACTUATOR_FAULT
+    return None
+
+
+def _steady(values: deque[float], least: float, limit_cv: float) -> bool:
+    mean = sum(values) / len(values)
+    if not mean > 0.0 or mean < least:
+        return False
+    variance = sum((value - mean) ** 2 for value in values) / max(1, len(values) - 1)
+    return bool(variance**0.5 <= limit_cv * mean)

@@ -1,0 +1,64 @@
+"""Load and total mass. They never run backwards, and only a new load sets the load's mass to 0."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import isfinite
+
+from yieldmon.engine.settings import TotalsSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Totals:
+    """Masses in kg, wet and dry. unknown_moisture_kg: wet mass missing from the dry figures, its moisture not being known."""
+
+    total_kg: float = 0.0
+    total_dry_kg: float = 0.0
+    total_unknown_moisture_kg: float = 0.0
+    load_kg: float = 0.0
+    load_dry_kg: float = 0.0
+    load_unknown_moisture_kg: float = 0.0
+    load_number: int = 1
+    load_open: bool = True
+
+    def with_mass(self, mass_kg: float, dry_kg: float | None) -> Totals:
+        """Totals after mass_kg more; dry_kg None: not known. Mass measured with no load open counts in the total alone."""
+        if not (isfinite(mass_kg) and mass_kg >= 0.0):
+            raise ValueError(f"mass to add is {mass_kg} kg; expected a number of at least 0")
+        dry = 0.0 if dry_kg is None else dry_kg
+        unknown = mass_kg if dry_kg is None else 0.0
+        share = 1.0 if self.load_open else 0.0
+        return replace(
+            self,
+            total_kg=self.total_kg + mass_kg,
+            total_dry_kg=self.total_dry_kg + dry,
+            total_unknown_moisture_kg=self.total_unknown_moisture_kg + unknown,
+            load_kg=self.load_kg + share * mass_kg,
+            load_dry_kg=self.load_dry_kg + share * dry,
+            load_unknown_moisture_kg=self.load_unknown_moisture_kg + share * unknown,
+        )
+
+    def start_load(self) -> Totals:
+        """A new load, empty, with the next number."""
+        return replace(
+            self,
+            load_kg=0.0,
+            load_dry_kg=0.0,
+            load_unknown_moisture_kg=0.0,
+            load_number=self.load_number + 1,
+            load_open=True,
+        )
+
+    def stop_load(self) -> Totals:
+        """The load is complete; its figures stay until the next one starts."""
+        return replace(self, load_open=False)
+
+
+def dry_mass(wet_kg: float, moisture_pct: float, settings: TotalsSettings) -> float | None:
+    """Mass at the reference moisture (same dry matter), kg; None where the moisture is not known."""
+    if not isfinite(moisture_pct):
+        return None
+    factor = (100.0 - moisture_pct) / (100.0 - settings.moisture_reference_pct)
+    if not settings.credit_below_reference:
+        factor = min(1.0, factor)
+    return wet_kg * factor
