@@ -151,6 +151,12 @@ class MoistureDependence(_Effect):
     density_per_pct: Annotated[float, Field(ge=-0.05, le=0.05)] = -0.004
 
 
+def _switched(value: Any) -> Any:
+    if value is True or value == "on":
+        return {}
+    return None if value is False or value == "off" else value
+
+
 class Effects(BaseModel):
     """Effects in force; None is off. In YAML: ``air_drag: {terminal_speed_m_s: 9}``, ``air_drag: on``, ``gravity: off``."""
 
@@ -184,8 +190,7 @@ class Effects(BaseModel):
         """``on`` takes an effect's defaults, ``off`` leaves it out."""
         if not isinstance(values, dict):
             return values
-        switch: dict[bool, dict[str, float] | None] = {True: {}, False: None}
-        return {name: switch[value] if isinstance(value, bool) else value for name, value in values.items()}
+        return {name: _switched(value) for name, value in values.items()}
 
     @property
     def gravity_m_s2(self) -> float:

@@ -42,10 +42,12 @@ class Detail:
     angles_deg: tuple[float, float, int] = (36.0, 94.0, 15)
     speeds_rpm: tuple[float, float, int] = (240.0, 620.0, 8)
     cells: int = 128
+    shapes: bool = True
+    """Whether pulse shapes are kept; impulses alone build faster."""
 
 
-SEASON = Detail(masses=18, angles_deg=(38.0, 92.0, 10), speeds_rpm=(300.0, 500.0, 4), cells=96)
-"""Coarser, for studies whose conditions change: speeds of 300-500 rpm only."""
+SEASON = Detail(masses=18, angles_deg=(38.0, 92.0, 10), speeds_rpm=(300.0, 500.0, 4), cells=96, shapes=False)
+"""Coarser, for studies whose conditions change: speeds of 300-500 rpm and impulses only."""
 
 
 class PulseTable:
@@ -73,16 +75,16 @@ class PulseTable:
         self._root_range = (float(roots[0]), float(roots[-1]))
         shape = (len(conditions), len(speeds), len(roots), len(angles))
         gain, landed = np.empty(shape), np.empty(shape)
-        times = np.empty((*shape, len(QUANTILES)))
+        times = np.empty((*shape, len(QUANTILES) if detail.shapes else 0))
         for i, condition in enumerate(conditions):
             for j, speed in enumerate(speeds):
-                gain[i, j], landed[i, j], times[i, j] = _nodes(machine, condition, roots**2, angles, speed, detail.cells)
+                gain[i, j], landed[i, j], times[i, j] = _nodes(machine, condition, roots**2, angles, speed, detail)
         axes = [np.array([c.coordinate for c in conditions]), speeds, roots, angles]
         self._axes = axes[1:] if len(conditions) == 1 else axes
         if len(conditions) == 1:
             gain, landed, times = gain[0], landed[0], times[0]
         self._gain, self._landed = _spline(self._axes, gain), _spline(self._axes, landed)
-        self._times = _spline(self._axes, times)
+        self._times = _spline(self._axes, times) if detail.shapes else None
 
     def impulse_n_s(
         self, paddle_mass_kg: Values, plate_angle_rad: Values, speed_rad_s: Values, coordinate: Values = 0.0
@@ -104,7 +106,12 @@ class PulseTable:
     def arrival_times_s(
         self, paddle_mass_kg: Values, plate_angle_rad: Values, speed_rad_s: Values, coordinate: Values = 0.0
     ) -> Array:
-        """Times after the paddle points up at which the shares QUANTILES of the impulse have arrived; last axis QUANTILES."""
+        """Times after the paddle points up at which the shares QUANTILES of the impulse have arrived; last axis QUANTILES.
+
+        Raises ValueError for a table built without shapes.
+        """
+        if self._times is None:
+            raise ValueError("this table was built without pulse shapes")
         _, points = self._points(paddle_mass_kg, plate_angle_rad, speed_rad_s, coordinate)
         turns = np.asarray(self._times(points))
         return np.asarray(np.maximum.accumulate(turns, axis=-1) / np.asarray(speed_rad_s)[..., None])
@@ -128,13 +135,15 @@ class PulseTable:
 
 
 def _nodes(
-    machine: Machine, condition: Condition, masses: Array, angles: Array, speed: float, cells: int
+    machine: Machine, condition: Condition, masses: Array, angles: Array, speed: float, detail: Detail
 ) -> tuple[Array, Array, Array]:
     """Impulse per kg and tip speed, landed share and arrival turns (rad of sprocket) of shape (masses, angles, ...)."""
-    result = throw(machine, condition.grain, condition.effects, masses, angles, speed, cells)
+    result = throw(machine, condition.grain, condition.effects, masses, angles, speed, detail.cells)
     impulse = result.impulse_n_s.sum(axis=(2, 3)).T
     landed = result.landed_kg.sum(axis=(2, 3)).T / masses[:, None]
     gain = impulse / (masses[:, None] * speed * machine.paddle_length_m)
+    if not detail.shapes:
+        return gain, landed, np.empty((*gain.shape, 0))
     turns = np.empty((len(masses), len(angles), len(QUANTILES)))
     for a in range(len(angles)):
         for m in range(len(masses)):

@@ -1,4 +1,6 @@
-"""A scenario: everything that the virtual combine is to do, from one YAML file."""
+"""A scenario: everything that the virtual combine is to do, from one YAML file.
+
+Every key carries its unit in its name and its range in its type; classes here and beside the parts of the combine list them."""
 
 from __future__ import annotations
 
@@ -6,10 +8,10 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from yieldmon.errors import InputError
+from yieldmon.files import strict_yaml
 from yieldmon.plant.actuator import ActuatorFault, ActuatorSettings
 from yieldmon.plant.effects import Effects
 from yieldmon.plant.elevator import ElevatorSettings
@@ -144,16 +146,7 @@ def from_mapping(values: Any, where: str) -> Scenario:
         raise InputError(f"{where}: {key}", f"is {shown!r}", expected) from None
 
 
-def load(path: Path) -> Scenario:
+def load(path: Path | str) -> Scenario:
     """Read a scenario file. Raises InputError naming file, key, value and what was expected."""
-    try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(str(path), f"cannot be read ({error.strerror})", "a scenario file") from None
-    except UnicodeDecodeError:
-        raise InputError(str(path), "is not UTF-8 text", "a YAML scenario") from None
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f", line {mark.line + 1}" if mark else ""
-        raise InputError(f"{path}{line}", "is not YAML", "a YAML scenario") from None
+    values = strict_yaml.load(path)
     return from_mapping(values if values is not None else {}, str(path))

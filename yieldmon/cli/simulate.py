@@ -1,0 +1,172 @@
+"""Virtual combine onto a bus, or into a log, with the truth beside it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import sys
+import threading
+import time
+from collections import Counter
+from pathlib import Path
+
+import can
+
+from yieldmon import frames
+from yieldmon.bus.codec import Codec, FrameError
+from yieldmon.bus.opening import add_bus_arguments, open_bus_from
+from yieldmon.errors import InputError
+from yieldmon.files import machine_file
+from yieldmon.physics.machine import Machine
+from yieldmon.plant import scenario as scenarios
+from yieldmon.plant.combine import BLOCK_S, VirtualCombine
+from yieldmon.plant.truth_file import write_csv
+from yieldmon.resources import shipped
+
+NOT_SENT = "not sent"
+"""Beside the message names in the summary's counts: frames that the bus did not take."""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """The verb's arguments."""
+    parser = subparsers.add_parser(
+        "simulate",
+        help="virtual combine onto a bus or into a log",
+        description=__doc__,
+        epilog="example: yieldmon simulate --scenario demo --log demo.log --truth demo-truth.csv",
+    )
+    parser.add_argument("--scenario", default="demo", metavar="F", help="scenario file, or a shipped one's name (default: demo)")
+    parser.add_argument("--machine", metavar="F", help="machine file or shipped name; default: the scenario's")
+    parser.add_argument("--log", metavar="F", help="write a log as fast as it goes (.log .asc .blf .trc .csv .db .mf4)")
+    parser.add_argument("--truth", metavar="F", help="write the truth, one row a second, as CSV")
+    parser.add_argument("--duration", type=float, metavar="S", help="stop after S seconds; default: the scenario's")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="random seed (default: 0)")
+    parser.add_argument("--start-time", type=float, default=0.0, metavar="T", help="timestamp of the log's beginning, s")
+    parser.add_argument("--json", action="store_true", help="print a summary as one JSON document")
+    add_bus_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit code 0; InputError for what cannot be used."""
+    scenario = scenarios.load(_scenario_path(args.scenario))
+    if args.duration is not None:
+        scenario = scenario.model_copy(update={"duration_s": _duration(args.duration)})
+    if args.seed < 0:
+        raise InputError("--seed", f"is {args.seed}", "a whole number from 0")
+    machine = _machine(args.machine if args.machine is not None else scenario.machine)
+    combine = VirtualCombine(scenario, machine, args.seed)
+    codec = Codec()
+    if args.log is not None and getattr(args, "interface", None) is not None:
+        raise InputError("--log and -i", "both given", "a log or a bus")
+    counts: Counter[str] = Counter()
+    try:
+        if args.log is None:
+            _drive_bus(combine, codec, args, counts)
+        else:
+            _write_log(combine, codec, args, counts)
+    finally:
+        if args.truth is not None:
+            write_csv(args.truth, combine.truth)
+    _report(combine, counts, args)
+    return 0
+
+
+def _scenario_path(name: str) -> Path:
+    path = Path(name)
+    if path.exists() or path.suffix:
+        return path
+    try:
+        return shipped(f"config/scenarios/{name}.yaml")
+    except FileNotFoundError:
+        raise InputError("--scenario", f"{name!r} is neither a file nor shipped", "a scenario file") from None
+
+
+def _machine(name: str) -> Machine:
+    path = Path(name)
+    if not path.exists() and not path.suffix:
+        try:
+            path = shipped(f"config/machines/{name}.yaml")
+        except FileNotFoundError:
+            raise InputError("machine", f"{name!r} is neither a file nor shipped", "a machine file") from None
+    return machine_file.load(path)
+
+
+def _duration(seconds: float) -> float:
+    if not 1.0 <= seconds <= 400_000.0:
+        raise InputError("--duration", f"is {seconds:g}", "1 to 400000 s")
+    return seconds
+
+
+def _write_log(combine: VirtualCombine, codec: Codec, args: argparse.Namespace, counts: Counter[str]) -> None:
+    try:
+        writer = can.Logger(args.log)
+    except ValueError as error:
+        raise InputError(f"--log {args.log}", str(error), "a format of python-can") from None
+    with writer:
+        for frame in combine.frames_until(combine.scenario.duration_s):
+            message = codec.encode(frame._replace(time_s=args.start_time + frame.time_s))
+            message.channel = "can0"
+            writer.on_message_received(message)
+            counts[frame.message] += 1
+
+
+def _drive_bus(combine: VirtualCombine, codec: Codec, args: argparse.Namespace, counts: Counter[str]) -> None:
+    """Real time against absolute deadlines; waiting for the next deadline is listening for commands."""
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+    with open_bus_from(args, filters=codec.filters([frames.PLATE_ACTUATOR_COMMAND])) as bus:
+        begin = time.monotonic()
+        try:
+            while combine.time_s + BLOCK_S <= combine.scenario.duration_s + 1e-9:
+                for frame in list(combine.frames_until(combine.time_s + BLOCK_S)):
+                    _listen_until(begin + frame.time_s, bus, codec, combine)
+                    try:
+                        bus.send(codec.encode(frame))
+                        counts[frame.message] += 1
+                    except can.CanOperationError as error:
+                        if counts[NOT_SENT] == 0:
+                            print(f"simulate: not sent ({error}); going on", file=sys.stderr)
+                        counts[NOT_SENT] += 1
+        except KeyboardInterrupt:
+            print(f"simulate: stopped at {combine.time_s:.2f} s", file=sys.stderr)
+
+
+def _listen_until(deadline: float, bus: can.BusABC, codec: Codec, combine: VirtualCombine) -> None:
+    while True:
+        left = deadline - time.monotonic()
+        message = bus.recv(timeout=max(left, 0.0))
+        if message is None:
+            if deadline - time.monotonic() <= 0.0:
+                return
+            continue
+        try:
+            frame = codec.decode(message)
+        except FrameError as error:
+            print(f"simulate: {error}", file=sys.stderr)
+            continue
+        if frame is not None:
+            combine.handle(frame)
+
+
+def _report(combine: VirtualCombine, counts: Counter[str], args: argparse.Namespace) -> None:
+    truth = combine.truth
+    flow = truth.columns["mass_flow_kg_s"]
+    total = float(truth.columns["total_mass_kg"][-1]) if len(flow) else 0.0
+    summary = {
+        "scenario": args.scenario,
+        "seed": args.seed,
+        "duration_s": round(combine.time_s, 3),
+        "frames": dict(sorted(counts.items())),
+        "total_mass_kg": total,
+        "largest_mass_flow_kg_s": float(flow.max()) if len(flow) else 0.0,
+        "loads": [{"time_s": load.time_s, "mass_kg": load.mass_kg} for load in truth.loads],
+        "log": args.log,
+        "truth": args.truth,
+    }
+    if args.json:
+        print(json.dumps(summary))
+        return
+    print(f"{combine.time_s:.1f} s simulated, {total:.1f} kg, {sum(counts.values())} frames")
+    for name, count in sorted(counts.items()):
+        print(f"  {name:24s}{count:9d}")
