@@ -1,0 +1,99 @@
+"""Virtual combine and monitor in one process on a virtual CAN bus, and how well they agree."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from yieldmon.bus.codec import Codec
+from yieldmon.engine.monitor import Monitor
+from yieldmon.errors import InputError
+from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.files import machine_file
+from yieldmon.physics.model import ForwardModel
+from yieldmon.plant import scenario as scenarios
+from yieldmon.plant.combine import VirtualCombine
+from yieldmon.resources import shipped
+from yieldmon.service import configuration
+from yieldmon.trial import accuracy, lockstep, picture
+
+EXAMPLE = "yieldmon demo --duration 120 --seed 1 --picture demo.png"
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """The verb's arguments."""
+    parser = subparsers.add_parser(
+        "demo", help="see it work: virtual combine and monitor", description=__doc__, epilog=f"example: {EXAMPLE}"
+    )
+    parser.add_argument("--duration", type=float, metavar="S", help="simulated time, s (default: the scenario's)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of everything random (default: %(default)s)")
+    parser.add_argument("--scenario", metavar="F", help="scenario file (default: the shipped demo)")
+    parser.add_argument("--config", metavar="F", help="configuration file (default: the shipped one)")
+    parser.add_argument("--picture", type=Path, metavar="F", help="write true and measured flow here (PNG or SVG)")
+    parser.add_argument("--json", action="store_true", help="print the accuracy as one JSON document")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the demo; 0 unless something failed."""
+    chosen = scenarios.load(args.scenario or shipped("config/scenarios/demo.yaml"))
+    if args.duration is not None:
+        if not 10.0 <= args.duration <= 400_000.0:
+            raise InputError("--duration", f"is {args.duration:g}", "10 to 400000 s")
+        chosen = chosen.model_copy(update={"duration_s": args.duration})
+    settings = configuration.load(args.config or shipped("config/yieldmon.yaml"))
+    machine = machine_file.load(shipped("config/machines") / f"{chosen.machine}.yaml")
+    if machine != settings.machine:
+        raise InputError(str(args.scenario), f"machine is {chosen.machine!r}", f"{settings.machine.name!r} as configured")
+    model = ForwardModel(machine, settings.parameters.effects)
+    monitor = Monitor(settings.engine, machine, OpenLoop(model, settings.parameters))
+    console = Console(stderr=True)
+    with Progress(
+        TextColumn("simulated"), BarColumn(), TextColumn("{task.completed:.0f} / {task.total:.0f} s"), TimeRemainingColumn(),
+        console=console, transient=True, disable=not sys.stderr.isatty(),
+    ) as progress:  # fmt: skip
+        task = progress.add_task("simulated", total=chosen.duration_s)
+        combine = VirtualCombine(chosen, machine, args.seed)
+        result = lockstep.run(combine, monitor, Codec(), lambda t: progress.update(task, completed=t))
+    truth = result.truth.columns
+    found = accuracy.assess(result.published, truth["time_s"], truth["mass_flow_kg_s"], truth["total_mass_kg"])
+    if args.json:
+        print(json.dumps(found.to_json(), indent=2))
+    else:
+        _show(found, result.frames_on_bus, chosen.duration_s)
+    if args.picture:
+        picture.draw(found, args.picture)
+        console.print(f"picture: {args.picture}", soft_wrap=True)
+    return 0
+
+
+def _show(found: accuracy.Accuracy, frames: int, duration_s: float) -> None:
+    console = Console()
+    table = Table(title=f"Measured against true flow, 1 Hz, {duration_s:.0f} s, {frames} frames")
+    for heading in ("true flow, kg/s", "windows", "no number", "bias, kg/s", "rms, kg/s", "mean |error|, %", "95 % |error|, %"):
+        table.add_column(heading, justify="right")
+    for band in found.bands:
+        table.add_row(
+            f"{band.low_kg_s:.0f}-{band.high_kg_s:.0f}",
+            str(band.windows),
+            str(band.missing),
+            *(_number(v) for v in (band.bias_kg_s, band.rms_kg_s, band.mean_abs_pct, band.p95_abs_pct)),
+        )
+    console.print(table)
+    console.print(
+        f"from {accuracy.RATED_FROM_KG_S:.0f} kg/s: mean |error| {found.mean_abs_pct:.2f} %, "
+        f"95th percentile {found.p95_abs_pct:.2f} %, {found.missing_rated_windows} of {found.rated_windows} windows without a number"
+    )
+    console.print(
+        f"accumulated: {found.measured_mass_kg:.1f} kg of {found.true_mass_kg:.1f} kg ({found.mass_error_pct:+.2f} %), "
+        f"{found.sweeps} sweeps"
+    )
+
+
+def _number(value: float) -> str:
+    return f"{value:.2f}" if value == value else "-"

@@ -1,0 +1,38 @@
+"""Picture of true against measured flow. Needs matplotlib (the `plot` extra)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from .accuracy import Accuracy
+
+
+def draw(accuracy: Accuracy, path: Path) -> None:
+    """Write a PNG or SVG: both flows over time, and the error of each rated window. Raises ImportError without matplotlib."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 7), layout="constrained")
+    flow, error = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    t, true, measured = accuracy.time_s, accuracy.true_kg_s, accuracy.measured_kg_s
+    band = 1.645 * accuracy.std_dev_kg_s
+    flow.fill_between(t, measured - band, measured + band, color="tab:orange", alpha=0.25, lw=0, label="90 % interval")
+    flow.plot(t, true, color="black", lw=1.5, label="true")
+    flow.plot(t, measured, color="tab:orange", lw=1.2, marker=".", ms=3, label="measured, 1 Hz")
+    flow.set_ylabel("mass flow, kg/s")
+    flow.legend(loc="upper right")
+    flow.set_title(
+        f"|error| from 4 kg/s: mean {accuracy.mean_abs_pct:.2f} %, 95th percentile {accuracy.p95_abs_pct:.2f} %;"
+        f" accumulated mass {accuracy.mass_error_pct:+.2f} %"
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = np.where(true >= 4.0, 100.0 * (measured - true) / true, np.nan)
+    error.axhspan(-5.0, 5.0, color="tab:green", alpha=0.12, lw=0)
+    error.axhline(0.0, color="black", lw=0.8)
+    error.plot(t, relative, ".", color="tab:orange", ms=4)
+    error.set_ylabel("error, %")
+    error.set_xlabel("bus time, s")
+    for axes in (flow, error):
+        axes.grid(alpha=0.3)
+    figure.savefig(path, dpi=110)
