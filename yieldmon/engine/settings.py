@@ -68,7 +68,7 @@ class ZeroSettings:
 
     first_zero_windows: int = 3
     """Empty windows averaged for the first zero and by the operator's zero calibration."""
-    first_pulse_limit_mv: float = 5.0
+    first_pulse_limit_mv: float = 15.0
     """Largest paddle-synchronous amplitude taken for vibration before any has been learnt, mV."""
     pulse_margin_mv: float = 1.5
     """Excess over the learnt vibration from which the amplitude speaks of grain, mV."""
