@@ -176,7 +176,7 @@ def test_damaged_candump_lines_are_told_and_the_rest_is_read(tmp_path: Path) -> 
     assert [(m.timestamp, m.is_error_frame) for m in messages] == [(1.0, False), (2.0, True), (1.0, False)]
     assert (notes.frames, notes.error_frames, notes.dropped_by_recorder, notes.damaged_places) == (3, 1, 37, 5)
     assert [damage.where for damage in notes.damages] == [f"{path}:{line}" for line in (2, 5, 7, 8, 10)]
-    assert "300012 bytes" in notes.damages[2].problem
+    assert "longer than 4096 bytes" in notes.damages[2].problem
     assert "0x00" in notes.damages[1].problem
 
 
@@ -227,7 +227,26 @@ def test_cut_off_gzip_gives_what_is_there(tmp_path: Path, suffix: str) -> None:
     messages, notes = read(path)
     assert 100 < len(messages) < len(long_log)
     assert essence(messages) == essence(long_log)[: len(messages)]
-    assert "compressed data damaged" in notes.damages[-1].problem
+    assert "the compressed data end early" in notes.damages[-1].problem
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (gzip.compress(b"(1.0) can0 123#11\n")[:-8] + bytes(8), "incorrect data check"),
+        (gzip.compress(b"(1.0) can0 123#11\n") + b"junk", "no compressed data follow"),
+        (gzip.compress(b"(1.0) can0 123#11\n") + bytes(100), None),
+        (gzip.compress(b"(1.0) can0 123#11\n") + gzip.compress(b"(1.0) can0 123#11\n"), None),
+    ],
+    ids=["checksum", "junk behind", "zeros behind", "two members"],
+)
+def test_ends_of_gzip(tmp_path: Path, content: bytes, problem: str | None) -> None:
+    path = tmp_path / "drive.log.gz"
+    path.write_bytes(content)
+    notes = LogNotes(on_damage=lambda damage: None)
+    refusal(path, [], notes)
+    assert notes.damaged_places == (problem is not None)
+    assert problem is None or problem in notes.damages[0].problem
 
 
 def damaged(content: bytes, how: str) -> bytes:

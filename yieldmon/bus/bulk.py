@@ -1,4 +1,4 @@
-"""Frames by the million: logs as arrays, and the codec's decoding over arrays, equal to it bit for bit.
+"""Frames by the million: blocks of frames as arrays, and the codec's decoding over them, equal to it bit for bit.
 
 A block keeps frames as SocketCAN does: can_id with the extended, remote and error flags of linux/can.h, and the data as
 one little-endian 64-bit number.
@@ -13,7 +13,7 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.bus.candump import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from yieldmon.bus.candump import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, channel_name, flagged_id
 from yieldmon.bus.codec import Codec
 from yieldmon.bus.layout import MessageLayout, SignalLayout
 
@@ -107,10 +107,10 @@ def block_of(messages: Iterable[can.Message]) -> FrameBlock:
     rows = [
         (
             message.timestamp,
-            _can_id(message),
+            flagged_id(message),
             message.dlc if message.is_remote_frame else len(message.data),
             int.from_bytes(message.data[:_PAYLOAD_BYTES], "little"),
-            channels.setdefault(_channel_name(message), len(channels)),
+            channels.setdefault(channel_name(message), len(channels)),
         )
         for message in messages
     ]
@@ -163,16 +163,3 @@ def _column(signal: SignalLayout, payload: NDArray[np.uint64]) -> SignalColumn:
     else:
         values = np.where(status == USABLE, raw * signal.scale + signal.offset, np.nan)
     return SignalColumn(values, status)
-
-
-def _can_id(message: can.Message) -> int:
-    flags = (
-        EXTENDED_FLAG * bool(message.is_extended_id and not message.is_error_frame)
-        | REMOTE_FLAG * bool(message.is_remote_frame)
-        | ERROR_FLAG * bool(message.is_error_frame)
-    )
-    return message.arbitration_id | flags
-
-
-def _channel_name(message: can.Message) -> str:
-    return "" if message.channel is None else str(message.channel)

@@ -45,6 +45,21 @@ def dropped_frames(line: str) -> int | None:
     return int(match[1]) if match else None
 
 
+def flagged_id(message: can.Message) -> int:
+    """Identifier with the flags of linux/can.h. An error frame keeps its error class and no extended flag."""
+    flags = (
+        EXTENDED_FLAG * bool(message.is_extended_id and not message.is_error_frame)
+        | REMOTE_FLAG * bool(message.is_remote_frame)
+        | ERROR_FLAG * bool(message.is_error_frame)
+    )
+    return message.arbitration_id | flags
+
+
+def channel_name(message: can.Message) -> str:
+    """The message's channel as text, empty where it has none."""
+    return "" if message.channel is None else str(message.channel)
+
+
 def parse_line(line: str) -> can.Message | None:
     """The frame of one line without its line end, None for a line that is none or is damaged."""
     match = _LOG_LINE.fullmatch(line)

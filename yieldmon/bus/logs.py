@@ -7,8 +7,8 @@ its place, and reading stops there. A file in which nothing at all can be read r
 
 from __future__ import annotations
 
-import gzip
 import importlib
+import io
 import logging
 import shutil
 import tempfile
@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import Any, cast
 
 import can
 from can.io.blf import (
@@ -29,6 +29,7 @@ from can.io.blf import (
 )
 
 from yieldmon.bus.candump import dropped_frames, parse_line
+from yieldmon.bus.gunzip import Gunzip
 from yieldmon.errors import InputError
 
 _log = logging.getLogger(__name__)
@@ -40,13 +41,11 @@ SUFFIXES = TEXT_SUFFIXES + BINARY_SUFFIXES
 
 #: Longest line that is looked at. The longest line of any text format, a CAN FD frame in .asc, has under 400
 #: characters.
-_LONGEST_LINE_BYTES = 4096
+LONGEST_LINE_BYTES = 4096
 _LARGEST_ID = 0x1FFFFFFF
 
 #: What stands for a header when a reader goes on behind a damaged line: the line it may skip without loss.
 _RESUME_LINE = {".asc": "internal events logged", ".csv": "header", ".trc": ";"}
-
-_GZIP_DAMAGE = (EOFError, zlib.error, gzip.BadGzipFile)
 
 
 @dataclass(frozen=True)
@@ -109,8 +108,13 @@ def read_log(path: Path | str, notes: LogNotes | None = None) -> Iterator[can.Me
             yield message
     except OSError as error:
         raise InputError(str(path), error.strerror or str(error), "a readable CAN log") from error
+    refuse_unreadable(path, notes)
+
+
+def refuse_unreadable(path: Path, notes: LogNotes) -> None:
+    """Raises InputError when reading to the end found damage and no frame at all."""
     if notes.damages and not notes.frames:
-        raise InputError(str(path), f"no frame in it can be read ({notes.damages[0]})", f"a {suffix} CAN log")
+        raise InputError(str(path), f"no frame in it can be read ({notes.damages[0]})", "a CAN log as its name says")
 
 
 def log_format(path: Path) -> tuple[str, bool]:
@@ -123,9 +127,14 @@ def log_format(path: Path) -> tuple[str, bool]:
     return suffix[0], compressed
 
 
-def open_bytes(path: Path, compressed: bool) -> IO[bytes]:
-    """The log's bytes, decompressed."""
-    return cast("IO[bytes]", gzip.open(path, "rb")) if compressed else path.open("rb")
+def open_bytes(path: Path, compressed: bool) -> io.BufferedReader:
+    """The log's bytes, decompressed; early_end_of() says at their end whether they are all."""
+    return io.BufferedReader(Gunzip(path)) if compressed else path.open("rb")
+
+
+def early_end_of(stream: io.BufferedReader) -> str | None:
+    """Why a stream of open_bytes() ended before its time, None where it did not."""
+    return stream.raw.problem if isinstance(stream.raw, Gunzip) else None
 
 
 class _Lines:
@@ -134,7 +143,7 @@ class _Lines:
     Stands in for an open text file: iterable, with close(). `number` is the line handed out last, from 1.
     """
 
-    def __init__(self, stream: IO[bytes], path: Path, notes: LogNotes) -> None:
+    def __init__(self, stream: io.BufferedReader, path: Path, notes: LogNotes) -> None:
         self.number = 0
         self.resume_with: str | None = None
         self._stream = stream
@@ -152,9 +161,9 @@ class _Lines:
             raw = self._read_line()
             self.number += 1
             if self.number == 1:
-                self._refuse_utf16(raw)
-                raw = raw.removeprefix(b"\xef\xbb\xbf")
-            problem = self._skip_rest_of_long_line(raw) or _junk(raw)
+                raw = without_byte_order_mark(raw, self._path)
+            self._skip_rest_of_long_line(raw)
+            problem = line_problem(raw)
             if problem is None:
                 return raw.decode("utf-8", errors="replace").rstrip("\r\n")
             self.damage(problem)
@@ -167,36 +176,54 @@ class _Lines:
         self._notes.damage(f"{self._path}:{self.number}", problem)
 
     def _read_line(self) -> bytes:
-        try:
-            raw = self._stream.readline(_LONGEST_LINE_BYTES)
-        except _GZIP_DAMAGE as error:
-            self.number += 1
-            self.damage(f"compressed data damaged: {error}")
-            raise StopIteration from error
+        raw = self._stream.readline(LONGEST_LINE_BYTES + 2)
+        if not raw.endswith(b"\n") and len(raw) <= LONGEST_LINE_BYTES:
+            early_end = early_end_of(self._stream)
+            if early_end is not None:
+                # The line is cut; what is left of it may look like a frame.
+                self.number += 1
+                self.damage(early_end)
+                raise StopIteration
         if not raw:
             raise StopIteration
         return raw
 
-    def _skip_rest_of_long_line(self, raw: bytes) -> str | None:
-        if len(raw) < _LONGEST_LINE_BYTES or raw.endswith(b"\n"):
-            return None
-        length = len(raw)
-        while raw and not raw.endswith(b"\n"):
-            try:
-                raw = self._read_line()
-            except StopIteration:
-                break
-            length += len(raw)
-        return f"line of {length} bytes, expected at most {_LONGEST_LINE_BYTES}"
-
-    def _refuse_utf16(self, raw: bytes) -> None:
-        if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
-            raise InputError(str(self._path), "UTF-16 text", "UTF-8 or ASCII")
+    def _skip_rest_of_long_line(self, raw: bytes) -> None:
+        if len(raw) > LONGEST_LINE_BYTES:
+            while raw and not raw.endswith(b"\n"):
+                try:
+                    raw = self._read_line()
+                except StopIteration:
+                    break
 
 
-def _junk(raw: bytes) -> str | None:
+def without_byte_order_mark(start: bytes, path: Path) -> bytes:
+    """The start of a text file without the mark that some editors put before UTF-8. Raises InputError for UTF-16."""
+    if start.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise InputError(str(path), "UTF-16 text", "UTF-8 or ASCII")
+    return start.removeprefix(b"\xef\xbb\xbf")
+
+
+def line_problem(raw: bytes) -> str | None:
+    """Why a line, with or without its end, is not worth parsing in any text format; None when it is."""
+    if len(raw.rstrip(b"\r\n")) > LONGEST_LINE_BYTES:
+        return f"line longer than {LONGEST_LINE_BYTES} bytes"
     control = next((byte for byte in raw if byte < 0x20 and byte not in b"\t\r\n"), None)
     return f"binary junk (byte 0x{control:02X})" if control is not None else None
+
+
+def candump_frame(line: str, notes: LogNotes, damage: Callable[[str], None]) -> can.Message | None:
+    """The frame of a candump line; None for a blank line, a drop count (noted) and a damaged line (told to
+    `damage`)."""
+    text = line.strip()
+    message = parse_line(text)
+    if message is None:
+        dropped = dropped_frames(text)
+        if dropped is not None:
+            notes.dropped_by_recorder += dropped
+        elif text:
+            damage(f"{text[:60]!r} is no candump line")
+    return message
 
 
 def _read_text(path: Path, suffix: str, compressed: bool, notes: LogNotes) -> Iterator[can.Message]:
@@ -207,14 +234,9 @@ def _read_text(path: Path, suffix: str, compressed: bool, notes: LogNotes) -> It
 
 def _read_candump(lines: _Lines, notes: LogNotes) -> Iterator[can.Message]:
     for line in lines:
-        text = line.strip()
-        message = parse_line(text)
+        message = candump_frame(line, notes, lines.damage)
         if message is not None:
             yield message
-        elif (dropped := dropped_frames(text)) is not None:
-            notes.dropped_by_recorder += dropped
-        elif text:
-            lines.damage(f"{text[:60]!r} is no candump line")
 
 
 def _read_with_python_can(lines: _Lines, suffix: str) -> Iterator[can.Message]:
@@ -281,10 +303,10 @@ def _decompressed(path: Path, suffix: str, notes: LogNotes) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="yieldmon-") as folder:
         plain = Path(folder) / f"log{suffix}"
         with open_bytes(path, compressed=True) as packed, plain.open("wb") as out:
-            try:
-                shutil.copyfileobj(packed, out)
-            except _GZIP_DAMAGE as error:
-                notes.damage(f"{path}: byte {out.tell()} of the decompressed data", f"compressed data damaged: {error}")
+            shutil.copyfileobj(packed, out)
+            early_end = early_end_of(packed)
+        if early_end is not None:
+            notes.damage(str(path), early_end)
         yield plain
 
 

@@ -1,0 +1,204 @@
+"""candump logs into arrays, millions of lines at a time.
+
+Nearly all lines of a log look alike: same places of brackets, blanks and '#', only the digits differ. Lines of one
+length are taken together as a matrix of bytes, checked against the shape of one of them and turned into numbers column
+by column. Whatever does not fit a shape goes through candump.parse_line(), so that the result is that of the slow way.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import can
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.bus.candump import EXTENDED_FLAG, channel_name, flagged_id
+
+Bytes = NDArray[np.uint8]
+
+#: A line of a common shape: classic data frame, up to 8 bytes, no dots, R or T or neither.
+_COMMON = re.compile(
+    rb"\((?P<seconds>\d{1,10})\.(?P<fraction>\d{6}|\d{9})\) (?P<channel>\S+) "
+    rb"(?P<id>[0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#(?P<data>(?:[0-9A-Fa-f]{2}){0,8})(?: [RTrt])?\r?"
+)
+
+#: Shapes tried on the lines of one length before the rest goes the slow way: channel names and directions in a log are
+#: few.
+_SHAPES_TRIED = 8
+
+_INVALID = 0xFF
+
+
+def _hex_values() -> Bytes:
+    values = np.full(256, _INVALID, np.uint8)
+    for digits in (b"0123456789abcdef", b"0123456789ABCDEF"):
+        values[np.frombuffer(digits, np.uint8)] = np.arange(16)
+    return values
+
+
+_HEX = _hex_values()
+_MICROS_PER_S = 1e6
+_LARGEST_EXACT = float(2**53)
+_LARGEST_STANDARD_ID = 0x7FF
+_LARGEST_EXTENDED_ID = 0x1FFFFFFF
+
+
+@dataclass(frozen=True)
+class ParsedLines:
+    """Frames of a chunk. Arrays of shape (n,) in the order of the lines, as in bulk.FrameBlock; `channel` indexes the
+    list of names that parse_lines() was given and extends."""
+
+    time_s: NDArray[np.float64]
+    can_id: NDArray[np.uint32]
+    length: NDArray[np.uint8]
+    payload: NDArray[np.uint64]
+    channel: NDArray[np.int16]
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """Where the parts of a line are, as column ranges, and the bytes that must be as they are."""
+
+    seconds: slice
+    fraction: slice
+    can_id: slice
+    data: slice
+    fixed: NDArray[np.intp]
+    fixed_bytes: Bytes
+    channel: str
+
+    @property
+    def is_extended(self) -> bool:
+        return bool(self.can_id.stop - self.can_id.start > 3)
+
+
+def parse_lines(
+    chunk: bytes, channels: list[str], parse_slowly: Callable[[int, bytes], can.Message | None]
+) -> ParsedLines:
+    """Frames of whole lines (the last one may lack its line end).
+
+    parse_slowly(index, line) is asked for each line that has no common shape, in order; index counts lines from 0. It
+    returns the frame, or None for a line without one (having reported it where it is damaged).
+    """
+    buffer = np.frombuffer(chunk, np.uint8)
+    ends = np.flatnonzero(buffer == ord("\n"))
+    starts = np.concatenate([[0], ends + 1])
+    if len(buffer) == 0 or buffer[-1] == ord("\n"):
+        starts = starts[:-1]
+    else:
+        ends = np.append(ends, len(buffer))
+    widths = ends - starts
+    lines = len(starts)
+    parsed = ParsedLines(
+        np.zeros(lines),
+        np.zeros(lines, np.uint32),
+        np.zeros(lines, np.uint8),
+        np.zeros(lines, np.uint64),
+        np.zeros(lines, np.int16),
+    )
+    done = np.zeros(lines, bool)
+    for width in np.unique(widths):
+        rows = np.flatnonzero(widths == width)
+        for _ in range(_SHAPES_TRIED):
+            if len(rows) == 0:
+                break
+            shape = _shape_of(chunk[starts[rows[0]] : ends[rows[0]]])
+            if shape is None:
+                rows = rows[1:]
+                continue
+            fits = _fill(parsed, rows, _matrix(buffer, starts[rows], int(width)), shape, channels)
+            done[rows[fits]] = True
+            rows = rows[~fits]
+    kept = done.copy()
+    for index in np.flatnonzero(~done).tolist():
+        message = parse_slowly(index, chunk[starts[index] : ends[index]])
+        if message is not None:
+            kept[index] = True
+            _fill_slowly(parsed, index, message, channels)
+    if kept.all():
+        return parsed
+    return ParsedLines(
+        parsed.time_s[kept], parsed.can_id[kept], parsed.length[kept], parsed.payload[kept], parsed.channel[kept]
+    )
+
+
+def _shape_of(line: bytes) -> _Shape | None:
+    match = _COMMON.fullmatch(line)
+    if match is None:
+        return None
+    variable = np.zeros(len(line), bool)
+    for name in ("seconds", "fraction", "id", "data"):
+        variable[slice(*match.span(name))] = True
+    fixed = np.flatnonzero(~variable)
+    return _Shape(
+        seconds=slice(*match.span("seconds")),
+        fraction=slice(*match.span("fraction")),
+        can_id=slice(*match.span("id")),
+        data=slice(*match.span("data")),
+        fixed=fixed,
+        fixed_bytes=np.frombuffer(line, np.uint8)[fixed],
+        channel=match["channel"].decode("utf-8", errors="replace"),
+    )
+
+
+def _matrix(buffer: Bytes, starts: NDArray[np.intp], width: int) -> Bytes:
+    return np.lib.stride_tricks.sliding_window_view(buffer, width)[starts]
+
+
+def _fill(
+    parsed: ParsedLines, rows: NDArray[np.intp], lines: Bytes, shape: _Shape, channels: list[str]
+) -> NDArray[np.bool_]:
+    """Writes the rows whose lines have the shape; says which those are."""
+    time_s, time_fits = _times(lines, shape)
+    nibbles = _HEX[lines[:, shape.can_id]]
+    can_id = nibbles.astype(np.float64) @ 16.0 ** np.arange(nibbles.shape[1] - 1, -1, -1)
+    data = _HEX[lines[:, shape.data]]
+    fits: NDArray[np.bool_] = (
+        (lines[:, shape.fixed] == shape.fixed_bytes).all(axis=1)
+        & time_fits
+        & (nibbles != _INVALID).all(axis=1)
+        & (can_id <= (_LARGEST_EXTENDED_ID if shape.is_extended else _LARGEST_STANDARD_ID))
+        & (data != _INVALID).all(axis=1)
+    )
+    length = data.shape[1] // 2
+    payload = np.zeros((len(rows), 8), np.uint8)
+    payload[:, :length] = data[:, 0::2] << 4 | data[:, 1::2]
+    into = rows[fits]
+    parsed.time_s[into] = time_s[fits]
+    parsed.can_id[into] = can_id[fits].astype(np.uint32) | np.uint32(EXTENDED_FLAG if shape.is_extended else 0)
+    parsed.length[into] = length
+    parsed.payload[into] = payload.view("<u8")[fits, 0]
+    parsed.channel[into] = _channel_index(shape.channel, channels)
+    return fits
+
+
+def _times(lines: Bytes, shape: _Shape) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Seconds as float() reads them, and the rows where they are digits throughout."""
+    digits = np.concatenate([lines[:, shape.seconds], lines[:, shape.fraction]], axis=1) - ord("0")
+    fits: NDArray[np.bool_] = (digits <= 9).all(axis=1)
+    places = digits.shape[1]
+    if shape.fraction.stop - shape.fraction.start == 6:
+        # A quotient of two exact numbers is the double nearest to the decimal number, as float() finds it.
+        micros = digits.astype(np.float64) @ 10.0 ** np.arange(places - 1, -1, -1)
+        fits = np.logical_and(fits, micros < _LARGEST_EXACT)
+        return micros / _MICROS_PER_S, fits
+    text = lines[:, shape.seconds.start : shape.fraction.stop].copy()
+    text[~fits] = ord("0")
+    return text.view(f"S{text.shape[1]}")[:, 0].astype(np.float64), fits
+
+
+def _fill_slowly(parsed: ParsedLines, row: int, message: can.Message, channels: list[str]) -> None:
+    parsed.time_s[row] = message.timestamp
+    parsed.can_id[row] = flagged_id(message)
+    parsed.length[row] = message.dlc if message.is_remote_frame else len(message.data)
+    parsed.payload[row] = int.from_bytes(message.data[:8], "little")
+    parsed.channel[row] = _channel_index(channel_name(message), channels)
+
+
+def _channel_index(name: str, channels: list[str]) -> int:
+    if name not in channels:
+        channels.append(name)
+    return channels.index(name)

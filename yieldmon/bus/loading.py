@@ -1,0 +1,104 @@
+"""Whole logs as arrays: candump logs by the fast parser, every other format message by message."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+
+import can
+import numpy as np
+
+from yieldmon.bus.bulk import FrameBlock, block_of, concatenate
+from yieldmon.bus.candump import ERROR_FLAG
+from yieldmon.bus.fast_candump import parse_lines
+from yieldmon.bus.logs import (
+    LONGEST_LINE_BYTES,
+    LogNotes,
+    candump_frame,
+    early_end_of,
+    line_problem,
+    log_format,
+    open_bytes,
+    read_log,
+    refuse_unreadable,
+    without_byte_order_mark,
+)
+from yieldmon.errors import InputError
+
+_CHUNK_BYTES = 4 * 1024 * 1024
+_MESSAGES_PER_BLOCK = 100_000
+
+
+def load_frames(path: Path | str, notes: LogNotes | None = None) -> FrameBlock:
+    """The whole log. About 23 bytes a frame; see iter_blocks() for logs that shall not be held at once."""
+    return concatenate(list(iter_blocks(path, notes)))
+
+
+def iter_blocks(
+    path: Path | str, notes: LogNotes | None = None, *, chunk_bytes: int = _CHUNK_BYTES
+) -> Iterator[FrameBlock]:
+    """The log in blocks of some 100,000 frames: the frames that logs.read_log() gives, in the same order.
+
+    Damage is treated, reported and raised as there. chunk_bytes: how much of a candump log is read at a time.
+    """
+    path = Path(path)
+    notes = notes if notes is not None else LogNotes()
+    if log_format(path)[0] == ".log":
+        yield from _candump_blocks(path, notes, chunk_bytes)
+        return
+    messages = read_log(path, notes)
+    while batch := list(islice(messages, _MESSAGES_PER_BLOCK)):
+        yield block_of(batch)
+
+
+def _candump_blocks(path: Path, notes: LogNotes, chunk_bytes: int) -> Iterator[FrameBlock]:
+    channels: list[str] = []
+    line = 1
+    try:
+        with open_bytes(path, log_format(path)[1]) as stream:
+            for chunk in _whole_lines(stream, path, chunk_bytes):
+                yield _block(chunk, path, notes, channels, line)
+                line += chunk.count(b"\n")
+            early_end = early_end_of(stream)
+    except OSError as error:
+        raise InputError(str(path), error.strerror or str(error), "a readable CAN log") from error
+    if early_end is not None:
+        notes.damage(f"{path}:{line}", early_end)
+    refuse_unreadable(path, notes)
+
+
+def _whole_lines(stream: io.BufferedReader, path: Path, chunk_bytes: int) -> Iterator[bytes]:
+    """Chunks that end with a line's end, but for the last. A cut line at the early end of a stream is left out."""
+    carried = without_byte_order_mark(stream.read(chunk_bytes), path)
+    while piece := stream.read(chunk_bytes):
+        end = carried.rfind(b"\n") + 1
+        if end:
+            yield carried[:end]
+        rest = carried[end:]
+        if len(rest) > 2 * LONGEST_LINE_BYTES:
+            # Too long for a line already: its beginning is enough to say so.
+            rest = rest[: 2 * LONGEST_LINE_BYTES]
+        carried = rest + piece
+    if early_end_of(stream) is not None:
+        carried = carried[: carried.rfind(b"\n") + 1]
+    if carried:
+        yield carried
+
+
+def _block(chunk: bytes, path: Path, notes: LogNotes, channels: list[str], first_line: int) -> FrameBlock:
+    def parse_slowly(index: int, raw: bytes) -> can.Message | None:
+        def damage(problem: str) -> None:
+            notes.damage(f"{path}:{first_line + index}", problem)
+
+        problem = line_problem(raw)
+        if problem is not None:
+            damage(problem)
+            return None
+        return candump_frame(raw.decode("utf-8", errors="replace"), notes, damage)
+
+    parsed = parse_lines(chunk, channels, parse_slowly)
+    notes.frames += len(parsed.time_s)
+    notes.error_frames += int(np.count_nonzero(parsed.can_id & np.uint32(ERROR_FLAG)))
+    return FrameBlock(parsed.time_s, parsed.can_id, parsed.length, parsed.payload, parsed.channel, tuple(channels))
