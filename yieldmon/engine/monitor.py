@@ -1,6 +1,6 @@
 """The yield monitor: frames in, frames out, time only from the frames.
 
-`feed` and `feed_samples` give the same bits for the same frames, one by one or in blocks. Nothing here raises on any sequence of
+`feed` and `feed_run` give the same bits for the same frames, one by one or in blocks. Nothing here raises on any sequence of
 frames: what cannot be used is left out, and quality and faults say so.
 
 Rules for the totals. A window that is partly lost counts its whole duration at the mean of what was measured in it, as long as
@@ -11,8 +11,8 @@ that is at least `WindowSettings.min_coverage` of it; below that, only the time 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from math import degrees, floor, hypot, isfinite, radians
 
 import numpy as np
@@ -50,7 +50,8 @@ _KEPT_LOADS = 256
 _MAX_PLAUSIBLE_RPM = 3000.0
 _MAX_PLAUSIBLE_ANGLE_DEG = 180.0
 _KMH = 1.0 / 3.6
-_ONE_LOAD_MODULUS = 256
+_COUNTER_MODULUS = 256
+_NO_FAULTS: dict[str, Value] = {code.value: 0 for code in FAULTS}
 
 
 class Held:
@@ -83,6 +84,21 @@ class LoadSummary:
     dry_kg: float
     unknown_moisture_kg: float
     complete: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SampleRun:
+    """Consecutive ImpactSensorSamples frames as arrays: times_s (bus time), counters and statuses (n,), millivolts (n, samples).
+
+    nan for what is not available. places (m,): how many of these frames came before each of the m frames of other messages that
+    are fed along with them; not falling.
+    """
+
+    times_s: NDArray[np.float64]
+    millivolts: NDArray[np.float64]
+    counters: NDArray[np.float64]
+    statuses: NDArray[np.float64]
+    places: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,40 +203,41 @@ class Monitor:
         now = self._clock.engine_time(time_s)
         return [] if now is None else self._advance(now)
 
-    def feed_samples(
-        self,
-        times_s: NDArray[np.float64],
-        millivolts: NDArray[np.float64],
-        counters: NDArray[np.float64],
-        statuses: NDArray[np.float64],
-    ) -> list[Frame]:
-        """Take a run of ImpactSensorSamples frames with none of another message between them.
+    def feed_run(self, run: SampleRun, others: Sequence[Frame] = ()) -> list[Frame]:
+        """Take a run of ImpactSensorSamples frames and the frames of other messages that came among them.
 
-        times_s, counters, statuses: (n,); millivolts: (n, samples per frame); nan for what is not available. The same as `feed`
-        frame by frame, without its cost.
+        The same as `feed` frame by frame in order of arrival, to the bit, at a fraction of its cost.
         """
-        count = times_s.size
-        rows = np.column_stack((times_s, counters, statuses, millivolts)).astype(np.float64, copy=False)
-        out: list[Frame] = []
-        first = 0
-        if self._clock.now_s is None and count:
-            out += self._feed_row(rows[0])
-            first = 1
-        if not self._clock.regular(rows[first:, 0]):
-            for row in rows[first:]:
-                out += self._feed_row(row)
-            return out
+        count = run.times_s.size
+        places = run.places + np.arange(len(others), dtype=np.intp)
+        rows = np.column_stack((run.times_s, run.counters, run.statuses, run.millivolts)).astype(np.float64, copy=False)
+        times = np.insert(run.times_s, run.places, [frame.time_s for frame in others])
+        if self._clock.now_s is None and times.size:
+            start = self._clock.engine_time(float(times[0]))
+            if start is not None:
+                self._advance(start)
+        if not self._clock.regular(times):
+            return self._feed_merged(rows, others, run.places)
+        times = times + self._clock.offset_s
         rows[:, 0] += self._clock.offset_s
-        engine_times = rows[:, 0]
-        while first < count:
-            after = first + int(np.searchsorted(engine_times[first:], self._next_s, side="left"))
-            if after > first:
-                self._builder.add_block(rows[first:after])
-            if after < count:
-                out += self._advance(float(engine_times[after]))
-            first = after
-        if count:
-            self._clock.now_s = float(engine_times[-1])
+        out: list[Frame] = []
+        done, other = 0, 0
+        while done < times.size:
+            after = done + int(np.searchsorted(times[done:], self._next_s, side="left"))
+            next_other = int(np.searchsorted(places, after, side="left"))
+            first, last = done - other, after - next_other
+            if last > first:
+                self._builder.add_block(rows[first:last])
+            for index in range(other, next_other):
+                frame = others[index]
+                handler = self._handlers.get(frame.message)
+                if handler is not None:
+                    handler(float(times[places[index]]), frame.signals)
+            if after < times.size:
+                out += self._advance(float(times[after]))
+            done, other = after, next_other
+        if count or others:
+            self._clock.now_s = float(times[-1])
         return out
 
     # Operator and service
@@ -338,11 +355,23 @@ class Monitor:
 
     # Inputs
 
+    def _feed_merged(self, rows: NDArray[np.float64], others: Sequence[Frame], places: NDArray[np.intp]) -> list[Frame]:
+        out: list[Frame] = []
+        first = 0
+        for frame, place in zip(others, places.tolist(), strict=True):
+            for row in rows[first:place]:
+                out += self._feed_row(row)
+            first = place
+            out += self.feed(frame)
+        for row in rows[first:]:
+            out += self._feed_row(row)
+        return out
+
     def _feed_row(self, row: NDArray[np.float64]) -> list[Frame]:
         now = self._clock.engine_time(float(row[0]))
         if now is None:
             return []
-        out = self._advance(now)
+        out = self._advance(now) if now >= self._next_s else []
         self._builder.rows.append((now, *row[1:].tolist()))
         return out
 
@@ -814,9 +843,10 @@ class Monitor:
         quality = record.quality
         if not published and quality is not EstimateQuality.NOT_HARVESTING:
             quality = EstimateQuality.NOT_AVAILABLE
-        active = self.faults.active
-        status: dict[str, Value] = {"OperatingState": int(record.operating_state)}
-        status.update({code.value: int(code in active) for code in FAULTS})
+        active = record.faults
+        status: dict[str, Value] = {"OperatingState": int(record.operating_state), **_NO_FAULTS}
+        for code in active:
+            status[code.value] = 1
         return [
             Frame(
                 bus_s,
@@ -825,7 +855,7 @@ class Monitor:
                     "MassFlowRate": _fits(record.mass_flow_kg_s, 64.255) if published else NOT_AVAILABLE,
                     "MassFlowStdDev": _fits(record.std_dev_kg_s, 64.255) if published else NOT_AVAILABLE,
                     "EstimateQuality": int(quality),
-                    "WindowCounter": record.window % 256,
+                    "WindowCounter": record.window % _COUNTER_MODULUS,
                 },
             ),
             Frame(
@@ -834,7 +864,7 @@ class Monitor:
                 {
                     "LoadMass": _fits(record.load_kg, 164495.35),
                     "TotalMass": _fits(record.total_kg, 42110812.15),
-                    "LoadNumber": record.load_number % _ONE_LOAD_MODULUS,
+                    "LoadNumber": record.load_number % _COUNTER_MODULUS,
                 },
             ),
             Frame(bus_s, bus.SELF_CALIBRATION_STATUS, self._calibration_signals()),
