@@ -1,0 +1,218 @@
+"""Each effect against what is known of it without the model: closed forms, equalities, limits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from yieldmon.physics.machine import RPM, Machine
+from yieldmon.physics.model import Conditions, ForwardModel
+
+MACHINE = Machine()
+GRAIN = {"friction": 0.3, "density": 1200.0, "shape_ratio": 2.0, "restitution": 0.6}
+ANGLE, LOAD = (a.ravel() for a in np.meshgrid(np.radians([40.0, 55.0, 70.0, 90.0]), [0.05, 0.4, 1.2, 2.5]))
+SPEED = np.full(ANGLE.shape, 400.0 * RPM)
+AT = Conditions(ANGLE, SPEED, paddle_mass_kg=LOAD, moisture_pct=np.full(ANGLE.shape, 15.0))
+PASSES = SPEED * MACHINE.sprocket_pitch_radius_m / MACHINE.paddle_spacing_m
+
+
+def read(effect: str = "", *, at: Conditions = AT, machine: Machine = MACHINE, grain: dict[str, float] | None = None, **own: float):
+    values = GRAIN | (grain or {}) | {f"{effect}.{key}": value for key, value in own.items()}
+    return ForwardModel(machine, (effect,) if effect else ()).paddle_momentum(at, values, overfull="nan")
+
+
+BASE = read()
+
+
+def test_slip_is_another_speed() -> None:
+    slower = read(at=replace(AT, elevator_speed_rad_s=0.9 * SPEED))
+    np.testing.assert_allclose(read("chain_slip", share=0.1), slower, rtol=1e-12)
+
+
+def test_slip_puts_more_grain_on_each_paddle() -> None:
+    at = Conditions(ANGLE, SPEED, mass_flow_kg_s=5.0)
+    slower = replace(at, elevator_speed_rad_s=0.9 * SPEED)
+    slipped = ForwardModel(MACHINE, ("chain_slip",)).force(at, GRAIN | {"chain_slip.share": 0.1})
+    np.testing.assert_allclose(slipped, ForwardModel(MACHINE).force(slower, GRAIN), rtol=1e-12)
+
+
+def test_wear_is_a_shorter_paddle() -> None:
+    shorter = read(machine=replace(MACHINE, paddle_length_m=0.15))
+    np.testing.assert_allclose(read("paddle_wear", length_m=0.01), shorter, rtol=1e-12)
+
+
+def test_angle_offset_is_another_angle() -> None:
+    turned = read(at=replace(AT, plate_angle_rad=ANGLE + 0.03))
+    np.testing.assert_allclose(read("plate_angle_offset", angle_rad=0.03), turned, rtol=1e-12)
+
+
+def test_leakage_keeps_what_continuity_leaves() -> None:
+    full = 0.5 * 2.0 * 1200.0 * MACHINE.paddle_width_m * MACHINE.paddle_length_m**2
+    kept = LOAD / (1.0 + 0.5 * LOAD / full)
+    np.testing.assert_allclose(read("paddle_leakage", loss_at_full=0.5), read(at=replace(AT, paddle_mass_kg=kept)), rtol=1e-12)
+
+
+def test_leakage_halves_at_twice_the_speed() -> None:
+    model = ForwardModel(MACHINE, ("paddle_leakage",))
+    values = GRAIN | {"paddle_leakage.loss_at_full": 0.2}
+    lost = [1.0 - float(model.throw(1.2, speed, values).load_mass(np.asarray(0.5))) / 0.5 for speed in (20.0, 40.0)]
+    assert lost[0] / lost[1] == pytest.approx(2.0, rel=0.05)
+
+
+def test_shape_is_untouched_at_nominal_speed_and_scaled_elsewhere() -> None:
+    np.testing.assert_allclose(read("speed_dependent_shape", exponent=1.5), BASE, rtol=1e-12)
+    faster = replace(AT, elevator_speed_rad_s=1.2 * SPEED)
+    flatter = read(at=faster, grain={"shape_ratio": 2.0 * 1.2**0.5})
+    np.testing.assert_allclose(read("speed_dependent_shape", at=faster, exponent=0.5), flatter, rtol=1e-10)
+
+
+def test_radial_speed_without_friction_follows_energy() -> None:
+    """rho'' = rho from rho' = s rho_0: (rho'^2 - rho^2) is kept, so at the tip u^2 = 1 - rho_0^2 (1 - s^2)."""
+    model = ForwardModel(MACHINE, ("residual_radial_speed",))
+    throw = model.throw(1.2, 40.0, GRAIN | {"friction": 0.0, "residual_radial_speed.share": 0.5})
+    jet = throw.reading(np.asarray(1.0)).impulse.arrival.jet
+    speed2 = (jet.vx_m_s**2 + jet.vy_m_s**2) / (MACHINE.paddle_length_m * 40.0) ** 2
+    np.testing.assert_allclose(speed2 - 1.0, 1.0 - jet.release_radius**2 * (1.0 - 0.25), rtol=1e-12)
+
+
+def test_release_angle_turns_the_jet_and_leaves_its_speed() -> None:
+    base = ForwardModel(MACHINE).throw(1.2, 40.0, GRAIN).reading(np.asarray(0.05)).impulse.arrival.jet
+    model = ForwardModel(MACHINE, ("release_angle",))
+    turned = model.throw(1.2, 40.0, GRAIN | {"release_angle.angle_rad": 0.2}).reading(np.asarray(0.05)).impulse.arrival.jet
+    np.testing.assert_allclose(turned.travel_angle_rad, base.travel_angle_rad, rtol=1e-9)
+    turn = np.arctan2(turned.vy_m_s, turned.vx_m_s) - np.arctan2(base.vy_m_s, base.vx_m_s)
+    np.testing.assert_allclose(turn, 0.2, rtol=1e-9)
+    np.testing.assert_allclose(np.hypot(turned.vx_m_s, turned.vy_m_s), np.hypot(base.vx_m_s, base.vy_m_s), rtol=1e-9)
+
+
+def test_gravity_vanishes_as_the_elevator_speeds_up() -> None:
+    change = []
+    for factor in (1.0, 4.0, 16.0):
+        at = replace(AT, elevator_speed_rad_s=factor * SPEED)
+        change.append(np.max(np.abs(read("gravity", at=at, acceleration_m_s2=9.81) / read(at=at) - 1.0)))
+    assert change[0] > change[1] > change[2]
+    assert change[2] < change[0] / 64.0
+
+
+def test_drag_takes_a_share_per_metre() -> None:
+    light = replace(AT, paddle_mass_kg=1e-9, plate_angle_rad=np.radians(90.0))
+    length = MACHINE.plate_pivot_x_m
+    np.testing.assert_allclose(
+        read("air_drag", at=light, rate_per_m=0.3) / read(at=light), np.exp(-0.3 * length), rtol=1e-3
+    )
+
+
+def test_captured_grain_lands_in_proportion() -> None:
+    half = read("miss_capture", share=0.5)
+    whole = read("miss_capture", share=1.0)
+    np.testing.assert_allclose(half, 0.5 * (BASE + whole), rtol=1e-12)
+    assert np.all(whole >= BASE * (1.0 - 1e-12))
+
+
+def test_whole_capture_makes_the_angle_profile_that_of_one_jet() -> None:
+    """All grain landing, P = sin(phi) |sum m v| sin(phi - delta) with one delta for every angle."""
+    angles = np.radians(np.arange(60.0, 91.0, 5.0))
+    whole = read("miss_capture", at=Conditions(angles, 40.0, paddle_mass_kg=0.2), share=1.0)
+    basis = np.stack((np.sin(angles) ** 2, np.sin(angles) * np.cos(angles)), axis=-1)
+    fitted = basis @ np.linalg.lstsq(basis, whole, rcond=None)[0]
+    np.testing.assert_allclose(whole, fitted, rtol=1e-3)
+
+
+def test_spread_moves_grain_across_the_edge_both_ways() -> None:
+    low = Conditions(np.radians(40.0), 400.0 * RPM, paddle_mass_kg=np.array([0.4, 2.5]))
+    light, heavy = read("stream_spread", at=low, spread_rad=0.08) / read(at=low)
+    assert light < 1.0 < heavy
+    error = [np.max(np.abs(read("stream_spread", at=low, spread_rad=s) / read(at=low) - 1.0)) for s in (0.08, 0.02, 0.005)]
+    assert error[0] > error[1] > error[2]
+    assert error[2] < 1e-3
+
+
+def test_overshoot_takes_most_from_grain_near_the_top() -> None:
+    lost = 1.0 - read("plate_overshoot", depth_m=0.01) / BASE
+    light, heavy = lost[LOAD == 0.05], lost[LOAD == 2.5]
+    assert np.all(light > heavy)
+    assert np.all((lost > 0.0) & (lost < 10.0 / 15.0))
+
+
+def test_friction_on_the_plate_gives_cot_while_grain_slides() -> None:
+    light = replace(AT, paddle_mass_kg=np.full(ANGLE.shape, 1e-6))
+    ratio = read("plate_friction", at=light, coefficient=0.01) / read(at=light)
+    np.testing.assert_allclose(ratio, 1.0 + 0.01 / np.tan(ANGLE), rtol=1e-3)
+
+
+def test_friction_on_the_plate_ends_at_rolling() -> None:
+    assert np.all(read("plate_friction", coefficient=1.0) >= BASE * (1.0 - 1e-12))
+    at = replace(AT, plate_angle_rad=np.full(ANGLE.shape, np.radians(45.0)))
+    np.testing.assert_allclose(
+        read("plate_friction", at=at, coefficient=0.9), read("plate_friction", at=at, coefficient=1.0), rtol=2e-2
+    )
+
+
+def test_thick_streams_land_without_rebound() -> None:
+    dead = read(grain={"restitution": 0.0})
+    shielded = read("jet_shielding", rate_per_m=300.0)
+    np.testing.assert_allclose(shielded[LOAD > 1.0], dead[LOAD > 1.0], rtol=0.05)
+    assert np.all((shielded <= BASE * (1.0 + 1e-12)) & (shielded >= dead * (1.0 - 1e-12)))
+    assert np.all(np.diff(shielded.reshape(4, 4) / BASE.reshape(4, 4), axis=0) < 0.0)
+
+
+def test_restitution_is_the_given_one_at_tip_speed() -> None:
+    """A thin load meets a plate at right angles with the tip's speed."""
+    level = Conditions(np.radians(90.0), SPEED, paddle_mass_kg=1e-9)
+    np.testing.assert_allclose(read("speed_dependent_restitution", at=level, exponent=0.5), read(at=level), rtol=1e-3)
+    fast = replace(level, elevator_speed_rad_s=1.3 * SPEED)
+    gain = read("speed_dependent_restitution", at=fast, exponent=0.5) / read(at=fast) * 1.6
+    np.testing.assert_allclose(gain, 1.0 + 0.6 * 1.3**-0.5, rtol=1e-3)
+
+
+def test_second_strikes_matter_most_at_normal_incidence() -> None:
+    light = replace(AT, paddle_mass_kg=np.full(ANGLE.shape, 1e-6))
+    extra = read("secondary_impact", at=light, share=1.0) / read(at=light) - 1.0
+    np.testing.assert_allclose(extra, 0.6 * 0.4 / 1.6 * np.sin(ANGLE) ** 2, rtol=0.02)
+
+
+def test_resting_grain_is_read_as_its_weight() -> None:
+    added = read("resting_grain", at=replace(AT, paddle_mass_kg=np.full(ANGLE.shape, 0.05)), time_s=0.1) - read(
+        at=replace(AT, paddle_mass_kg=np.full(ANGLE.shape, 0.05))
+    )
+    np.testing.assert_allclose(added, 0.05 * 9.81 * 0.1, rtol=1e-9)
+
+
+def test_offset_and_buildup_are_forces_without_grain() -> None:
+    np.testing.assert_allclose((read("zero_offset", force_n=3.0) - BASE) * PASSES, 3.0, rtol=1e-9)
+    np.testing.assert_allclose((read("plate_buildup", weight_n=3.0) - BASE) * PASSES, 3.0 * np.cos(ANGLE), atol=1e-9)
+
+
+def test_lever_arm_is_blind_to_grain_in_the_middle() -> None:
+    model = ForwardModel(MACHINE, ("lever_arm",))
+    throw = model.throw(ANGLE, SPEED, GRAIN | {"lever_arm.slope": 0.6})
+    impulse = throw.reading(LOAD).impulse
+    place = impulse.arrival.from_low_edge_m / MACHINE.plate_length_m + 0.5
+    np.testing.assert_allclose(impulse.weight, 1.0 + 0.6 * np.clip(place, -0.5, 0.5), rtol=1e-12)
+
+
+def test_cell_depends_on_force_alone() -> None:
+    force = BASE * PASSES
+    np.testing.assert_allclose(
+        read("cell_nonlinearity", softening_per_n=0.002) * PASSES, force / (1.0 + 0.002 * force), rtol=1e-12
+    )
+
+
+def test_moisture_scales_the_grain() -> None:
+    effect = "moisture_dependence"
+    rates = {"friction_per_pct": 0.05, "density_per_pct": -0.01, "restitution_per_pct": -0.02}
+    np.testing.assert_allclose(read(effect, **rates), BASE, rtol=1e-12)
+    wet = replace(AT, moisture_pct=np.full(ANGLE.shape, 25.0))
+    same = read(
+        at=wet,
+        grain={"friction": 0.3 * np.exp(0.5), "density": 1200.0 * np.exp(-0.1), "restitution": 0.6 * np.exp(-0.2)},
+    )
+    np.testing.assert_allclose(read(effect, at=wet, **rates), same, rtol=1e-12)
+
+
+def test_moisture_must_be_known() -> None:
+    dry = {"friction_per_pct": 0.0, "density_per_pct": 0.0, "restitution_per_pct": 0.0}
+    with pytest.raises(ValueError, match="moisture is unknown"):
+        read("moisture_dependence", at=replace(AT, moisture_pct=None), **dry)

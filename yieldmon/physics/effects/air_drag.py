@@ -1,0 +1,37 @@
+"""Air that brakes the grain in flight."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from yieldmon.physics.numerics import real
+from yieldmon.physics.stages import Arrival, Setting
+
+from .effect import Effect, EffectParameter, Values
+
+
+def _arrival(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
+    finite = np.isfinite(real(arrival.flight_length_m))
+    length = np.where(finite, arrival.flight_length_m, 0.0)
+    kept = np.exp(-values["rate_per_m"] * np.where(real(length) > 0.0, length, 0.0))
+    return replace(
+        arrival,
+        normal_speed_m_s=arrival.normal_speed_m_s * kept,
+        tangential_speed_m_s=arrival.tangential_speed_m_s * kept,
+    )
+
+
+EFFECT = Effect(
+    name="air_drag",
+    stage="flight",
+    summary="Quadratic drag takes a fixed share of the speed per metre of flight.",
+    signature="loss of exp(-g L / v_t^2): longer paths, to a steep plate, lose more; no change with speed",
+    source="quadratic drag, dv/ds = -(g / v_t^2) v; terminal speeds of grain: Mohsenin, Physical Properties of Plant and "
+    "Animal Materials",
+    parameters=(
+        EffectParameter("rate_per_m", "1/m", 0.0, 0.0, 0.6, 0.08, "g over the terminal speed squared", 0.2),
+    ),
+    arrival=_arrival,
+)

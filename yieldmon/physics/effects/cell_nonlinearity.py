@@ -1,0 +1,28 @@
+"""A force cell that is not linear."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from yieldmon.physics.stages import Reading, Setting
+
+from .effect import Effect, EffectParameter, Values
+
+
+def _reading(reading: Reading, values: Values, setting: Setting) -> Reading:
+    force = reading.momentum_kg_m_s * setting.passes_per_s
+    return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s / (1.0 + values["softening_per_n"] * force))
+
+
+EFFECT = Effect(
+    name="cell_nonlinearity",
+    stage="sensor",
+    summary="The cell reads less than in proportion as the force grows (or more).",
+    signature="a curve over force alone: loads, angles and speeds that give the same force read the same",
+    source="cell characteristic F / (1 + c F)",
+    parameters=(
+        EffectParameter("softening_per_n", "1/N", 0.0, -0.001, 0.01, 0.0005, "relative loss per force", 0.001),
+    ),
+    reading=_reading,
+    unit_follows_response=True,
+)

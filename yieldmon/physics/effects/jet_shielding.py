@@ -1,0 +1,32 @@
+"""Grain that strikes grain instead of the plate in a thick stream."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from yieldmon.physics import settling
+from yieldmon.physics.stages import Impulse, Setting
+
+from .effect import Effect, EffectParameter, Values
+from .rebound import scale_restitution
+
+
+def _impulse(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
+    jet = impulse.arrival.jet
+    angle = settling.opening_angle(jet.release_radius, jet.inner_radius, setting.shape_ratio)
+    thickness_m = angle * jet.release_radius * setting.paddle_length_m
+    factor = 1.0 / (1.0 + values["rate_per_m"] * thickness_m)
+    return replace(impulse, normal_gain=scale_restitution(impulse, factor, setting))
+
+
+EFFECT = Effect(
+    name="jet_shielding",
+    stage="impact",
+    summary="Rebound dies in a thick stream, because grain rebounds into the grain behind it.",
+    signature="sublinear over load from the first kernels on: gain from 1 + e for a thin stream to 1 for a thick one",
+    source="inelastic landing of dense granular jets: Cheng et al., Physical Review Letters 99, 188001 (2007)",
+    parameters=(
+        EffectParameter("rate_per_m", "1/m", 0.0, 0.0, 300.0, 20.0, "1 / stream thickness that halves rebound", 20.0),
+    ),
+    impulse=_impulse,
+)

@@ -1,0 +1,30 @@
+"""Grain that falls back between paddle and housing on the way up."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from yieldmon.physics.stages import Load, Setting
+
+from .effect import Effect, EffectParameter, Values
+
+
+def _load(load: Load, values: Values, setting: Setting) -> Load:
+    fill = load.paddle_mass_kg / setting.full_paddle_mass_kg
+    slowness = setting.machine.nominal_elevator_speed_rad_s / setting.elevator_speed_rad_s
+    return replace(load, paddle_mass_kg=load.paddle_mass_kg / (1.0 + values["loss_at_full"] * fill * slowness))
+
+
+EFFECT = Effect(
+    name="paddle_leakage",
+    stage="fill",
+    summary="Part of each load falls back past the paddle, the more the fuller the paddle and the slower the elevator.",
+    signature="flow lost in proportion to fill and to 1/speed; the same at every plate angle for a given load",
+    source="continuity: loss rate proportional to head over the gap, time on the way up proportional to 1/speed",
+    parameters=(
+        EffectParameter(
+            "loss_at_full", "", 0.0, 0.0, 1.0, 0.1, "mass lost over mass kept, per fill, at the nominal speed", 0.3
+        ),
+    ),
+    load=_load,
+)

@@ -1,0 +1,28 @@
+"""Crop stuck to the plate."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from yieldmon.physics.stages import Reading, Setting
+
+from .effect import Effect, EffectParameter, Values
+
+
+def _reading(reading: Reading, values: Values, setting: Setting) -> Reading:
+    force = values["weight_n"] * np.cos(setting.plate_angle_rad)
+    return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + force / setting.passes_per_s)
+
+
+EFFECT = Effect(
+    name="plate_buildup",
+    stage="sensor",
+    summary="Material stuck to the plate loads the cell as far as the plate lies flat.",
+    signature="a force without grain that goes as cos(phi), the same at every flow",
+    source="statics: component of the weight across the plate",
+    parameters=(EffectParameter("weight_n", "N", 0.0, 0.0, 30.0, 2.0, "weight of what sticks", 4.0),),
+    reading=_reading,
+    unit_follows_response=True,
+)

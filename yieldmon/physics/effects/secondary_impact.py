@@ -1,0 +1,33 @@
+"""Grain that rebounds into the stream and strikes the plate again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from yieldmon.physics.stages import Impulse, Setting
+
+from .effect import Effect, EffectParameter, Values
+from .rebound import restitution, scale_restitution
+
+
+def _impulse(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
+    arrival = impulse.arrival
+    normal2 = arrival.normal_speed_m_s**2
+    facing = normal2 / (normal2 + arrival.tangential_speed_m_s**2 + 1e-30)
+    again = values["share"] * facing
+    # The second strike cannot make the pair more than elastic: e grows towards 1.
+    factor = 1.0 + again * (1.0 - restitution(impulse, setting))
+    return replace(impulse, normal_gain=scale_restitution(impulse, factor, setting))
+
+
+EFFECT = Effect(
+    name="secondary_impact",
+    stage="impact",
+    summary="Grain that rebounds straight back into the stream is thrown onto the plate once more.",
+    signature="extra gain near normal incidence, cos^2 of the incidence; the same at every load",
+    source="second collision of a share s cos^2(alpha) of the rebounding grain, bounded by elastic exchange",
+    parameters=(
+        EffectParameter("share", "", 0.0, 0.0, 1.0, 0.2, "share of rebounding grain at normal incidence", 0.4),
+    ),
+    impulse=_impulse,
+)
