@@ -182,7 +182,10 @@ class Zero(Section):
         _Z.first_pulse_limit_mv, 0.1, 1000.0, "mV", "largest amplitude taken for vibration before any was learnt"
     )
     pulse_margin_mv: float = quantity(
-        _Z.pulse_margin_mv, 0.0, 1000.0, "mV", "excess over vibration that speaks of grain"
+        _Z.pulse_margin_mv, 0.0, 1000.0, "mV", "excess over vibration, seen over several seconds, that speaks of grain"
+    )
+    window_pulse_margin_mv: float = quantity(
+        _Z.window_pulse_margin_mv, 0.0, 1000.0, "mV", "the same, seen within one second"
     )
     pulse_margin: float = quantity(
         _Z.pulse_margin, 1.0, 100.0, "1", "the same as a factor; the larger of the two holds"
@@ -273,9 +276,15 @@ class Sweep(Section):
     )
     return_timeout_s: float = quantity(_S.return_timeout_s, 0.5, 120.0, "s", "longest way home")
     home_rest_s: float = quantity(_S.home_rest_s, 0.0, 600.0, "s", "rest away from home before the plate is taken home")
+    home_retry_s: float = quantity(
+        _S.home_retry_s, 1.0, 1e5, "s", "wait before the plate is taken home again after it did not get there"
+    )
     backoff_s: float = quantity(_S.backoff_s, 1.0, 1e5, "s", "wait after an aborted sweep; doubles up to the interval")
-    lying_log_ratio: float = quantity(
-        _S.lying_log_ratio, 0.05, 5.0, "1", "median |ln(flow at angle / at home)| that says the feedback is wrong"
+    lying_spread: float = quantity(
+        _S.lying_spread, 0.0, 5.0, "1", "spread of ln(flow) over a sweep from which the feedback is doubted"
+    )
+    lying_ratio: float = quantity(
+        _S.lying_ratio, 0.0, 1.0, "1", "the plate did not move if the force spreads less than this share of that"
     )
     max_std_dev_factor: float = quantity(
         _S.max_std_dev_factor, 1.0, 10.0, "1", "widening of the standard deviation of flow away from home"

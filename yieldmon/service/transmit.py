@@ -71,6 +71,11 @@ class Transmitter:
             self._changed.notify()
         self._thread.join()
 
+    @property
+    def alive(self) -> bool:
+        """Whether the thread runs."""
+        return self._thread.is_alive()
+
     def counters(self) -> TransmitCounters:
         """A consistent copy of the counters."""
         with self._changed:

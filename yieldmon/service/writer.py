@@ -61,6 +61,11 @@ class StoreWriter:
                 self._health = replace(self._health, records_given_up=given_up)
             self._changed.notify_all()
 
+    @property
+    def alive(self) -> bool:
+        """Whether the thread runs."""
+        return self._thread.is_alive()
+
     def health(self) -> StoreHealth:
         """How the store does."""
         with self._changed:

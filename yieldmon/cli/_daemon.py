@@ -1,0 +1,54 @@
+"""What the verbs that talk to a running daemon share."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from yieldmon.errors import InputError
+from yieldmon.service import configuration
+from yieldmon.service.control import ControlError, ask
+
+SYSTEM_SOCKET = Path("/run/yieldmon/yieldmon.sock")
+
+
+def add_daemon_arguments(parser: argparse.ArgumentParser) -> None:
+    """--socket and --config: which daemon."""
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--socket", metavar="PATH", help="the daemon's socket; default: the system's, else the user's")
+    which.add_argument("--config", metavar="F", help="the daemon's configuration, which names its socket")
+
+
+def ask_daemon(args: argparse.Namespace, request: Mapping[str, Any]) -> dict[str, Any]:
+    """The daemon's answer; ends the program with one line and exit code 1 when there is none."""
+    try:
+        return ask(_socket(args), request)
+    except ControlError as error:
+        print(f"yieldmon: {error}", file=sys.stderr)
+        raise SystemExit(1) from error
+
+
+def _socket(args: argparse.Namespace) -> Path:
+    if args.socket is not None:
+        return Path(args.socket)
+    if args.config is not None:
+        return configuration.load(args.config).socket_path
+    user = configuration.runtime_folder(os.environ) / SYSTEM_SOCKET.name
+    return SYSTEM_SOCKET if SYSTEM_SOCKET.exists() or not user.exists() else user
+
+
+def mass(text: str) -> float:
+    """A mass in kg from the command line: a number, with or without its unit kg or t."""
+    number, scale = text.strip(), 1.0
+    for unit, factor in (("kg", 1.0), ("t", 1000.0)):
+        if number.endswith(unit):
+            number, scale = number.removesuffix(unit).strip(), factor
+            break
+    try:
+        return float(number) * scale
+    except ValueError as error:
+        raise InputError("mass", repr(text), "kilograms, such as 9120, 9120kg or 9.12t") from error

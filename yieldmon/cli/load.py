@@ -1,0 +1,49 @@
+"""Start or stop a load, or list all loads, on a running daemon."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+
+from rich.console import Console
+from rich.table import Table
+
+from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """The verb's arguments."""
+    parser = subparsers.add_parser("load", help="start or stop a load, or list all loads", description=__doc__)
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    start = actions.add_parser("start", help="begin a new load")
+    start.add_argument("--field", help="field name, for this load and the next ones")
+    start.add_argument("--crop", help="crop name, for this load and the next ones")
+    stop = actions.add_parser("stop", help="the load is complete")
+    listing = actions.add_parser("list", help="list all loads, as measured and as corrected by tickets")
+    for action in (start, stop, listing):
+        add_daemon_arguments(action)
+        action.add_argument("--json", action="store_true", help="print the answer as one JSON document")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit code 0 when the daemon did it."""
+    request = {"command": "loads" if args.action == "list" else f"load-{args.action}"}
+    if args.action == "start":
+        request |= {key: value for key in ("field", "crop") if (value := getattr(args, key)) is not None}
+    answer = ask_daemon(args, request)
+    if args.json:
+        json.dump(answer, sys.stdout, indent=2)
+        print()
+    elif args.action == "list":
+        table = Table("load", "field", "crop", "measured kg", "dry kg", "ticket kg", "corrected kg", box=None)
+        for load in answer["loads"]:
+            masses = ("mass_kg", "dry_mass_kg", "ticket_mass_kg", "corrected_mass_kg")
+            cells = ("-" if load[key] is None else f"{load[key]:.1f}" for key in masses)
+            table.add_row(str(load["number"]), load["field"] or "-", load["crop"] or "-", *cells)
+        Console(highlight=False).print(table)
+    elif args.action == "start":
+        print(f"load {answer['load']} started" + (f": {answer['field']} {answer['crop']}".rstrip(": ")))
+    else:
+        print(f"load {answer['load']} complete: {answer['mass_kg']:.1f} kg")
+    return 0

@@ -1,0 +1,37 @@
+"""Run the yield monitor as a daemon."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import signal
+import sys
+from pathlib import Path
+
+from yieldmon.resources import shipped
+from yieldmon.service import configuration
+from yieldmon.service.daemon import Daemon
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """The verb's arguments."""
+    parser = subparsers.add_parser(
+        "run",
+        help="run the yield monitor as a daemon",
+        description=f"{__doc__} SIGTERM and SIGINT end it; SIGHUP reads the configuration anew.",
+    )
+    parser.add_argument("--config", metavar="F", help="configuration (YAML); default: the shipped one")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run until a signal ends it."""
+    path = Path(args.config) if args.config is not None else shipped("config/yieldmon.yaml")
+    loaded = configuration.load(path)
+    # Under a service manager the journal has the time and takes the level from the prefix.
+    logging.basicConfig(stream=sys.stderr, format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING)
+    logging.getLogger("yieldmon").setLevel(loaded.document.logging.level.upper())
+    daemon = Daemon(loaded, reload=lambda: configuration.load(path))
+    for name in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(name, lambda *_: daemon.request_stop())
+    signal.signal(signal.SIGHUP, lambda *_: daemon.request_reload())
+    return daemon.run()

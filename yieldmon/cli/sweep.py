@@ -1,0 +1,20 @@
+"""Start or end a self-calibration sweep of a running daemon."""
+
+from __future__ import annotations
+
+import argparse
+
+from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """The verb's arguments."""
+    parser = subparsers.add_parser("sweep", help="start or end a self-calibration sweep", description=__doc__)
+    parser.add_argument("action", choices=("start", "abort"), help="start: as soon as conditions hold; abort: plate goes home")
+    add_daemon_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit code 0 when the daemon took it."""
+    print(f"sweep: {ask_daemon(args, {'command': f'sweep-{args.action}'})['sweep']}")
+    return 0

@@ -1,0 +1,152 @@
+"""What an operator can ask of a running daemon, carried out on the engine's thread."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from yieldmon.engine.monitor import Monitor
+from yieldmon.errors import InputError
+from yieldmon.service.journal import Journal
+from yieldmon.service.store import Load, Ticket
+
+Answer = Mapping[str, Any]
+
+#: Standard deviation of a scale ticket where the operator names none, as a share of the mass (a certified platform scale).
+TICKET_RELATIVE_STD_DEV = 0.005
+_MAX_TICKET_KG = 1e6
+_MAX_NAME = 80
+
+
+def execute(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
+    """Carries out one request. Raises InputError when it cannot be."""
+    command = _COMMANDS.get(request["command"])
+    if command is None:
+        raise InputError("command", repr(request["command"]), f"one of status, {', '.join(_COMMANDS)}")
+    return command(request, monitor, journal, now_s)
+
+
+def summary(status: Mapping[str, Any]) -> str:
+    """One line for the service manager."""
+    last = status["windows"][-1] if status["windows"] else None
+    flow = last["mass_flow_kg_s"] if last is not None else None
+    rate = f" {flow:.1f} kg/s," if flow is not None else ","
+    faults = ", ".join(fault["code"] for fault in status["faults"])
+    return (
+        f"{status['state']}{rate} load {status['load']['number']}: {status['load']['mass_kg']:.0f} kg"
+        + (f"; {faults}" if faults else "")
+    )
+
+
+def _load_start(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
+    journal.name_load(_name(request, "field"), _name(request, "crop"))
+    return {"load": monitor.start_load(), "field": journal.field, "crop": journal.crop}
+
+
+def _load_stop(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
+    if not monitor.totals.load_open:
+        raise InputError("load stop", "no load is open")
+    monitor.stop_load()
+    return {"load": monitor.totals.load_number, "mass_kg": monitor.totals.load_kg}
+
+
+def _loads(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
+    return {"loads": journal.load_table()}
+
+
+def _ticket(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
+    first = _whole(request, "first_load")
+    last = _whole(request, "last_load") if request.get("last_load") is not None else first
+    weighed_kg = _number(request, "mass_kg", _MAX_TICKET_KG)
+    given = request.get("std_dev_kg")
+    std_dev_kg = TICKET_RELATIVE_STD_DEV * weighed_kg if given is None else _number(request, "std_dev_kg", _MAX_TICKET_KG)
+    covered = _covered(journal, first, last)
+    measured_kg = sum(load.mass_kg for load in covered)
+    if not measured_kg > 0.0:
+        raise InputError(f"ticket for load {first}", "nothing was measured for it", "a load with a measured mass")
+    ticket = Ticket(now_s, first, last, weighed_kg, measured_kg, _name(request, "note") or "")
+    journal.ticket(ticket)
+    return {
+        "first_load": first,
+        "last_load": last,
+        "weighed_mass_kg": weighed_kg,
+        "measured_mass_kg": measured_kg,
+        "factor": ticket.factor,
+        "anchor": _anchor(monitor, covered, ticket, std_dev_kg),
+    }
+
+
+def _anchor(monitor: Monitor, covered: list[Load], ticket: Ticket, std_dev_kg: float) -> bool:
+    """Hands the ticket to the calibration as a reference mass, shared out over its loads; False when the monitor no longer
+    has those loads in memory (they were measured before the last start)."""
+    known = {load.number for load in monitor.loads}
+    if not all(load.number in known for load in covered):
+        return False
+    for load in covered:
+        share = load.mass_kg / ticket.measured_mass_kg
+        if share > 0.0:
+            monitor.ticket(load.number, share * ticket.weighed_mass_kg, math.sqrt(share) * std_dev_kg)
+    return True
+
+
+def _covered(journal: Journal, first: int, last: int) -> list[Load]:
+    loads = {load.number: load for load in journal.loads}
+    for number in (first, last):
+        if number not in loads:
+            known = f"{min(loads)} to {max(loads)}" if loads else "a load that was measured"
+            raise InputError(f"ticket for load {number}", "no such load", known)
+    if last < first:
+        raise InputError(f"ticket for loads {first} to {last}", "the last comes before the first")
+    return [loads[number] for number in sorted(loads) if first <= number <= last]
+
+
+def _zero(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
+    monitor.calibrate_zero()
+    return {"zero": "started; keep the elevator running empty"}
+
+
+def _sweep_start(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
+    if not monitor.settings.sweep.enabled:
+        raise InputError("sweep", "switched off by sweep.enabled in the configuration")
+    monitor.request_sweep()
+    return {"sweep": "as soon as the conditions hold"}
+
+
+def _sweep_abort(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
+    monitor.abort_sweep()
+    return {"sweep": "ended"}
+
+
+_COMMANDS: Mapping[str, Callable[[Mapping[str, Any], Monitor, Journal, float], Answer]] = {
+    "load-start": _load_start,
+    "load-stop": _load_stop,
+    "loads": _loads,
+    "ticket": _ticket,
+    "zero": _zero,
+    "sweep-start": _sweep_start,
+    "sweep-abort": _sweep_abort,
+}
+
+
+def _name(request: Mapping[str, Any], key: str) -> str | None:
+    value = request.get(key)
+    if value is None:
+        return None
+    if not isinstance(value, str) or len(value) > _MAX_NAME or not value.isprintable():
+        raise InputError(key, repr(value)[:100], f"a name of at most {_MAX_NAME} printable characters")
+    return value
+
+
+def _whole(request: Mapping[str, Any], key: str) -> int:
+    value = request.get(key)
+    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+        raise InputError(key, repr(value)[:100], "the number of a load")
+    return value
+
+
+def _number(request: Mapping[str, Any], key: str, high: float) -> float:
+    value = request.get(key)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value <= high:
+        raise InputError(key, repr(value)[:100], f"a mass above 0 and up to {high:g} kg")
+    return float(value)

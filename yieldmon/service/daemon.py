@@ -1,0 +1,419 @@
+"""The daemon: bus, engine, store, service manager and operator around one monitor.
+
+Threads: the receiver takes frames off the bus, the engine's thread (the caller of `run`) feeds them to the monitor, the
+transmitter sends what comes out, the store's writer commits it, the control server answers `yieldmon status`. Only the engine's
+thread touches the monitor; the others reach it through queues.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import os
+import queue
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from dataclasses import dataclass
+from time import monotonic
+from typing import Any, cast
+
+import can
+
+from yieldmon import frames
+from yieldmon.bus.codec import Codec, FrameError
+from yieldmon.bus.opening import open_bus
+from yieldmon.bus.receiver import BusEvent, BusEventKind, Receiver
+from yieldmon.engine.faults import FaultCode
+from yieldmon.errors import InputError
+from yieldmon.frames import Frame
+from yieldmon.service import commands
+from yieldmon.service.assembly import build_monitor, calibration_age_s
+from yieldmon.service.conditions import Conditions
+from yieldmon.service.configuration import Configuration
+from yieldmon.service.control import Answer, ControlError, ControlServer
+from yieldmon.service.journal import Journal, Memory, choose_parameters, recall
+from yieldmon.service.metrics import MetricsFile
+from yieldmon.service.notify import ServiceManager
+from yieldmon.service.rows import SecondRow
+from yieldmon.service.snapshot import Rates, snapshot
+from yieldmon.service.store import Store, StoreError, set_aside
+from yieldmon.service.transmit import Transmitter
+from yieldmon.service.writer import StoreWriter
+
+_log = logging.getLogger(__name__)
+
+_BATCH_FRAMES = 512
+_WAIT_S = 0.05
+#: With no frame of ours for this long the engine's time goes on by the monotonic clock, this much behind it, so that frames
+#: still on their way are not late.
+_SILENCE_S = 0.15
+_TICK_DELAY_S = 0.1
+#: How long a condition counts as present after it was last seen.
+_HOLD_S = 3.0
+_LAST_ROWS = 10
+_COMMAND_PATIENCE_S = 5.0
+#: Seconds waiting for a disk that is slow rather than broken, from which on it is a fault.
+_SLOW_STORE_SECONDS = 10
+_FOREVER = float("inf")
+
+#: Sections of the configuration that a reload cannot change.
+_FIXED_AT_START = ("bus", "store", "status")
+
+
+@dataclass
+class _Job:
+    """A command on its way to the engine's thread."""
+
+    request: Mapping[str, Any]
+    answer: Future[Answer]
+
+
+class Daemon:
+    """One run of the service. `request_stop` and `request_reload` may be called from signal handlers and other threads."""
+
+    def __init__(
+        self,
+        configuration: Configuration,
+        reload: Callable[[], Configuration] | None = None,
+        *,
+        environment: Mapping[str, str] = os.environ,
+        bus_factory: Callable[[], can.BusABC] | None = None,
+    ) -> None:
+        """reload: reads the configuration anew; raises InputError when it cannot be used. bus_factory: opens the bus, by
+        default the configured one."""
+        self.configuration = configuration
+        self._reload = reload
+        self._manager = ServiceManager(environment)
+        self._codec = Codec()
+        self._stop = threading.Event()
+        self._reload_wanted = threading.Event()
+        self._commands: queue.SimpleQueue[_Job] = queue.SimpleQueue()
+        self._conditions = Conditions()
+        self._told: dict[FaultCode, str] = {}
+        self._reload_note = "none since the start"
+        self._rows: deque[SecondRow] = deque(maxlen=_LAST_ROWS)
+        self._malformed = 0
+        self._unsendable = 0
+        self._started_s = monotonic()
+        self._store_note = ""
+        self._origin = "file"
+        self._last_ours: tuple[float, float] | None = None
+        self._last_heard_s = monotonic()
+        self._answer: Answer = {}
+        settings = configuration.document.bus
+        self._receiver = Receiver(bus_factory or self._open_bus, capacity=settings.receive_queue_frames)
+        self._transmitter = Transmitter(self._receiver.send, settings.transmit_queue_frames)
+        self._writer = StoreWriter(self._open_store, configuration.document.store.pending_seconds)
+        self._rates = Rates()
+
+    def request_stop(self) -> None:
+        """End `run` soon, with everything written."""
+        self._stop.set()
+
+    def request_reload(self) -> None:
+        """Read the configuration anew soon."""
+        self._reload_wanted.set()
+
+    def run(self) -> int:
+        """Run until told to stop; returns the exit code.
+
+        Raises can.CanError or InputError when the bus cannot be opened at the start, InputError when the store or the
+        control socket cannot be made.
+        """
+        memory = self._recall()
+        parameters, self._origin = choose_parameters(memory, self.configuration.parameters)
+        self._journal = Journal(memory, self.configuration.parameters)
+        self._monitor = build_monitor(self.configuration.engine, self.configuration.machine, parameters)
+        self._resume(memory)
+        self._answer = self._snapshot()
+        status = self.configuration.document.status
+        control = ControlServer(self.configuration.socket_path, status.group, self._command)
+        metrics = MetricsFile(self.configuration.prometheus_path, status.prometheus_interval_s, lambda: self._answer)
+        self._receiver.start()
+        self._transmitter.start()
+        self._writer.start()
+        control.start()
+        metrics.start()
+        self._manager.ready()
+        _log.info("running on %s %s", self.configuration.document.bus.interface, self.configuration.document.bus.channel)
+        try:
+            while not self._stop.is_set():
+                self._round()
+        finally:
+            self._manager.stopping()
+            metrics.stop()
+            control.stop()
+            self._transmitter.stop()
+            self._receiver.stop()
+            self._commit()
+            self._writer.stop()
+        _log.info("stopped; total %.1f kg", self._monitor.totals.total_kg)
+        return 0
+
+    # Start
+
+    def _open_bus(self) -> can.BusABC:
+        settings = self.configuration.document.bus
+        # Our own messages are let through as well: seen from another node they are a conflict.
+        return open_bus(
+            settings.interface,
+            settings.channel,
+            settings.bitrate_bit_s,
+            filters=self._codec.filters((*frames.INPUTS, *frames.OUTPUTS)),
+            receive_buffer_bytes=settings.receive_buffer_bytes,
+            **cast("dict[str, Any]", settings.options),
+        )
+
+    def _open_store(self) -> Store:
+        return Store(self.configuration.store_path, self.configuration.retention)
+
+    def _recall(self) -> Memory:
+        """What the store remembers; a damaged one is set aside, and the fault says so."""
+        try:
+            with self._open_store() as store:
+                return recall(store)
+        except StoreError as error:
+            path = self.configuration.store_path
+            if not path.exists():
+                raise InputError("store.path", str(error), "a file that can be made") from error
+            _log.error("%s", error)
+            aside = set_aside(path, f"damaged-{int(time.time())}")
+            self._store_note = f"damaged, set aside as {aside.name}; totals began anew"
+            _log.error("%s: %s", path, self._store_note)
+            return Memory()
+
+    def _resume(self, memory: Memory) -> None:
+        now_s = time.time()
+        if memory.engine is None:
+            age_s = calibration_age_s(self.configuration.parameters, now_s)
+            self._monitor.set_estimator(self._monitor.estimator, age_s)
+            return
+        age_s = memory.engine.calibration_age_s
+        if self._origin == "file":
+            age_s = calibration_age_s(self.configuration.parameters, now_s)
+        elif age_s is not None:
+            age_s += max(0.0, now_s - memory.saved_s)
+        self._monitor.restore(dataclasses.replace(memory.engine, calibration_age_s=age_s))
+
+    # The engine's thread
+
+    def _round(self) -> None:
+        items = self._receiver.get_many(_BATCH_FRAMES, _WAIT_S)
+        for item in items:
+            if isinstance(item, BusEvent):
+                self._take_event(item)
+            else:
+                self._take_message(item)
+        now_s = monotonic()
+        if items:
+            self._last_heard_s = now_s
+        else:
+            self._tick_if_silent(now_s)
+        self._tell_faults(now_s)
+        self._do_commands()
+        if self._reload_wanted.is_set():
+            self._reload_wanted.clear()
+            self._do_reload()
+        if not self._writer.alive or not self._transmitter.alive:
+            raise RuntimeError("a thread of the service has died")
+
+    def _take_message(self, message: can.Message) -> None:
+        try:
+            frame = self._codec.decode(message)
+        except FrameError as error:
+            self._malformed += 1
+            if self._malformed == 1:
+                _log.warning("%s", error)
+            return
+        if frame is None:
+            return
+        if frame.message in frames.OUTPUTS:
+            self._conditions.present("conflict", monotonic() + _HOLD_S, f"{frame.message} from another node")
+            return
+        self._last_ours = (frame.time_s, monotonic())
+        self._send(self._monitor.feed(frame))
+
+    def _tick_if_silent(self, now_s: float) -> None:
+        if self._last_ours is None:
+            # No frame yet, so no bus time either; the system's clock is as good a start as any, once it is needed.
+            if now_s - self._last_heard_s > self.configuration.document.bus.idle_after_s:
+                self._send(self._monitor.tick(time.time()))
+                self._last_ours = (time.time(), now_s)
+            return
+        bus_s, heard_s = self._last_ours
+        if now_s - heard_s > _SILENCE_S:
+            self._send(self._monitor.tick(bus_s + (now_s - heard_s) - _TICK_DELAY_S))
+
+    def _send(self, out: list[Frame]) -> None:
+        if not out:
+            return
+        dm1 = self.configuration.document.diagnostics.dm1_enabled
+        for frame in out:
+            if frame.message == frames.ACTIVE_DIAGNOSTICS and not dm1:
+                continue
+            try:
+                self._transmitter.submit(self._codec.encode(frame))
+            except FrameError as error:
+                self._unsendable += 1
+                if self._unsendable == 1:
+                    _log.error("%s", error)
+        if self._monitor.last_record is not self._last_record:
+            self._last_record = self._monitor.last_record
+            self._second_done()
+
+    _last_record: object = None
+
+    def _second_done(self) -> None:
+        """A window has closed: the engine lives, its frames are out, and the second goes to the store."""
+        self._commit()
+        self._manager.alive()
+        self._rates.second(monotonic(), self._receiver.counters().received)
+        self._answer = self._snapshot()
+        self._manager.status(commands.summary(self._answer))
+
+    def _commit(self) -> None:
+        batch = self._journal.batch(self._monitor, time.time(), self._counters(), self._origin)
+        self._origin = "sweep"
+        self._rows.extend(batch.seconds)
+        self._writer.submit(batch)
+
+    def _counters(self) -> dict[str, int]:
+        received, sent = self._receiver.counters(), self._transmitter.counters()
+        return {
+            "starts": 1,
+            "frames_received": received.received,
+            "frames_dropped": received.dropped,
+            "kernel_drops": received.kernel_drops,
+            "error_frames": received.error_frames,
+            "bus_offs": received.bus_offs,
+            "interface_losses": received.interface_losses,
+            "frames_malformed": self._malformed,
+            "frames_sent": sent.sent,
+            "frames_late": sent.late,
+            "frames_refused": sent.failed,
+        }
+
+    # Faults that only the service sees
+
+    def _take_event(self, event: BusEvent) -> None:
+        kind, until_s = event.kind, monotonic() + _HOLD_S
+        detail = f"{kind.value}: {event.detail}" if event.detail else kind.value
+        if kind in (BusEventKind.INTERFACE_LOST, BusEventKind.RECEIVER_FAILED):
+            self._conditions.present("interface", _FOREVER, detail)
+        elif kind is BusEventKind.INTERFACE_RESTORED:
+            self._conditions.ended("interface")
+            self._conditions.ended("bus-off")
+        elif kind is BusEventKind.BUS_OFF:
+            self._conditions.present("bus-off", _FOREVER, detail)
+        elif kind is BusEventKind.BUS_RESTARTED:
+            self._conditions.ended("bus-off")
+        elif kind is BusEventKind.FRAMES_DROPPED:
+            self._conditions.present("dropped", until_s, f"{event.count} frames: {event.detail}")
+        else:
+            self._conditions.present("errors", until_s, detail)
+
+    def _tell_faults(self, now_s: float) -> None:
+        """Reports to the monitor each condition that came, went or changed."""
+        sent = self._transmitter.counters()
+        if sent.failing(now_s):
+            self._conditions.present("transmit", now_s + _HOLD_S, f"frames not sent: {sent.last_failure}")
+        health = self._writer.health()
+        if health.failing:
+            store = health.failing
+        elif health.pending > _SLOW_STORE_SECONDS:
+            store = f"the disk is slow, {health.pending} seconds wait"
+        elif health.batches_refused:
+            store = f"{health.batches_refused} records could not be stored"
+        else:
+            store = self._store_note
+        found = {
+            FaultCode.BUS_ERROR: self._details(now_s, "interface", "bus-off", "errors", "transmit"),
+            FaultCode.FRAMES_LOST: self._details(now_s, "dropped"),
+            FaultCode.OUTPUT_CONFLICT: self._details(now_s, "conflict"),
+            FaultCode.STORE_FAILING: store,
+        }
+        for code, detail in found.items():
+            if self._told.get(code, "") != detail:
+                self._told[code] = detail
+                self._monitor.report_fault(code, bool(detail), detail)
+
+    def _details(self, now_s: float, *names: str) -> str:
+        return "; ".join(self._conditions.details(now_s, names))
+
+    # Operator
+
+    def _command(self, request: Mapping[str, Any]) -> Answer:
+        """Called on the control server's threads."""
+        if request["command"] == "status":
+            return self._answer
+        job = _Job(request, Future())
+        self._commands.put(job)
+        try:
+            return job.answer.result(_COMMAND_PATIENCE_S)
+        except TimeoutError:
+            raise ControlError("the engine did not answer in time") from None
+
+    def _do_commands(self) -> None:
+        done = False
+        while not self._commands.empty():
+            job = self._commands.get()
+            if not job.answer.set_running_or_notify_cancel():
+                continue
+            try:
+                job.answer.set_result(commands.execute(job.request, self._monitor, self._journal, time.time()))
+                done = True
+            except InputError as error:
+                job.answer.set_exception(error)
+        if done:
+            self._commit()
+            self._answer = self._snapshot()
+
+    def _do_reload(self) -> None:
+        """Takes the configuration anew, or goes on with the old one and says so."""
+        self._manager.reloading()
+        try:
+            if self._reload is None:
+                raise InputError("reload", "this run has no configuration file")
+            self._use(self._reload())
+        except InputError as error:
+            self._reload_note = f"refused: {error}"
+            _log.error("reload refused, going on as before: %s", error)
+        self._answer = self._snapshot()
+        self._manager.ready()
+
+    def _use(self, new: Configuration) -> None:
+        old = self.configuration
+        fixed = [name for name in _FIXED_AT_START if getattr(new.document, name) != getattr(old.document, name)]
+        fresh = self._journal.use_parameter_file(new.parameters)
+        state = self._monitor.snapshot()
+        if fresh is not None:
+            self._origin = "file"
+            state = dataclasses.replace(state, calibration_age_s=calibration_age_s(fresh, time.time()))
+        self._commit()
+        monitor = build_monitor(new.engine, new.machine, fresh or self._monitor.estimator.parameters)
+        monitor.restore(state)
+        self._monitor = monitor
+        self._told.clear()
+        self.configuration = new
+        logging.getLogger("yieldmon").setLevel(new.document.logging.level.upper())
+        self._reload_note = "taken" + (f"; {', '.join(fixed)} will be at the next start" if fixed else "")
+        _log.info("configuration reloaded: %s", self._reload_note)
+
+    def _snapshot(self) -> Answer:
+        return snapshot(
+            configuration=self.configuration,
+            monitor=self._monitor,
+            journal=self._journal,
+            rows=tuple(self._rows),
+            received=self._receiver.counters(),
+            sent=self._transmitter.counters(),
+            store=self._writer.health(),
+            store_note=self._store_note,
+            frames_per_s=self._rates.frames_per_s,
+            malformed=self._malformed,
+            reload_note=self._reload_note,
+            uptime_s=monotonic() - self._started_s,
+        )

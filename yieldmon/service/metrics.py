@@ -1,0 +1,87 @@
+"""A text file for Prometheus' node exporter (textfile collector), replaced whole at each interval on a thread of its own."""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from yieldmon.engine.faults import FaultCode
+
+_log = logging.getLogger(__name__)
+
+
+class MetricsFile:
+    """Writes the status as metrics for as long as it runs; does nothing without a path."""
+
+    def __init__(self, path: Path | None, interval_s: float, status: Callable[[], Mapping[str, Any]]) -> None:
+        self._path = path
+        self._interval_s = interval_s
+        self._status = status
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="metrics", daemon=True)
+
+    def start(self) -> None:
+        """Start writing."""
+        if self._path is not None:
+            self._thread.start()
+
+    def stop(self) -> None:
+        """Stop writing and take the file away, so that nothing stale is collected."""
+        self._stop.set()
+        if self._path is not None:
+            self._thread.join()
+            self._path.unlink(missing_ok=True)
+
+    def _run(self) -> None:
+        assert self._path is not None
+        failed = False
+        while True:
+            try:
+                write(self._path, self._status())
+                failed = False
+            except OSError as error:
+                if not failed:
+                    _log.warning("metrics: %s", error)
+                failed = True
+            if self._stop.wait(self._interval_s):
+                return
+
+
+def write(path: Path, status: Mapping[str, Any]) -> None:
+    """Put a new file in the place of the old one. Raises OSError."""
+    scratch = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    scratch.write_text("".join(f"{line}\n" for line in lines(status)), encoding="utf-8")
+    scratch.replace(path)
+
+
+def lines(status: Mapping[str, Any]) -> Iterator[str]:
+    """The metrics in Prometheus' text format; a value that is not known is left out."""
+    last = status["windows"][-1] if status["windows"] else {}
+    bus, store = status["bus"], status["store"]
+    active = {fault["code"] for fault in status["faults"]}
+    yield from _metric("mass_flow_kg_per_second", "gauge", "Mass flow of the last window", last.get("mass_flow_kg_s"))
+    yield from _metric("load_mass_kg", "gauge", "Mass of the load", status["load"]["mass_kg"])
+    yield from _metric("mass_kg_total", "counter", "Mass measured so far", status["total"]["mass_kg"])
+    yield from _metric("frames_received_total", "counter", "Frames received since the start", bus["received"])
+    dropped = bus["dropped"] + bus["kernel_drops"]
+    yield from _metric("frames_dropped_total", "counter", "Frames dropped since the start", dropped)
+    yield from _metric("frames_sent_total", "counter", "Frames sent since the start", bus["sent"])
+    yield from _metric("store_pending", "gauge", "Seconds that wait for the store", store["pending"])
+    yield from _metric("calibration_age_seconds", "gauge", "Age of the parameters", status["parameters"]["age_s"])
+    yield from _metric("uptime_seconds", "gauge", "Time since the start", status["uptime_s"])
+    yield "# HELP yieldmon_fault 1 while the fault is shown"
+    yield "# TYPE yieldmon_fault gauge"
+    for code in FaultCode:
+        yield f'yieldmon_fault{{code="{code.value}"}} {int(code.value in active)}'
+
+
+def _metric(name: str, kind: str, meaning: str, value: float | None) -> Iterator[str]:
+    if value is not None:
+        yield f"# HELP yieldmon_{name} {meaning}"
+        yield f"# TYPE yieldmon_{name} {kind}"
+        yield f"yieldmon_{name} {value:.12g}"

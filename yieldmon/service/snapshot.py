@@ -1,0 +1,130 @@
+"""What `yieldmon status` shows, as one JSON document, made once a second on the engine's thread."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from math import isfinite
+from typing import Any
+
+import yieldmon
+from yieldmon.bus.receiver import ReceiverCounters
+from yieldmon.engine.faults import FAULTS
+from yieldmon.engine.monitor import Monitor
+from yieldmon.frames import EstimateQuality, OperatingState
+from yieldmon.service.configuration import Configuration
+from yieldmon.service.journal import Journal
+from yieldmon.service.rows import SecondRow
+from yieldmon.service.transmit import TransmitCounters
+from yieldmon.service.writer import StoreHealth
+
+_SPAN_S = 5.0
+
+
+class Rates:
+    """Frames received per second, over the last few seconds."""
+
+    def __init__(self) -> None:
+        self._seen: list[tuple[float, int]] = []
+        self.frames_per_s = 0.0
+
+    def second(self, now_s: float, received: int) -> None:
+        """Called about once a second with the count so far; now_s is monotonic."""
+        self._seen = [entry for entry in self._seen if now_s - entry[0] <= _SPAN_S] + [(now_s, received)]
+        (first_s, first), (last_s, last) = self._seen[0], self._seen[-1]
+        self.frames_per_s = (last - first) / (last_s - first_s) if last_s > first_s else 0.0
+
+
+def snapshot(
+    *,
+    configuration: Configuration,
+    monitor: Monitor,
+    journal: Journal,
+    rows: tuple[SecondRow, ...],
+    received: ReceiverCounters,
+    sent: TransmitCounters,
+    store: StoreHealth,
+    store_note: str,
+    frames_per_s: float,
+    malformed: int,
+    reload_note: str,
+    uptime_s: float,
+) -> dict[str, Any]:
+    """The state of a running daemon; every value is fit for JSON, None where it is not known."""
+    record = monitor.last_record
+    totals = monitor.totals
+    parameters = monitor.estimator.parameters
+    engine = monitor.snapshot()
+    return {
+        "version": yieldmon.__version__,
+        "uptime_s": round(uptime_s, 1),
+        "state": (record.operating_state if record is not None else OperatingState.STARTING).name.lower(),
+        "configuration": {"file": str(configuration.path), "reload": reload_note},
+        "load": {
+            "number": totals.load_number,
+            "open": totals.load_open,
+            "field": journal.field,
+            "crop": journal.crop,
+            "mass_kg": totals.load_kg,
+            "dry_mass_kg": totals.load_dry_kg if totals.load_unknown_moisture_kg == 0.0 else None,
+        },
+        "total": {
+            "mass_kg": totals.total_kg,
+            "dry_mass_kg": totals.total_dry_kg,
+            "mass_of_unknown_moisture_kg": totals.total_unknown_moisture_kg,
+        },
+        "windows": [_window(row) for row in rows],
+        "zero_mv": engine.zero.zero_mv if engine.zero is not None else None,
+        "sweep": {
+            "state": monitor.sweep.state.name.lower(),
+            "progress_pct": round(monitor.sweep.progress_pct, 1),
+            "sweeps": monitor.sweep.sweep_id,
+            "due_in_s": _finite(engine.sweep_due_in_s),
+            "aborted_because": monitor.sweep.abort_reason.value if monitor.sweep.abort_reason is not None else None,
+            "taught": monitor.outcome.reason if monitor.outcome is not None else None,
+        },
+        "parameters": {
+            "version": parameters.version,
+            "age_s": engine.calibration_age_s,
+            "values": {
+                name: {"value": float(value), "std_dev": parameters.standard_deviation(name)}
+                for name, value in parameters.values.items()
+            },
+            "provenance": dict(parameters.provenance),
+        },
+        "faults": [
+            {
+                "code": code.value,
+                "severity": FAULTS[code].severity.name.lower(),
+                "since_s": _finite(monitor.faults.since(code)),
+                "occurrences": monitor.faults.occurrences(code),
+                "detail": monitor.faults.detail(code),
+                "cause": FAULTS[code].cause,
+                "effect": FAULTS[code].effect,
+                "remedy": FAULTS[code].remedy,
+            }
+            for code in monitor.faults.active
+        ],
+        "bus": {
+            "interface": configuration.document.bus.interface,
+            "channel": configuration.document.bus.channel,
+            "frames_per_s": round(frames_per_s, 1),
+            **asdict(received),
+            "malformed": malformed,
+            "sent": sent.sent,
+            "late": sent.late,
+            "refused": sent.failed,
+            "last_refusal": sent.last_failure or None,
+        },
+        "store": {"file": str(configuration.store_path), "note": store_note or None, **asdict(store)},
+    }
+
+
+def _window(row: SecondRow) -> dict[str, Any]:
+    window = asdict(row)
+    window["quality"] = EstimateQuality(row.quality).name.lower()
+    window["operating_state"] = OperatingState(row.operating_state).name.lower()
+    return window
+
+
+def _finite(value: float) -> float | None:
+    return value if isfinite(value) else None
