@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import subprocess
 import threading
+from pathlib import Path
 
 import can
 import pytest
 
 from yieldmon import frames
 from yieldmon.bus.codec import Codec
+from yieldmon.bus.logs import read_log
 from yieldmon.bus.opening import RECEIVE_BUFFER_BYTES, kernel_drops_of, open_bus, receive_buffer_of
 from yieldmon.bus.receiver import BusEvent, BusEventKind, Receiver
+from yieldmon.cli.main import main
 from yieldmon.frames import Frame
 
 pytestmark = pytest.mark.vcan
@@ -20,6 +23,8 @@ CODEC = Codec()
 SPEED = CODEC.encode(Frame(0.0, frames.ELEVATOR_SPEED, {"ElevatorSpeed": 400.0}))
 #: Bounds a hang only; the emulated guest is several times slower than its host.
 WAIT_S = 60.0
+#: The kernel's list of raw sockets that take every frame.
+RECEIVERS = Path("/proc/net/can/rcvlist_all")
 
 
 def test_socketcan_filters_and_buffer(vcan0: str) -> None:
@@ -116,3 +121,30 @@ def test_interface_pulled_and_put_back(vcan1: str, pull: list[str], put_back: li
             assert isinstance(received, can.Message)
             assert received.arbitration_id == SPEED.arbitration_id
     assert receiver.counters().interface_losses == 5
+
+
+def test_replay_keeps_a_logs_timing(vcan0: str, tmp_path: Path) -> None:
+    """Kernel timestamps of an independent recorder against the log: no drift at the end, every frame in order."""
+    frames_sent, spacing_s = 600, 0.005
+    log = tmp_path / "drive.log"
+    log.write_text(
+        "".join(
+            f"({1_700_000_000 + k * spacing_s:.6f}) can0 18FF80{k % 256:02X}#{k:016X}\n" for k in range(frames_sent)
+        )
+    )
+    recording = tmp_path / "recorded.log"
+    with recording.open("w") as out:
+        before = RECEIVERS.read_text()
+        recorder = subprocess.Popen(["candump", "-L", "-n", str(frames_sent), vcan0], stdout=out)
+        try:
+            while RECEIVERS.read_text() == before:
+                assert recorder.poll() is None, "candump ended before it listened"
+            assert main(["replay", str(log), "-i", "socketcan", "--map", f"can0={vcan0}"]) == 0
+            assert recorder.wait(WAIT_S) == 0
+        finally:
+            recorder.kill()
+            recorder.wait()
+    recorded = list(read_log(recording))
+    assert [int.from_bytes(message.data, "big") for message in recorded] == list(range(frames_sent))
+    span_s = recorded[-1].timestamp - recorded[0].timestamp
+    assert span_s == pytest.approx((frames_sent - 1) * spacing_s, abs=0.1)

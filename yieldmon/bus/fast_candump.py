@@ -178,13 +178,12 @@ def _fill(
 def _times(lines: Bytes, shape: _Shape) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Seconds as float() reads them, and the rows where they are digits throughout."""
     digits = np.concatenate([lines[:, shape.seconds], lines[:, shape.fraction]], axis=1) - ord("0")
-    fits: NDArray[np.bool_] = (digits <= 9).all(axis=1)
+    fits = np.asarray((digits <= 9).all(axis=1))
     places = digits.shape[1]
     if shape.fraction.stop - shape.fraction.start == 6:
         # A quotient of two exact numbers is the double nearest to the decimal number, as float() finds it.
         micros = digits.astype(np.float64) @ 10.0 ** np.arange(places - 1, -1, -1)
-        fits = np.logical_and(fits, micros < _LARGEST_EXACT)
-        return micros / _MICROS_PER_S, fits
+        return micros / _MICROS_PER_S, np.asarray(fits & (micros < _LARGEST_EXACT))
     text = lines[:, shape.seconds.start : shape.fraction.stop].copy()
     text[~fits] = ord("0")
     return text.view(f"S{text.shape[1]}")[:, 0].astype(np.float64), fits

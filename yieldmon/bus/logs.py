@@ -117,6 +117,15 @@ def refuse_unreadable(path: Path, notes: LogNotes) -> None:
         raise InputError(str(path), f"no frame in it can be read ({notes.damages[0]})", "a CAN log as its name says")
 
 
+def require_log(path: Path | str) -> None:
+    """Raises InputError unless there is a file with the name of a known format that can be opened."""
+    log_format(Path(path))
+    try:
+        Path(path).open("rb").close()
+    except OSError as error:
+        raise InputError(str(path), error.strerror or str(error), "a readable CAN log") from error
+
+
 def log_format(path: Path) -> tuple[str, bool]:
     """Suffix of the log's format in lower case, and whether it is gzipped. Raises InputError for an unknown one."""
     suffixes = [suffix.lower() for suffix in path.suffixes]
