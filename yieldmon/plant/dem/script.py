@@ -1,0 +1,129 @@
+"""The commands that LAMMPS is given, as lines of text: pure functions of the job.
+
+Walls are regions: the paddle a thin block that turns about the sprocket's centre, the housing a full cylinder of the paddle's
+length and, where its ends are, two cheeks, both of which act on the group `housed` only; the plate a thin block behind its face.
+A grain is taken out of `housed` once it is released, so the cylinder need not be cut open.
+"""
+
+from __future__ import annotations
+
+from math import pi
+
+from yieldmon.plant.dem.job import Throw
+
+PADDLE_THICKNESS_M = 0.004
+PLATE_THICKNESS_M = 0.006
+HOUSED = "housed"
+BOX_M = ((-0.25, 0.75), (-0.35, 0.35), (-0.25, 0.25))
+"""Limits in x, y, z; a grain beyond them is dropped and counted as having left."""
+
+
+def wall_modulus_pa(throw: Throw) -> float:
+    """Young's modulus to give a wall fix, Pa.
+
+    The engine takes a wall to be of the grain's kind, E* = E / (2 (1 - nu^2)); the value returned makes E* that of grain on wall.
+    """
+    g, w = throw.grain, throw.walls
+    compliance = (1.0 - g.poisson**2) / g.youngs_modulus_pa + (1.0 - w.poisson**2) / w.youngs_modulus_pa
+    return 2.0 * (1.0 - g.poisson**2) / compliance * throw.stiffness_factor
+
+
+def contact_model(throw: Throw, youngs_modulus_pa: float) -> str:
+    """The granular contact model, the same words for pairs and walls."""
+    c = throw.contact
+    return (
+        f"hertz/material {youngs_modulus_pa!r} {c.restitution!r} {throw.grain.poisson!r} "
+        f"tangential mindlin_rescale NULL 1.0 {c.friction!r} "
+        f"rolling sds {c.rolling_stiffness_n_m!r} {c.rolling_damping_n_s_m!r} {c.rolling_friction!r} "
+        "damping coeff_restitution"
+    )
+
+
+def world(throw: Throw) -> list[str]:
+    """Units, box and pair law of an empty world."""
+    (x0, x1), (y0, y1), (z0, z1) = BOX_M
+    return [
+        "units si",
+        "atom_style sphere",
+        "atom_modify map array",
+        "dimension 3",
+        "boundary f f f",
+        "newton off",
+        "comm_modify vel yes",
+        f"region box block {x0} {x1} {y0} {y1} {z0} {z1} units box",
+        "create_box 1 box",
+        *neighbours(),
+        *pair_law(throw),
+        f"group {HOUSED} empty",
+    ]
+
+
+def pair_law(throw: Throw) -> list[str]:
+    """Contact law between grains. It is said again after a restart: the restart file leaves some of its settings unset."""
+    modulus = throw.grain.youngs_modulus_pa * throw.stiffness_factor
+    return ["pair_style granular", f"pair_coeff * * {contact_model(throw, modulus)}"]
+
+
+def neighbours() -> list[str]:
+    """Neighbour list and output settings, which a restart file does not carry."""
+    return [
+        "neighbor 0.003 bin",
+        "neigh_modify every 1 delay 0 check yes",
+        "thermo_style custom step atoms",
+        "thermo_modify lost ignore flush no",
+        "thermo 1000000",
+    ]
+
+
+def motion(throw: Throw) -> list[str]:
+    """Time integration and gravity (down is +y)."""
+    return [
+        f"timestep {throw.time_step_s!r}",
+        "fix move all nve/sphere",
+        f"fix weight all gravity {throw.gravity_m_s2!r} vector 0 1 0",
+    ]
+
+
+def machine_walls(throw: Throw, start_angle_rad: float) -> list[str]:
+    """Paddle, housing and cheeks; the paddle points to start_angle_rad at step 0."""
+    m = throw.machine
+    model = contact_model(throw, wall_modulus_pa(throw))
+    length, half = m.paddle_length_m, 0.5 * m.paddle_width_m
+    turn = throw.elevator_speed_rad_s * throw.time_step_s
+    return [
+        f"variable paddle_angle equal {start_angle_rad!r}+{turn!r}*step",
+        f"region paddle block 0.0 {length!r} {-PADDLE_THICKNESS_M} 0.0 {-half!r} {half!r} side out units box "
+        "rotate v_paddle_angle 0 0 0 0 0 1",
+        f"region housing cylinder z 0 0 {length!r} -1.0 1.0 side in units box",
+        f"region cheeks block -9 9 -9 9 {-half!r} {half!r} side in units box",
+        f"fix paddle all wall/gran/region granular {model} region paddle contacts",
+        f"fix housing {HOUSED} wall/gran/region granular {model} region housing contacts",
+        f"fix cheeks {HOUSED} wall/gran/region granular {model} region cheeks",
+    ]
+
+
+def plate_wall(throw: Throw, plate_angle_rad: float) -> list[str]:
+    """The impact plate: a block below the x axis of its own frame, turned about its top edge by 180 deg less its angle.
+
+    The plate runs from its top edge along (cos phi, sin phi); its face looks to the elevator, towards (-sin phi, cos phi).
+    """
+    m = throw.machine
+    model = contact_model(throw, wall_modulus_pa(throw))
+    x, y = m.plate_pivot_x_m, m.plate_pivot_y_m
+    half = 0.5 * throw.plate_width_m
+    return [
+        f"variable plate_angle equal {plate_angle_rad!r}",
+        f"region plate block {x!r} {x + m.plate_length_m!r} {y - PLATE_THICKNESS_M!r} {y!r} {-half!r} {half!r} "
+        f"side out units box rotate v_plate_angle {x!r} {y!r} 0 0 0 1",
+        f"fix plate all wall/gran/region granular {model} region plate contacts",
+    ]
+
+
+def start_angle_rad(throw: Throw) -> float:
+    """Where the paddle points when the settled load is handed over: 162 deg, every heap still well inside the housing."""
+    return 0.9 * pi
+
+
+def settle_steps(throw: Throw) -> int:
+    """Steps of the settling turns."""
+    return round(throw.settle_revolutions * 2.0 * pi / (throw.elevator_speed_rad_s * throw.time_step_s))
