@@ -10,12 +10,14 @@ from math import isfinite
 import numpy as np
 
 from yieldmon.errors import InputError
+from yieldmon.estimation.calibration import Measurements
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file
 from yieldmon.files.parameter_file import GRAIN_LIMITS
 from yieldmon.files.table import Table
 from yieldmon.physics.effects import effect_parameter, get_effect
 from yieldmon.physics.machine import Machine
+from yieldmon.physics.model import Conditions
 from yieldmon.physics.numerics import Array
 
 RESPONSE = "response"
@@ -132,6 +134,45 @@ def numbers(texts: Sequence[str], option: str) -> Array:
     if not out:
         raise InputError(option, "is empty", "numbers")
     return np.array(out)
+
+
+def momentum(data: Table, machine: Machine, response_scale: float | None = None) -> tuple[Array, Array]:
+    """(momentum, sigma) of each row in kg m/s per paddle, or in the response's own unit without a scale; nan where unknown.
+
+    response_scale: units of `response` in one kg m/s. Raises InputError for a scale that is not above 0 or has nothing to scale.
+    """
+    if response_scale is None:
+        scale = 1.0
+    elif data.reading != RESPONSE:
+        raise InputError("--response-scale", f"given, but {data.path} holds {data.reading}", "a table of `response`")
+    elif not response_scale > 0.0:
+        raise InputError("--response-scale", f"is {response_scale:g}", "a number above 0")
+    else:
+        scale = response_scale
+    values = data.momentum(machine) / scale
+    sigma = data.columns.get("sigma", np.full(len(data), np.nan)) / scale
+    if data.reading == "force_n":
+        sigma = sigma * machine.paddle_spacing_m / (data.speed_rad_s(machine) * machine.sprocket_pitch_radius_m)
+    return values, sigma
+
+
+def measurements(data: Table, machine: Machine, response_scale: float | None = None) -> Measurements:
+    """Rows for a calibration; rows without a reading are left out. Raises InputError when none is left or sigma is partial."""
+    values, sigma = momentum(data, machine, response_scale)
+    load = data.columns[data.load] if data.load is not None else np.full(len(data), np.nan)
+    usable = np.isfinite(values) & np.isfinite(load)
+    if not np.any(usable):
+        raise InputError(data.path, "has no row with both a load and a reading", "at least one")
+    known = np.isfinite(sigma[usable])
+    if np.any(known) and not np.all(known & (sigma[usable] > 0.0)):
+        raise InputError(data.path, "column sigma has gaps or zeros", "a number above 0 in each row, or no such column")
+    conditions = data.conditions(machine)
+    chosen = {
+        name: np.asarray(getattr(conditions, name))[usable]
+        for name in ("plate_angle_rad", "elevator_speed_rad_s", "mass_flow_kg_s", "paddle_mass_kg", "moisture_pct")
+        if getattr(conditions, name) is not None
+    }
+    return Measurements(Conditions(**chosen), values[usable], sigma[usable] if np.all(known) else None)
 
 
 def check_unit(known: ParameterSet, data: Table) -> None:

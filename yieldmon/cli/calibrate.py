@@ -1,0 +1,300 @@
+"""System calibration: grain and effect parameters from a table of known loads and measured forces."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from yieldmon.cli import model_options
+from yieldmon.errors import InputError
+from yieldmon.estimation import empirical, identifiability
+from yieldmon.estimation.calibration import CONFIDENCE, Calibration, Measurements, calibrate, default_start
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.priors import Prior
+from yieldmon.files import parameter_file, table
+from yieldmon.physics.effects import get_effect
+from yieldmon.physics.machine import Machine
+from yieldmon.physics.model import EXCHANGE_FORM, RESTITUTION_FORM, ForwardModel
+
+PROGRESS_AFTER_S = 2.0
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """The verb's arguments."""
+    parser = subparsers.add_parser("calibrate", help="fit parameters to a table", description=__doc__)
+    parser.add_argument("data", metavar="DATA.csv", help="plate_angle_deg, a load column and a reading column")
+    parser.add_argument("--out", metavar="P.yaml", help="write the parameters here")
+    parser.add_argument("--machine", metavar="F", help="machine file (YAML); default: the 8-tooth machine")
+    parser.add_argument("--starts", type=int, default=20, metavar="N", help="random starts; default: 20")
+    parser.add_argument("--free", metavar="A,B", help="parameters to fit; default: grain, impact and all of the effects'")
+    parser.add_argument("--fix", action="append", default=[], metavar="NAME=VALUE", help="hold a parameter at a value")
+    parser.add_argument("--bounds", action="append", default=[], metavar="NAME=LOW:HIGH", help="search range of a parameter")
+    parser.add_argument("--prior", metavar="P.yaml", help="parameter file whose values and covariance are the prior")
+    parser.add_argument(
+        "--impact", choices=("restitution", "exchange"), help="1 + e, or k1 M/M_full + k2; default: exchange for a response"
+    )
+    parser.add_argument("--effects", default="", metavar="A,B", help="effects to add to the published model")
+    parser.add_argument("--response-scale", type=float, metavar="S", help="units of `response` in one kg m/s, where known")
+    parser.add_argument("--plate-angle", type=float, metavar="DEG", help="use the rows at this angle only")
+    parser.add_argument("--robust", action="store_true", help="soft-L1 loss: outliers lose weight")
+    parser.add_argument("--by-moisture", action="store_true", help="one fit for each moisture_pct; --out names a folder")
+    parser.add_argument("--compare", action="store_true", help="beside the empirical models, by cross-validation over loads")
+    parser.add_argument("--identifiability", action="store_true", help="what these rows can tell, and what would tell more")
+    parser.add_argument("--seed", type=int, default=0, help="of the random starts; default: 0")
+    parser.add_argument("--json", action="store_true", help="one JSON document")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fit, report, write."""
+    if args.starts < 1:
+        raise InputError("--starts", f"is {args.starts}", "1 or more")
+    machine = model_options.machine(args)
+    data = table.load(args.data)
+    for note in data.notes:
+        print(f"yieldmon: {note}", file=sys.stderr)
+    rows = model_options.measurements(data, machine, args.response_scale)
+    if args.plate_angle is not None:
+        chosen = np.isclose(rows.columns()[0], np.radians(args.plate_angle), atol=1e-6)
+        if not np.any(chosen):
+            raise InputError("--plate-angle", f"is {args.plate_angle:g}", f"an angle that {data.path} holds")
+        rows = rows.select(chosen)
+    if args.by_moisture:
+        return _by_moisture(args, machine, data, rows)
+    result = _fit(args, machine, data, rows)
+    document = report(result, data, rows)
+    if args.compare:
+        document["comparison"] = _compare(args, result, machine, rows)
+    if args.identifiability:
+        document["identifiability"] = identifiability.report(
+            ForwardModel(machine, result.parameter_set.effects), rows.conditions, result.parameter_set, result.names,
+            result.residuals.noise_sd if rows.sigma is None else rows.sigma,
+        ).document()
+    if args.out is not None:
+        parameter_file.save(result.parameter_set, args.out)
+        document["written"] = args.out
+    print(json.dumps(_finite(document), indent=1) if args.json else text(document))
+    return 0
+
+
+def report(result: Calibration, data: table.Table, rows: Measurements) -> dict[str, Any]:
+    """The result as plain data."""
+    return {
+        "file": data.path,
+        "rows": result.residuals.rows,
+        "response_unit": result.parameter_set.response_unit,
+        "parameters": {
+            p.name: {
+                "value": p.value, "standard_error": p.standard_error, "interval": list(p.interval), "confidence": CONFIDENCE,
+                "at_bound": p.at_bound or None, "open_below": p.open_below, "open_above": p.open_above,
+                "determined": p.determined,
+            }
+            for p in result.parameters
+        },
+        "fixed": {k: v for k, v in result.parameter_set.values.items() if k not in result.names},
+        "correlation": {"names": list(result.names), "matrix": result.correlation.tolist()},
+        "residual": {
+            "rms": result.residuals.rms, "rms_over_max_pct": result.residuals.rms_over_max_pct,
+            "pure_error_sd": result.residuals.pure_error_sd, "pure_error_dof": result.residuals.pure_error_dof,
+            "pure_error_over_max_pct": 100.0 * result.residuals.pure_error_sd / float(np.max(np.abs(rows.momentum))),
+            "lack_of_fit_f": result.residuals.lack_of_fit_f, "lack_of_fit_p": result.residuals.lack_of_fit_p,
+            "outlier_rows": [i + 1 for i in result.residuals.outlier_rows],
+        },
+        "starts": result.starts,
+        "basins": [{"starts": b.starts, "relative_cost": b.relative_cost, "values": list(b.values)} for b in result.basins],
+        "notes": list(result.sentences),
+    }
+
+
+def text(document: Mapping[str, Any]) -> str:
+    """The report for people."""
+    unit = document["response_unit"]
+    lines = [f"{document['file']}: {document['rows']} rows, {document['starts']} starts"]
+    lines.append(f"{'parameter':<34}{'value':>13}{'std error':>13}   {100 * CONFIDENCE:.0f} % interval")
+    for name, p in document["parameters"].items():
+        low, high = p["interval"]
+        ends = f"{'<' if p['open_below'] else ''}{low:.6g} .. {high:.6g}{'>' if p['open_above'] else ''}"
+        mark = f"  at its {p['at_bound']} bound" if p["at_bound"] else ""
+        lines.append(f"{name:<34}{p['value']:>13.6g}{p['standard_error']:>13.3g}   {ends}{mark}")
+    lines += [f"{name:<34}{value:>13.6g}        fixed" for name, value in document["fixed"].items()]
+    r = document["residual"]
+    per = "kg m/s" if unit == "N" else unit
+    lines.append(f"residual rms {r['rms']:.4g} {per}, {r['rms_over_max_pct']:.3g} % of the largest reading")
+    if r["pure_error_dof"]:
+        lines.append(
+            f"replicates scatter by {r['pure_error_sd']:.4g} {per} ({r['pure_error_over_max_pct']:.3g} %); lack of fit "
+            f"F = {r['lack_of_fit_f']:.3g}, p = {r['lack_of_fit_p']:.2g}"
+        )
+    lines.append("basins (starts): " + ", ".join(f"{b['starts']} at {b['relative_cost']:.4g} x" for b in document["basins"]))
+    lines += [f"- {sentence}" for sentence in document["notes"]]
+    if "comparison" in document:
+        lines.append(f"{'load from reading, each load left out in turn':<48}{'rms/max %':>11}{'mean %':>9}{'worst %':>9}")
+        lines += [
+            f"{row['model']:<48}{row['rms_over_max_pct']:>11.3g}{row['mean_abs_pct']:>9.3g}{row['max_abs_pct']:>9.3g}"
+            for row in document["comparison"]
+        ]
+    if "identifiability" in document:
+        lines += ["identifiability:", *(f"- {sentence}" for sentence in document["identifiability"]["sentences"])]
+    if "written" in document:
+        lines.append(f"written: {document['written']}")
+    return "\n".join(lines)
+
+
+def _fit(args: argparse.Namespace, machine: Machine, data: table.Table, rows: Measurements) -> Calibration:
+    effects = [name for name in args.effects.split(",") if name]
+    scaled = data.reading == model_options.RESPONSE and args.response_scale is None
+    impact = args.impact or ("exchange" if scaled else "restitution")
+    form = RESTITUTION_FORM if impact == "restitution" else EXCHANGE_FORM
+    if scaled and impact == "restitution":
+        raise InputError(
+            "--impact restitution", "cannot carry the scale of a `response`", "--impact exchange, or --response-scale S"
+        )
+    known = parameter_file.load(args.prior) if args.prior is not None else None
+    try:
+        for name in effects:
+            get_effect(name)
+        model = ForwardModel(machine, effects)
+    except ValueError as error:
+        raise InputError("--effects", str(error)) from error
+    fixed = model_options.assignments(args.fix, "--fix")
+    for name, value in fixed.items():
+        model_options.check_parameter(name, value, "--fix")
+    start = default_start(model, rows, form, dict(known.values if known is not None else {}) | fixed)
+    unknown = [name for name in fixed if name not in start]
+    if unknown:
+        raise InputError("--fix", f"{unknown[0]} is not in this model", f"one of {', '.join(start)}")
+    free = [n for n in ("friction", "density", *form, *model.effect_parameters) if n not in fixed]
+    if args.free is not None:
+        free = [name.strip() for name in args.free.split(",") if name.strip()]
+        wrong = [n for n in free if n not in start]
+        if wrong or set(free) & set(fixed):
+            raise InputError("--free", f"is {args.free!r}", f"some of {', '.join(n for n in start if n not in fixed)}")
+    try:
+        with progress_bar("calibrating") as tell:
+            result = calibrate(
+                model, rows, start, free,
+                prior=Prior.of(known, free) if known is not None else None,
+                bounds=_bounds(args.bounds), starts=args.starts, rng=np.random.default_rng(args.seed), robust=args.robust,
+                response_unit=model_options.RESPONSE if scaled else "N", progress=tell,
+            )
+    except ValueError as error:
+        raise InputError(data.path, str(error)) from error
+    return replace(result, parameter_set=_with_provenance(result.parameter_set, args, data, known))
+
+
+def _with_provenance(
+    fitted: ParameterSet, args: argparse.Namespace, data: table.Table, parent: ParameterSet | None
+) -> ParameterSet:
+    facts = {
+        "data": Path(data.path).name,
+        "data_sha256": data.sha256,
+        "date": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        "method": "least squares" + (", soft-L1 loss" if args.robust else "") + f", {args.starts} starts, seed {args.seed}",
+    }
+    if args.response_scale is not None:
+        facts["response_scale"] = repr(args.response_scale)
+    if parent is not None:
+        facts["parent"] = f"{Path(args.prior).name} sha256 {hashlib.sha256(Path(args.prior).read_bytes()).hexdigest()}"
+        facts["parent_version"] = str(parent.version)
+    return replace(fitted, provenance=facts, version=1 if parent is None else parent.version + 1)
+
+
+def _bounds(texts: list[str]) -> dict[str, tuple[float, float]]:
+    out = {}
+    for given in texts:
+        name, _, limits = given.partition("=")
+        low, colon, high = limits.partition(":")
+        if not colon:
+            raise InputError("--bounds", f"is {given!r}", "NAME=LOW:HIGH")
+        first, last = model_options.finite(low, f"--bounds {name}"), model_options.finite(high, f"--bounds {name}")
+        if first >= last:
+            raise InputError(f"--bounds {name}", f"is {limits}", "the lower end first")
+        model_options.check_parameter(name, first, "--bounds")
+        model_options.check_parameter(name, last, "--bounds")
+        out[name] = (first, last)
+    return out
+
+
+def _by_moisture(args: argparse.Namespace, machine: Machine, data: table.Table, rows: Measurements) -> int:
+    moisture = rows.columns()[3]
+    if not np.all(np.isfinite(moisture)):
+        raise InputError(data.path, "has rows without moisture_pct", "a moisture for each row")
+    documents = []
+    for value in np.unique(moisture):
+        result = _fit(args, machine, data, rows.select(moisture == value))
+        document = report(result, data, rows) | {"moisture_pct": float(value)}
+        if args.out is not None:
+            folder = Path(args.out)
+            folder.mkdir(parents=True, exist_ok=True)
+            document["written"] = str(folder / f"{Path(data.path).stem}-{value:g}.yaml")
+            parameter_file.save(result.parameter_set, document["written"])
+        documents.append(document)
+    if args.json:
+        print(json.dumps(_finite({"by_moisture": documents}), indent=1))
+    else:
+        print("\n\n".join(f"moisture {d['moisture_pct']:g} %\n{text(d)}" for d in documents))
+    return 0
+
+
+def _compare(args: argparse.Namespace, result: Calibration, machine: Machine, rows: Measurements) -> list[dict[str, Any]]:
+    model = ForwardModel(machine, result.parameter_set.effects)
+
+    def physical(part: Measurements) -> empirical.LoadModel:
+        again = calibrate(
+            model, part, dict(result.parameter_set.values), result.names, bounds=_bounds(args.bounds), starts=1,
+            robust=args.robust, intervals=False, response_unit=result.parameter_set.response_unit,
+        )
+        return empirical.Physical(model, again.parameter_set)
+
+    return [
+        {"model": row.model, "rms_over_max_pct": row.rms_over_max_pct, "mean_abs_pct": row.mean_abs_pct,
+         "max_abs_pct": row.max_abs_pct, "rows_without_answer": row.unanswered}
+        for row in empirical.compare(rows, machine, {"physical model": physical})
+    ]
+
+
+@contextmanager
+def progress_bar(label: str) -> Iterator[Callable[[float], None]]:
+    """A bar on stderr, if it is a terminal and the work takes over PROGRESS_AFTER_S; give the callable a share from 0 to 1."""
+    from time import monotonic
+
+    from rich.console import Console
+    from rich.progress import Progress
+
+    bar = Progress(console=Console(stderr=True), transient=True)
+    begin, task = monotonic(), bar.add_task(label, total=1.0)
+    started = False
+
+    def tell(share: float) -> None:
+        nonlocal started
+        if not started and monotonic() - begin > PROGRESS_AFTER_S and sys.stderr.isatty():
+            bar.start()
+            started = True
+        bar.update(task, completed=share)
+
+    try:
+        yield tell
+    finally:
+        if started:
+            bar.stop()
+
+
+def _finite(value: Any) -> Any:
+    """JSON knows neither nan nor inf: null."""
+    if isinstance(value, Mapping):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(v) for v in value]
+    if isinstance(value, float) and not isfinite(value):
+        return None
+    return value

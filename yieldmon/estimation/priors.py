@@ -1,0 +1,135 @@
+"""What is known before the data: physical bounds, start ranges and Gaussian priors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from yieldmon.physics.effects import effect_parameter, get_effect
+from yieldmon.physics.numerics import Array
+
+from .parameters import ParameterSet
+
+Bounds = Mapping[str, tuple[float, float]]
+
+PUBLISHED_BOUNDS: Bounds = {"friction": (0.0, 1.0), "restitution": (0.0, 1.0), "density": (750.0, 2000.0)}
+"""Search ranges of the source thesis, section 9.1; starts are drawn from them."""
+
+PHYSICAL_BOUNDS: Bounds = {
+    "friction": (0.0, 3.0),
+    "restitution": (0.0, 1.0),
+    "density": (50.0, 20000.0),
+    "shape_ratio": (0.2, 6.0),
+    "k1": (-50.0, 50.0),
+    "k2": (-50.0, 50.0),
+}
+"""No tighter than the physics; k1 and k2 per unit of scale."""
+
+_START_RANGES: Bounds = {**PUBLISHED_BOUNDS, "shape_ratio": (1.0, 3.0), "k1": (-1.0, 4.0), "k2": (0.0, 2.0)}
+
+
+def follows_scale(name: str) -> bool:
+    """Whether a parameter is in the reading's own unit, so that it scales with it."""
+    return name in ("k1", "k2") or ("." in name and get_effect(name.partition(".")[0]).unit_follows_response)
+
+
+def physical_bounds(name: str, scale: float = 1.0) -> tuple[float, float]:
+    """(lowest, highest) of a parameter; scale: the reading's units in one kg m/s. Raises ValueError for unknown names."""
+    if name in PHYSICAL_BOUNDS:
+        low, high = PHYSICAL_BOUNDS[name]
+    elif "." in name:
+        known = effect_parameter(name)
+        low, high = known.lower, known.upper
+    else:
+        raise ValueError(f"parameter {name!r}: unknown; expected one of {', '.join(PHYSICAL_BOUNDS)} or effect.parameter")
+    return (low * scale, high * scale) if follows_scale(name) else (low, high)
+
+
+def fitting_bounds(names: Iterable[str], scale: float = 1.0, given: Bounds | None = None) -> dict[str, tuple[float, float]]:
+    """Bounds for a calibration: those given, else the published ones, else the physical ones."""
+    given = given or {}
+    return {n: given.get(n) or PUBLISHED_BOUNDS.get(n) or physical_bounds(n, scale) for n in names}
+
+
+def start_ranges(names: Iterable[str], scale: float = 1.0) -> dict[str, tuple[float, float]]:
+    """Where random starts are drawn: wide for the grain, between nothing and twice the typical size for effects."""
+    out: dict[str, tuple[float, float]] = {}
+    for name in names:
+        if "." in name:
+            known = effect_parameter(name)
+            far = known.null + 2.0 * (known.typical - known.null)
+            low, high = sorted((known.null, min(max(far, known.lower), known.upper)))
+        else:
+            low, high = _START_RANGES[name]
+        factor = scale if follows_scale(name) else 1.0
+        out[name] = (low * factor, high * factor)
+    return out
+
+
+@dataclass(frozen=True)
+class Prior:
+    """A Gaussian on some parameters: mean (n,), covariance (n, n), positive definite.
+
+    Raises ValueError when the covariance is not that.
+    """
+
+    names: tuple[str, ...]
+    mean: Array
+    covariance: Array
+
+    def __post_init__(self) -> None:
+        if self.mean.shape != (len(self.names),) or self.covariance.shape != (len(self.names),) * 2:
+            raise ValueError(f"prior for {self.names}: mean {self.mean.shape} and covariance {self.covariance.shape} do not fit")
+        try:
+            _factor(self.covariance)
+        except np.linalg.LinAlgError:
+            raise ValueError(f"prior for {self.names}: covariance is not positive definite") from None
+
+    @classmethod
+    def of(cls, parameters: ParameterSet, names: Sequence[str] | None = None) -> Prior:
+        """The set's own values and covariance, for `names` (default: all that have a variance above 0)."""
+        known = tuple(n for n in parameters.covariance_names if parameters.standard_deviation(n) > 0.0)
+        chosen = known if names is None else tuple(n for n in names if n in known)
+        return cls(chosen, np.array([parameters.values[n] for n in chosen]), parameters.covariance_of(chosen))
+
+    @classmethod
+    def independent(cls, mean: Mapping[str, float], standard_deviation: Mapping[str, float]) -> Prior:
+        """Uncorrelated parameters."""
+        names = tuple(standard_deviation)
+        return cls(names, np.array([mean[n] for n in names]), np.diag([standard_deviation[n] ** 2 for n in names]))
+
+    @property
+    def standard_deviation(self) -> Array:
+        """(n,)"""
+        return np.sqrt(np.diag(self.covariance))
+
+    def whitening(self, names: Sequence[str]) -> tuple[Array, Array]:
+        """(W, mean) such that |W (theta - mean)|^2 is the prior's -2 log density, theta in the order of `names`.
+
+        W: (n, len(names)); names without a prior have zero columns and mean 0.
+        """
+        # The inverse of the lower Cholesky factor whitens; scaling first keeps densities beside frictions well conditioned.
+        white = np.linalg.inv(_factor(self.covariance))
+        out, mean = np.zeros((len(self.names), len(names))), np.zeros(len(names))
+        for j, name in enumerate(names):
+            if name in self.names:
+                i = self.names.index(name)
+                out[:, j], mean[j] = white[:, i], self.mean[i]
+        missing = [n for n in self.names if n not in names]
+        if missing:
+            raise ValueError(f"prior names {missing} that are not fitted; restrict it first")
+        return out, mean
+
+    def restricted(self, names: Sequence[str]) -> Prior:
+        """The marginal over those of `names` that it speaks of."""
+        index = [self.names.index(n) for n in names if n in self.names]
+        return Prior(tuple(self.names[i] for i in index), self.mean[index], self.covariance[np.ix_(index, index)])
+
+
+def _factor(covariance: Array) -> Array:
+    sd = np.sqrt(np.diag(covariance))
+    if not np.all(np.isfinite(sd)) or np.any(sd <= 0.0):
+        raise np.linalg.LinAlgError
+    return sd[:, None] * np.linalg.cholesky(covariance / np.outer(sd, sd))
