@@ -187,3 +187,7 @@ def test_mutated_files_give_a_line_or_a_configuration():
     counts = json.loads(finished.stdout)
     assert counts["escapes"] == 0
     assert min(counts["accepted"], counts["refused"]) > 25, "mutations must reach both sides"
+
+
+def test_defaults_are_within_their_own_ranges():
+    assert Document.model_validate(Document().model_dump()) == Document()

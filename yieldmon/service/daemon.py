@@ -129,14 +129,17 @@ class Daemon:
         self._monitor = build_monitor(self.configuration.engine, self.configuration.machine, parameters)
         self._resume(memory)
         self._answer = self._snapshot()
-        status = self.configuration.document.status
-        control = ControlServer(self.configuration.socket_path, status.group, self._command)
-        metrics = MetricsFile(self.configuration.prometheus_path, status.prometheus_interval_s, lambda: self._answer)
         self._receiver.start()
-        self._transmitter.start()
-        self._writer.start()
-        control.start()
-        metrics.start()
+        try:
+            status = self.configuration.document.status
+            control = ControlServer(self.configuration.socket_path, status.group, self._command)
+        except InputError:
+            self._receiver.stop()
+            raise
+        metrics = MetricsFile(self.configuration.prometheus_path, status.prometheus_interval_s, lambda: self._answer)
+        helpers = (self._transmitter, self._writer, control, metrics)
+        for helper in helpers:
+            helper.start()
         self._manager.ready()
         _log.info("running on %s %s", self.configuration.document.bus.interface, self.configuration.document.bus.channel)
         try:
@@ -231,6 +234,8 @@ class Daemon:
         if frame is None:
             return
         if frame.message in frames.OUTPUTS:
+            if self._transmitter.is_echo(message):
+                return
             self._conditions.present("conflict", monotonic() + _HOLD_S, f"{frame.message} from another node")
             return
         self._last_ours = (frame.time_s, monotonic())

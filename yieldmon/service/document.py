@@ -33,7 +33,7 @@ def choice(default: Any, meaning: str) -> Any:
 class Section(BaseModel):
     """Common rules: no unknown keys, no silent conversion, no infinities."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False, validate_default=True)
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
 class Bus(Section):
@@ -181,16 +181,24 @@ class Zero(Section):
     first_pulse_limit_mv: float = quantity(
         _Z.first_pulse_limit_mv, 0.1, 1000.0, "mV", "largest amplitude taken for vibration before any was learnt"
     )
-    pulse_margin_mv: float = quantity(
-        _Z.pulse_margin_mv, 0.0, 1000.0, "mV", "excess over vibration, seen over several seconds, that speaks of grain"
+    level_range_mv: float = quantity(
+        _Z.level_range_mv, 0.0, 1000.0, "mV", "largest range of the seconds' means in learning a zero"
     )
-    window_pulse_margin_mv: float = quantity(
-        _Z.window_pulse_margin_mv, 0.0, 1000.0, "mV", "the same, seen within one second"
+    settle_windows: int = quantity(
+        _Z.settle_windows, 1, 600, "s", "empty seconds before the zero follows; pulses are averaged over as many"
+    )
+    pulse_margin_mv: float = quantity(
+        _Z.pulse_margin_mv, 0.0, 1000.0, "mV", "departure of averaged pulses from the vibration that speaks of grain"
     )
     pulse_margin: float = quantity(
-        _Z.pulse_margin, 1.0, 100.0, "1", "the same as a factor; the larger of the two holds"
+        _Z.pulse_margin, 0.0, 100.0, "1", "the same as a share of the vibration; the larger of the two holds"
     )
-    settle_windows: int = quantity(_Z.settle_windows, 0, 600, "s", "empty seconds before the zero follows")
+    window_pulse_margin_mv: float = quantity(
+        _Z.window_pulse_margin_mv, 0.0, 1000.0, "mV", "excess of one second's pulses over those seen empty"
+    )
+    window_pulse_margin: float = quantity(
+        _Z.window_pulse_margin, 1.0, 100.0, "1", "the same as a factor; the larger of the two holds"
+    )
     follow_time_s: float = quantity(_Z.follow_time_s, 1.0, 3600.0, "s", "time constant of the following")
     max_rate_mv_s: float = quantity(_Z.max_rate_mv_s, 0.0, 100.0, "mV/s", "fastest change of the zero")
     max_step_mv: float = quantity(_Z.max_step_mv, 0.1, 4000.0, "mV", "an empty second further off moves nothing")

@@ -16,6 +16,8 @@ _log = logging.getLogger(__name__)
 #: A frame older than this is not sent: a late plate command is worse than none, a late figure passes for a fresh one.
 MAX_AGE_S = 0.5
 _SEND_TIMEOUT_S = 0.2
+#: How long a frame that was sent may take to come back from an interface that shows a node its own frames.
+_ECHO_S = 1.0
 _FAILURE_HOLD_S = 2.0
 
 
@@ -46,6 +48,7 @@ class Transmitter:
         self._clock = clock
         self._capacity = capacity
         self._queue: deque[tuple[float, can.Message]] = deque()
+        self._echoes: deque[tuple[float, int, bytes]] = deque()
         self._changed = threading.Condition()
         self._stopping = False
         self._counters = TransmitCounters()
@@ -71,6 +74,18 @@ class Transmitter:
             self._changed.notify()
         self._thread.join()
 
+    def is_echo(self, message: can.Message) -> bool:
+        """Whether a received frame is one of those sent within the last second. Each counts as an echo once: some
+        interfaces show a node its own frames, and another node's copies come on top."""
+        seen = (message.arbitration_id, bytes(message.data))
+        with self._changed:
+            self._forget_echoes()
+            for entry in self._echoes:
+                if entry[1:] == seen:
+                    self._echoes.remove(entry)
+                    return True
+        return False
+
     @property
     def alive(self) -> bool:
         """Whether the thread runs."""
@@ -91,12 +106,20 @@ class Transmitter:
             if self._clock() - queued_at_s > MAX_AGE_S:
                 self._count(late=1)
                 continue
+            with self._changed:
+                self._forget_echoes()
+                self._echoes.append((self._clock(), message.arbitration_id, bytes(message.data)))
             try:
                 self._send(message, _SEND_TIMEOUT_S)
             except (can.CanError, OSError, ValueError) as error:
                 self._count(failed=1, failure=str(error))
             else:
                 self._count(sent=1)
+
+    def _forget_echoes(self) -> None:
+        oldest_s = self._clock() - _ECHO_S
+        while self._echoes and self._echoes[0][0] < oldest_s:
+            self._echoes.popleft()
 
     def _count(self, sent: int = 0, late: int = 0, failed: int = 0, failure: str = "") -> None:
         with self._changed:
