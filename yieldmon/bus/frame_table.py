@@ -1,0 +1,115 @@
+"""The table of frames in docs/frames.md, made from the DBC.
+
+python -m yieldmon.bus.frame_table               # print it
+python -m yieldmon.bus.frame_table docs/frames.md    # put it between the marks in the page
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import cantools
+from cantools.database.can import Database
+from cantools.database.can import Message as DbcMessage
+from cantools.database.can import Signal as DbcSignal
+
+from yieldmon.bus.codec import Codec
+from yieldmon.errors import InputError
+from yieldmon.frames import INPUTS
+from yieldmon.resources import shipped
+
+BEGIN = "<!-- made by python -m yieldmon.bus.frame_table docs/frames.md -->"
+END = "<!-- end of what is made -->"
+
+_BITRATE = 250_000
+#: 29-bit identifier, 8 bytes of data, worst-case stuffing and interframe space (ISO 11898-1: 8n + 67 + (53 + 8n) / 4).
+_LONGEST_FRAME_BITS = 160
+
+
+def markdown(dbc_path: Path | str | None = None) -> str:
+    """Overview, then a section for each message. Raises InputError for a DBC that cannot be used."""
+    path = Path(dbc_path) if dbc_path is not None else shipped("dbc/yieldmon.dbc")
+    any_source = {layout.name for layout in Codec(path).layouts.values() if layout.any_source}
+    database = cantools.database.load_file(path, database_format="dbc")
+    assert isinstance(database, Database), "what the dbc format gives"
+    parts = [_overview(database.messages), _load(database.messages)]
+    parts += [_section(message, message.name in any_source) for message in database.messages]
+    return "\n".join(parts)
+
+
+def insert(page: str, table: str, where: str) -> str:
+    """The page with the table between its marks. Raises InputError when it has none."""
+    before, begin, rest = page.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not (begin and end):
+        raise InputError(where, "no place for the table", f"{BEGIN} and {END}")
+    return f"{before}{BEGIN}\n\n{table}\n{END}{after}"
+
+
+def _overview(messages: Sequence[DbcMessage]) -> str:
+    rows = [
+        f"| `{message.name}` | {'in' if message.name in INPUTS else 'out'} | `0x{message.frame_id:08X}` "
+        f"| {_group(message)} | {', '.join(message.senders)} | {message.cycle_time} ms |"
+        for message in messages
+    ]
+    head = "| message | yieldmon | identifier | parameter group | from | every |\n|---|---|---|---|---|---|"
+    return "\n".join([head, *rows, ""])
+
+
+def _load(messages: Sequence[DbcMessage]) -> str:
+    frames_per_s = sum(1000 / message.cycle_time for message in messages if message.cycle_time)
+    share_pct = 100 * frames_per_s * _LONGEST_FRAME_BITS / _BITRATE
+    return (
+        f"All of them together: {frames_per_s:.0f} frames/s, at most {share_pct:.0f} % of {_BITRATE // 1000} kbit/s "
+        f"({_LONGEST_FRAME_BITS} bits a frame with worst-case stuffing).\n"
+    )
+
+
+def _section(message: DbcMessage, any_source: bool) -> str:
+    source = "any source address" if any_source else f"source address 0x{message.frame_id & 0xFF:02X}"
+    lines = [
+        f"### {message.name}",
+        "",
+        str(message.comment),
+        "",
+        f"Identifier `0x{message.frame_id:08X}`: priority {message.frame_id >> 26}, group {_group(message)}, {source}; "
+        f"{message.length} bytes.",
+        "",
+        "| signal | byte.bit | bits | unit | range | step | meaning |",
+        "|---|---|---|---|---|---|---|",
+        *(_row(signal) for signal in message.signals),
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _row(signal: DbcSignal) -> str:
+    place = f"{signal.start // 8 + 1}.{signal.start % 8 + 1}"
+    meaning = str(signal.comment)
+    if signal.choices:
+        meaning += " " + ", ".join(f"{raw} {name}" for raw, name in sorted(signal.choices.items()))
+        extent, step = "codes", ""
+    else:
+        extent, step = f"{signal.minimum:.11g} to {signal.maximum:.11g}", f"{signal.scale:g}"
+    return f"| `{signal.name}` | {place} | {signal.length} | {signal.unit or ''} | {extent} | {step} | {meaning} |"
+
+
+def _group(message: DbcMessage) -> str:
+    group = message.frame_id >> 8 & 0x3FFFF
+    return f"{group} (0x{group:04X})"
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Prints the table, or puts it into the pages named."""
+    table = markdown()
+    if not arguments:
+        print(table)
+    for name in arguments:
+        page = Path(name)
+        page.write_text(insert(page.read_text(encoding="utf-8"), table, name), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
