@@ -35,11 +35,15 @@ class FlowStatus(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class FlowEstimate:
-    """Mass flow and its standard deviation, kg/s (nan where there is none), and FlowStatus codes, all of one shape."""
+    """Mass flow and its standard deviation, kg/s (nan where there is none), and FlowStatus codes, all of one shape.
+
+    noise_std_dev_kg_s: the part of the standard deviation that changes from window to window; the rest is the parameters'.
+    """
 
     mass_flow_kg_s: Array
     std_dev_kg_s: Array
     status: NDArray[np.int64]
+    noise_std_dev_kg_s: Array | None = None
 
 
 def invert_force(throw: Throw, force_n: Array, *, tolerance: float = 1e-13) -> tuple[Array, Array]:
@@ -156,16 +160,17 @@ class OpenLoop:
         angle = np.where(usable, angle, machine.home_plate_angle_rad)
         speed = np.where(usable, speed, machine.nominal_elevator_speed_rad_s)
         flow, gain = invert_force(self._throw(angle, speed, moist), force)
-        spread = np.hypot(np.where(usable, noise, 0.0), self._parameter_force_sd(flow, angle, speed, moist))
+        noise = np.where(usable, noise, 0.0)
+        spread = np.hypot(noise, self._parameter_force_sd(flow, angle, speed, moist))
         with np.errstate(divide="ignore", invalid="ignore"):
-            sd = spread / np.abs(gain)
+            sd, noise_sd = spread / np.abs(gain), noise / np.abs(gain)
         status = np.full(force.shape, int(FlowStatus.OK))
         status = np.where(self._outside(flow, angle, speed, moist), FlowStatus.OUTSIDE_CALIBRATION, status)
         status = np.where(flow <= 0.0, FlowStatus.NO_GRAIN, status)
         status = np.where(np.isnan(flow), FlowStatus.SATURATED, status)
         status = np.where(usable & (np.isfinite(sd) | np.isnan(flow)), status, FlowStatus.NOT_AVAILABLE)
         known = (status != FlowStatus.SATURATED) & (status != FlowStatus.NOT_AVAILABLE)
-        return FlowEstimate(np.where(known, flow, np.nan), np.where(known, sd, np.nan), status)
+        return FlowEstimate(*(np.where(known, v, np.nan) for v in (flow, sd)), status, np.where(known, noise_sd, np.nan))
 
     def _throw(self, angle: ArrayLike, speed: ArrayLike, moisture: ArrayLike | None) -> Throw:
         return self.model.throw(

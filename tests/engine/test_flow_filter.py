@@ -1,0 +1,77 @@
+"""The flow filter: quieter while steady, quick when not, honest about its spread."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from yieldmon.engine.flow_filter import FlowFilter, FlowFilterSettings
+
+SEED = 20261121
+NOISE = 0.03
+
+
+def run(true, seed=SEED, **settings):
+    rng = np.random.default_rng(seed)
+    seen = true * (1.0 + NOISE * rng.standard_normal(len(true)))
+    flow_filter = FlowFilter(FlowFilterSettings(**settings))
+    out = np.array([flow_filter.update(float(m), NOISE * float(m)) for m in seen])
+    return seen, out[:, 0], out[:, 1]
+
+
+def test_a_steady_flow_is_measured_better_than_by_single_windows():
+    true = np.full(2000, 12.0)
+    seen, flow, spread = run(true)
+    assert np.std(flow[20:] - 12.0) < 0.62 * np.std(seen[20:] - 12.0)
+    # The stated spread covers what was seen, without being several times too wide.
+    assert 0.8 < np.sqrt(np.mean((flow[20:] - 12.0) ** 2)) / np.mean(spread[20:]) * 1.3 < 1.7
+
+
+def test_a_ramp_is_followed_without_lag():
+    true = np.concatenate((np.full(20, 6.0), np.linspace(6.0, 24.0, 45), np.full(20, 24.0)))
+    errors = np.mean([run(true, seed=SEED + i)[1] / true - 1.0 for i in range(60)], axis=0)
+    assert np.max(np.abs(errors[26:64])) < 0.015
+
+
+def test_a_step_is_followed_at_once():
+    true = np.concatenate((np.full(30, 6.0), np.full(30, 14.0)))
+    after = np.array([run(true, seed=SEED + i)[1][30] for i in range(60)])
+    assert np.mean(np.abs(after / 14.0 - 1.0)) < 0.05
+
+
+def test_the_lead_carries_a_trend_forward():
+    flow_filter = FlowFilter(FlowFilterSettings())
+    for i in range(40):
+        plain, _ = flow_filter.update(5.0 * 1.03**i, 0.01)
+    again = FlowFilter(FlowFilterSettings())
+    for i in range(40):
+        led, _ = again.update(5.0 * 1.03**i, 0.01, 0.1)
+    assert math.log(led / plain) == pytest.approx(0.1 * math.log(1.03), rel=0.1)
+
+
+@pytest.mark.parametrize("flow", [math.nan, 0.0, -1.0, 0.1])
+def test_what_it_cannot_use_comes_back_and_resets(flow):
+    flow_filter = FlowFilter(FlowFilterSettings())
+    flow_filter.update(10.0, 0.3)
+    back = flow_filter.update(flow, 0.3)
+    assert back[0] == flow or math.isnan(flow)
+    assert flow_filter.update(20.0, 0.3) == (20.0, 0.3)
+
+
+def test_switched_off_it_changes_nothing():
+    seen, flow, _ = run(np.full(50, 9.0), enabled=False)
+    np.testing.assert_array_equal(seen, flow)
+
+
+@given(st.lists(st.floats(allow_nan=True, allow_infinity=True), max_size=60), st.floats(min_value=0.0, max_value=1e6))
+def test_nothing_makes_it_raise_or_diverge(flows, spread):
+    flow_filter = FlowFilter(FlowFilterSettings())
+    for flow in flows:
+        out, sd = flow_filter.update(flow, spread)
+        if math.isfinite(flow) and flow >= 0.3 and spread > 0.0:
+            assert out > 0.0
+            assert not math.isnan(sd)
