@@ -1,0 +1,63 @@
+"""Accuracy figures against numbers worked out by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from yieldmon.frames import (
+    ACCUMULATED_MASS,
+    MASS_FLOW,
+    NOT_AVAILABLE,
+    SELF_CALIBRATION_STATUS,
+    EstimateQuality,
+    Frame,
+    SweepState,
+)
+from yieldmon.trial.accuracy import assess
+
+
+def flow(time_s, rate, quality=EstimateQuality.OK):
+    spread = 0.1 if rate is not NOT_AVAILABLE else NOT_AVAILABLE
+    return Frame(time_s, MASS_FLOW, {"MassFlowRate": rate, "MassFlowStdDev": spread, "EstimateQuality": quality})
+
+
+def test_errors_by_band_and_in_all():
+    true = np.array([1.0, 5.0, 10.0, 20.0, 5.0, 0.0])
+    published = [
+        flow(1.0, 1.5),
+        flow(2.01, 5.1),
+        flow(3.0, 9.0),
+        flow(4.0, 21.0),
+        flow(5.0, NOT_AVAILABLE, EstimateQuality.NOT_AVAILABLE),
+        flow(6.0, NOT_AVAILABLE, EstimateQuality.NOT_HARVESTING),
+        Frame(6.0, ACCUMULATED_MASS, {"TotalMass": 40.0}),
+    ]
+    found = assess(published, np.arange(1.0, 7.0), true, np.cumsum(true))
+    assert (found.windows, found.rated_windows, found.missing_rated_windows) == (6, 4, 1)
+    assert found.mean_abs_pct == pytest.approx((2.0 + 10.0 + 5.0) / 3.0)
+    assert found.p95_abs_pct == pytest.approx(np.percentile([2.0, 10.0, 5.0], 95.0))
+    assert found.mass_error_pct == pytest.approx(100.0 * (40.0 - 41.0) / 41.0)
+    low, _, middle = found.bands[:3]
+    assert (low.windows, low.missing, low.bias_kg_s) == (2, 0, pytest.approx(0.25))
+    assert (middle.windows, middle.missing, middle.mean_abs_pct) == (2, 1, pytest.approx(2.0))
+    assert np.isnan(found.bands[1].bias_kg_s)
+
+
+def test_saying_not_harvesting_while_grain_flows_is_missing_not_zero():
+    found = assess([flow(1.0, NOT_AVAILABLE, EstimateQuality.NOT_HARVESTING)], np.array([1.0]), np.array([6.0]), np.array([6.0]))
+    assert found.missing_rated_windows == 1
+    assert np.isnan(found.mean_abs_pct)
+    assert found.to_json()["flow_error_pct"]["mean_abs"] is None
+
+
+def test_sweeps_are_counted_when_they_end():
+    states = [SweepState.IDLE, SweepState.MEASURING, SweepState.UPDATED, SweepState.UPDATED, SweepState.ABORTED, SweepState.NOT_LEARNED]
+    frames = [Frame(float(i), SELF_CALIBRATION_STATUS, {"SweepState": s}) for i, s in enumerate(states)]
+    found = assess([flow(1.0, 5.0), *frames], np.array([1.0]), np.array([5.0]), np.array([5.0]))
+    assert found.sweeps == 2
+
+
+def test_no_common_second_is_an_error():
+    with pytest.raises(ValueError, match="no MassFlow frame"):
+        assess([flow(100.0, 5.0)], np.array([1.0]), np.array([5.0]), np.array([5.0]))
