@@ -5,7 +5,7 @@ Force per paddle is proportional to its mass, so with `ForceProportional` the fl
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -77,6 +77,7 @@ class Bench:
     noise_mv: float = 0.5
     scatter: float = 0.0
     shaft_vibration_mv: float = 0.0
+    paddle_vibration_mv: float = 0.0
     pulse_std_dev_s: float = 0.012
     seed: int = 1
     drop: Callable[[int], bool] = lambda index: False
@@ -106,7 +107,9 @@ class Bench:
             height = mass * gain * angle_factor(self.angle(at)) / (self.pulse_std_dev_s * (2 * np.pi) ** 0.5)
             voltage[low:high] += height * shape
         shaft = np.interp(times_s, grid, chain / machine.sprocket_pitch_radius_m)
-        return voltage + self.shaft_vibration_mv * np.sin(shaft)
+        passes = np.interp(times_s, grid, chain / machine.pattern_length_m) * len(spacings)
+        vibration = self.paddle_vibration_mv * np.sin(2 * np.pi * passes + 0.7)
+        return voltage + self.shaft_vibration_mv * np.sin(shaft) + vibration
 
     def sample_frames(self, seconds: float) -> dict[str, NDArray[np.float64]]:
         """Sample frames as arrays: times (n,), millivolts (n, 4), counters, statuses."""
@@ -130,7 +133,7 @@ class Bench:
         samples = self.sample_frames(seconds)
         out = [
             sample_frame(t, mv, c)
-            for t, mv, c in zip(samples["times_s"].tolist(), samples["millivolts"].tolist(), samples["counters"].tolist(), strict=True)
+            for t, mv, c in zip(*(samples[name].tolist() for name in ("times_s", "millivolts", "counters")), strict=True)
         ]
         out += list(self.slow_frames(seconds))
         return sorted(out, key=lambda frame: frame.time_s)
@@ -143,6 +146,91 @@ class Bench:
         for i in range(round(seconds * 20)):
             t = self.start_s + 0.0021 + 0.05 * i
             yield Frame(t, bus.PLATE_ACTUATOR_FEEDBACK, {"PlateAngle": self.angle(t), "ActuatorState": 0})
+
+
+@dataclass
+class Actuator:
+    """A plate actuator with a rate limit, and the ways in which it can fail.
+
+    fault: "" none; "stuck" does not move; "silent" sends no feedback; "lying" stays and reports the target; "manual" is held by
+    hand and says so; "broken" reports a fault. Each from fault_from_s to fault_to_s.
+    """
+
+    rate_deg_s: float = 25.0
+    fault: str = ""
+    fault_from_s: float = 0.0
+    fault_to_s: float = float("inf")
+    angle_deg: float = HOME_DEG
+    target_deg: float | None = None
+    modes: list[int] = field(default_factory=list)
+    targets: list[float] = field(default_factory=list)
+
+    def handle(self, frame: Frame) -> None:
+        """Take a command."""
+        mode, target = frame.signals["CommandMode"], frame.signals["TargetPlateAngle"]
+        self.modes.append(int(mode))
+        if mode == bus.CommandMode.RELEASE:
+            self.target_deg = None
+        else:
+            assert isinstance(target, float)
+            self.targets.append(target)
+            self.target_deg = target
+
+    def faulty(self, time_s: float, kind: str) -> bool:
+        """Whether one kind of fault is on."""
+        return self.fault == kind and self.fault_from_s <= time_s < self.fault_to_s
+
+    def step(self, time_s: float, seconds: float) -> None:
+        """Move towards the target."""
+        held = any(self.faulty(time_s, kind) for kind in ("stuck", "lying", "manual", "broken"))
+        if self.target_deg is not None and not held:
+            reach = self.rate_deg_s * seconds
+            self.angle_deg += min(reach, max(-reach, self.target_deg - self.angle_deg))
+
+    def feedback(self, time_s: float) -> Frame | None:
+        """What it reports, None when silent."""
+        if self.faulty(time_s, "silent"):
+            return None
+        moving = self.target_deg is not None and abs(self.target_deg - self.angle_deg) > 0.01
+        state = bus.ActuatorState.MOVING if moving else bus.ActuatorState.IDLE
+        angle = self.angle_deg
+        if self.faulty(time_s, "lying") and self.target_deg is not None:
+            angle, state = self.target_deg, bus.ActuatorState.IDLE
+        if self.faulty(time_s, "manual"):
+            state = bus.ActuatorState.MANUAL
+        if self.faulty(time_s, "broken"):
+            state = bus.ActuatorState.FAULT
+        return Frame(time_s, bus.PLATE_ACTUATOR_FEEDBACK, {"PlateAngle": angle, "ActuatorState": int(state)})
+
+
+def run_with_actuator(
+    target: Monitor,
+    bench: Bench,
+    actuator: Actuator,
+    seconds: float,
+    at: Mapping[float, Callable[[Monitor], object]] | None = None,
+) -> list[Frame]:
+    """The bench with the plate in the loop. at: operator's actions by time since the start, s. Returns all output."""
+    samples = bench.sample_frames(seconds)
+    actions = sorted((at or {}).items())
+    out: list[Frame] = []
+    for index, (time_s, values) in enumerate(zip(samples["times_s"].tolist(), samples["millivolts"], strict=True)):
+        while actions and time_s >= bench.start_s + actions[0][0]:
+            actions.pop(0)[1](target)
+        actuator.step(time_s, 0.004)
+        shaped = bench.zero(time_s) + (values - bench.zero(time_s)) * angle_factor(actuator.angle_deg)
+        frames = [sample_frame(time_s, shaped.tolist(), samples["counters"][index])]
+        if index % 25 == 0:
+            frames.append(Frame(time_s, bus.ELEVATOR_SPEED, {"ElevatorSpeed": bench.rpm(time_s)}))
+        if index % 12 == 0:
+            feedback = actuator.feedback(time_s)
+            frames += [feedback] if feedback else []
+        for frame in frames:
+            for sent in target.feed(frame):
+                out.append(sent)
+                if sent.message == bus.PLATE_ACTUATOR_COMMAND:
+                    actuator.handle(sent)
+    return out
 
 
 def sample_frame(time_s: float, millivolts: list[float], counter: float, status: int = 0) -> Frame:

@@ -14,13 +14,15 @@ from yieldmon.engine.settings import GateSettings
 class GateInputs:
     """One window as the gate sees it.
 
-    force_n: mean, zero taken off (nan: unknown). pulses: beyond vibration. speed_in_range: the elevator turns at a speed at which
-    grain is measured. idle_s: how long header, work state or ground speed have said that no crop is taken in (0: they do not say
-    so, or are not fitted).
+    force_n: mean, zero taken off (nan: unknown). pulses: in this window, beyond vibration. looks_empty, looks_loaded: verdicts of
+    the last windows together. speed_in_range: the elevator turns at a speed at which grain is measured. idle_s: how long header,
+    work state or ground speed have said that no crop is taken in (0: they do not say so, or are not fitted).
     """
 
     force_n: float
     pulses: bool
+    looks_empty: bool
+    looks_loaded: bool
     speed_in_range: bool
     idle_s: float = 0.0
 
@@ -35,10 +37,11 @@ class HarvestGate:
 
     def grain(self, inputs: GateInputs) -> bool:
         """Whether a window holds grain."""
-        threshold = self._settings.grain_off_n if self.harvesting else self._settings.grain_on_n
         if inputs.force_n > self._settings.certain_force_n:
             return True
-        return inputs.pulses and inputs.force_n > threshold
+        if self.harvesting:
+            return inputs.force_n > self._settings.grain_off_n and not inputs.looks_empty
+        return inputs.force_n > self._settings.grain_on_n and (inputs.pulses or inputs.looks_loaded)
 
     def see(self, inputs: GateInputs) -> bool:
         """State after one window."""

@@ -517,6 +517,7 @@ class Monitor:
                 end_s=at_s,
                 support_start_s=window.start_s - self._ramp_s(window),
                 flow_kg_s=flow.rate_kg_s,
+                force_n=flow.force_n,
                 speed_rad_s=window.speed_rad_s,
                 angle_deg=degrees(window.plate_angle_rad),
                 whole=window.coverage >= self.settings.windows.full_coverage and not flow.saturated and window.lost_frames == 0,
@@ -551,7 +552,9 @@ class Monitor:
         gain = self.machine.sensor.gain_n_per_mv
         force = (window.mean_mv - zero.zero_mv) * gain
         noise = self._force_std_dev(window, force)
-        gate = GateInputs(force, self._zero.pulses(window), in_range, idle_s)
+        gate = GateInputs(
+            force, self._zero.pulses(window), self._zero.looks_empty, self._zero.looks_loaded, in_range, idle_s
+        )
         grain = self._gate.grain(gate)
         if not self._gate.see(gate):
             found = quality.NOT_AVAILABLE if grain and not in_range else quality.NOT_HARVESTING
@@ -636,9 +639,8 @@ class Monitor:
             self._header_down.within(window.end_s, self.settings.inputs.vehicle_timeout_s) == 1.0
             and self._working.within(window.end_s, self.settings.inputs.vehicle_timeout_s) != 0.0
         )
-        empty = not self._gate.harvesting and not cutting
-        if elevator_runs and whole and plate_rests_at_home and (empty or self._zero.calibrating):
-            self._zero.see(window)
+        if elevator_runs and whole and plate_rests_at_home:
+            self._zero.see(window, may_be_empty=not self._gate.harvesting and not cutting)
         else:
             self._zero.interrupt()
 

@@ -67,15 +67,21 @@ class ZeroSettings:
     """Zero-load voltage. The elevator is taken to run empty while the paddle-synchronous signal is no more than vibration."""
 
     first_zero_windows: int = 3
-    """Empty windows averaged for the first zero and by the operator's zero calibration."""
-    first_pulse_limit_mv: float = 15.0
+    """Windows averaged for the first zero."""
+    first_pulse_limit_mv: float = 12.0
     """Largest paddle-synchronous amplitude taken for vibration before any has been learnt, mV."""
-    pulse_margin_mv: float = 1.5
-    """Excess over the learnt vibration from which the amplitude speaks of grain, mV."""
-    pulse_margin: float = 1.5
-    """The same as a factor on the learnt vibration; the larger of the two margins holds."""
-    settle_windows: int = 5
-    """Empty windows in a row before the zero follows (grain of the last load leaves the elevator first)."""
+    level_range_mv: float = 3.0
+    """Largest range of the windows' means in learning a zero, mV."""
+    settle_windows: int = 10
+    """Windows over which pulses are averaged coherently, and empty windows in a row before the zero follows."""
+    pulse_margin_mv: float = 0.8
+    """Departure of a pattern harmonic from the learnt vibration that speaks of grain, over settle_windows, mV."""
+    pulse_margin: float = 0.12
+    """The same as a share of the learnt vibration; the larger of the two margins holds."""
+    window_pulse_margin_mv: float = 1.5
+    """Excess of one window's pulses over the largest seen empty that speaks of grain, mV."""
+    window_pulse_margin: float = 1.25
+    """The same as a factor; the larger of the two holds."""
     follow_time_s: float = 20.0
     """Time constant of the following."""
     max_rate_mv_s: float = 0.2
@@ -158,10 +164,14 @@ class SweepSettings:
     return_timeout_s: float = 10.0
     home_rest_s: float = 3.0
     """Time the plate may rest away from home with nobody driving it before it is taken home."""
+    home_retry_s: float = 20.0
+    """Wait before the plate is taken home again after it did not get there."""
     backoff_s: float = 60.0
     """Wait after an aborted sweep; doubles with each abort in a row, up to the interval."""
-    lying_log_ratio: float = 0.5
-    """Median |ln(flow at an angle / flow at home)| of a whole sweep beyond which the plate is not where the feedback says."""
+    lying_spread: float = 0.08
+    """Spread of ln(flow) over a whole sweep from which it is asked whether the plate moved at all."""
+    lying_ratio: float = 0.5
+    """The plate did not move if the force itself spreads less than this share of that."""
     max_std_dev_factor: float = 1.5
     """Widening of the standard deviation of flow measured away from home."""
 

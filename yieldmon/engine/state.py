@@ -34,6 +34,8 @@ class EngineState:
             raise ValueError(f"engine state has keys {sorted(data)}; expected {sorted(known)}")
         try:
             zero = data["zero"]
-            return cls(**{**data, "totals": Totals(**data["totals"]), "zero": None if zero is None else ZeroState(**zero)})
+            if zero is not None:
+                zero = ZeroState(**{**zero, "vibration_mv": tuple(zero.get("vibration_mv", ()))})
+            return cls(**{**data, "totals": Totals(**data["totals"]), "zero": zero})
         except TypeError as error:
             raise ValueError(f"engine state: {error}") from error

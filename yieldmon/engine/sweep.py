@@ -53,6 +53,7 @@ class SweepWindow:
     end_s: float
     support_start_s: float
     flow_kg_s: float
+    force_n: float
     speed_rad_s: float
     angle_deg: float
     whole: bool
@@ -111,8 +112,7 @@ class SweepMachine:
         self._speeds: deque[float] = deque(maxlen=settings.steady_windows)
         self._base_flow = float("nan")
         self._base_speed = float("nan")
-        self._home_flows: list[float] = []
-        self._away_flows: list[float] = []
+        self._seen: list[tuple[float, float]] = []
 
     @property
     def driving(self) -> bool:
@@ -161,12 +161,12 @@ class SweepMachine:
         self._enter(SweepState.UPDATED if updated else SweepState.NOT_LEARNED)
 
     def lying_feedback(self) -> bool:
-        """Whether the flows of the whole sweep speak against the angles: the force did not change as the angle did."""
-        if not self._home_flows or not self._away_flows:
+        """Whether a plate that never moved explains the whole sweep: the force is steadier than the flow made from it."""
+        if any(flow <= 0.0 or force <= 0.0 for flow, force in self._seen):
             return False
-        home = sum(self._home_flows) / len(self._home_flows)
-        ratios = sorted(abs(log(flow / home)) if flow > 0.0 else float("inf") for flow in self._away_flows)
-        return ratios[len(ratios) // 2] > self._settings.lying_log_ratio
+        flow_spread = _spread([log(flow) for flow, _ in self._seen])
+        force_spread = _spread([log(force) for _, force in self._seen])
+        return flow_spread > self._settings.lying_spread and force_spread < self._settings.lying_ratio * flow_spread
 
     def tick(self, plate: PlateReading) -> PlateDemand | None:
         """Time passes; what is wanted of the plate now (None: nothing, nobody drives)."""
@@ -216,7 +216,7 @@ class SweepMachine:
             self._abort(now, reason)
         if reason is not None or not usable:
             return -1
-        (self._home_flows if at_home else self._away_flows).append(window.flow_kg_s)
+        self._seen.append((window.flow_kg_s, window.force_n))
         step = self.step
         self._measured += 1
         if self._measured >= self._settings.windows_per_step:
@@ -263,7 +263,7 @@ class SweepMachine:
         if self._away_s is None:
             self._away_s = plate.time_s
         rested = plate.time_s - self._away_s >= self._settings.home_rest_s
-        return rested and plate.time_s - self._home_try_s >= self._settings.backoff_s
+        return rested and plate.time_s - self._home_try_s >= self._settings.home_retry_s
 
     def _ready(self, plate: PlateReading) -> bool:
         settings = self._settings
@@ -281,7 +281,7 @@ class SweepMachine:
         self.abort_reason = None
         self._base_flow = sum(self._flows) / len(self._flows)
         self._base_speed = sum(self._speeds) / len(self._speeds)
-        self._home_flows, self._away_flows = [], []
+        self._seen = []
         self._flows.clear()
         self._speeds.clear()
         self.step = -1
@@ -329,6 +329,7 @@ class SweepMachine:
             return RELEASE
         if now > self._deadline_s:
             self.not_following = plate.state is not ActuatorState.MANUAL
+            self._home_try_s = now
             self._enter(SweepState.ABORTED if self.abort_reason else SweepState.IDLE)
             return RELEASE
         return RELEASE if plate.state is ActuatorState.MANUAL else GO_HOME
@@ -373,5 +374,12 @@ def _steady(values: deque[float], least: float, limit_cv: float) -> bool:
     mean = sum(values) / len(values)
     if not mean > 0.0 or mean < least:
         return False
-    variance = sum((value - mean) ** 2 for value in values) / max(1, len(values) - 1)
-    return bool(variance**0.5 <= limit_cv * mean)
+    return _spread(list(values)) <= limit_cv * mean
+
+
+def _spread(values: list[float]) -> float:
+    """Standard deviation, 0 for fewer than two values."""
+    if len(values) < 2:
+        return 0.0
+    mean = sum(values) / len(values)
+    return float((sum((value - mean) ** 2 for value in values) / (len(values) - 1)) ** 0.5)

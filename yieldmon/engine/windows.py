@@ -15,7 +15,7 @@ All arithmetic runs once, at the close of the window, on arrays in the order of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -78,8 +78,8 @@ class Window:
 
     @property
     def pulse_mv(self) -> float:
-        """Amplitude of what repeats with the paddle pattern in this window, mV."""
-        return coherent_amplitude((self,))
+        """Amplitude of what repeats with the paddle pattern in this window, all harmonics together, mV."""
+        return float(sum(abs(value) ** 2 for value in self.harmonics_mv) ** 0.5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,12 +106,10 @@ class _Rows:
     repeated: int
 
 
-def coherent_amplitude(windows: Sequence[Window]) -> float:
-    """Root sum square of the pattern harmonics' mean over windows, mV; what keeps no step with the paddles averages out."""
-    power = 0.0
-    for values in zip(*(window.harmonics_mv for window in windows), strict=False):
-        power += abs(sum(values) / len(values)) ** 2
-    return float(power**0.5)
+def coherent_amplitudes(windows: Iterable[Window]) -> tuple[float, ...]:
+    """Amplitude of each pattern harmonic's mean over windows, mV; what keeps no step with the paddles averages out."""
+    columns = zip(*(window.harmonics_mv for window in windows), strict=False)
+    return tuple(abs(sum(values) / len(values)) for values in columns)
 
 
 def number(value: object) -> float:
@@ -229,7 +227,7 @@ class WindowBuilder:
             mean = float((weights * support.value).sum()) / total
             speed = float((weights * support.speed).sum()) / total
             angle = float((weights * support.angle).sum()) / total
-            harmonics = _harmonics(support, weights / total, self._turns)
+            harmonics = _harmonics(support, mean, weights / total, self._turns)
             std_dev, trend, patterns = self._scatter(support, end_phase)
         else:
             mean = std_dev = trend = float("nan")
@@ -372,10 +370,13 @@ def _held(values: Array) -> int:
     return int(values.size - 1 - moves[-1]) if moves.size else int(values.size)
 
 
-def _harmonics(support: _Samples, shares: Array, turns: float) -> tuple[complex, ...]:
-    """Complex amplitudes at the first harmonics of the paddle pattern; turns: chain phase at the window's start."""
+def _harmonics(support: _Samples, mean: float, shares: Array, turns: float) -> tuple[complex, ...]:
+    """Complex amplitudes at the first harmonics of the paddle pattern; turns: chain phase at the window's start.
+
+    The mean is taken off first, so that a window with samples missing does not turn its level into an amplitude.
+    """
     turn = np.exp(-2j * np.pi * (support.phase + turns))
-    wave = 2.0 * shares * support.value * turn
+    wave = 2.0 * shares * (support.value - mean) * turn
     found = []
     for _ in range(HARMONICS):
         found.append(complex(wave.sum()))
