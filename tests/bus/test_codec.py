@@ -12,9 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from yieldmon import frames
-from yieldmon.bus.bulk import ERROR as BULK_ERROR
-from yieldmon.bus.bulk import NOT_AVAILABLE as BULK_NOT_AVAILABLE
-from yieldmon.bus.bulk import USABLE, block_of, concatenate, decode_block
+from yieldmon.bus.bulk import USABLE, block_of, concatenate, decode_block, frames_of
 from yieldmon.bus.codec import Codec, FrameError
 from yieldmon.frames import ERROR, NOT_AVAILABLE, Frame
 from yieldmon.resources import shipped
@@ -223,9 +221,6 @@ def frame_strategy():
     )
 
 
-STATUS = {NOT_AVAILABLE: BULK_NOT_AVAILABLE, ERROR: BULK_ERROR}
-
-
 @given(st.lists(frame_strategy(), max_size=40))
 @settings(max_examples=150, deadline=None)
 def test_bulk_decodes_as_the_codec_does(log: list[can.Message]) -> None:
@@ -242,19 +237,14 @@ def test_bulk_decodes_as_the_codec_does(log: list[can.Message]) -> None:
     assert decoded.wrong_length.tolist() == refused
     found = {}
     for name, columns in decoded.messages.items():
-        for place, row in enumerate(columns.rows.tolist()):
-            found[row] = name
-            frame = expected[row]
-            assert (frame.message, frame.time_s) == (name, columns.time_s[place])
-            for signal, column in columns.signals.items():
-                value = frame.signals[signal]
-                assert column.status[place] == STATUS.get(value, USABLE)
-                if column.status[place] == USABLE:
-                    assert column.values[place].item() == value
-                    assert type(column.values[place].item()) is type(value)
-                else:
-                    assert math.isnan(column.values[place]) or column.values[place] == -1
-    assert found.keys() == expected.keys()
+        assert columns.name == name
+        found |= dict(zip(columns.rows.tolist(), frames_of(columns), strict=True))
+        for signal in columns.signals.values():
+            unusable = signal.values[signal.status != USABLE]
+            assert (np.isnan(unusable) | (unusable == -1)).all()
+    assert found == expected
+    types = {row: [type(value) for value in frame.signals.values()] for row, frame in found.items()}
+    assert types == {row: [type(value) for value in frame.signals.values()] for row, frame in expected.items()}
 
 
 def test_blocks_join_with_their_channels() -> None:
