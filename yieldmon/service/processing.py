@@ -1,0 +1,58 @@
+"""Logs through the engine: what live gave, a file gives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from yieldmon.bus.codec import Codec, FrameError
+from yieldmon.bus.logs import LogNotes, read_log
+from yieldmon.engine.monitor import Monitor
+from yieldmon.frames import INPUTS
+from yieldmon.service.rows import SecondRow, second_row
+
+
+@dataclass
+class Summary:
+    """What a pass over logs met. frames: all in the logs; ours: those that the engine was fed."""
+
+    frames: int = 0
+    ours: int = 0
+    malformed: int = 0
+    windows: int = 0
+    damages: list[str] = field(default_factory=list)
+
+
+def process_logs(
+    paths: Iterable[Path | str], monitor: Monitor, codec: Codec, take_row: Callable[[SecondRow], None]
+) -> Summary:
+    """Feeds the logs, one after the other, to the monitor and hands over each second's row.
+
+    Frames that the monitor sends are not needed here: those in a log were sent by the monitor of that time. Raises
+    InputError for a log that cannot be read.
+    """
+    summary = Summary()
+    for path in paths:
+        notes = LogNotes()
+        for message in read_log(path, notes):
+            try:
+                frame = codec.decode(message)
+            except FrameError:
+                summary.malformed += 1
+                continue
+            if frame is None or frame.message not in INPUTS:
+                continue
+            summary.ours += 1
+            if monitor.feed(frame):
+                _hand_over(monitor, take_row, summary)
+        summary.frames += notes.frames
+        summary.damages += [str(damage) for damage in notes.damages]
+    _hand_over(monitor, take_row, summary)
+    return summary
+
+
+def _hand_over(monitor: Monitor, take_row: Callable[[SecondRow], None], summary: Summary) -> None:
+    for record in monitor.take_records():
+        summary.windows += 1
+        take_row(second_row(summary.windows, record))
