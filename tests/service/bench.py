@@ -1,0 +1,144 @@
+"""A daemon on a virtual bus, and a peer that plays sensor and combine faster than time: its frames carry their own times."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import math
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import can
+
+from yieldmon import frames
+from yieldmon.bus.codec import Codec
+from yieldmon.frames import NOT_AVAILABLE, Frame
+from yieldmon.service import configuration
+from yieldmon.service.daemon import Daemon
+
+CODEC = Codec()
+START_S = 1_760_000_000.0
+ZERO_MV = 120.0
+PATIENCE_S = 20.0
+_channels = itertools.count()
+
+
+def traffic(
+    start_s: float, duration_s: float, force_mv: float, angle_deg: float = 70.0, speed_rpm: float = 400.0
+) -> Iterator[Frame]:
+    """Nominal traffic at a constant mean signal with pulses at the paddles' pace, in order of time; counters by time."""
+    pass_hz = speed_rpm / 60.0 * 2.0 * math.pi * 0.0541 / 0.18635
+    for number in range(round(start_s * 250), round((start_s + duration_s) * 250)):
+        at_s = number / 250.0
+        volts = {}
+        for k in range(frames.SAMPLES_PER_FRAME):
+            phase = 2.0 * math.pi * pass_hz * (at_s - start_s + 0.001 * k)
+            ripple = force_mv * math.sin(phase) + 0.8 * math.sin(1.7 * phase + 0.3)
+            volts[f"Sample{k}"] = max(0.0, round(2.0 * (ZERO_MV + force_mv + ripple)) / 2.0)
+        yield Frame(at_s, frames.IMPACT_SENSOR_SAMPLES, {**volts, "SampleCounter": number % 256, "SensorStatus": 0})
+        if number % 25 == 0:
+            yield Frame(at_s, frames.ELEVATOR_SPEED, {"ElevatorSpeed": speed_rpm})
+        if number % 12 == 0:
+            yield Frame(at_s, frames.PLATE_ACTUATOR_FEEDBACK, {"PlateAngle": angle_deg, "ActuatorState": 0})
+        if number % 250 == 0:
+            condition = {"Moisture": 15.5, "GrainTemperature": 20.0, "TestWeight": NOT_AVAILABLE}
+            yield Frame(at_s, frames.GRAIN_CONDITION, condition)
+
+
+def wait_for(condition: Callable[[], object], what: str) -> None:
+    """Waits until the condition holds; fails loudly when it does not within PATIENCE_S."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline, f"still waiting for: {what}"
+        threading.Event().wait(0.005)
+
+
+@dataclass
+class Bench:
+    """The daemon under test and its peer."""
+
+    daemon: Daemon
+    peer: can.BusABC
+    now_s: float = START_S
+    seen: list[can.Message] = field(default_factory=list)
+    failure: list[BaseException] = field(default_factory=list)
+    thread: threading.Thread | None = None
+
+    def play(self, duration_s: float, force_mv: float, **how: float) -> None:
+        """Sends traffic for so long, as fast as the daemon takes it."""
+        for frame in traffic(self.now_s, duration_s, force_mv, **how):
+            self.peer.send(CODEC.encode(frame))
+        self.now_s += duration_s
+
+    def played(self) -> None:
+        """Waits until the engine has worked off what was played, but for the last open window."""
+        last = math.floor(self.now_s - 0.01)
+        wait_for(lambda: self.rows and self.rows[-1]["time_s"] >= last, f"window {last}, have {self.rows[-1:]}")
+
+    @property
+    def status(self) -> dict:
+        return dict(self.daemon._answer)
+
+    @property
+    def rows(self) -> list[dict]:
+        return self.status.get("windows", [])
+
+    @property
+    def faults(self) -> dict[str, str]:
+        return {fault["code"]: fault["detail"] for fault in self.status["faults"]}
+
+    def published(self, message: str) -> list[dict]:
+        """Signals of the daemon's frames of this name so far."""
+        while (received := self.peer.recv(0)) is not None:
+            self.seen.append(received)
+        decoded = [CODEC.decode(received) for received in self.seen]
+        return [dict(frame.signals) for frame in decoded if frame is not None and frame.message == message]
+
+    def start(self) -> None:
+        def body() -> None:
+            try:
+                self.daemon.run()
+            except BaseException as error:  # noqa: BLE001 - handed to the test's own thread
+                self.failure.append(error)
+
+        self.thread = threading.Thread(target=body)
+        self.thread.start()
+        wait_for(lambda: self.status or self.failure, "the daemon's start")
+
+    def stop(self) -> None:
+        self.daemon.request_stop()
+        assert self.thread is not None
+        self.thread.join(PATIENCE_S)
+        assert not self.thread.is_alive()
+        self.peer.shutdown()
+        if self.failure:
+            raise self.failure[0]
+
+
+@contextlib.contextmanager
+def running(folder: Path, text: str = "", notify: socket.socket | None = None, start_s: float = START_S) -> Iterator[Bench]:
+    """A running daemon whose state lies in `folder`, with the configuration `text` in folder/c.yaml."""
+    channel = f"service-{next(_channels)}"
+    path = folder / "c.yaml"
+    path.write_text(text)
+    environment = {"STATE_DIRECTORY": str(folder), "RUNTIME_DIRECTORY": str(folder)}
+    if notify is not None:
+        environment |= {"NOTIFY_SOCKET": str(notify.getsockname()), "WATCHDOG_USEC": "10000000"}
+
+    def load() -> configuration.Configuration:
+        return configuration.load(path, environment)
+
+    daemon = Daemon(
+        load(), load, environment=environment, bus_factory=lambda: can.Bus(interface="virtual", channel=channel)
+    )
+    peer = can.Bus(interface="virtual", channel=channel, preserve_timestamps=True)
+    bench = Bench(daemon, peer, start_s)
+    bench.start()
+    try:
+        yield bench
+    finally:
+        bench.stop()

@@ -1,0 +1,314 @@
+"""The daemon as a whole: measures, remembers, obeys, and says what is wrong."""
+
+from __future__ import annotations
+
+import json
+import socket
+import sqlite3
+from contextlib import suppress
+
+import can
+import pytest
+
+from tests.service.bench import CODEC, START_S, ZERO_MV, running, wait_for
+from yieldmon import frames
+from yieldmon.cli import main as cli
+from yieldmon.frames import EstimateQuality, Frame
+from yieldmon.service.store import Store
+
+EMPTY_MV, GRAIN_MV = 0.0, 60.0
+
+
+def warm_up(bench) -> None:
+    """Zero learnt, then grain for a few seconds."""
+    bench.play(14, EMPTY_MV)
+    bench.play(6, GRAIN_MV)
+    bench.played()
+
+
+def test_measures_publishes_and_stores(tmp_path):
+    with running(tmp_path) as bench:
+        warm_up(bench)
+        status = bench.status
+        flows = bench.published(frames.MASS_FLOW)
+        masses = bench.published(frames.ACCUMULATED_MASS)
+    assert status["state"] == "harvesting"
+    assert status["faults"] == []
+    assert status["windows"][-1]["mass_flow_kg_s"] > 1.0
+    assert len(flows) >= 19
+    assert [flow["WindowCounter"] for flow in flows] == list(range(1, len(flows) + 1))
+    assert flows[5]["EstimateQuality"] == EstimateQuality.NOT_HARVESTING
+    assert flows[18]["MassFlowRate"] == pytest.approx(status["windows"][-1]["mass_flow_kg_s"], abs=0.3)
+    with Store(tmp_path / "yieldmon.sqlite") as store:
+        rows = store.seconds()
+        state = store.state()
+    assert [row.number for row in rows] == list(range(1, len(rows) + 1))
+    total_kg = sum(row.mass_kg for row in rows)
+    assert rows[-1].total_kg == pytest.approx(total_kg, rel=1e-12)
+    assert state["engine"]["totals"]["total_kg"] == rows[-1].total_kg
+    assert masses[-1]["TotalMass"] == pytest.approx(rows[len(masses) - 1].total_kg, abs=0.01)
+
+
+def test_goes_on_after_a_restart_where_it_stopped(tmp_path):
+    with running(tmp_path) as bench:
+        warm_up(bench)
+    with Store(tmp_path / "yieldmon.sqlite") as store:
+        before = store.last_second()
+        state = store.state()
+    with running(tmp_path, start_s=START_S + 60) as bench:
+        assert bench.status["total"]["mass_kg"] == state["engine"]["totals"]["total_kg"]
+        bench.play(4, GRAIN_MV)
+        bench.played()
+        assert bench.rows[-1]["mass_flow_kg_s"] > 1.0, "the zero is remembered"
+    with Store(tmp_path / "yieldmon.sqlite") as store:
+        rows = store.seconds()
+        assert store.counters()["starts"] == 2
+    assert [row.number for row in rows] == list(range(1, len(rows) + 1))
+    assert len(rows) > before.number
+    assert sum(row.mass_kg for row in rows) == pytest.approx(rows[-1].total_kg, rel=1e-12)
+    totals = [row.total_kg for row in rows]
+    assert totals == sorted(totals)
+
+
+def test_faults_on_the_bus_in_status_and_in_the_store(tmp_path):
+    with running(tmp_path) as bench:
+        bench.play(4, EMPTY_MV)
+        bench.now_s += 6.0
+        bench.play(5, EMPTY_MV)
+        bench.played()
+        wait_for(lambda: any(s["SensorMissing"] for s in bench.published(frames.YIELD_MONITOR_STATUS)), "SensorMissing")
+    with Store(tmp_path / "yieldmon.sqlite") as store:
+        events = [(event.code, event.active) for event in store.faults()]
+    assert ("SensorMissing", True) in events
+    assert ("SensorMissing", False) in events
+
+
+def test_our_frames_from_another_node_are_a_conflict(tmp_path):
+    with running(tmp_path) as bench:
+        bench.play(2, EMPTY_MV)
+        forged = Frame(bench.now_s, frames.ACCUMULATED_MASS, {"LoadMass": 1.0, "TotalMass": 2.0, "LoadNumber": 3})
+        bench.peer.send(CODEC.encode(forged))
+        bench.play(3, EMPTY_MV)
+        wait_for(lambda: "OutputConflict" in bench.faults, "OutputConflict")
+        assert bench.faults["OutputConflict"] == "AccumulatedMass from another node"
+        assert bench.published(frames.YIELD_MONITOR_STATUS)[-1]["OutputConflict"] == 1
+
+
+BAD_FRAMES = [
+    can.Message(arbitration_id=0x98FF1280 & 0x1FFFFFFF, data=b"\x01"),
+    can.Message(arbitration_id=0x123, is_extended_id=False, data=b"12345678"),
+    can.Message(arbitration_id=CODEC.layouts[frames.ELEVATOR_SPEED].frame_id, is_remote_frame=True, dlc=8),
+    *(can.Message(arbitration_id=CODEC.layouts[name].frame_id, data=b"\x00" * 3) for name in frames.INPUTS),
+    *(can.Message(arbitration_id=CODEC.layouts[name].frame_id, data=b"\xff" * 8) for name in frames.INPUTS),
+    *(can.Message(arbitration_id=CODEC.layouts[name].frame_id, data=b"\xfe" * 8) for name in frames.INPUTS),
+]
+
+
+def test_bad_frames_are_counted_and_stop_nothing(tmp_path):
+    with running(tmp_path) as bench:
+        bench.play(2, EMPTY_MV)
+        for message in BAD_FRAMES:
+            message.timestamp = bench.now_s
+            bench.peer.send(message)
+        bench.play(3, EMPTY_MV)
+        bench.played()
+        assert bench.status["bus"]["malformed"] == len(frames.INPUTS)
+
+
+def test_store_failing_is_a_fault_and_measuring_goes_on(tmp_path, monkeypatch):
+    with running(tmp_path) as bench:
+        bench.play(3, EMPTY_MV)
+        bench.played()
+        wait_for(lambda: bench.daemon._writer.health().pending == 0, "the first seconds in the store")
+        monkeypatch.setattr(bench.daemon._writer, "_retry_s", 0.05)
+        blocker = sqlite3.connect(tmp_path / "yieldmon.sqlite", isolation_level=None)
+        blocker.execute("BEGIN IMMEDIATE")
+        bench.play(2, EMPTY_MV)
+        wait_for(lambda: bench.daemon._writer.health().failing, "the disk's failing to be noticed")
+        bench.play(4, EMPTY_MV)
+        wait_for(lambda: "StoreFailing" in bench.faults, "StoreFailing")
+        assert "locked" in bench.faults["StoreFailing"]
+        assert bench.published(frames.YIELD_MONITOR_STATUS)[-1]["StoreFailing"] == 1
+        blocker.execute("ROLLBACK")
+        blocker.close()
+        wait_for(lambda: not bench.daemon._writer.health().failing, "the store's recovery")
+        bench.play(6, EMPTY_MV)
+        bench.played()
+        assert "StoreFailing" not in bench.faults
+    with Store(tmp_path / "yieldmon.sqlite") as store:
+        numbers = [row.number for row in store.seconds()]
+        events = [(event.code, event.active) for event in store.faults() if event.code == "StoreFailing"]
+    assert numbers == list(range(1, len(numbers) + 1))
+    assert len(numbers) >= 15
+    assert events == [("StoreFailing", True), ("StoreFailing", False)]
+
+
+def test_damaged_store_is_set_aside_and_said(tmp_path):
+    (tmp_path / "yieldmon.sqlite").write_bytes(b"SQLite format 3\x00" + b"\xaa" * 5000)
+    with running(tmp_path) as bench:
+        bench.play(4, EMPTY_MV)
+        bench.played()
+        assert "set aside" in bench.status["store"]["note"]
+        assert "StoreFailing" in bench.faults
+    assert len(list(tmp_path.glob("yieldmon.sqlite.damaged-*"))) == 1
+    with Store(tmp_path / "yieldmon.sqlite") as store:
+        assert len(store.seconds()) >= 4
+
+
+def test_reload_takes_a_good_configuration_and_refuses_a_bad_one(tmp_path):
+    with running(tmp_path) as bench:
+        warm_up(bench)
+        before = bench.status
+        (tmp_path / "c.yaml").write_text("sweep: {interval_s: 7200}\nstore: {size_mb: 64}")
+        bench.daemon.request_reload()
+        wait_for(lambda: bench.status["configuration"]["reload"].startswith("taken"), "the reload")
+        assert bench.status["configuration"]["reload"] == "taken; store will be at the next start"
+        assert bench.daemon._monitor.settings.sweep.interval_s == 7200.0
+        bench.play(3, GRAIN_MV)
+        bench.played()
+        after = bench.status
+        assert after["total"]["mass_kg"] > before["total"]["mass_kg"]
+        assert after["windows"][-1]["mass_flow_kg_s"] > 1.0, "the zero goes on"
+        (tmp_path / "c.yaml").write_text("sweep: {interval_s: 1}")
+        bench.daemon.request_reload()
+        wait_for(lambda: bench.status["configuration"]["reload"].startswith("refused"), "the refusal")
+        assert "sweep.interval_s: 1; expected a number" in bench.status["configuration"]["reload"]
+        assert bench.daemon._monitor.settings.sweep.interval_s == 7200.0
+
+
+def test_an_interface_that_goes_and_comes_back(tmp_path):
+    with running(tmp_path) as bench:
+        bench.play(3, EMPTY_MV)
+        bench.played()
+        lost = bench.daemon._receiver.bus
+        assert lost is not None
+        lost.shutdown()
+        wait_for(lambda: bench.daemon._receiver.counters().interface_losses == 1, "the loss")
+        wait_for(lambda: bench.daemon._receiver.bus not in (None, lost), "the return")
+        bench.play(3, EMPTY_MV)
+        bench.played()
+        with suppress(IndexError):
+            assert bench.rows[-1]["coverage"] == 1.0
+
+
+def ask(tmp_path, capsys, *words: str) -> dict:
+    assert cli.main([*words, "--socket", str(tmp_path / "yieldmon.sock"), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_loads_tickets_and_names(tmp_path, capsys):
+    with running(tmp_path) as bench:
+        warm_up(bench)
+        answer = ask(tmp_path, capsys, "load", "start", "--field", "north", "--crop", "corn")
+        assert answer == {"load": 2, "field": "north", "crop": "corn"}
+        bench.play(5, GRAIN_MV)
+        bench.played()
+        assert ask(tmp_path, capsys, "load", "stop")["load"] == 2
+        loads = ask(tmp_path, capsys, "load", "list")["loads"]
+        assert [(load["number"], load["field"]) for load in loads] == [(1, ""), (2, "north")]
+        weighed = 1.02 * (loads[0]["mass_kg"] + loads[1]["mass_kg"])
+        ticket = ask(tmp_path, capsys, "ticket", "1-2", f"{weighed}kg", "--note", "elevator 3")
+        assert ticket["factor"] == pytest.approx(1.02)
+        assert ticket["anchor"] is True
+        assert [anchor.load_number for anchor in bench.daemon._monitor.anchors] == [1, 2]
+        after = ask(tmp_path, capsys, "load", "list")["loads"]
+        assert [load["mass_kg"] for load in after] == [load["mass_kg"] for load in loads]
+        assert after[0]["corrected_mass_kg"] == pytest.approx(1.02 * loads[0]["mass_kg"])
+        total_before = bench.status["total"]["mass_kg"]
+    with running(tmp_path, start_s=START_S + 100) as bench:
+        kept = ask(tmp_path, capsys, "load", "list")["loads"]
+        assert kept[0]["corrected_mass_kg"] == pytest.approx(1.02 * loads[0]["mass_kg"])
+        assert bench.status["total"]["mass_kg"] == pytest.approx(total_before)
+        assert bench.status["load"]["open"] is False
+        assert ask(tmp_path, capsys, "ticket", "1", "50kg")["anchor"] is False
+    with Store(tmp_path / "yieldmon.sqlite") as store:
+        assert [ticket.note for ticket in store.tickets()] == ["elevator 3", ""]
+        rows = store.corrected_loads()
+    assert rows[0]["corrected_mass_kg"] == pytest.approx(50.0)
+
+
+REFUSED = [
+    (["ticket", "9", "100kg"], "ticket for load 9: no such load"),
+    (["ticket", "1", "0kg"], "mass_kg: 0.0; expected a mass above 0"),
+    (["load", "start", "--field", "a\nb"], "field: 'a\\nb'; expected a name"),
+]
+
+
+@pytest.mark.parametrize(("words", "message"), REFUSED)
+def test_what_cannot_be_done_is_one_line(tmp_path, capsys, words, message):
+    with running(tmp_path), pytest.raises(SystemExit) as caught:
+        cli.main([*words, "--socket", str(tmp_path / "yieldmon.sock")])
+    assert caught.value.code == 1
+    assert message in capsys.readouterr().err
+
+
+def test_zero_and_sweep_commands_reach_the_engine(tmp_path, capsys):
+    socket_path = str(tmp_path / "yieldmon.sock")
+    with running(tmp_path) as bench:
+        warm_up(bench)
+        assert cli.main(["sweep", "start", "--socket", socket_path]) == 0
+        bench.play(1.5, GRAIN_MV)
+        wait_for(lambda: bench.status["sweep"]["state"] == "waiting", "the sweep to wait for steady flow")
+        assert cli.main(["sweep", "abort", "--socket", socket_path]) == 0
+        assert cli.main(["zero", "--socket", socket_path]) == 0
+        bench.play(1.5, EMPTY_MV)
+        wait_for(lambda: bench.status["state"] == "zeroing", "zeroing")
+
+
+def test_status_is_readable_and_complete(tmp_path, capsys):
+    with running(tmp_path) as bench:
+        warm_up(bench)
+        status = ask(tmp_path, capsys, "status")
+        assert cli.main(["status", "--socket", str(tmp_path / "yieldmon.sock")]) == 0
+        text = capsys.readouterr().out
+        assert (tmp_path / "yieldmon.sock").stat().st_mode & 0o777 == 0o600
+    assert status["zero_mv"] == pytest.approx(ZERO_MV, abs=1.0)
+    assert status["store"]["failing"] is None
+    assert set(status["parameters"]["values"]) >= {"friction", "density"}
+    assert "harvesting" in text
+    assert "no faults" in text
+
+
+def test_status_without_a_daemon_is_one_line(tmp_path, capsys):
+    with pytest.raises(SystemExit) as caught:
+        cli.main(["status", "--socket", str(tmp_path / "none.sock")])
+    assert caught.value.code == 1
+    assert capsys.readouterr().err.endswith("no daemon answers there; is the service running?\n")
+
+
+def test_the_service_manager_is_told(tmp_path):
+    manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    manager.bind(str(tmp_path / "notify"))
+    manager.settimeout(0.2)
+    told = []
+
+    def listen() -> list[str]:
+        with suppress(TimeoutError):
+            while True:
+                told.append(manager.recv(4096).decode().partition("\n")[0])
+        return told
+
+    with running(tmp_path, notify=manager) as bench:
+        bench.play(3, EMPTY_MV)
+        bench.played()
+        windows = bench.status["windows"][-1]["number"]
+        wait_for(lambda: listen().count("WATCHDOG=1") >= windows, "the watchdog's food")
+        bench.daemon.request_reload()
+        wait_for(lambda: "RELOADING=1" in listen(), "the reload")
+    listen()
+    manager.close()
+    order = [line for line in told if line in ("READY=1", "RELOADING=1", "STOPPING=1")]
+    assert order == ["READY=1", "RELOADING=1", "READY=1", "STOPPING=1"]
+    assert told.count("WATCHDOG=1") <= windows + 2, "fed by windows, not by a timer"
+
+
+def test_metrics_file_is_written_and_taken_away(tmp_path):
+    text = "status: {prometheus_file: metrics.prom, prometheus_interval_s: 1}"
+    with running(tmp_path, text) as bench:
+        bench.play(3, EMPTY_MV)
+        bench.played()
+        path = tmp_path / "metrics.prom"
+        wait_for(lambda: path.exists() and "yieldmon_frames_received_total" in path.read_text(), "metrics")
+        lines = path.read_text().splitlines()
+        assert 'yieldmon_fault{code="SensorMissing"} 0' in lines
+    assert not path.exists()
