@@ -48,9 +48,10 @@ _LARGEST_EXTENDED_ID = 0x1FFFFFFF
 
 @dataclass(frozen=True)
 class ParsedLines:
-    """Frames of a chunk. Arrays of shape (n,) in the order of the lines, as in bulk.FrameBlock; `channel` indexes the
-    list of names that parse_lines() was given and extends."""
+    """Frames of a chunk of `lines` lines. Arrays of shape (n,) in the order of the lines, as in bulk.FrameBlock;
+    `channel` indexes the list of names that parse_lines() was given and extends."""
 
+    lines: int
     time_s: NDArray[np.float64]
     can_id: NDArray[np.uint32]
     length: NDArray[np.uint8]
@@ -93,6 +94,7 @@ def parse_lines(
     widths = ends - starts
     lines = len(starts)
     parsed = ParsedLines(
+        lines,
         np.zeros(lines),
         np.zeros(lines, np.uint32),
         np.zeros(lines, np.uint8),
@@ -100,7 +102,7 @@ def parse_lines(
         np.zeros(lines, np.int16),
     )
     done = np.zeros(lines, bool)
-    for width in np.unique(widths):
+    for width in np.flatnonzero(np.bincount(widths)) if lines else ():
         rows = np.flatnonzero(widths == width)
         for _ in range(_SHAPES_TRIED):
             if len(rows) == 0:
@@ -109,7 +111,7 @@ def parse_lines(
             if shape is None:
                 rows = rows[1:]
                 continue
-            fits = _fill(parsed, rows, _matrix(buffer, starts[rows], int(width)), shape, channels)
+            fits = _fill(parsed, rows, _columns(buffer, starts[rows], int(width)), shape, channels)
             done[rows[fits]] = True
             rows = rows[~fits]
     kept = done.copy()
@@ -121,7 +123,7 @@ def parse_lines(
     if kept.all():
         return parsed
     return ParsedLines(
-        parsed.time_s[kept], parsed.can_id[kept], parsed.length[kept], parsed.payload[kept], parsed.channel[kept]
+        lines, parsed.time_s[kept], parsed.can_id[kept], parsed.length[kept], parsed.payload[kept], parsed.channel[kept]
     )
 
 
@@ -144,47 +146,48 @@ def _shape_of(line: bytes) -> _Shape | None:
     )
 
 
-def _matrix(buffer: Bytes, starts: NDArray[np.intp], width: int) -> Bytes:
-    return np.lib.stride_tricks.sliding_window_view(buffer, width)[starts]
+def _columns(buffer: Bytes, starts: NDArray[np.intp], width: int) -> Bytes:
+    """Lines of one width as a matrix (width, lines): what is done to a column is done to contiguous bytes."""
+    return np.ascontiguousarray(np.lib.stride_tricks.sliding_window_view(buffer, width)[starts].T)
 
 
 def _fill(
-    parsed: ParsedLines, rows: NDArray[np.intp], lines: Bytes, shape: _Shape, channels: list[str]
+    parsed: ParsedLines, rows: NDArray[np.intp], columns: Bytes, shape: _Shape, channels: list[str]
 ) -> NDArray[np.bool_]:
     """Writes the rows whose lines have the shape; says which those are."""
-    time_s, time_fits = _times(lines, shape)
-    nibbles = _HEX[lines[:, shape.can_id]]
-    can_id = nibbles.astype(np.float64) @ 16.0 ** np.arange(nibbles.shape[1] - 1, -1, -1)
-    data = _HEX[lines[:, shape.data]]
-    fits: NDArray[np.bool_] = (
-        (lines[:, shape.fixed] == shape.fixed_bytes).all(axis=1)
-        & time_fits
-        & (nibbles != _INVALID).all(axis=1)
-        & (can_id <= (_LARGEST_EXTENDED_ID if shape.is_extended else _LARGEST_STANDARD_ID))
-        & (data != _INVALID).all(axis=1)
-    )
-    length = data.shape[1] // 2
+    time_s, fits = _times(columns, shape)
+    for place, byte in zip(shape.fixed, shape.fixed_bytes, strict=True):
+        fits &= columns[place] == byte
+    nibbles = _HEX[columns[shape.can_id]]
+    can_id = np.zeros(len(rows), np.uint32)
+    for nibble in nibbles:
+        can_id = can_id << np.uint32(4) | nibble
+    data = _HEX[columns[shape.data]]
+    fits &= can_id <= (_LARGEST_EXTENDED_ID if shape.is_extended else _LARGEST_STANDARD_ID)
+    fits &= nibbles.max(axis=0) < _INVALID
+    fits &= data.max(axis=0, initial=0) < _INVALID
+    length = len(data) // 2
     payload = np.zeros((len(rows), 8), np.uint8)
-    payload[:, :length] = data[:, 0::2] << 4 | data[:, 1::2]
+    payload[:, :length] = (data[0::2] << 4 | data[1::2]).T
     into = rows[fits]
     parsed.time_s[into] = time_s[fits]
-    parsed.can_id[into] = can_id[fits].astype(np.uint32) | np.uint32(EXTENDED_FLAG if shape.is_extended else 0)
+    parsed.can_id[into] = can_id[fits] | np.uint32(EXTENDED_FLAG if shape.is_extended else 0)
     parsed.length[into] = length
     parsed.payload[into] = payload.view("<u8")[fits, 0]
     parsed.channel[into] = _channel_index(shape.channel, channels)
     return fits
 
 
-def _times(lines: Bytes, shape: _Shape) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Seconds as float() reads them, and the rows where they are digits throughout."""
-    digits = np.concatenate([lines[:, shape.seconds], lines[:, shape.fraction]], axis=1) - ord("0")
-    fits = np.asarray((digits <= 9).all(axis=1))
-    places = digits.shape[1]
+def _times(columns: Bytes, shape: _Shape) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Seconds as float() reads them, and the lines where they are digits throughout."""
+    digits = np.concatenate([columns[shape.seconds], columns[shape.fraction]]) - ord("0")
+    fits = np.asarray(digits.max(axis=0) <= 9)
     if shape.fraction.stop - shape.fraction.start == 6:
         # A quotient of two exact numbers is the double nearest to the decimal number, as float() finds it.
-        micros = digits.astype(np.float64) @ 10.0 ** np.arange(places - 1, -1, -1)
+        powers = np.power(10.0, np.arange(len(digits) - 1, -1, -1))
+        micros = np.asarray(powers @ digits.astype(np.float64), np.float64)
         return micros / _MICROS_PER_S, np.asarray(fits & (micros < _LARGEST_EXACT))
-    text = lines[:, shape.seconds.start : shape.fraction.stop].copy()
+    text = columns[shape.seconds.start : shape.fraction.stop].T.copy()
     text[~fits] = ord("0")
     return text.view(f"S{text.shape[1]}")[:, 0].astype(np.float64), fits
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from yieldmon.bus.bulk import FrameBlock, block_of, concatenate
 from yieldmon.bus.candump import ERROR_FLAG
-from yieldmon.bus.fast_candump import parse_lines
+from yieldmon.bus.fast_candump import ParsedLines, parse_lines
 from yieldmon.bus.logs import (
     LONGEST_LINE_BYTES,
     LogNotes,
@@ -59,8 +59,11 @@ def _candump_blocks(path: Path, notes: LogNotes, chunk_bytes: int) -> Iterator[F
     try:
         with open_bytes(path, log_format(path)[1]) as stream:
             for chunk in _whole_lines(stream, path, chunk_bytes):
-                yield _block(chunk, path, notes, channels, line)
-                line += chunk.count(b"\n")
+                parsed = _parse(chunk, path, notes, channels, line)
+                line += parsed.lines
+                yield FrameBlock(
+                    parsed.time_s, parsed.can_id, parsed.length, parsed.payload, parsed.channel, tuple(channels)
+                )
             early_end = early_end_of(stream)
     except OSError as error:
         raise InputError(str(path), error.strerror or str(error), "a readable CAN log") from error
@@ -87,7 +90,7 @@ def _whole_lines(stream: io.BufferedReader, path: Path, chunk_bytes: int) -> Ite
         yield carried
 
 
-def _block(chunk: bytes, path: Path, notes: LogNotes, channels: list[str], first_line: int) -> FrameBlock:
+def _parse(chunk: bytes, path: Path, notes: LogNotes, channels: list[str], first_line: int) -> ParsedLines:
     def parse_slowly(index: int, raw: bytes) -> can.Message | None:
         def damage(problem: str) -> None:
             notes.damage(f"{path}:{first_line + index}", problem)
@@ -101,4 +104,4 @@ def _block(chunk: bytes, path: Path, notes: LogNotes, channels: list[str], first
     parsed = parse_lines(chunk, channels, parse_slowly)
     notes.frames += len(parsed.time_s)
     notes.error_frames += int(np.count_nonzero(parsed.can_id & np.uint32(ERROR_FLAG)))
-    return FrameBlock(parsed.time_s, parsed.can_id, parsed.length, parsed.payload, parsed.channel, tuple(channels))
+    return parsed
