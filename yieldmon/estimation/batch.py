@@ -19,6 +19,10 @@ _CHUNK = 3000
 """Throws worked out in one go: few enough for the processor's cache, many enough to hide Python's own cost."""
 
 
+LOAD = "load"
+"""Stands for the load among the names to differentiate by."""
+
+
 class MomentumBatch:
     """Momentum per paddle of N rows for B parameter vectors.
 
@@ -31,78 +35,96 @@ class MomentumBatch:
         self.model = model
         self.names = tuple(names)
         self.fixed = dict(fixed)
-        load = conditions.mass_flow_kg_s if conditions.paddle_mass_kg is None else conditions.paddle_mass_kg
-        moisture = np.nan if conditions.moisture_pct is None else conditions.moisture_pct
-        rows = np.broadcast_arrays(
+        self._by_flow = conditions.paddle_mass_kg is None
+        self._knows_moisture = conditions.moisture_pct is not None
+        self.angle, self.speed, self.load, self.moisture = np.broadcast_arrays(
             *(np.atleast_1d(np.asarray(v, dtype=float)) for v in (
-                conditions.plate_angle_rad, conditions.elevator_speed_rad_s, load, moisture
+                conditions.plate_angle_rad,
+                conditions.elevator_speed_rad_s,
+                conditions.mass_flow_kg_s if self._by_flow else conditions.paddle_mass_kg,
+                conditions.moisture_pct if self._knows_moisture else np.nan,
             ))
         )
-        angle, speed, load, moisture = rows
-        by_flow = conditions.paddle_mass_kg is None
-        self.conditions = Conditions(
-            angle, speed, load if by_flow else None, None if by_flow else load,
-            None if conditions.moisture_pct is None else moisture,
-        )
-        self._passes = speed * model.machine.sprocket_pitch_radius_m / model.machine.paddle_spacing_m
-        self._mass = load / self._passes if by_flow else load
-        self.rows = angle.size
+        self.passes_per_s = self.speed * model.machine.sprocket_pitch_radius_m / model.machine.paddle_spacing_m
+
+    @property
+    def rows(self) -> int:
+        """N"""
+        return int(self.load.size)
 
     def __call__(self, theta: Array) -> tuple[Array, Array]:
         """Momentum (B, N) and its derivatives (B, N, len(names)); nan where a load is above a full paddle. theta: (B, n)."""
-        slices = max(1, len(self.names))
-        step = max(1, _CHUNK // (self.rows * slices))
-        evaluate = self._by_gain if not self.model.effects else self._by_step
-        parts = [evaluate(theta[i : i + step]) for i in range(0, len(theta), step)]
+        step = max(1, _CHUNK // (self.rows * max(1, len(self.names))))
+        parts = [self._evaluate(theta[i : i + step], self.load, self.names) for i in range(0, len(theta), step)]
         return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
 
-    def _values(self, theta: Array) -> dict[str, Array]:
+    def at_load(self, theta: Array, load: Array) -> tuple[Array, Array, Array]:
+        """The same for one vector (n,) at other loads (N,): momentum (N,), derivatives (N, n), derivative by the load (N,)."""
+        value, jacobian = self._evaluate(theta[None], load, (*self.names, LOAD))
+        return value[0], jacobian[0, :, :-1], jacobian[0, :, -1]
+
+    def _evaluate(self, theta: Array, load: Array, by: Sequence[str]) -> tuple[Array, Array]:
         values: dict[str, Array] = {name: np.asarray(value) for name, value in self.fixed.items()}
         for j, name in enumerate(self.names):
             values[name] = theta[:, j, None]
-        return values
+        if self.model.effects:
+            return self._stepped(values, load, by, len(theta))
+        return self._by_gain(values, load, by, len(theta))
 
-    def _stepped(self, values: Mapping[str, Array], names: Sequence[str], count: int) -> tuple[Array, Array]:
-        """Momentum (B, N) and derivatives (B, N, len(names)): one slice a name, each with its own imaginary step."""
-        if not names:
-            plain = self.model.paddle_momentum(self.conditions, values, overfull="nan")
-            return np.broadcast_to(np.real(plain), (count, self.rows)), np.empty((count, self.rows, 0))
-        unit = 1j * COMPLEX_STEP * np.eye(len(names))[:, :, None, None]
+    def _stepped(self, values: Mapping[str, Array], load: Array, by: Sequence[str], count: int) -> tuple[Array, Array]:
+        """Momentum (B, N) and derivatives (B, N, len(by)): one slice a name, each with its own imaginary step."""
+        slices = max(1, len(by))
+        unit = 1j * COMPLEX_STEP * np.eye(slices)[:, :, None, None]
         moved = dict(values)
-        for j, name in enumerate(names):
-            moved[name] = values[name] + unit[j]
-        out = np.broadcast_to(
-            self.model.paddle_momentum(self.conditions, moved, overfull="nan"), (len(names), count, self.rows)
+        amount: Array = load
+        for j, name in enumerate(by):
+            if name == LOAD:
+                amount = load + unit[j]
+            else:
+                moved[name] = values[name] + unit[j]
+        conditions = Conditions(
+            self.angle, self.speed, amount if self._by_flow else None, None if self._by_flow else amount,
+            self.moisture if self._knows_moisture else None,
         )
+        out = np.broadcast_to(self.model.paddle_momentum(conditions, moved, overfull="nan"), (slices, count, self.rows))
         value = np.real(out[0])
-        slope = np.where(np.isnan(value)[..., None], np.nan, np.moveaxis(np.imag(out), 0, -1) / COMPLEX_STEP)
-        return value, slope
+        if not by:
+            return value, np.empty((count, self.rows, 0))
+        return value, np.where(np.isnan(value)[..., None], np.nan, np.moveaxis(np.imag(out), 0, -1) / COMPLEX_STEP)
 
-    def _by_step(self, theta: Array) -> tuple[Array, Array]:
-        return self._stepped(self._values(theta), self.names, len(theta))
+    def _by_gain(self, values: Mapping[str, Array], load: Array, by: Sequence[str], count: int) -> tuple[Array, Array]:
+        """The published model: momentum is the impact gain (1 + e, or k1 x + k2) times that of a perfectly inelastic plate.
 
-    def _by_gain(self, theta: Array) -> tuple[Array, Array]:
-        """The published model: momentum is the impact gain (1 + e, or k1 x + k2) times that of a perfectly inelastic plate."""
-        values = self._values(theta)
+        The latter is density x a function of load / density, which saves a step where both derivatives are wanted.
+        """
         gain_names = ("restitution", "k1", "k2")
         plain = {k: v for k, v in values.items() if k not in gain_names} | {"restitution": np.asarray(0.0)}
-        stepped = [n for n in self.names if n not in gain_names]
-        base, slopes = self._stepped(plain, stepped, len(theta))
+        saved = "density" if LOAD in by else ""
+        stepped = [n for n in by if n not in gain_names and n != saved]
+        base, slopes = self._stepped(plain, load, stepped, count)
+        by_base = {name: slopes[..., j] for j, name in enumerate(stepped)}
+        if saved:
+            by_base[saved] = (base - load * by_base[LOAD]) / values["density"]
         machine = self.model.machine
+        per_load = 1.0 / self.passes_per_s if self._by_flow else np.ones(self.rows)
         full = 0.5 * values["shape_ratio"] * values["density"] * machine.paddle_width_m * machine.paddle_length_m**2
-        fill = self._mass / full
-        restitution = "restitution" in values
-        gain = 1.0 + values["restitution"] if restitution else values["k1"] * fill + values["k2"]
-        gain_by = {"restitution": 1.0, "k1": fill, "k2": 1.0}
-        if not restitution:
-            gain_by |= {"density": -values["k1"] * fill / values["density"]}
-            gain_by |= {"shape_ratio": -values["k1"] * fill / values["shape_ratio"]}
-        jacobian = np.zeros((*base.shape, len(self.names)))
-        for j, name in enumerate(self.names):
-            if name in stepped:
-                jacobian[..., j] = gain * slopes[..., stepped.index(name)]
-            if name in gain_by:
-                jacobian[..., j] += gain_by[name] * base
+        fill = load * per_load / full
+        by_gain: dict[str, Array]
+        if "restitution" in values:
+            gain, by_gain = 1.0 + values["restitution"], {"restitution": np.asarray(1.0)}
+        else:
+            gain = values["k1"] * fill + values["k2"]
+            bend = values["k1"] * fill
+            by_gain = {
+                "k1": fill, "k2": np.asarray(1.0), "density": -bend / values["density"],
+                "shape_ratio": -bend / values["shape_ratio"], LOAD: values["k1"] * per_load / full,
+            }
+        jacobian = np.zeros((*base.shape, len(by)))
+        for j, name in enumerate(by):
+            if name in by_base:
+                jacobian[..., j] = gain * by_base[name]
+            if name in by_gain:
+                jacobian[..., j] += by_gain[name] * base
         return gain * base, jacobian
 
 
@@ -112,11 +134,13 @@ Residuals = Callable[[Array, NDArray[np.intp]], tuple[Array, Array]]
 
 @dataclass(frozen=True, slots=True)
 class BatchSearch:
-    """theta: (B, n); cost: (B,) half the sum of squares; converged: (B,)."""
+    """theta: (B, n); cost: (B,) half the sum of squares; converged: (B,); residuals and derivatives there."""
 
     theta: Array
     cost: Array
     converged: NDArray[np.bool_]
+    residual: Array
+    jacobian: Array
 
 
 def levenberg_marquardt(
@@ -176,7 +200,7 @@ def levenberg_marquardt(
         arrived = stalled & (better | (damping[at] > 1e8))
         converged[at] |= arrived
         done[at] |= arrived | (damping[at] > 1e12)
-    return BatchSearch(theta, cost, converged)
+    return BatchSearch(theta, cost, converged, residual, jacobian)
 
 
 def _cost(residual: Array) -> Array:

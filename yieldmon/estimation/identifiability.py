@@ -107,6 +107,8 @@ def directions(jacobian: Array, names: Sequence[str]) -> tuple[Direction, ...]:
         jacobian = np.vstack((jacobian, np.zeros((width - rows, width))))
     _, values, vectors = np.linalg.svd(jacobian, full_matrices=False)
     limit = UNOBSERVABLE * max(float(size.max(initial=0.0)), 1e-300)
+    free = values <= limit
+    vectors[free] = _scale_first(vectors[free], names)[::-1]
     found = []
     for value, vector in zip(values[::-1], vectors[::-1], strict=True):
         sign = np.sign(vector[np.argmax(np.abs(vector))])
@@ -115,19 +117,27 @@ def directions(jacobian: Array, names: Sequence[str]) -> tuple[Direction, ...]:
     return tuple(found)
 
 
+def _scale_first(null: Array, names: Sequence[str]) -> Array:
+    """A basis of the same space that begins with the scale direction, if that lies in it; any basis would do for the rest."""
+    scale = np.array([_scale_component(n) for n in names])
+    size = np.linalg.norm(scale)
+    if len(null) < 2 or size == 0.0 or np.linalg.norm(null @ scale) < (1.0 - 1e-9) * size:
+        return null
+    scale = scale / size
+    rest = null - np.outer(null @ scale, scale)
+    return np.vstack((scale, np.linalg.svd(rest)[2][: len(null) - 1]))
+
+
 def relative_jacobian(
     model: ForwardModel, conditions: Conditions, values: Mapping[str, float], names: Sequence[str], noise_sd: ArrayLike
 ) -> tuple[Array, Array]:
     """Whitened derivatives of momentum by relative changes of `names` (rows, n), and by that of the load (rows, 1)."""
     fixed = {k: v for k, v in values.items() if k not in names}
     batch = MomentumBatch(model, conditions, names, fixed)
-    _, jacobian = batch(np.array([[values[n] for n in names]]))
+    _, jacobian, by_load = batch.at_load(np.array([values[n] for n in names]), batch.load)
     sd = np.broadcast_to(np.asarray(noise_sd, dtype=float), (batch.rows,))[:, None]
-    relative = jacobian[0] * np.array([natural_scale(n, values[n]) for n in names]) / sd
-    load_name = "mass_flow_kg_s" if conditions.paddle_mass_kg is None else "paddle_mass_kg"
-    load = np.asarray(getattr(batch.conditions, load_name), dtype=float)
-    _, by_load = model.derivatives(batch.conditions, values, (load_name,))
-    return relative, by_load * load[:, None] / sd
+    relative = jacobian * np.array([natural_scale(n, values[n]) for n in names]) / sd
+    return relative, (by_load * batch.load)[:, None] / sd
 
 
 def sweep_directions(
@@ -145,19 +155,22 @@ def report(
     values = parameters.values
     relative, by_load = relative_jacobian(model, conditions, values, names, noise_sd)
     known = directions(relative, names)
-    loads = np.asarray(MomentumBatch(model, conditions, (), values).conditions.paddle_mass_kg
-                       if conditions.paddle_mass_kg is not None else
-                       MomentumBatch(model, conditions, (), values).conditions.mass_flow_kg_s, dtype=float)
+    loads = MomentumBatch(model, conditions, (), values).load
     free = np.unique(loads)
     # One free relative change of the load for each distinct load, projected out: what is left tells of the parameters.
     nuisance = by_load * (loads[:, None] == free[None, :])
     together = np.hstack((nuisance, relative))
-    unknown = _shared_flow(directions(together, (*(f"{FLOW} {i}" for i in range(free.size)), *names)), free.size, names)
+    unknown = share_flow(directions(together, flow_names(free.size, names)), free.size, names)
     remedies = tuple(_remedies(model, conditions, values, names, noise_sd, relative, loads))
     return Report(known, unknown, remedies, tuple(_sentences(known, unknown, remedies)))
 
 
-def _shared_flow(found: Iterable[Direction], flows: int, names: Sequence[str]) -> tuple[Direction, ...]:
+def flow_names(flows: int, names: Sequence[str]) -> tuple[str, ...]:
+    """Names for several unknown flows and the parameters."""
+    return (*(f"{FLOW} {i + 1}" for i in range(flows)), *names)
+
+
+def share_flow(found: Iterable[Direction], flows: int, names: Sequence[str]) -> tuple[Direction, ...]:
     """The directions that are not about one flow alone, with the flows' changes averaged into one component."""
     out = []
     for d in found:
@@ -239,7 +252,7 @@ def _sentences(known: Sequence[Direction], unknown: Sequence[Direction], remedie
 
 def _scale_component(name: str) -> float:
     """Relative change of a parameter in the scale direction."""
-    if name in (FLOW, "density"):
+    if name == "density" or name.startswith(FLOW):
         return 1.0
     return -1.0 if name in ("restitution", "k1", "k2") else 0.0
 
