@@ -69,7 +69,7 @@ def _candump_blocks(path: Path, notes: LogNotes, chunk_bytes: int) -> Iterator[F
         raise InputError(str(path), error.strerror or str(error), "a readable CAN log") from error
     if early_end is not None:
         notes.damage(f"{path}:{line}", early_end)
-    refuse_unreadable(path, notes)
+    refuse_unreadable(notes)
 
 
 def _whole_lines(stream: io.BufferedReader, path: Path, chunk_bytes: int) -> Iterator[bytes]:

@@ -108,13 +108,14 @@ def read_log(path: Path | str, notes: LogNotes | None = None) -> Iterator[can.Me
             yield message
     except OSError as error:
         raise InputError(str(path), error.strerror or str(error), "a readable CAN log") from error
-    refuse_unreadable(path, notes)
+    refuse_unreadable(notes)
 
 
-def refuse_unreadable(path: Path, notes: LogNotes) -> None:
+def refuse_unreadable(notes: LogNotes) -> None:
     """Raises InputError when reading to the end found damage and no frame at all."""
     if notes.damages and not notes.frames:
-        raise InputError(str(path), f"no frame in it can be read ({notes.damages[0]})", "a CAN log as its name says")
+        first = notes.damages[0]
+        raise InputError(first.where, f"{first.problem}; no frame in the whole file", "a CAN log as its name says")
 
 
 def require_log(path: Path | str) -> None:
