@@ -52,7 +52,14 @@ def test_saying_not_harvesting_while_grain_flows_is_missing_not_zero():
 
 
 def test_sweeps_are_counted_when_they_end():
-    states = [SweepState.IDLE, SweepState.MEASURING, SweepState.UPDATED, SweepState.UPDATED, SweepState.ABORTED, SweepState.NOT_LEARNED]
+    states = [
+        SweepState.IDLE,
+        SweepState.MEASURING,
+        SweepState.UPDATED,
+        SweepState.UPDATED,
+        SweepState.ABORTED,
+        SweepState.NOT_LEARNED,
+    ]
     frames = [Frame(float(i), SELF_CALIBRATION_STATUS, {"SweepState": s}) for i, s in enumerate(states)]
     found = assess([flow(1.0, 5.0), *frames], np.array([1.0]), np.array([5.0]), np.array([5.0]))
     assert found.sweeps == 2

@@ -38,9 +38,7 @@ def load(path: str | Path | None = None) -> Machine:
     for key in sorted(known):
         if key not in document:
             raise InputError(f"{path}: {key}", "missing")
-    values: dict[str, Any] = {
-        key: number(document[key], f"{path}: {key}", "m", *limits) for key, limits in _LENGTHS.items()
-    }
+    values: dict[str, Any] = {key: number(document[key], f"{path}: {key}", "m", *limits) for key, limits in _LENGTHS.items()}
     for key in _ANGLES:
         values[key.replace("_deg", "_rad")] = radians(number(document[key], f"{path}: {key}", "deg", 5.0, 120.0))
     for key in _SPEEDS:

@@ -139,9 +139,7 @@ class ForwardModel:
         return value, np.where(np.isnan(value)[..., None], np.nan, jacobian)
 
     def _throw(self, conditions: Conditions, parameters: Parameters) -> Throw:
-        return self.throw(
-            conditions.plate_angle_rad, conditions.elevator_speed_rad_s, parameters, conditions.moisture_pct
-        )
+        return self.throw(conditions.plate_angle_rad, conditions.elevator_speed_rad_s, parameters, conditions.moisture_pct)
 
     def _refuse_overfull(self, throw: Throw, conditions: Conditions, momentum: AnyArray) -> None:
         mass, full = np.broadcast_arrays(real(throw.load_mass(throw.offered_mass(conditions))), real(throw.full_mass_kg))
@@ -332,8 +330,7 @@ def _parameter(parameters: Parameters, name: str) -> AnyArray:
 
 def _effect_values(effects: Sequence[Effect], parameters: Parameters) -> dict[str, dict[str, AnyArray]]:
     return {
-        effect.name: {p.name: _parameter(parameters, f"{effect.name}.{p.name}") for p in effect.parameters}
-        for effect in effects
+        effect.name: {p.name: _parameter(parameters, f"{effect.name}.{p.name}") for p in effect.parameters} for effect in effects
     }
 
 

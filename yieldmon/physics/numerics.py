@@ -48,9 +48,7 @@ def chebyshev_points(count: int) -> Array:
     return 0.5 * (1.0 - np.cos(np.pi * np.arange(count) / (count - 1)))
 
 
-def first_root(
-    function: Callable[[AnyArray], AnyArray], upper: AnyArray, *, points: int = 24, refinements: int = 1
-) -> AnyArray:
+def first_root(function: Callable[[AnyArray], AnyArray], upper: AnyArray, *, points: int = 24, refinements: int = 1) -> AnyArray:
     """First root in (0, upper] of a smooth function that is negative at 0, along the last axis.
 
     function maps an array of shape (..., n) to values of the same shape; upper has shape (..., 1). Where the function is not

@@ -97,7 +97,9 @@ def assess(published: Sequence[Frame], truth_time_s: Array, truth_kg_s: Array, t
             idle = frame.signals["EstimateQuality"] == EstimateQuality.NOT_HARVESTING
             if idle and truth_kg_s[row] < BANDS_KG_S[0][1]:
                 value = 0.0
-            rows.append((truth_time_s[row], truth_kg_s[row], value, float(spread) if isinstance(spread, (int, float)) else np.nan))
+            rows.append(
+                (truth_time_s[row], truth_kg_s[row], value, float(spread) if isinstance(spread, (int, float)) else np.nan)
+            )
     if not rows:
         raise ValueError("no MassFlow frame falls on a second of the truth")
     time_s, true, measured, spread_kg_s = np.array(rows).T

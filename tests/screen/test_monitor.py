@@ -1,0 +1,230 @@
+"""The frame monitor: counts, rates and ages; the screen on a fake terminal; keys; the verb on a real pseudo-terminal."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import pty
+import select
+import sys
+import time
+
+import can
+import pytest
+from rich.console import Console
+
+from yieldmon import frames
+from yieldmon.bus.codec import Codec
+from yieldmon.cli.main import main
+from yieldmon.frames import Frame
+from yieldmon.screen.keys import press
+from yieldmon.screen.panels import Screen, View
+from yieldmon.screen.traffic import Traffic
+
+CODEC = Codec()
+FAULTS = {s.name: 0 for s in CODEC.layouts[frames.YIELD_MONITOR_STATUS].signals}
+
+
+def speed(time_s: float, rpm: float = 400.0) -> can.Message:
+    return CODEC.encode(Frame(time_s, frames.ELEVATOR_SPEED, {"ElevatorSpeed": rpm}))
+
+
+def flow(time_s: float, rate: float, quality: int = 0) -> can.Message:
+    signals = {"MassFlowRate": rate, "MassFlowStdDev": 0.25, "EstimateQuality": quality, "WindowCounter": 7}
+    return CODEC.encode(Frame(time_s, frames.MASS_FLOW, signals))
+
+
+def status(time_s: float, **on: int) -> can.Message:
+    return CODEC.encode(Frame(time_s, frames.YIELD_MONITOR_STATUS, FAULTS | {"OperatingState": 3} | on))
+
+
+def foreign(time_s: float, arbitration_id: int = 0x123) -> can.Message:
+    return can.Message(timestamp=time_s, arbitration_id=arbitration_id, is_extended_id=False, data=b"\x01\xff")
+
+
+def watched(messages: list[can.Message], marks_s: list[float]) -> Traffic:
+    traffic = Traffic(CODEC)
+    pending = sorted(messages, key=lambda m: m.timestamp)
+    for mark in marks_s:
+        while pending and pending[0].timestamp <= mark:
+            traffic.observe(pending.pop(0))
+        traffic.mark(mark)
+    return traffic
+
+
+def drawn(traffic: Traffic, view: View | None = None, width: int = 80, height: int = 24) -> list[str]:
+    console = Console(
+        file=io.StringIO(), width=width, height=height, force_terminal=True, color_system=None, legacy_windows=False
+    )
+    console.print(Screen(traffic, CODEC, view or View()), height=height)
+    return console.file.getvalue().splitlines()
+
+
+def test_counts_are_exact_and_rates_are_those_of_the_frames():
+    messages = [speed(0.1 * i) for i in range(1, 101)] + [foreign(0.004 * i) for i in range(1, 2501)]
+    traffic = watched(messages, [0.25 * i for i in range(1, 41)])
+    by_name = {row.name: row for row in traffic.rows.values()}
+    assert by_name[frames.ELEVATOR_SPEED].count == 100
+    assert by_name[""].count == 2500
+    assert by_name[frames.ELEVATOR_SPEED].rate_hz(10.0) == pytest.approx(10.0, rel=0.02)
+    assert by_name[""].rate_hz(10.0) == pytest.approx(250.0, rel=0.01)
+    assert traffic.frames == 2600
+
+
+@pytest.mark.parametrize(("age_s", "stale"), [(0.5, False), (0.99, False), (1.01, True)])
+def test_a_row_is_stale_after_ten_periods(age_s, stale):
+    traffic = watched([speed(0.1 * i) for i in range(1, 31)], [1.0, 2.0, 3.0])
+    (row,) = traffic.rows.values()
+    assert row.is_stale(3.0 + age_s) is stale
+
+
+def test_error_frames_are_counted_and_make_no_row():
+    traffic = Traffic(CODEC)
+    traffic.observe(can.Message(timestamp=1.0, is_error_frame=True, arbitration_id=0x40, dlc=8))
+    assert (traffic.error_frames, traffic.frames, traffic.rows) == (1, 0, {})
+
+
+def test_the_screen_shows_flow_quality_faults_and_every_frame():
+    traffic = watched([speed(1.0), flow(1.0, 12.3), status(1.0, SensorStuck=1), foreign(1.0)], [1.1])
+    text = "\n".join(drawn(traffic, width=120))
+    for expected in ("0.25 kg/s", "harvesting", "faults: SensorStuck", "ElevatorSpeed 400.000 rpm", "01 FF", "123"):
+        assert expected in text
+    assert "█" in text
+
+
+def test_old_flow_is_never_shown_as_a_figure():
+    traffic = watched([flow(1.0, 12.3)], [1.0, 20.0])
+    text = "\n".join(drawn(traffic))
+    assert "stale, 19 s old" in text
+    assert "█" not in text.split("id")[0].splitlines()[0]
+
+
+def test_not_harvesting_is_not_a_flow_of_zero():
+    signals = {
+        "MassFlowRate": frames.NOT_AVAILABLE,
+        "MassFlowStdDev": frames.NOT_AVAILABLE,
+        "EstimateQuality": 1,
+        "WindowCounter": 1,
+    }
+    traffic = watched([CODEC.encode(Frame(1.0, frames.MASS_FLOW, signals))], [1.0])
+    text = "\n".join(drawn(traffic))
+    assert "not harvesting" in text
+    assert list(traffic.flow_kg_s) == [None]
+
+
+@pytest.mark.parametrize(("width", "height"), [(80, 24), (60, 12), (200, 60)])
+def test_the_screen_fits_the_terminal(width, height):
+    messages = [foreign(1.0, i) for i in range(0x100, 0x140)] + [flow(1.0, 3.0), status(1.0)]
+    lines = drawn(watched(messages, [1.0]), width=width, height=height)
+    assert len(lines) <= height
+    assert max(map(len, lines)) <= width
+
+
+def test_rows_stay_in_place_while_frames_come_in():
+    first = [foreign(1.0, i) for i in range(0x100, 0x108)]
+    later = first + [foreign(1.0 + 0.01 * i, 0x103) for i in range(50)]
+
+    def order(messages: list[can.Message]) -> list[str]:
+        return [line.split()[0] for line in drawn(watched(messages, [2.0])) if line.startswith(" 10")]
+
+    assert order(first) == order(later) == [f"{i:X}" for i in range(0x100, 0x108)]
+
+
+@pytest.mark.parametrize(
+    ("pressed", "expected"),
+    [
+        (" ", {"paused": True}),
+        ("s", {"order": "name"}),
+        ("ssss", {"order": "id"}),
+        ("jj", {"offset": 2}),
+        ("jkk", {"offset": 0}),
+        ("/mass\r", {"needle": "mass", "typing": False}),
+        ("/mass\x7f\x7f", {"needle": "ma", "typing": True}),
+        ("/mass\x1b", {"needle": "", "typing": False}),
+        ("/q", {"needle": "q", "typing": True}),
+    ],
+)
+def test_keys(pressed, expected):
+    view = View()
+    assert all(press(view, key) is None for key in pressed)
+    assert {name: getattr(view, name) for name in expected} == expected
+
+
+@pytest.mark.parametrize(("key", "act"), [("q", "quit"), ("\x03", "quit"), ("r", "record")])
+def test_keys_that_the_caller_acts_on(key, act):
+    assert press(View(), key) == act
+
+
+def test_the_filter_keeps_rows_by_name_or_identifier():
+    traffic = watched([speed(1.0), flow(1.0, 2.0), foreign(1.0)], [1.0])
+    assert [r.name for r in traffic.sorted_rows("id", "massflow")] == [frames.MASS_FLOW]
+    assert [r.key[0] for r in traffic.sorted_rows("id", "123")] == [0x123]
+
+
+@pytest.fixture
+def log(tmp_path):
+    path = tmp_path / "drive.log"
+    with can.Logger(path) as logger:
+        for i in range(1, 41):
+            logger.on_message_received(speed(0.1 * i))
+            if i % 10 == 0:
+                logger.on_message_received(flow(0.1 * i, 10.0 + i))
+    return path
+
+
+def test_once_as_json_from_a_log(log, capsys):
+    assert main(["monitor", str(log), "--once", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    rows = {row["message"]: row for row in document["rows"]}
+    assert document["frames"] == 44
+    assert rows["ElevatorSpeed"]["count"] == 40
+    assert rows["MassFlow"]["signals"]["MassFlowRate"] == pytest.approx(50.0)
+
+
+def test_once_as_a_screen_from_a_log(log, capsys):
+    assert main(["monitor", str(log), "--once"]) == 0
+    assert "ElevatorSpeed" in capsys.readouterr().out
+
+
+def test_json_lines_from_a_log_at_speed(log, capsys):
+    assert main(["monitor", str(log), "--json", "--speed", "4"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [line["frames"] for line in lines] == sorted(line["frames"] for line in lines)
+    assert lines
+
+
+def test_recording_writes_every_frame(log, tmp_path, capsys):
+    copy = tmp_path / "copy.asc"
+    assert main(["monitor", str(log), "--once", "--record", str(copy)]) == 0
+    assert sum(1 for _ in can.LogReader(copy)) == 44
+
+
+@pytest.mark.parametrize(
+    "arguments", [["missing.log", "--once"], ["--record", "x.unknown", "--once", "LOG"], ["LOG", "--speed", "-1"]]
+)
+def test_bad_arguments_are_one_line(arguments, log, capsys):
+    assert main(["monitor", *(str(log) if a == "LOG" else a for a in arguments)]) == 2
+    assert capsys.readouterr().err.strip().count("\n") == 0
+
+
+def test_on_a_real_terminal_until_q(log):
+    child, terminal = pty.fork()
+    if child == 0:
+        os.environ.update(TERM="xterm", COLUMNS="80", LINES="24")
+        os.execv(sys.executable, [sys.executable, "-m", "yieldmon", "monitor", str(log), "--speed", "0.2"])
+    seen = b""
+    deadline = time.monotonic() + 60.0
+    while b"ElevatorSpeed" not in seen and time.monotonic() < deadline:
+        if select.select([terminal], [], [], 1.0)[0]:
+            seen += os.read(terminal, 65536)
+    assert b"ElevatorSpeed" in seen
+    os.write(terminal, b"q")
+    ended = False
+    while not ended and time.monotonic() < deadline:
+        if select.select([terminal], [], [], 0.1)[0]:
+            try:
+                ended = not os.read(terminal, 65536)
+            except OSError:
+                ended = True
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0

@@ -1,0 +1,224 @@
+"""Live frame monitor: every frame decoded, with rate, age and count, and the mass flow large."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import can
+from rich.console import Console
+from rich.live import Live
+
+from yieldmon.bus.codec import Codec
+from yieldmon.bus.logs import LogNotes, read_log, require_log
+from yieldmon.bus.opening import add_bus_arguments, open_bus_from
+from yieldmon.bus.replay import Schedule
+from yieldmon.errors import InputError
+from yieldmon.frames import Unusable
+from yieldmon.screen import keys
+from yieldmon.screen.panels import ORDERS, Screen, View
+from yieldmon.screen.traffic import Row, Traffic
+
+REFRESH_S = 0.25
+Source = Iterator[can.Message | None]
+"""Frames as they come; None where none came within a refresh period. Ends with a log."""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """The verb's arguments."""
+    parser = subparsers.add_parser(
+        "monitor",
+        help="watch the bus: every frame decoded, mass flow large",
+        description="Shows a bus, or a log at its own speed. Keys: q quit, space pause, s sort, / filter, j and k scroll, "
+        "r record to a log. Frames that are not ours are shown as bytes.",
+        epilog="example: yieldmon monitor -i socketcan -c can0    or: yieldmon monitor drive.log --once --json",
+    )
+    parser.add_argument("log", nargs="?", metavar="LOG", help="show this log instead of a bus")
+    parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="of a log: times as fast; 0: at once (default: 1)")
+    parser.add_argument("--once", action="store_true", help="print one screen and end: after --seconds, or at a log's end")
+    parser.add_argument("--seconds", type=float, default=3.0, metavar="S", help="how long --once listens (default: 3)")
+    parser.add_argument("--json", action="store_true", help="one JSON document with --once, else a line a second")
+    parser.add_argument("--sort", choices=ORDERS, default="id", help="order of the rows (default: id)")
+    parser.add_argument("--filter", default="", metavar="TEXT", help="only rows whose name or identifier holds this")
+    parser.add_argument("--record", type=Path, metavar="F", help="write every frame to this log (any format of python-can)")
+    add_bus_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Watch until q, Ctrl-C or the end of the log."""
+    if args.speed < 0.0 or args.seconds <= 0.0:
+        raise InputError("--speed, --seconds", f"are {args.speed:g}, {args.seconds:g}", "0 or more, and above 0")
+    codec = Codec()
+    traffic = Traffic(codec)
+    with ExitStack() as stack:
+        source, view = _source(args, stack), View(args.sort, args.filter)
+        view.source = args.log or f"{args.interface or 'bus'} {args.channel or ''}".strip()
+        record = _Recorder(stack)
+        if args.record:
+            view.recording = record.start(args.record)
+        if args.once:
+            _listen(source, traffic, record, time.monotonic() + (float("inf") if args.log else args.seconds))
+            _print_once(traffic, codec, view, args.json)
+        elif args.json:
+            _print_lines(source, traffic, codec, record)
+        else:
+            _show(source, traffic, codec, view, record)
+    return 0
+
+
+class _Recorder:
+    """Writes frames to a log while recording is on."""
+
+    def __init__(self, stack: ExitStack) -> None:
+        self._stack = stack
+        self._logger: can.Listener | None = None
+
+    def start(self, path: Path) -> str:
+        try:
+            self._logger = self._stack.enter_context(can.Logger(path))
+        except (ValueError, OSError) as error:
+            raise InputError(str(path), str(error), "a log file name that python-can can write, such as drive.log") from error
+        return path.name
+
+    def toggle(self) -> str:
+        if self._logger is not None:
+            self._logger = None
+            return ""
+        return self.start(Path(time.strftime("yieldmon-%Y%m%d-%H%M%S.log")))
+
+    def take(self, message: can.Message) -> None:
+        if self._logger is not None:
+            self._logger.on_message_received(message)
+
+
+def _source(args: argparse.Namespace, stack: ExitStack) -> Source:
+    if args.log:
+        require_log(args.log)
+        return _log_source(args.log, 0.0 if args.once else args.speed)
+    return _bus_source(stack.enter_context(open_bus_from(args)))
+
+
+def _bus_source(bus: can.BusABC) -> Source:
+    while True:
+        yield bus.recv(timeout=REFRESH_S)
+
+
+def _log_source(path: str, speed: float) -> Source:
+    schedule = Schedule(speed)
+    begun = None
+    for message in read_log(path, LogNotes()):
+        due = schedule.due_s(message.timestamp)
+        begun = time.monotonic() - due if begun is None else begun
+        while schedule.is_paced and (wait := begun + due - time.monotonic()) > 0.0:
+            time.sleep(min(wait, REFRESH_S))
+            if wait > REFRESH_S:
+                yield None
+        yield message
+
+
+def _listen(source: Source, traffic: Traffic, record: _Recorder, until: float) -> None:
+    """Take frames until a time of the monotonic clock or the end, marking rates on the frames' own time."""
+    marked = -float("inf")
+    while time.monotonic() < until:
+        message = next(source, _END)
+        if message is _END:
+            break
+        if isinstance(message, can.Message):
+            traffic.observe(message)
+            record.take(message)
+            if message.timestamp - marked >= REFRESH_S:
+                marked = message.timestamp
+                traffic.mark(marked)
+
+
+_END = object()
+
+
+def _refreshes(source: Source, traffic: Traffic, record: _Recorder, act: Callable[[], bool]) -> None:
+    """Take frames; every refresh period mark the rates and call `act`, until it says False or the source ends."""
+    due = time.monotonic() + REFRESH_S
+    for message in source:
+        if message is not None:
+            traffic.observe(message)
+            record.take(message)
+            offset = message.timestamp - time.monotonic()
+        now = time.monotonic()
+        if now >= due:
+            due = now + REFRESH_S
+            if traffic.frames:
+                traffic.mark(now + offset)
+            if not act():
+                return
+
+
+def _show(source: Source, traffic: Traffic, codec: Codec, view: View, record: _Recorder) -> None:
+    screen = Screen(traffic, codec, view)
+    console = Console()
+    with keys.raw_keys(), Live(screen, console=console, screen=True, auto_refresh=False) as live:
+
+        def act() -> bool:
+            for key in keys.waiting():
+                match keys.press(view, key):
+                    case "quit":
+                        return False
+                    case "record":
+                        view.recording = record.toggle()
+            if not view.paused:
+                live.refresh()
+            return True
+
+        _refreshes(source, traffic, record, act)
+
+
+def _print_lines(source: Source, traffic: Traffic, codec: Codec, record: _Recorder) -> None:
+    told = -float("inf")
+
+    def act() -> bool:
+        nonlocal told
+        if traffic.now_s - told >= 1.0 - 0.5 * REFRESH_S:
+            told = traffic.now_s
+            print(json.dumps(_document(traffic, View())), flush=True)
+        return True
+
+    _refreshes(source, traffic, record, act)
+
+
+def _print_once(traffic: Traffic, codec: Codec, view: View, as_json: bool) -> None:
+    if as_json:
+        print(json.dumps(_document(traffic, view), indent=2))
+        return
+    console = Console()
+    height = max(console.height, 8 + len(traffic.rows) + 2) if not sys.stdout.isatty() else console.height
+    console.print(Screen(traffic, codec, view), height=height)
+
+
+def _document(traffic: Traffic, view: View) -> dict[str, object]:
+    now = traffic.now_s
+    return {
+        "time_s": now if traffic.frames else None,
+        "frames": traffic.frames,
+        "error_frames": traffic.error_frames,
+        "rows": [_row_document(traffic, row, now) for row in traffic.sorted_rows(view.order, view.needle)],
+    }
+
+
+def _row_document(traffic: Traffic, row: Row, now_s: float) -> dict[str, object]:
+    frame = traffic.decoded(row)
+    signals = None
+    if frame is not None:
+        signals = {name: None if isinstance(value, Unusable) else value for name, value in frame.signals.items()}
+    return {
+        "id": f"{row.key[0]:X}",
+        "message": row.name or None,
+        "count": row.count,
+        "rate_hz": round(row.rate_hz(now_s), 2),
+        "age_s": round(row.age_s(now_s), 3),
+        "stale": row.is_stale(now_s),
+        "data": bytes(row.last.data).hex() if row.last is not None else "",
+        "signals": signals,
+    }

@@ -1,0 +1,1 @@
+"""The live frame monitor: what was seen on the bus, how it is shown, which keys do what."""

@@ -1,0 +1,64 @@
+"""Keys: what they do to the view, and reading them from a terminal without waiting."""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+import termios
+import tty
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from .panels import ORDERS, View
+
+
+def press(view: View, key: str) -> str | None:
+    """Apply a key. Returns "quit" or "record" where the caller has to act, else None."""
+    if view.typing:
+        if key in ("\r", "\n", "\x1b"):
+            view.typing = False
+            if key == "\x1b":
+                view.needle = ""
+        elif key in ("\x7f", "\b"):
+            view.needle = view.needle[:-1]
+        elif key.isprintable():
+            view.needle += key
+        return None
+    match key:
+        case "q" | "\x03":
+            return "quit"
+        case "r":
+            return "record"
+        case " ":
+            view.paused = not view.paused
+        case "s":
+            view.order = ORDERS[(ORDERS.index(view.order) + 1) % len(ORDERS)]
+        case "/":
+            view.typing, view.needle = True, ""
+        case "j":
+            view.offset += 1
+        case "k":
+            view.offset = max(0, view.offset - 1)
+    return None
+
+
+@contextmanager
+def raw_keys() -> Iterator[None]:
+    """Keys come one by one and unseen while inside; nothing is changed where standard input is no terminal."""
+    if not sys.stdin.isatty():
+        yield
+        return
+    before = termios.tcgetattr(sys.stdin)
+    try:
+        tty.setcbreak(sys.stdin)
+        yield
+    finally:
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+
+
+def waiting() -> str:
+    """Keys pressed since the last call; empty where there are none or standard input is no terminal."""
+    if not sys.stdin.isatty() or not select.select([sys.stdin], [], [], 0.0)[0]:
+        return ""
+    return os.read(sys.stdin.fileno(), 64).decode("utf-8", "ignore")

@@ -1,0 +1,132 @@
+"""What has been seen on a bus: one row per identifier, with counts, rates and ages. No terminal here, no clock."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from math import inf
+
+import can
+
+from yieldmon.bus.codec import Codec, FrameError
+from yieldmon.frames import MASS_FLOW, Frame
+
+STALE_PERIODS = 10.0
+RATE_SPAN_S = 3.0
+TREND_WINDOWS = 60
+_UNKNOWN_PERIOD_S = 1.0
+
+Key = tuple[int, bool]
+"""Identifier, and whether it is a 29-bit one."""
+
+
+@dataclass(slots=True)
+class Row:
+    """One identifier. marks: (time of the last frame, count) of the last seconds, for the rate."""
+
+    key: Key
+    name: str
+    period_s: float
+    count: int = 0
+    last: can.Message | None = None
+    marks: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=64))
+
+    def age_s(self, now_s: float) -> float:
+        """Seconds since the last frame."""
+        return now_s - self.last.timestamp if self.last is not None else inf
+
+    def is_stale(self, now_s: float) -> bool:
+        """Whether ten periods have passed without a frame; for an identifier that is not ours, by its own rate."""
+        period = self.period_s
+        if period <= 0.0:
+            rate = self.rate_hz(now_s)
+            period = 1.0 / rate if rate > 0.0 else _UNKNOWN_PERIOD_S
+        return self.age_s(now_s) > STALE_PERIODS * max(period, 0.02)
+
+    def rate_hz(self, now_s: float) -> float:
+        """Frames per second over the last seconds, from the frames' own times; falls once a frame is overdue."""
+        if not self.marks or self.last is None:
+            return 0.0
+        start_s, start_count = self.marks[0]
+        count, span = self.count - start_count, self.last.timestamp - start_s
+        if count <= 0 or span <= 0.0:
+            return 0.0
+        overdue = self.age_s(now_s) - 2.0 * span / count
+        return count / (span + max(0.0, overdue))
+
+
+class Traffic:
+    """Counts every frame; decodes only what is asked for, so that a saturated bus costs little."""
+
+    def __init__(self, codec: Codec) -> None:
+        self._codec = codec
+        self.rows: dict[Key, Row] = {}
+        self.flow_kg_s: deque[float | None] = deque(maxlen=TREND_WINDOWS)
+        self.frames = 0
+        self.error_frames = 0
+        self.now_s = -inf
+        self.first_s: float | None = None
+        self._by_name: dict[str, Row] = {}
+
+    def observe(self, message: can.Message) -> None:
+        """Take a frame of the bus."""
+        self.now_s = max(self.now_s, message.timestamp)
+        if self.first_s is None:
+            self.first_s = message.timestamp
+        if message.is_error_frame:
+            self.error_frames += 1
+            return
+        self.frames += 1
+        key = (message.arbitration_id, message.is_extended_id)
+        row = self.rows.get(key)
+        if row is None:
+            row = self.rows[key] = self._new_row(key)
+        row.count += 1
+        row.last = message
+        if row.name == MASS_FLOW:
+            frame = self.decoded(row)
+            rate = frame.signals["MassFlowRate"] if frame is not None else None
+            self.flow_kg_s.append(float(rate) if isinstance(rate, (int, float)) else None)
+
+    def mark(self, now_s: float) -> None:
+        """Remember the counts at a time, a few times a second, for the rates."""
+        self.now_s = max(self.now_s, now_s)
+        for row in self.rows.values():
+            if row.last is not None and (not row.marks or row.marks[-1][1] != row.count):
+                row.marks.append((row.last.timestamp, row.count))
+            while len(row.marks) > 2 and now_s - row.marks[1][0] >= RATE_SPAN_S:
+                row.marks.popleft()
+
+    def decoded(self, row: Row) -> Frame | None:
+        """The row's last frame, None where it is not one of ours or has the wrong length."""
+        if row.last is None:
+            return None
+        try:
+            return self._codec.decode(row.last)
+        except FrameError:
+            return None
+
+    def latest(self, name: str) -> Frame | None:
+        """The last frame of a message of ours by its name in the DBC, None while there is none."""
+        row = self._by_name.get(name)
+        return self.decoded(row) if row is not None else None
+
+    def sorted_rows(self, order: str, needle: str = "") -> list[Row]:
+        """Rows whose name or identifier holds `needle`, by "id", "name", "rate" or "count"; ties by identifier."""
+        wanted = needle.lower()
+        rows = [r for r in self.rows.values() if wanted in r.name.lower() or wanted in f"{r.key[0]:x}"]
+        rows.sort(key=lambda r: (r.key[1], r.key[0]))
+        if order == "name":
+            rows.sort(key=lambda r: (r.name == "", r.name))
+        elif order == "rate":
+            rows.sort(key=lambda r: round(-r.rate_hz(self.now_s)))
+        elif order == "count":
+            rows.sort(key=lambda r: -r.count)
+        return rows
+
+    def _new_row(self, key: Key) -> Row:
+        layout = self._codec.layout_of(key[0]) if key[1] else None
+        row = Row(key, layout.name if layout else "", layout.cycle_time_s if layout else 0.0)
+        if layout:
+            self._by_name[layout.name] = row
+        return row

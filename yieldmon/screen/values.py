@@ -1,0 +1,52 @@
+"""Signal values as people read them."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+from yieldmon import frames
+from yieldmon.bus.layout import MessageLayout, SignalLayout
+from yieldmon.frames import Frame, Unusable, Value
+
+CODES: dict[str, type[IntEnum] | type] = {
+    "SensorStatus": frames.SensorStatus,
+    "ActuatorState": frames.ActuatorState,
+    "CommandMode": frames.CommandMode,
+    "TankScaleStatus": frames.ScaleStatus,
+    "EstimateQuality": frames.EstimateQuality,
+    "SweepState": frames.SweepState,
+    "OperatingState": frames.OperatingState,
+}
+
+
+def code_name(signal: str, value: Value) -> str:
+    """Name of a coded value in words, such as `not harvesting`."""
+    if isinstance(value, Unusable):
+        return "-" if value is frames.NOT_AVAILABLE else "error"
+    codes = CODES.get(signal)
+    try:
+        return codes(value).name.lower().replace("_", " ") if codes else str(value)
+    except ValueError:
+        return str(value)
+
+
+def text(signal: SignalLayout, value: Value) -> str:
+    """A value with its unit; `-` for not available."""
+    if isinstance(value, Unusable):
+        return "-" if value is frames.NOT_AVAILABLE else "error"
+    if signal.name in CODES:
+        return code_name(signal.name, value)
+    if isinstance(value, int):
+        return f"{value}{signal.unit}"
+    digits = max(0, min(6, len(f"{signal.scale:.7f}".rstrip("0").partition(".")[2])))
+    return f"{value:.{digits}f} {signal.unit}".rstrip()
+
+
+def line(layout: MessageLayout, frame: Frame) -> str:
+    """All signals of a frame in one line; of a message that is all flags, only those that are on."""
+    flags = [s for s in layout.signals if s.bits == 2]
+    parts = [f"{s.name} {text(s, frame.signals[s.name])}" for s in layout.signals if s.bits != 2]
+    on = [s.name for s in flags if frame.signals[s.name] == 1]
+    if flags:
+        parts.append("on: " + (", ".join(on) if on else "none"))
+    return "  ".join(parts)
