@@ -109,6 +109,13 @@ def _write_log(combine: VirtualCombine, codec: Codec, args: argparse.Namespace, 
             message.channel = "can0"
             writer.on_message_received(message)
             counts[frame.message] += 1
+        _drain(writer)
+
+
+def _drain(writer: object) -> None:
+    """python-can's SQLite writer drops what its thread has not fetched yet when it is closed."""
+    while isinstance(writer, can.SqliteWriter) and not writer.buffer.empty():
+        time.sleep(0.02)
 
 
 def _drive_bus(combine: VirtualCombine, codec: Codec, args: argparse.Namespace, counts: Counter[str]) -> None:

@@ -31,7 +31,7 @@ _PULSE_ROOM = 400
 """Samples ahead of a block into which its paddles' pulses may reach."""
 
 _MOISTURE_NODES = 5
-_CHANGING = Detail(masses=22, angles_deg=(36.0, 94.0, 12), speeds_rpm=(240.0, 620.0, 7), cells=96)
+_CHANGING = Detail(masses=26, angles_deg=(36.0, 94.0, 12), speeds_rpm=(240.0, 620.0, 8), cells=96)
 
 TRUTH_COLUMNS = {
     "time_s": "end of the second",

@@ -12,7 +12,8 @@ from yieldmon.plant.effects import AirDrag
 
 Array = NDArray[np.float64]
 
-_DRAG_STEPS = 16
+_DRAG_LEGS = (12, 4, 2)
+"""Steps towards the plate, then towards it from there, and again: drag makes every leg end short of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,20 +79,23 @@ def _fly_with_drag(
     path: Path, machine: Machine, plate_angle_rad: Array, gravity_m_s2: float, drag: AirDrag
 ) -> tuple[Path, Array]:
     """Runge-Kutta (midpoint) up to just before the plate; the last bit is left to the throw without drag."""
-    straight = reach_plate(path, machine, plate_angle_rad, gravity_m_s2, None)
-    h = straight.time_s / _DRAG_STEPS
-    x, y, vx, vy = (np.broadcast_to(q, h.shape) for q in (path.x, path.y, path.vx, path.vy))
+    flown = np.zeros(np.broadcast(path.x, plate_angle_rad).shape)
 
     def acceleration(vx: Array, vy: Array) -> tuple[Array, Array]:
         speed = np.hypot(vx, vy)
         rate = 9.81 * (speed / drag.terminal_speed_m_s) ** drag.exponent / speed
         return -rate * vx, gravity_m_s2 - rate * vy
 
-    for _ in range(_DRAG_STEPS):
-        ax, ay = acceleration(vx, vy)
-        middle_x, middle_y = vx + 0.5 * h * ax, vy + 0.5 * h * ay
-        ax, ay = acceleration(middle_x, middle_y)
-        x, y, vx, vy = x + h * middle_x, y + h * middle_y, vx + h * ax, vy + h * ay
-    return Path(x, y, vx, vy), straight.time_s
+    for steps in _DRAG_LEGS:
+        left = reach_plate(path, machine, plate_angle_rad, gravity_m_s2, None).time_s
+        h = left / steps
+        x, y, vx, vy = path.x, path.y, path.vx, path.vy
+        for _ in range(steps):
+            ax, ay = acceleration(vx, vy)
+            middle_x, middle_y = vx + 0.5 * h * ax, vy + 0.5 * h * ay
+            ax, ay = acceleration(middle_x, middle_y)
+            x, y, vx, vy = x + h * middle_x, y + h * middle_y, vx + h * ax, vy + h * ay
+        path, flown = Path(x, y, vx, vy), flown + left
+    return path, flown
 
 

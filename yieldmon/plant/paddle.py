@@ -18,7 +18,7 @@ from scipy.interpolate import CubicSpline
 
 Array = NDArray[np.float64]
 
-_STEP_RAD = 0.0125
+_STEP_RAD = 0.025
 _LAST_ANGLE_RAD = 2.2
 """Past this angle a parcel leaves downward, away from any plate."""
 
@@ -46,10 +46,10 @@ def slide(radius: Array, friction: float, gamma: float, radial_speed: float = 0.
     """
     r = np.array(radius, dtype=float)
     u = radial_speed * r
-    angle_out = np.full_like(r, np.nan)
-    speed_out = np.full_like(r, np.nan)
+    inside = np.ones(r.shape, dtype=bool)
+    before = np.full((7, *r.shape), np.nan)
     angle, h = start_angle_rad, _STEP_RAD
-    while angle < _LAST_ANGLE_RAD and np.isnan(angle_out).any():
+    while angle < _LAST_ANGLE_RAD and inside.any():
         a1 = _acceleration(angle, r, u, friction, gamma)
         u2 = u + 0.5 * h * a1
         a2 = _acceleration(angle + 0.5 * h, r + 0.5 * h * u, u2, friction, gamma)
@@ -59,13 +59,15 @@ def slide(radius: Array, friction: float, gamma: float, radial_speed: float = 0.
         a4 = _acceleration(angle + h, r + h * u3, u4, friction, gamma)
         r_next = r + h / 6.0 * (u + 2.0 * u2 + 2.0 * u3 + u4)
         u_next = u + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
-        passing = np.isnan(angle_out) & (r_next >= 1.0)
+        passing = inside & (r_next >= 1.0)
         if passing.any():
-            share = _crossing(r[passing], u[passing], r_next[passing], u_next[passing], h)
-            angle_out[passing] = angle + share * h
-            speed_out[passing] = _hermite(share, u[passing], a1[passing], u_next[passing], a4[passing], h)
+            step = (np.full_like(r, angle), r, u, a1, r_next, u_next, a4)
+            before[:, passing] = np.stack(step)[:, passing]
+            inside &= ~passing
         r, u, angle = r_next, u_next, angle + h
-    return Release(angle_out, speed_out)
+    begin, r0, u0, a0, r1, u1, a1 = before
+    share = _crossing(r0, u0, r1, u1, h)
+    return Release(begin + share * h, _hermite(share, u0, a0, u1, a1, h))
 
 
 def _hermite(share: Array, y0: Array, d0: Array, y1: Array, d1: Array, h: float) -> Array:
@@ -80,8 +82,8 @@ def _crossing(r0: Array, u0: Array, r1: Array, u1: Array, h: float) -> Array:
     low, high = np.zeros_like(r0), np.ones_like(r0)
     for _ in range(40):
         middle = 0.5 * (low + high)
-        inside = _hermite(middle, r0, u0, r1, u1, h) < 1.0
-        low, high = np.where(inside, middle, low), np.where(inside, high, middle)
+        short = _hermite(middle, r0, u0, r1, u1, h) < 1.0
+        low, high = np.where(short, middle, low), np.where(short, high, middle)
     return 0.5 * (low + high)
 
 

@@ -36,17 +36,17 @@ class Condition:
 
 @dataclass(frozen=True, slots=True)
 class Detail:
-    """Numbers of nodes; sprocket speeds in rpm, plate angles in deg (true angles)."""
+    """Numbers of nodes; plate angles in deg, sprocket speeds in rpm at equal ratios (both true values: from, to, number)."""
 
-    masses: int = 26
+    masses: int = 44
     angles_deg: tuple[float, float, int] = (36.0, 94.0, 15)
-    speeds_rpm: tuple[float, float, int] = (240.0, 620.0, 8)
+    speeds_rpm: tuple[float, float, int] = (240.0, 620.0, 14)
     cells: int = 128
     shapes: bool = True
     """Whether pulse shapes are kept; impulses alone build faster."""
 
 
-SEASON = Detail(masses=18, angles_deg=(38.0, 92.0, 10), speeds_rpm=(300.0, 500.0, 4), cells=96, shapes=False)
+SEASON = Detail(masses=24, angles_deg=(38.0, 92.0, 12), speeds_rpm=(300.0, 500.0, 5), cells=96, shapes=False)
 """Coarser, for studies whose conditions change: speeds of 300-500 rpm and impulses only."""
 
 
@@ -64,7 +64,7 @@ class PulseTable:
         detail = detail or Detail()
         self.machine = machine
         self._tip_speed_length_m = machine.paddle_length_m
-        speeds = np.linspace(*detail.speeds_rpm[:2], detail.speeds_rpm[2]) * RPM
+        speeds = RPM * np.geomspace(*detail.speeds_rpm[:2], detail.speeds_rpm[2])
         angles = np.deg2rad(np.linspace(*detail.angles_deg[:2], detail.angles_deg[2]))
         self.speed_range_rad_s = (float(speeds[0]), float(speeds[-1]))
         self.angle_range_rad = (float(angles[0]), float(angles[-1]))

@@ -120,8 +120,12 @@ def simulate(
     machine: Machine | None = None,
     scenario: Scenario | None = None,
     seed: int = 0,
+    table: PulseTable | None = None,
 ) -> Season:
-    """Make a season. scenario: its crop (at the reference moisture), effects, elevator, sensor noise and scatter are used."""
+    """Make a season. scenario: its crop (at the reference moisture), effects, elevator, sensor noise and scatter are used.
+
+    table: from :func:`season_table` with the same settings, machine and scenario, where several seeds share one.
+    """
     settings, machine, scenario = settings or SeasonSettings(), machine or Machine(), scenario or Scenario()
     flow_rng, speed_rng, noise_rng, zero_rng, load_rng, crop_rng = (
         np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(6)
@@ -131,8 +135,7 @@ def simulate(
     flow = _flow(settings, count, flow_rng)
     speed = _speed(scenario, flow, speed_rng)
     progress = time / time[-1]
-    conditions = [_condition(settings, scenario, float(p)) for p in np.linspace(0.0, 1.0, _NODES)]
-    table = PulseTable(machine, conditions, SEASON)
+    table = table or season_table(settings, machine, scenario)
     fine = [_condition(settings, scenario, float(p)) for p in np.linspace(0.0, 1.0, 1001)]
     grid = np.linspace(0.0, 1.0, 1001)
 
@@ -164,6 +167,12 @@ def simulate(
         zero_error_n=settings.zero_error_n * correlated_noise(count, 600.0, zero_rng),
         noise=noise_rng.standard_normal(count),
     )
+
+
+def season_table(settings: SeasonSettings, machine: Machine, scenario: Scenario) -> PulseTable:
+    """Pulses along a season; the coordinate is the hour."""
+    conditions = [_condition(settings, scenario, float(p)) for p in np.linspace(0.0, 1.0, _NODES)]
+    return PulseTable(machine, conditions, SEASON)
 
 
 def _condition(settings: SeasonSettings, scenario: Scenario, progress: float) -> Condition:
