@@ -1,0 +1,64 @@
+"""The shipped unit under a real service manager, on a virtual interface that is called can0.
+
+These tests install, kill and remove system services, so they run in the virtual machine only (tools/test --only systemd).
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import sysconfig
+from collections.abc import Iterator
+from pathlib import Path
+
+import can
+import pytest
+from service_manager import ROOT, add_interface, delete_interface, run
+
+
+@pytest.fixture(scope="session", autouse=True)
+def service_manager() -> None:
+    if "VCAN_VM" not in os.environ or not Path("/run/systemd/system").is_dir():
+        pytest.skip("no service manager to experiment with: tools/test --only systemd boots one in a virtual machine")
+
+
+@pytest.fixture
+def can0(service_manager: None) -> Iterator[str]:
+    add_interface()
+    yield "can0"
+    if Path("/sys/class/net/can0").exists():
+        delete_interface()
+
+
+@pytest.fixture
+def bus(can0: str) -> Iterator[can.BusABC]:
+    with can.Bus(can0, interface="socketcan") as opened:
+        yield opened
+
+
+@pytest.fixture(scope="session")
+def interpreter(service_manager: None) -> Path:
+    """This Python where a service without access to home folders can start it."""
+    base = visible("/opt/python", sys.base_prefix)
+    return base / "bin" / f"python{sys.version_info.major}.{sys.version_info.minor}"
+
+
+def visible(place: str, source: str) -> Path:
+    """Mount a folder, which may well be in a home folder, where services see it."""
+    Path(place).mkdir()
+    run("mount", "--bind", source, place)
+    return Path(place)
+
+
+@pytest.fixture(scope="session")
+def daemon_command(interpreter: Path) -> Path:
+    """The yieldmon command of this checkout and environment."""
+    packages = visible("/opt/python-packages", sysconfig.get_path("purelib"))
+    project = visible("/opt/yieldmon-project", str(ROOT))
+    command = Path("/opt/yieldmon/bin/yieldmon")
+    command.parent.mkdir(parents=True)
+    lines = [f"#!{interpreter} -IS", "import sys", f"sys.path += [{str(project)!r}, {str(packages)!r}]"]
+    lines += ["from yieldmon.cli.main import main", "sys.exit(main())"]
+    command.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    command.chmod(0o755)
+    return command
