@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib
 import io
 import logging
+import re
 import shutil
 import tempfile
 import zlib
@@ -42,6 +43,8 @@ SUFFIXES = TEXT_SUFFIXES + BINARY_SUFFIXES
 #: Longest line that is looked at. The longest line of any text format, a CAN FD frame in .asc, has under 400
 #: characters.
 LONGEST_LINE_BYTES = 4096
+#: Control characters that stand in no text log: all but tab, line feed and carriage return.
+_CONTROL_BYTE = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")
 _LARGEST_ID = 0x1FFFFFFF
 
 #: What stands for a header when a reader goes on behind a damaged line: the line it may skip without loss.
@@ -218,8 +221,8 @@ def line_problem(raw: bytes) -> str | None:
     """Why a line, with or without its end, is not worth parsing in any text format; None when it is."""
     if len(raw.rstrip(b"\r\n")) > LONGEST_LINE_BYTES:
         return f"line longer than {LONGEST_LINE_BYTES} bytes"
-    control = next((byte for byte in raw if byte < 0x20 and byte not in b"\t\r\n"), None)
-    return f"binary junk (byte 0x{control:02X})" if control is not None else None
+    control = _CONTROL_BYTE.search(raw)
+    return f"binary junk (byte 0x{control[0][0]:02X})" if control is not None else None
 
 
 def candump_frame(line: str, notes: LogNotes, damage: Callable[[str], None]) -> can.Message | None:
