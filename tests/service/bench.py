@@ -120,7 +120,13 @@ class Bench:
 
 
 @contextlib.contextmanager
-def running(folder: Path, text: str = "", notify: socket.socket | None = None, start_s: float = START_S) -> Iterator[Bench]:
+def running(
+    folder: Path,
+    text: str = "",
+    notify: socket.socket | None = None,
+    start_s: float = START_S,
+    silence_s: float = math.inf,
+) -> Iterator[Bench]:
     """A running daemon whose state lies in `folder`, with the configuration `text` in folder/c.yaml."""
     channel = f"service-{next(_channels)}"
     path = folder / "c.yaml"
@@ -133,7 +139,11 @@ def running(folder: Path, text: str = "", notify: socket.socket | None = None, s
         return configuration.load(path, environment)
 
     daemon = Daemon(
-        load(), load, environment=environment, bus_factory=lambda: can.Bus(interface="virtual", channel=channel)
+        load(),
+        load,
+        environment=environment,
+        bus_factory=lambda: can.Bus(interface="virtual", channel=channel),
+        silence_s=silence_s,
     )
     peer = can.Bus(interface="virtual", channel=channel, preserve_timestamps=True)
     bench = Bench(daemon, peer, start_s)

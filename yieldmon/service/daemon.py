@@ -49,7 +49,7 @@ _BATCH_FRAMES = 512
 _WAIT_S = 0.05
 #: With no frame of ours for this long the engine's time goes on by the monotonic clock, this much behind it, so that frames
 #: still on their way are not late.
-_SILENCE_S = 0.15
+SILENCE_S = 0.15
 _TICK_DELAY_S = 0.1
 #: How long a condition counts as present after it was last seen.
 _HOLD_S = 3.0
@@ -81,13 +81,15 @@ class Daemon:
         *,
         environment: Mapping[str, str] = os.environ,
         bus_factory: Callable[[], can.BusABC] | None = None,
+        silence_s: float = SILENCE_S,
     ) -> None:
         """reload: reads the configuration anew; raises InputError when it cannot be used. bus_factory: opens the bus, by
-        default the configured one."""
+        default the configured one. silence_s: see SILENCE_S; infinite for traffic that is not sent in real time."""
         self.configuration = configuration
         self._reload = reload
         self._manager = ServiceManager(environment)
         self._codec = Codec()
+        self._silence_s = silence_s
         self._stop = threading.Event()
         self._reload_wanted = threading.Event()
         self._commands: queue.SimpleQueue[_Job] = queue.SimpleQueue()
@@ -249,7 +251,7 @@ class Daemon:
                 self._last_ours = (time.time(), now_s)
             return
         bus_s, heard_s = self._last_ours
-        if now_s - heard_s > _SILENCE_S:
+        if now_s - heard_s > self._silence_s:
             self._send(self._monitor.tick(bus_s + (now_s - heard_s) - _TICK_DELAY_S))
 
     def _send(self, out: list[Frame]) -> None:
