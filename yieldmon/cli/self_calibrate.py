@@ -1,0 +1,231 @@
+"""Closed loop: flows and parameters together from sweeps of the plate, one unknown flow for each group of rows."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import replace
+from datetime import UTC, datetime
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from yieldmon.cli import model_options
+from yieldmon.errors import InputError
+from yieldmon.estimation.closed_loop import ClosedLoopSettings, DensityAnchor, Outcome, Sweep, self_calibrate
+from yieldmon.files import parameter_file, table
+from yieldmon.physics.machine import Machine
+from yieldmon.physics.model import ForwardModel
+from yieldmon.physics.numerics import Array
+
+LEVEL = 0.9
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """The verb's arguments."""
+    parser = subparsers.add_parser("self-calibrate", help="flows and parameters from sweeps (closed loop)", description=__doc__)
+    parser.add_argument("data", metavar="DATA.csv", help="plate_angle_deg and a reading; a load column is only compared with")
+    model_options.add_model_arguments(parser)
+    parser.add_argument(
+        "--group-by", metavar="COL", help="one sweep for each value of this column; default: group, else the load, else one sweep"
+    )
+    parser.add_argument("--separate", action="store_true", help="each sweep by itself from the same prior; default: pooled")
+    parser.add_argument("--sigma", type=float, metavar="SD", help="noise of a reading; default: column sigma, else from the rows")
+    parser.add_argument(
+        "--model-error", type=float, default=0.0, metavar="SHARE", help="the model's own relative error at each angle; default: 0"
+    )
+    parser.add_argument("--flow", choices=("constant", "linear", "process"), default="constant", help="within a sweep")
+    parser.add_argument("--density", metavar="KG_M3:SD", help="density known otherwise, in the terms of the parameter")
+    parser.add_argument("--out", metavar="P.yaml", help="write the updated parameters here (pooled only)")
+    parser.add_argument("--json", action="store_true", help="one JSON document")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit code 0 also where nothing was learned; the report says so."""
+    machine, prior = model_options.machine(args), model_options.parameters(args)
+    if args.separate and args.out is not None:
+        raise InputError("--out", "given with --separate", "one of them: separate sweeps give separate parameters")
+    data = table.load(args.data, need_load=False)
+    model_options.check_unit(prior, data)
+    for note in data.notes:
+        print(f"yieldmon: {note}", file=sys.stderr)
+    labels, names = _groups(data, args.group_by)
+    sweeps, true = _sweeps(args, data, machine, labels, names)
+    model = ForwardModel(machine, prior.effects)
+    settings = ClosedLoopSettings(flow=args.flow, model_error=args.model_error)
+    density = _density(args.density)
+    try:
+        if args.separate:
+            outcomes = [self_calibrate(model, prior, [s], density=density, settings=settings) for s in sweeps]
+        else:
+            outcomes = [self_calibrate(model, prior, sweeps, density=density, settings=settings)]
+    except ValueError as error:
+        raise InputError(data.path, str(error)) from error
+    document = _document(data, machine, outcomes, names, true, sweeps)
+    if args.out is not None:
+        facts = dict(prior.provenance) | {
+            "method": "closed loop", "data": Path(data.path).name, "data_sha256": data.sha256,
+            "date": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"), "parent_version": str(prior.version),
+        }
+        parameter_file.save(replace(outcomes[0].parameter_set, provenance=facts), args.out)
+        document["written"] = args.out
+    print(json.dumps(document, indent=1) if args.json else _text(document))
+    return 0
+
+
+def _groups(data: table.Table, column: str | None) -> tuple[np.ndarray, list[str]]:
+    """Index of each row's group, and the groups' names in order of appearance."""
+    if column is None:
+        column = "group" if "group" in data.text else data.load
+    if column is None:
+        return np.zeros(len(data), dtype=int), ["all rows"]
+    if column in data.text:
+        cells = list(data.text[column])
+    elif column in data.columns:
+        cells = [f"{v:g}" for v in data.columns[column]]
+    else:
+        raise InputError("--group-by", f"{column} is no column of {data.path}", ", ".join((*data.text, *data.columns)))
+    names = list(dict.fromkeys(cells))
+    return np.array([names.index(c) for c in cells]), names
+
+
+def _sweeps(
+    args: argparse.Namespace, data: table.Table, machine: Machine, labels: np.ndarray, names: list[str]
+) -> tuple[list[Sweep], list[float]]:
+    speed = data.speed_rad_s(machine)
+    passes = speed * machine.sprocket_pitch_radius_m / machine.paddle_spacing_m
+    to_force: Array = np.ones(len(data)) if data.reading == "force_n" else passes
+    force, angle = data.columns[data.reading] * to_force, np.radians(data.columns["plate_angle_deg"])
+    sigma = _sigma(args, data, labels) * to_force
+    moisture = data.columns.get("moisture_pct")
+    sweeps, true = [], []
+    for i, name in enumerate(names):
+        rows = np.flatnonzero((labels == i) & np.isfinite(force))
+        if np.unique(np.round(angle[rows], 4)).size < 2:
+            raise InputError(f"{data.path}: group {name}", "holds fewer than two plate angles", "a sweep")
+        sweeps.append(
+            Sweep(
+                np.arange(rows.size, dtype=float), angle[rows], speed[rows], force[rows], sigma[rows],
+                None if moisture is None else moisture[rows],
+            )
+        )
+        if data.load is None:
+            true.append(float("nan"))
+        else:
+            load = data.columns[data.load][rows] * (passes[rows] if data.load == "paddle_mass_kg" else 1.0)
+            true.append(float(load.mean()) if np.ptp(load) <= 1e-9 * load.max() else float("nan"))
+    return sweeps, true
+
+
+def _sigma(args: argparse.Namespace, data: table.Table, labels: np.ndarray) -> Array:
+    """Noise of each row in the reading's unit: given, in the table, or from replicates at one angle of one group."""
+    column = data.columns.get("sigma", np.full(len(data), np.nan))
+    if args.sigma is not None:
+        if not args.sigma > 0.0:
+            raise InputError("--sigma", f"is {args.sigma:g}", "a number above 0")
+        return np.where(np.isfinite(column), column, args.sigma)
+    if np.all(np.isfinite(column)) and np.all(column > 0.0):
+        return column
+    values = data.columns[data.reading]
+    cells = np.unique(np.stack((data.columns["plate_angle_deg"], labels)), axis=1, return_inverse=True)[1].ravel()
+    known = np.isfinite(values)
+    counts = np.bincount(cells[known], minlength=cells.max() + 1)
+    means = np.bincount(cells[known], values[known], minlength=cells.max() + 1) / np.maximum(counts, 1)
+    dof = int(np.sum(np.maximum(counts - 1, 0)))
+    if dof < 3:
+        raise InputError(data.path, "says nothing of its noise", "--sigma SD, a column sigma, or repeated rows")
+    spread = float(np.sqrt(np.sum((values[known] - means[cells[known]]) ** 2) / dof))
+    if spread == 0.0:
+        raise InputError(data.path, "holds repeated rows without any scatter", "--sigma SD")
+    return np.full(len(data), spread)
+
+
+def _density(text: str | None) -> DensityAnchor | None:
+    if text is None:
+        return None
+    value, colon, sd = text.partition(":")
+    if not colon:
+        raise InputError("--density", f"is {text!r}", "KG_M3:SD")
+    anchor = DensityAnchor(model_options.finite(value, "--density"), model_options.finite(sd, "--density SD"))
+    if anchor.density_kg_m3 <= 0.0 or anchor.std_dev_kg_m3 <= 0.0:
+        raise InputError("--density", f"is {text}", "two numbers above 0")
+    return anchor
+
+
+def _document(
+    data: table.Table, machine: Machine, outcomes: list[Outcome], names: list[str], true: list[float], sweeps: list[Sweep]
+) -> dict[str, Any]:
+    flows = [flow for outcome in outcomes for flow in outcome.flows]
+    groups = []
+    for name, flow, known, sweep in zip(names, flows, true, sweeps, strict=True):
+        passes = float(sweep.elevator_speed_rad_s.mean()) * machine.sprocket_pitch_radius_m / machine.paddle_spacing_m
+        row: dict[str, Any] = {
+            "group": name,
+            "mass_flow_kg_s": flow.mass_flow_kg_s,
+            "std_dev_kg_s": flow.std_dev_kg_s,
+            "interval_kg_s": list(flow.interval(LEVEL)),
+            "paddle_mass_kg": flow.mass_flow_kg_s / passes,
+        }
+        if isfinite(known):
+            row |= {"true_mass_flow_kg_s": known, "error_pct": 100.0 * (flow.mass_flow_kg_s / known - 1.0)}
+        groups.append(row)
+    errors = [abs(row["error_pct"]) for row in groups if "error_pct" in row]
+    return {
+        "file": data.path,
+        "level": LEVEL,
+        "groups": groups,
+        "error_pct": {"mean_abs": float(np.mean(errors)), "max_abs": max(errors)} if errors else None,
+        "updates": [_update(o) for o in outcomes],
+    }
+
+
+def _update(outcome: Outcome) -> dict[str, Any]:
+    scale = outcome.scale
+    return {
+        "updated": outcome.updated,
+        "consistent": outcome.consistent,
+        "reason": outcome.reason,
+        "parameters": {
+            p.name: {
+                "prior": p.prior, "prior_sd": p.prior_sd, "value": p.value, "sd": p.sd, "ratio": p.ratio, "learned": p.learned
+            }
+            for p in outcome.parameters
+        },
+        "scale": {
+            "direction": "(mass flow, density, impact gain) -> (a, a, 1/a)", "observable": scale.observable,
+            "ratio": scale.ratio, "shift": scale.shift, "prior_sd": scale.prior_sd,
+        },
+        "unobservable": [d.words() for d in scale.unobservable_directions],
+        "chi2": outcome.chi2,
+        "dof": outcome.dof,
+        "p_value": outcome.p_value,
+    }
+
+
+def _text(document: dict[str, Any]) -> str:
+    lines = [f"{'group':<14}{'flow kg/s':>11}{'sd':>9}   {100 * LEVEL:.0f} % interval{'true':>12}{'error %':>9}"]
+    for row in document["groups"]:
+        low, high = row["interval_kg_s"]
+        end = f"{row['true_mass_flow_kg_s']:>11.4g}{row['error_pct']:>9.2f}" if "error_pct" in row else ""
+        flow, sd = row["mass_flow_kg_s"], row["std_dev_kg_s"]
+        lines.append(f"{row['group']:<14}{flow:>11.4f}{sd:>9.4f}   {low:7.3f} ..{high:8.3f}{end}")
+    if document["error_pct"]:
+        lines.append(f"error: mean {document['error_pct']['mean_abs']:.2f} %, worst {document['error_pct']['max_abs']:.2f} %")
+    for update in document["updates"]:
+        lines.append("")
+        lines.append(f"{'parameter':<32}{'prior':>11}{'sd':>10}{'now':>12}{'sd':>10}{'width':>8}")
+        for name, p in update["parameters"].items():
+            kept = "" if p["learned"] else "  kept"
+            before, after = f"{p['prior']:>11.5g}{p['prior_sd']:>10.3g}", f"{p['value']:>12.5g}{p['sd']:>10.3g}"
+            lines.append(f"{name:<32}{before}{after}{100 * p['ratio']:>6.0f} %{kept}")
+        scale = update["scale"]
+        moved = f"width {100 * scale['ratio']:.0f} % of the prior's, moved by {100 * scale['shift']:+.2f} %"
+        lines.append(f"scale {scale['direction']}: {moved}")
+        lines += [f"unobservable: {text}" for text in update["unobservable"]]
+        lines.append(f"{update['reason']}. chi2 {update['chi2']:.4g} for {update['dof']}, p = {update['p_value']:.2g}")
+    if "written" in document:
+        lines.append(f"written: {document['written']}")
+    return "\n".join(lines)

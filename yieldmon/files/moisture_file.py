@@ -1,0 +1,56 @@
+"""Moisture map files: YAML with moistures and the parameter values at each of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from yieldmon.errors import InputError
+from yieldmon.estimation.moisture import MoistureMap
+from yieldmon.files.parameter_file import GRAIN_LIMITS
+from yieldmon.resources import shipped
+
+from .yaml_file import load_mapping, number
+
+PUBLISHED = "config/moisture/corn-published.yaml"
+
+
+def load(path: str | Path | None = None) -> MoistureMap:
+    """The map in a YAML file, or the shipped published one. Raises InputError naming file, key, value and range."""
+    path = shipped(PUBLISHED) if path is None else path
+    document = load_mapping(path)
+    for key in document:
+        if key not in ("moisture_pct", "values", "doubt"):
+            raise InputError(f"{path}: {key}", "unknown key", "one of moisture_pct, values, doubt")
+    moistures = _row(document.get("moisture_pct"), f"{path}: moisture_pct", "%", 0.0, 100.0)
+    values = document.get("values")
+    if not isinstance(values, dict) or not values:
+        raise InputError(f"{path}: values", f"is {values!r}", "a mapping of parameter names to lists")
+    rows = {}
+    for name, row in values.items():
+        if name not in GRAIN_LIMITS:
+            raise InputError(f"{path}: values.{name}", "unknown parameter", f"one of {', '.join(GRAIN_LIMITS)}")
+        rows[name] = _row(row, f"{path}: values.{name}", *GRAIN_LIMITS[name])
+    doubt = number(document.get("doubt", 0.5), f"{path}: doubt", "", 0.0, 10.0)
+    try:
+        return MoistureMap(moistures, rows, doubt)
+    except ValueError as error:
+        raise InputError(str(path), str(error)) from error
+
+
+def save(known: MoistureMap, path: str | Path) -> None:
+    """Write a file that `load` reads back."""
+    document = {
+        "moisture_pct": list(known.moisture_pct),
+        "values": {name: list(row) for name, row in known.values.items()},
+        "doubt": known.doubt,
+    }
+    Path(path).write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+
+
+def _row(value: Any, where: str, unit: str, low: float, high: float) -> tuple[float, ...]:
+    if not isinstance(value, list) or not value:
+        raise InputError(where, f"is {value!r}", "a list of numbers")
+    return tuple(number(v, f"{where}[{i}]", unit, low, high) for i, v in enumerate(value))
