@@ -156,7 +156,7 @@ _TABLE = (
         "Check bus load, termination and for a second node that sends samples.",
     ),
     FaultDefinition(
-        _C.CLOCK_JUMPED, 520203, 2, _N, 1, 10,
+        _C.CLOCK_JUMPED, 520203, 2, _N, 1, 1,
         "Frame time stepped back or leapt forward.",
         "Windows and totals go on; records near the step carry odd times.",
         "None; check the logger's clock if it repeats.",

@@ -161,9 +161,11 @@ class Monitor:
         self._scale_status = Held()
         self._actuator = ActuatorState.IDLE
         self._idle_since_s: float | None = None
+        self._cutting_s = float("-inf")
         self._windows = 0
         self._stuck = 0
         self._jumps_seen = 0
+        self._jump_shown = 0
         self._driving = False
         self._calibration_age_s: float | None = None
         self._outcome: CalibrationOutcome | None = None
@@ -457,7 +459,11 @@ class Monitor:
 
     def _begin(self, now: float) -> None:
         self._begun = True
-        self._tick = floor(now / self.settings.windows.window_s) * self._ticks_per_window
+        window_s = self.settings.windows.window_s
+        index = floor(now / window_s)
+        # A first window shorter than half a second is joined to the next.
+        index += int((index + 1) * window_s - now < 0.5 * window_s)
+        self._tick = index * self._ticks_per_window
         self._window_start_s = now
         if not isfinite(self._load_start_s):
             self._load_start_s = self._bus_now()
@@ -496,7 +502,10 @@ class Monitor:
         seconds = window.end_s - window.start_s
         if self._calibration_age_s is not None:
             self._calibration_age_s += seconds
-        speed_known = isfinite(self._speed.within(at_s, self.settings.inputs.speed_timeout_s))
+        timeout_s = self.settings.inputs.speed_timeout_s
+        speed_known = isfinite(self._speed.within(at_s, timeout_s))
+        # With everything silent, what the last window left over was still measured at a known speed.
+        speed_was_known = speed_known or isfinite(self._speed.within(self._builder.last_frame_s, timeout_s))
         moisture = self._moisture.within(at_s, self.settings.inputs.condition_timeout_s)
         in_range = self.machine.min_elevator_speed_rad_s <= window.speed_rad_s <= self.machine.max_elevator_speed_rad_s
         still = window.plate_max_rad - window.plate_min_rad <= radians(2.0 * self.settings.plate.at_target_tolerance_deg)
@@ -504,7 +513,7 @@ class Monitor:
         stuck = self._stuck >= self.settings.faults.stuck_windows
         idle_s = self._idle_s(at_s)
 
-        flow = self._flow(window, speed_known, in_range, stuck, stale_angle, moisture, idle_s)
+        flow = self._flow(window, speed_was_known, in_range, stuck, stale_angle, moisture, idle_s)
         at_home = abs(window.plate_angle_rad - self.machine.home_plate_angle_rad) <= radians(
             2.0 * self.settings.plate.at_target_tolerance_deg
         )
@@ -547,7 +556,7 @@ class Monitor:
         """Gate, force and flow of a window."""
         quality = EstimateQuality
         zero = self._zero.state
-        if zero is None or not window.samples or not speed_known or stuck:
+        if zero is None or not window.covered_s > 0.0 or not speed_known or stuck:
             return _Flow(_NAN, _NAN, quality.NOT_AVAILABLE, _NAN, _NAN)
         gain = self.machine.sensor.gain_n_per_mv
         force = (window.mean_mv - zero.zero_mv) * gain
@@ -635,12 +644,13 @@ class Monitor:
 
     def _follow_zero(self, window: Window, elevator_runs: bool, plate_rests_at_home: bool) -> None:
         whole = window.coverage >= self.settings.windows.full_coverage
-        cutting = (
-            self._header_down.within(window.end_s, self.settings.inputs.vehicle_timeout_s) == 1.0
-            and self._working.within(window.end_s, self.settings.inputs.vehicle_timeout_s) != 0.0
-        )
+        timeout_s = self.settings.inputs.vehicle_timeout_s
+        header_down = self._header_down.within(window.end_s, timeout_s) == 1.0
+        if header_down and self._working.within(window.end_s, timeout_s) != 0.0:
+            self._cutting_s = window.end_s
+        emptied = window.end_s - self._cutting_s >= self.settings.gate.emptying_s
         if elevator_runs and whole and plate_rests_at_home:
-            self._zero.see(window, may_be_empty=not self._gate.harvesting and not cutting)
+            self._zero.see(window, may_be_empty=not self._gate.harvesting and emptied)
         else:
             self._zero.interrupt()
 
@@ -695,8 +705,11 @@ class Monitor:
         scale_heard = isfinite(self._scale_status.value)
         scale_status = self._scale_status.within(at_s, settings.inputs.scale_timeout_s)
         outcome = self._outcome
-        jumped = self._clock.jumps != self._jumps_seen
+        if self._clock.jumps != self._jumps_seen:
+            self._jump_shown = settings.faults.clock_jump_hold_windows
         self._jumps_seen = self._clock.jumps
+        jumped = self._jump_shown > 0
+        self._jump_shown = max(0, self._jump_shown - 1)
         reason = self._sweep.abort_reason
         present: dict[FaultCode, tuple[bool, str]] = {
             FaultCode.SENSOR_MISSING: (

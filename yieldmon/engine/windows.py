@@ -161,7 +161,8 @@ class WindowBuilder:
         self._tail = _no_samples()
         self._grid_tail = _no_samples()
         self._turns = 0.0
-        self._last_frame_s = float("nan")
+        self.last_frame_s = float("nan")
+        """Engine time of the last sample frame of the windows closed so far."""
         self._last_counter = float("nan")
 
     def add_block(self, rows: Array) -> None:
@@ -169,7 +170,8 @@ class WindowBuilder:
         if self.rows:
             self._blocks.append(_as_array(self.rows))
             self.rows = []
-        self._blocks.append(rows)
+        if rows.shape[0]:
+            self._blocks.append(rows)
 
     def add_speed(self, time_s: float, speed_rad_s: float) -> None:
         """A measured elevator speed; the speed runs straight from one to the next and holds after the last."""
@@ -274,7 +276,7 @@ class WindowBuilder:
         table = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
         times, counters, status = table[:, 0], table[:, 1], table[:, 2]
         steps = self._frame_steps(times, counters)
-        self._last_frame_s, self._last_counter = float(times[-1]), float(counters[-1])
+        self.last_frame_s, self._last_counter = float(times[-1]), float(counters[-1])
         new = steps != 0.0
         net = round(float(steps.sum()) - float(np.count_nonzero(new)))
         table = table[new]
@@ -297,7 +299,7 @@ class WindowBuilder:
     def _frame_steps(self, times: Array, counters: Array) -> Array:
         """Frames from each frame to the one before by counter, the counter's turns told by time; 0 is a repeat."""
         modulus = float(self._settings.sample_counter_modulus)
-        by_time = np.rint(np.diff(times, prepend=self._last_frame_s) / self._frame_interval_s)
+        by_time = np.rint(np.diff(times, prepend=self.last_frame_s) / self._frame_interval_s)
         with np.errstate(invalid="ignore"):
             difference = np.mod(np.diff(counters, prepend=self._last_counter), modulus)
         by_counter = difference + modulus * np.rint((by_time - difference) / modulus)

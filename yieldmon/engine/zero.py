@@ -78,7 +78,7 @@ class ZeroTracker:
     def pulses(self, window: Window) -> bool:
         """Whether one window has paddle pulses beyond what vibration makes."""
         state = self.state
-        if state is None or not state.vibration_mv:
+        if state is None:
             return window.pulse_mv > self._settings.first_pulse_limit_mv
         usual = state.window_pulse_mv * _speed_factor(window.speed_rad_s, state.speed_rad_s)
         return window.pulse_mv > max(usual * self._settings.window_pulse_margin, usual + self._settings.window_pulse_margin_mv)

@@ -1,0 +1,404 @@
+"""The monitor end to end on a pulse train with a known answer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from engine_bench import (
+    MACHINE,
+    Bench,
+    ForceProportional,
+    feed,
+    flows,
+    monitor,
+    only,
+    qualities,
+    sample_frame,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from yieldmon import frames as bus
+from yieldmon.engine.faults import FaultCode
+from yieldmon.engine.monitor import Monitor, SampleRun
+from yieldmon.engine.settings import EngineSettings
+from yieldmon.engine.state import EngineState
+from yieldmon.estimation.open_loop import FlowEstimate
+from yieldmon.frames import NOT_AVAILABLE, EstimateQuality, Frame, OperatingState
+
+Q = EstimateQuality
+
+
+def harvest(start_s: float = 1005.0, end_s: float = 1e12, rate: float = 10.0) -> Callable[[float], float]:
+    """Flow that begins and ends."""
+    return lambda t: rate if start_s <= t < end_s else 0.0
+
+
+STEADY = Bench(flow=harvest(), scatter=0.05, noise_mv=2.0, shaft_vibration_mv=5.0, paddle_vibration_mv=3.0)
+STEADY_FRAMES = STEADY.frames(30)
+
+
+def states(frames: list[Frame]) -> list[OperatingState]:
+    return [OperatingState(f.signals["OperatingState"]) for f in only(frames, bus.YIELD_MONITOR_STATUS)]
+
+
+def test_one_result_a_second_on_the_grid_of_bus_seconds() -> None:
+    out = feed(monitor(), STEADY_FRAMES)
+    for message in (bus.MASS_FLOW, bus.ACCUMULATED_MASS, bus.SELF_CALIBRATION_STATUS, bus.YIELD_MONITOR_STATUS):
+        assert [f.time_s for f in only(out, message)] == [1001.0 + k for k in range(30)]
+    counters = [f.signals["WindowCounter"] for f in only(out, bus.MASS_FLOW)]
+    assert counters == list(range(1, 31))
+
+
+def test_flow_and_mass_of_a_steady_harvest() -> None:
+    target = monitor()
+    out = feed(target, STEADY_FRAMES)
+    found = np.array(flows(out))
+    assert found[7:].mean() == pytest.approx(10.0, rel=0.01)
+    assert qualities(out)[:4] == [Q.NOT_AVAILABLE, Q.NOT_AVAILABLE, Q.NOT_AVAILABLE, Q.NOT_HARVESTING]
+    assert set(qualities(out)[5:]) == {Q.OK}
+    assert states(out)[0] is OperatingState.ZEROING
+    assert states(out)[-1] is OperatingState.HARVESTING
+    assert target.totals.total_kg == pytest.approx(10.0 * (25.0 - 0.09), rel=0.01)
+    assert target.faults.active == ()
+
+
+def test_stated_standard_deviation_covers_the_error() -> None:
+    bench = replace(STEADY, scatter=0.07, seed=3)
+    target = monitor(estimator=ForceProportional(relative_std_dev=0.0))
+    feed(target, bench.frames(300))
+    records = target.take_records()[8:]
+    scores = np.array([(r.mass_flow_kg_s - 10.0) / r.std_dev_kg_s for r in records])
+    assert np.std(scores) == pytest.approx(1.0, abs=0.35)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_blocks_of_any_size_give_the_same_bytes(seed: int) -> None:
+    bench = replace(STEADY, drop=lambda i: i % 97 == 5, seed=seed + 20)
+    samples, slow = bench.sample_frames(20), sorted(bench.slow_frames(20), key=lambda f: f.time_s)
+    one_by_one = monitor()
+    expected = feed(one_by_one, bench.frames(20))
+    target, out = monitor(), []
+    generator = np.random.default_rng(seed)
+    first, first_slow = 0, 0
+    while first < samples["times_s"].size:
+        last = min(samples["times_s"].size, first + int(generator.integers(1, 900)))
+        end_s = samples["times_s"][last - 1]
+        last_slow = first_slow + sum(f.time_s <= end_s for f in slow[first_slow:])
+        part = {name: values[first:last] for name, values in samples.items()}
+        others = slow[first_slow:last_slow]
+        places = np.searchsorted(part["times_s"], [f.time_s for f in others], side="right")
+        out += target.feed_run(SampleRun(places=places, **part), others)
+        first, first_slow = last, last_slow
+    out += feed(target, slow[first_slow:])
+    assert repr(out) == repr(expected)
+    assert repr(target.take_records()) == repr(one_by_one.take_records())
+
+
+def test_a_run_with_a_clock_jump_inside_gives_the_same_bytes() -> None:
+    samples = STEADY.sample_frames(10)
+    samples["times_s"] = samples["times_s"] + np.where(np.arange(samples["times_s"].size) >= 1000, -3600.0, 0.0)
+    frames = [
+        sample_frame(t, mv, c)
+        for t, mv, c in zip(*(samples[n].tolist() for n in ("times_s", "millivolts", "counters")), strict=True)
+    ]
+    assert repr(monitor().feed_run(SampleRun(**samples))) == repr(feed(monitor(), frames))
+
+
+JUMPS = [-7 * 3600.0, -1.0, 3600.0, 1e6]
+
+
+@pytest.mark.parametrize("jump_s", JUMPS)
+def test_a_clock_jump_costs_nothing(jump_s: float) -> None:
+    at = 1012.3
+    jumped = [f if f.time_s < at else f._replace(time_s=f.time_s + jump_s) for f in STEADY_FRAMES]
+    plain, target = monitor(), monitor()
+    expected, out = feed(plain, STEADY_FRAMES), feed(target, jumped)
+    assert np.array(flows(out))[:29] == pytest.approx(np.array(flows(expected))[:29], rel=5e-3, nan_ok=True)
+    assert target.totals.total_kg == pytest.approx(plain.totals.total_kg, rel=0.05)
+    assert target.faults.occurrences(FaultCode.CLOCK_JUMPED) == 1
+    assert [f.signals["WindowCounter"] for f in only(out, bus.MASS_FLOW)][:29] == list(range(1, 30))
+    assert only(out, bus.MASS_FLOW)[28].time_s == pytest.approx(1029.0 + jump_s, abs=0.1)
+
+
+def test_silence_is_not_available_and_totals_keep_what_was_measured() -> None:
+    target = monitor()
+    out = feed(target, STEADY_FRAMES)
+    before = target.totals.total_kg
+    out = [sent for second in range(1, 9) for sent in target.tick(1030.0 + second)]
+    assert set(qualities(out)[2:]) == {Q.NOT_AVAILABLE}
+    assert all(math.isnan(rate) for rate in flows(out)[2:])
+    assert target.totals.total_kg - before == pytest.approx(10.0 * 0.5 * 0.164, rel=0.2)
+    assert {FaultCode.SENSOR_MISSING, FaultCode.SPEED_MISSING, FaultCode.PLATE_FEEDBACK_STALE} <= set(target.faults.active)
+    assert states(out)[-1] is OperatingState.FAULT
+
+
+@pytest.mark.parametrize(
+    ("lost", "expected", "mass_rel"),
+    [
+        (lambda i: 3000 <= i < 3050, Q.DEGRADED, 0.02),
+        (lambda i: 3000 <= i < 3249 and i % 3 > 0, Q.DEGRADED, 0.02),
+        (lambda i: 3000 <= i < 3240, Q.NOT_AVAILABLE, 0.1),
+    ],
+)
+def test_lost_samples_degrade_their_second_and_are_filled(
+    lost: Callable[[int], bool], expected: EstimateQuality, mass_rel: float
+) -> None:
+    whole, target = monitor(), monitor()
+    feed(whole, STEADY_FRAMES)
+    out = feed(target, replace(STEADY, drop=lost).frames(30))
+    assert expected in (qualities(out)[12], qualities(out)[13])
+    assert set(qualities(out)[15:]) == {Q.OK}
+    assert target.faults.occurrences(FaultCode.FRAMES_LOST) == 1
+    assert target.totals.total_kg == pytest.approx(whole.totals.total_kg, rel=mass_rel)
+    assert target.totals.total_kg <= whole.totals.total_kg * 1.005
+
+
+def without(message: str, first_s: float, last_s: float) -> list[Frame]:
+    return [f for f in STEADY_FRAMES if f.message != message or not first_s <= f.time_s < last_s]
+
+
+def test_missing_speed() -> None:
+    target = monitor()
+    out = feed(target, without(bus.ELEVATOR_SPEED, 1015.0, 1020.0))
+    assert Q.NOT_AVAILABLE in qualities(out)[15:20]
+    assert qualities(out)[-1] is Q.OK
+    assert any(e.code is FaultCode.SPEED_MISSING for e in target.faults.take_events())
+    assert FaultCode.SPEED_MISSING not in target.faults.active
+
+
+def test_stale_feedback_of_a_plate_at_rest_degrades() -> None:
+    target = monitor()
+    out = feed(target, without(bus.PLATE_ACTUATOR_FEEDBACK, 1015.0, 1020.0))
+    seen = target.take_records()
+    assert qualities(out)[15:20] == [Q.DEGRADED] * 5
+    assert seen[17].std_dev_kg_s > seen[12].std_dev_kg_s
+    assert qualities(out)[-1] is Q.OK
+
+
+def test_feedback_that_never_came_leaves_the_angle_unknown() -> None:
+    out = feed(monitor(), without(bus.PLATE_ACTUATOR_FEEDBACK, 0.0, 1e9))
+    assert set(qualities(out)[5:]) == {Q.NOT_AVAILABLE}
+
+
+@pytest.mark.parametrize("rpm", [0.0, 30.0, 249.0, 600.0, 900.0])
+def test_elevator_outside_its_range_is_no_flow(rpm: float) -> None:
+    bench = Bench(flow=harvest(1005.0, 1015.0), rpm=lambda t: 400.0 if t < 1018 else rpm)
+    target = monitor()
+    out = feed(target, bench.frames(30))
+    total = target.totals.total_kg
+    assert set(qualities(out)[21:]) == {Q.NOT_HARVESTING}
+    assert all(math.isnan(rate) for rate in flows(out)[21:])
+    assert total == pytest.approx(100.0, rel=0.02)
+    assert (FaultCode.SPEED_OUT_OF_RANGE in target.faults.active) == (rpm > 50.0)
+
+
+def test_flow_at_a_speed_outside_the_range_is_not_available() -> None:
+    bench = Bench(flow=harvest(), rpm=lambda t: 400.0 if t < 1018 else 240.0)
+    out = feed(monitor(), bench.frames(30))
+    assert set(qualities(out)[21:]) == {Q.NOT_AVAILABLE}
+
+
+def altered(change: dict[str, bus.Value]) -> list[Frame]:
+    """STEADY with sample frames from 1015 s on changed."""
+    out = []
+    for frame in STEADY_FRAMES:
+        if frame.message == bus.IMPACT_SENSOR_SAMPLES and frame.time_s > 1015.0:
+            frame = frame._replace(signals={**frame.signals, **change})  # noqa: PLW2901
+        out.append(frame)
+    return out
+
+
+def test_stuck_sensor() -> None:
+    target = monitor()
+    out = feed(target, altered({f"Sample{i}": 321.0 for i in range(4)}))
+    assert set(qualities(out)[16:]) == {Q.NOT_AVAILABLE}
+    assert FaultCode.SENSOR_STUCK in target.faults.active
+    assert target.totals.total_kg < 10.0 * 12
+
+
+def test_saturated_sensor() -> None:
+    target = monitor(estimator=ForceProportional())
+    out = feed(target, altered({"Sample2": 4000.0}))
+    assert set(qualities(out)[16:]) == {Q.SATURATED}
+    assert FaultCode.SENSOR_SATURATED in target.faults.active
+
+
+def test_sensor_that_reports_a_fault() -> None:
+    target = monitor()
+    out = feed(target, altered({"SensorStatus": 2}))
+    assert set(qualities(out)[17:]) == {Q.NOT_AVAILABLE}
+    assert FaultCode.SENSOR_MISSING in target.faults.active
+
+
+def test_samples_that_are_not_available() -> None:
+    target = monitor()
+    out = feed(target, altered({f"Sample{i}": NOT_AVAILABLE for i in range(4)}))
+    assert set(qualities(out)[17:]) == {Q.NOT_AVAILABLE}
+    assert FaultCode.SENSOR_MISSING in target.faults.active
+
+
+def test_more_than_a_full_paddle_is_saturated_and_counts_as_a_full_one() -> None:
+    bench = Bench(flow=lambda t: 0.0 if t < 1005 else 10.0 if t < 1012 else 40.0)
+    target = monitor()
+    out = feed(target, bench.frames(20))
+    assert set(qualities(out)[13:]) == {Q.SATURATED}
+    assert flows(out)[-1] == pytest.approx(30.0, rel=1e-3)
+    assert FaultCode.FLOW_OUTSIDE_CALIBRATION in target.faults.active
+
+
+def test_standing_header_and_ground_speed_close_the_gate_on_what_is_left() -> None:
+    bench = Bench(flow=harvest(1005.0, 1e9, rate=0.8))
+    header = [Frame(1000.0 + 0.5 * i, bus.HARVEST_STATE, {"HeaderDown": int(8 <= i < 30), "WorkState": 1}) for i in range(120)]
+    frames = sorted([*bench.frames(60), *header], key=lambda f: f.time_s)
+    out = feed(monitor(), frames)
+    # Header up at 1015 s: grain still counts while the elevator empties, and no longer after 20 s.
+    assert qualities(out)[25] is Q.OK
+    assert set(qualities(out)[37:]) == {Q.NOT_HARVESTING}
+
+
+def test_end_of_harvest_is_a_state_and_not_a_flow_of_zero() -> None:
+    bench = replace(STEADY, flow=harvest(1005.0, 1015.0))
+    out = feed(monitor(), bench.frames(30))
+    assert set(qualities(out)[20:]) == {Q.NOT_HARVESTING}
+    assert set(states(out)[20:]) == {OperatingState.NOT_HARVESTING}
+    assert all(f.signals["MassFlowRate"] is NOT_AVAILABLE for f in only(out, bus.MASS_FLOW)[20:])
+
+
+def test_loads() -> None:
+    target = monitor()
+    feed(target, [f for f in STEADY_FRAMES if f.time_s < 1015.5])
+    first = target.totals.load_kg
+    assert target.start_load() == 2
+    feed(target, [f for f in STEADY_FRAMES if 1015.5 <= f.time_s < 1020.5])
+    target.stop_load()
+    second = target.totals.load_kg
+    feed(target, [f for f in STEADY_FRAMES if f.time_s >= 1020.5])
+    assert target.totals.load_kg == second
+    assert [load.number for load in target.loads] == [1, 2]
+    assert target.loads[0].measured_kg == first
+    assert target.totals.total_kg > first + second
+    anchor = target.ticket(2, 1234.0, 5.0)
+    assert (anchor.measured_kg, anchor.reference_kg, anchor.complete) == (second, 1234.0, True)
+    assert target.anchors == (anchor,)
+
+
+@pytest.mark.parametrize(("load", "mass", "std"), [(9, 100.0, 1.0), (1, -1.0, 1.0), (1, float("nan"), 1.0), (1, 5.0, 0.0)])
+def test_bad_tickets_are_refused(load: int, mass: float, std: float) -> None:
+    with pytest.raises(ValueError, match=f"ticket for load {load}"):
+        monitor().ticket(load, mass, std)
+
+
+def test_dry_mass_follows_moisture() -> None:
+    moist = [Frame(1000.5 + i, bus.GRAIN_CONDITION, {"Moisture": 20.0, "TestWeight": 720.0}) for i in range(30)]
+    target = monitor()
+    feed(target, sorted([*STEADY_FRAMES, *moist], key=lambda f: f.time_s))
+    totals = target.totals
+    assert totals.total_dry_kg == pytest.approx(totals.total_kg * (100 - 20) / (100 - 15.5), rel=1e-9)
+    assert totals.total_unknown_moisture_kg == 0.0
+    assert target.last_record is not None
+    assert target.last_record.test_weight_kg_m3 == 720.0
+
+
+def test_tank_scale_gives_reference_masses() -> None:
+    def tank(time_s: float) -> float:
+        return 1000.0 + 10.0 * max(0.0, time_s - 1005.0)
+
+    readings = [
+        Frame(t, bus.TANK_SCALE, {"TankMass": tank(t), "TankScaleStatus": 0 if t < 1006 or t > 1060 else 1})
+        for t in np.arange(1004.03, 1070.0).tolist()
+    ]
+    target = monitor()
+    feed(target, sorted([*replace(STEADY, scatter=0.0).frames(70), *readings], key=lambda f: f.time_s))
+    (anchor,) = target.anchors
+    assert anchor.measured_kg == pytest.approx(anchor.reference_kg, rel=0.01)
+    assert anchor.complete
+
+
+def test_snapshot_goes_on_where_it_ended() -> None:
+    target = monitor()
+    feed(target, STEADY_FRAMES)
+    kept = EngineState.from_dict(target.snapshot().as_dict())
+    assert kept == target.snapshot()
+    again = monitor()
+    again.restore(kept)
+    later = [f._replace(time_s=f.time_s + 29.0) for f in STEADY_FRAMES if f.time_s > 1020.0]
+    out = feed(again, later)
+    assert set(qualities(out)[1:]) == {Q.OK}
+    totals = [f.signals["TotalMass"] for f in only(out, bus.ACCUMULATED_MASS)]
+    assert totals[0] >= kept.totals.total_kg
+    assert totals == sorted(totals)
+    assert only(out, bus.MASS_FLOW)[0].signals["WindowCounter"] == 31
+
+
+VALUES = st.one_of(
+    st.floats(allow_nan=True, allow_infinity=True),
+    st.integers(-(10**400), 10**400),
+    st.integers(0, 300),
+    st.floats(0.0, 4000.0),
+    st.sampled_from([bus.NOT_AVAILABLE, bus.ERROR]),
+)
+NAMES = sorted(
+    {
+        *(f"Sample{i}" for i in range(4)),
+        *("SampleCounter", "SensorStatus", "ElevatorSpeed", "PlateAngle", "ActuatorState", "Moisture", "TestWeight"),
+        *("TankMass", "TankScaleStatus", "HeaderDown", "WorkState", "Latitude", "Longitude"),
+        *("CompassBearing", "NavigationSpeed"),
+    }
+)
+TIMES = st.one_of(
+    st.floats(0.0, 20.0), st.floats(-1e13, 1e13), st.sampled_from([math.nan, math.inf, -math.inf, 1e300, 0.0, 1.0, 1e9])
+)
+FRAMES = st.builds(
+    Frame,
+    time_s=TIMES,
+    message=st.sampled_from([*bus.INPUTS, *bus.OUTPUTS, "NoSuchMessage"]),
+    signals=st.dictionaries(st.sampled_from(NAMES), VALUES, max_size=10),
+)
+
+
+def check_output(out: list[Frame]) -> None:
+    for frame in out:
+        assert math.isfinite(frame.time_s)
+        for value in frame.signals.values():
+            assert value in (bus.NOT_AVAILABLE, bus.ERROR) or math.isfinite(value)  # type: ignore[arg-type]
+        if frame.message == bus.PLATE_ACTUATOR_COMMAND and frame.signals["CommandMode"] != 0:
+            assert 40.0 - 1e-9 <= frame.signals["TargetPlateAngle"] <= 90.0 + 1e-9  # type: ignore[operator]
+
+
+@settings(deadline=None, derandomize=True, max_examples=100)
+@given(st.lists(FRAMES, max_size=60))
+def test_no_sequence_of_frames_raises(frames: list[Frame]) -> None:
+    check_output(feed(monitor(), frames))
+
+
+@settings(deadline=None, derandomize=True, max_examples=40)
+@given(st.lists(st.tuples(st.integers(0, len(STEADY_FRAMES) - 1), FRAMES), max_size=40), st.integers(0, 2**31))
+def test_junk_among_good_frames_never_raises_nor_runs_totals_back(junk: list[tuple[int, Frame]], seed: int) -> None:
+    frames = list(STEADY_FRAMES[: 280 * 12])
+    for place, frame in junk:
+        frames.insert(place % len(frames), frame)
+    target = monitor()
+    out = feed(target, frames)
+    check_output(out)
+    masses = [f.signals["TotalMass"] for f in only(out, bus.ACCUMULATED_MASS)]
+    assert masses == sorted(masses)  # type: ignore[type-var]
+
+
+def test_estimator_that_knows_nothing_is_not_available() -> None:
+    class Blank(ForceProportional):
+        def estimate(self, *args: Any, **kwargs: Any) -> FlowEstimate:
+            return super().estimate(float("nan"), 1.0, 1.0)
+
+    out = feed(monitor(estimator=Blank()), STEADY_FRAMES[: 280 * 10])
+    assert set(qualities(out)[6:]) == {Q.NOT_AVAILABLE}
+
+
+def test_settings_of_the_machine_in_use() -> None:
+    target = Monitor(EngineSettings(), MACHINE, ForceProportional())
+    assert target.machine.sensor.gain_n_per_mv == 0.4448
