@@ -18,6 +18,9 @@ STANDARD_GRAVITY_M_S2 = 9.80665
 TOP_RAD = 1.5 * pi
 """Direction of a paddle that points straight up."""
 
+HEAP_FORMAT = 2
+"""Raised when the walls or groups of a settled heap's file change, so that no older file is taken for it."""
+
 ReleaseKind = Literal["edge", "open"]
 
 
@@ -122,9 +125,9 @@ class Throw:
     walls: Walls = field(default_factory=Walls)
     contact: Contact = field(default_factory=Contact)
     release: Release = field(default_factory=Release)
-    settle_revolutions: float = 1.5
+    settle_revolutions: float = 1.0
     start_shape_ratio: float = 2.0
-    time_step_s: float = 2.0e-5
+    time_step_s: float = 3.0e-5
     stiffness_factor: float = 1.0
     gravity_m_s2: float = STANDARD_GRAVITY_M_S2
     plate_width_m: float = 0.30
@@ -156,7 +159,8 @@ class Throw:
 
     def heap_key(self) -> str:
         """Digest of all that the settled heap depends on: throws with the same key share it."""
-        return digest({k: v for k, v in to_dict(self).items() if k not in ("release", "plate_width_m")})
+        relevant = {k: v for k, v in to_dict(self).items() if k not in ("release", "plate_width_m")}
+        return digest([HEAP_FORMAT, relevant])
 
     def throw_key(self) -> str:
         """Digest of all that the throw depends on, plate angle apart."""

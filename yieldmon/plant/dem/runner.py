@@ -90,8 +90,9 @@ def _run(job: dict[str, Any], on_report: Callable[[dict[str, Any]], None]) -> No
         for line in process.stdout:
             if line.startswith("{"):
                 on_report(json.loads(line))
-        complaint = process.stderr.read().strip().splitlines()
+        complaint = [line for line in process.stderr.read().splitlines() if line[:1].strip()]
         code = process.wait()
     if code != 0:
-        cause = complaint[-1] if complaint else f"ended with code {code} and no word"
+        errors = [line for line in complaint if "ERROR" in line]
+        cause = (errors or complaint)[-1] if complaint else f"ended with code {code} and no word"
         raise EngineError(f"discrete-element engine: {cause}")

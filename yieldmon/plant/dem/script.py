@@ -1,8 +1,9 @@
 """The commands that LAMMPS is given, as lines of text: pure functions of the job.
 
-Walls are regions: the paddle a thin block that turns about the sprocket's centre, the housing a full cylinder of the paddle's
-length and, where its ends are, two cheeks, both of which act on the group `housed` only; the plate a thin block behind its face.
-A grain is taken out of `housed` once it is released, so the cylinder need not be cut open.
+The paddle is a thin block that turns about the sprocket's centre, the housing a full cylinder of the paddle's length with two
+cheeks at its ends, the plate a thin block behind its face. Each wall acts on a group of its own. A grain is taken out of HOUSED
+once it is released, so the cylinder need not be cut open; SWEPT and STRIKING hold the grains near the paddle and near the plate,
+since a turned block is dear to ask about grains that are far from it.
 """
 
 from __future__ import annotations
@@ -14,6 +15,11 @@ from yieldmon.plant.dem.job import Throw
 PADDLE_THICKNESS_M = 0.004
 PLATE_THICKNESS_M = 0.006
 HOUSED = "housed"
+SWEPT = "swept"
+STRIKING = "striking"
+GROUPS = (HOUSED, SWEPT, STRIKING)
+REACH_RADII = 3.0
+"""A grain belongs to a wall's group when its centre is within this many mean radii of it."""
 BOX_M = ((-0.25, 0.75), (-0.35, 0.35), (-0.25, 0.25))
 """Limits in x, y, z; a grain beyond them is dropped and counted as having left."""
 
@@ -54,7 +60,7 @@ def world(throw: Throw) -> list[str]:
         "create_box 1 box",
         *neighbours(),
         *pair_law(throw),
-        f"group {HOUSED} empty",
+        *(f"group {name} empty" for name in GROUPS),
     ]
 
 
@@ -94,11 +100,9 @@ def machine_walls(throw: Throw, start_angle_rad: float) -> list[str]:
         f"variable paddle_angle equal {start_angle_rad!r}+{turn!r}*step",
         f"region paddle block 0.0 {length!r} {-PADDLE_THICKNESS_M} 0.0 {-half!r} {half!r} side out units box "
         "rotate v_paddle_angle 0 0 0 0 0 1",
-        f"region housing cylinder z 0 0 {length!r} -1.0 1.0 side in units box",
-        f"region cheeks block -9 9 -9 9 {-half!r} {half!r} side in units box",
-        f"fix paddle all wall/gran/region granular {model} region paddle contacts",
-        f"fix housing {HOUSED} wall/gran/region granular {model} region housing contacts",
-        f"fix cheeks {HOUSED} wall/gran/region granular {model} region cheeks",
+        f"fix paddle {SWEPT} wall/gran/region granular {model} region paddle contacts",
+        f"fix housing {HOUSED} wall/gran granular {model} zcylinder {length!r} contacts",
+        f"fix cheeks {HOUSED} wall/gran granular {model} zplane {-half!r} {half!r}",
     ]
 
 
@@ -115,7 +119,7 @@ def plate_wall(throw: Throw, plate_angle_rad: float) -> list[str]:
         f"variable plate_angle equal {plate_angle_rad!r}",
         f"region plate block {x!r} {x + m.plate_length_m!r} {y - PLATE_THICKNESS_M!r} {y!r} {-half!r} {half!r} "
         f"side out units box rotate v_plate_angle {x!r} {y!r} 0 0 0 1",
-        f"fix plate all wall/gran/region granular {model} region plate contacts",
+        f"fix plate {STRIKING} wall/gran/region granular {model} region plate contacts",
     ]
 
 

