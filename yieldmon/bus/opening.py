@@ -104,10 +104,14 @@ def open_bus_from(
         bus = create_bus_from_namespace(args, **keywords)
     except argparse.ArgumentError as error:
         cause = error.__cause__
+        if isinstance(cause, can.CanInterfaceNotImplementedError) and "interface" not in args:
+            raise InputError(
+                "bus", "no CAN interface named", "-i INTERFACE -c CHANNEL as python-can's tools take them"
+            ) from error
         where = f"{getattr(args, 'interface', 'bus')} channel {getattr(args, 'channel', None)}"
-        if isinstance(cause, can.CanError | OSError | ImportError) and "interface" in args:
+        if isinstance(cause, can.CanError | OSError | ImportError):
             raise BusUnavailable(f"{where}: {getattr(cause, 'strerror', None) or cause}") from error
-        raise InputError(where, str(cause), "-i INTERFACE -c CHANNEL as python-can's tools take them") from error
+        raise InputError(where, str(cause), "options that this python-can interface accepts") from error
     return prepared(bus, filters)
 
 
