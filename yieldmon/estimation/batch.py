@@ -221,4 +221,5 @@ def _damped_step(normal: Array, gradient: Array, frozen: NDArray[np.bool_], damp
     # Scaled to a unit diagonal: densities beside frictions leave the solver nothing to lose.
     size = np.sqrt(np.einsum("bii->bi", matrix))
     matrix = matrix / (size[:, :, None] * size[:, None, :])
-    return -np.linalg.solve(matrix, (np.where(free, gradient, 0.0) / size)[..., None])[..., 0] / size
+    step: Array = -np.linalg.solve(matrix, (np.where(free, gradient, 0.0) / size)[..., None])[..., 0] / size
+    return step

@@ -19,7 +19,7 @@ from yieldmon.physics.effects import effect_parameter
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
 
-from .batch import MomentumBatch, levenberg_marquardt
+from .batch import BatchSearch, MomentumBatch, levenberg_marquardt
 from .parameters import CalibratedRange, ParameterSet
 from .priors import Bounds, Prior, fitting_bounds, follows_scale, start_ranges
 
@@ -272,7 +272,8 @@ class _Problem:
             theta[bad] = rng.uniform(low, high, (int(np.sum(bad)), len(self.names)))
         if np.all(bad):
             raise ValueError("no start within the bounds can carry the heaviest load; is density or paddle mass wrong?")
-        return theta[~bad]
+        usable: Array = theta[~bad]
+        return usable
 
     def residuals(self, theta: Array, row_sd: Array) -> tuple[Array, Array]:
         """Weighted residuals (B, rows + prior) and derivatives."""
@@ -285,11 +286,13 @@ class _Problem:
         slopes = np.broadcast_to(self.prior_white, (len(theta), *self.prior_white.shape))
         return np.concatenate((r, extra), axis=1), np.concatenate((j, slopes), axis=1)
 
-    def search(self, theta: Array, progress: Callable[[float], None] | None = None):  # type: ignore[no-untyped-def]
+    def search(self, theta: Array, progress: Callable[[float], None] | None = None) -> BatchSearch:
         """Batched search over all starts."""
-        return levenberg_marquardt(
-            lambda t, _: self.residuals(t, self.row_sd), theta, self.lower, self.upper, scale=self.unit, progress=progress
-        )
+
+        def residuals(t: Array, _: NDArray[np.intp]) -> tuple[Array, Array]:
+            return self.residuals(t, self.row_sd)
+
+        return levenberg_marquardt(residuals, theta, self.lower, self.upper, scale=self.unit, progress=progress)
 
     def polish(self, theta: Array, cost: Array) -> tuple[tuple[Basin, ...], Array]:
         """Distinct minima, each polished by scipy; the best parameter vector."""
@@ -339,10 +342,17 @@ class _Problem:
         inside = np.clip(theta, self.lower + margin, self.upper - margin)
         if not self.names or not np.all(np.isfinite(both(inside)[0])):
             return theta, float(0.5 * np.sum(both(theta)[0] ** 2))
+
+        def residuals(t: Array) -> Array:
+            return np.nan_to_num(both(t)[0], nan=1e6)
+
+        def slopes(t: Array) -> Array:
+            return np.nan_to_num(both(t)[1])
+
         solution = optimize.least_squares(
-            lambda t: np.nan_to_num(both(t)[0], nan=1e6),
+            residuals,
             inside,
-            jac=lambda t: np.nan_to_num(both(t)[1]),
+            jac=slopes,
             bounds=(self.lower, self.upper),
             x_scale=self.unit,
             loss="soft_l1" if self.robust else "linear",
@@ -431,7 +441,8 @@ class _Problem:
         rms = float(np.sqrt(np.mean(error**2)))
         largest = float(np.max(np.abs(self.data.momentum)))
         robust_sd = 1.4826 * float(np.median(np.abs(error / self.row_sd)))
-        outliers = np.flatnonzero(np.abs(error / self.row_sd) > _OUTLIER * max(robust_sd, 1e-300)) if robust_sd > 0 else []
+        far = np.abs(error / self.row_sd) > _OUTLIER * robust_sd
+        outliers = np.flatnonzero(far) if robust_sd > 0.0 else np.zeros(0, dtype=np.intp)
         f_value = p_value = float("nan")
         cells = int(self.cell.max()) + 1
         y = self.data.momentum

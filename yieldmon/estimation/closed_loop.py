@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -228,6 +229,8 @@ class Outcome:
     """Whether the misfit is no more than noise and model error explain; if not, nothing is updated."""
     reason: str
     """One sentence for the operator."""
+    region: str
+    """Where the sweeps' misfit is largest."""
     flows: tuple[FlowPosterior, ...]
     parameters: tuple[Learning, ...]
     scale: ScaleReport
@@ -313,7 +316,8 @@ class _Problem:
         self.lower = np.array([min(lo, m) for (lo, _), m in zip(limits, self.prior.mean, strict=True)])
         self.upper = np.array([max(hi, m) for (_, hi), m in zip(limits, self.prior.mean, strict=True)])
         self.rows = MomentumBatch(model, self._conditions(), self.names, self.fixed)
-        self.force = np.concatenate([p.force_n for p in (*self.sweeps, *self.anchors)] or [np.zeros(0)])
+        forces = [s.force_n for s in self.sweeps] + [a.force_n for a in self.anchors]
+        self.force: Array = np.concatenate(forces) if forces else np.zeros(0)
         self.sweep_rows = _slices([s.force_n.size for s in self.sweeps])
         self.anchor_rows = _slices([a.force_n.size for a in self.anchors], sum(s.force_n.size for s in self.sweeps))
         self.tail = sum(s.force_n.size for s in self.sweeps)
@@ -350,8 +354,8 @@ class _Problem:
         for _ in range(passes):
             whiteners = self._whiteners(unknown, anchor_flows)
             found = levenberg_marquardt(
-                lambda t, _, w=whiteners, a=anchor_flows: self._residuals(t[0], w, a), unknown[None], low, high, scale=unit,
-                iterations=40, tolerance=1e-4,
+                partial(self._search_residuals, whiteners, anchor_flows), unknown[None], low, high, scale=unit, iterations=40,
+                tolerance=1e-4,
             )
             if not np.isfinite(found.cost[0]):
                 raise ValueError("no flow below a full paddle explains a sweep with the prior's parameters")
@@ -422,6 +426,11 @@ class _Problem:
     def _flow_covariance(self, clock: Array) -> Array:
         lag = np.abs(clock[:, None] - clock) / self.settings.flow_process_time_s
         return self.settings.flow_process_sd**2 * np.exp(-lag)
+
+    def _search_residuals(
+        self, whiteners: Sequence[Array], anchor_flows: Array, unknown: Array, _: NDArray[np.intp]
+    ) -> tuple[Array, Array]:
+        return self._residuals(unknown[0], whiteners, anchor_flows)
 
     def _residuals(self, unknown: Array, whiteners: Sequence[Array], anchor_flows: Array) -> tuple[Array, Array]:
         """(1, m) and (1, m, n + S + slopes): windows, prior, slopes' prior, anchors; whitened."""
@@ -510,10 +519,11 @@ class _Problem:
         else:
             parameter_set = self.prior_set
         whitened = _split(residual[:windows], self.sweep_rows)
-        plain = tuple(-np.linalg.solve(w, r) for w, r in zip(whiteners, whitened, strict=True))
+        plain: tuple[Array, ...] = tuple(np.asarray(-np.linalg.solve(w, r)) for w, r in zip(whiteners, whitened, strict=True))
         scale = self._scale(theta, posterior, jacobian, width, windows)
         return Outcome(
             parameter_set, updated, consistent, self._reason(updated, consistent, learning, p_value, plain, scale),
+            self._worst_angle(plain),
             self._flows(unknown, inverse, whitened, whiteners, width), learning, scale, chi2, dof, p_value, plain,
             tuple(-w for w in whitened), _flows_first(joint, width),
         )

@@ -126,7 +126,8 @@ class Physical:
         machine = self.model.machine
         passes = columns[1] * machine.sprocket_pitch_radius_m / machine.paddle_spacing_m
         moisture = None if np.all(np.isnan(columns[3])) else columns[3]
-        return OpenLoop(self.model, self.parameters).invert(momentum * passes, columns[0], columns[1], moisture) / passes
+        flow = OpenLoop(self.model, self.parameters).invert(momentum * passes, columns[0], columns[1], moisture)
+        return np.asarray(flow / passes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,8 +145,8 @@ def paddle_mass(data: Measurements, machine: Machine) -> Array:
     """Paddle mass of each row, kg."""
     columns = data.columns()
     if data.conditions.paddle_mass_kg is not None:
-        return columns[2]
-    return columns[2] * machine.paddle_spacing_m / (columns[1] * machine.sprocket_pitch_radius_m)
+        return np.asarray(columns[2])
+    return np.asarray(columns[2] * machine.paddle_spacing_m / (columns[1] * machine.sprocket_pitch_radius_m))
 
 
 def compare(

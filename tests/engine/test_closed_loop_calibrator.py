@@ -1,0 +1,171 @@
+"""The monitor's self-calibration: what it hands on, what it uses once, what moves its prior."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from math import nan
+
+import numpy as np
+import pytest
+
+from yieldmon.engine.anchors import AnchorSource, ReferenceMass
+from yieldmon.engine.closed_loop_calibrator import CalibratorSettings, ClosedLoopCalibrator
+from yieldmon.engine.records import WindowRecord
+from yieldmon.estimation.closed_loop import ClosedLoopSettings
+from yieldmon.estimation.moisture import MoistureMap
+from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.frames import EstimateQuality, OperatingState
+from yieldmon.physics.machine import Machine
+from yieldmon.physics.model import Conditions, ForwardModel
+
+MACHINE = Machine()
+MODEL = ForwardModel(MACHINE)
+SPEED = MACHINE.nominal_elevator_speed_rad_s
+TRUE = {"friction": 0.25, "restitution": 0.62, "density": 1150.0, "shape_ratio": 2.0}
+PRIOR = ParameterSet(
+    {"friction": 0.2, "restitution": 0.6, "density": 1100.0, "shape_ratio": 2.0},
+    ("friction", "restitution", "density"), np.diag([0.04**2, 0.06**2, 110.0**2]),
+)
+EXACT = CalibratorSettings(closed_loop=ClosedLoopSettings(), anchor_error=0.0)
+
+
+def records(
+    flow: float, *, start_s: float = 100.0, values: Mapping[str, float] = TRUE, noise: float = 0.005, moisture: float = nan
+) -> list[WindowRecord]:
+    """A sweep without noise whose windows claim a relative noise."""
+    out = []
+    for i, angle in enumerate(np.radians(np.arange(40.0, 91.0, 5.0))):
+        force = float(np.real(MODEL.force(Conditions(angle, SPEED, mass_flow_kg_s=flow), values)))
+        out.append(
+            WindowRecord(
+                time_s=start_s + 3.0 * i, window=i, duration_s=1.0, coverage=1.0, force_n=force, force_std_dev_n=noise * force,
+                elevator_speed_rad_s=SPEED, plate_angle_rad=float(angle), plate_still=True, moisture_pct=moisture,
+                test_weight_kg_m3=nan, mass_flow_kg_s=flow, std_dev_kg_s=0.1, quality=EstimateQuality.SWEEPING,
+                operating_state=OperatingState.SWEEPING, mass_kg=flow, load_kg=0.0, total_kg=flow * (start_s + 3.0 * i),
+                load_number=1, zero_mv=0.0, pulse_mv=50.0, saturated_share=0.0, lost_frames=0, surplus_frames=0,
+                repeated_frames=0, sweep_id=1, sweep_step=i, usable_for_calibration=True, parameter_version=1, faults=(),
+                latitude_deg=nan, longitude_deg=nan, ground_speed_m_s=nan, course_deg=nan,
+            )
+        )
+    return out
+
+
+def ticket(estimator: OpenLoop, true_flow: float, start_s: float, end_s: float, sd_kg: float = 1.0) -> ReferenceMass:
+    """A load weighed exactly and measured with the estimator's parameters."""
+    force = MODEL.force(
+        Conditions(MACHINE.home_plate_angle_rad, SPEED, mass_flow_kg_s=true_flow), TRUE
+    )
+    measured = float(estimator.invert(np.real(force), MACHINE.home_plate_angle_rad, SPEED)) * (end_s - start_s)
+    return ReferenceMass(AnchorSource.TICKET, start_s, end_s, true_flow * (end_s - start_s), sd_kg, measured, True)
+
+
+def home_error_pct(estimator: OpenLoop, flow: float) -> float:
+    force = MODEL.force(Conditions(MACHINE.home_plate_angle_rad, SPEED, mass_flow_kg_s=flow), TRUE)
+    return 100.0 * (float(estimator.invert(np.real(force), MACHINE.home_plate_angle_rad, SPEED)) / flow - 1.0)
+
+
+def test_a_sweep_moves_friction_towards_the_truth_and_counts_the_version() -> None:
+    before = OpenLoop(MODEL, PRIOR)
+    outcome = ClosedLoopCalibrator(MODEL, EXACT).update(records(12.0, noise=0.001), (), before)
+    assert outcome.estimator is not None
+    after = outcome.estimator.parameters
+    assert abs(after.values["friction"] - 0.25) < 0.5 * abs(0.2 - 0.25)
+    assert after.version == PRIOR.version + 1
+    assert outcome.identifiable
+    assert not outcome.disagrees
+
+
+def test_a_ticket_fixes_what_the_sweep_cannot() -> None:
+    before = OpenLoop(MODEL, PRIOR)
+    calibrator = ClosedLoopCalibrator(MODEL, EXACT)
+    outcome = calibrator.update(records(12.0), (ticket(before, 12.0, 0.0, 500.0),), before)
+    assert outcome.estimator is not None
+    assert abs(home_error_pct(before, 12.0)) > 1.0
+    assert abs(home_error_pct(outcome.estimator, 12.0)) < 0.2  # type: ignore[arg-type]
+    assert calibrator.last is not None
+    assert calibrator.last.scale.observable
+
+
+def test_a_ticket_counts_once() -> None:
+    before = OpenLoop(MODEL, PRIOR)
+    anchors = (ticket(before, 12.0, 0.0, 500.0, sd_kg=120.0),)
+    calibrator = ClosedLoopCalibrator(MODEL, EXACT)
+    first = calibrator.update(records(12.0), anchors, before)
+    assert first.estimator is not None
+    again = calibrator.update(records(12.0, start_s=3000.0), anchors, first.estimator)
+    assert calibrator.last is not None
+    assert not calibrator.last.scale.observable
+    assert again.estimator is None or calibrator.last.scale.ratio == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_total_across_an_update_is_taken_with_the_parameters_that_made_each_part() -> None:
+    before = OpenLoop(MODEL, PRIOR)
+    calibrator = ClosedLoopCalibrator(MODEL, EXACT)
+    first = calibrator.update(records(12.0, start_s=1000.0), (), before)
+    assert first.estimator is not None
+    switch_s = 1030.0
+    early, late = ticket(before, 12.0, 0.0, switch_s), ticket(first.estimator, 12.0, switch_s, 2000.0)  # type: ignore[arg-type]
+    whole = ReferenceMass(
+        AnchorSource.TICKET, 0.0, 2000.0, early.reference_kg + late.reference_kg, 1.0, early.measured_kg + late.measured_kg, True
+    )
+    second = calibrator.update(records(12.0, start_s=2500.0), (whole,), first.estimator)
+    assert second.estimator is not None
+    assert abs(home_error_pct(second.estimator, 12.0)) < 0.3  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [({"complete": False}, "not all of it was measured"), ({"measured_kg": 0.0}, "nothing was measured")],
+)
+def test_a_mass_that_cannot_be_used_is_left_out(change: dict, why: str) -> None:
+    before = OpenLoop(MODEL, PRIOR)
+    calibrator = ClosedLoopCalibrator(MODEL, EXACT)
+    calibrator.update(records(12.0), (dataclasses.replace(ticket(before, 12.0, 0.0, 500.0), **change),), before)
+    assert calibrator.last is not None
+    assert not calibrator.last.scale.observable, why
+
+
+def test_windows_that_no_parameters_explain_change_nothing_and_are_named_the_second_time() -> None:
+    before = OpenLoop(MODEL, PRIOR)
+    bad = records(12.0)
+    bad[3] = dataclasses.replace(bad[3], force_n=2.0 * bad[3].force_n)
+    calibrator = ClosedLoopCalibrator(MODEL, EXACT)
+    first = calibrator.update(bad, (), before)
+    second = calibrator.update(bad, (), before)
+    assert first.estimator is None
+    assert not first.disagrees
+    assert second.disagrees
+    assert second.region == "55 deg"
+
+
+@pytest.mark.parametrize("count", [0, 3])
+def test_a_sweep_without_usable_windows_changes_nothing(count: int) -> None:
+    rows = [dataclasses.replace(r, force_n=nan) for r in records(12.0)[:count]]
+    outcome = ClosedLoopCalibrator(MODEL, EXACT).update(rows, (), OpenLoop(MODEL, PRIOR))
+    assert outcome.estimator is None
+    assert not outcome.identifiable
+
+
+def test_moisture_moves_the_prior_by_the_maps_ratio() -> None:
+    known = MoistureMap((14.0, 26.0), {"friction": (0.1, 0.2)}, doubt=0.0)
+    wet = dict(TRUE, friction=0.4)
+    start = dataclasses.replace(PRIOR, values={**PRIOR.values, "friction": 0.2, "restitution": 0.62, "density": 1150.0})
+    calibrator = ClosedLoopCalibrator(MODEL, EXACT, known)
+    first = calibrator.update(records(12.0, values=dict(TRUE, friction=0.2), moisture=14.0), (), OpenLoop(MODEL, start))
+    assert first.estimator is not None
+    calibrator.update(records(12.0, start_s=3000.0, values=wet, moisture=26.0), (), first.estimator)
+    assert calibrator.last is not None
+    prior = next(p for p in calibrator.last.parameters if p.name == "friction")
+    assert prior.prior == pytest.approx(2.0 * first.estimator.parameters.values["friction"])
+
+
+def test_time_and_grain_widen_the_prior() -> None:
+    calibrator = ClosedLoopCalibrator(MODEL, EXACT)
+    first = calibrator.update(records(12.0), (), OpenLoop(MODEL, PRIOR))
+    assert first.estimator is not None
+    calibrator.update(records(12.0, start_s=36000.0), (), first.estimator)
+    assert calibrator.last is not None
+    for learning in calibrator.last.parameters:
+        assert learning.prior_sd > first.estimator.parameters.standard_deviation(learning.name)

@@ -1,0 +1,184 @@
+"""Self-calibration for the monitor: sweeps and reference masses in, parameters out.
+
+Between sweeps the parameters' covariance grows (drift), and moisture moves the prior; what a sweep or a weighed load teaches is
+`estimation.closed_loop`'s matter. Bus time comes with the records.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from math import isfinite
+
+import numpy as np
+
+from yieldmon.engine.anchors import ReferenceMass
+from yieldmon.engine.records import CalibrationOutcome, FlowEstimator, WindowRecord
+from yieldmon.estimation.closed_loop import (
+    ClosedLoopSettings,
+    DensityAnchor,
+    MassAnchor,
+    Outcome,
+    Sweep,
+    self_calibrate,
+)
+from yieldmon.estimation.drift import DriftRates, grow
+from yieldmon.estimation.moisture import MoistureMap
+from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.physics.model import ForwardModel
+
+
+@dataclass(frozen=True, slots=True)
+class CalibratorSettings:
+    """What the self-calibration believes.
+
+    anchor_error: relative error of a weighed load that is not the scale's (flow spread, model), added in quadrature.
+    density_ratio: parameter density over test weight, from a calibration in which both were known; None: test weight is not used.
+    """
+
+    closed_loop: ClosedLoopSettings = field(
+        default_factory=lambda: ClosedLoopSettings(flow="process", model_error=0.01)
+    )
+    drift: DriftRates = field(default_factory=DriftRates)
+    anchor_error: float = 0.005
+    density_ratio: float | None = None
+    density_ratio_std_dev: float = 0.1
+    test_weight_std_dev_kg_m3: float = 10.0
+    disagreements: int = 2
+    """Inconsistent sweeps in a row from which the model is said to disagree."""
+
+
+class ClosedLoopCalibrator:
+    """A `records.SelfCalibrator`. Each reference mass is used once."""
+
+    def __init__(
+        self, model: ForwardModel, settings: CalibratorSettings | None = None, moisture_map: MoistureMap | None = None
+    ) -> None:
+        self._model = model
+        self._settings = CalibratorSettings() if settings is None else settings
+        self._map = moisture_map
+        self._moisture_pct = float("nan")
+        self._at_s = float("nan")
+        self._at_kg = float("nan")
+        self._anchors_until_s = float("-inf")
+        self._inconsistent = 0
+        self._history: list[tuple[float, ParameterSet]] = []
+        self.last: Outcome | None = None
+
+    def update(
+        self, records: Sequence[WindowRecord], anchors: Sequence[ReferenceMass], estimator: FlowEstimator
+    ) -> CalibrationOutcome:
+        """See records.SelfCalibrator."""
+        if not records:
+            return CalibrationOutcome(None, "the sweep has no usable window; the parameters stay", identifiable=False)
+        now_s, total_kg = records[-1].time_s, records[-1].total_kg
+        used = estimator.parameters
+        moisture_pct = _median(r.moisture_pct for r in records)
+        prior = self._prior(used, moisture_pct, now_s, total_kg)
+        masses = self._mass_anchors(anchors, used)
+        density = self._density(records, prior)
+        try:
+            outcome = self_calibrate(
+                self._model, prior, [_sweep(records)], anchors=masses, density=density, settings=self._settings.closed_loop
+            )
+            consistent = outcome.consistent
+            if not consistent and (masses or density is not None):
+                outcome = self_calibrate(
+                    self._model, prior, (), anchors=masses, density=density, settings=self._settings.closed_loop
+                )
+        except ValueError as error:
+            return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False)
+        self.last = outcome
+        self._inconsistent = 0 if consistent else self._inconsistent + 1
+        disagrees = self._inconsistent >= self._settings.disagreements
+        region = outcome.region if disagrees else ""
+        self._anchors_until_s = max([self._anchors_until_s, *(a.end_s for a in anchors)])
+        if not outcome.updated and prior.values == used.values:
+            return CalibrationOutcome(None, outcome.reason, False, disagrees, region)
+        # Without a lesson the moisture map alone has moved the values; the new prior is what is known.
+        self._at_s, self._at_kg, self._moisture_pct = now_s, total_kg, moisture_pct
+        self._history = [*self._history[-7:], (now_s, used)]
+        known = outcome.parameter_set if outcome.updated else replace(prior, version=used.version + 1)
+        reason = outcome.reason if outcome.updated else "moved by the moisture map; the sweep said too little"
+        return CalibrationOutcome(OpenLoop(self._model, known), reason, outcome.updated, disagrees, region)
+
+    def _prior(self, used: ParameterSet, moisture_pct: float, now_s: float, total_kg: float) -> ParameterSet:
+        """What is known now: the parameters in use, moved by moisture and widened by drift."""
+        prior = used
+        if self._map is not None and isfinite(moisture_pct):
+            if isfinite(self._moisture_pct):
+                prior = self._map.moved(prior, self._moisture_pct, moisture_pct)
+            else:
+                self._moisture_pct = moisture_pct
+        hours = (now_s - self._at_s) / 3600.0 if isfinite(self._at_s) else 0.0
+        grain_kg = total_kg - self._at_kg if isfinite(self._at_kg) else 0.0
+        if not isfinite(self._at_s):
+            self._at_s, self._at_kg = now_s, total_kg
+        return grow(prior, self._settings.drift, max(hours, 0.0), max(grain_kg, 0.0))
+
+    def _mass_anchors(self, anchors: Sequence[ReferenceMass], used: ParameterSet) -> list[MassAnchor]:
+        out = []
+        for anchor in anchors:
+            span_s = anchor.end_s - anchor.start_s
+            if not anchor.complete or anchor.end_s <= self._anchors_until_s or anchor.measured_kg <= 0.0 or span_s <= 0.0:
+                continue
+            out.append(self._mass_anchor(anchor, used, span_s))
+        return out
+
+    def _mass_anchor(self, anchor: ReferenceMass, used: ParameterSet, span_s: float) -> MassAnchor:
+        """The total in pieces, each with the parameters that made it."""
+        machine = self._model.machine
+        pieces: list[MassAnchor] = []
+        begin = anchor.start_s
+        for until_s, parameters in (*self._history, (float("inf"), used)):
+            end = min(until_s, anchor.end_s)
+            if end <= begin:
+                continue
+            share = (end - begin) / span_s
+            flow = max(anchor.measured_kg / span_s, 1.0)
+            pieces.append(
+                MassAnchor.from_total(
+                    anchor.reference_kg, anchor.std_dev_kg, share * anchor.measured_kg, self._model, parameters, flow,
+                    machine.home_plate_angle_rad, machine.nominal_elevator_speed_rad_s,
+                )
+            )
+            begin = end
+        sd = float(np.hypot(anchor.std_dev_kg, self._settings.anchor_error * anchor.reference_kg))
+        return MassAnchor(
+            anchor.reference_kg, sd, *(
+                np.concatenate([getattr(p, name) for p in pieces])
+                for name in ("duration_s", "force_n", "plate_angle_rad", "elevator_speed_rad_s")
+            )
+        )
+
+    def _density(self, records: Sequence[WindowRecord], prior: ParameterSet) -> DensityAnchor | None:
+        settings = self._settings
+        weight = _median(r.test_weight_kg_m3 for r in records)
+        if settings.density_ratio is None or not isfinite(weight) or "density" not in prior.covariance_names:
+            return None
+        return DensityAnchor.from_test_weight(
+            weight, settings.test_weight_std_dev_kg_m3, settings.density_ratio,
+            settings.density_ratio_std_dev,
+        )
+
+
+def _median(values: Iterable[float]) -> float:
+    """Of the finite values; nan where there is none."""
+    known = [v for v in values if isfinite(v)]
+    return float(np.median(known)) if known else float("nan")
+
+
+def _sweep(records: Sequence[WindowRecord]) -> Sweep:
+    rows = [
+        r for r in records
+        if isfinite(r.force_n) and isfinite(r.plate_angle_rad) and isfinite(r.elevator_speed_rad_s) and r.force_std_dev_n > 0.0
+    ]
+    if not rows:
+        raise ValueError("the sweep has no window with force, angle and speed")
+    column = {
+        name: np.array([getattr(r, name) for r in rows])
+        for name in ("time_s", "plate_angle_rad", "elevator_speed_rad_s", "force_n", "force_std_dev_n", "moisture_pct")
+    }
+    moisture = column.pop("moisture_pct")
+    return replace(Sweep(**column), moisture_pct=moisture if np.all(np.isfinite(moisture)) else None)
