@@ -107,7 +107,7 @@ class Bench:
 
         self.thread = threading.Thread(target=body)
         self.thread.start()
-        wait_for(lambda: self.status or self.failure, "the daemon's start")
+        wait_for(lambda: self.daemon.started.is_set() or self.failure, "the daemon's start")
 
     def stop(self) -> None:
         self.daemon.request_stop()
@@ -130,7 +130,7 @@ def running(
     """A running daemon whose state lies in `folder`, with the configuration `text` in folder/c.yaml."""
     channel = f"service-{next(_channels)}"
     path = folder / "c.yaml"
-    path.write_text(text)
+    path.write_text(text or "bus: {transmit_max_age_s: 60}")
     environment = {"STATE_DIRECTORY": str(folder), "RUNTIME_DIRECTORY": str(folder)}
     if notify is not None:
         environment |= {"NOTIFY_SOCKET": str(notify.getsockname()), "WATCHDOG_USEC": "10000000"}

@@ -95,10 +95,11 @@ def test_our_frames_from_another_node_are_a_conflict(tmp_path):
         bench.play(2, EMPTY_MV)
         forged = Frame(bench.now_s, frames.ACCUMULATED_MASS, {"LoadMass": 1.0, "TotalMass": 2.0, "LoadNumber": 3})
         bench.peer.send(CODEC.encode(forged))
+        wait_for(lambda: "conflict" in bench.daemon._conditions._conditions, "the forged frame to be seen")
         bench.play(3, EMPTY_MV)
         wait_for(lambda: "OutputConflict" in bench.faults, "OutputConflict")
         assert bench.faults["OutputConflict"] == "AccumulatedMass from another node"
-        assert bench.published(frames.YIELD_MONITOR_STATUS)[-1]["OutputConflict"] == 1
+        wait_for(lambda: bench.published(frames.YIELD_MONITOR_STATUS)[-1]["OutputConflict"], "it on the bus")
 
 
 BAD_FRAMES = [
@@ -135,7 +136,7 @@ def test_store_failing_is_a_fault_and_measuring_goes_on(tmp_path, monkeypatch):
         bench.play(4, EMPTY_MV)
         wait_for(lambda: "StoreFailing" in bench.faults, "StoreFailing")
         assert "locked" in bench.faults["StoreFailing"]
-        assert bench.published(frames.YIELD_MONITOR_STATUS)[-1]["StoreFailing"] == 1
+        wait_for(lambda: bench.published(frames.YIELD_MONITOR_STATUS)[-1]["StoreFailing"], "it on the bus")
         blocker.execute("ROLLBACK")
         blocker.close()
         wait_for(lambda: not bench.daemon._writer.health().failing, "the store's recovery")
@@ -166,7 +167,7 @@ def test_reload_takes_a_good_configuration_and_refuses_a_bad_one(tmp_path):
     with running(tmp_path) as bench:
         warm_up(bench)
         before = bench.status
-        (tmp_path / "c.yaml").write_text("sweep: {interval_s: 7200}\nstore: {size_mb: 64}")
+        (tmp_path / "c.yaml").write_text("sweep: {interval_s: 7200}\nstore: {size_mb: 64}\nbus: {transmit_max_age_s: 60}")
         bench.daemon.request_reload()
         wait_for(lambda: bench.status["configuration"]["reload"].startswith("taken"), "the reload")
         assert bench.status["configuration"]["reload"] == "taken; store will be at the next start"

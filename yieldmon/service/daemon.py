@@ -55,8 +55,8 @@ _TICK_DELAY_S = 0.1
 _HOLD_S = 3.0
 _LAST_ROWS = 10
 _COMMAND_PATIENCE_S = 5.0
-#: Seconds waiting for a disk that is slow rather than broken, from which on it is a fault.
-_SLOW_STORE_SECONDS = 10
+#: From this wait on a disk that is slow rather than broken is a fault.
+_SLOW_STORE_S = 10.0
 _FOREVER = float("inf")
 
 #: Sections of the configuration that a reload cannot change.
@@ -90,6 +90,8 @@ class Daemon:
         self._manager = ServiceManager(environment)
         self._codec = Codec()
         self._silence_s = silence_s
+        self.started = threading.Event()
+        """Set once frames are taken and commands answered."""
         self._stop = threading.Event()
         self._reload_wanted = threading.Event()
         self._commands: queue.SimpleQueue[_Job] = queue.SimpleQueue()
@@ -107,7 +109,9 @@ class Daemon:
         self._answer: Answer = {}
         settings = configuration.document.bus
         self._receiver = Receiver(bus_factory or self._open_bus, capacity=settings.receive_queue_frames)
-        self._transmitter = Transmitter(self._receiver.send, settings.transmit_queue_frames)
+        self._transmitter = Transmitter(
+            self._receiver.send, settings.transmit_queue_frames, settings.transmit_max_age_s
+        )
         self._writer = StoreWriter(self._open_store, configuration.document.store.pending_seconds)
         self._rates = Rates()
 
@@ -142,6 +146,8 @@ class Daemon:
         helpers = (self._transmitter, self._writer, control, metrics)
         for helper in helpers:
             helper.start()
+        self._tell_faults(monotonic())
+        self.started.set()
         self._manager.ready()
         _log.info("running on %s %s", self.configuration.document.bus.interface, self.configuration.document.bus.channel)
         try:
@@ -330,7 +336,7 @@ class Daemon:
         health = self._writer.health()
         if health.failing:
             store = health.failing
-        elif health.pending > _SLOW_STORE_SECONDS:
+        elif health.waiting_s > _SLOW_STORE_S:
             store = f"the disk is slow, {health.pending} seconds wait"
         elif health.batches_refused:
             store = f"{health.batches_refused} records could not be stored"

@@ -58,6 +58,9 @@ class Bus(Section):
     transmit_queue_frames: int = quantity(
         200, 20, 10_000, "frames", "frames that may wait for the bus; the oldest go first"
     )
+    transmit_max_age_s: float = quantity(
+        0.5, 0.05, 60.0, "s", "older frames are not sent: a late command is worse than none, a late figure passes for fresh"
+    )
     idle_after_s: float = quantity(5.0, 0.5, 600.0, "s", "no frame at all for this long means that the bus is idle")
 
 

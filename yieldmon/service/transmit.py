@@ -13,8 +13,6 @@ import can
 
 _log = logging.getLogger(__name__)
 
-#: A frame older than this is not sent: a late plate command is worse than none, a late figure passes for a fresh one.
-MAX_AGE_S = 0.5
 _SEND_TIMEOUT_S = 0.2
 #: How long a frame that was sent may take to come back from an interface that shows a node its own frames.
 _ECHO_S = 1.0
@@ -40,13 +38,18 @@ class Transmitter:
     """Sends on its own thread, so that a full bus never holds up the engine."""
 
     def __init__(
-        self, send: Callable[[can.Message, float | None], None], capacity: int, clock: Callable[[], float] = monotonic
+        self,
+        send: Callable[[can.Message, float | None], None],
+        capacity: int,
+        max_age_s: float,
+        clock: Callable[[], float] = monotonic,
     ) -> None:
         """send: sends one frame, waiting as long as its second argument says; raises can.CanError or OSError.
-        capacity: frames that may wait; beyond it the oldest go."""
+        capacity: frames that may wait; beyond it the oldest go. max_age_s: a frame that waited longer is not sent."""
         self._send = send
         self._clock = clock
         self._capacity = capacity
+        self._max_age_s = max_age_s
         self._queue: deque[tuple[float, can.Message]] = deque()
         self._echoes: deque[tuple[float, int, bytes]] = deque()
         self._changed = threading.Condition()
@@ -103,7 +106,7 @@ class Transmitter:
                 if not self._queue:
                     return
                 queued_at_s, message = self._queue.popleft()
-            if self._clock() - queued_at_s > MAX_AGE_S:
+            if self._clock() - queued_at_s > self._max_age_s:
                 self._count(late=1)
                 continue
             with self._changed:

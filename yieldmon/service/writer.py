@@ -7,6 +7,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from time import monotonic
 
 from yieldmon.service.store import Batch, BatchRefusedError, Store, StoreError
 
@@ -21,11 +22,13 @@ _EVENTS_KEPT = 1000
 
 @dataclass(frozen=True)
 class StoreHealth:
-    """`failing` says what is wrong, None while all is well. `pending` batches wait; `records_given_up` one-second
-    records were dropped because too many waited (their mass is in the totals); `batches_refused` broke the schema."""
+    """`failing` says what is wrong, None while all is well. `pending` batches wait, the first of them for
+    `waiting_s`; `records_given_up` one-second records were dropped because too many waited (their mass is in the totals);
+    `batches_refused` broke the schema."""
 
     failing: str | None = None
     pending: int = 0
+    waiting_s: float = 0.0
     committed: int = 0
     records_given_up: int = 0
     batches_refused: int = 0
@@ -44,6 +47,7 @@ class StoreWriter:
         self._changed = threading.Condition()
         self._stopping = False
         self._health = StoreHealth()
+        self._waiting_since_s = 0.0
         self._thread = threading.Thread(target=self._run, name="store-writer")
 
     def start(self) -> None:
@@ -53,6 +57,8 @@ class StoreWriter:
     def submit(self, batch: Batch) -> None:
         """Hand over the next batch; returns at once."""
         with self._changed:
+            if not self._pending:
+                self._waiting_since_s = monotonic()
             self._pending.append(batch)
             if len(self._pending) > self._capacity:
                 oldest, following = self._pending.popleft(), self._pending.popleft()
@@ -69,7 +75,8 @@ class StoreWriter:
     def health(self) -> StoreHealth:
         """How the store does."""
         with self._changed:
-            return replace(self._health, pending=len(self._pending))
+            waiting_s = monotonic() - self._waiting_since_s if self._pending else 0.0
+            return replace(self._health, pending=len(self._pending), waiting_s=waiting_s)
 
     def wait_until_written(self, timeout_s: float) -> bool:
         """Wait until nothing is pending; False when that takes longer than timeout_s seconds."""
@@ -126,6 +133,7 @@ class StoreWriter:
             last = batches[done + refused - 1].number
             while self._pending and self._pending[0].number <= last:
                 self._pending.popleft()
+            self._waiting_since_s = monotonic()
             if self._health.failing:
                 _log.info("%s: writing again", store.path)
             committed = self._health.committed + done
