@@ -37,10 +37,12 @@ class HarvestGate:
 
     def grain(self, inputs: GateInputs) -> bool:
         """Whether a window holds grain."""
+        if inputs.looks_empty:
+            return False
         if inputs.force_n > self._settings.certain_force_n:
             return True
         if self.harvesting:
-            return inputs.force_n > self._settings.grain_off_n and not inputs.looks_empty
+            return inputs.force_n > self._settings.grain_off_n
         return inputs.force_n > self._settings.grain_on_n and (inputs.pulses or inputs.looks_loaded)
 
     def see(self, inputs: GateInputs) -> bool:

@@ -101,7 +101,7 @@ class GateSettings:
     grain_off_n: float = 0.5
     """Mean force below which grain is gone, N."""
     certain_force_n: float = 10.0
-    """Mean force that means grain even without pulses, N."""
+    """Mean force that means grain even before pulses have been seen, N."""
     off_windows: int = 3
     """Windows without grain before the state changes to not harvesting."""
     emptying_s: float = 20.0

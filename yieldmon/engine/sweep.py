@@ -327,12 +327,17 @@ class SweepMachine:
             self.not_following = self.not_following and self.abort_reason in _ACTUATOR_REASONS
             self._enter(SweepState.ABORTED if self.abort_reason else SweepState.IDLE)
             return RELEASE
+        if plate.state is ActuatorState.MANUAL:
+            # Not fought; once the hand is gone the plate is found away from home and taken there.
+            self._home_try_s = float("-inf")
+            self._enter(SweepState.ABORTED if self.abort_reason else SweepState.IDLE)
+            return RELEASE
         if now > self._deadline_s:
-            self.not_following = plate.state is not ActuatorState.MANUAL
+            self.not_following = True
             self._home_try_s = now
             self._enter(SweepState.ABORTED if self.abort_reason else SweepState.IDLE)
             return RELEASE
-        return RELEASE if plate.state is ActuatorState.MANUAL else GO_HOME
+        return GO_HOME
 
     def _abort(self, now_s: float, reason: SweepAbort) -> None:
         wait = min(self._settings.interval_s, self._settings.backoff_s * 2.0 ** min(self._aborts, 30))
@@ -341,7 +346,6 @@ class SweepMachine:
         self.completed = False
         self.step = -1
         self.schedule(now_s, wait)
-        self._home_try_s = now_s
         if reason is SweepAbort.FORCE_DOES_NOT_FOLLOW:
             self.not_following = True
         self._enter(SweepState.RETURNING)

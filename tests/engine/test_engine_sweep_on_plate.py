@@ -1,0 +1,172 @@
+"""Whole sweeps of the monitor with an actuator in the loop, and every way in which the actuator can fail."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import pytest
+from engine_bench import HOME_DEG, Actuator, Bench, ForceProportional, monitor, only, qualities, run_with_actuator
+
+from yieldmon import frames as bus
+from yieldmon.engine.anchors import ReferenceMass
+from yieldmon.engine.faults import FaultCode
+from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.records import CalibrationOutcome, FlowEstimator, WindowRecord
+from yieldmon.engine.settings import EngineSettings, SweepSettings
+from yieldmon.engine.sweep import SweepAbort
+from yieldmon.frames import EstimateQuality, Frame, SweepState
+
+SETTINGS = EngineSettings(sweep=SweepSettings(first_after_s=18.0, angles_deg=(40.0, 55.0, 85.0, 90.0)))
+BENCH = Bench(flow=lambda t: 10.0 if t > 1004 else 0.0, scatter=0.05)
+SWEEP_S = 55.0
+"""Enough for one whole sweep of SETTINGS."""
+
+
+@dataclass
+class Teacher:
+    """A calibrator that keeps what it was given and answers with a set outcome."""
+
+    outcome: CalibrationOutcome
+    given: list[Sequence[WindowRecord]] = field(default_factory=list)
+
+    def update(
+        self, records: Sequence[WindowRecord], anchors: Sequence[ReferenceMass], estimator: FlowEstimator
+    ) -> CalibrationOutcome:
+        self.given.append(records)
+        return self.outcome
+
+
+def sweep_states(out: list[Frame]) -> list[SweepState]:
+    """Distinct states in their order."""
+    seen = [SweepState(f.signals["SweepState"]) for f in only(out, bus.SELF_CALIBRATION_STATUS)]
+    return [state for i, state in enumerate(seen) if i == 0 or state is not seen[i - 1]]
+
+
+def test_a_whole_sweep_teaches_and_measuring_goes_on() -> None:
+    better = ForceProportional(parameters=replace(ForceProportional().parameters, version=7))
+    teacher = Teacher(CalibrationOutcome(better, "learnt"))
+    target, actuator = monitor(SETTINGS, calibrator=teacher), Actuator()
+    out = run_with_actuator(target, BENCH, actuator, SWEEP_S)
+    records = target.take_records()
+
+    (given,) = teacher.given
+    angles = {}
+    for record in given:
+        assert record.usable_for_calibration
+        assert record.plate_still
+        angles.setdefault(record.sweep_step, []).append(record.plate_angle_rad * 57.29577951308232)
+    assert [len(values) for values in angles.values()] == [2] * 7
+    expected = [70.0, 40.0, 55.0, 70.0, 85.0, 90.0, 70.0]
+    assert [sum(values) / 2 for values in angles.values()] == pytest.approx(expected, abs=0.3)
+
+    harvesting = records[6:]
+    assert all(r.mass_flow_kg_s == pytest.approx(10.0, rel=0.12) for r in harvesting)
+    assert {r.quality for r in harvesting} == {EstimateQuality.OK, EstimateQuality.SWEEPING}
+    away = [r for r in harvesting if abs(r.plate_angle_rad - 1.2217) > 0.1]
+    home = [r for r in harvesting if r.quality is EstimateQuality.OK]
+    assert min(r.std_dev_kg_s for r in away) > 0.9 * max(r.std_dev_kg_s for r in home)
+    assert sweep_states(out)[-1] is SweepState.UPDATED
+    assert records[-1].parameter_version == 7
+    assert actuator.angle_deg == pytest.approx(HOME_DEG, abs=0.1)
+    assert actuator.modes[-1] == bus.CommandMode.RELEASE
+
+
+def test_commands_come_ten_times_a_second_with_a_counter_and_within_the_rate() -> None:
+    out = run_with_actuator(monitor(SETTINGS), BENCH, Actuator(), SWEEP_S)
+    commands = only(out, bus.PLATE_ACTUATOR_COMMAND)
+    steps = [round(b.time_s - a.time_s, 6) for a, b in pairwise(commands)]
+    assert set(steps) == {0.1}
+    assert [c.signals["CommandCounter"] for c in commands] == [i % 256 for i in range(len(commands))]
+    targets = [c.signals["TargetPlateAngle"] for c in commands[:-1]]
+    moves = [abs(b - a) for a, b in pairwise(targets)]  # type: ignore[operator]
+    assert max(moves) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(
+    ("outcome", "state", "faults"),
+    [
+        (CalibrationOutcome(None, "nothing new"), SweepState.NOT_LEARNED, set()),
+        (CalibrationOutcome(None, "as wide as before", identifiable=False), SweepState.NOT_LEARNED, {FaultCode.NOT_IDENTIFIABLE}),
+        (CalibrationOutcome(None, "", disagrees=True, region="40 deg"), SweepState.NOT_LEARNED, {FaultCode.MODEL_DISAGREES}),
+    ],
+)
+def test_what_a_sweep_did_not_teach(outcome: CalibrationOutcome, state: SweepState, faults: set[FaultCode]) -> None:
+    target = monitor(SETTINGS, calibrator=Teacher(outcome))
+    out = run_with_actuator(target, BENCH, Actuator(), SWEEP_S)
+    assert sweep_states(out)[-1] is state
+    assert set(target.faults.active) == faults
+
+
+FAILURES = [
+    # actuator, reason of the first abort, faults that it raises
+    (Actuator(fault="stuck", fault_from_s=1030.0, fault_to_s=1040.0), SweepAbort.NOT_FOLLOWING, {FaultCode.PLATE_NOT_FOLLOWING}),
+    (Actuator(rate_deg_s=2.0), SweepAbort.NOT_FOLLOWING, {FaultCode.PLATE_NOT_FOLLOWING}),
+    (
+        Actuator(fault="silent", fault_from_s=1030.0, fault_to_s=1034.0),
+        SweepAbort.FEEDBACK_STALE,
+        {FaultCode.PLATE_FEEDBACK_STALE},
+    ),
+    (Actuator(fault="broken", fault_from_s=1030.0, fault_to_s=1033.0), SweepAbort.ACTUATOR_FAULT, set()),
+    (Actuator(fault="manual", fault_from_s=1030.0, fault_to_s=1040.0), SweepAbort.MANUAL, set()),
+]
+
+
+@pytest.mark.parametrize(("actuator", "reason", "faults"), FAILURES, ids=lambda value: getattr(value, "fault", ""))
+def test_a_failing_actuator_ends_the_sweep_and_the_plate_goes_home(
+    actuator: Actuator, reason: SweepAbort, faults: set[FaultCode]
+) -> None:
+    target = monitor(SETTINGS)
+    out = run_with_actuator(target, BENCH, replace(actuator, modes=[], targets=[]), 62.0)
+    events = target.faults.take_events()
+    aborted = next(event for event in events if event.code is FaultCode.SWEEP_ABORTED)
+    assert aborted.detail == reason.value
+    assert {event.code for event in events if event.active} >= faults
+    angles = [r.plate_angle_rad * 57.29577951308232 for r in target.take_records()]
+    assert angles[-1] == pytest.approx(HOME_DEG, abs=0.6)
+    assert set(qualities(out)[-3:]) == {EstimateQuality.OK}
+
+
+def test_a_lying_actuator_is_found_out_by_the_force() -> None:
+    teacher = Teacher(CalibrationOutcome(ForceProportional(), "must not be asked"))
+    target = monitor(SETTINGS, calibrator=teacher)
+    run_with_actuator(target, BENCH, Actuator(fault="lying"), SWEEP_S)
+    assert target.sweep.abort_reason is SweepAbort.FORCE_DOES_NOT_FOLLOW
+    assert {FaultCode.PLATE_NOT_FOLLOWING, FaultCode.SWEEP_ABORTED} <= set(target.faults.active)
+    assert teacher.given == []
+
+
+@pytest.mark.parametrize(
+    ("bench", "reason"),
+    [
+        (replace(BENCH, flow=lambda t: 0.0 if t < 1004 else 10.0 if t < 1030 else 19.0), SweepAbort.FLOW_CHANGED),
+        (replace(BENCH, flow=lambda t: 10.0 if 1004 < t < 1030 else 0.0), SweepAbort.NOT_MEASURED),
+        (replace(BENCH, rpm=lambda t: 400.0 if t < 1030 else 440.0), SweepAbort.SPEED_CHANGED),
+        (replace(BENCH, drop=lambda i: 7500 < i < 8400), SweepAbort.FEEDBACK_STALE),
+    ],
+    ids=["flow changes", "harvest ends", "speed changes", "bus falls silent"],
+)
+def test_conditions_that_change_end_the_sweep(bench: Bench, reason: SweepAbort) -> None:
+    target, actuator = monitor(SETTINGS), Actuator()
+    run_with_actuator(target, bench, actuator, 55.0)
+    assert target.sweep.abort_reason in (reason, SweepAbort.FLOW_CHANGED)
+    assert actuator.angle_deg == pytest.approx(HOME_DEG, abs=0.6)
+
+
+def test_the_operator_can_ask_for_a_sweep_and_end_it() -> None:
+    settings = EngineSettings(sweep=replace(SETTINGS.sweep, enabled=False))
+    target, actuator = monitor(settings), Actuator()
+    orders = {16.0: Monitor.request_sweep, 30.0: Monitor.abort_sweep}
+    out = run_with_actuator(target, BENCH, actuator, 45.0, at=orders)
+    assert sweep_states(out)[-1] is SweepState.ABORTED
+    assert target.sweep.abort_reason is SweepAbort.OPERATOR
+    assert actuator.angle_deg == pytest.approx(HOME_DEG, abs=0.1)
+
+
+def test_a_restart_in_mid_sweep_takes_the_plate_home() -> None:
+    actuator = Actuator(angle_deg=45.0)
+    target = monitor(SETTINGS)
+    run_with_actuator(target, BENCH, actuator, 15.0)
+    assert actuator.angle_deg == pytest.approx(HOME_DEG, abs=0.6)
+    assert target.sweep.abort_reason is None
