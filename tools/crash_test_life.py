@@ -1,0 +1,84 @@
+"""One life of a daemon for tools/crash-test: measures at many times real speed until it is killed.
+
+Prints a line for each window that closed ("closed NUMBER") and each batch that the store reported as written ("committed
+NUMBER TOTAL").
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import threading
+from pathlib import Path
+
+import can
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from tests.service.bench import CODEC, START_S, traffic
+from yieldmon.service import configuration
+from yieldmon.service.daemon import Daemon
+from yieldmon.service.store import Batch, Store
+
+
+def say(*words: object) -> None:
+    """One write(2) a line, so that a kill never leaves half of one behind."""
+    os.write(1, (" ".join(map(str, words)) + "\n").encode())
+
+
+def live(folder: Path, seconds: int) -> None:
+    """Runs until killed, or for so many seconds of bus time."""
+    environment = {"STATE_DIRECTORY": str(folder), "RUNTIME_DIRECTORY": str(folder)}
+    (folder / "c.yaml").write_text("sweep: {enabled: false}\nbus: {transmit_max_age_s: 60}\n")
+
+    class TellingStore(Store):
+        def commit(self, batches: tuple[Batch, ...]) -> None:  # type: ignore[override]
+            super().commit(batches)
+            rows = [row for batch in batches for row in batch.seconds]
+            if rows:
+                say("committed", rows[-1].number, repr(rows[-1].total_kg))
+
+    loaded = configuration.load(folder / "c.yaml", environment)
+    daemon = Daemon(
+        loaded,
+        environment=environment,
+        bus_factory=lambda: can.Bus(interface="virtual", channel="life"),
+        silence_s=float("inf"),
+    )
+    daemon._open_store = lambda: TellingStore(loaded.store_path, loaded.retention)  # type: ignore[method-assign]
+    daemon._writer._open_store = daemon._open_store
+    submit = daemon._writer.submit
+    closed: list[int] = []
+
+    def telling_submit(batch: Batch) -> None:
+        if batch.seconds:
+            closed.append(batch.seconds[-1].number)
+            say("closed", closed[-1])
+        submit(batch)
+
+    daemon._writer.submit = telling_submit  # type: ignore[method-assign]
+    thread = threading.Thread(target=daemon.run)
+    thread.start()
+    daemon.started.wait()
+    peer = can.Bus(interface="virtual", channel="life", preserve_timestamps=True)
+    now_s = START_S
+    with peer:
+        for second in range(seconds):
+            force_mv = 0.0 if daemon._monitor.snapshot().zero is None else 60.0
+            for frame in traffic(now_s, 1.0, force_mv):
+                peer.send(CODEC.encode(frame))
+            now_s += 1.0
+            # In real time the store is done long before the next second; here it has to be waited for.
+            while len(closed) < second or daemon._writer.health().pending:
+                thread.join(0.0005)
+    daemon.request_stop()
+    thread.join()
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--seconds", type=int, default=100_000)
+    args = parser.parse_args()
+    live(args.folder, args.seconds)
