@@ -25,7 +25,8 @@ def inner_radius(fraction: AnyArray, shape_ratio: AnyArray) -> AnyArray:
     """
     a, h = real(fraction), real(shape_ratio)
     with np.errstate(invalid="ignore", divide="ignore"):
-        thickness = np.minimum(np.sqrt(2.0 * a / h), 1.0)
+        thin = np.sqrt(2.0 * a / h)
+        thickness = np.minimum(thin, 1.0)
         for _ in range(60):
             psi = h * thickness
             sin = np.sin(psi)
@@ -38,6 +39,8 @@ def inner_radius(fraction: AnyArray, shape_ratio: AnyArray) -> AnyArray:
             # Quadratic convergence: a step this small leaves an error at rounding.
             if not np.any(moved > 1e-8 * thickness):
                 break
+    # So thin a heap is its own limit; Newton would stumble over rounding in filled_fraction.
+    thickness = np.where(a < 1e-20, thin, thickness)
     # Rounding may ask for a hair more than a full paddle; beyond that the heap does not exist.
     thickness = np.where((a >= 0.0) & (a <= 0.5 * h * (1.0 + 1e-12)), thickness, np.nan)
     x: AnyArray = 1.0 - thickness
