@@ -18,7 +18,7 @@ AT = Conditions(ANGLE, SPEED, paddle_mass_kg=LOAD, moisture_pct=np.full(ANGLE.sh
 PASSES = SPEED * MACHINE.sprocket_pitch_radius_m / MACHINE.paddle_spacing_m
 
 
-def read(effect: str = "", *, at: Conditions = AT, machine: Machine = MACHINE, grain: dict[str, float] | None = None, **own: float):
+def read(effect: str = "", *, at=AT, machine: Machine = MACHINE, grain: dict[str, float] | None = None, **own: float):
     values = GRAIN | (grain or {}) | {f"{effect}.{key}": value for key, value in own.items()}
     return ForwardModel(machine, (effect,) if effect else ()).paddle_momentum(at, values, overfull="nan")
 

@@ -1,0 +1,127 @@
+"""Find where model and measurement disagree, name the missing effect, and prove that adding it helps."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from yieldmon.discrepancy import adoption, diagnosis, planning, report
+from yieldmon.errors import InputError
+from yieldmon.files import machine_file, parameter_file, table
+from yieldmon.physics.effects import registry
+from yieldmon.resources import shipped
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """The verb's arguments."""
+    parser = subparsers.add_parser("diagnose", help="find and name what the model leaves out", description=__doc__)
+    parser.add_argument("data", nargs="?", metavar="DATA.csv", help="table with plate angle, load and reading")
+    parser.add_argument("--params", metavar="P.yaml", help="parameters of the published model (default: the shipped corn)")
+    parser.add_argument("--machine", metavar="M.yaml", help="machine geometry (default: the shipped 8-tooth machine)")
+    parser.add_argument(
+        "--form",
+        choices=("auto", "restitution", "exchange"),
+        default="auto",
+        help="gain of the published model: 1 + e, or k1 and k2; auto takes the parameter file's, and k1, k2 where 1 + e cannot fit",
+    )
+    parser.add_argument(
+        "--hold-out",
+        default="cells",
+        metavar="WHICH",
+        help="rows sealed before fitting: cells, trials, none, or COLUMN=VALUE such as plate_angle_deg=60 (default: cells)",
+    )
+    parser.add_argument("--without", action="append", default=[], metavar="EFFECT", help="leave an effect out of the library")
+    parser.add_argument("--seed", type=int, default=1, help="of splits and bootstraps (default: 1)")
+    parser.add_argument("--adopt", metavar="OUT.yaml", help="write the next version of the parameters, with the named effects")
+    parser.add_argument("--rollback", metavar="FILE.yaml", help="put the parent of an adopted file back in its place, and end")
+    parser.add_argument("--plan", metavar="OUT.csv", help="write the next experiment, and beside it the daemon's sweep section")
+    parser.add_argument("--report", metavar="DIR", help="write an HTML page with pictures")
+    parser.add_argument("--json", action="store_true", help="print one JSON document")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit code 0 when the workflow ran, whatever the verdict; 1 when there was nothing to adopt."""
+    if args.rollback is not None:
+        version = adoption.rollback(Path(args.rollback))
+        print(f"{args.rollback}: version {version} again", file=sys.stderr)
+        return 0
+    if args.data is None:
+        raise InputError("diagnose", "no table given", "DATA.csv, or --rollback FILE.yaml")
+    unknown = [name for name in args.without if name not in registry()]
+    if unknown:
+        raise InputError("--without", f"{unknown[0]!r} is no effect", f"one of {', '.join(registry())}")
+    data = table.load(args.data)
+    parameter_path = Path(args.params) if args.params is not None else shipped(parameter_file.DEFAULT)
+    parameters = parameter_file.load(parameter_path)
+    machine = machine_file.load(args.machine)
+    options = replace(
+        diagnosis.Options(), form=args.form, hold_out=args.hold_out, without=tuple(args.without), seed=args.seed
+    )
+    with _progress() as tell:
+        found = diagnosis.diagnose(data, machine, parameters, options, tell)
+    for note in data.notes:
+        print(note, file=sys.stderr)
+    if args.json:
+        print(json.dumps(diagnosis.to_document(found), indent=2))
+    else:
+        _print_text(found)
+    if args.report is not None:
+        page = report.write_report(found, Path(args.report), f"Diagnosis of {Path(args.data).name}")
+        print(f"report: {page}", file=sys.stderr)
+    if args.plan is not None:
+        schedule = planning.write_plan(found.plan, Path(args.plan))
+        print(f"plan: {args.plan}, {schedule}", file=sys.stderr)
+    if args.adopt is not None:
+        if found.verdict != "effect":
+            print(f"yieldmon: nothing to adopt: the verdict is {found.verdict}", file=sys.stderr)
+            return 1
+        now = datetime.now(UTC)
+        copy = adoption.adopt(found, parameters, parameter_path, Path(args.adopt), (args.data, data.sha256), now)
+        print(f"adopted: {args.adopt} (version {parameters.version + 1}); parent kept as {copy}", file=sys.stderr)
+    return 0
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, float], None]]:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("reading", total=1.0)
+        yield lambda text, share: bar.update(task, description=text, completed=share)
+
+
+def _print_text(found: diagnosis.Diagnosis) -> None:
+    print(report.summary(found))
+    document = diagnosis.to_document(found)
+    print(f"\nverdict: {found.verdict}")
+    for step in found.choice.steps if found.verdict == "effect" else ():
+        ties = f"; cannot be told from {', '.join(step.equivalent)}" if step.equivalent else ""
+        print(f"  {step.added} (confidence {step.confidence:.2f}{ties})")
+        for p, sd in zip(found.best.parameters, found.best.covariance().diagonal() ** 0.5, strict=True):
+            if p.name.startswith(f"{step.added}."):
+                print(f"    {p.name.partition('.')[2]} = {found.best.values[p.name]:.4g} +- {sd:.2g} {p.unit}")
+    for name, measure in (("before", found.before), ("after", found.after)):
+        print(
+            f"  {name}: rms {measure.rms:.4g} ({measure.rms_over_max_pct:.2f} % of largest), "
+            f"lack of fit F = {measure.lack_of_fit_f:.2f}, p = {measure.p_value:.2g}"
+        )
+    if found.held_out is not None:
+        held = found.held_out
+        print(
+            f"  held out ({held.rows} rows): rms {held.before.rms:.4g} -> {held.after.rms:.4g}, noise {held.noise_floor_rms:.4g}, "
+            f"gap closed {held.closed_pct:.0f} %"
+        )
+    for region in document["where"]:  # type: ignore[attr-defined]
+        print(f"  where: {region}")
+    for row in document["next_experiment"]["rows"]:  # type: ignore[index]
+        print(f"  next: {row}")
+    for note in found.notes:
+        print(f"  note: {note}")

@@ -1,0 +1,78 @@
+"""Parameter files with a found effect in them, and the way back."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from datetime import datetime
+from pathlib import Path
+
+from yieldmon.errors import InputError
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.files import parameter_file
+
+from .diagnosis import Diagnosis, adopted
+
+
+def adopt(diagnosis: Diagnosis, parent: ParameterSet, parent_path: Path, out: Path, data: tuple[str, str], now: datetime) -> Path:
+    """Write the next version of the parameters to `out` and a copy of the parent beside it; returns the copy's path.
+
+    data: path and SHA-256 of the table. Raises InputError when the verdict names no effect.
+    """
+    if diagnosis.verdict != "effect":
+        raise InputError("--adopt", f"the verdict is {diagnosis.verdict!r}", "a named effect to adopt")
+    text = parent_path.read_bytes()
+    copy = out.with_name(f"{out.stem}.v{parent.version}.parent{out.suffix}")
+    provenance = {
+        "method": "yieldmon diagnose",
+        "date": now.isoformat(timespec="seconds"),
+        "effects": ", ".join(diagnosis.choice.named),
+        "equivalent": "; ".join(f"{s.added}: {', '.join(s.equivalent) or 'none'}" for s in diagnosis.choice.steps),
+        "data": data[0],
+        "data_sha256": data[1],
+        "parent": str(parent_path),
+        "parent_version": str(parent.version),
+        "parent_sha256": hashlib.sha256(text).hexdigest(),
+        "parent_copy": copy.name,
+        "gap_before_rms": f"{diagnosis.before.rms:.6g}",
+        "gap_after_rms": f"{diagnosis.after.rms:.6g}",
+        "gap_before_f": f"{diagnosis.before.lack_of_fit_f:.6g}",
+        "gap_after_f": f"{diagnosis.after.lack_of_fit_f:.6g}",
+        "seed": str(diagnosis.options.seed),
+    }
+    if diagnosis.held_out is not None:
+        provenance["held_out_closed_pct"] = f"{diagnosis.held_out.closed_pct:.4g}"
+    _replace(copy, text)
+    parameter_file.save(adopted(diagnosis, parent, provenance), out)
+    return copy
+
+
+def rollback(path: Path) -> int:
+    """Put the parent of an adopted parameter file back in its place, keeping what was adopted beside it; returns its version.
+
+    Raises InputError when the file was not adopted here, or the parent's copy is gone or altered.
+    """
+    current = parameter_file.load(path)
+    name, digest = current.provenance.get("parent_copy"), current.provenance.get("parent_sha256")
+    if name is None or digest is None:
+        raise InputError(f"{path}: provenance", "names no parent", "a file written by diagnose --adopt")
+    copy = path.with_name(Path(name).name)
+    try:
+        text = copy.read_bytes()
+    except OSError as error:
+        raise InputError(str(copy), error.strerror or str(error), "the parent's copy, beside the adopted file") from error
+    if hashlib.sha256(text).hexdigest() != digest:
+        raise InputError(str(copy), "is not the parent that was replaced", f"SHA-256 {digest}")
+    parent = parameter_file.load(copy)
+    _replace(path.with_name(f"{path.stem}.v{current.version}.rolled-back{path.suffix}"), path.read_bytes())
+    _replace(path, text)
+    return parent.version
+
+
+def _replace(path: Path, content: bytes) -> None:
+    scratch = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with open(scratch, "wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(scratch, path)

@@ -1,0 +1,172 @@
+"""Which effects could be missing: each one's signature beyond recalibration, then its refit together with all base parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from yieldmon.physics.effects import registry
+from yieldmon.physics.numerics import Array, real
+
+from .fit import Fit, Frame, Parameter, effect_parameters, fit, predictions
+from .noise import Noise
+
+#: Sizes at which a signature is drawn, in typical sizes from the null value.
+SIZES = (0.35, 1.0, 2.5)
+DRAWS = 4000
+
+
+@dataclass(frozen=True)
+class Signature:
+    """What an effect would change beyond recalibration.
+
+    points: parameter points looked at, shape (points, parameters). change: whitened change of prediction at each point, off the
+    tangent of the model without the effect, shape (points, cells). size: typical sizes that each point stands for.
+    """
+
+    effect: str
+    parameters: tuple[Parameter, ...]
+    points: Array
+    change: Array
+    size: Array
+
+    @property
+    def directions(self) -> Array:
+        """Unit signatures of the points that can be seen at all, shape (visible, cells)."""
+        norm = np.linalg.norm(self.change, axis=1)
+        return self.change[norm > 1e-6] / norm[norm > 1e-6, None]
+
+
+@dataclass(frozen=True)
+class Score:
+    """Best linear guess for an effect: expected gain in chi-square and the point it is reached at."""
+
+    effect: str
+    gain: float
+    start: dict[str, float]
+
+
+def library(frame: Frame, without: Iterable[str] = ()) -> tuple[str, ...]:
+    """Effects that these cells could speak of: all registered but those in `without` and those that lack their input."""
+    out = [name for name in registry() if name not in set(without)]
+    if not np.all(np.isfinite(frame.cells.moisture_pct)):
+        out = [name for name in out if registry()[name].stage != "crop"]
+    return tuple(out)
+
+
+def signature(current: Fit, effect: str) -> Signature:
+    """Signature of adding `effect` to a fitted model."""
+    frame = current.frame
+    parameters = effect_parameters(effect, frame.unit)
+    points, sizes = _points(parameters)
+    values = {p.name: float(v) for p, v in zip(current.parameters, current.x, strict=True)}
+    batch: dict[str, object] = dict(values)
+    for i, p in enumerate(parameters):
+        batch[p.name] = points[:, i][:, None]
+    with_effect = real(predictions(frame, (*current.effects, effect), batch))
+    without = current.residual + frame.cells.mean / frame.sd
+    change = np.broadcast_to(with_effect, (len(points), len(frame.cells))) / frame.sd - without
+    change = np.where(np.all(np.isfinite(change), axis=1, keepdims=True), change, 0.0)
+    tangent = current.tangent()
+    return Signature(effect, parameters, points, change - (change @ tangent) @ tangent.T, sizes)
+
+
+def _points(parameters: tuple[Parameter, ...]) -> tuple[Array, Array]:
+    points, sizes = [], []
+    for i, p in enumerate(parameters):
+        for size in SIZES:
+            for sense in (1.0, -1.0):
+                value = p.start + sense * size * (p.typical - p.start)
+                if p.lower <= value <= p.upper:
+                    point = [q.start for q in parameters]
+                    point[i] = value
+                    points.append(point)
+                    sizes.append(size)
+    return np.array(points), np.array(sizes)
+
+
+def score(current: Fit, drawn: Signature) -> Score:
+    """Gain in chi-square if the effect takes the best of its points, scaled within its bounds."""
+    norm2 = np.sum(drawn.change**2, axis=1)
+    along = -(drawn.change @ current.residual)
+    best_gain, best = 0.0, {p.name: p.typical for p in drawn.parameters}
+    for i, (n2, a) in enumerate(zip(norm2, along, strict=True)):
+        if n2 <= 1e-12 or a <= 0.0:
+            continue
+        # A signature bends with size; beyond 1.5 times its own the next point speaks.
+        amplitude = min(a / n2, 1.5)
+        gain = 2.0 * amplitude * a - amplitude**2 * n2
+        if gain > best_gain:
+            best_gain = gain
+            best = {
+                p.name: float(np.clip(p.start + amplitude * (v - p.start), p.lower, p.upper))
+                for p, v in zip(drawn.parameters, drawn.points[i], strict=True)
+            }
+    if len(drawn.parameters) > 1:
+        tangent = np.linalg.svd(drawn.change, full_matrices=False)
+        rows = tangent[2][tangent[1] > 1e-6 * tangent[1][0]][: len(drawn.parameters)] if tangent[1][0] > 0.0 else np.zeros((0, 1))
+        if rows.size:
+            best_gain = max(best_gain, float(np.sum((rows @ current.residual) ** 2)))
+    return Score(drawn.effect, best_gain, best)
+
+
+def refit(current: Fit, found: Score, *, starts: int = 1) -> Fit | None:
+    """The model with the effect added, fitted from where the linear guess points (and, with more starts, from typical sizes)."""
+    values = {p.name: float(v) for p, v in zip(current.parameters, current.x, strict=True)}
+    effects = (*current.effects, found.effect)
+    options = [found.start]
+    parameters = effect_parameters(found.effect, current.frame.unit)
+    for size in (1.0, -1.0, 0.3, 3.0)[: max(starts - 1, 0)]:
+        options.append({p.name: float(np.clip(p.start + size * (p.typical - p.start), p.lower, p.upper)) for p in parameters})
+    fits = [f for option in options if (f := fit(current.frame, effects, _moved(current, found.effect, values | option))) is not None]
+    return min(fits, key=lambda f: f.chi2) if fits else None
+
+
+def _moved(current: Fit, effect: str, start: dict[str, float]) -> dict[str, float]:
+    """The start with the base parameters moved, in the tangent plane, to make room for the effect."""
+    frame = current.frame
+    with_effect = real(predictions(frame, (*current.effects, effect), start))
+    if not np.all(np.isfinite(with_effect)):
+        return start
+    residual = (with_effect - frame.cells.mean) / frame.sd
+    scale = np.array([p.scale for p in current.parameters])
+    scaled = current.jacobian * scale
+    # Damped: the tangent plane is trusted over about one typical size of each parameter.
+    count = max(float(np.linalg.norm(scaled, axis=0).max()), 1e-300)
+    step = -np.linalg.lstsq(np.vstack((scaled, 0.02 * count * np.eye(len(scale)))), np.concatenate((residual, 0.0 * scale)), rcond=None)[0]
+    step = np.clip(step, -1.0, 1.0) * scale
+    moved = dict(start)
+    for p, s in zip(current.parameters, step, strict=True):
+        moved[p.name] = float(np.clip(start[p.name] + s, p.lower, p.upper))
+    better = real(predictions(frame, (*current.effects, effect), moved))
+    trial = (better - frame.cells.mean) / frame.sd
+    return moved if np.all(np.isfinite(better)) and trial @ trial < residual @ residual else start
+
+
+def false_alarm(signatures: Iterable[Signature], tangent: Array, noise: Noise, rng: np.random.Generator) -> Callable[[float], float]:
+    """p value of a gain in chi-square when every candidate had its chance and none is true.
+
+    Monte Carlo in the tangent plane of the model without them: the largest gain over all signatures' points, each of one sign, and
+    over the span of those with several parameters; the noise estimate's own uncertainty included.
+    """
+    chosen = [s for s in signatures if s.directions.size]
+    cells = tangent.shape[0]
+    draws = rng.standard_normal((cells, DRAWS))
+    draws /= np.sqrt(rng.chisquare(noise.dof, DRAWS) / noise.dof)
+    largest = np.zeros(DRAWS)
+    for s in chosen:
+        directions = s.directions
+        gains = np.maximum(directions @ draws, 0.0) ** 2
+        np.maximum(largest, gains.max(axis=0), out=largest)
+        if len(s.parameters) > 1:
+            _, singular, rows = np.linalg.svd(directions, full_matrices=False)
+            rows = rows[singular > 1e-6 * singular[0]][: len(s.parameters)]
+            np.maximum(largest, np.sum((rows @ draws) ** 2, axis=0), out=largest)
+    ordered = np.sort(largest)
+
+    def p_value(gain: float) -> float:
+        return float((1 + DRAWS - np.searchsorted(ordered, gain, side="left")) / (1 + DRAWS))
+
+    return p_value

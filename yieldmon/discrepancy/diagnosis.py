@@ -1,0 +1,398 @@
+"""The whole workflow: seal rows, fit the published model, find the gap, name effects, prove them on the sealed rows, plan ahead."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from math import degrees
+
+import numpy as np
+
+from yieldmon.errors import InputError
+from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
+from yieldmon.files.table import Table
+from yieldmon.physics.effects import registry
+from yieldmon.physics.machine import RPM, Machine
+from yieldmon.physics.numerics import Array
+
+from . import observations as obs
+from .candidates import Signature, library, signature
+from .experiment import Plan, plan
+from .fit import Fit, Frame, base_frame, fit, fit_base
+from .gap import LackOfFit, Region, lack_of_fit, noise_floor, row_rms, where
+from .noise import Noise, estimate
+from .selection import Choice, Policy, choose
+from .stopgap import Correction, correction
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Options:
+    """form: "auto", "restitution" or "exchange". hold_out: see `observations.seal`. without: effects taken out of the library."""
+
+    form: str = "auto"
+    hold_out: str = "cells"
+    without: tuple[str, ...] = ()
+    seed: int = 1
+    policy: Policy = Policy(refits=24, exchanges=8)
+
+
+@dataclass(frozen=True)
+class Measure:
+    """How far model and rows are apart: rms in the reading's unit; the two lack-of-fit numbers only where they apply."""
+
+    rms: float
+    rms_over_max_pct: float
+    lack_of_fit_f: float | None
+    p_value: float | None
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """The sealed rows, opened once: how many, before and after, the noise floor, and 100 (before - after) / (before - floor)."""
+
+    rows: int
+    before: Measure
+    after: Measure
+    noise_floor_rms: float
+    closed_pct: float
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All that was found; `base` and `best` are fitted to every row but outliers, `choice` to the unsealed rows alone."""
+
+    options: Options
+    form: str
+    noise: Noise
+    outliers: int
+    choice: Choice
+    base: Fit
+    best: Fit
+    rows: obs.Rows
+    sealed: Array
+    before: Measure
+    after: Measure
+    held_out: HeldOut | None
+    noise_floor_rms: float
+    regions: tuple[Region, ...]
+    remaining: tuple[Region, ...]
+    plan: Plan
+    minimum_detectable: dict[str, float]
+    correction: Correction | None
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def verdict(self) -> str:
+        """"effect", "none" or "unknown"."""
+        return self.choice.verdict
+
+    @property
+    def closed_pct(self) -> float | None:
+        """Share of the gap closed on held-out rows; on all rows where none were held out."""
+        if self.verdict != "effect":
+            return None
+        if self.held_out is not None:
+            return self.held_out.closed_pct
+        return _closed(self.before.rms, self.after.rms, self.noise_floor_rms)
+
+
+def diagnose(
+    table: Table, machine: Machine, parameters: ParameterSet, options: Options = Options(), progress: Progress | None = None
+) -> Diagnosis:
+    """Run the workflow on one table. Raises InputError where the table cannot carry it."""
+    return diagnose_rows(obs.from_table(table, machine), parameters, options, progress, table.path)
+
+
+def diagnose_rows(
+    rows: obs.Rows, parameters: ParameterSet, options: Options = Options(), progress: Progress | None = None, name: str = "table"
+) -> Diagnosis:
+    """`diagnose` on rows already in memory."""
+    tell = progress or (lambda text, share: None)
+    rng = np.random.default_rng([options.seed, 2])
+    sealed = obs.seal(rows, options.hold_out, options.seed)
+    tell("noise", 0.0)
+    noise, odd = estimate(rows.take(~sealed))
+    outlier = np.zeros(len(rows), dtype=bool)
+    outlier[np.flatnonzero(~sealed)[odd]] = True
+    notes = list(_noise_notes(noise, int(odd.sum())))
+    training = rows.take(~sealed & ~outlier)
+    tell("published model", 0.05)
+    form, frame, base, why = _published(training, noise, parameters, options.form, name)
+    notes += why
+    chosen = choose(
+        base, noise, library(frame, options.without), rng, options.policy, lambda text, share: tell(text, 0.1 + 0.7 * share)
+    )
+    tell("sealed rows", 0.85)
+    found = chosen.best if chosen.verdict == "effect" else chosen.base
+    held_out, odd_sealed = _open(rows, sealed, chosen.base, found, noise)
+    outlier |= odd_sealed
+    every = rows.take(~outlier)
+    grouped = obs.cells(every)
+    whole = frame.with_cells(grouped, noise.sd(grouped.mean) / np.sqrt(grouped.count))
+    base_all = _refit(whole, (), base)
+    best_all = _refit(whole, found.effects, found) if found.effects else base_all
+    tell("where", 0.9)
+    regions = where(base_all, noise, rng)
+    remaining = where(best_all, noise, rng) if found.effects else regions
+    tell("next experiment", 0.95)
+    signatures = [signature(base_all, e) for e in library(whole, options.without)]
+    return Diagnosis(
+        options=options,
+        form=form,
+        noise=noise,
+        outliers=int(outlier.sum()),
+        choice=chosen,
+        base=base_all,
+        best=best_all,
+        rows=rows,
+        sealed=sealed,
+        before=_measure(base_all, every, noise),
+        after=_measure(best_all, every, noise),
+        held_out=held_out,
+        noise_floor_rms=noise_floor(noise, best_all, every),
+        regions=regions if chosen.verdict != "none" else (),
+        remaining=remaining,
+        plan=plan(chosen.best, _planned_rivals(chosen), noise),
+        minimum_detectable=minimum_detectable(signatures),
+        correction=correction(base_all) if chosen.verdict == "unknown" else None,
+        notes=tuple(notes),
+    )
+
+
+def adopted(diagnosis: Diagnosis, parent: ParameterSet, provenance: dict[str, str]) -> ParameterSet:
+    """Parameters with the named effects, fitted to every row, as the next version of `parent`.
+
+    Raises ValueError unless the verdict names an effect.
+    """
+    if diagnosis.verdict != "effect":
+        raise ValueError(f"the verdict is {diagnosis.verdict!r}; only a named effect can be adopted")
+    best = diagnosis.best
+    names = tuple(p.name for p in best.parameters)
+    covariance = best.covariance() * max(best.chi2 / max(best.dof, 1), 1.0)
+    cells = best.frame.cells
+    passes = cells.elevator_speed_rad_s * cells.rows.machine.sprocket_pitch_radius_m / cells.rows.machine.paddle_spacing_m
+    flow = cells.load if cells.rows.load_name == "mass_flow_kg_s" else cells.load * passes
+    moist = cells.moisture_pct[np.isfinite(cells.moisture_pct)]
+    return ParameterSet(
+        values=best.values,
+        covariance_names=names,
+        covariance=0.5 * (covariance + covariance.T),
+        calibrated=CalibratedRange(
+            mass_flow_kg_s=_span(flow),
+            plate_angle_rad=_span(cells.plate_angle_rad),
+            elevator_speed_rad_s=_span(cells.elevator_speed_rad_s),
+            moisture_pct=_span(moist) if moist.size else None,
+        ),
+        response_unit=parent.response_unit if cells.rows.si else "response",
+        version=parent.version + 1,
+        provenance=provenance,
+    )
+
+
+def minimum_detectable(signatures: list[Signature]) -> dict[str, float]:
+    """Size of each effect's leading parameter that this design would show with 80 % power at its global level.
+
+    Linear in size from the smallest signature drawn; infinite (absent) where the design cannot see the effect at all.
+    """
+    # 3.2 sd: two-sided 0.15 %, about 2 % over the library; 0.84 sd more for 80 % power.
+    needed = 3.2 + 0.84
+    out = {}
+    for s in signatures:
+        norm = np.linalg.norm(s.change, axis=1)
+        seen = norm > 1e-6
+        if not np.any(seen):
+            continue
+        first = s.parameters[0]
+        step = np.abs(s.points - np.array([p.start for p in s.parameters]))
+        sizes = [float(step[i].max() * needed / norm[i]) for i in np.flatnonzero(seen)]
+        value = min(sizes, key=lambda v: abs(np.log(v / max(abs(first.typical - first.start), 1e-300))))
+        if value <= max(abs(first.upper - first.start), abs(first.lower - first.start)):
+            out[s.effect] = value
+    return out
+
+
+def _published(
+    training: obs.Rows, noise: Noise, parameters: ParameterSet, wanted: str, name: str
+) -> tuple[str, Frame, Fit, list[str]]:
+    grouped = obs.cells(training)
+    sd = noise.sd(grouped.mean) / np.sqrt(grouped.count)
+    form = wanted
+    notes: list[str] = []
+    if wanted == "auto":
+        form = "exchange" if "k1" in parameters.values or not training.si else "restitution"
+    frame = base_frame(grouped, sd, parameters, form)
+    if len(frame.base) + 3 > len(grouped):
+        raise InputError(name, f"has {len(grouped)} distinct conditions to fit", f"at least {len(frame.base) + 3}")
+    try:
+        base = fit_base(frame)
+        if wanted == "auto" and form == "restitution" and "restitution" in base.at_bound:
+            notes.append("restitution ends at its physical bound: the published exchange coefficients k1, k2 are fitted in its place")
+            form = "exchange"
+            frame = base_frame(grouped, sd, parameters, form)
+            base = fit_base(frame)
+    except ValueError as error:
+        raise InputError(name, str(error), "loads that a paddle of this machine can hold") from error
+    held = [n for n in base.at_bound]
+    if held:
+        notes.append(f"the published model's best fit has {', '.join(held)} at a physical bound")
+    return form, frame, base, notes
+
+
+def _open(
+    rows: obs.Rows, sealed: Array, base: Fit, best: Fit, noise: Noise
+) -> tuple[HeldOut | None, Array]:
+    odd = np.zeros(len(rows), dtype=bool)
+    if not np.any(sealed):
+        return None, odd
+    kept = rows.take(sealed)
+    before, after = base.predict(kept), best.predict(kept)
+    sd = noise.sd(after)
+    # A row that both models miss by as much, and by far, is the sensor's doing, not the model's.
+    with np.errstate(invalid="ignore"):
+        nearest = np.minimum(np.abs(before - kept.value), np.abs(after - kept.value))
+    same_cell = np.array([np.median(kept.value[kept.cell == c]) for c in kept.cell])
+    lonely = np.array([np.count_nonzero(kept.cell == c) for c in kept.cell]) < 3
+    wild = (nearest > 8.0 * sd) & (lonely | (np.abs(kept.value - same_cell) > 5.0 * sd))
+    usable = np.isfinite(before) & np.isfinite(after) & ~wild
+    odd[np.flatnonzero(sealed)[wild]] = True
+    if not np.any(usable):
+        return None, odd
+    top = float(np.max(np.abs(rows.value)))
+    rms = [float(np.sqrt(np.mean((p[usable] - kept.value[usable]) ** 2))) for p in (before, after)]
+    floor = float(np.sqrt(np.mean(sd[usable] ** 2)))
+    measures = [Measure(v, 100.0 * v / top, None, None) for v in rms]
+    return HeldOut(int(usable.sum()), measures[0], measures[1], floor, _closed(rms[0], rms[1], floor)), odd
+
+
+def _closed(before: float, after: float, floor: float) -> float:
+    return 100.0 * (before - after) / (before - floor) if before > floor else 0.0
+
+
+def _refit(frame: Frame, effects: tuple[str, ...], start: Fit) -> Fit:
+    again = fit(frame, effects, start.values, tolerance=1e-6)
+    return again if again is not None else start
+
+
+def _measure(fitted: Fit, rows: obs.Rows, noise: Noise) -> Measure:
+    gap: LackOfFit = lack_of_fit(fitted, noise)
+    rms = row_rms(fitted, rows)
+    return Measure(rms, 100.0 * rms / float(np.max(np.abs(rows.value))), gap.f, gap.p_value)
+
+
+def _planned_rivals(choice: Choice) -> list[Fit]:
+    if choice.rivals:
+        return list(choice.rivals)
+    if choice.verdict == "effect":
+        seconds = [c for c in choice.steps[0].candidates if c.effect not in choice.best.effects]
+        return [c.fit for c in seconds[:1]]
+    return [c.fit for c in choice.looked_at[1:3]] if choice.verdict == "unknown" else []
+
+
+def _noise_notes(noise: Noise, outliers: int) -> list[str]:
+    how = {
+        "replicates": f"noise from replicates ({noise.dof:.0f} degrees of freedom)",
+        "smooth": "no replicates: noise from the scatter about a smooth surface through the rows",
+        "stated": "noise as stated, not measured in this table",
+    }[noise.how]
+    form = f"sd = {noise.constant:.4g}" + (f" + {100.0 * noise.proportional:.2g} % of reading (in quadrature)" if noise.proportional else "")
+    return [f"{how}: {form}"] + ([f"{outliers} outlying rows left out"] if outliers else [])
+
+
+def _span(values: Array) -> tuple[float, float]:
+    return float(values.min()), float(values.max())
+
+
+def to_document(diagnosis: Diagnosis) -> dict[str, object]:
+    """The JSON document of ``yieldmon diagnose --json``: angles in degrees, speeds in rpm."""
+    choice = diagnosis.choice
+    confidence = {s.added: s for s in choice.steps}
+    sds = dict(zip((p.name for p in diagnosis.best.parameters), np.sqrt(np.diag(diagnosis.best.covariance())), strict=True))
+    effects = []
+    for name in choice.named:
+        effects.append(
+            {
+                "name": name,
+                "stage": registry()[name].stage,
+                "parameters": {
+                    p.name.partition(".")[2]: {"value": diagnosis.best.values[p.name], "sd": float(sds[p.name]), "unit": p.unit}
+                    for p in diagnosis.best.parameters
+                    if p.name.startswith(f"{name}.")
+                },
+                "confidence": confidence[name].confidence,
+                "equivalent": list(confidence[name].equivalent),
+            }
+        )
+    held = diagnosis.held_out
+    document: dict[str, object] = {
+        "verdict": diagnosis.verdict,
+        "effects": effects,
+        "where": [_region(r) for r in diagnosis.regions],
+        "gap": {
+            "before": _measure_document(diagnosis.before),
+            "after": _measure_document(diagnosis.after),
+            "held_out": None
+            if held is None
+            else {"rows": held.rows, "before": _measure_document(held.before), "after": _measure_document(held.after)},
+            "noise_floor_rms": held.noise_floor_rms if held is not None else diagnosis.noise_floor_rms,
+            "closed_pct": diagnosis.closed_pct or 0.0,
+        },
+        "next_experiment": {
+            "rows": [
+                {
+                    "plate_angle_deg": round(degrees(r.plate_angle_rad), 3),
+                    "mass_flow_kg_s": round(r.mass_flow_kg_s, 4),
+                    "elevator_speed_rpm": round(r.elevator_speed_rad_s / RPM, 3),
+                }
+                for r in diagnosis.plan.rows
+            ],
+            "separates": [list(pair) for pair in diagnosis.plan.separates],
+            "power": diagnosis.plan.power,
+        },
+        "minimum_detectable": diagnosis.minimum_detectable,
+        "base": {"form": diagnosis.form, "parameters": diagnosis.base.values, "p_any_effect": choice.p_any},
+        "candidates": [
+            {
+                "name": c.effect,
+                "lack_of_fit_f": c.fit.chi2 / max(c.fit.dof, 1),
+                "cross_validated": c.cross_validated,
+                "p_value": c.p_value,
+                "refused": c.refused,
+            }
+            for c in choice.looked_at
+        ],
+        "notes": list(diagnosis.notes),
+    }
+    if diagnosis.verdict == "unknown":
+        document["partial"] = [s.added for s in choice.steps]
+        document["remaining"] = [_region(r) for r in diagnosis.remaining]
+        assert diagnosis.correction is not None
+        document["stop_gap"] = {
+            "kind": "Gaussian process over plate angle and load; holds only where these rows lie; names no cause",
+            "axes": list(diagnosis.correction.axes),
+            "closed_pct": diagnosis.correction.closed_pct,
+        }
+    return document
+
+
+def _measure_document(measure: Measure) -> dict[str, float | None]:
+    return {
+        "rms": measure.rms,
+        "rms_over_max_pct": measure.rms_over_max_pct,
+        "lack_of_fit_f": measure.lack_of_fit_f,
+        "p_value": measure.p_value,
+    }
+
+
+def _region(region: Region) -> dict[str, object]:
+    return {
+        "plate_angle_deg": [round(degrees(v), 3) for v in region.plate_angle_rad],
+        "fill": [round(v, 4) for v in region.fill],
+        "elevator_speed_rpm": [round(v / RPM, 3) for v in region.elevator_speed_rad_s],
+        "mean_error_pct": region.mean_error_pct,
+        "p_value": region.p_value,
+    }
+
+
+__all__ = ["Diagnosis", "Options", "adopted", "diagnose", "diagnose_rows", "to_document"]

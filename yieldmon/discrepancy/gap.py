@@ -1,0 +1,146 @@
+"""Whether the model misses the data by more than they scatter, and where.
+
+Lack of fit: whitened residual mean square against pure error, F(dof, dof of the noise); in the tangent plane this is the exact
+distribution, and a test holds it against a full nonlinear bootstrap. Where: a scan over contiguous windows of plate angle, fill
+and speed, with the family-wise p value of the largest window sum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy import stats
+
+from yieldmon.physics.numerics import Array
+
+from .fit import Fit
+from .noise import Noise
+from .observations import Rows, cluster
+
+DRAWS = 2000
+
+
+@dataclass(frozen=True)
+class LackOfFit:
+    """F ratio of whitened residual mean square to pure error, and its p value."""
+
+    f: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class Region:
+    """A window where the model is off: ranges (SI, radians, fill 0..1), signed error (model minus measurement), family-wise p."""
+
+    plate_angle_rad: tuple[float, float]
+    fill: tuple[float, float]
+    elevator_speed_rad_s: tuple[float, float]
+    mean_error_pct: float
+    p_value: float
+    cells: tuple[int, ...]
+
+
+def lack_of_fit(fit: Fit, noise: Noise) -> LackOfFit:
+    """The test for one fit; p is 1 where no degree of freedom is left."""
+    dof = fit.dof
+    if dof <= 0:
+        return LackOfFit(float("nan"), 1.0)
+    ratio = fit.chi2 / dof
+    return LackOfFit(ratio, float(stats.f.sf(ratio, dof, noise.dof)))
+
+
+def row_rms(fit: Fit, rows: Rows) -> float:
+    """Root mean square of prediction minus row, in the reading's unit."""
+    return float(np.sqrt(np.mean((fit.predict(rows) - rows.value) ** 2)))
+
+
+def noise_floor(noise: Noise, fit: Fit, rows: Rows) -> float:
+    """Root mean square that a perfect model would leave on those rows."""
+    return float(np.sqrt(np.mean(noise.sd(fit.predict(rows)) ** 2)))
+
+
+def fills(fit: Fit) -> Array:
+    """Load over a full paddle of each cell, at the nominal 1 where the density is at its fitted value."""
+    cells = fit.frame.cells
+    machine = cells.rows.machine
+    values = fit.values
+    full = 0.5 * values["shape_ratio"] * values["density"] * machine.paddle_width_m * machine.paddle_length_m**2
+    if cells.rows.load_name == "paddle_mass_kg":
+        return cells.load / full
+    passes = cells.elevator_speed_rad_s * machine.sprocket_pitch_radius_m / machine.paddle_spacing_m
+    return cells.load / passes / full
+
+
+def where(fit: Fit, noise: Noise, rng: np.random.Generator, *, level: float = 0.05, most: int = 6) -> tuple[Region, ...]:
+    """Windows in which the residuals sum to more than chance anywhere allows, strongest first, none overlapping."""
+    cells = fit.frame.cells
+    fill = fills(fit)
+    axes = (
+        (cells.plate_angle_rad, _steps(cells.plate_angle_rad, 0.25 * np.pi / 180.0, 11)),
+        (fill, _steps(np.log(np.maximum(fill, 1e-9)), 0.03, 6)),
+        (cells.elevator_speed_rad_s, _steps(np.log(cells.elevator_speed_rad_s), 0.01, 5)),
+    )
+    windows = _windows([numbers for _, numbers in axes])
+    tangent = fit.tangent()
+    projected = windows - (windows @ tangent) @ tangent.T
+    norm = np.linalg.norm(projected, axis=1)
+    # A window that recalibration can all but absorb says nothing.
+    keep = norm > 0.3 * np.linalg.norm(windows, axis=1)
+    windows, directions = windows[keep], projected[keep] / norm[keep, None]
+    score = directions @ fit.residual
+    largest = np.concatenate([np.max(np.abs(directions @ z), axis=0) for z in _noise_draws(len(cells), noise, rng)])
+    out: list[Region] = []
+    taken = np.zeros(len(cells), dtype=bool)
+    scale = float(np.max(np.abs(cells.mean)))
+    for i in np.argsort(-np.abs(score)):
+        inside = windows[i] > 0.0
+        p = float((1 + np.count_nonzero(largest >= abs(score[i]))) / (1 + len(largest)))
+        if p > level or len(out) == most:
+            break
+        if np.any(taken & inside):
+            continue
+        taken |= inside
+        error = fit.residual[inside] * fit.frame.sd[inside]
+        mean = float(np.mean(cells.mean[inside]))
+        out.append(
+            Region(
+                *((float(v[inside].min()), float(v[inside].max())) for v, _ in axes),
+                100.0 * float(np.mean(error)) / (mean if abs(mean) > 0.02 * scale else scale),
+                p,
+                tuple(int(j) for j in np.flatnonzero(inside)),
+            )
+        )
+    return tuple(out)
+
+
+def _noise_draws(cells: int, noise: Noise, rng: np.random.Generator) -> list[Array]:
+    """Standard normal cells with the uncertainty of the noise estimate, in blocks of shape (cells, draws)."""
+    blocks = []
+    for _ in range(4):
+        z = rng.standard_normal((cells, DRAWS // 4))
+        blocks.append(z / np.sqrt(rng.chisquare(noise.dof, DRAWS // 4) / noise.dof))
+    return blocks
+
+
+def _steps(values: Array, width: float, most: int) -> Array:
+    numbers = cluster(values, width)
+    if numbers.max() < most:
+        return numbers
+    edges = np.quantile(values, np.linspace(0.0, 1.0, most + 1)[1:-1])
+    return np.searchsorted(edges, values, side="right")
+
+
+def _windows(axes: list[Array]) -> Array:
+    """Indicator of each distinct window with at least 2 and less than all cells, shape (windows, cells)."""
+    spans = []
+    for numbers in axes:
+        count = int(numbers.max()) + 1
+        intervals = [(i, j) for i, j in combinations(range(count + 1), 2)]
+        spans.append(np.array([(numbers >= i) & (numbers < j) for i, j in intervals]))
+    inside = spans[0][:, None, None, :] & spans[1][None, :, None, :] & spans[2][None, None, :, :]
+    flat = inside.reshape(-1, inside.shape[-1])
+    total = flat.sum(axis=1)
+    flat = flat[(total >= 2) & (total < flat.shape[1])]
+    return np.unique(flat, axis=0).astype(float)

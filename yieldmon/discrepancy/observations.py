@@ -1,0 +1,264 @@
+"""Measurements as the diagnosis sees them: rows, the cells that repeat one condition, and rows sealed away."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.errors import InputError
+from yieldmon.files.table import Table
+from yieldmon.physics.machine import RPM, Machine
+from yieldmon.physics.model import Conditions
+from yieldmon.physics.numerics import Array
+
+#: Two rows repeat one condition when they differ by less than this.
+SAME_ANGLE_RAD = np.radians(0.25)
+SAME_LOAD = 0.03
+SAME_SPEED = 0.01
+SAME_MOISTURE_PCT = 0.5
+
+
+@dataclass(frozen=True)
+class Rows:
+    """One entry a measurement, arrays of shape (rows,); SI and radians.
+
+    load_name: mass_flow_kg_s or paddle_mass_kg. of: what is measured, "force" or "momentum" (per paddle). moisture_pct is nan
+    where unknown, sigma nan where the table states none. cell: number of the condition that the row repeats.
+    """
+
+    machine: Machine
+    load_name: str
+    of: str
+    si: bool
+    plate_angle_rad: Array
+    elevator_speed_rad_s: Array
+    load: Array
+    moisture_pct: Array
+    value: Array
+    sigma: Array
+    trial: tuple[str, ...]
+    cell: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.value)
+
+    def take(self, chosen: NDArray[np.bool_]) -> Rows:
+        """The rows where `chosen` is true, with cells numbered anew."""
+        _, cell = np.unique(self.cell[chosen], return_inverse=True)
+        return Rows(
+            self.machine,
+            self.load_name,
+            self.of,
+            self.si,
+            self.plate_angle_rad[chosen],
+            self.elevator_speed_rad_s[chosen],
+            self.load[chosen],
+            self.moisture_pct[chosen],
+            self.value[chosen],
+            self.sigma[chosen],
+            tuple(t for t, keep in zip(self.trial, chosen, strict=True) if keep),
+            cell,
+        )
+
+    def conditions(self) -> Conditions:
+        """Conditions of the rows."""
+        return Conditions(
+            self.plate_angle_rad, self.elevator_speed_rad_s, moisture_pct=self.moisture_pct, **{self.load_name: self.load}
+        )
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Cells laid out as settings by loads, so that what depends on the setting alone is worked out once.
+
+    angle, speed and moisture have shape (settings, 1), load (settings, most loads), padded with a setting's own last load; place
+    is each cell's position in the flattened (settings, most loads).
+    """
+
+    plate_angle_rad: Array
+    elevator_speed_rad_s: Array
+    moisture_pct: Array
+    load: Array
+    place: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Means over repeated rows, arrays of shape (cells,); scatter is the sum of squares about the mean."""
+
+    rows: Rows
+    plate_angle_rad: Array
+    elevator_speed_rad_s: Array
+    load: Array
+    moisture_pct: Array
+    mean: Array
+    count: Array
+    scatter: Array
+    layout: Layout
+
+    def __len__(self) -> int:
+        return len(self.mean)
+
+    def conditions(self) -> Conditions:
+        """Conditions of the cells."""
+        return Conditions(
+            self.plate_angle_rad,
+            self.elevator_speed_rad_s,
+            moisture_pct=self.moisture_pct,
+            **{self.rows.load_name: self.load},
+        )
+
+    def groups(self) -> dict[str, NDArray[np.int64]]:
+        """Numbers that say which cells share an angle, a load or a speed, for leaving one out whole."""
+        out = {}
+        for name, values, width in (
+            ("plate_angle", self.plate_angle_rad, SAME_ANGLE_RAD),
+            ("load", np.log(np.maximum(self.load, 1e-9)), SAME_LOAD),
+            ("elevator_speed", np.log(self.elevator_speed_rad_s), SAME_SPEED),
+        ):
+            numbers = cluster(values, width)
+            if numbers.max() > 0:
+                out[name] = numbers
+        return out
+
+
+def cluster(values: Array, width: float) -> NDArray[np.int64]:
+    """Number of the cluster of each value; a gap above `width` between neighbours begins a new one."""
+    order = np.argsort(values, kind="stable")
+    steps = np.concatenate(([0], np.cumsum(np.diff(values[order]) > width)))
+    out = np.empty(len(values), dtype=np.int64)
+    out[order] = steps
+    return out
+
+
+def from_table(table: Table, machine: Machine) -> Rows:
+    """Rows of a table with a load and a reading; rows where either is unknown are left out.
+
+    Raises InputError when fewer than 8 rows remain.
+    """
+    if table.load is None:
+        raise InputError(table.path, "has no load column", "mass_flow_kg_s or paddle_mass_kg")
+    columns = table.columns
+    count = len(table)
+    nothing = np.full(count, np.nan)
+    usable = np.isfinite(columns[table.load]) & np.isfinite(columns[table.reading])
+    if np.count_nonzero(usable) < 8:
+        raise InputError(table.path, f"has {np.count_nonzero(usable)} rows with load and reading", "at least 8")
+    rows = Rows(
+        machine,
+        table.load,
+        "force" if table.reading == "force_n" else "momentum",
+        table.reading != "response",
+        np.radians(columns["plate_angle_deg"]),
+        table.speed_rad_s(machine),
+        columns[table.load],
+        columns.get("moisture_pct", nothing),
+        columns[table.reading],
+        columns.get("sigma", nothing),
+        table.text.get("trial", ("",) * count),
+        np.zeros(count, dtype=np.int64),
+    ).take(usable)
+    return with_cells(rows)
+
+
+def with_cells(rows: Rows) -> Rows:
+    """Rows with `cell` found from the conditions."""
+    keys = [
+        cluster(rows.plate_angle_rad, SAME_ANGLE_RAD),
+        cluster(np.log(rows.elevator_speed_rad_s), SAME_SPEED),
+        cluster(np.nan_to_num(rows.moisture_pct, nan=-1.0), SAME_MOISTURE_PCT),
+    ]
+    _, place = np.unique(np.stack(keys), axis=1, return_inverse=True)
+    place = place.ravel()
+    cell = np.zeros(len(rows), dtype=np.int64)
+    following = 0
+    for number in range(place.max() + 1):
+        inside = place == number
+        numbers = cluster(np.log(np.maximum(rows.load[inside], 1e-9)), SAME_LOAD)
+        cell[inside] = following + numbers
+        following += numbers.max() + 1
+    return Rows(**{name: getattr(rows, name) for name in Rows.__dataclass_fields__ if name != "cell"}, cell=cell)
+
+
+def cells(rows: Rows) -> Cells:
+    """Means and scatter of the rows that repeat one condition."""
+    count = np.bincount(rows.cell).astype(float)
+
+    def mean(values: Array) -> Array:
+        return np.bincount(rows.cell, values) / count
+
+    average = mean(rows.value)
+    angle, speed, load, moisture = (
+        mean(v) for v in (rows.plate_angle_rad, rows.elevator_speed_rad_s, rows.load, rows.moisture_pct)
+    )
+    scatter = np.bincount(rows.cell, (rows.value - average[rows.cell]) ** 2)
+    return Cells(
+        rows, angle, speed, load, moisture, average, count, scatter, lay_out(angle, speed, load, moisture)
+    )
+
+
+def lay_out(angle: Array, speed: Array, load: Array, moisture: Array) -> Layout:
+    """Settings (equal angle, speed and moisture) by loads."""
+    keys = np.round(np.stack((angle, speed, np.nan_to_num(moisture, nan=-1.0)), axis=-1), 9)
+    _, first, setting = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    setting = setting.ravel()
+    width = int(np.bincount(setting).max())
+    table = np.empty((len(first), width))
+    place = np.empty(len(load), dtype=np.int64)
+    for number in range(len(first)):
+        inside = np.flatnonzero(setting == number)
+        table[number] = load[inside[-1]]
+        table[number, : len(inside)] = load[inside]
+        place[inside] = number * width + np.arange(len(inside))
+    return Layout(angle[first, None], speed[first, None], moisture[first, None], table, place)
+
+
+def seal(rows: Rows, how: str, seed: int) -> NDArray[np.bool_]:
+    """Which rows to seal away before anything is fitted.
+
+    how: "cells" (every fifth condition at random), "trials" (one repetition of each condition), "none", or a column and value
+    such as "plate_angle_deg=70", "elevator_speed_rpm=400", "mass_flow_kg_s=5", "paddle_mass_kg=0.4", "trial=2". Raises InputError
+    for anything else, or when nothing or everything would be sealed.
+    """
+    rng = np.random.default_rng([seed, 1])
+    if how == "none":
+        return np.zeros(len(rows), dtype=bool)
+    if how == "cells":
+        count = int(rows.cell.max()) + 1
+        if count < 15:
+            return seal(rows, "trials", seed) if count < len(rows) else np.zeros(len(rows), dtype=bool)
+        chosen = np.zeros(count, dtype=bool)
+        chosen[rng.permutation(count)[: count // 5]] = True
+        return chosen[rows.cell]
+    if how == "trials":
+        out = np.zeros(len(rows), dtype=bool)
+        for number in range(int(rows.cell.max()) + 1):
+            places = np.flatnonzero(rows.cell == number)
+            if len(places) > 1:
+                out[rng.permutation(places)[: max(1, len(places) // 3)]] = True
+    else:
+        out = _selected(rows, how)
+    if not np.any(out) or np.all(out):
+        raise InputError("--hold-out", f"{how!r} holds out {np.count_nonzero(out)} of {len(rows)} rows", "some, not all")
+    return out
+
+
+def _selected(rows: Rows, how: str) -> NDArray[np.bool_]:
+    name, _, text = how.partition("=")
+    columns: dict[str, Array] = {
+        "plate_angle_deg": np.degrees(rows.plate_angle_rad),
+        "elevator_speed_rpm": rows.elevator_speed_rad_s / RPM,
+        rows.load_name: rows.load,
+    }
+    if name == "trial":
+        return np.array([trial == text for trial in rows.trial])
+    try:
+        value = float(text)
+        column = columns[name]
+    except (ValueError, KeyError):
+        expected: Sequence[str] = ("cells", "trials", "none", *(f"{c}=VALUE" for c in columns), "trial=NAME")
+        raise InputError("--hold-out", f"is {how!r}", f"one of {', '.join(expected)}") from None
+    return np.abs(column - value) <= 1e-3 * max(1.0, abs(value))

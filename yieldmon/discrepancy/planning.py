@@ -1,0 +1,41 @@
+"""The next experiment as files: rows for people, plate angles for the daemon's own sweep."""
+
+from __future__ import annotations
+
+from math import degrees
+from pathlib import Path
+
+from yieldmon.physics.machine import RPM
+
+from .experiment import Plan
+
+REPEATS = 3
+
+
+def write_plan(plan: Plan, path: Path) -> Path:
+    """Write the rows as CSV (each to be measured three times) and, beside it, the sweep section; returns the latter's path."""
+    lines = ["plate_angle_deg,mass_flow_kg_s,elevator_speed_rpm,repeats"]
+    for row in plan.rows:
+        lines.append(
+            f"{degrees(row.plate_angle_rad):.6g},{row.mass_flow_kg_s:.6g},{row.elevator_speed_rad_s / RPM:.6g},{REPEATS}"
+        )
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    schedule = path.with_suffix(".sweep.yaml")
+    schedule.write_text(sweep_section(plan), encoding="utf-8")
+    return schedule
+
+
+def sweep_section(plan: Plan) -> str:
+    """Configuration text: the `sweep` keys under which the daemon visits the plan's angles; speed and flow are the operator's."""
+    angles = sorted({round(degrees(r.plate_angle_rad), 3) for r in plan.rows})
+    speeds = sorted({round(r.elevator_speed_rad_s / RPM) for r in plan.rows})
+    flows = sorted({round(r.mass_flow_kg_s, 2) for r in plan.rows})
+    return (
+        f"# Merge into the daemon's configuration. Hold the elevator at {', '.join(map(str, speeds))} rpm in turn,\n"
+        f"# the flow near {', '.join(f'{f:g}' for f in flows)} kg/s.\n"
+        "sweep:\n"
+        "  enabled: true\n"
+        f"  angles_deg: [{', '.join(f'{a:g}' for a in angles)}]\n"
+        f"  windows_per_step: {REPEATS}\n"
+        f"  min_flow_kg_s: {max(min(flows, default=1.0) * 0.8, 0.1):.3g}\n"
+    )

@@ -1,0 +1,215 @@
+"""A report in one HTML page with its pictures beside and inside it."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+from math import degrees
+from pathlib import Path
+
+import numpy as np
+
+from yieldmon.errors import InputError
+from yieldmon.physics.effects import registry
+from yieldmon.physics.machine import RPM
+
+from .diagnosis import Diagnosis
+from .fit import Fit
+from .selection import Step
+
+_STYLE = (
+    "body{font:15px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}table{border-collapse:collapse}"
+    "td,th{padding:.2em .7em;border-bottom:1px solid #ccc;text-align:right}td:first-child,th:first-child{text-align:left}"
+    "img{max-width:100%}.summary{background:#f2f5f7;padding:1em 1.3em;border-radius:6px}"
+)
+
+
+def write_report(diagnosis: Diagnosis, folder: Path, title: str) -> Path:
+    """Write index.html and PNGs into `folder`; returns the page. Raises InputError when matplotlib is not installed."""
+    try:
+        import matplotlib
+    except ModuleNotFoundError as error:
+        raise InputError("--report", "needs matplotlib, which is not installed", "pip install 'yieldmon[plot]'") from error
+    matplotlib.use("Agg")
+    folder.mkdir(parents=True, exist_ok=True)
+    pictures = {
+        "where": _residual_map(diagnosis.base, "Published model: model minus measurement, % of largest reading"),
+        "after": _residual_map(diagnosis.best, "With the named effects" if diagnosis.choice.named else "Published model"),
+        "profiles": _profiles(diagnosis),
+        "ranking": _ranking(diagnosis),
+    }
+    for name, content in pictures.items():
+        (folder / f"{name}.png").write_bytes(content)
+    page = folder / "index.html"
+    page.write_text(_page(diagnosis, title, pictures), encoding="utf-8")
+    return page
+
+
+def summary(diagnosis: Diagnosis) -> str:
+    """The finding in plain words."""
+    before = diagnosis.before.rms_over_max_pct
+    if diagnosis.verdict == "none":
+        return (
+            f"The model fits these measurements as well as they repeat (error {before:.1f} % of the largest reading). Nothing to mend."
+        )
+    if diagnosis.verdict == "unknown":
+        return (
+            f"The model misses these measurements by {before:.1f} % of the largest reading, more than they scatter, and no known "
+            "cause explains it. Check the machine in the regions below, or measure the rows proposed."
+        )
+    causes = "; ".join(registry()[name].summary.rstrip(".").lower() for name in diagnosis.choice.named)
+    ties = [n for s in diagnosis.choice.steps for n in s.equivalent]
+    text = (
+        f"The model misses these measurements by {before:.1f} % of the largest reading. Most likely cause: {causes}. "
+        f"With it the error is {diagnosis.after.rms_over_max_pct:.1f} %"
+    )
+    if diagnosis.held_out is not None:
+        text += f"; on {diagnosis.held_out.rows} rows kept aside, {diagnosis.held_out.closed_pct:.0f} % of the gap is gone"
+    if ties:
+        text += f". These measurements alone cannot tell it from: {', '.join(ties)}"
+    return text + "."
+
+
+def _figure(width: float, height: float):  # type: ignore[no-untyped-def]
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def _png(figure) -> bytes:  # type: ignore[no-untyped-def]
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def _residual_map(fitted: Fit, title: str) -> bytes:
+    cells = fitted.frame.cells
+    error = 100.0 * fitted.residual * fitted.frame.sd / float(np.max(np.abs(cells.mean)))
+    figure = _figure(7.5, 4.2)
+    axes = figure.subplots()
+    limit = max(float(np.max(np.abs(error))), 0.5)
+    spread = 0.6 * (cells.elevator_speed_rad_s / np.median(cells.elevator_speed_rad_s) - 1.0)
+    points = axes.scatter(
+        np.degrees(cells.plate_angle_rad) + 6.0 * spread, cells.load, c=error, cmap="RdBu_r", vmin=-limit, vmax=limit, s=110, edgecolors="0.4"
+    )
+    axes.set_xlabel("plate angle, deg")
+    axes.set_ylabel("mass flow, kg/s" if cells.rows.load_name == "mass_flow_kg_s" else "mass per paddle, kg")
+    axes.set_title(title, fontsize=10)
+    figure.colorbar(points, label="model minus measurement, %")
+    return _png(figure)
+
+
+def _profiles(diagnosis: Diagnosis) -> bytes:
+    cells = diagnosis.base.frame.cells
+    figure = _figure(9.0, 4.0)
+    for axes, values, label in zip(
+        figure.subplots(1, 2), (np.degrees(cells.plate_angle_rad), cells.load), ("plate angle, deg", "load"), strict=True
+    ):
+        order = np.unique(np.round(values, 6))
+        for fitted, name, mark in ((diagnosis.base, "before", "s--"), (diagnosis.best, "after", "o-")):
+            error = 100.0 * fitted.residual * fitted.frame.sd / np.maximum(np.abs(cells.mean), 0.05 * np.max(np.abs(cells.mean)))
+            rms = [float(np.sqrt(np.mean(error[np.isclose(values, v, atol=1e-6)] ** 2))) for v in order]
+            axes.plot(order, rms, mark, label=name)
+        axes.set_xlabel(label)
+        axes.set_ylabel("rms error, % of reading")
+        axes.legend()
+    return _png(figure)
+
+
+def _ranking(diagnosis: Diagnosis) -> bytes:
+    found = diagnosis.choice.looked_at[:12]
+    figure = _figure(7.5, 0.6 + 0.32 * max(len(found), 1))
+    axes = figure.subplots()
+    names = [c.effect + (" (at a bound)" if c.refused else "") for c in found]
+    axes.barh(names[::-1], [c.fit.chi2 / max(c.fit.dof, 1) for c in found][::-1], color="#4a7fa5")
+    axes.axvline(1.0, color="0.3", linewidth=1)
+    axes.set_xlabel("lack of fit with this one effect added (1: to the noise)")
+    return _png(figure)
+
+
+def _page(diagnosis: Diagnosis, title: str, pictures: dict[str, bytes]) -> str:
+    def image(name: str, alt: str) -> str:
+        return f'<img alt="{alt}" src="data:image/png;base64,{base64.b64encode(pictures[name]).decode()}">'
+
+    e = html.escape
+    parts = [
+        f"<!doctype html><html lang=en><meta charset=utf-8><title>{e(title)}</title><style>{_STYLE}</style><h1>{e(title)}</h1>",
+        f'<p class="summary">{e(summary(diagnosis))}</p>',
+        "<h2>Gap</h2>",
+        _gap_table(diagnosis),
+        "<h2>Where</h2>",
+        _where_table(diagnosis),
+        image("where", "residuals of the published model"),
+        image("after", "residuals after"),
+        image("profiles", "error by plate angle and by load"),
+        "<h2>Candidates</h2>",
+        image("ranking", "lack of fit by candidate"),
+        *(_step(step, diagnosis) for step in diagnosis.choice.steps),
+        "<h2>Next experiment</h2>",
+        _plan_table(diagnosis),
+        "<h2>Notes</h2><ul>" + "".join(f"<li>{e(n)}</li>" for n in diagnosis.notes) + "</ul>",
+    ]
+    if diagnosis.correction is not None:
+        parts.append(
+            "<h2>Stop-gap</h2><p>A Gaussian-process correction over "
+            f"{e(', '.join(diagnosis.correction.axes))} takes up {diagnosis.correction.closed_pct:.0f} % of the excess on cells left out. "
+            "It names no cause and holds only where these rows lie.</p>"
+        )
+    return "\n".join(parts) + "</html>\n"
+
+
+def _gap_table(diagnosis: Diagnosis) -> str:
+    rows = [("all rows", diagnosis.before, diagnosis.after)]
+    if diagnosis.held_out is not None:
+        rows.append((f"{diagnosis.held_out.rows} held-out rows", diagnosis.held_out.before, diagnosis.held_out.after))
+    out = "<table><tr><th></th><th>rms before</th><th>rms after</th><th>% of max before</th><th>after</th><th>F before</th><th>F after</th></tr>"
+    for name, before, after in rows:
+        f = [f"{m.lack_of_fit_f:.2f}" if m.lack_of_fit_f is not None else "" for m in (before, after)]
+        out += (
+            f"<tr><td>{name}</td><td>{before.rms:.4g}</td><td>{after.rms:.4g}</td><td>{before.rms_over_max_pct:.2f}</td>"
+            f"<td>{after.rms_over_max_pct:.2f}</td><td>{f[0]}</td><td>{f[1]}</td></tr>"
+        )
+    return out + f"</table><p>Noise floor (rms of a perfect model): {diagnosis.noise_floor_rms:.4g}</p>"
+
+
+def _where_table(diagnosis: Diagnosis) -> str:
+    if not diagnosis.regions:
+        return "<p>No region where the error is larger than chance allows.</p>"
+    out = "<table><tr><th>plate angle, deg</th><th>fill</th><th>speed, rpm</th><th>error, %</th><th>p</th></tr>"
+    for r in diagnosis.regions:
+        out += (
+            f"<tr><td>{degrees(r.plate_angle_rad[0]):.0f} to {degrees(r.plate_angle_rad[1]):.0f}</td>"
+            f"<td>{r.fill[0]:.2f} to {r.fill[1]:.2f}</td>"
+            f"<td>{r.elevator_speed_rad_s[0] / RPM:.0f} to {r.elevator_speed_rad_s[1] / RPM:.0f}</td>"
+            f"<td>{r.mean_error_pct:+.1f}</td><td>{r.p_value:.3g}</td></tr>"
+        )
+    return out + "</table>"
+
+
+def _step(step: Step, diagnosis: Diagnosis) -> str:
+    effect = registry()[step.added]
+    values = ", ".join(
+        f"{p.name.partition('.')[2]} = {diagnosis.best.values.get(p.name, float('nan')):.4g} {html.escape(p.unit)}"
+        for p in diagnosis.best.parameters
+        if p.name.startswith(f"{step.added}.")
+    )
+    ties = f" Not distinguishable here from: {', '.join(step.equivalent)}." if step.equivalent else ""
+    return (
+        f"<h3>{step.added} ({effect.stage})</h3><p>{html.escape(effect.summary)} {values}. "
+        f"Confidence {step.confidence:.2f}.{ties} Signature: {html.escape(effect.signature)}.</p>"
+    )
+
+
+def _plan_table(diagnosis: Diagnosis) -> str:
+    plan = diagnosis.plan
+    if not plan.rows:
+        return "<p>Nothing to separate.</p>"
+    out = "<table><tr><th>plate angle, deg</th><th>mass flow, kg/s</th><th>elevator speed, rpm</th></tr>"
+    for r in plan.rows:
+        out += (
+            f"<tr><td>{degrees(r.plate_angle_rad):.0f}</td><td>{r.mass_flow_kg_s:.1f}</td>"
+            f"<td>{r.elevator_speed_rad_s / RPM:.0f}</td></tr>"
+        )
+    pairs = "; ".join(f"{a} from {b}" for a, b in plan.separates)
+    return out + f"</table><p>Each three times. Separates {html.escape(pairs)} with power {plan.power:.2f}.</p>"
