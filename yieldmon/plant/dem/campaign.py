@@ -260,17 +260,21 @@ def layer_rows(campaign: Campaign, ledger: Ledger) -> list[Row]:
 
 
 def heap_rows(campaign: Campaign, ledger: Ledger) -> list[Row]:
-    """Shape of the settled heap for each throw that has its records."""
+    """Shape of the settled heap for each throw that has its records and is large enough to have a surface."""
     rows: list[Row] = []
     for throw in campaign.throws:
         path = ledger.throw_folder(throw) / "release.npz"
-        if path.exists():
+        if not path.exists():
+            continue
+        try:
             shape = settled_shape(throw, runner.load(path))
-            rows.append({
-                **_head(throw), "inner_radius_m": shape.inner_radius_m, "reach_deg": math.degrees(shape.reach_rad),
-                "shape_ratio": shape.shape_ratio, "straightness_mm": 1e3 * shape.straightness_m,
-                "bulk_density_kg_m3": shape.bulk_density_kg_m3,
-            })
+        except ValueError:
+            continue
+        rows.append({
+            **_head(throw), "inner_radius_m": shape.inner_radius_m, "reach_deg": math.degrees(shape.reach_rad),
+            "shape_ratio": shape.shape_ratio, "straightness_mm": 1e3 * shape.straightness_m,
+            "bulk_density_kg_m3": shape.bulk_density_kg_m3,
+        })
     return rows
 
 
