@@ -1,0 +1,165 @@
+"""The installed daemon under the shipped unit: it measures, reloads or refuses, and keeps its totals through every death.
+
+One daemon lives through the whole module, in the order of the tests: a start takes half a minute in the guest.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+from service_manager import (
+    PATIENCE_S,
+    UNIT,
+    add_interface,
+    delete_interface,
+    eventually,
+    install,
+    journal,
+    run,
+    show,
+    uninstall,
+)
+
+from tests.service.bench import CODEC, traffic
+from yieldmon import frames
+from yieldmon.cli._daemon import SYSTEM_SOCKET
+from yieldmon.service.control import ask
+from yieldmon.service.store import Store
+
+pytestmark = pytest.mark.systemd
+
+CONFIGURATION = Path("/etc/yieldmon/yieldmon.yaml")
+STORE = Path("/var/lib/yieldmon/yieldmon.sqlite")
+EMPTY_S, GRAIN_S = 14, 50
+#: The guest may take minutes for what a combine's computer does in two seconds.
+SLOW_MACHINE = "[Service]\nTimeoutStartSec=600\nWatchdogSec=20\n"
+#: Mean signal of the grain, mV above the zero.
+GRAIN_MV = 60.0
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A candump log of a combine that runs empty and then harvests."""
+    path = tmp_path_factory.mktemp("traffic") / "combine.log"
+    phases = ((0.0, EMPTY_S, 0.0), (float(EMPTY_S), GRAIN_S, GRAIN_MV))
+    sent = [(frame.time_s, CODEC.encode(frame)) for phase in phases for frame in traffic(*phase)]
+    lines = [f"({time_s:.6f}) can0 {message.arbitration_id:08X}#{message.data.hex()}\n" for time_s, message in sent]
+    path.write_text("".join(lines), encoding="ascii")
+    return path
+
+
+@pytest.fixture(scope="module", autouse=True)
+def harvest(daemon_command: Path, log: Path) -> Iterator[None]:
+    """The service installed and started, with canplayer as the combine that goes round and round."""
+    slow = Path("/run/systemd/system/yieldmon.service.d/slow.conf")
+    slow.parent.mkdir(parents=True)
+    slow.write_text(SLOW_MACHINE, encoding="utf-8")
+    install(daemon_command)
+    add_interface()
+    run("systemctl", "start", UNIT)
+    player = subprocess.Popen(["canplayer", "-l", "i", "-I", str(log)])
+    yield
+    player.kill()
+    player.wait()
+    delete_interface()
+    uninstall()
+    slow.unlink()
+
+
+def reload_note() -> str:
+    """What became of the last reload, from the daemon itself."""
+    return str(ask(SYSTEM_SOCKET, {"command": "status"})["configuration"]["reload"])
+
+
+def records() -> list[Any]:
+    """One-second records in the store, read as another process may while the daemon writes."""
+    with Store(STORE) as store:
+        return store.seconds()
+
+
+def pid() -> int:
+    return int(show("MainPID"))
+
+
+def restarted(before: int) -> None:
+    eventually(lambda: show("ActiveState") == "active" and pid() not in (0, before), "a new process that is ready")
+
+
+def test_it_is_ready_and_publishes_each_second() -> None:
+    assert show("ActiveState") == "active"
+    counters = []
+    with can.Bus("can0", interface="socketcan", can_filters=CODEC.filters([frames.MASS_FLOW])) as bus:
+        while len(counters) < EMPTY_S + 10:
+            message = bus.recv(PATIENCE_S)
+            assert message is not None, journal()
+            frame = CODEC.decode(message)
+            assert frame is not None
+            counters.append(frame.signals["WindowCounter"])
+    assert counters == list(range(counters[0], counters[0] + len(counters)))
+
+
+def test_status_tells_what_it_measures(daemon_command: Path) -> None:
+    told = json.loads(run(str(daemon_command), "status", "--json"))
+    assert told["bus"]["channel"] == "can0"
+    assert told["bus"]["frames_per_s"] > 200
+    assert told["bus"]["dropped"] == 0
+    assert told["bus"]["kernel_drops"] == 0
+    assert told["total"]["mass_kg"] > 0.0
+    assert told["store"]["file"] == str(STORE)
+
+
+def test_a_good_configuration_is_taken() -> None:
+    before = pid()
+    CONFIGURATION.write_text("logging:\n  level: debug\n", encoding="utf-8")
+    run("systemctl", "reload", UNIT)
+    eventually(lambda: reload_note() == "taken", "reload")
+    assert pid() == before
+
+
+def test_a_bad_configuration_is_refused_and_measuring_goes_on() -> None:
+    before = pid()
+    good = CONFIGURATION.read_text(encoding="utf-8")
+    CONFIGURATION.write_text("loging:\n  level: debug\n", encoding="utf-8")
+    with pytest.raises(AssertionError, match="reload"):
+        run("systemctl", "reload", UNIT)
+    run("systemctl", "kill", "--signal=HUP", "--kill-whom=main", UNIT)
+    eventually(lambda: "loging" in reload_note(), "refusal")
+    CONFIGURATION.write_text(good, encoding="utf-8")
+    assert pid() == before
+    assert show("ActiveState") == "active"
+
+
+@pytest.mark.parametrize(
+    ("death", "result"), [(signal.SIGKILL, "signal"), (signal.SIGSTOP, "watchdog")], ids=["killed", "hung"]
+)
+def test_totals_survive(death: signal.Signals, result: str) -> None:
+    before, last = pid(), records()[-1]
+    os.kill(before, death)
+    restarted(before)
+    assert f"Failed with result '{result}'" in journal(200)
+    eventually(lambda: records()[-1].number > last.number + 3, "new records")
+    rows = records()
+    assert rows[last.number - 1] == last, "a record that was written stays"
+    assert [row.number for row in rows] == list(range(1, len(rows) + 1))
+    totals = [row.total_kg for row in rows]
+    assert totals == sorted(totals)
+    assert totals[-1] == pytest.approx(sum(row.mass_kg for row in rows), rel=1e-9)
+
+
+def test_stop_is_clean_and_keeps_the_total() -> None:
+    run("systemctl", "stop", UNIT)
+    assert show("Result") == "success"
+    with Store(STORE) as store:
+        state = store.state()
+        last = store.last_second()
+    assert state is not None
+    assert last is not None
+    assert state["engine"]["totals"]["total_kg"] == pytest.approx(last.total_kg, rel=1e-9)
