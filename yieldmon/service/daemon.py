@@ -51,7 +51,7 @@ _WAIT_S = 0.05
 #: still on their way are not late.
 SILENCE_S = 0.15
 _TICK_DELAY_S = 0.1
-#: How long a condition counts as present after it was last seen.
+#: How long a condition counts as present after it was last seen or has ended: the shortest must outlast a window.
 _HOLD_S = 3.0
 _LAST_ROWS = 10
 _COMMAND_PATIENCE_S = 5.0
@@ -317,12 +317,12 @@ class Daemon:
         if kind in (BusEventKind.INTERFACE_LOST, BusEventKind.RECEIVER_FAILED):
             self._conditions.present("interface", _FOREVER, detail)
         elif kind is BusEventKind.INTERFACE_RESTORED:
-            self._conditions.ended("interface")
+            self._conditions.present("interface", until_s, detail)
             self._conditions.ended("bus-off")
         elif kind is BusEventKind.BUS_OFF:
             self._conditions.present("bus-off", _FOREVER, detail)
         elif kind is BusEventKind.BUS_RESTARTED:
-            self._conditions.ended("bus-off")
+            self._conditions.present("bus-off", until_s, detail)
         elif kind is BusEventKind.FRAMES_DROPPED:
             self._conditions.present("dropped", until_s, f"{event.count} frames: {event.detail}")
         else:

@@ -163,8 +163,10 @@ class Store:
     Raises StoreError from every method when the file or the medium fails; what was committed before stays.
     """
 
-    def __init__(self, path: Path, retention: Retention = Retention(), timeout_s: float = 5.0) -> None:
+    def __init__(self, path: Path, retention: Retention = Retention(), timeout_s: float = 2.0) -> None:
         """Open the store at `path`, making or migrating it when needed.
+
+        timeout_s: how long a commit waits for another process that holds the file.
 
         Raises StoreError when it cannot be opened or is damaged, InputError when it is another program's or of a newer
         version.
