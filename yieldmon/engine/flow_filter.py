@@ -12,6 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import exp, isfinite, log, sqrt
 
+_LARGEST_FLOW_KG_S = 1e6
+"""Beyond any machine; what is above is handed on as it came."""
+
 _Vector = tuple[float, float]
 _Matrix = tuple[float, float, float]
 """Symmetric 2 x 2: (level, level), (level, trend), (trend, trend)."""
@@ -71,7 +74,7 @@ class FlowFilter:
         windows; the trend carries the flow over it. A flow that is unknown, below the filter's range or without a usable
         standard deviation comes back as it is and resets the filter.
         """
-        usable = isfinite(flow_kg_s) and isfinite(noise_std_dev_kg_s) and noise_std_dev_kg_s > 0.0
+        usable = flow_kg_s <= _LARGEST_FLOW_KG_S and isfinite(noise_std_dev_kg_s) and noise_std_dev_kg_s > 0.0
         if not usable or not self._settings.enabled or flow_kg_s < self._settings.min_flow_kg_s:
             self.reset()
             return flow_kg_s, noise_std_dev_kg_s

@@ -1,7 +1,8 @@
 """The yield monitor: frames in, frames out, time only from the frames.
 
 `feed` and `feed_run` give the same bits for the same frames, one by one or in blocks. Nothing here raises on any sequence of
-frames: what cannot be used is left out, and quality and faults say so.
+frames: what cannot be used is left out, and quality and faults say so. The published flow weighs each window with those before it
+(`flow_filter`); totals and sweeps take each window as it was measured.
 
 Rules for the totals. A window that is partly lost counts its whole duration at the mean of what was measured in it, as long as
 that is at least `WindowSettings.min_coverage` of it; below that, only the time that was measured counts. A window without flow
@@ -12,7 +13,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import degrees, floor, hypot, isfinite, radians
 
 import numpy as np
@@ -22,6 +23,7 @@ from yieldmon import frames as bus
 from yieldmon.engine.anchors import AnchorSource, ReferenceMass, TankScale
 from yieldmon.engine.clock import BusClock
 from yieldmon.engine.faults import FAULTS, FaultBook, FaultCode, Severity
+from yieldmon.engine.flow_filter import FlowFilter
 from yieldmon.engine.gates import GateInputs, HarvestGate
 from yieldmon.engine.plate_commands import RELEASE, PlateCommander
 from yieldmon.engine.records import CalibrationOutcome, FlowEstimator, SelfCalibrator, WindowRecord
@@ -138,6 +140,7 @@ class Monitor:
         self._builder = WindowBuilder(settings.windows, machine)
         self._zero = ZeroTracker(settings.zero)
         self._gate = HarvestGate(settings.gate)
+        self._filter = FlowFilter(settings.flow_filter)
         self._commander = PlateCommander(settings.plate, machine)
         self._sweep = SweepMachine(settings.sweep, settings.plate, degrees(machine.home_plate_angle_rad))
         self._scale = TankScale(settings.anchors)
@@ -537,7 +540,8 @@ class Monitor:
         bus_s = self._clock.bus_time(at_s)
         self._judge_faults(bus_s, at_s, window, flow, speed_known, in_range, stuck, stale_angle)
         state = self._operating_state(window, speed_known)
-        record = self._record(bus_s, window, flow, state, mass_kg, moisture, still, sweep_step)
+        published = self._filtered(window, flow, still and at_home)
+        record = self._record(bus_s, window, published, state, mass_kg, moisture, still, sweep_step)
         self._records.append(record)
         self._last_record = record
         self._learn(at_s, record)
@@ -606,6 +610,19 @@ class Monitor:
         else:
             found = quality.OK
         return _Flow(rate, std_dev, found, force, noise, status is FlowStatus.OUTSIDE_CALIBRATION, saturated)
+
+    def _filtered(self, window: Window, flow: _Flow, plate_rests_at_home: bool) -> _Flow:
+        """The flow to publish: windows of a plate at rest at home weighed together; every other stands for itself."""
+        usable = plate_rests_at_home and not flow.saturated and flow.force_n > 0.0 and flow.rate_kg_s > 0.0
+        if not usable:
+            self._filter.reset()
+            return flow
+        # Flow is nearly proportional to force, so a share of one is a share of the other.
+        noise = flow.rate_kg_s * flow.force_std_dev_n / flow.force_n
+        common = max(0.0, flow.std_dev_kg_s**2 - noise**2) ** 0.5
+        seconds = window.end_s - window.start_s
+        rate, std_dev = self._filter.update(flow.rate_kg_s, noise, 0.5 * self._ramp_s(window) / seconds)
+        return replace(flow, rate_kg_s=rate, std_dev_kg_s=hypot(std_dev, common * rate / flow.rate_kg_s))
 
     def _force_std_dev(self, window: Window, force_n: float) -> float:
         """Standard deviation of the mean force: scatter within the window, drawn towards the prior for paddle scatter, N."""

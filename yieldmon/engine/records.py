@@ -20,8 +20,9 @@ class WindowRecord:
     """One second of measurement. nan where a value is not known; angles in rad, speeds in rad/s.
 
     time_s: bus time of the window's end; its result belongs to duration_s before it, less half a paddle pattern. coverage: share
-    measured. mass_kg: added to the totals. plate_still: the plate did not move while the window was formed. sweep_id and
-    sweep_step: 0 and -1 outside sweeps; usable_for_calibration: the window counts for its sweep step.
+    measured. mass_flow_kg_s: as published, weighed with the windows before. mass_kg: added to the totals, as measured.
+    plate_still: the plate did not move while the window was formed. sweep_id and sweep_step: 0 and -1 outside sweeps;
+    usable_for_calibration: the window counts for its sweep step.
     """
 
     time_s: float

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from yieldmon.engine.flow_filter import FlowFilterSettings
 from yieldmon.frames import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 
@@ -206,6 +207,7 @@ class EngineSettings:
     inputs: InputSettings = field(default_factory=InputSettings)
     zero: ZeroSettings = field(default_factory=ZeroSettings)
     gate: GateSettings = field(default_factory=GateSettings)
+    flow_filter: FlowFilterSettings = field(default_factory=FlowFilterSettings)
     totals: TotalsSettings = field(default_factory=TotalsSettings)
     plate: PlateSettings = field(default_factory=PlateSettings)
     sweep: SweepSettings = field(default_factory=SweepSettings)
