@@ -48,6 +48,7 @@ class StoreWriter:
         self._stopping = False
         self._health = StoreHealth()
         self._waiting_since_s = 0.0
+        self._in_flight = 0
         self._thread = threading.Thread(target=self._run, name="store-writer")
 
     def start(self) -> None:
@@ -60,9 +61,11 @@ class StoreWriter:
             if not self._pending:
                 self._waiting_since_s = monotonic()
             self._pending.append(batch)
-            if len(self._pending) > self._capacity:
-                oldest, following = self._pending.popleft(), self._pending.popleft()
-                self._pending.appendleft(_without_record(oldest, following))
+            # Batches that are being written stay as they are, or their events would be written twice.
+            if len(self._pending) - self._in_flight > self._capacity:
+                oldest = self._pending[self._in_flight]
+                del self._pending[self._in_flight]
+                self._pending[self._in_flight] = _without_record(oldest, self._pending[self._in_flight])
                 given_up = self._health.records_given_up + len(oldest.seconds)
                 self._health = replace(self._health, records_given_up=given_up)
             self._changed.notify_all()
@@ -92,6 +95,7 @@ class StoreWriter:
 
     def _run(self) -> None:
         store: Store | None = None
+        last_try = False
         while self._wait_for_work():
             try:
                 store = store or self._open_store()
@@ -101,8 +105,10 @@ class StoreWriter:
                 if store is not None:
                     store.close()
                     store = None
-                if self._wait_before_retry():
+                if last_try:
+                    _log.error("%d batches could not be written", self.health().pending)
                     break
+                last_try = self._wait_before_retry()
         if store is not None:
             store.close()
 
@@ -112,27 +118,24 @@ class StoreWriter:
             return bool(self._pending)
 
     def _wait_before_retry(self) -> bool:
-        """True when the service is to stop: what is still pending is lost."""
+        """True when the service is to stop: the next try is the last."""
         with self._changed:
-            stopping = self._changed.wait_for(lambda: self._stopping, self._retry_s)
-            if stopping:
-                _log.error("%d batches could not be written", len(self._pending))
-            return stopping
+            return self._changed.wait_for(lambda: self._stopping, self._retry_s)
 
     def _write(self, store: Store) -> None:
         with self._changed:
             batches = tuple(self._pending)
+            self._in_flight = len(batches)
+        done = refused = 0
         try:
-            store.commit(batches)
-            done, refused = len(batches), 0
-        except BatchRefusedError as error:
-            done, refused = self._write_singly(store, batches), 1
-            _log.error("%s; the record is left out", error)
+            done = self._commit(store, batches)
+            refused = int(done < len(batches))
+        finally:
+            with self._changed:
+                self._in_flight = 0
+                for _ in range(done + refused):
+                    self._pending.popleft()
         with self._changed:
-            # submit() may have merged the oldest batches into one meanwhile; numbers tell which are written.
-            last = batches[done + refused - 1].number
-            while self._pending and self._pending[0].number <= last:
-                self._pending.popleft()
             self._waiting_since_s = monotonic()
             if self._health.failing:
                 _log.info("%s: writing again", store.path)
@@ -144,8 +147,13 @@ class StoreWriter:
         if committed // _PRUNE_EVERY != (committed - done) // _PRUNE_EVERY:
             store.prune()
 
-    def _write_singly(self, store: Store, batches: tuple[Batch, ...]) -> int:
-        """Number of batches written before the first that the store refuses."""
+    def _commit(self, store: Store, batches: tuple[Batch, ...]) -> int:
+        """Number of batches written before the first, if any, that no store takes."""
+        try:
+            store.commit(batches)
+            return len(batches)
+        except BatchRefusedError as error:
+            _log.error("%s; the record is left out", error)
         for count, batch in enumerate(batches):
             try:
                 store.commit([batch])

@@ -1,0 +1,125 @@
+"""The store's thread: order, retries, giving up records but never totals."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import pytest
+
+from tests.service.test_store import batch
+from yieldmon.service.store import Batch, Store, StoreError, Ticket
+from yieldmon.service.writer import StoreWriter
+
+PATIENCE_S = 10.0
+
+
+class Disk:
+    """Opens stores on a path; `broken` makes every commit fail."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.broken = threading.Event()
+        self.refusals = threading.Semaphore(0)
+
+    def open(self) -> Store:
+        disk = self
+
+        class Fragile(Store):
+            def commit(self, batches: tuple[Batch, ...]) -> None:
+                if disk.broken.is_set():
+                    disk.refusals.release()
+                    raise StoreError(f"{disk.path}: disk I/O error")
+                super().commit(batches)
+
+        return Fragile(self.path)
+
+
+@pytest.fixture
+def disk(tmp_path) -> Disk:
+    return Disk(tmp_path / "s")
+
+
+def rows(disk: Disk) -> list[int]:
+    with Store(disk.path) as store:
+        return [row.number for row in store.seconds()]
+
+
+def test_batches_are_written_in_order(disk):
+    writer = StoreWriter(disk.open, 100)
+    writer.start()
+    for number in range(1, 51):
+        writer.submit(batch(number))
+    assert writer.wait_until_written(PATIENCE_S)
+    assert writer.health().committed == 50
+    writer.stop()
+    assert rows(disk) == list(range(1, 51))
+
+
+def test_a_failing_disk_is_outlasted(disk):
+    writer = StoreWriter(disk.open, 100, retry_s=0.01)
+    disk.broken.set()
+    writer.start()
+    for number in range(1, 21):
+        writer.submit(batch(number))
+    for _ in range(3):
+        assert disk.refusals.acquire(timeout=PATIENCE_S)
+    assert "disk I/O error" in writer.health().failing
+    assert writer.health().pending == 20
+    disk.broken.clear()
+    assert writer.wait_until_written(PATIENCE_S)
+    assert writer.health().failing is None
+    writer.stop()
+    assert rows(disk) == list(range(1, 21))
+
+
+def test_too_many_waiting_give_up_records_but_not_totals(disk):
+    writer = StoreWriter(disk.open, 5, retry_s=60.0)
+    disk.broken.set()
+    writer.start()
+    ticket = Ticket(1.0, 1, 1, 9.0, 10.0)
+    writer.submit(batch(1, tickets=(ticket,)))
+    for number in range(2, 21):
+        writer.submit(batch(number))
+    assert disk.refusals.acquire(timeout=PATIENCE_S)
+    assert writer.health().records_given_up == 15
+    disk.broken.clear()
+    writer.stop()
+    assert rows(disk) == list(range(16, 21))
+    with Store(disk.path) as store:
+        assert store.state() == {"total_mass_kg": 200.0}
+        assert store.loads()[0].mass_kg == 200.0
+        assert store.tickets() == [ticket]
+
+
+def test_stopping_tries_once_more(disk):
+    writer = StoreWriter(disk.open, 100, retry_s=60.0)
+    disk.broken.set()
+    writer.start()
+    writer.submit(batch(1))
+    assert disk.refusals.acquire(timeout=PATIENCE_S)
+    disk.broken.clear()
+    writer.stop()
+    assert rows(disk) == [1]
+
+
+def test_stopping_does_not_wait_for_a_disk_that_stays_broken(disk):
+    writer = StoreWriter(disk.open, 100, retry_s=60.0)
+    disk.broken.set()
+    writer.start()
+    writer.submit(batch(1))
+    assert disk.refusals.acquire(timeout=PATIENCE_S)
+    writer.stop()
+    assert not writer.alive
+    assert rows(disk) == []
+
+
+def test_a_batch_that_no_store_takes_is_left_out_and_counted(disk):
+    writer = StoreWriter(disk.open, 100)
+    for number in range(1, 6):
+        writer.submit(batch(number, state={"zero_mv": float("nan")}) if number == 3 else batch(number))
+    writer.start()
+    assert writer.wait_until_written(PATIENCE_S)
+    assert writer.health().batches_refused == 1
+    writer.stop()
+    assert rows(disk) == [1, 2, 4, 5]
