@@ -76,7 +76,8 @@ class Bench:
 
     def played(self) -> None:
         """Waits until the engine has worked off what was played, but for the last open window."""
-        last = math.floor(self.now_s - 0.01)
+        # Windows end a tenth after the full second.
+        last = math.floor(self.now_s - 0.11)
         wait_for(lambda: self.rows and self.rows[-1]["time_s"] >= last, f"window {last}, have {self.rows[-1:]}")
 
     @property

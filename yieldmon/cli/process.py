@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--json", "standard output is taken by --out -", "a file for --out")
     path = args.config if args.config is not None else shipped("config/yieldmon.yaml")
     loaded = configuration.load(path)
-    monitor = build_monitor(loaded.engine, loaded.machine, loaded.parameters)
+    monitor = build_monitor(loaded.engine, loaded.machine, loaded.parameters, loaded.calibrator)
     with open_table(args.out, f".{args.format}" if args.format else None) as table:
         summary = process_logs(args.logs, monitor, Codec(), table.write)
     totals = monitor.totals

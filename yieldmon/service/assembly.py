@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
+from yieldmon.engine.closed_loop_calibrator import CalibratorSettings, ClosedLoopCalibrator
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.estimation.open_loop import OpenLoop
@@ -12,9 +13,13 @@ from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 
 
-def build_monitor(settings: EngineSettings, machine: Machine, parameters: ParameterSet) -> Monitor:
-    """A monitor that starts from these parameters."""
-    return Monitor(settings, machine, build_estimator(machine, parameters))
+def build_monitor(
+    settings: EngineSettings, machine: Machine, parameters: ParameterSet, calibrator: CalibratorSettings | None = None
+) -> Monitor:
+    """A monitor that starts from these parameters and, with a calibrator, learns from sweeps and weighed loads."""
+    estimator = build_estimator(machine, parameters)
+    learner = ClosedLoopCalibrator(estimator.model, calibrator) if calibrator is not None else None
+    return Monitor(settings, machine, estimator, learner)
 
 
 def build_estimator(machine: Machine, parameters: ParameterSet) -> OpenLoop:

@@ -19,8 +19,10 @@ import can
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
+from yieldmon.engine.closed_loop_calibrator import CalibratorSettings
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.errors import InputError
+from yieldmon.estimation.closed_loop import ClosedLoopSettings
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file, strict_yaml
 from yieldmon.physics.machine import Machine
@@ -43,11 +45,12 @@ class ConfigurationError(InputError):
 
 @dataclass(frozen=True)
 class Configuration:
-    """All that the daemon runs with. Paths are absolute."""
+    """All that the daemon runs with. Paths are absolute. calibrator is None where nothing may be learnt."""
 
     path: Path
     document: Document
     engine: EngineSettings
+    calibrator: CalibratorSettings | None
     machine: Machine
     machine_path: Path
     parameters: ParameterSet
@@ -86,6 +89,7 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
         path=path,
         document=document,
         engine=engine_settings(document),
+        calibrator=calibrator_settings(document) if document.learning.enabled else None,
         machine=machine,
         machine_path=machine_path,
         parameters=parameter_file.load(parameter_path),
@@ -108,6 +112,14 @@ def engine_settings(document: Document) -> EngineSettings:
         }
         sections[name] = dataclasses.replace(getattr(defaults, name), **values)
     return dataclasses.replace(defaults, **sections)
+
+
+def calibrator_settings(document: Document) -> CalibratorSettings:
+    """The self-calibration's settings that a document asks for."""
+    values = document.learning.model_dump(exclude={"enabled"})
+    values["flow"] = values.pop("flow_model")
+    inner = {field.name: values.pop(field.name) for field in dataclasses.fields(ClosedLoopSettings)}
+    return CalibratorSettings(closed_loop=ClosedLoopSettings(**inner), **values)
 
 
 def state_folder(environment: Mapping[str, str]) -> Path:

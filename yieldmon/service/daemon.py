@@ -27,7 +27,9 @@ from yieldmon.bus.codec import Codec, FrameError
 from yieldmon.bus.opening import open_bus
 from yieldmon.bus.receiver import BusEvent, BusEventKind, Receiver
 from yieldmon.engine.faults import FaultCode
+from yieldmon.engine.monitor import Monitor
 from yieldmon.errors import InputError
+from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.frames import Frame
 from yieldmon.service import commands
 from yieldmon.service.assembly import build_monitor, calibration_age_s
@@ -132,7 +134,7 @@ class Daemon:
         memory = self._recall()
         parameters, self._origin = choose_parameters(memory, self.configuration.parameters)
         self._journal = Journal(memory, self.configuration.parameters)
-        self._monitor = build_monitor(self.configuration.engine, self.configuration.machine, parameters)
+        self._monitor = _monitor_for(self.configuration, parameters)
         self._resume(memory)
         self._answer = self._snapshot()
         self._receiver.start()
@@ -406,7 +408,7 @@ class Daemon:
             self._origin = "file"
             state = dataclasses.replace(state, calibration_age_s=calibration_age_s(fresh, time.time()))
         self._commit()
-        monitor = build_monitor(new.engine, new.machine, fresh or self._monitor.estimator.parameters)
+        monitor = _monitor_for(new, fresh or self._monitor.estimator.parameters)
         monitor.restore(state)
         self._monitor = monitor
         self._told.clear()
@@ -430,3 +432,7 @@ class Daemon:
             reload_note=self._reload_note,
             uptime_s=monotonic() - self._started_s,
         )
+
+
+def _monitor_for(configuration: Configuration, parameters: ParameterSet) -> Monitor:
+    return build_monitor(configuration.engine, configuration.machine, parameters, configuration.calibrator)

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from yieldmon.engine.closed_loop_calibrator import CalibratorSettings
 from yieldmon.engine.settings import EngineSettings
 
 _ENGINE = EngineSettings()
@@ -123,6 +124,9 @@ _W = _ENGINE.windows
 class Windows(Section):
     """The one-second results."""
 
+    grid_offset_s: float = quantity(
+        _W.grid_offset_s, 0.0, 0.9, "s", "windows end this long after each full second: the delay of chain and sensor"
+    )
     max_ramp_s: float = quantity(_W.max_ramp_s, 0.1, 0.5, "s", "longest edge of a window")
     min_coverage: float = quantity(
         _W.min_coverage, 0.05, 1.0, "1", "share of a window below which no mean is published"
@@ -244,6 +248,20 @@ class Totals(Section):
     )
 
 
+_Q = _ENGINE.flow_filter
+
+
+class FlowFilter(Section):
+    """Smoothing of the published flow; totals do not pass through it."""
+
+    enabled: bool = choice(_Q.enabled, "false: each second stands for itself")
+    steady_walk: float = quantity(_Q.steady_walk, 1e-6, 1.0, "1/s", "relative change from second to second of a steady flow")
+    trend_change: float = quantity(_Q.trend_change, 1e-6, 1.0, "1/s", "the same of the trend of a rising or falling flow")
+    jump: float = quantity(_Q.jump, 1e-3, 10.0, "1", "relative standard deviation of a jump")
+    stay: float = quantity(_Q.stay, 0.34, 0.9999, "1", "probability that the flow goes on as it was")
+    min_flow_kg_s: float = quantity(_Q.min_flow_kg_s, 0.01, 25.0, "kg/s", "below this a second stands for itself")
+
+
 _P = _ENGINE.plate
 
 
@@ -329,6 +347,35 @@ class Anchors(Section):
     keep: int = quantity(_A.keep, 1, 10_000, "references", "newest references to keep")
 
 
+_L = CalibratorSettings()
+_K = _L.closed_loop
+
+
+class Learning(Section):
+    """What sweeps and weighed loads may teach."""
+
+    enabled: bool = choice(True, "let sweeps and weighed loads move the parameters")
+    flow_model: Literal["constant", "linear", "process"] = choice(_K.flow, "how the flow may change during a sweep")
+    flow_slope_sd_per_s: float = quantity(_K.flow_slope_sd_per_s, 0.0, 1.0, "1/s", "linear: relative deviation of the slope")
+    flow_process_sd: float = quantity(_K.flow_process_sd, 0.0, 1.0, "1", "process: relative standard deviation of the flow")
+    flow_process_time_s: float = quantity(_K.flow_process_time_s, 1.0, 3600.0, "s", "process: correlation time of the flow")
+    model_error: float = quantity(_K.model_error, 0.0, 0.5, "1", "relative error of the model at an angle of a sweep")
+    learned_information: float = quantity(
+        _K.learned_information, 0.0, 100.0, "1", "data over prior information below which nothing is taken from the data"
+    )
+    kept_ratio: float = quantity(_K.kept_ratio, 0.5, 1.0, "1", "a parameter that keeps more than this share of its width stays")
+    consistent_p: float = quantity(_K.consistent_p, 0.0, 0.5, "1", "probability of a misfit below which a sweep teaches nothing")
+    anchor_error: float = quantity(_L.anchor_error, 0.0, 0.5, "1", "relative error of a weighed load beside the scale's own")
+    density_ratio: float | None = quantity(
+        _L.density_ratio, 0.1, 10.0, "1", "density in the paddles over test weight, where known; null: test weight is not used"
+    )
+    density_ratio_std_dev: float = quantity(_L.density_ratio_std_dev, 0.0, 10.0, "1", "standard deviation of that ratio")
+    test_weight_std_dev_kg_m3: float = quantity(
+        _L.test_weight_std_dev_kg_m3, 0.1, 500.0, "kg/m3", "standard deviation of the test weight"
+    )
+    disagreements: int = quantity(_L.disagreements, 1, 100, "sweeps", "misfits in a row from which the model disagrees")
+
+
 class Document(Section):
     """The whole file. Every key may be left out; its default is shown here."""
 
@@ -347,14 +394,16 @@ class Document(Section):
     zero: Zero = Zero()
     gate: Gate = Gate()
     totals: Totals = Totals()
+    flow_filter: FlowFilter = FlowFilter()
     plate: Plate = Plate()
     sweep: Sweep = Sweep()
     faults: Faults = Faults()
     anchors: Anchors = Anchors()
+    learning: Learning = Learning()
 
 
 #: Sections that hand their keys to the engine's settings of the same name.
-ENGINE_SECTIONS = ("clock", "windows", "inputs", "zero", "gate", "totals", "plate", "sweep", "faults", "anchors")
+ENGINE_SECTIONS = ("clock", "windows", "inputs", "zero", "gate", "totals", "flow_filter", "plate", "sweep", "faults", "anchors")
 
 #: Settings of the engine that the protocol fixes; the file has no key for them.
 FIXED_BY_THE_FRAMES = frozenset(
