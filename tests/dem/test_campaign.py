@@ -50,6 +50,11 @@ def test_flows_become_paddle_loads() -> None:
     assert [t.paddle_mass_kg for t in plan.throws] == pytest.approx([0.98679, 0.78943], rel=1e-4)
 
 
+def test_geometry_comes_from_a_machine_file() -> None:
+    plan = campaign.parse("{machine: sprocket-10, paddle_mass_kg: [0.5], plate_angle_deg: 70}", "plan")
+    assert plan.throws[0].machine.sprocket_pitch_radius_m == pytest.approx(0.067)
+
+
 @pytest.mark.parametrize("name", ["reference", "smoke"])
 def test_the_shipped_plans_are_good(name: str) -> None:
     path = shipped(f"config/dem/{name}.yaml")
@@ -70,6 +75,7 @@ def test_the_shipped_plans_are_good(name: str) -> None:
         ("{paddle_mass_kg: [0.2], plate_angle_deg: [95]}", "plate_angle_deg holds 95"),
         ("{paddle_mass_kg: [0.2], friction: [-1]}", "contact.friction is -1"),
         ("{paddle_mass_kg: [0.2], throw: {contact: {frixion: 1}}}", "frixion: not a key of Contact"),
+        ("{machine: tractor, paddle_mass_kg: [0.2]}", "tractor"),
         ("{paddle_mass_kg: [0.2", "not YAML"),
     ],
 )

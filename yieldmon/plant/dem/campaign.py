@@ -25,16 +25,19 @@ from typing import Any
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
+from yieldmon.files import machine_file
 from yieldmon.physics.machine import RPM
 from yieldmon.plant.dem import records, runner
 from yieldmon.plant.dem.job import Throw, digest, paddle_mass_kg, throw_from_dict, to_dict
+from yieldmon.resources import shipped
 
 HISTORY_INTERVAL_S = 0.001
 KEYS = (
-    "name", "throw", "elevator_speed_rpm", "friction", "restitution", "paddle_mass_kg", "mass_flow_kg_s", "plate_angle_deg",
-    "seed",
+    "name", "machine", "throw", "elevator_speed_rpm", "friction", "restitution", "paddle_mass_kg", "mass_flow_kg_s",
+    "plate_angle_deg", "seed",
 )
 Row = dict[str, float | int | str]
 
@@ -58,6 +61,12 @@ def row_key(throw: Throw, plate_angle_rad: float) -> str:
     return digest([to_dict(throw), round(math.degrees(plate_angle_rad), 6)])
 
 
+def _machine_path(name: str) -> Path:
+    """A file, or the name of a shipped machine such as sprocket-8."""
+    path = Path(name)
+    return path if path.suffix else shipped(f"config/machines/{name}.yaml")
+
+
 def _numbers(where: str, content: Mapping[str, Any], key: str, default: Sequence[float] | None = None) -> list[float]:
     values = content.get(key, default)
     if values is None:
@@ -71,8 +80,9 @@ def _numbers(where: str, content: Mapping[str, Any], key: str, default: Sequence
 def parse(text: str, where: str) -> Campaign:
     """A campaign from YAML text. Seeds vary slowest, then load, speed, friction, restitution.
 
-    Keys: name; throw (any field of `job.Throw`, nested); lists elevator_speed_rpm, friction, restitution, paddle_mass_kg or
-    mass_flow_kg_s, plate_angle_deg, seed. Raises InputError naming the key.
+    Keys: name; machine (a file, or a shipped name such as sprocket-8); throw (any field of `job.Throw`, nested); lists
+    elevator_speed_rpm, friction, restitution, paddle_mass_kg or mass_flow_kg_s, plate_angle_deg, seed. Raises InputError naming
+    the key.
     """
     try:
         content = yaml.safe_load(text)
@@ -91,6 +101,8 @@ def parse(text: str, where: str) -> Campaign:
     throws = []
     try:
         base = throw_from_dict({"paddle_mass_kg": 1.0} | fixed)
+        if "machine" in content:
+            base = replace(base, machine=machine_file.load(_machine_path(str(content["machine"]))))
         speeds = _numbers(where, content, "elevator_speed_rpm", [base.elevator_speed_rad_s / RPM])
         frictions = _numbers(where, content, "friction", [base.contact.friction])
         restitutions = _numbers(where, content, "restitution", [base.contact.restitution])
@@ -102,7 +114,7 @@ def parse(text: str, where: str) -> Campaign:
                 paddle_mass_kg=paddle_mass_kg(base.machine, load, spin) if loads_are_flows else load,
                 contact=replace(base.contact, friction=friction, restitution=restitution),
             ))
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, FileNotFoundError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(where, f"throw: {error}") from error
@@ -284,6 +296,38 @@ def settled_shape(throw: Throw, release: records.Arrays) -> records.HeapShape:
 
     along, ahead = records.paddle_frame(release["heap_position_m"], script.start_angle_rad(throw))
     return records.heap_shape(throw, along, ahead, release["radius_m"])
+
+
+def grain_arrays(campaign: Campaign, ledger: Ledger) -> dict[str, NDArray[Any]]:
+    """Per-grain records of the throws at the plan's first speed, friction and seed, small enough to ship.
+
+    For each load: settled place along and ahead of the paddle (mm), radius when let go (mm), travel to the tip (ms), speed (m/s)
+    and direction (deg below the horizontal) once free. Names end in the load in kg.
+    """
+    from yieldmon.plant.dem import script
+
+    first = campaign.throws[0]
+    arrays: dict[str, NDArray[Any]] = {}
+    loads = []
+    for throw in campaign.throws:
+        if replace(throw, paddle_mass_kg=first.paddle_mass_kg) != first:
+            continue
+        folder = ledger.throw_folder(throw)
+        plates = sorted(folder.glob("plate-*.npz"))
+        if not plates:
+            continue
+        release, plate = runner.load(folder / "release.npz"), runner.load(plates[0])
+        along, ahead = records.paddle_frame(release["heap_position_m"], script.start_angle_rad(throw))
+        values = {
+            "along_mm": 1e3 * along, "ahead_mm": 1e3 * ahead, "let_go_radius_mm": 1e3 * plate["let_go_radius_m"],
+            "travel_ms": 1e3 * (plate["tip_s"] - plate["let_go_s"]),
+            "speed_m_s": np.hypot(plate["free_velocity_m_s"][:, 0], plate["free_velocity_m_s"][:, 1]),
+            "below_horizontal_deg": np.degrees(records.direction_below_horizontal_rad(plate["free_velocity_m_s"])),
+        }
+        loads.append(throw.paddle_mass_kg)
+        for name, value in values.items():
+            arrays[f"{name}_{throw.paddle_mass_kg:g}"] = value.astype(np.float16)
+    return {"paddle_mass_kg": np.array(loads), **arrays} if loads else {}
 
 
 def _head(throw: Throw) -> Row:
