@@ -4,6 +4,8 @@
 frames: what cannot be used is left out, and quality and faults say so. The published flow weighs each window with those before it
 (`flow_filter`); totals and sweeps take each window as it was measured.
 
+One window ends each second, `WindowSettings.grid_offset_s` after the full second of bus time.
+
 Rules for the totals. A window that is partly lost counts its whole duration at the mean of what was measured in it, as long as
 that is at least `WindowSettings.min_coverage` of it; below that, only the time that was measured counts. A window without flow
 (not harvesting, no zero yet, an input missing) adds nothing.
@@ -114,6 +116,8 @@ class _Flow:
     force_std_dev_n: float
     out_of_calibration: bool = False
     saturated: bool = False
+    noise_kg_s: float = _NAN
+    """The part of std_dev_kg_s that changes from window to window."""
 
 
 class Monitor:
@@ -146,9 +150,9 @@ class Monitor:
         self._scale = TankScale(settings.anchors)
         self._tickets: deque[ReferenceMass] = deque(maxlen=settings.anchors.keep)
         self._ticks_per_window = round(settings.windows.window_s / settings.plate.command_interval_s)
+        self._offset_ticks = round(settings.windows.grid_offset_s / settings.plate.command_interval_s)
         self._begun = False
-        self._tick = 0
-        self._next_tick = 0
+        self._tick = self._next_tick = 0
         self._next_s = float("-inf")
         self._window_start_s = 0.0
         self._speed = Held()
@@ -454,7 +458,7 @@ class Monitor:
         while self._next_s <= now:
             at_s = self._next_s
             self._tick = self._next_tick
-            if self._tick % self._ticks_per_window == 0:
+            if self._ticks_to_end(self._tick) == self._ticks_per_window:
                 out += self._close_window(at_s)
             out += self._drive(at_s)
             self._plan_next()
@@ -462,11 +466,10 @@ class Monitor:
 
     def _begin(self, now: float) -> None:
         self._begun = True
-        window_s = self.settings.windows.window_s
-        index = floor(now / window_s)
         # A first window shorter than half a second is joined to the next.
-        index += int((index + 1) * window_s - now < 0.5 * window_s)
-        self._tick = index * self._ticks_per_window
+        half = self._ticks_per_window // 2
+        earliest = floor(now * self._ticks_per_window / self.settings.windows.window_s) + half
+        self._tick = earliest + self._ticks_to_end(earliest) - self._ticks_per_window
         self._window_start_s = now
         if not isfinite(self._load_start_s):
             self._load_start_s = self._bus_now()
@@ -474,9 +477,13 @@ class Monitor:
 
     def _plan_next(self) -> None:
         """What is due next: a tick while the plate is driven, else the end of the window."""
-        ahead = 1 if self._sweep.driving else self._ticks_per_window - self._tick % self._ticks_per_window
+        ahead = 1 if self._sweep.driving else self._ticks_to_end(self._tick)
         self._next_tick = self._tick + ahead
         self._next_s = self._next_tick * self.settings.windows.window_s / self._ticks_per_window
+
+    def _ticks_to_end(self, tick: int) -> int:
+        """Ticks from a tick to the next end of a window after it."""
+        return self._ticks_per_window - (tick - self._offset_ticks) % self._ticks_per_window
 
     def _bus_now(self) -> float:
         return _NAN if self._clock.now_s is None else self._clock.bus_time(self._clock.now_s)
@@ -609,7 +616,11 @@ class Monitor:
             found = quality.DEGRADED
         else:
             found = quality.OK
-        return _Flow(rate, std_dev, found, force, noise, status is FlowStatus.OUTSIDE_CALIBRATION, saturated)
+        outside = status is FlowStatus.OUTSIDE_CALIBRATION
+        # An estimator that does not tell them apart: flow is nearly proportional to force, so a share of one is one of the other.
+        own = estimate.noise_std_dev_kg_s
+        window_noise = rate * noise / force if own is None and force > 0.0 else float(own) if own is not None else _NAN
+        return _Flow(rate, std_dev, found, force, noise, outside, saturated, window_noise)
 
     def _filtered(self, window: Window, flow: _Flow, plate_rests_at_home: bool) -> _Flow:
         """The flow to publish: windows of a plate at rest at home weighed together; every other stands for itself."""
@@ -617,11 +628,9 @@ class Monitor:
         if not usable:
             self._filter.reset()
             return flow
-        # Flow is nearly proportional to force, so a share of one is a share of the other.
-        noise = flow.rate_kg_s * flow.force_std_dev_n / flow.force_n
+        noise = flow.noise_kg_s
         common = max(0.0, flow.std_dev_kg_s**2 - noise**2) ** 0.5
-        seconds = window.end_s - window.start_s
-        rate, std_dev = self._filter.update(flow.rate_kg_s, noise, 0.5 * self._ramp_s(window) / seconds)
+        rate, std_dev = self._filter.update(flow.rate_kg_s, noise)
         return replace(flow, rate_kg_s=rate, std_dev_kg_s=hypot(std_dev, common * rate / flow.rate_kg_s))
 
     def _force_std_dev(self, window: Window, force_n: float) -> float:

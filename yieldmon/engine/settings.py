@@ -27,6 +27,9 @@ class WindowSettings:
 
     window_s: float = 1.0
     """Fixed: MassFlow is a 1 Hz message."""
+    grid_offset_s: float = 0.1
+    """Windows end this long after each full second of bus time, in whole command intervals: half a paddle pattern and the
+    sensor's own delay at rated speed, so that a result belongs to the full second before it."""
     sample_interval_s: float = SAMPLE_INTERVAL_S
     samples_per_frame: int = SAMPLES_PER_FRAME
     sample_counter_modulus: int = 256
