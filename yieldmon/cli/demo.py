@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from math import isfinite
 from pathlib import Path
 
 from rich.console import Console
@@ -16,6 +17,7 @@ from yieldmon.engine.monitor import Monitor
 from yieldmon.errors import InputError
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.files import machine_file
+from yieldmon.physics.machine import RPM
 from yieldmon.physics.model import ForwardModel
 from yieldmon.plant import scenario as scenarios
 from yieldmon.plant.combine import VirtualCombine
@@ -60,8 +62,8 @@ def run(args: argparse.Namespace) -> int:
         task = progress.add_task("simulated", total=chosen.duration_s)
         combine = VirtualCombine(chosen, machine, args.seed)
         result = lockstep.run(combine, monitor, Codec(), lambda t: progress.update(task, completed=t))
-    truth = result.truth.columns
-    found = accuracy.assess(result.published, truth["time_s"], truth["mass_flow_kg_s"], truth["total_mass_kg"])
+    delay_s = 0.5 * machine.pattern_length_m / machine.paddle_speed_m_s(chosen.elevator.speed_rpm * RPM)
+    found = accuracy.assess(result.published, combine.delivered_kg, delay_s, chosen.duration_s)
     if args.json:
         print(json.dumps(found.to_json(), indent=2))
     else:
@@ -87,7 +89,8 @@ def _show(found: accuracy.Accuracy, frames: int, duration_s: float) -> None:
     console.print(table)
     console.print(
         f"from {accuracy.RATED_FROM_KG_S:.0f} kg/s: mean |error| {found.mean_abs_pct:.2f} %, "
-        f"95th percentile {found.p95_abs_pct:.2f} %, {found.missing_rated_windows} of {found.rated_windows} windows without a number"
+        f"95th percentile {found.p95_abs_pct:.2f} %, "
+        f"{found.missing_rated_windows} of {found.rated_windows} windows without a number"
     )
     console.print(
         f"accumulated: {found.measured_mass_kg:.1f} kg of {found.true_mass_kg:.1f} kg ({found.mass_error_pct:+.2f} %), "
@@ -96,4 +99,4 @@ def _show(found: accuracy.Accuracy, frames: int, duration_s: float) -> None:
 
 
 def _number(value: float) -> str:
-    return f"{value:.2f}" if value == value else "-"
+    return f"{value:.2f}" if isfinite(value) else "-"

@@ -25,13 +25,13 @@ class FlowFilterSettings:
     """Rates are shares of the flow per window."""
 
     enabled: bool = True
-    steady_walk: float = 0.014
+    steady_walk: float = 0.008
     """Standard deviation of the change from window to window while the flow is steady."""
-    trend_change: float = 0.02
+    trend_change: float = 0.006
     """The same of the change of the trend while the flow rises or falls steadily."""
     jump: float = 0.5
     """Standard deviation of a jump."""
-    stay: float = 0.93
+    stay: float = 0.95
     """Probability that the flow goes on as it was from one window to the next."""
     min_flow_kg_s: float = 0.3
     """Below this a window stands for itself."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from math import floor
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from yieldmon import frames
 from yieldmon.frames import Frame
@@ -270,7 +270,7 @@ class VirtualCombine:
         force = np.concatenate([f for f, _ in self._second])
         state = np.array([s for _, s in self._second])
         self._second.clear()
-        total, before = (self._delivered_until(t) for t in (end_s, end_s - 1.0))
+        total, before = (float(self.delivered_kg(t)) for t in (end_s, end_s - 1.0))
         working = bool(self._at(self._harvest.working, end_s - 0.5))
         self._tank.step(end_s, total - before, working)
         zero = self._zero_mv(end_s) + float(np.interp(end_s, np.arange(len(self._zero_walk)), self._zero_walk))
@@ -290,11 +290,12 @@ class VirtualCombine:
             )
         )
 
-    def _delivered_until(self, time_s: float) -> float:
+    def delivered_kg(self, time_s: ArrayLike) -> Array:
+        """True mass past the plate by a time or times, kg; shape of time_s. Runs straight within a paddle's share of time."""
         paddles = self._paddles
         if len(paddles.mass_kg) == 0:
-            return 0.0
-        return float(np.interp(time_s, paddles.delivered_until_s, self._delivered, left=0.0))
+            return np.zeros(np.shape(time_s))
+        return np.asarray(np.interp(np.asarray(time_s), paddles.delivered_until_s, self._delivered, left=0.0))
 
     def _frames(self, block: int, voltage: Array) -> Iterator[Frame]:
         """Frames of one block, in time order."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.frames import ACCUMULATED_MASS, MASS_FLOW, SELF_CALIBRATION_STATUS, EstimateQuality, Frame, SweepState
+from yieldmon.frames import ACCUMULATED_MASS, MASS_FLOW, SELF_CALIBRATION_STATUS, EstimateQuality, Frame, SweepState, Value
 
 Array = NDArray[np.float64]
 
@@ -80,39 +80,35 @@ class Accuracy:
         }
 
 
-def assess(published: Sequence[Frame], truth_time_s: Array, truth_kg_s: Array, truth_mass_kg: Array) -> Accuracy:
-    """Compare MassFlow and AccumulatedMass frames with truth rows (end of each second, s; its mean flow, kg/s; mass so far, kg).
+def assess(
+    published: Sequence[Frame], delivered_kg: Callable[[Array], Array], delay_s: float, end_s: float
+) -> Accuracy:
+    """Compare MassFlow and AccumulatedMass frames with the truth.
 
-    A window is compared with the truth second that ends with it. A window in which the monitor says that nothing is harvested
-    counts as a flow of 0 only where the truth is below the first band's end; elsewhere as missing. Raises ValueError when no
-    MassFlow frame matches a truth row.
+    delivered_kg: true mass past the plate by each of an array of times (s), kg. delay_s: how long before a MassFlow frame the
+    second that it speaks of has ended (half a paddle pattern: docs/frames.md). end_s: end of the run; mass is compared at its
+    last MassFlow frame. A window in which the monitor says that nothing is harvested counts as a flow of 0 only where the true flow is below the first band's end;
+    elsewhere as missing. Raises ValueError when no MassFlow frame lies in the run.
     """
-    ends = {round(float(t)): i for i, t in enumerate(truth_time_s)}
-    rows = []
-    for frame in published:
-        if frame.message == MASS_FLOW and round(frame.time_s) in ends:
-            rate, spread = frame.signals["MassFlowRate"], frame.signals["MassFlowStdDev"]
-            row = ends[round(frame.time_s)]
-            value = float(rate) if isinstance(rate, (int, float)) else np.nan
-            idle = frame.signals["EstimateQuality"] == EstimateQuality.NOT_HARVESTING
-            if idle and truth_kg_s[row] < BANDS_KG_S[0][1]:
-                value = 0.0
-            rows.append(
-                (truth_time_s[row], truth_kg_s[row], value, float(spread) if isinstance(spread, (int, float)) else np.nan)
-            )
-    if not rows:
-        raise ValueError("no MassFlow frame falls on a second of the truth")
-    time_s, true, measured, spread_kg_s = np.array(rows).T
+    frames = [f for f in published if f.message == MASS_FLOW and delay_s + 1.0 <= f.time_s <= end_s]
+    if not frames:
+        raise ValueError("no MassFlow frame lies in the run")
+    time_s = np.array([f.time_s for f in frames])
+    true = delivered_kg(time_s - delay_s) - delivered_kg(time_s - delay_s - 1.0)
+    measured = np.array([_number(f.signals["MassFlowRate"]) for f in frames])
+    spread_kg_s = np.array([_number(f.signals["MassFlowStdDev"]) for f in frames])
+    idle = np.array([f.signals["EstimateQuality"] == EstimateQuality.NOT_HARVESTING for f in frames])
+    measured = np.where(idle & (true < BANDS_KG_S[0][1]), 0.0, measured)
     rated = true >= RATED_FROM_KG_S
     known = np.isfinite(measured)
     relative = 100.0 * np.abs(measured - true)[rated & known] / true[rated & known]
     return Accuracy(
-        windows=len(rows),
+        windows=len(frames),
         rated_windows=int(np.sum(rated)),
         missing_rated_windows=int(np.sum(rated & ~known)),
         mean_abs_pct=float(np.mean(relative)) if relative.size else float("nan"),
         p95_abs_pct=float(np.percentile(relative, 95.0)) if relative.size else float("nan"),
-        true_mass_kg=float(truth_mass_kg[-1]),
+        true_mass_kg=float(delivered_kg(time_s[-1:] - delay_s)[0]),
         measured_mass_kg=_last_mass(published),
         sweeps=_finished_sweeps(published),
         bands=tuple(_band(low, high, true, measured) for low, high in BANDS_KG_S),
@@ -142,6 +138,10 @@ def _band(low: float, high: float, true: Array, measured: Array) -> Band:
         float(np.mean(relative)) if relative.size else nan,
         float(np.percentile(relative, 95.0)) if relative.size else nan,
     )
+
+
+def _number(value: Value) -> float:
+    return float(value) if isinstance(value, (int, float)) else float("nan")
 
 
 def _last_mass(published: Sequence[Frame]) -> float:

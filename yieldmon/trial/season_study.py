@@ -158,7 +158,9 @@ class _Keeper:
         effects = ("gravity", "moisture_dependence") if strategy.moisture_map else ("gravity",)
         self.model = ForwardModel(self.machine, effects)
         self.parameters = _with_map(first, settings, float(season.moisture_reading_pct[0])) if strategy.moisture_map else first
-        loop = ClosedLoopSettings(flow="process", flow_process_sd=0.12, flow_process_time_s=30.0, model_error=settings.model_error)
+        loop = ClosedLoopSettings(
+            flow="process", flow_process_sd=0.12, flow_process_time_s=30.0, model_error=settings.model_error
+        )
         self.calibrator = SelfCalibrator(self.model, loop)
         self.flow = np.full(season.time_s.size, np.nan)
         self.angle_deg = np.full(season.time_s.size, self.home_deg)
