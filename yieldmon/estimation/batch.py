@@ -86,7 +86,10 @@ class MomentumBatch:
             self.angle, self.speed, amount if self._by_flow else None, None if self._by_flow else amount,
             self.moisture if self._knows_moisture else None,
         )
-        out = np.broadcast_to(self.model.paddle_momentum(conditions, moved, overfull="nan"), (slices, count, self.rows))
+        # Complex division warns about the nan of an overfull paddle, which is the answer asked for.
+        with np.errstate(invalid="ignore"):
+            momentum = self.model.paddle_momentum(conditions, moved, overfull="nan")
+        out = np.broadcast_to(momentum, (slices, count, self.rows))
         value = np.real(out[0])
         if not by:
             return value, np.empty((count, self.rows, 0))
@@ -166,7 +169,7 @@ def levenberg_marquardt(
     low, high = np.broadcast_to(lower, theta.shape), np.broadcast_to(upper, theta.shape)
     unit = np.broadcast_to(high - low if scale is None else scale, theta.shape)
     fixed = np.zeros(theta.shape, dtype=bool) if held is None else held
-    residual, jacobian = residuals(theta, np.arange(count))
+    residual, jacobian = (np.array(part) for part in residuals(theta, np.arange(count)))
     cost = _cost(residual)
     damping = np.full(count, 1e-3)
     done = ~np.isfinite(cost)

@@ -549,13 +549,13 @@ def _sentences(
 ) -> Iterable[str]:
     for p in fitted:
         low, high = p.interval
-        if p.at_bound:
+        if p.open_below and p.open_above:
+            yield f"{p.name} is not determined: every value from {low:.6g} to {high:.6g} fits these data within their noise."
+        elif p.at_bound:
             yield (
                 f"{p.name} sits on its {p.at_bound} bound {p.value:.6g}: the data would take it further, so the value is the "
                 "bound's and not the data's."
             )
-        elif p.open_below and p.open_above:
-            yield f"{p.name} is not determined: every value from {low:.6g} to {high:.6g} fits these data within their noise."
         elif p.open_below or p.open_above:
             side = f"at or below {high:.6g}" if p.open_below else f"at or above {low:.6g}"
             yield f"{p.name} is determined on one side only: the data say it is {side}."

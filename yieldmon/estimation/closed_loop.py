@@ -524,7 +524,7 @@ class _Problem:
         return Outcome(
             parameter_set, updated, consistent, self._reason(updated, consistent, learning, p_value, plain, scale),
             self._worst_angle(plain),
-            self._flows(unknown, inverse, whitened, whiteners, width), learning, scale, chi2, dof, p_value, plain,
+            self._flows(unknown, inverse, residual, jacobian, whiteners, width), learning, scale, chi2, dof, p_value, plain,
             tuple(-w for w in whitened), _flows_first(joint, width),
         )
 
@@ -592,27 +592,30 @@ class _Problem:
         return share_flow([d for d in found if not np.isfinite(d.relative_sd)], count, self.names)
 
     def _flows(
-        self, unknown: Array, inverse: Array, whitened: Sequence[Array], whiteners: Sequence[Array], width: int
+        self, unknown: Array, inverse: Array, residual: Array, jacobian: Array, whiteners: Sequence[Array], width: int
     ) -> tuple[FlowPosterior, ...]:
         out = []
-        for i in range(len(self.sweeps)):
-            level, variance = float(unknown[width + i]), float(inverse[width + i, width + i])
+        for i, rows in enumerate(self.sweep_rows):
+            level = float(unknown[width + i])
+            gradient = np.zeros(unknown.size)
+            gradient[width + i] = 1.0
+            extra = 0.0
             if self.settings.flow == "process":
-                mean, extra = self._process_mean(i, unknown, whitened[i], whiteners[i])
-                level, variance = level + mean, variance + extra
+                # The process given the residuals; it moves against the level, so both count together.
+                covariance = self._flow_covariance(self.clocks[i])
+                gain = whiteners[i] @ (self._elastic(unknown)[rows, None] * covariance)
+                level -= float((gain.T @ residual[rows]).mean())
+                gradient -= gain.mean(axis=1) @ jacobian[rows]
+                extra = float((covariance - gain.T @ gain).mean())
+            variance = float(gradient @ inverse @ gradient) + max(extra, 0.0)
             out.append(FlowPosterior(float(np.exp(level)), float(np.sqrt(variance))))
         return tuple(out)
 
-    def _process_mean(self, i: int, unknown: Array, white: Array, whitener: Array) -> tuple[float, float]:
-        """Mean over the windows of the flow process given the residuals, and its variance."""
-        rows = self.sweep_rows[i]
-        _, _, by_load = self._forces(unknown, np.ones(self.force.size - self.tail))
-        elastic = by_load[rows] * self._loads(unknown, np.zeros(self.force.size - self.tail))[rows]
-        covariance = self._flow_covariance(self.clocks[i])
-        gain = whitener @ (elastic[:, None] * covariance)
-        mean = -(gain.T @ white)
-        left = covariance - gain.T @ gain
-        return float(mean.mean()), max(float(left.mean()), 0.0)
+    def _elastic(self, unknown: Array) -> Array:
+        """d(force)/d(ln flow) of every window."""
+        still = np.ones(self.force.size - self.tail)
+        _, _, by_load = self._forces(unknown, still)
+        return np.asarray(by_load * self._loads(unknown, still))
 
     def _reason(
         self, updated: bool, consistent: bool, learning: Sequence[Learning], p_value: float, residuals: Sequence[Array],

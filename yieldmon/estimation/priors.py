@@ -17,6 +17,10 @@ Bounds = Mapping[str, tuple[float, float]]
 PUBLISHED_BOUNDS: Bounds = {"friction": (0.0, 1.0), "restitution": (0.0, 1.0), "density": (750.0, 2000.0)}
 """Search ranges of the source thesis, section 9.1; starts are drawn from them."""
 
+CALIBRATION_BOUNDS: Bounds = {"friction": (0.0, 2.0), "restitution": (0.0, 1.0), "density": (300.0, 3000.0)}
+"""Default limits of a fit. Wider than the published ones, in which fits of the published measurements run into the walls:
+friction over the range of the thesis's sensitivity study (chapter 12), density from loose chaff to twice that of a kernel."""
+
 PHYSICAL_BOUNDS: Bounds = {
     "friction": (0.0, 3.0),
     "restitution": (0.0, 1.0),
@@ -48,9 +52,9 @@ def physical_bounds(name: str, scale: float = 1.0) -> tuple[float, float]:
 
 
 def fitting_bounds(names: Iterable[str], scale: float = 1.0, given: Bounds | None = None) -> dict[str, tuple[float, float]]:
-    """Bounds for a calibration: those given, else the published ones, else the physical ones."""
+    """Bounds for a calibration: those given, else CALIBRATION_BOUNDS, else the physical ones."""
     given = given or {}
-    return {n: given.get(n) or PUBLISHED_BOUNDS.get(n) or physical_bounds(n, scale) for n in names}
+    return {n: given.get(n) or CALIBRATION_BOUNDS.get(n) or physical_bounds(n, scale) for n in names}
 
 
 def start_ranges(names: Iterable[str], scale: float = 1.0) -> dict[str, tuple[float, float]]:

@@ -12,7 +12,7 @@ from yieldmon.estimation.moisture import MoistureMap
 from yieldmon.files.parameter_file import GRAIN_LIMITS
 from yieldmon.resources import shipped
 
-from .yaml_file import load_mapping, number
+from .checked import load_mapping, number
 
 PUBLISHED = "config/moisture/corn-published.yaml"
 

@@ -1,0 +1,338 @@
+"""Calibration: recovery of known parameters, the published tables, and honest reports of what is not known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from yieldmon.estimation import empirical
+from yieldmon.estimation.batch import LOAD, MomentumBatch, levenberg_marquardt
+from yieldmon.estimation.calibration import Calibration, Measurements, calibrate, default_start
+from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.priors import PUBLISHED_BOUNDS, Prior
+from yieldmon.files import table
+from yieldmon.physics.machine import RPM, Machine
+from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.physics.numerics import Array
+
+MACHINE = Machine()
+MODEL = ForwardModel(MACHINE)
+DATA = Path(__file__).parents[1] / "data"
+TRUE = {"friction": 0.2, "restitution": 0.6, "density": 1100.0, "shape_ratio": 2.0}
+FREE = ("friction", "restitution", "density")
+FLOWS = np.array([2.0, 5.0, 9.0, 12.0, 15.0, 18.0, 21.0, 25.0])
+HOME = Conditions(np.radians(70.0), 400.0 * RPM, mass_flow_kg_s=FLOWS)
+START = {"friction": 0.6, "restitution": 0.2, "density": 1700.0, "shape_ratio": 2.0}
+
+
+def generated(conditions: Conditions = HOME, values: dict[str, float] = TRUE, model: ForwardModel = MODEL) -> Measurements:
+    return Measurements(conditions, np.real(model.paddle_momentum(conditions, values)))
+
+
+def published(name: str, angle_deg: float | None = None) -> Measurements:
+    data = table.load(DATA / f"{name}_table.csv")
+    rows = Measurements(data.conditions(MACHINE), data.momentum(MACHINE))
+    return rows if angle_deg is None else rows.select(np.isclose(rows.columns()[0], np.radians(angle_deg)))
+
+
+def fit(rows: Measurements, impact: tuple[str, ...] = ("k1", "k2"), **options: object) -> Calibration:
+    start = default_start(MODEL, rows, impact)
+    return calibrate(MODEL, rows, start, ("friction", "density", *impact), **options)  # type: ignore[arg-type]
+
+
+# Recovery
+
+
+def test_at_least_95_of_100_random_starts_reach_the_generating_parameters_to_1e_4() -> None:
+    rows = generated(Conditions(np.radians(70.0), 400.0 * RPM, mass_flow_kg_s=FLOWS))
+    low, high = np.array([0.0, 0.0, 750.0]), np.array([1.0, 1.0, 2000.0])
+    starts = np.random.default_rng(70).uniform(low, high, (100, 3))
+    batch = MomentumBatch(MODEL, HOME, FREE, {"shape_ratio": 2.0})
+
+    def residuals(theta: Array, _: object) -> tuple[Array, Array]:
+        value, slopes = batch(theta)
+        return value - rows.momentum, slopes
+
+    found = levenberg_marquardt(residuals, starts, low, high)
+    error = np.max(np.abs(found.theta / np.array([TRUE[n] for n in FREE]) - 1.0), axis=1)
+    assert np.sum(error < 1e-4) >= 95
+
+
+def test_calibration_and_open_loop_on_generated_data() -> None:
+    result = calibrate(MODEL, generated(), START, FREE, starts=20, rng=np.random.default_rng(1), intervals=False)
+    for name in FREE:
+        assert result.parameter_set.values[name] == pytest.approx(TRUE[name], rel=1e-6)
+    assert sum(b.starts for b in result.basins) == 20
+    assert len(result.basins) == 1
+    force = np.real(MODEL.force(HOME, TRUE))
+    flow = OpenLoop(MODEL, result.parameter_set).invert(force, np.radians(70.0), 400.0 * RPM)
+    assert flow == pytest.approx(FLOWS, rel=1e-6)
+
+
+def test_all_angles_and_exchange_form() -> None:
+    values = {"friction": 0.35, "density": 1300.0, "shape_ratio": 2.0, "k1": 1.1, "k2": 0.7}
+    conditions = Conditions(
+        np.radians(np.tile([40.0, 55.0, 70.0, 90.0], 8)), 400.0 * RPM, mass_flow_kg_s=np.repeat(FLOWS, 4)
+    )
+    rows = generated(conditions, values)
+    result = fit(rows, intervals=False)
+    for name, value in values.items():
+        assert result.parameter_set.values[name] == pytest.approx(value, rel=1e-5)
+
+
+def test_effect_parameters_by_their_qualified_name() -> None:
+    model = ForwardModel(MACHINE, ("zero_offset",))
+    values = TRUE | {"zero_offset.force_n": 3.0}
+    conditions = Conditions(
+        np.radians(np.tile([40.0, 70.0, 90.0], 8)), 400.0 * RPM, mass_flow_kg_s=np.repeat(FLOWS, 3)
+    )
+    rows = generated(conditions, values, model)
+    result = calibrate(
+        model, rows, default_start(model, rows, ("restitution",)), (*FREE, "zero_offset.force_n"), intervals=False
+    )
+    assert result.parameter_set.values["zero_offset.force_n"] == pytest.approx(3.0, rel=1e-4)
+    assert result.parameter_set.effects == ("zero_offset",)
+
+
+def test_same_seed_same_bits_other_seed_same_answer() -> None:
+    rows = published("dem", 70.0)
+    runs = [fit(rows, rng=np.random.default_rng(seed), intervals=False) for seed in (5, 5, 6)]
+    assert runs[0].parameter_set.values == runs[1].parameter_set.values
+    assert runs[2].residuals.rms == pytest.approx(runs[0].residuals.rms, rel=1e-6)
+
+
+# The published tables
+
+
+@pytest.mark.parametrize(("name", "largest_pct"), [("dem", 1.18), ("bench", 5.9)])
+def test_residual_at_70_deg(name: str, largest_pct: float) -> None:
+    assert fit(published(name, 70.0), intervals=False).residuals.rms_over_max_pct <= largest_pct
+
+
+@pytest.mark.parametrize(("name", "largest_pct", "mean_pct"), [("dem", 4.28, 2.0), ("bench", 7.07, 2.6)])
+def test_open_loop_on_means_at_70_deg(name: str, largest_pct: float, mean_pct: float) -> None:
+    rows = published(name, 70.0)
+    cells, index = rows.cells()
+    means = Measurements(cells, np.bincount(index, rows.momentum) / np.bincount(index))
+    result = fit(rows, intervals=False)
+    found = empirical.Physical(MODEL, result.parameter_set).load_kg(means.columns(), means.momentum)
+    error = 100.0 * np.abs(found / empirical.paddle_mass(means, MACHINE) - 1.0)
+    assert error.max() <= largest_pct
+    assert error.mean() <= mean_pct
+
+
+@pytest.mark.parametrize(("name", "rms_pct", "noise_pct", "lack_f"), [("dem", 2.14, 0.91, 15.7), ("bench", 6.23, 4.20, 14.7)])
+def test_all_angles_show_the_lack_of_fit(name: str, rms_pct: float, noise_pct: float, lack_f: float) -> None:
+    rows = published(name)
+    result = fit(rows, bounds=PUBLISHED_BOUNDS, intervals=False)
+    assert result.residuals.rms_over_max_pct == pytest.approx(rms_pct, abs=0.01)
+    assert 100.0 * result.residuals.pure_error_sd / rows.momentum.max() == pytest.approx(noise_pct, abs=0.01)
+    assert result.residuals.lack_of_fit_f == pytest.approx(lack_f, abs=0.1)
+    assert any("an effect is missing" in s for s in result.sentences)
+
+
+def test_the_robust_fit_of_the_bench_table_leans_less_on_an_outlier() -> None:
+    rows = published("bench", 70.0)
+    spoilt = rows.momentum.copy()
+    spoilt[7] += 20.0 * 14.0
+    spoilt_rows = Measurements(rows.conditions, spoilt)
+    shift = {}
+    for robust in (False, True):
+        clean = fit(rows, robust=robust, intervals=False, starts=2).predicted
+        dirty = fit(spoilt_rows, robust=robust, intervals=False, starts=2)
+        shift[robust] = float(np.max(np.abs(dirty.predicted - clean)))
+        assert 7 in dirty.residuals.outlier_rows
+    assert shift[True] < 0.5 * shift[False]
+
+
+# Errors
+
+
+def noisy(seed: int, sd: float = 0.02) -> Measurements:
+    conditions = Conditions(np.radians(np.tile([45.0, 60.0, 75.0, 90.0], 16)), 42.0, mass_flow_kg_s=np.repeat(FLOWS, 8))
+    clean = np.real(MODEL.paddle_momentum(conditions, TRUE))
+    return Measurements(conditions, clean + sd * np.random.default_rng(seed).normal(size=clean.size))
+
+
+def test_standard_errors_and_intervals_match_the_scatter_of_repeated_calibrations() -> None:
+    results = [calibrate(MODEL, noisy(seed), START, FREE, starts=1, intervals=seed < 20) for seed in range(40)]
+    for i, name in enumerate(FREE):
+        values = np.array([r.parameters[i].value for r in results])
+        errors = np.array([r.parameters[i].standard_error for r in results])
+        assert values.std() == pytest.approx(errors.mean(), rel=0.3), name
+        covered = [low <= TRUE[name] <= high for low, high in (r.parameters[i].interval for r in results[:20])]
+        # 95 % intervals: 16 or fewer of 20 would happen once in 60.
+        assert sum(covered) >= 17, name
+
+
+def test_profile_interval_ends_where_the_fit_gets_worse_by_the_quantile() -> None:
+    rows = noisy(4, sd=0.2)
+    result = calibrate(MODEL, rows, START, FREE, starts=1)
+    low, high = result.parameters[2].interval
+    best = float(np.sum((result.predicted - rows.momentum) ** 2))
+    for end in (low, high):
+        held = calibrate(
+            MODEL, rows, dict(result.parameter_set.values, density=end), ("friction", "restitution"), starts=1, intervals=False
+        )
+        rise = float(np.sum((held.predicted - rows.momentum) ** 2)) - best
+        dof = rows.momentum.size - 3
+        # F(0.95; 1, 61) = 3.998
+        assert rise / (best / dof) == pytest.approx(3.998, rel=0.03)
+
+
+def test_given_sigma_is_believed() -> None:
+    rows = noisy(8)
+    given = Measurements(rows.conditions, rows.momentum, np.full(rows.momentum.shape, 0.02))
+    doubled = Measurements(rows.conditions, rows.momentum, np.full(rows.momentum.shape, 0.04))
+    one = calibrate(MODEL, given, START, FREE, starts=1, intervals=False)
+    two = calibrate(MODEL, doubled, START, FREE, starts=1, intervals=False)
+    for a, b in zip(one.parameters, two.parameters, strict=True):
+        assert b.standard_error / a.standard_error == pytest.approx(2.0, rel=0.15)
+
+
+def test_a_prior_counts_as_one_more_measurement() -> None:
+    rows = noisy(9, sd=0.5)
+    alone = calibrate(MODEL, rows, START, FREE, starts=1, intervals=False)
+    prior = Prior.independent({"density": 1100.0}, {"density": 1.0})
+    with_prior = calibrate(MODEL, rows, START, FREE, prior=prior, starts=1, intervals=False)
+    assert with_prior.parameter_set.values["density"] == pytest.approx(1100.0, abs=1.0)
+    assert with_prior.parameters[2].standard_error <= 1.0
+    assert with_prior.parameters[0].standard_error < alone.parameters[0].standard_error
+
+
+# What is not known
+
+
+def test_at_bound_and_undetermined_parameters_are_said_in_words() -> None:
+    result = fit(published("dem", 70.0), bounds=PUBLISHED_BOUNDS)
+    by_name = {p.name: p for p in result.parameters}
+    assert by_name["friction"].at_bound == "upper"
+    assert by_name["density"].open_below
+    assert not by_name["density"].determined
+    text = " ".join(result.sentences)
+    assert "friction sits on its upper bound 1" in text
+    assert "density is determined on one side only" in text
+    assert "trade off" in text
+
+
+def test_density_of_thin_loads_is_not_determined() -> None:
+    conditions = Conditions(np.radians([60.0, 70.0, 80.0, 90.0]), 42.0, mass_flow_kg_s=np.array([0.2, 0.3, 0.2, 0.3]))
+    clean = np.real(MODEL.paddle_momentum(conditions, TRUE))
+    rows = Measurements(conditions, clean * (1.0 + 0.01 * np.array([1.0, -1.0, 0.5, -0.5])))
+    result = calibrate(MODEL, rows, dict(START), ("restitution", "density"), starts=3)
+    density = result.parameters[1]
+    assert density.open_below
+    assert density.open_above
+    assert "density is not determined: every value from 300 to 3000" in " ".join(result.sentences)
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        (lambda: generated(Conditions(1.2, 42.0, mass_flow_kg_s=np.array([1.0, 2.0]))), "2 rows cannot fix 3 parameters"),
+        (lambda: Measurements(HOME, np.full(8, np.nan)), "finite numbers"),
+        (lambda: Measurements(HOME, np.ones(8), np.zeros(8)), "sigma must hold a number above 0"),
+        (lambda: Measurements(Conditions(1.2, 42.0, paddle_mass_kg=np.full(8, 50.0)), np.ones(8)), "heaviest load"),
+    ],
+)
+def test_bad_rows_are_refused(rows, message: str) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(ValueError, match=message):
+        calibrate(MODEL, rows(), START, FREE)
+
+
+# The batch
+
+
+@pytest.mark.parametrize("names", [FREE, ("friction", "density", "k1", "k2", "shape_ratio")])
+def test_the_shortcut_for_the_published_model_equals_complex_steps(names: tuple[str, ...]) -> None:
+    values = {"friction": 0.3, "restitution": 0.5, "density": 1250.0, "shape_ratio": 2.1, "k1": 1.4, "k2": 0.6}
+    fixed = {} if "shape_ratio" in names else {"shape_ratio": 2.1}
+    conditions = Conditions(np.radians([41.0, 66.0, 89.0]), 42.0, mass_flow_kg_s=np.array([1.0, 9.0, 20.0]))
+    batch = MomentumBatch(MODEL, conditions, names, fixed)
+    theta = np.array([values[n] for n in names])
+    value, slopes, by_load = batch.at_load(theta, batch.load)
+    known = {n: values[n] for n in names} | fixed
+    expected, jacobian = MODEL.derivatives(conditions, known, (*names, "mass_flow_kg_s"))
+    assert value == pytest.approx(expected, rel=1e-13)
+    assert np.column_stack((slopes, by_load)) == pytest.approx(jacobian, rel=1e-9)
+    assert LOAD not in names
+
+
+def test_rows_that_cannot_be_carried_are_nan_and_the_search_turns_back() -> None:
+    conditions = Conditions(1.2, 42.0, paddle_mass_kg=np.array([1.0, 3.5]))
+    rows = Measurements(conditions, np.real(MODEL.paddle_momentum(conditions, TRUE)))
+    batch = MomentumBatch(MODEL, conditions, ("density",), {k: v for k, v in TRUE.items() if k != "density"})
+    value, _ = batch(np.array([[600.0], [1100.0]]))
+    assert np.isnan(value[0, 1])
+    found = levenberg_marquardt(
+        lambda t, _: (batch(t)[0] - rows.momentum, batch(t)[1]), np.array([[2000.0], [600.0]]), np.array([100.0]),
+        np.array([5000.0]),
+    )
+    assert found.theta[0, 0] == pytest.approx(1100.0, rel=1e-6)
+    assert found.cost[1] == np.inf
+    assert found.theta[1, 0] == 600.0
+
+
+def test_the_search_finds_a_minimum_on_a_bound() -> None:
+    def bowl(theta: Array, _: object) -> tuple[Array, Array]:
+        slopes = np.broadcast_to(np.diag([1.0, 3.0]) + 0.5, (len(theta), 2, 2))
+        return np.einsum("mn,bn->bm", slopes[0], theta - np.array([2.0, 0.3])), slopes
+
+    start = np.random.default_rng(2).uniform(0.0, 1.0, (10, 2))
+    found = levenberg_marquardt(bowl, start, np.zeros(2), np.ones(2))
+    matrix = np.diag([1.0, 3.0]) + 0.5
+    # With the first coordinate held at its bound: the least squares of the second.
+    second = 0.3 - matrix[:, 1] @ matrix[:, 0] * (1.0 - 2.0) / (matrix[:, 1] @ matrix[:, 1])
+    assert found.theta[:, 0] == pytest.approx(1.0)
+    assert found.theta[:, 1] == pytest.approx(second, abs=1e-7)
+    assert found.converged.all()
+
+
+# Empirical models
+
+
+def test_each_empirical_model_recovers_what_it_can_describe() -> None:
+    conditions = Conditions(np.radians(70.0), 42.0, paddle_mass_kg=np.array([0.1, 0.2, 0.4, 0.6, 0.8, 1.0]))
+    mass = np.asarray(conditions.paddle_mass_kg)
+    linear = Measurements(conditions, 5.0 * mass)
+    assert empirical.ForceProportional.fit(linear, mass).load_kg(linear.columns(), linear.momentum) == pytest.approx(mass)
+    bent = Measurements(conditions, 5.0 * mass * (1.0 - 0.2 * mass))
+    curve = empirical.AlphaBeta.fit(bent, mass, MACHINE)
+    assert curve.beta < 0.0 < curve.alpha
+    assert curve.load_kg(bent.columns(), bent.momentum) == pytest.approx(mass)
+    table_model = empirical.InterpolatedTable.fit(bent, mass)
+    assert table_model.load_kg(bent.columns(), bent.momentum) == pytest.approx(mass)
+
+
+def test_interpolated_table_has_no_answer_elsewhere_and_goes_on_above() -> None:
+    conditions = Conditions(np.radians(70.0), 42.0, paddle_mass_kg=np.array([0.5, 1.0]))
+    rows = Measurements(conditions, np.array([2.0, 3.0]))
+    known = empirical.InterpolatedTable.fit(rows, np.array([0.5, 1.0]))
+    columns = np.array([[np.radians(70.0), np.radians(60.0)], [42.0, 42.0], [0.0, 0.0], [np.nan, np.nan]])
+    assert known.load_kg(columns, np.array([5.0, 2.0])) == pytest.approx([2.0, np.nan], nan_ok=True)
+
+
+def test_cross_validation_leaves_each_load_out() -> None:
+    # A model that only remembers fails on every load; one that knows the law does not.
+    class Memory:
+        def __init__(self, rows: Measurements) -> None:
+            self.rows = rows
+
+        def load_kg(self, columns: Array, momentum: Array) -> Array:
+            seen = np.isclose(momentum[:, None], self.rows.momentum).any(axis=1)
+            return np.where(seen, columns[2], 0.0)
+
+    conditions = Conditions(np.radians(70.0), 42.0, paddle_mass_kg=np.array([0.1, 0.2, 0.4, 0.8]))
+    rows = Measurements(conditions, 5.0 * np.asarray(conditions.paddle_mass_kg))
+    found = {c.model: c for c in empirical.compare(rows, MACHINE, {"memory": Memory})}
+    assert found["memory"].mean_abs_pct == pytest.approx(100.0)
+    assert found["force-proportional (1 constant)"].max_abs_pct < 1e-9
+    assert found["alpha-beta (2 coefficients)"].max_abs_pct < 1e-6
+
+
+def test_too_few_loads_to_compare() -> None:
+    conditions = Conditions(np.radians(70.0), 42.0, paddle_mass_kg=np.array([0.1, 0.2]))
+    with pytest.raises(ValueError, match="2 loads"):
+        empirical.compare(Measurements(conditions, np.ones(2)), MACHINE)

@@ -1,0 +1,364 @@
+"""Closed loop: what a sweep teaches, what it cannot, and what is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from yieldmon.estimation.closed_loop import (
+    ClosedLoopSettings,
+    DensityAnchor,
+    MassAnchor,
+    SelfCalibrator,
+    Sweep,
+    self_calibrate,
+)
+from yieldmon.estimation.identifiability import report, scaled, sweep_directions
+from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.physics.machine import Machine
+from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.physics.numerics import Array
+
+MACHINE = Machine()
+MODEL = ForwardModel(MACHINE)
+SPEED = MACHINE.nominal_elevator_speed_rad_s
+ANGLES = np.radians(np.arange(40.0, 91.0, 5.0))
+NAMES = ("friction", "restitution", "density")
+CENTRE = {"friction": 0.2, "restitution": 0.6, "density": 1100.0, "shape_ratio": 2.0}
+FLOWS = np.array([2.0, 5.0, 9.0, 12.0, 15.0, 18.0, 21.0, 25.0])
+
+
+def prior(values: dict[str, float] = CENTRE, widths: tuple[float, float, float] = (0.2, 0.1, 0.1)) -> ParameterSet:
+    return ParameterSet(values, NAMES, np.diag([(w * values[n]) ** 2 for w, n in zip(widths, NAMES, strict=True)]))
+
+
+def sweep(
+    flow: float | Array, values: dict[str, float] = CENTRE, noise: float = 0.01, rng: np.random.Generator | None = None,
+    angles: Array = ANGLES, model: ForwardModel = MODEL,
+) -> Sweep:
+    force = np.real(model.force(Conditions(angles, SPEED, mass_flow_kg_s=flow), values))
+    sd = noise * force
+    if rng is not None:
+        force = force + sd * rng.normal(size=force.size)
+    return Sweep(3.0 * np.arange(force.size), angles, np.full(force.size, SPEED), force, sd)
+
+
+# The scale
+
+
+@pytest.mark.parametrize(
+    "values", [CENTRE, {"friction": 0.3, "density": 1300.0, "shape_ratio": 2.0, "k1": 1.2, "k2": 0.6}], ids=["1 + e", "k1, k2"]
+)
+@pytest.mark.parametrize("factor", [0.6, 1.1, 1.59])
+def test_scaling_changes_no_force(values: dict[str, float], factor: float) -> None:
+    conditions = Conditions(ANGLES[:, None], np.array([32.0, 42.0, 52.0]), mass_flow_kg_s=10.0)
+    moved = Conditions(ANGLES[:, None], np.array([32.0, 42.0, 52.0]), mass_flow_kg_s=factor * 10.0)
+    force = np.real(MODEL.force(conditions, values))
+    assert np.real(MODEL.force(moved, scaled(ParameterSet(values), factor).values)) == pytest.approx(force, rel=1e-12)
+
+
+@pytest.mark.parametrize("flow", [2.0, 6.0, 12.0, 22.0])
+def test_the_scale_is_found_numerically_and_named(flow: float) -> None:
+    found = sweep_directions(MODEL, Conditions(ANGLES, SPEED, mass_flow_kg_s=flow), CENTRE, NAMES, 0.1)
+    assert sum(d.is_scale for d in found) == 1
+    scale = next(d for d in found if d.is_scale)
+    assert scale.relative_sd == np.inf
+    assert scale.words().count("1.00") == 3
+    for part in ("mass flow", "density", "1 + restitution"):
+        assert part in scale.words()
+
+
+def test_a_thin_stream_that_all_lands_tells_two_numbers_only() -> None:
+    # Without misses the force is sin(phi) (A sin(phi) - B cos(phi)): two of four unknowns stay open.
+    found = sweep_directions(MODEL, Conditions(ANGLES, SPEED, mass_flow_kg_s=1.0), CENTRE, NAMES, 0.1)
+    assert sum(not np.isfinite(d.relative_sd) for d in found) == 2
+
+
+def test_known_loads_fix_the_scale_and_the_report_says_so() -> None:
+    conditions = Conditions(np.tile(ANGLES, 3), SPEED, mass_flow_kg_s=np.repeat([5.0, 12.0, 20.0], 11))
+    found = report(MODEL, conditions, ParameterSet(CENTRE), NAMES, 0.01)
+    assert all(np.isfinite(d.relative_sd) for d in found.known_load)
+    assert sum(d.is_scale for d in found.unknown_load) == 1
+    assert any("(mass flow, density, impact gain)" in s for s in found.sentences)
+    assert found.document()["remedies"]
+
+
+def test_the_best_remedy_does_what_it_says() -> None:
+    conditions = Conditions(np.radians([70.0, 70.0, 70.0]), SPEED, mass_flow_kg_s=np.array([5.0, 12.0, 20.0]))
+    found = report(MODEL, conditions, ParameterSet(CENTRE), NAMES, 0.05)
+    assert found.remedies[0].worst_sd_after < found.known_load[0].relative_sd
+    assert found.remedies == tuple(sorted(found.remedies, key=lambda r: r.worst_sd_after))
+
+
+# What is learned
+
+
+def test_drifted_grain_within_the_published_error_and_covered() -> None:
+    drifted = {"friction": 0.1952, "restitution": 0.6360, "density": 1133.0, "shape_ratio": 2.0}
+    known = prior({"friction": 0.19, "restitution": 0.60, "density": 1084.0, "shape_ratio": 2.0})
+    for noise in (0.0003, 0.01):
+        sweeps = [sweep(f, drifted, noise) for f in FLOWS]
+        alone = [self_calibrate(MODEL, known, [s]).flows[0] for s in sweeps]
+        pooled = self_calibrate(MODEL, known, sweeps).flows
+        for flows in (alone, pooled):
+            error = np.array([100.0 * abs(f.mass_flow_kg_s / t - 1.0) for f, t in zip(flows, FLOWS, strict=True)])
+            inside = [f.interval(0.9)[0] <= t <= f.interval(0.9)[1] for f, t in zip(flows, FLOWS, strict=True)]
+            assert all(inside)
+            if flows is pooled or noise == 0.0003:
+                assert error.mean() <= 1.87
+
+
+def test_the_posterior_along_the_scale_is_the_prior() -> None:
+    truth = dict(CENTRE, density=1250.0, restitution=0.7, friction=0.25)
+    outcome = self_calibrate(MODEL, prior(), [sweep(f, truth, 0.002) for f in (8.0, 15.0, 22.0)])
+    assert outcome.updated
+    assert outcome.scale.ratio == pytest.approx(1.0, abs=1e-6)
+    assert abs(outcome.scale.shift) < 1e-6
+    assert not outcome.scale.observable
+    assert any(d.is_scale for d in outcome.scale.unobservable_directions)
+    # Gain times density is learned all the same.
+    values = outcome.parameter_set.values
+    product = (1.0 + values["restitution"]) * values["density"] / (1.7 * 1250.0)
+    assert product == pytest.approx(1.0, abs=0.025)
+    assert values["friction"] == pytest.approx(0.25, abs=0.02)
+
+
+def test_pooling_narrows_what_single_sweeps_tell() -> None:
+    sweeps = [sweep(f, noise=0.01) for f in (6.0, 10.0, 14.0, 18.0)]
+    one = self_calibrate(MODEL, prior(), sweeps[:1])
+    four = self_calibrate(MODEL, prior(), sweeps)
+    for name in ("friction", "density"):
+        width = [next(p.ratio for p in o.parameters if p.name == name) for o in (one, four)]
+        assert width[1] < width[0]
+
+
+def test_pooled_sweeps_equal_the_same_sweeps_one_after_another() -> None:
+    rng = np.random.default_rng(12)
+    truth = dict(CENTRE, friction=0.22, density=1150.0)
+    sweeps = [sweep(f, truth, 0.01, rng) for f in (9.0, 16.0)]
+    loose = ClosedLoopSettings(learned_information=0.0, kept_ratio=1.1)
+    pooled = self_calibrate(MODEL, prior(), sweeps, settings=loose)
+    first = self_calibrate(MODEL, prior(), sweeps[:1], settings=loose)
+    second = self_calibrate(MODEL, first.parameter_set, sweeps[1:], settings=loose)
+    for a, b in zip(pooled.parameters, second.parameters, strict=True):
+        # Equal but for the second-order terms that a Gaussian in between drops.
+        assert b.value == pytest.approx(a.value, abs=0.1 * a.prior_sd)
+        assert b.sd == pytest.approx(a.sd, rel=0.1)
+
+
+def test_ninety_per_cent_intervals_cover_flow_and_parameters() -> None:
+    rng = np.random.default_rng(1)
+    known, count = prior(), 300
+    angles = np.repeat(ANGLES, 2)
+    hits = dict.fromkeys(("flow", *NAMES), 0)
+    for _ in range(count):
+        draw = rng.multivariate_normal([CENTRE[n] for n in NAMES], known.covariance)
+        truth = dict(CENTRE, **dict(zip(NAMES, np.clip(draw, [0.0, 0.0, 200.0], [3.0, 1.0, 5000.0]).tolist(), strict=True)))
+        flow = float(np.exp(rng.uniform(np.log(4.0), np.log(22.0))))
+        clean = np.real(MODEL.force(Conditions(angles, SPEED, mass_flow_kg_s=flow), truth))
+        force = clean + np.hypot(0.02 * clean, 0.1) * rng.normal(size=22)
+        sd = np.hypot(0.02 * np.abs(force), 0.1)
+        outcome = self_calibrate(MODEL, known, [Sweep(3.0 * np.arange(22), angles, np.full(22, SPEED), force, sd)])
+        low, high = outcome.flows[0].interval(0.9)
+        hits["flow"] += low <= flow <= high
+        for p in outcome.parameters:
+            low, high = p.interval(0.9)
+            hits[p.name] += low <= truth[p.name] <= high
+    for name, n in hits.items():
+        assert 0.85 <= n / count <= 0.95, name
+
+
+# Flow that is not constant
+
+
+def test_a_linear_trend_is_estimated() -> None:
+    angles = np.concatenate((ANGLES, [np.radians(70.0)] * 3, ANGLES[::-1]))
+    clock = 3.0 * np.arange(angles.size)
+    flow = 12.0 * np.exp(0.003 * (clock - clock.mean()))
+    rows = sweep(flow, noise=0.005, angles=angles)
+    trend = self_calibrate(MODEL, prior(), [rows], settings=ClosedLoopSettings(flow="linear"))
+    constant = self_calibrate(MODEL, prior(), [rows])
+    assert trend.consistent
+    assert not constant.consistent
+    assert trend.flows[0].mass_flow_kg_s == pytest.approx(12.0, rel=0.02)
+
+
+def test_a_wandering_flow_is_believed_as_a_process_and_its_mean_found() -> None:
+    rng = np.random.default_rng(21)
+    angles = np.tile(np.concatenate(([np.radians(70.0)], ANGLES)), 2)
+    z, known = [], prior(widths=(0.05, 0.01, 0.03))
+    settings = ClosedLoopSettings(flow="process", flow_process_sd=0.06, flow_process_time_s=15.0)
+    for _ in range(30):
+        lag = np.abs(3.0 * (np.arange(angles.size)[:, None] - np.arange(angles.size))) / 15.0
+        wander = 0.06 * np.linalg.cholesky(np.exp(-lag) + 1e-12 * np.eye(angles.size)) @ rng.normal(size=angles.size)
+        flow = 11.0 * np.exp(wander)
+        outcome = self_calibrate(MODEL, known, [sweep(flow, noise=0.01, rng=rng, angles=angles)], settings=settings)
+        assert outcome.consistent
+        z.append(np.log(outcome.flows[0].mass_flow_kg_s / flow.mean()) / outcome.flows[0].log_sd)
+    assert abs(np.mean(z)) < 0.6
+    assert 0.4 < np.std(z) < 1.4
+
+
+# Anchors
+
+
+def load(reference_flow: float, truth: dict[str, float], sd_kg: float, windows: int = 600) -> MassAnchor:
+    flow = reference_flow * (1.0 + 0.3 * np.sin(np.arange(windows) / 40.0))
+    force = np.real(MODEL.force(Conditions(np.radians(70.0), SPEED, mass_flow_kg_s=flow), truth))
+    ones = np.ones(windows)
+    return MassAnchor.from_windows(float(flow.sum()), sd_kg, ones, force, np.radians(70.0) * ones, SPEED * ones)
+
+
+def test_a_weighed_load_fixes_the_scale() -> None:
+    truth = dict(CENTRE, density=1220.0, restitution=0.68, friction=0.23)
+    sweeps = [sweep(f, truth, 0.005) for f in (8.0, 14.0)]
+    without = self_calibrate(MODEL, prior(), sweeps)
+    anchored = self_calibrate(MODEL, prior(), sweeps, anchors=[load(10.0, truth, 20.0)])
+    assert anchored.consistent
+    assert anchored.scale.observable
+    assert anchored.scale.ratio < 0.3 < without.scale.ratio
+    for flow, true in zip(anchored.flows, (8.0, 14.0), strict=True):
+        assert flow.mass_flow_kg_s == pytest.approx(true, rel=0.01)
+    # An open loop with the new parameters weighs the load right.
+    test_load = load(10.0, truth, 20.0)
+    measured = test_load.duration_s @ OpenLoop(MODEL, anchored.parameter_set).invert(
+        test_load.force_n, test_load.plate_angle_rad, test_load.elevator_speed_rad_s
+    )
+    assert measured == pytest.approx(test_load.reference_kg, rel=0.004)
+
+
+def test_a_weighed_load_alone_teaches_too() -> None:
+    truth = dict(CENTRE, restitution=0.70)
+    outcome = self_calibrate(MODEL, prior(), (), anchors=[load(10.0, truth, 10.0)])
+    assert outcome.updated
+    force = np.real(MODEL.force(Conditions(np.radians(70.0), SPEED, mass_flow_kg_s=10.0), truth))
+    assert OpenLoop(MODEL, outcome.parameter_set).invert(force, np.radians(70.0), SPEED) == pytest.approx(10.0, rel=0.01)
+
+
+def test_condensed_windows_weigh_what_all_of_them_weigh() -> None:
+    rng = np.random.default_rng(4)
+    flow = rng.uniform(1.0, 22.0, 900)
+    force = np.real(MODEL.force(Conditions(np.radians(70.0), SPEED, mass_flow_kg_s=flow), CENTRE))
+    ones = np.ones(900)
+    condensed = MassAnchor.from_windows(1.0, 1.0, ones, force, np.radians(70.0) * ones, SPEED * ones)
+    assert condensed.force_n.size == 12
+    loop = OpenLoop(MODEL, ParameterSet(CENTRE))
+    whole = loop.invert(condensed.force_n, condensed.plate_angle_rad, condensed.elevator_speed_rad_s) @ condensed.duration_s
+    assert whole == pytest.approx(flow.sum(), rel=0.002)
+
+
+def test_a_known_density_moves_the_answer_along_the_scale() -> None:
+    truth = dict(CENTRE, density=1220.0)
+    sweeps = [sweep(f, truth, 0.002) for f in (10.0, 18.0)]
+    outcome = self_calibrate(MODEL, prior(), sweeps, density=DensityAnchor(1220.0, 5.0))
+    assert outcome.scale.observable
+    assert outcome.flows[0].mass_flow_kg_s == pytest.approx(10.0, rel=0.01)
+    assert outcome.flows[0].log_sd < 0.75 * self_calibrate(MODEL, prior(), sweeps).flows[0].log_sd
+
+
+def test_a_test_weight_carries_the_doubt_about_its_ratio() -> None:
+    anchor = DensityAnchor.from_test_weight(720.0, 7.2, 1.5, 0.15)
+    assert anchor.density_kg_m3 == pytest.approx(1080.0)
+    assert anchor.std_dev_kg_m3 == pytest.approx(1080.0 * np.hypot(0.01, 0.1))
+
+
+# Refusals
+
+
+def test_what_was_not_learned_keeps_value_and_variance() -> None:
+    # A thin stream says next to nothing of density or restitution.
+    outcome = self_calibrate(MODEL, prior(widths=(0.2, 0.02, 0.1)), [sweep(1.5, dict(CENTRE, friction=0.3), 0.02)])
+    kept = [p for p in outcome.parameters if not p.learned]
+    assert {p.name for p in kept} >= {"restitution"}
+    for p in kept:
+        assert p.value == p.prior
+        assert p.sd == p.prior_sd
+        assert outcome.parameter_set.values[p.name] == prior().values[p.name]
+
+
+def test_nothing_learned_is_nothing_changed() -> None:
+    known = prior()
+    outcome = self_calibrate(MODEL, known, [sweep(3.0, noise=0.5)])
+    assert not outcome.updated
+    assert outcome.parameter_set is known
+    assert outcome.consistent
+    assert "too little" in outcome.reason
+    assert outcome.learned() == ()
+
+
+def test_windows_that_disagree_with_the_model_change_nothing_and_are_placed() -> None:
+    known = prior()
+    rows = sweep(12.0, noise=0.005)
+    force = rows.force_n.copy()
+    force[8] *= 1.2
+    outcome = self_calibrate(MODEL, known, [dataclasses.replace(rows, force_n=force)])
+    assert not outcome.consistent
+    assert outcome.parameter_set is known
+    assert outcome.p_value < 1e-3
+    assert outcome.region == "80 deg"
+    assert "around 80 deg" in outcome.reason
+
+
+def test_a_model_error_makes_room_for_a_misfit() -> None:
+    rows = sweep(12.0, noise=0.005)
+    bent = dataclasses.replace(rows, force_n=rows.force_n * (1.0 + 0.02 * (-1.0) ** np.arange(11)))
+    assert not self_calibrate(MODEL, prior(), [bent]).consistent
+    assert self_calibrate(MODEL, prior(), [bent], settings=ClosedLoopSettings(model_error=0.02)).consistent
+
+
+def test_the_covariance_after_a_refusal_in_part_is_one() -> None:
+    rng = np.random.default_rng(8)
+    for seed in range(12):
+        correlated = np.array([[1.0, 0.6, -0.3], [0.6, 1.0, 0.4], [-0.3, 0.4, 1.0]])
+        sd = np.array([0.04, 0.06, 110.0])
+        known = ParameterSet(CENTRE, NAMES, correlated * np.outer(sd, sd))
+        settings = ClosedLoopSettings(learned_information=0.3, kept_ratio=float(rng.uniform(0.7, 0.99)))
+        outcome = self_calibrate(MODEL, known, [sweep(3.0 + 1.5 * seed, noise=0.02, rng=rng)], settings=settings)
+        values = np.linalg.eigvalsh(outcome.parameter_set.covariance / np.outer(sd, sd))
+        assert values.min() > 0.0
+        assert np.all(np.diag(outcome.parameter_set.covariance) <= sd**2 * (1.0 + 1e-9))
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: self_calibrate(MODEL, prior(), ()), "neither a sweep nor an anchor"),
+        (lambda: self_calibrate(MODEL, ParameterSet(CENTRE), [sweep(5.0)]), "no covariance"),
+        (lambda: self_calibrate(ForwardModel(MACHINE, ("gravity",)), prior(), [sweep(5.0)]), "effects"),
+        (lambda: Sweep(np.zeros(2), ANGLES[:2], np.full(2, SPEED), np.array([1.0, np.nan]), np.ones(2)), "force_n must hold"),
+        (lambda: Sweep(np.zeros(2), ANGLES[:2], np.full(2, SPEED), np.ones(2), np.zeros(2)), "above 0"),
+        (lambda: Sweep(np.zeros(3), ANGLES[:2], np.full(2, SPEED), np.ones(2), np.ones(2)), "time_s must hold"),
+        (lambda: self_calibrate(MODEL, prior(), [dataclasses.replace(sweep(5.0), force_n=np.full(11, 1e5))]), "full paddle"),
+        (lambda: ClosedLoopSettings(flow="cubic"), "expected constant, linear or process"),
+    ],
+)
+def test_bad_input_is_refused(call, message: str) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(ValueError, match=message):
+        call()
+
+
+def test_effect_parameters_take_part_by_name() -> None:
+    model = ForwardModel(MACHINE, ("zero_offset",))
+    values = CENTRE | {"zero_offset.force_n": 0.0}
+    names = (*NAMES, "zero_offset.force_n")
+    known = ParameterSet(values, names, np.diag([0.04**2, 0.06**2, 110.0**2, 3.0**2]))
+    rows = sweep(10.0, values | {"zero_offset.force_n": 4.0}, 0.002, model=model)
+    outcome = SelfCalibrator(model).update(known, [rows])
+    offset = next(p for p in outcome.parameters if p.name == "zero_offset.force_n")
+    assert offset.learned
+    assert offset.value == pytest.approx(4.0, abs=3.0 * offset.sd)
+    assert offset.ratio < 0.7
+
+
+def test_exchange_coefficients_and_a_responses_own_unit() -> None:
+    values = {"friction": 0.3, "density": 1300.0, "shape_ratio": 2.0, "k1": 300.0, "k2": 200.0}
+    names = ("friction", "density", "k1", "k2")
+    known = ParameterSet(values, names, np.diag([0.06**2, 130.0**2, 30.0**2, 10.0**2]), response_unit="response")
+    outcome = self_calibrate(MODEL, known, [sweep(12.0, dict(values, friction=0.34), 0.002)])
+    assert outcome.updated
+    assert outcome.parameter_set.response_unit == "response"
+    assert outcome.flows[0].mass_flow_kg_s == pytest.approx(12.0, rel=0.1)
+    assert not outcome.scale.observable

@@ -1,0 +1,119 @@
+"""Force to flow: round trips, statuses, standard deviations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from yieldmon.estimation.open_loop import FlowStatus, OpenLoop
+from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
+from yieldmon.physics.machine import RPM, Machine
+from yieldmon.physics.model import Conditions, ForwardModel
+
+MACHINE = Machine()
+GRAIN = {"friction": 0.2, "restitution": 0.6, "density": 1100.0, "shape_ratio": 2.0}
+NAMES = ("friction", "restitution", "density")
+FLOWS = np.array([0.1, 0.3, 1.0, 2.0, 5.0, 9.0, 13.0, 17.0, 21.0, 25.0])
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.2, 0.5, 1.0])
+@pytest.mark.parametrize("form", [{"restitution": 0.6}, {"k1": 1.2, "k2": 0.6}, {"k1": 0.0, "k2": 1.6}], ids=str)
+def test_flow_force_flow_is_the_same_to_1e_9(friction: float, form: dict[str, float]) -> None:
+    values = {"friction": friction, "density": 1400.0, "shape_ratio": 2.0} | form
+    model = ForwardModel(MACHINE)
+    flow, angle, speed = np.meshgrid(
+        FLOWS, np.radians(np.arange(40.0, 91.0, 10.0)), np.array([300.0, 400.0, 500.0]) * RPM, indexing="ij"
+    )
+    force = np.real(model.force(Conditions(angle, speed, mass_flow_kg_s=flow), values))
+    found = OpenLoop(model, ParameterSet(values)).invert(force, angle, speed)
+    again = np.real(model.force(Conditions(angle, speed, mass_flow_kg_s=found), values))
+    assert found == pytest.approx(flow, rel=1e-9)
+    assert again == pytest.approx(force, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("effects", "values"),
+    [
+        (("gravity",), {"gravity.acceleration_m_s2": 9.81}),
+        (("zero_offset",), {"zero_offset.force_n": 3.0}),
+        (("zero_offset",), {"zero_offset.force_n": -3.0}),
+    ],
+)
+def test_round_trip_with_effects(effects: tuple[str, ...], values: dict[str, float]) -> None:
+    model, known = ForwardModel(MACHINE, effects), GRAIN | values
+    force = np.real(model.force(Conditions(1.2, 42.0, mass_flow_kg_s=FLOWS), known))
+    assert OpenLoop(model, ParameterSet(known)).invert(force, 1.2, 42.0) == pytest.approx(FLOWS, rel=1e-8)
+
+
+def loop(sd: tuple[float, float, float] = (0.0, 0.0, 0.0), calibrated: CalibratedRange = CalibratedRange()) -> OpenLoop:  # noqa: B008
+    return OpenLoop(ForwardModel(MACHINE), ParameterSet(GRAIN, NAMES, np.diag(np.square(sd)), calibrated))
+
+
+ANGLE, SPEED = np.radians(70.0), 400.0 * RPM
+RANGE = CalibratedRange((2.0, 20.0), (np.radians(50.0), np.radians(80.0)), (350.0 * RPM, 450.0 * RPM), (13.0, 20.0))
+
+
+@pytest.mark.parametrize(
+    ("force", "angle", "speed", "moisture", "status"),
+    [
+        (100.0, ANGLE, SPEED, 15.0, FlowStatus.OK),
+        (0.0, ANGLE, SPEED, 15.0, FlowStatus.NO_GRAIN),
+        (-5.0, ANGLE, SPEED, 15.0, FlowStatus.NO_GRAIN),
+        (10.0, ANGLE, SPEED, 15.0, FlowStatus.OUTSIDE_CALIBRATION),
+        (100.0, np.radians(85.0), SPEED, 15.0, FlowStatus.OUTSIDE_CALIBRATION),
+        (100.0, ANGLE, 300.0 * RPM, 15.0, FlowStatus.OUTSIDE_CALIBRATION),
+        (100.0, ANGLE, SPEED, 25.0, FlowStatus.OUTSIDE_CALIBRATION),
+        (1e4, ANGLE, SPEED, 15.0, FlowStatus.SATURATED),
+        (np.nan, ANGLE, SPEED, 15.0, FlowStatus.NOT_AVAILABLE),
+        (np.inf, ANGLE, SPEED, 15.0, FlowStatus.NOT_AVAILABLE),
+        (100.0, np.nan, SPEED, 15.0, FlowStatus.NOT_AVAILABLE),
+        (100.0, ANGLE, np.nan, 15.0, FlowStatus.NOT_AVAILABLE),
+        (100.0, ANGLE, 0.0, 15.0, FlowStatus.NOT_AVAILABLE),
+        (100.0, ANGLE, -1.0, 15.0, FlowStatus.NOT_AVAILABLE),
+    ],
+)
+def test_status(force: float, angle: float, speed: float, moisture: float, status: FlowStatus) -> None:
+    found = loop(calibrated=RANGE).estimate(force, angle, speed, 0.5, moisture)
+    assert FlowStatus(int(found.status)) is status
+    known = status not in (FlowStatus.SATURATED, FlowStatus.NOT_AVAILABLE)
+    assert np.isfinite(found.mass_flow_kg_s) == known
+    assert np.isfinite(found.std_dev_kg_s) == known
+
+
+def test_one_bad_row_does_not_spoil_the_others() -> None:
+    force = np.array([50.0, np.nan, 1e5, 100.0])
+    together = loop().estimate(force, ANGLE, SPEED, 1.0)
+    for i in (0, 3):
+        single = loop().estimate(force[i], ANGLE, SPEED, 1.0)
+        assert together.mass_flow_kg_s[i] == pytest.approx(float(single.mass_flow_kg_s), rel=1e-12)
+
+
+def test_standard_deviation_matches_drawn_parameters_and_noise() -> None:
+    rng = np.random.default_rng(3)
+    sd = (0.02, 0.03, 40.0)
+    force, noise = 60.0, 1.5
+    estimate = loop(sd).estimate(force, ANGLE, SPEED, noise)
+    count = 2000
+    drawn = {n: GRAIN[n] + s * rng.normal(size=count) for n, s in zip(NAMES, sd, strict=True)}
+    flows = np.array([
+        OpenLoop(ForwardModel(MACHINE), ParameterSet(GRAIN | {n: float(drawn[n][i]) for n in NAMES})).invert(
+            force + noise * rng.normal(), ANGLE, SPEED
+        )
+        for i in range(200)
+    ])
+    # 200 draws know a standard deviation to 5 %.
+    assert flows.std() == pytest.approx(float(estimate.std_dev_kg_s), rel=0.15)
+
+
+def test_correlated_parameters_count_their_correlation() -> None:
+    # Density and 1 + e that move against each other along the scale direction leave the force of a thin load as uncertain as e.
+    covariance = np.diag([0.0, 0.06**2, 110.0**2])
+    covariance[1, 2] = covariance[2, 1] = -0.999 * 0.06 * 110.0
+    alone = loop((0.0, 0.06, 110.0)).estimate(150.0, ANGLE, SPEED)
+    both = OpenLoop(ForwardModel(MACHINE), ParameterSet(GRAIN, NAMES, covariance)).estimate(150.0, ANGLE, SPEED)
+    assert abs(float(both.std_dev_kg_s) / float(alone.std_dev_kg_s) - 1.0) > 0.02
+
+
+def test_effects_of_model_and_parameters_must_agree() -> None:
+    with pytest.raises(ValueError, match="effects"):
+        OpenLoop(ForwardModel(MACHINE, ("gravity",)), ParameterSet(GRAIN))
