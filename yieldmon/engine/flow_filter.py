@@ -29,7 +29,7 @@ class FlowFilterSettings:
     """Standard deviation of the change from window to window while the flow is steady."""
     trend_change: float = 0.006
     """The same of the change of the trend while the flow rises or falls steadily."""
-    jump: float = 0.5
+    jump: float = 0.25
     """Standard deviation of a jump."""
     stay: float = 0.95
     """Probability that the flow goes on as it was from one window to the next."""
