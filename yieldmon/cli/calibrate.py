@@ -20,9 +20,10 @@ from yieldmon.cli import model_options
 from yieldmon.errors import InputError
 from yieldmon.estimation import empirical, identifiability
 from yieldmon.estimation.calibration import CONFIDENCE, Calibration, Measurements, calibrate, default_start
+from yieldmon.estimation.moisture import fit as fit_moisture_map
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import Prior
-from yieldmon.files import parameter_file, table
+from yieldmon.files import moisture_file, parameter_file, table
 from yieldmon.physics.effects import get_effect
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import EXCHANGE_FORM, RESTITUTION_FORM, ForwardModel
@@ -48,7 +49,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--response-scale", type=float, metavar="S", help="units of `response` in one kg m/s, where known")
     parser.add_argument("--plate-angle", type=float, metavar="DEG", help="use the rows at this angle only")
     parser.add_argument("--robust", action="store_true", help="soft-L1 loss: outliers lose weight")
-    parser.add_argument("--by-moisture", action="store_true", help="one fit for each moisture_pct; --out names a folder")
+    parser.add_argument("--by-moisture", action="store_true", help="a fit for each moisture_pct and a map; --out names a folder")
     parser.add_argument("--compare", action="store_true", help="beside the empirical models, by cross-validation over loads")
     parser.add_argument("--identifiability", action="store_true", help="what these rows can tell, and what would tell more")
     parser.add_argument("--seed", type=int, default=0, help="of the random starts; default: 0")
@@ -229,7 +230,7 @@ def _by_moisture(args: argparse.Namespace, machine: Machine, data: table.Table, 
     moisture = rows.columns()[3]
     if not np.all(np.isfinite(moisture)):
         raise InputError(data.path, "has rows without moisture_pct", "a moisture for each row")
-    documents = []
+    documents, sets = [], []
     for value in np.unique(moisture):
         result = _fit(args, machine, data, rows.select(moisture == value))
         document = report(result, data, rows) | {"moisture_pct": float(value)}
@@ -239,6 +240,9 @@ def _by_moisture(args: argparse.Namespace, machine: Machine, data: table.Table, 
             document["written"] = str(folder / f"{Path(data.path).stem}-{value:g}.yaml")
             parameter_file.save(result.parameter_set, document["written"])
         documents.append(document)
+        sets.append(result.parameter_set)
+    if args.out is not None and len(sets) > 1:
+        moisture_file.save(fit_moisture_map(np.unique(moisture).tolist(), sets), Path(args.out) / "moisture-map.yaml")
     if args.json:
         print(json.dumps(_finite({"by_moisture": documents}), indent=1))
     else:

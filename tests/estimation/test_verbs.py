@@ -1,0 +1,291 @@
+"""predict, estimate, calibrate and self-calibrate as a user runs them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from yieldmon.cli.main import main
+from yieldmon.files import moisture_file, parameter_file
+from yieldmon.resources import shipped
+
+DATA = Path(__file__).parents[1] / "data"
+PUBLISHED = ["--params", str(shipped("config/parameters/published-example.yaml"))]
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: object, code: int = 0) -> str:
+    assert main([str(w) for w in words]) == code
+    out, err = capsys.readouterr()
+    if code:
+        assert out == ""
+        assert err.count("\n") == 1
+        return err
+    return out
+
+
+def document(capsys: pytest.CaptureFixture[str], *words: object) -> dict:
+    return json.loads(run(capsys, *words, "--json"))
+
+
+@pytest.fixture
+def sweep_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
+    """Forces at three flows and eleven angles of drifted grain."""
+    rows = document(
+        capsys, "predict", "--mass-flow", "6,12,20", "--plate-angle", "40:90:5", *PUBLISHED, "--set", "friction=0.25",
+        "--set", "restitution=0.63", "--set", "density=1150",
+    )["rows"]
+    path = tmp_path / "sweep.csv"
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["plate_angle_deg", "mass_flow_kg_s", "force_n"])
+        writer.writerows([r["plate_angle_deg"], r["mass_flow_kg_s"], r["force_n"]] for r in rows)
+    return path
+
+
+@pytest.fixture
+def known() -> Path:
+    return shipped("config/parameters/published-example.yaml")
+
+
+# predict
+
+
+def test_predict_gives_a_row_for_each_combination(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = document(
+        capsys, "predict", "--mass-flow", "2,5", "9", "--plate-angle", "40:70:15", "--elevator-speed", "350", "400", *PUBLISHED
+    )["rows"]
+    assert len(rows) == 18
+    assert [r["mass_flow_kg_s"] for r in rows[::6]] == [2.0, 5.0, 9.0]
+    assert rows[0]["plate_angle_deg"] == 40.0
+    for r in rows:
+        passes = r["mass_flow_kg_s"] / r["paddle_mass_kg"]
+        assert r["force_n"] == pytest.approx(r["paddle_momentum_kg_m_s"] * passes)
+    # Table 11.2: 9 kg/s at 70 deg.
+    assert rows[-1]["elevator_speed_rpm"] == 400.0
+    assert rows[-1]["paddle_momentum_kg_m_s"] == pytest.approx(6.84, rel=0.004)
+
+
+def test_predict_csv_has_the_same_numbers(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("predict", "--mass-flow", "2,25", "--plate-angle", "70", *PUBLISHED)
+    rows = document(capsys, *words)["rows"]
+    lines = list(csv.DictReader(io.StringIO(run(capsys, *words))))
+    for line, row in zip(lines, rows, strict=True):
+        assert {k: float(v) for k, v in line.items()} == pytest.approx(row, rel=1e-9)
+
+
+def test_predict_with_an_effect_set_by_name(capsys: pytest.CaptureFixture[str]) -> None:
+    plain = document(capsys, "predict", "--mass-flow", "5")["rows"][0]["force_n"]
+    offset = document(capsys, "predict", "--mass-flow", "5", "--set", "zero_offset.force_n=2.5")["rows"][0]["force_n"]
+    assert offset - plain == pytest.approx(2.5)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--mass-flow", "500"], "a full paddle"),
+        (["--mass-flow", "-1"], "--mass-flow: is -1"),
+        (["--mass-flow", "two"], "--mass-flow: is 'two'; expected a finite number"),
+        (["--mass-flow", "5:2:1"], "first:last:step"),
+        (["--mass-flow", "5", "--plate-angle", "200"], "--plate-angle: is 200"),
+        (["--mass-flow", "5", "--elevator-speed", "0"], "above 0 rpm"),
+        (["--mass-flow", "5", "--set", "colour=1"], "colour is not a parameter"),
+        (["--mass-flow", "5", "--set", "friction"], "expected NAME=VALUE"),
+        (["--mass-flow", "5", "--set", "restitution=2"], "is 2; expected 0 to 1"),
+        (["--mass-flow", "5", "--set", "nothing.here=2"], "effect 'nothing': unknown"),
+        (["--mass-flow", "5", "--set", "k1=2"], "k1 and k2"),
+        (["--mass-flow", "5", "--params", "none.yaml"], "none.yaml"),
+    ],
+)
+def test_predict_refuses_in_one_line(capsys: pytest.CaptureFixture[str], words: list[str], message: str) -> None:
+    assert message in run(capsys, "predict", *words, code=2)
+
+
+# estimate
+
+
+def test_estimate_finds_the_flows_that_predict_took(capsys: pytest.CaptureFixture[str], sweep_table: Path) -> None:
+    words = [*PUBLISHED, "--set", "friction=0.25", "--set", "restitution=0.63", "--set", "density=1150"]
+    rows = document(capsys, "estimate", sweep_table, *words)["rows"]
+    assert len(rows) == 33
+    for row in rows:
+        assert row["mass_flow_kg_s"] == pytest.approx(row["true_mass_flow_kg_s"], rel=1e-6)
+        assert row["status"] == "ok"
+        assert abs(row["error_pct"]) < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("value", "status"), [("", "not_available"), ("-", "not_available"), ("0", "no_grain"), ("1e5", "saturated")]
+)
+def test_estimate_gives_a_status_for_each_row(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, value: str, status: str
+) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text(f"plate_angle_deg,force_n\n70,{value}\n70,50\n")
+    rows = document(capsys, "estimate", path, "--sigma", "1", *PUBLISHED)["rows"]
+    assert rows[0]["status"] == status
+    assert (rows[0]["mass_flow_kg_s"] is None) == (status in ("not_available", "saturated"))
+    assert rows[1]["status"] == "ok"
+    assert rows[1]["std_dev_kg_s"] > 0.0
+
+
+def test_estimate_refuses_parameters_of_another_scale(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "holds response" in run(capsys, "estimate", DATA / "bench_table.csv", code=2)
+
+
+# calibrate
+
+
+def test_calibrate_writes_what_estimate_reads(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    out = tmp_path / "bench.yaml"
+    found = document(capsys, "calibrate", DATA / "bench_table.csv", "--plate-angle", "70", "--starts", "3", "--out", out)
+    assert found["residual"]["rms_over_max_pct"] < 5.9
+    written = parameter_file.load(out)
+    assert written.response_unit == "response"
+    assert written.values["k2"] == found["parameters"]["k2"]["value"]
+    assert len(written.provenance["data_sha256"]) == 64
+    again = tmp_path / "again.yaml"
+    parameter_file.save(written, again)
+    assert again.read_bytes() == out.read_bytes()
+    rows = document(capsys, "estimate", DATA / "bench_table.csv", "--params", out)["rows"]
+    heavy = [r["error_pct"] for r in rows if r["true_mass_flow_kg_s"] > 3.0 and r["status"] == "ok"]
+    assert abs(np.mean(heavy)) < 5.0
+
+
+def test_calibrate_recovers_generated_parameters(capsys: pytest.CaptureFixture[str], sweep_table: Path) -> None:
+    found = document(capsys, "calibrate", sweep_table, "--starts", "5")
+    for name, value in {"friction": 0.25, "restitution": 0.63, "density": 1150.0}.items():
+        assert found["parameters"][name]["value"] == pytest.approx(value, rel=1e-4)
+        assert found["parameters"][name]["determined"]
+    assert found["fixed"] == {"shape_ratio": 2.0}
+    assert sum(b["starts"] for b in found["basins"]) == 5
+
+
+def test_calibrate_holds_and_frees_what_it_is_told(capsys: pytest.CaptureFixture[str], sweep_table: Path) -> None:
+    found = document(capsys, "calibrate", sweep_table, "--starts", "2", "--fix", "density=1150", "--free", "friction,restitution")
+    assert set(found["parameters"]) == {"friction", "restitution"}
+    assert found["fixed"]["density"] == 1150.0
+
+
+def test_calibrate_with_a_prior_counts_the_version(
+    capsys: pytest.CaptureFixture[str], sweep_table: Path, known: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "next.yaml"
+    document(capsys, "calibrate", sweep_table, "--prior", known, "--starts", "1", "--out", out)
+    written = parameter_file.load(out)
+    assert written.version == 2
+    assert "published-example.yaml" in written.provenance["parent"]
+
+
+def test_calibrate_compares_and_explains(capsys: pytest.CaptureFixture[str]) -> None:
+    text = run(
+        capsys, "calibrate", DATA / "dem_table.csv", "--plate-angle", "70", "--impact", "exchange", "--starts", "2", "--compare",
+        "--identifiability",
+    )
+    for part in ("force-proportional", "alpha-beta", "interpolated table", "physical model", "identifiability:"):
+        assert part in text
+
+
+def test_calibrate_by_moisture_writes_a_map(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    lines = ["plate_angle_deg,mass_flow_kg_s,force_n,moisture_pct"]
+    for moisture, friction in ((14, 0.1), (26, 0.3)):
+        rows = document(
+            capsys, "predict", "--mass-flow", "4,8,12,16,20", "--plate-angle", "45,60,75,90", *PUBLISHED, "--set",
+            f"friction={friction}",
+        )
+        lines += [f"{r['plate_angle_deg']},{r['mass_flow_kg_s']},{r['force_n']},{moisture}" for r in rows["rows"]]
+    path = tmp_path / "wet.csv"
+    path.write_text("\n".join(lines) + "\n")
+    found = document(capsys, "calibrate", path, "--by-moisture", "--starts", "2", "--out", tmp_path / "fits")
+    assert [d["parameters"]["friction"]["value"] for d in found["by_moisture"]] == pytest.approx([0.1, 0.3], rel=1e-4)
+    assert moisture_file.load(tmp_path / "fits" / "moisture-map.yaml").at("friction", 20.0) == pytest.approx(0.2, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--impact", "restitution"], "cannot carry the scale"),
+        (["--starts", "0"], "--starts: is 0"),
+        (["--effects", "magic"], "effect 'magic': unknown"),
+        (["--free", "colour"], "--free: is 'colour'"),
+        (["--fix", "restitution=0.5"], "restitution is not in this model"),
+        (["--bounds", "friction=1"], "NAME=LOW:HIGH"),
+        (["--bounds", "friction=1:0"], "the lower end first"),
+        (["--plate-angle", "71"], "--plate-angle: is 71"),
+        (["--by-moisture"], "without moisture_pct"),
+        (["--response-scale", "-1"], "--response-scale: is -1"),
+    ],
+)
+def test_calibrate_refuses_in_one_line(capsys: pytest.CaptureFixture[str], words: list[str], message: str) -> None:
+    assert message in run(capsys, "calibrate", DATA / "bench_table.csv", *words, code=2)
+
+
+def test_a_response_with_a_known_scale_takes_restitution(
+    capsys: pytest.CaptureFixture[str], sweep_table: Path, tmp_path: Path
+) -> None:
+    lines = sweep_table.read_text().splitlines()
+    table = tmp_path / "response.csv"
+    passes = 400.0 * np.pi / 30.0 * 0.0541 / 0.18635
+    body = [line.split(",") for line in lines[1:]]
+    table.write_text(
+        "plate_angle_deg,mass_flow_kg_s,response\n" + "\n".join(f"{a},{m},{250.0 * float(f) / passes}" for a, m, f in body) + "\n"
+    )
+    found = document(capsys, "calibrate", table, "--response-scale", "250", "--impact", "restitution", "--starts", "2")
+    assert found["parameters"]["restitution"]["value"] == pytest.approx(0.63, rel=1e-3)
+
+
+# self-calibrate
+
+
+def test_self_calibrate_groups_by_load_and_writes_the_next_version(
+    capsys: pytest.CaptureFixture[str], sweep_table: Path, known: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "next.yaml"
+    found = document(capsys, "self-calibrate", sweep_table, "--params", known, "--sigma", "0.05", "--out", out)
+    assert [g["group"] for g in found["groups"]] == ["6", "12", "20"]
+    for group in found["groups"]:
+        low, high = group["interval_kg_s"]
+        assert low <= group["true_mass_flow_kg_s"] <= high
+    update = found["updates"][0]
+    assert update["parameters"]["friction"]["value"] == pytest.approx(0.25, abs=0.02)
+    assert not update["scale"]["observable"]
+    assert update["scale"]["ratio"] == pytest.approx(1.0, abs=1e-4)
+    written = parameter_file.load(out)
+    assert written.version == 2
+    assert written.provenance["method"] == "closed loop"
+
+
+def test_self_calibrate_alone_and_pooled(capsys: pytest.CaptureFixture[str], sweep_table: Path, known: Path) -> None:
+    words = ("self-calibrate", sweep_table, "--params", known, "--sigma", "0.3", "--group-by", "mass_flow_kg_s")
+    pooled, separate = document(capsys, *words), document(capsys, *words, "--separate")
+    assert len(pooled["updates"]) == 1
+    assert len(separate["updates"]) == 3
+    narrow = pooled["updates"][0]["parameters"]["friction"]["sd"]
+    assert all(narrow < u["parameters"]["friction"]["sd"] for u in separate["updates"])
+
+
+def test_self_calibrate_in_words(capsys: pytest.CaptureFixture[str], sweep_table: Path, known: Path) -> None:
+    text = run(capsys, "self-calibrate", sweep_table, "--params", known, "--sigma", "0.3", "--density", "1150:10")
+    assert "scale (mass flow, density, impact gain) -> (a, a, 1/a)" in text
+    assert "width narrowed" in text
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([], "says nothing of its noise"),
+        (["--sigma", "0"], "--sigma: is 0"),
+        (["--sigma", "1", "--group-by", "colour"], "colour is no column"),
+        (["--sigma", "1", "--group-by", "force_n"], "fewer than two plate angles"),
+        (["--sigma", "1", "--density", "1100"], "KG_M3:SD"),
+        (["--sigma", "1", "--separate", "--out", "x.yaml"], "given with --separate"),
+    ],
+)
+def test_self_calibrate_refuses_in_one_line(
+    capsys: pytest.CaptureFixture[str], sweep_table: Path, known: Path, words: list[str], message: str
+) -> None:
+    assert message in run(capsys, "self-calibrate", sweep_table, "--params", known, *words, code=2)
