@@ -13,16 +13,14 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from yieldmon.bus.codec import Codec
-from yieldmon.engine.monitor import Monitor
 from yieldmon.errors import InputError
-from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.files import machine_file
 from yieldmon.physics.machine import RPM
-from yieldmon.physics.model import ForwardModel
 from yieldmon.plant import scenario as scenarios
 from yieldmon.plant.combine import VirtualCombine
 from yieldmon.resources import shipped
 from yieldmon.service import configuration
+from yieldmon.service.assembly import build_monitor
 from yieldmon.trial import accuracy, lockstep, picture
 
 EXAMPLE = "yieldmon demo --duration 120 --seed 1 --picture demo.png"
@@ -52,8 +50,7 @@ def run(args: argparse.Namespace) -> int:
     machine = machine_file.load(shipped("config/machines") / f"{chosen.machine}.yaml")
     if machine != settings.machine:
         raise InputError(str(args.scenario), f"machine is {chosen.machine!r}", f"{settings.machine.name!r} as configured")
-    model = ForwardModel(machine, settings.parameters.effects)
-    monitor = Monitor(settings.engine, machine, OpenLoop(model, settings.parameters))
+    monitor = build_monitor(settings.engine, machine, settings.parameters, settings.calibrator)
     console = Console(stderr=True)
     with Progress(
         TextColumn("simulated"), BarColumn(), TextColumn("{task.completed:.0f} / {task.total:.0f} s"), TimeRemainingColumn(),

@@ -141,7 +141,7 @@ class SweepSettings:
 
     enabled: bool = True
     interval_s: float = 1800.0
-    first_after_s: float = 120.0
+    first_after_s: float = 600.0
     """Time from the start to the first sweep."""
     angles_deg: tuple[float, ...] = (40.0, 45.0, 50.0, 55.0, 60.0, 65.0, 75.0, 80.0, 85.0, 90.0)
     home_every: int = 2

@@ -84,13 +84,15 @@ class StudySettings:
 
 @dataclass(frozen=True)
 class Outcome:
-    """One strategy over the season. load_error_pct: signed, by load. sweeps, updates: done, and that moved a parameter.
-
-    history: columns time_h and, for each parameter, value and standard deviation.
+    """One strategy over the season. load_error_pct: signed, by load, with the parameters that held then. posted_error_pct: the
+    same after tickets were used to correct the loads before them, as `yieldmon ticket` does; equal where there are none.
+    sweeps, updates: done, and that moved a parameter. history: columns time_h and, for each parameter, value and standard
+    deviation.
     """
 
     strategy: Strategy
     load_error_pct: Array
+    posted_error_pct: Array
     window_mean_abs_pct: float
     window_p95_abs_pct: float
     sweeps: int
@@ -106,6 +108,11 @@ class Outcome:
     def loads_within_1_pct(self) -> float:
         """Share of the loads within 1 %, 0 to 1."""
         return float(np.mean(np.abs(self.load_error_pct) <= 1.0))
+
+    @property
+    def posted_within_1_pct(self) -> float:
+        """The same after post-calibration by tickets."""
+        return float(np.mean(np.abs(self.posted_error_pct) <= 1.0))
 
 
 def scenario_of(settings: SeasonSettings) -> Scenario:
@@ -169,6 +176,7 @@ class _Keeper:
         self.grown_to_h = 0.0
         self.sweeps = self.updates = 0
         self.told_day = 0
+        self.tickets: list[int] = []
         self.load_of_day: list[int] = []
         self.rows: list[tuple[float, ...]] = []
         self.kept = ("friction", "restitution", "density")
@@ -195,6 +203,7 @@ class _Keeper:
         if day > self.told_day:
             if self.strategy.tickets_per_day:
                 for ticket in self.load_of_day[-self.strategy.tickets_per_day :]:
+                    self.tickets.append(ticket)
                     self._weigh(ticket, float(self.season.loads.mass_kg[ticket]), self.settings.ticket_sd_kg, hour)
             self.told_day, self.load_of_day = day, []
 
@@ -208,12 +217,24 @@ class _Keeper:
         return Outcome(
             self.strategy,
             100.0 * (measured / season.loads.mass_kg - 1.0),
+            100.0 * (measured * self._ticket_factors(measured) / season.loads.mass_kg - 1.0),
             float(np.nanmean(relative)),
             float(np.nanpercentile(relative, 95.0)),
             self.sweeps,
             self.updates,
             dict(zip(names, columns, strict=True)),
         )
+
+    def _ticket_factors(self, measured_kg: Array) -> Array:
+        """What post-calibration multiplies each load by: 1 just after a ticket, growing evenly to what the next one asks."""
+        factors = np.ones(measured_kg.size)
+        last = 0
+        for ticket in self.tickets:
+            asked = self.season.loads.mass_kg[ticket] / measured_kg[ticket]
+            share = np.arange(1, ticket - last + 2) / (ticket - last + 1)
+            factors[last : ticket + 1] = asked**share
+            last = ticket + 1
+        return factors
 
     def _moisture(self, windows: Array | slice) -> Array | None:
         return self.season.moisture_reading_pct[windows] if self.strategy.moisture_map else None

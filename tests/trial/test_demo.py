@@ -1,0 +1,40 @@
+"""The demo verb: its document, its promise on a fixed seed, and that a seed decides everything."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from yieldmon.cli.main import main
+
+
+@pytest.fixture(scope="module")
+def demo():
+    def run(*options: str, capsys) -> dict:
+        assert main(["demo", "--json", *options]) == 0
+        return json.loads(capsys.readouterr().out)
+
+    return run
+
+
+def test_the_default_scenario_keeps_the_promise(demo, capsys, tmp_path):
+    picture = tmp_path / "demo.png"
+    found = demo("--duration", "120", "--seed", "1", "--picture", str(picture), capsys=capsys)
+    assert set(found) >= {"flow_error_pct", "mass_error_pct", "windows", "sweeps", "bands"}
+    assert found["flow_error_pct"]["p95_abs"] <= 5.0
+    assert abs(found["mass_error_pct"]) <= 1.0
+    assert found["missing_rated_windows"] == 0
+    assert sum(band["windows"] for band in found["bands"]) == found["windows"]
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_seed_decides(demo, capsys):
+    runs = [demo("--duration", "20", "--seed", seed, capsys=capsys) for seed in ("5", "5", "6")]
+    assert runs[0] == runs[1] != runs[2]
+
+
+@pytest.mark.parametrize("duration", ["1", "1e9", "nan"])
+def test_a_wrong_duration_is_one_line(duration, capsys):
+    assert main(["demo", "--duration", duration]) == 2
+    assert "--duration" in capsys.readouterr().err
