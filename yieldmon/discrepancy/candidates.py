@@ -124,6 +124,30 @@ def refit(current: Fit, found: Score, *, starts: int = 1) -> Fit | None:
     return min(fits, key=lambda f: f.chi2) if fits else None
 
 
+def only_at_bound(found: Fit, effect: str, allowance: float) -> str:
+    """Why a fit is refused: the bounds that its effects need, "" where none does.
+
+    A bound is needed when holding the effect's leading parameter three quarters of the way there costs more than `allowance` in
+    chi-square. Of the effects other than `effect`, any leading parameter at a bound counts.
+    """
+    needed = []
+    for p, v in zip(found.parameters, found.x, strict=True):
+        name = p.name.partition(".")[0]
+        if p.name not in found.at_bound or p.name != leading(name, found.frame.unit):
+            continue
+        if name == effect:
+            inside = fit(found.frame, found.effects, found.values, held={p.name: p.start + 0.75 * (float(v) - p.start)}, iterations=6)
+            if inside is not None and inside.chi2 - found.chi2 <= allowance * max(found.chi2 / max(found.dof, 1), 1.0):
+                continue
+        needed.append(name)
+    return f"only with {', '.join(sorted(set(needed)))} at a bound" if needed else ""
+
+
+def leading(effect: str, unit: float) -> str:
+    """Qualified name of an effect's first parameter, the one that it is known by; "" for a base parameter's name."""
+    return effect_parameters(effect, unit)[0].name if effect in registry() else ""
+
+
 def _moved(current: Fit, effect: str, start: dict[str, float]) -> dict[str, float]:
     """The start with the base parameters moved, in the tangent plane, to make room for the effect."""
     frame = current.frame

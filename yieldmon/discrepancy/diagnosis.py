@@ -110,27 +110,13 @@ def diagnose_rows(
 ) -> Diagnosis:
     """`diagnose` on rows already in memory."""
     tell = progress or (lambda text, share: None)
-    rng = np.random.default_rng([options.seed, 2])
-    sealed = obs.seal(rows, options.hold_out, options.seed)
-    tell("noise", 0.0)
-    noise, odd = estimate(rows.take(~sealed))
-    outlier = np.zeros(len(rows), dtype=bool)
-    outlier[np.flatnonzero(~sealed)[odd]] = True
-    notes = list(_noise_notes(noise, int(odd.sum())))
-    training = rows.take(~sealed & ~outlier)
-    tell("published model", 0.05)
-    form, frame, base, why = _published(training, noise, parameters, options.form, name)
-    notes += why
-    chosen = choose(
-        base, noise, library(frame, options.without), rng, options.policy, lambda text, share: tell(text, 0.1 + 0.7 * share)
-    )
-    tell("sealed rows", 0.85)
+    seen = examine(rows, parameters, options, tell, name)
+    chosen, noise, base = seen.choice, seen.noise, seen.choice.base
+    rng = np.random.default_rng([options.seed, 3])
     found = chosen.best if chosen.verdict == "effect" else chosen.base
-    held_out, odd_sealed = _open(rows, sealed, chosen.base, found, noise)
-    outlier |= odd_sealed
-    every = rows.take(~outlier)
+    every = rows.take(~seen.outlier)
     grouped = obs.cells(every)
-    whole = frame.with_cells(grouped, noise.sd(grouped.mean) / np.sqrt(grouped.count))
+    whole = base.frame.with_cells(grouped, noise.sd(grouped.mean) / np.sqrt(grouped.count))
     base_all = _refit(whole, (), base)
     best_all = _refit(whole, found.effects, found) if found.effects else base_all
     tell("where", 0.9)
@@ -140,25 +126,62 @@ def diagnose_rows(
     signatures = [signature(base_all, e) for e in library(whole, options.without)]
     return Diagnosis(
         options=options,
-        form=form,
+        form=seen.form,
         noise=noise,
-        outliers=int(outlier.sum()),
+        outliers=int(seen.outlier.sum()),
         choice=chosen,
         base=base_all,
         best=best_all,
         rows=rows,
-        sealed=sealed,
+        sealed=seen.sealed,
         before=_measure(base_all, every, noise),
         after=_measure(best_all, every, noise),
-        held_out=held_out,
+        held_out=seen.held_out,
         noise_floor_rms=noise_floor(noise, best_all, every),
         regions=regions if chosen.verdict != "none" else (),
         remaining=remaining,
         plan=plan(chosen.best, _planned_rivals(chosen), noise),
         minimum_detectable=minimum_detectable(signatures),
         correction=correction(base_all) if chosen.verdict == "unknown" else None,
-        notes=tuple(notes),
+        notes=seen.notes,
     )
+
+
+@dataclass(frozen=True)
+class Examination:
+    """The verdict and its proof, without what is made of them: `sealed` and `outlier` mark rows, shape (rows,)."""
+
+    form: str
+    noise: Noise
+    choice: Choice
+    held_out: HeldOut | None
+    sealed: Array
+    outlier: Array
+    notes: tuple[str, ...]
+
+
+def examine(
+    rows: obs.Rows, parameters: ParameterSet, options: Options = Options(), progress: Progress | None = None, name: str = "table"
+) -> Examination:
+    """Seal rows, fit the published model, choose effects, and open the sealed rows once. Raises InputError as `diagnose`."""
+    tell = progress or (lambda text, share: None)
+    rng = np.random.default_rng([options.seed, 2])
+    sealed = obs.seal(rows, options.hold_out, options.seed)
+    tell("noise", 0.0)
+    noise, odd = estimate(rows.take(~sealed))
+    outlier = np.zeros(len(rows), dtype=bool)
+    outlier[np.flatnonzero(~sealed)[odd]] = True
+    training = rows.take(~sealed & ~outlier)
+    tell("published model", 0.05)
+    form, frame, base, why = _published(training, noise, parameters, options.form, name)
+    chosen = choose(
+        base, noise, library(frame, options.without), rng, options.policy, lambda text, share: tell(text, 0.1 + 0.7 * share)
+    )
+    tell("sealed rows", 0.85)
+    found = chosen.best if chosen.verdict == "effect" else chosen.base
+    held_out, odd_sealed = _open(rows, sealed, chosen.base, found, noise)
+    outlier |= odd_sealed
+    return Examination(form, noise, chosen, held_out, sealed, outlier, (*_noise_notes(noise, int(outlier.sum())), *why))
 
 
 def adopted(diagnosis: Diagnosis, parent: ParameterSet, provenance: dict[str, str]) -> ParameterSet:
@@ -395,4 +418,4 @@ def _region(region: Region) -> dict[str, object]:
     }
 
 
-__all__ = ["Diagnosis", "Options", "adopted", "diagnose", "diagnose_rows", "to_document"]
+__all__ = ["Diagnosis", "Examination", "Options", "adopted", "diagnose", "diagnose_rows", "examine", "to_document"]

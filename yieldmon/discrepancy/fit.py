@@ -90,10 +90,6 @@ class Fit:
             if v <= p.lower + 1e-3 * (p.upper - p.lower) or v >= p.upper - 1e-3 * (p.upper - p.lower)
         )
 
-    def effect_at_bound(self, effect: str) -> bool:
-        """Whether a parameter of the effect ended at a bound other than its null value."""
-        return any(name.startswith(f"{effect}.") for name in self.at_bound)
-
     def covariance(self) -> Array:
         """Covariance of the free parameters in the tangent plane, shape (free, free)."""
         scale = np.array([p.scale for p in self.parameters])
@@ -159,18 +155,25 @@ def predictions(frame: Frame, effects: Iterable[str], values: Mapping[str, objec
 
 
 def fit(
-    frame: Frame, effects: Iterable[str], start: Mapping[str, float] | None = None, *, iterations: int = 40, tolerance: float = 1e-3
+    frame: Frame,
+    effects: Iterable[str],
+    start: Mapping[str, float] | None = None,
+    *,
+    iterations: int = 40,
+    tolerance: float = 1e-3,
+    held: Mapping[str, float] | None = None,
 ) -> Fit | None:
     """Least squares from one start (base and null values where `start` is silent); None where no start fits on the paddles.
 
-    Ends when a step gains less than `tolerance` in chi-square relative to 1 + chi2 / dof.
+    held: parameters that may not move from the given values. Ends when a step gains less than `tolerance` in chi-square relative to 1 + chi2 / dof.
     """
     effects = tuple(effects)
     parameters = frame.base + tuple(p for e in effects for p in effect_parameters(e, frame.unit))
     lower, upper = np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
     scale = np.array([p.scale for p in parameters])
     names = [p.name for p in parameters]
-    given = start or {}
+    given = dict(start or {}) | dict(held or {})
+    movable = np.array([name not in (held or {}) for name in names])
     x = np.clip(np.array([given.get(p.name, p.start) for p in parameters]), lower, upper)
 
     def residual(point: Array) -> Array:
@@ -192,7 +195,7 @@ def fit(
     enough = tolerance
     for _ in range(iterations):
         gradient = jacobian.T @ r * scale
-        free = ~(((x <= lower) & (gradient > 0.0)) | ((x >= upper) & (gradient < 0.0)))
+        free = movable & ~(((x <= lower) & (gradient > 0.0)) | ((x >= upper) & (gradient < 0.0)))
         if not np.any(free):
             break
         scaled = jacobian[:, free] * scale[free]

@@ -93,7 +93,7 @@ def where(fit: Fit, noise: Noise, rng: np.random.Generator, *, level: float = 0.
     largest = np.concatenate([np.max(np.abs(directions @ z), axis=0) for z in _noise_draws(len(cells), noise, rng)])
     out: list[Region] = []
     taken = np.zeros(len(cells), dtype=bool)
-    scale = float(np.max(np.abs(cells.mean)))
+    largest_ratio = float(np.max(np.abs(cells.mean / fit.frame.sd)))
     for i in np.argsort(-np.abs(score)):
         inside = windows[i] > 0.0
         p = float((1 + np.count_nonzero(largest >= abs(score[i]))) / (1 + len(largest)))
@@ -102,12 +102,12 @@ def where(fit: Fit, noise: Noise, rng: np.random.Generator, *, level: float = 0.
         if np.any(taken & inside):
             continue
         taken |= inside
-        error = fit.residual[inside] * fit.frame.sd[inside]
-        mean = float(np.mean(cells.mean[inside]))
+        error = float(np.mean(fit.residual[inside]))
+        mean = float(np.mean(cells.mean[inside] / fit.frame.sd[inside]))
         out.append(
             Region(
                 *((float(v[inside].min()), float(v[inside].max())) for v, _ in axes),
-                100.0 * float(np.mean(error)) / (mean if abs(mean) > 0.02 * scale else scale),
+                100.0 * error / (mean if abs(mean) > 1.0 else largest_ratio),
                 p,
                 tuple(int(j) for j in np.flatnonzero(inside)),
             )

@@ -51,23 +51,50 @@ def estimate(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
 
 
 def _from_replicates(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
-    outlier = np.zeros(len(rows), dtype=bool)
-    median = np.array([np.median(rows.value[rows.cell == c]) for c in range(rows.cell.max() + 1)])
-    count = np.bincount(rows.cell)
-    deviation = rows.value - median[rows.cell]
-    repeated = count[rows.cell] > 1
-    # A median of absolute deviations is blind to the outliers that it is to find.
-    correction = np.sqrt(1.0 - 1.0 / np.maximum(count[rows.cell], 2))
-    robust = 1.4826 * np.median(np.abs(deviation[repeated]) / correction[repeated])
-    noise = _variance_model(cells(rows.take(~outlier)), robust)
-    judged = count[rows.cell] >= 3
-    for _ in range(3):
-        found = judged & (np.abs(deviation) > _OUTLIER_SD * np.maximum(noise.sd(median[rows.cell]), 1e-300))
+    count = np.bincount(rows.cell)[rows.cell]
+    repeated = count > 1
+    median = np.array([np.median(rows.value[rows.cell == c]) for c in range(rows.cell.max() + 1)])[rows.cell]
+    deviation = np.abs(rows.value - median) / np.sqrt(1.0 - 1.0 / np.maximum(count, 2))
+    # A form that is right for either kind of noise to a factor, and a median that is blind to the outliers it is to find.
+    form = 0.15 * float(np.max(np.abs(median))) + np.abs(median)
+    robust = 1.4826 * float(np.median(deviation[repeated] / form[repeated]))
+    sd = 2.0 * max(robust, 1e-12) * form
+    outlier = _guilty(rows, repeated & (deviation > _OUTLIER_SD * sd), sd)
+    noise = _variance_model(cells(rows.take(~outlier)), robust * float(form.mean()))
+    for _ in range(4):
+        sd = np.maximum(noise.sd(median), 1e-300)
+        found = _guilty(rows, repeated & (deviation > _OUTLIER_SD * sd), sd)
         if np.array_equal(found, outlier):
             break
         outlier = found
-        noise = _variance_model(cells(rows.take(~outlier)), robust)
+        noise = _variance_model(cells(rows.take(~outlier)), robust * float(form.mean()))
     return noise, outlier
+
+
+def _guilty(rows: Rows, suspect: NDArray[np.bool_], sd: Array) -> NDArray[np.bool_]:
+    """The outliers of cells that hold suspects.
+
+    Where few rows repeat, the majority of a cell may be wrong: the row nearest to a smooth surface through the cells without
+    suspects is believed (over a majority only where it is five times nearer), and those that contradict it are not.
+    """
+    count = np.bincount(rows.cell)[rows.cell]
+    out = suspect & (count > 4)
+    doubtful = np.unique(rows.cell[suspect & (count <= 4)])
+    if doubtful.size == 0:
+        return out
+    good = ~np.isin(rows.cell, rows.cell[suspect])
+    basis = _surface(rows, len(np.unique(rows.cell[good])))
+    if basis is None:
+        return suspect
+    weight = 1.0 / sd[good]
+    surface = basis @ np.linalg.lstsq(basis[good] * weight[:, None], rows.value[good] * weight, rcond=1e-10)[0]
+    for number in doubtful:
+        places = np.flatnonzero(rows.cell == number)
+        off = np.abs(rows.value[places] - surface[places])
+        middle = np.argsort(rows.value[places])[(len(places) - 1) // 2]
+        believed = places[middle if len(places) > 2 and off.min() > 0.2 * off[middle] else np.argmin(off)]
+        out[places] = np.abs(rows.value[places] - rows.value[believed]) > _OUTLIER_SD * np.sqrt(2.0) * sd[places]
+    return out
 
 
 def _variance_model(grouped: Cells, robust_sd: float) -> Noise:
@@ -111,7 +138,7 @@ def _from_smooth_surface(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
     top = float(np.max(np.abs(rows.value)))
     noise = Noise(0.002 * top, 0.01, 20.0, "stated", 0.01 * top)
     for _ in range(4):
-        basis = _surface(rows, int(np.count_nonzero(keep)))
+        basis = _surface(rows, len(np.unique(rows.cell[keep])))
         if basis is None:
             return noise, ~keep
         weight = 1.0 / noise.sd(rows.value)

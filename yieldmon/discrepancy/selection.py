@@ -9,7 +9,7 @@ import numpy as np
 
 from yieldmon.physics.numerics import Array
 
-from .candidates import Score, false_alarm, refit, score, signature
+from .candidates import Score, false_alarm, only_at_bound, refit, score, signature
 from .crossvalidation import grouped_error
 from .fit import Fit, fit
 from .gap import LackOfFit, lack_of_fit
@@ -29,6 +29,8 @@ class Policy:
     """Lack of fit below this is a gap."""
     least_share: float = 0.03
     """Share of the original excess chi-square that a further effect must explain."""
+    unexplained_f: float = 2.5
+    """Lack of fit above which a gap is never called explained."""
     unexplained_share: float = 0.1
     """Share of the original excess chi-square that may remain, significant, under a named verdict."""
     tie: float = 6.0
@@ -37,6 +39,10 @@ class Policy:
     """Chi-square that each further parameter must earn."""
     refits: int = 12
     """Candidates refitted at a step, the best by signature."""
+    bound_allowance: float = 4.0
+    """Chi-square (over the misfit) that leaving a bound may cost an effect that is not refused for it."""
+    beam: int = 3
+    """First-step candidates, refused ones too, whose pairs are tried where the first effect leaves a gap."""
     exchanges: int = 6
     """Candidates refitted at each exchange."""
     starts: int = 1
@@ -115,9 +121,19 @@ def choose(
             looked_at = found
             p_any = min((c.p_value for c in found), default=1.0)
         good = _admissible(found, current, policy, first=number == 0, excess=excess)
+        leader = order
+        if number == 1 and lack_of_fit(current, noise).p_value < policy.gap_p:
+            tell("step 2: other pairs", 0.45)
+            for other in [c for c in looked_at if c.effect != order[0]][: policy.beam]:
+                beside = tuple(e for e in effects if e != other.effect)
+                pairs = _candidates(other.fit, noise, beside, rng, policy, policy.exchanges)
+                better = _admissible(pairs, other.fit, policy, first=False, excess=excess)
+                scale = misfit([c.fit for c in (*good[:1], *better[:1])])
+                if better and (not good or merit(better[0].fit, scale, policy) < merit(good[0].fit, scale, policy) - 1.0):
+                    good, found, leader = better, pairs, [other.effect]
         if not good:
             break
-        current, order = good[0].fit, [*order, good[0].effect]
+        current, order = good[0].fit, [*leader, good[0].effect]
         places = {good[0].effect: found}
         if number > 0:
             tell(f"step {number + 1}: exchange", (number + 0.6) / policy.most_effects)
@@ -127,8 +143,9 @@ def choose(
         return Choice(verdict, base, base, base_gap, base_gap, (), looked_at, p_any)
     best_gap = lack_of_fit(current, noise)
     remaining = current.chi2 - current.dof
-    unexplained = best_gap.p_value < policy.gap_p and remaining > policy.unexplained_share * excess
-    steps, rivals = _steps(current, order, places, noise, rng, policy, p_any)
+    much = best_gap.f > policy.unexplained_f or remaining > policy.unexplained_share * excess
+    unexplained = best_gap.p_value < policy.gap_p and much
+    steps, rivals = _steps(current, _by_weight(current, order), places, noise, rng, policy, p_any)
     return Choice("unknown" if unexplained else "effect", base, current, base_gap, best_gap, steps, looked_at, p_any, rivals)
 
 
@@ -147,7 +164,7 @@ def _candidates(
         if added is None:
             continue
         gain = current.chi2 - added.chi2
-        refused = "wins only at a bound" if added.effect_at_bound(s.effect) else ""
+        refused = only_at_bound(added, s.effect, policy.bound_allowance)
         errors = grouped_error(added, groups)
         out.append(Candidate(s.effect, added, gain, p_value(gain), float(np.mean(list(errors.values()) or [np.nan])), refused))
     scale = misfit([c.fit for c in out])
@@ -216,6 +233,17 @@ def _exchange(
             order = [usable[0].effect if e == name else e for e in order]
             places = {usable[0].effect: found}
     return current, order, places
+
+
+def _by_weight(current: Fit, order: list[str]) -> list[str]:
+    """Effects by the chi-square that leaving each out would cost, greatest first."""
+    if len(order) < 2:
+        return order
+    costs = {}
+    for name in order:
+        reduced = fit(current.frame, tuple(e for e in current.effects if e != name), current.values)
+        costs[name] = reduced.chi2 if reduced is not None else np.inf
+    return sorted(order, key=lambda name: -costs[name])
 
 
 def _steps(
