@@ -1,0 +1,181 @@
+"""Logs in bulk: the rows of the engine fed frame by frame and of the daemon on a bus, to the last bit."""
+
+from __future__ import annotations
+
+import csv
+import json
+import random
+from pathlib import Path
+
+import can
+import pytest
+
+from tests.service.bench import CODEC, START_S, ZERO_MV, running, traffic
+from yieldmon.bus.logs import read_log
+from yieldmon.cli import main as cli
+from yieldmon.errors import InputError
+from yieldmon.resources import shipped
+from yieldmon.service import configuration
+from yieldmon.service.assembly import build_monitor
+from yieldmon.service.bulk_processing import EndOfLog, process_in_bulk
+from yieldmon.service.processing import process_logs
+from yieldmon.service.store import Store
+from yieldmon.service.tables import COLUMNS
+
+LOADED = configuration.load(shipped("config/yieldmon.yaml"))
+DURATION_S = 24
+
+
+def new_monitor():
+    return build_monitor(LOADED.engine, LOADED.machine, LOADED.parameters, LOADED.calibrator)
+
+
+def messages(duration_s: float = DURATION_S) -> list[can.Message]:
+    """Empty, then grain; times as a log keeps them."""
+    plan = ((START_S, 14.0, 0.0), (START_S + 14.0, duration_s - 14.0, 60.0))
+    found = [CODEC.encode(frame) for start, length, mv in plan for frame in traffic(start, length, mv)]
+    for message in found:
+        message.channel = "can0"
+        message.timestamp = round(message.timestamp, 6)
+    return found
+
+
+def write(path: Path, frames: list[can.Message]) -> Path:
+    """A log by python-can."""
+    with can.Logger(str(path)) as logger:
+        for message in frames:
+            logger.on_message_received(message)
+    return path
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp("bulk") / "drive.log", messages())
+
+
+def rows_of(process, paths, **how):
+    rows = []
+    summary = process(paths, new_monitor(), CODEC, rows.append, **how)
+    return rows, summary
+
+
+@pytest.mark.parametrize("reads_ahead", [False, True])
+def test_the_same_rows_as_frame_by_frame(log, reads_ahead):
+    one_by_one, by_one = rows_of(process_logs, [log])
+    in_bulk, bulk = rows_of(process_in_bulk, [log], reads_ahead=reads_ahead)
+    assert in_bulk == one_by_one
+    assert bulk == by_one
+    assert in_bulk[-1].total_kg > 1.0
+
+
+def test_the_same_rows_as_the_daemon_on_a_bus(log, tmp_path):
+    in_bulk, _ = rows_of(process_in_bulk, [log])
+    with running(tmp_path) as bench:
+        for message in read_log(log):
+            bench.peer.send(message)
+        bench.now_s += DURATION_S
+        bench.played()
+    with Store(tmp_path / "yieldmon.sqlite") as store:
+        live = store.seconds()
+    assert len(live) >= DURATION_S - 2
+    assert in_bulk[: len(live)] == live
+
+
+def disturbed(kind: str) -> list[can.Message]:
+    """A log whose recorder or bus had its troubles."""
+    frames = messages()
+    half = len(frames) // 2
+    dice = random.Random(20261121)
+    if kind == "clock set forward and back":
+        for message in frames[half:]:
+            message.timestamp += 5000.0
+        for message in frames[half + 1500 :]:
+            message.timestamp -= 7000.0
+    elif kind == "out of order":
+        for place in dice.sample(range(len(frames) - 5), 200):
+            frames[place], frames[place + 4] = frames[place + 4], frames[place]
+    elif kind == "gaps":
+        frames = frames[: half // 2] + frames[half : half + 900] + frames[half + 1600 :]
+    elif kind == "wrong lengths and not available":
+        for place in dice.sample(range(len(frames)), 300):
+            data = frames[place].data[:3] if place % 2 else b"\xff" * 8
+            frames[place] = can.Message(
+                timestamp=frames[place].timestamp, arbitration_id=frames[place].arbitration_id, data=data, channel="can0"
+            )
+    else:
+        frames = [message for message in frames if dice.random() < 0.5]
+    return frames
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["clock set forward and back", "out of order", "gaps", "wrong lengths and not available", "half the frames lost"],
+)
+def test_trouble_changes_nothing_of_that(kind, tmp_path):
+    path = write(tmp_path / "bad.log", disturbed(kind))
+    assert rows_of(process_in_bulk, [path]) == rows_of(process_logs, [path])
+
+
+@pytest.mark.parametrize("ending", [".asc", ".blf", ".csv", ".trc", ".log.gz"])
+def test_every_format(ending, tmp_path):
+    path = write(tmp_path / f"drive{ending}", messages(16))
+    in_bulk, summary = rows_of(process_in_bulk, [path])
+    assert in_bulk == rows_of(process_logs, [path])[0]
+    assert summary.ours == len(messages(16))
+
+
+def test_several_logs_are_one_record(log, tmp_path):
+    whole = messages()
+    parts = [write(tmp_path / "1.log", whole[:2000]), write(tmp_path / "2.log", whole[2000:])]
+    assert rows_of(process_in_bulk, parts, reads_ahead=True)[0] == rows_of(process_in_bulk, [log])[0]
+
+
+@pytest.mark.parametrize("reads_ahead", [False, True])
+def test_a_log_that_cannot_be_read(tmp_path, reads_ahead):
+    with pytest.raises(InputError, match=r"gone\.log"):
+        rows_of(process_in_bulk, [tmp_path / "gone.log"], reads_ahead=reads_ahead)
+
+
+def test_progress_is_told(log):
+    seen = []
+    _, summary = rows_of(process_in_bulk, [log], progress=seen.append)
+    assert sum(item.frames for item in seen if not isinstance(item, EndOfLog)) == summary.frames
+    assert seen[-1] == EndOfLog(str(log), [])
+
+
+def test_each_log_for_itself(log, tmp_path, capsys):
+    other = write(tmp_path / "short.log", messages(16))
+    out = tmp_path / "tables"
+    assert cli.main(["process", str(log), str(other), "--separate", "--jobs", "2", "--out", str(out), "--json"]) == 0
+    summaries = json.loads(capsys.readouterr().out)
+    assert [summary["windows"] for summary in summaries.values()] == [DURATION_S - 1, 15]
+    alone = tmp_path / "alone.csv"
+    assert cli.main(["process", str(log), "--jobs", "1", "--out", str(alone)]) == 0
+    assert (out / "drive.csv").read_bytes() == alone.read_bytes()
+
+
+WRONG = [
+    (["--jobs", "0", "--out", "x.csv"], "yieldmon: --jobs: is 0; expected a whole number from 1"),
+    (["--separate", "--out", "-"], "yieldmon: --out: is standard output; expected a folder, with --separate"),
+    (["--json", "--out", "-"], "yieldmon: --json: standard output is taken by --out -; expected a file for --out"),
+]
+
+
+@pytest.mark.parametrize(("words", "line"), WRONG)
+def test_bad_usage(log, words, line, capsys):
+    assert cli.main(["process", str(log), *words]) == 2
+    assert capsys.readouterr().err.strip() == line
+
+
+def test_kinds_of_table_say_the_same(log, tmp_path):
+    pyarrow = pytest.importorskip("pyarrow.parquet")
+    paths = [tmp_path / f"t{ending}" for ending in (".csv", ".jsonl", ".parquet")]
+    for path in paths:
+        assert cli.main(["process", str(log), "--out", str(path)]) == 0
+    lines = [json.loads(line) for line in paths[1].read_text(encoding="utf-8").splitlines()]
+    assert pyarrow.read_table(paths[2]).to_pylist() == lines
+    with paths[0].open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert tuple(rows[0]) == COLUMNS
+    assert [float(row["total_kg"]) for row in rows] == [line["total_kg"] for line in lines]
+    assert lines[0]["zero_mv"] is None or lines[-1]["zero_mv"] == pytest.approx(ZERO_MV, abs=2.0)
