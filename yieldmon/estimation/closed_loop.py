@@ -361,7 +361,7 @@ class _Problem:
                 raise ValueError("no flow below a full paddle explains a sweep with the prior's parameters")
             moved = float(np.max(np.abs(found.theta[0] - unknown) / unit))
             unknown = found.theta[0]
-            if moved < 1e-3:
+            if moved < 0.05:
                 break
             anchor_flows = self._newton_flows(unknown, anchor_flows)
         return self._outcome(unknown, found.residual[0], found.jacobian[0], whiteners, width, count)
