@@ -170,7 +170,8 @@ class OpenLoop:
         status = np.where(np.isnan(flow), FlowStatus.SATURATED, status)
         status = np.where(usable & (np.isfinite(sd) | np.isnan(flow)), status, FlowStatus.NOT_AVAILABLE)
         known = (status != FlowStatus.SATURATED) & (status != FlowStatus.NOT_AVAILABLE)
-        return FlowEstimate(*(np.where(known, v, np.nan) for v in (flow, sd)), status, np.where(known, noise_sd, np.nan))
+        flow, sd, noise_sd = (np.where(known, v, np.nan) for v in (flow, sd, noise_sd))
+        return FlowEstimate(flow, sd, status, noise_sd)
 
     def _throw(self, angle: ArrayLike, speed: ArrayLike, moisture: ArrayLike | None) -> Throw:
         return self.model.throw(
