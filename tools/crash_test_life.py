@@ -70,7 +70,7 @@ def live(folder: Path, seconds: int) -> None:
                 peer.send(CODEC.encode(frame))
             now_s += 1.0
             # In real time the store is done long before the next second; here it has to be waited for.
-            while len(closed) < second or daemon._writer.health().pending:
+            while len(closed) <= second or daemon._writer.health().pending:
                 thread.join(0.0005)
     daemon.request_stop()
     thread.join()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import queue
 import threading
 
@@ -205,3 +206,33 @@ def test_stopped_receiver_still_gives_what_it_has() -> None:
 def test_a_receiver_starts_once() -> None:
     with Receiver(opener(ScriptedBus())) as receiver, pytest.raises(RuntimeError, match="once"):
         receiver.start()
+
+
+class BusWhoseSenderIsTold(can.BusABC):
+    """Receives nothing; sending fails as on an interface that has gone, of which the kernel tells a socket once."""
+
+    def __init__(self) -> None:
+        super().__init__(channel="gone")
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        raise can.CanOperationError("Failed to transmit: Network is down", errno.ENETDOWN)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        threading.Event().wait(min(timeout or 0.0, 0.01))
+        return None, False
+
+
+def test_interface_loss_that_only_sending_was_told_of_is_seen():
+    opened: list[can.BusABC] = []
+
+    def open_bus() -> can.BusABC:
+        opened.append(BusWhoseSenderIsTold())
+        return opened[-1]
+
+    with Receiver(open_bus) as receiver:
+        with pytest.raises(can.CanError):
+            receiver.send(can.Message(arbitration_id=1))
+        events = [receiver.get(10.0), receiver.get(10.0)]
+    assert [event.kind for event in events] == [BusEventKind.INTERFACE_LOST, BusEventKind.INTERFACE_RESTORED]
+    assert "Network is down" in events[0].detail
+    assert len(opened) == 2

@@ -96,8 +96,8 @@ class Bench:
         """Signals of the daemon's frames of this name so far."""
         while (received := self.peer.recv(0)) is not None:
             self.seen.append(received)
-        decoded = [CODEC.decode(received) for received in self.seen]
-        return [dict(frame.signals) for frame in decoded if frame is not None and frame.message == message]
+        identifier = CODEC.layouts[message].frame_id
+        return [dict(CODEC.decode(frame).signals) for frame in self.seen if frame.arbitration_id == identifier]
 
     def start(self) -> None:
         def body() -> None:
@@ -127,9 +127,13 @@ def running(
     notify: socket.socket | None = None,
     start_s: float = START_S,
     silence_s: float = math.inf,
+    socketcan: str | None = None,
 ) -> Iterator[Bench]:
-    """A running daemon whose state lies in `folder`, with the configuration `text` in folder/c.yaml."""
-    channel = f"service-{next(_channels)}"
+    """A running daemon whose state lies in `folder`, with the configuration `text` in folder/c.yaml.
+
+    On a virtual bus, or on the SocketCAN interface that its configuration then has to name.
+    """
+    channel = socketcan or f"service-{next(_channels)}"
     path = folder / "c.yaml"
     path.write_text(text or "bus: {transmit_max_age_s: 60}")
     environment = {"STATE_DIRECTORY": str(folder), "RUNTIME_DIRECTORY": str(folder)}
@@ -143,10 +147,13 @@ def running(
         load(),
         load,
         environment=environment,
-        bus_factory=lambda: can.Bus(interface="virtual", channel=channel),
+        bus_factory=None if socketcan else lambda: can.Bus(interface="virtual", channel=channel),
         silence_s=silence_s,
     )
-    peer = can.Bus(interface="virtual", channel=channel, preserve_timestamps=True)
+    if socketcan:
+        peer = can.Bus(interface="socketcan", channel=channel)
+    else:
+        peer = can.Bus(interface="virtual", channel=channel, preserve_timestamps=True)
     bench = Bench(daemon, peer, start_s)
     bench.start()
     try:

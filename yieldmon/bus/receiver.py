@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import threading
 import time
@@ -21,6 +22,8 @@ _log = logging.getLogger(__name__)
 #: Frames: over 10 s of a 250 kbit/s bus that is full.
 DEFAULT_CAPACITY = 20_000
 _POLL_S = 0.2
+#: The kernel tells a socket once that its interface has gone: if sending was told, receiving would wait for ever.
+_INTERFACE_GONE = frozenset({errno.ENETDOWN, errno.ENODEV, errno.ENXIO})
 _FIRST_RETRY_S = 0.05
 _LAST_RETRY_S = 0.8
 #: Events that may wait beside `capacity` frames; beyond, they are counted only.
@@ -106,6 +109,7 @@ class Receiver:
         self._drops_of_closed_buses = 0
         self._drops_seen = 0
         self._bus: can.BusABC | None = None
+        self._found_gone: tuple[can.BusABC | None, str] = (None, "")
         self._thread: threading.Thread | None = None
 
     def __enter__(self) -> Receiver:
@@ -144,6 +148,10 @@ class Receiver:
             raise can.CanOperationError("the interface is away")
         try:
             bus.send(message, timeout=timeout_s)
+        except can.CanError as error:
+            if error.error_code in _INTERFACE_GONE:
+                self._found_gone = (bus, str(error))
+            raise
         except (OSError, ValueError) as error:
             raise can.CanOperationError(f"failed to transmit: {error}") from error
 
@@ -188,6 +196,9 @@ class Receiver:
         bus = self._bus
         unchecked = 0
         while bus is not None and not self._stopping.is_set():
+            gone_bus, problem = self._found_gone
+            if gone_bus is bus:
+                raise can.CanOperationError(problem)
             message = bus.recv(_POLL_S)
             if message is not None:
                 self._take(message)
