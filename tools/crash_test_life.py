@@ -53,9 +53,10 @@ def live(folder: Path, seconds: int) -> None:
 
     def telling_submit(batch: Batch) -> None:
         if batch.seconds:
-            closed.append(batch.seconds[-1].number)
-            say("closed", closed[-1])
+            say("closed", batch.seconds[-1].number)
         submit(batch)
+        # Only now: whoever waits for it also waits for the batch to be written.
+        closed.extend(row.number for row in batch.seconds)
 
     daemon._writer.submit = telling_submit  # type: ignore[method-assign]
     thread = threading.Thread(target=daemon.run)
@@ -70,7 +71,7 @@ def live(folder: Path, seconds: int) -> None:
                 peer.send(CODEC.encode(frame))
             now_s += 1.0
             # In real time the store is done long before the next second; here it has to be waited for.
-            while len(closed) <= second or daemon._writer.health().pending:
+            while len(closed) < second or daemon._writer.health().pending:
                 thread.join(0.0005)
     daemon.request_stop()
     thread.join()

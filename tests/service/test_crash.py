@@ -1,0 +1,35 @@
+"""Power cuts, the quick version of tools/crash-test."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+def crash_test(*options: str) -> dict:
+    command = [sys.executable, str(ROOT / "tools" / "crash-test"), "--seed", "20261121", *options]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def test_kills_lose_at_most_the_second_under_way():
+    result = crash_test("--kills", "6")
+    assert result["closed_but_not_committed_at_most"] <= 1
+    assert result["total_kg"] > 10.0
+
+
+@pytest.mark.strace
+def test_power_cuts_leave_a_store_that_adds_up():
+    if shutil.which("strace") is None:
+        pytest.skip("needs strace, which sees the store's writes")
+    result = crash_test("--power-cuts", "60")
+    assert result["stores_opened"] > 50
+    assert result["seconds"] > 100
