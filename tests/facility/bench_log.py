@@ -58,10 +58,16 @@ def errors_on_means_pct(trials: list[Trial]) -> np.ndarray:
     return np.array([100.0 * (masses[loads == load].mean() / load - 1.0) for load in np.unique(loads)])
 
 
-def configuration(folder: Path) -> Path:
-    """A configuration with the bench's pellets, calibrated at 70 deg as published."""
-    parameters, path = folder / "pellets.yaml", folder / "bench.yaml"
+def calibrated(folder: Path) -> Path:
+    """Parameters of the bench's pellets, calibrated at 70 deg as published."""
+    parameters = folder / "pellets.yaml"
     words = ["--plate-angle", "70", "--impact", "exchange", "--response-scale", "100", "--fix", "shape_ratio=2"]
     assert main(["calibrate", str(DATA / "bench_table.csv"), "--out", str(parameters), *words]) == 0
+    return parameters
+
+
+def configuration(folder: Path, parameters: Path = DATA / "bench_pellets.yaml") -> Path:
+    """A configuration with these parameters; default: calibrated() as it was when the log was made."""
+    path = folder / "bench.yaml"
     path.write_text(yaml.safe_dump({"parameter_file": str(parameters)}), encoding="utf-8")
     return path

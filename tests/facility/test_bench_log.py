@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.facility.bench_log import DATA, EMPTY_S, LOG, START_S, TRIAL_S, configuration, errors_on_means_pct, measured, published
+from tests.facility.bench_log import DATA, EMPTY_S, LOG, START_S, TRIAL_S, calibrated, configuration, errors_on_means_pct, measured, published
 from yieldmon.bus.bulk import decode_block
 from yieldmon.bus.codec import Codec
 from yieldmon.bus.loading import load_frames
@@ -38,7 +38,7 @@ def test_pulses_sum_to_the_published_responses():
 
 def test_masses_as_published(tmp_path):
     out = tmp_path / "bench.csv"
-    assert main(["process", str(LOG), "--config", str(configuration(tmp_path)), "--out", str(out)]) == 0
+    assert main(["process", str(LOG), "--config", str(configuration(tmp_path, calibrated(tmp_path))), "--out", str(out)]) == 0
     with out.open(encoding="utf-8", newline="") as stream:
         rows = [
             {"time_s": float(row["time_s"]) - START_S, **{key: float(row[key]) for key in ("mass_kg", "duration_s")}}

@@ -1,0 +1,1 @@
+"""Pictures, a module each: arrays in, a matplotlib figure out. Needs the `plot` extra."""

@@ -1,0 +1,46 @@
+"""What all pictures share: the figure, its file, and bands of flow."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+SUFFIXES = (".png", ".svg")
+MEASURED, TRUTH, MODEL = "tab:orange", "black", "tab:blue"
+
+
+def new_figure(rows: int = 1, columns: int = 1, *, size_in: tuple[float, float] = (10.0, 6.0), **how: Any) -> tuple[Figure, Any]:
+    """A figure and its axes (one, or an array of shape (rows, columns)), with grids. Raises ImportError without matplotlib."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size_in, layout="constrained")
+    axes = figure.subplots(rows, columns, **how)
+    for one in np.ravel(axes):
+        one.grid(alpha=0.3)
+    return figure, axes
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a PNG or an SVG; the same picture gives the same file. Raises InputError for another ending."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(str(path), f"unknown kind of picture {path.suffix!r}", f"a name that ends in {' or '.join(SUFFIXES)}")
+    import matplotlib
+
+    with matplotlib.rc_context({"svg.hashsalt": "yieldmon", "svg.fonttype": "none"}):
+        figure.savefig(path, dpi=110, metadata={"Date": None} if path.suffix.lower() == ".svg" else None)
+
+
+def band(axes: Axes, x: Array, y: Array, std_dev: Array, **how: Any) -> None:
+    """The 90 % interval around y."""
+    axes.fill_between(x, y - 1.645 * std_dev, y + 1.645 * std_dev, alpha=0.25, lw=0, **how)

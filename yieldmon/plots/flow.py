@@ -1,0 +1,48 @@
+"""Mass flow and accumulated mass over time, beside the truth or the weighed loads."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .canvas import MEASURED, TRUTH, Array, band, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def draw(
+    time_s: Array,
+    mass_flow_kg_s: Array,
+    std_dev_kg_s: Array,
+    total_kg: Array,
+    truth: tuple[Array, Array, Array] | None = None,
+    weighed: list[tuple[float, float, float]] | None = None,
+) -> Figure:
+    """Measured columns (n,), nan where there is no flow. truth: time_s, mass_flow_kg_s, total_mass_kg of any length. weighed:
+    end in s, measured kg and weighed kg of each load with a ticket."""
+    figure, (flow, mass) = new_figure(2, 1, size_in=(11.0, 8.0), sharex=True, height_ratios=(2, 1))
+    start_s = time_s[0] if len(time_s) else 0.0
+    hours = (time_s - start_s) / 60.0
+    if truth is not None:
+        at = (truth[0] - start_s) / 60.0
+        flow.plot(at, truth[1], color=TRUTH, lw=1.2, label="true")
+        mass.plot(at, truth[2], color=TRUTH, lw=1.2, label="true")
+    band(flow, hours, mass_flow_kg_s, std_dev_kg_s, color=MEASURED, label="90 % interval")
+    flow.plot(hours, mass_flow_kg_s, color=MEASURED, lw=1.0, label="measured, 1 Hz")
+    mass.plot(hours, total_kg, color=MEASURED, lw=1.4, label="measured")
+    for end_s, measured_kg, weighed_kg in weighed or []:
+        place = (end_s - start_s) / 60.0
+        mass.axvline(place, color="gray", lw=0.6)
+        text = f"{weighed_kg:.0f} kg weighed\n{100.0 * (measured_kg / weighed_kg - 1.0):+.1f} %"
+        mass.annotate(text, (place, 0.02), xycoords=("data", "axes fraction"), fontsize=7, ha="right", rotation=90)
+    if truth is not None and len(truth[2]) and truth[2][-1] > 0.0:
+        error_pct = 100.0 * (total_kg[-1] / float(np.interp(time_s[-1], truth[0], truth[2])) - 1.0)
+        mass.set_title(f"accumulated mass {error_pct:+.2f} %", fontsize=10)
+    flow.set_ylabel("mass flow, kg/s")
+    mass.set_ylabel("accumulated mass, kg")
+    mass.set_xlabel("time, min")
+    for axes in (flow, mass):
+        axes.legend(loc="upper left")
+    return figure

@@ -1,0 +1,31 @@
+"""Residual map: what the model misses, over plate angle and load."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .canvas import Array, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def draw(plate_angle_deg: Array, load: Array, load_label: str, residual_pct: Array) -> Figure:
+    """Rows (n,) of residuals in per cent of the largest reading; each distinct condition shows the mean of its rows."""
+    figure, axes = new_figure(size_in=(9.0, 6.0))
+    cells, index = np.unique(np.column_stack((plate_angle_deg, load)), axis=0, return_inverse=True)
+    index = np.ravel(index)
+    count = np.bincount(index)
+    mean = np.bincount(index, residual_pct) / count
+    largest = max(float(np.abs(mean).max()), 1e-9)
+    shown = axes.scatter(cells[:, 0], cells[:, 1], c=mean, cmap="RdBu_r", vmin=-largest, vmax=largest, s=220, marker="s",
+                         edgecolors="gray", linewidths=0.4)
+    for (angle, mass), value in zip(cells, mean, strict=True):
+        axes.annotate(f"{value:+.1f}", (angle, mass), ha="center", va="center", fontsize=6)
+    figure.colorbar(shown, ax=axes, label="measured less model, % of the largest reading")
+    axes.set_title(f"rms {np.sqrt(np.mean(residual_pct**2)):.2f} % over {len(residual_pct)} rows", fontsize=10)
+    axes.set_xlabel("plate angle, deg")
+    axes.set_ylabel(load_label)
+    return figure

@@ -1,0 +1,98 @@
+"""Recorded seconds from wherever they are: a daemon's store, or a table that `process` wrote."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+import types
+import typing
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from yieldmon.errors import InputError
+from yieldmon.service.rows import SecondRow
+from yieldmon.service.store import Load, Store, StoreError
+
+STORE_SUFFIX = ".sqlite"
+SUFFIXES = (STORE_SUFFIX, ".csv", ".jsonl", ".parquet")
+
+_HINTS = typing.get_type_hints(SecondRow)
+_OPTIONAL = {name for name, hint in _HINTS.items() if isinstance(hint, types.UnionType)}
+_KINDS = {
+    name: next(kind for kind in (float, int, str) if kind in (hint, *typing.get_args(hint))) for name, hint in _HINTS.items()
+}
+
+
+def read_seconds(path: Path | str) -> list[SecondRow]:
+    """The seconds in a store (.sqlite) or in a table of `process` (.csv, .jsonl, .parquet), in order.
+
+    Raises InputError for a file that is missing, of another kind, or has a column or value that does not belong.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(str(path), f"unknown kind of record {suffix!r}", f"a name that ends in one of {', '.join(SUFFIXES)}")
+    if not path.is_file():
+        raise InputError(str(path), "no such file", "a store, or a table that `yieldmon process` wrote")
+    if suffix == STORE_SUFFIX:
+        with _opened(path) as store:
+            return store.seconds()
+    return [_row(values, f"{path}: row {number}") for number, values in enumerate(_tables(path, suffix), 1)]
+
+
+def read_loads(path: Path | str) -> list[Load]:
+    """The loads of a store. Raises InputError."""
+    with _opened(Path(path)) as store:
+        return store.loads()
+
+
+def _opened(path: Path) -> Store:
+    if not path.is_file():
+        raise InputError(str(path), "no such file", "a daemon's store")
+    try:
+        return Store(path)
+    except StoreError as error:
+        raise InputError(str(path), str(error), "a daemon's store") from error
+
+
+def _tables(path: Path, suffix: str) -> Iterable[Mapping[str, Any]]:
+    try:
+        if suffix == ".parquet":
+            import pyarrow
+            import pyarrow.parquet
+
+            try:
+                rows: list[Mapping[str, Any]] = pyarrow.parquet.read_table(path).to_pylist()
+            except pyarrow.ArrowInvalid as error:
+                raise InputError(str(path), str(error), "a Parquet file") from error
+            return rows
+        with path.open(encoding="utf-8", newline="") as stream:
+            if suffix == ".csv":
+                return list(csv.DictReader(stream))
+            return [json.loads(line) for line in stream]
+    except (UnicodeDecodeError, json.JSONDecodeError, csv.Error) as error:
+        raise InputError(str(path), str(error), "a table that `yieldmon process` wrote") from error
+
+
+def _row(values: Mapping[str, Any], where: str) -> SecondRow:
+    if not isinstance(values, Mapping):
+        raise InputError(where, "is no record", "one JSON object a line")
+    fields = {}
+    for field in dataclasses.fields(SecondRow):
+        if field.name not in values:
+            raise InputError(where, f"has no {field.name}", "a table that `yieldmon process` wrote")
+        fields[field.name] = _value(field.name, values[field.name], where)
+    return SecondRow(**fields)
+
+
+def _value(name: str, value: Any, where: str) -> Any:
+    if name in _OPTIONAL and value in (None, ""):
+        return None
+    try:
+        if value is None:
+            raise ValueError
+        return _KINDS[name](value)
+    except (TypeError, ValueError):
+        raise InputError(f"{where}: {name}", f"is {value!r}", f"a value of kind {_KINDS[name].__name__}") from None
