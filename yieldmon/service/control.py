@@ -76,7 +76,7 @@ class ControlServer:
 
 class _Server(socketserver.ThreadingMixIn, socketserver.UnixStreamServer):
     daemon_threads = True
-    request_queue_size = 8
+    request_queue_size = 64
     answer: Callable[[Mapping[str, Any]], Answer]
 
 

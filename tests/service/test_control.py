@@ -1,0 +1,112 @@
+"""The daemon's local socket: who may use it, and what a bad request gets."""
+
+from __future__ import annotations
+
+import grp
+import json
+import os
+import socket
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from yieldmon.errors import InputError
+from yieldmon.service.control import MAX_REQUEST_BYTES, ControlError, ControlServer, ask
+
+
+def answer(request: Mapping[str, Any]) -> Mapping[str, Any]:
+    if request["command"] == "refuse":
+        raise InputError("mass", "-1 kg", "above 0")
+    return {"echo": request}
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Iterator[Path]:
+    path = tmp_path / "run" / "s.sock"
+    server = ControlServer(path, None, answer)
+    server.start()
+    yield path
+    server.stop()
+    assert not path.exists()
+
+
+def raw(path: Path, request: bytes) -> bytes:
+    with socket.socket(socket.AF_UNIX) as connection:
+        connection.settimeout(10.0)
+        connection.connect(str(path))
+        connection.sendall(request)
+        connection.shutdown(socket.SHUT_WR)
+        with connection.makefile("rb") as file:
+            return file.read()
+
+
+def test_question_and_answer(path):
+    assert ask(path, {"command": "status", "n": 1}) == {"echo": {"command": "status", "n": 1}}
+
+
+def test_a_refusal_is_one_line(path):
+    with pytest.raises(ControlError, match=r"^mass: -1 kg; expected above 0$"):
+        ask(path, {"command": "refuse"})
+
+
+BAD = [
+    (b"\n", "not one line of JSON"),
+    (b"{", "not one line of JSON"),
+    (b"\xff\xfe\n", "not one line of JSON"),
+    (b"[" * 50_000 + b"\n", "not one line of JSON"),
+    (b'{"command": "x", "pad": "' + b"x" * MAX_REQUEST_BYTES + b'"}\n', "not one line of JSON"),
+    (b"[1, 2]\n", "names no command"),
+    (b'{"command": 7}\n', "names no command"),
+    (b"{}\n", "names no command"),
+]
+
+
+@pytest.mark.parametrize(("request_line", "message"), BAD, ids=[f"{case[0][:12]!r}" for case in BAD])
+def test_a_bad_request_gets_an_error_and_stops_nothing(path, request_line, message):
+    try:
+        told = json.loads(raw(path, request_line))
+    except (ConnectionResetError, BrokenPipeError):
+        # What was sent beyond the limit was never read.
+        assert len(request_line) > MAX_REQUEST_BYTES
+    else:
+        assert told["ok"] is False
+        assert message in told["error"]
+    assert ask(path, {"command": "status"})
+
+
+def test_a_caller_that_hangs_up_stops_nothing(path):
+    for _ in range(20):
+        with socket.socket(socket.AF_UNIX) as connection:
+            connection.connect(str(path))
+    assert ask(path, {"command": "status"})
+
+
+def test_only_the_daemons_user_or_its_group(tmp_path):
+    path = tmp_path / "s.sock"
+    server = ControlServer(path, None, answer)
+    assert path.stat().st_mode & 0o777 == 0o600
+    server.start()
+    server.stop()
+    own = grp.getgrgid(os.getgid()).gr_name
+    server = ControlServer(path, own, answer)
+    assert path.stat().st_mode & 0o777 == 0o660
+    assert path.stat().st_gid == os.getgid()
+    server.start()
+    server.stop()
+
+
+def test_an_unknown_group_is_told(tmp_path):
+    with pytest.raises(InputError, match=r"status\.group: 'no-such-group'; expected a group of this system"):
+        ControlServer(tmp_path / "s.sock", "no-such-group", answer)
+
+
+def test_a_socket_left_by_an_earlier_run_is_replaced(tmp_path):
+    path = tmp_path / "s.sock"
+    with socket.socket(socket.AF_UNIX) as left:
+        left.bind(str(path))
+    server = ControlServer(path, None, answer)
+    server.start()
+    assert ask(path, {"command": "status"})
+    server.stop()
