@@ -147,7 +147,8 @@ def test_meeting_lies_on_path_and_plate(angle: float, tau: float, gravity: float
     assert meeting.tangential_speed_m_s[0] == pytest.approx(
         arriving @ np.array([np.cos(angle), np.sin(angle)]), rel=1e-9, abs=1e-9
     )
-    assert np.sign(meeting.miss[0]) == np.sign(meeting.from_low_edge_m[0])
+    miss = flight.miss_measure(x, y, vx, vy, setting)
+    assert np.sign(miss[0]) == np.sign(meeting.from_low_edge_m[0])
 
 
 # The chain

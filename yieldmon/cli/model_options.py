@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from math import isfinite
+from pathlib import Path
 
 import numpy as np
 
@@ -19,15 +20,17 @@ from yieldmon.physics.effects import effect_parameter, get_effect
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions
 from yieldmon.physics.numerics import Array
+from yieldmon.resources import shipped
 
 RESPONSE = "response"
 """response_unit of parameters fitted to a table of `response`; N, and kg m/s per paddle, go together as "N"."""
 
 
-def add_model_arguments(parser: argparse.ArgumentParser) -> None:
-    """--machine, --params and --set."""
+def add_model_arguments(parser: argparse.ArgumentParser, default: str = parameter_file.DEFAULT) -> None:
+    """--machine, --params and --set. default: the shipped parameter file that counts where --params is not given."""
     parser.add_argument("--machine", metavar="F", help="machine file (YAML); default: the 8-tooth machine")
-    parser.add_argument("--params", metavar="F", help="parameter file (YAML); default: the shipped corn")
+    parser.add_argument("--params", metavar="F", help=f"parameter file (YAML); default: the shipped {Path(default).name}")
+    parser.set_defaults(shipped_params=default)
     add_set_argument(parser)
 
 
@@ -49,7 +52,7 @@ def machine(args: argparse.Namespace) -> Machine:
 
 def parameters(args: argparse.Namespace) -> ParameterSet:
     """The parameters that the arguments name, with --set applied."""
-    return with_values(parameter_file.load(args.params), assignments(args.set, "--set"))
+    return with_values(parameter_file.load(args.params or shipped(args.shipped_params)), assignments(args.set, "--set"))
 
 
 def assignments(texts: Iterable[str], option: str) -> dict[str, float]:

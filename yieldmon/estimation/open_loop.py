@@ -16,6 +16,7 @@ from .parameters import ParameterSet
 _GRID = chebyshev_points(24)
 _STENCIL = np.array([-1.0, 0.0, 1.0])
 _NEAR = np.arange(4)
+_LEAST_STEP = 1e-9
 _DIAGONAL = np.eye(4, dtype=bool)
 
 
@@ -72,40 +73,31 @@ def invert_force(throw: Throw, force_n: Array, *, tolerance: float = 1e-13) -> t
     low, high = _GRID[right - 1], _GRID[right]
     q = np.minimum(np.maximum(start, low), high).reshape(*shape, 1)
     low, high = low.reshape(q.shape), high.reshape(q.shape)
-    slope = np.ones_like(q)
-    settled = np.zeros(q.shape, dtype=bool)
+    q = np.minimum(np.maximum(q, 2.0 * _LEAST_STEP), 1.0 - 2.0 * _LEAST_STEP)
+    gain = np.full(q.shape, np.nan)
+    settled = ~found.reshape(q.shape)
     for _ in range(60):
-        width = 1e-3 * np.minimum(np.minimum(q, 1.0 - q), high - low) + 1e-9
-        probe = np.minimum(np.maximum(q + width * _STENCIL, 0.0), 1.0)
-        _, momentum = throw.load_curve(probe)
-        centre = momentum[..., 1:2]
-        left_slope = (centre - momentum[..., :1]) / np.maximum(probe[..., 1:2] - probe[..., :1], 1e-300)
-        right_slope = (momentum[..., 2:] - centre) / np.maximum(probe[..., 2:] - probe[..., 1:2], 1e-300)
-        slope = 0.5 * (left_slope + right_slope)
-        curve = (right_slope - left_slope) / width
+        width = 1e-3 * np.minimum(np.minimum(q, 1.0 - q), high - low) + _LEAST_STEP
+        mass, momentum = throw.load_curve(q + width * _STENCIL)
+        before, centre, after = momentum[..., :1], momentum[..., 1:2], momentum[..., 2:]
+        slope = (after - before) / (2.0 * width)
+        curve = (after - 2.0 * centre + before) / (width * width)
         error = centre - target
         low, high = np.where(error < 0.0, q, low), np.where(error > 0.0, q, high)
         with np.errstate(divide="ignore", invalid="ignore"):
             newton = error / slope
-            halley = newton / (1.0 - 0.5 * newton * curve / slope)
-        trial = q - np.where(np.isfinite(halley), halley, 0.0)
+            trial = q - newton / (1.0 - 0.5 * newton * curve / slope)
+            # The masses per pass cancel: d(force)/d(flow) = d(momentum)/d(mass).
+            here = (after - before) / (mass[..., 2:] - mass[..., :1])
         trial = np.where((trial >= low) & (trial <= high), trial, 0.5 * (low + high))
-        moved = np.abs(trial - q)
+        near_enough = (np.abs(trial - q) <= 1e-4 * q) | (np.abs(error) <= tolerance * np.abs(target))
         # A row that has settled stays as it is, so that its result does not depend on the rows beside it.
-        q = np.where(settled, q, trial)
-        settled |= (moved <= 1e-4 * q) | (np.abs(error) <= tolerance * np.abs(target)) | ~found.reshape(q.shape)
-        if np.all(settled):
+        q, gain = np.where(settled, q, trial), np.where(settled, gain, here)
+        settled = settled | near_enough
+        if settled.all():
             break
-    mass = np.broadcast_to(throw.offered_along_curve(q), (*shape, 1))
-    beside = throw.offered_along_curve(np.clip(q + width * _STENCIL[[0, 2]], 0.0, 1.0))
-    span = np.maximum(q + width, 0.0) - np.maximum(q - width, 0.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        mass_slope = (beside[..., 1:] - beside[..., :1]) / span
-        gain = slope / mass_slope
-    flow = mass * passes
-    flow_out = np.where(below, 0.0, np.where(found, flow[..., 0], np.nan))
-    # The masses per pass cancel: d(force)/d(flow) = d(momentum)/d(mass).
-    return flow_out, np.where(found | below, np.broadcast_to(gain, (*shape, 1))[..., 0], np.nan)
+    flow = (throw.offered_along_curve(q) * passes)[..., 0]
+    return np.where(below, 0.0, np.where(found, flow, np.nan)), np.where(found, gain[..., 0], np.nan)
 
 
 class OpenLoop:

@@ -22,9 +22,8 @@ def strike(arrival: Arrival, setting: Setting) -> Impulse:
 def read(impulse: Impulse, setting: Setting) -> Reading:
     """Horizontal momentum per paddle: the sum over nodes, which turns the plate's frame into the horizontal [8.24]."""
     arrival = impulse.arrival
-    horizontal: AnyArray = impulse.normal_gain * arrival.normal_speed_m_s * np.sin(
-        setting.plate_angle_rad
-    ) + impulse.tangential_m_s * np.cos(setting.plate_angle_rad)
+    normal = impulse.normal_gain * arrival.normal_speed_m_s * np.sin(setting.plate_angle_rad)
+    horizontal: AnyArray = normal + impulse.tangential_m_s * np.cos(setting.plate_angle_rad)
     landed = arrival.landing_share * arrival.jet.mass_kg
-    terms = np.where(landed != 0.0, landed * impulse.weight * horizontal, 0.0)
+    terms: AnyArray = np.where(landed != 0.0, landed * impulse.weight * horizontal, 0.0)
     return Reading(impulse, np.sum(terms, axis=-1, keepdims=True))

@@ -283,17 +283,15 @@ class Throw:
 
     def _arrival(self, jet: Jet) -> Arrival:
         meeting = flight.meet_plate(jet.x_m, jet.y_m, jet.vx_m_s, jet.vy_m_s, self.setting)
-        share = np.ones(1)
+        share: AnyArray = np.ones(1)
         if self._model._misses:
             share = np.repeat([1.0, 0.0], self._model.nodes)
-        speed = np.sqrt(jet.vx_m_s**2 + jet.vy_m_s**2)
         arrival: Arrival = self._alter(
             "arrival",
             Arrival(
                 jet,
                 meeting.from_low_edge_m,
                 meeting.time_s,
-                meeting.time_s * speed,
                 meeting.normal_speed_m_s,
                 meeting.tangential_speed_m_s,
                 share,
@@ -312,7 +310,7 @@ class Throw:
 
         def miss(tau: AnyArray) -> AnyArray:
             flow = release.outflow(tau, setting)
-            return flight.meet_plate(*release.at_tip(tau, flow, setting), setting).miss
+            return flight.miss_measure(*release.at_tip(tau, flow, setting), setting)
 
         return first_root(miss, upper)
 

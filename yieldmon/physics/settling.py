@@ -60,14 +60,12 @@ def opening_angle(rho: AnyArray, x: AnyArray, shape_ratio: AnyArray) -> AnyArray
     psi_f = shape_ratio * (1.0 - x)
     dx, dy = np.cos(psi_f) - x, np.sin(psi_f)
     length = np.sqrt(dx * dx + dy * dy)
-    length = np.where(real(length) > 0.0, length, 1.0)
-    along = x * dx / length
-    p = x * dy / length
-    # Position along the line, measured from the foot of the perpendicular, is sqrt(rho^2 - p^2) on the outer branch.
-    outer = np.sqrt(np.where(real(rho * rho - p * p) > 0.0, rho * rho - p * p, 0.0))
-    s = outer - along
-    px, py = x + s * dx / length, s * dy / length
-    return _arctan2(py, px)
+    distance = x * dy / np.where(real(length) > 0.0, length, 1.0)
+    foot_angle = _arctan2(-dx, dy)
+    # Rounding may put the innermost node a hair inside the line's nearest point.
+    ratio = distance / rho
+    angle: AnyArray = foot_angle + np.arccos(np.where(real(ratio) > 1.0, 1.0, ratio))
+    return angle
 
 
 def _arctan2(y: AnyArray, x: AnyArray) -> AnyArray:

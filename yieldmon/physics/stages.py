@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from .machine import Machine
 from .numerics import AnyArray
 
@@ -94,13 +96,18 @@ class Arrival:
     from_low_edge_m: AnyArray
     """kappa: along the plate, negative above its low edge."""
     flight_time_s: AnyArray
-    flight_length_m: AnyArray
     normal_speed_m_s: AnyArray
     """Into the plate."""
     tangential_speed_m_s: AnyArray
     """Along the plate, positive towards its low edge."""
     landing_share: AnyArray
     """Share of the node's mass that strikes the plate."""
+
+    @property
+    def flight_length_m(self) -> AnyArray:
+        """Length of the path from the tip at the speed there; inf for a path that never meets the plate's line."""
+        length: AnyArray = self.flight_time_s * np.sqrt(self.jet.vx_m_s**2 + self.jet.vy_m_s**2)
+        return length
 
 
 @dataclass(frozen=True, slots=True)
