@@ -57,12 +57,13 @@ def miss_measure(x_m: AnyArray, y_m: AnyArray, vx_m_s: AnyArray, vy_m_s: AnyArra
     along = start.from_top_m - setting.machine.plate_length_m
     g = setting.gravity_m_s2
     if g is None:
-        straight: AnyArray = along * start.vn_m_s + start.gap_m * start.vt_m_s
-        return straight
+        measure: AnyArray = along * start.vn_m_s + start.gap_m * start.vt_m_s
+        return measure
     reaches, closing, _ = _closing(start, g)
     time = np.where(reaches, start.gap_m / np.where(reaches, closing, 1.0), 0.0)
     fallen: AnyArray = 0.5 * g * start.sin * time * time
-    return (along + fallen) * closing + start.gap_m * start.vt_m_s
+    measure = (along + fallen) * closing + start.gap_m * start.vt_m_s
+    return measure
 
 
 def meet_plate(x_m: AnyArray, y_m: AnyArray, vx_m_s: AnyArray, vy_m_s: AnyArray, setting: Setting) -> Meeting:
