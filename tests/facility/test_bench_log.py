@@ -11,7 +11,18 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.facility.bench_log import DATA, EMPTY_S, LOG, START_S, TRIAL_S, calibrated, configuration, errors_on_means_pct, measured, published
+from tests.facility.bench_log import (
+    DATA,
+    EMPTY_S,
+    LOG,
+    START_S,
+    TRIAL_S,
+    calibrated,
+    configuration,
+    errors_on_means_pct,
+    measured,
+    published,
+)
 from yieldmon.bus.bulk import decode_block
 from yieldmon.bus.codec import Codec
 from yieldmon.bus.loading import load_frames

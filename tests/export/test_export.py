@@ -1,0 +1,266 @@
+"""Exports, each opened by a reader that is not ours: csv, pyarrow, GDAL through geopandas, isoxml on node."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+import os
+import shutil
+import struct
+import subprocess
+import xml.etree.ElementTree as ET
+import zipfile
+from pathlib import Path
+
+import geopandas
+import numpy as np
+import pyarrow.parquet
+import pytest
+
+from yieldmon.cli import main as cli
+from yieldmon.errors import InputError
+from yieldmon.export.points import PointSettings, yield_points
+from yieldmon.export.taskdata import ENTRIES
+from yieldmon.frames import EstimateQuality
+from yieldmon.service.rows import SecondRow
+from yieldmon.service.store import Batch, Load, Store
+from yieldmon.service.tables import open_table
+
+ROOT = Path(__file__).parents[2]
+START_S = 1_760_000_000
+SWATH_M, SPEED_M_S, DELAY_S = 9.0, 2.0, 10
+METRE_DEG = 1.0 / 111_195.0
+
+
+def second(number: int) -> SecondRow:
+    """Two passes north from second 1 and 101, 60 s each; grain reaches the sensor DELAY_S later. A sweep in the second pass."""
+    driving = 1 <= number <= 60 or 101 <= number <= 160
+    measuring = 1 <= number - DELAY_S <= 60 or 101 <= number - DELAY_S <= 160
+    flow = 9.0 + (number - DELAY_S) / 100.0
+    quality = EstimateQuality.SWEEPING if 130 <= number < 140 else EstimateQuality.OK
+    return SecondRow(
+        number=number, time_s=START_S + number + 0.1, duration_s=1.0, mass_flow_kg_s=flow if measuring else None,
+        std_dev_kg_s=0.2 if measuring else None, quality=int(quality if measuring else EstimateQuality.NOT_HARVESTING),
+        operating_state=3, mass_kg=flow if measuring else 0.0, load_number=1 if number < 100 else 2, load_kg=0.0,
+        total_kg=9.0 * number, coverage=1.0, force_n=60.0, force_std_dev_n=0.8, elevator_speed_rpm=400.0,
+        plate_angle_deg=70.0, plate_still=1, moisture_pct=20.0, test_weight_kg_m3=None, zero_mv=500.0, pulse_mv=3.0,
+        saturated_share=0.0, lost_frames=0, surplus_frames=0, repeated_frames=0, sweep_id=0, sweep_step=-1,
+        usable_for_calibration=0, parameter_version=1, faults="", latitude_deg=40.0 + SPEED_M_S * number * METRE_DEG,
+        longitude_deg=-88.25, ground_speed_m_s=SPEED_M_S if driving else 0.0, course_deg=0.0,
+    )
+
+
+ROWS = [second(number) for number in range(1, 181)]
+LOADS = (
+    Load(1, "north", "corn", START_S, START_S + 99.0, 560.0, None),
+    Load(2, "north", "corn", START_S + 99.0, None, 600.0, 570.0),
+)
+WORDS = ["--swath", str(SWATH_M), "--flow-delay", str(DELAY_S), "--field", "north"]
+SETTINGS = PointSettings(SWATH_M, DELAY_S)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The record as a table and as a store."""
+    place = tmp_path_factory.mktemp("export")
+    with open_table(str(place / "r.csv")) as writer:
+        for row in ROWS:
+            writer.write(row)
+    with Store(place / "r.sqlite") as store:
+        store.commit([Batch(1, START_S, {}, tuple(ROWS), LOADS)])
+    return place
+
+
+@pytest.fixture
+def exported(folder, tmp_path):
+    """Exports and returns the file."""
+
+    def run(name: str, *words: str, record: str = "r.csv") -> Path:
+        assert cli.main(["export", str(folder / record), "--out", str(tmp_path / name), *words]) == 0
+        return tmp_path / name
+
+    return run
+
+
+def test_grain_goes_back_where_it_was_cut():
+    points = yield_points(ROWS, SETTINGS)
+    for point in points:
+        number = round(point.time_s - START_S - 0.1)
+        assert point.latitude_deg == 40.0 + SPEED_M_S * number * METRE_DEG
+        assert point.mass_flow_kg_s == pytest.approx(9.0 + number / 100.0)
+        assert point.yield_kg_m2 == pytest.approx(point.mass_flow_kg_s / (SPEED_M_S * SWATH_M))
+        assert point.dry_yield_kg_m2 == pytest.approx(point.yield_kg_m2 * 80.0 / 84.5)
+
+
+def test_start_and_end_of_each_pass_are_left_out():
+    points = yield_points(ROWS, SETTINGS)
+    seconds = [round(point.time_s - START_S - 0.1) for point in points]
+    assert seconds == [*range(5, 57), *range(105, 157)]
+    assert [point.pass_number for point in points] == [1] * 52 + [2] * 52
+    assert [point.held for point in points] == [120 <= second < 130 for second in seconds]
+
+
+def test_a_record_without_positions():
+    with pytest.raises(InputError, match="no second with position"):
+        yield_points([dataclasses.replace(row, latitude_deg=None) for row in ROWS], SETTINGS)
+
+
+def test_moisture_not_known_leaves_dry_mass_open():
+    points = yield_points([dataclasses.replace(row, moisture_pct=None) for row in ROWS], SETTINGS)
+    assert {(point.dry_mass_flow_kg_s, point.dry_yield_kg_m2) for point in points} == {(None, None)}
+
+
+@pytest.mark.parametrize("record", ["r.csv", "r.sqlite"])
+def test_seconds_as_csv_and_parquet(exported, record):
+    table = pyarrow.parquet.read_table(exported("s.parquet", record=record)).to_pylist()
+    assert table == [dataclasses.asdict(row) for row in ROWS]
+    with exported("s.csv", record=record).open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["mass_kg"] for row in rows] == [repr(row.mass_kg) for row in ROWS]
+    assert rows[0]["mass_flow_kg_s"] == ""
+
+
+def test_loads_as_csv_and_parquet(exported):
+    table = pyarrow.parquet.read_table(exported("l.parquet", "--what", "loads", record="r.sqlite")).to_pylist()
+    assert table == [dataclasses.asdict(load) for load in LOADS]
+    lines = exported("l.csv", "--what", "loads", record="r.sqlite").read_text(encoding="utf-8").splitlines()
+    assert lines[0] == "number,field,crop,started_s,ended_s,mass_kg,dry_mass_kg"
+    assert len(lines) == 3
+
+
+@pytest.mark.parametrize("name", ["p.geojson", "p.gpkg"])
+def test_maps_open_in_gdal(exported, name):
+    frame = geopandas.read_file(exported(name, *WORDS))
+    points = yield_points(ROWS, SETTINGS)
+    assert frame.crs.to_epsg() == 4326
+    assert set(frame.geom_type) == {"Point"}
+    assert np.allclose(frame.geometry.x, [point.longitude_deg for point in points], rtol=0, atol=1e-12)
+    assert np.allclose(frame.geometry.y, [point.latitude_deg for point in points], rtol=0, atol=1e-12)
+    for column in ("mass_flow_kg_s", "yield_kg_m2", "dry_yield_kg_m2", "moisture_pct", "pass_number", "held", "time_s"):
+        assert frame[column].tolist() == [getattr(point, column) for point in points], column
+
+
+def test_points_as_parquet(exported):
+    table = pyarrow.parquet.read_table(exported("p.parquet", "--what", "points", *WORDS)).to_pylist()
+    assert table == [dataclasses.asdict(point) for point in yield_points(ROWS, SETTINGS)]
+
+
+def test_agleader_text_gives_the_same_yield(exported):
+    """Yield as yield-cleaning tools compute it: flow times interval over distance times swath, in their units."""
+    with exported("p.txt", *WORDS).open(encoding="ascii", newline="") as stream:
+        lines = list(csv.reader(stream))
+    points = yield_points(ROWS, SETTINGS)
+    assert {len(line) for line in lines} == {17}
+    assert len(lines) == len(points)
+    for line, point in zip(lines, points, strict=True):
+        longitude, latitude, flow_lb_s, _, interval_s, distance_in, swath_in, moisture_pct, header = map(float, line[:9])
+        assert (longitude, latitude) == pytest.approx((point.longitude_deg, point.latitude_deg), abs=6e-8)
+        kg_m2 = flow_lb_s * 0.45359237 * interval_s / (distance_in * swath_in * 0.0254**2)
+        assert kg_m2 == pytest.approx(point.yield_kg_m2, rel=3e-3)
+        assert (moisture_pct, header) == (20.0, 33.0)
+    assert lines[0][11:14] == ["F1:north", "L1:<1>", "corn"]
+
+
+def test_task_data_by_the_standards_layout(exported):
+    """Parsed from the layout of ISO 11783-10, byte by byte."""
+    with zipfile.ZipFile(exported("t.zip", *WORDS)) as archive:
+        content = {name: archive.read(name) for name in archive.namelist()}
+    root = ET.fromstring(content["TASKDATA/TASKDATA.XML"])
+    header = ET.fromstring(content["TASKDATA/TLG00001.xml"])
+    log = content["TASKDATA/TLG00001.bin"]
+    assert (root.tag, root.attrib["VersionMajor"], root.attrib["DataTransferOrigin"]) == ("ISO11783_TaskData", "4", "2")
+    assert int(root.find("TSK/TLG").attrib["B"]) == len(log)
+    identifiers = [int(value.attrib["A"], 16) for value in header.iter("DLV")]
+    assert identifiers == [87, 84, 90, 99, 181, 182, 183, 184, 239]
+    assert {int(entry.attrib["B"], 16) for entry in root.iter("DPD")} == set(identifiers)
+    presentations = {entry.attrib["A"] for entry in root.iter("DVP")}
+    assert {entry.attrib["F"] for entry in root.iter("DPD") if "F" in entry.attrib} == presentations
+    points = yield_points(ROWS, SETTINGS)
+    place = 0
+    for point in points:
+        milliseconds, days, north, east, status, count = struct.unpack_from("<IHiiBB", log, place)
+        place += 16
+        values = {}
+        for _ in range(count):
+            index, value = struct.unpack_from("<Bi", log, place)
+            values[identifiers[index]] = value
+            place += 5
+        # 1980-01-01 is 3652 days after 1970-01-01.
+        assert (days + 3652) * 86400 + milliseconds / 1000 == pytest.approx(point.time_s, abs=1e-3)
+        assert (north, east) == (round(point.latitude_deg * 1e7), round(point.longitude_deg * 1e7))
+        assert status == 1
+        assert values[87] == round(point.mass_flow_kg_s * 1e6)
+        assert values[84] == round(point.yield_kg_m2 * 1e6)
+        assert (values[99], values[184], values[239]) == (200_000, 155_000, int(point.held))
+    assert place == len(log)
+    assert values[90] == round(sum(point.mass_kg for point in points))
+
+
+@pytest.fixture(scope="session")
+def isoxml() -> dict[str, str]:
+    """Environment in which node finds the package isoxml."""
+    modules = ROOT / "out" / "node" / "node_modules"
+    if shutil.which("node") is None or not (modules / "isoxml").is_dir():
+        pytest.skip("no node with the package isoxml: tools/isoxml installs it")
+    return {**os.environ, "NODE_PATH": str(modules)}
+
+
+@pytest.mark.isoxml
+def test_task_data_in_an_independent_reader(exported, isoxml):
+    words = ["node", str(Path(__file__).with_name("read_taskdata.cjs")), str(exported("t.zip", *WORDS))]
+    done = subprocess.run(words, env=isoxml, capture_output=True, text=True, check=True)
+    found = json.loads(done.stdout)
+    points = yield_points(ROWS, SETTINGS)
+    assert (found["warnings"], found["errors"]) == ([], [])
+    assert found["field"]["PartfieldDesignator"] == "north"
+    units = {info["DDINumber"]: info["unit"] for info in found["valuesInfo"]}
+    assert units == {entry.ddi: entry.unit or "n.a." for entry in ENTRIES}
+    assert len(found["records"]) == len(points)
+    for record, point in zip(found["records"], points, strict=True):
+        assert record["position"]["PositionNorth"] == pytest.approx(point.latitude_deg, abs=6e-8)
+        assert record["position"]["PositionEast"] == pytest.approx(point.longitude_deg, abs=6e-8)
+        values = record["values"]
+        assert values["0057_DET-1"] == round(point.mass_flow_kg_s * 1e6)
+        assert values["00B5_DET-1"] == round(point.dry_yield_kg_m2 * 1e6)
+        assert values["00EF_DET-1"] == int(point.held)
+    totals = {int(total["ProcessDataDDI"], 16): total["ProcessDataValue"] for total in found["totals"]}
+    assert totals[90] == round(sum(point.mass_kg for point in points))
+
+
+def test_task_data_as_a_folder(exported):
+    folder = exported("card", "--format", "taskdata", *WORDS)
+    assert sorted(path.name for path in (folder / "TASKDATA").iterdir()) == ["TASKDATA.XML", "TLG00001.bin", "TLG00001.xml"]
+
+
+WRONG = [
+    (["r.csv", "--out", "x.kml"], "yieldmon: --out: is x.kml; expected a name that ends in one of "),
+    (["r.csv", "--out", "x.geojson"], "yieldmon: --swath: is missing; expected the working width in m"),
+    (["r.csv", "--out", "x.geojson", "--swath", "0"], "yieldmon: --swath: is 0; expected 0.1 to 50"),
+    (["r.csv", "--out", "x.gpkg", "--what", "loads"], "yieldmon: --what: loads as geopackage; expected loads as csv or parquet"),
+    (["r.csv", "--out", "x.csv", "--what", "loads"], "r.csv: "),
+    (["r.csv", "--out", "x.txt", "--swath", "9", "--flow-delay", "61"], "yieldmon: --flow-delay: is 61; expected 0 to 60"),
+    (["gone.sqlite", "--out", "x.csv"], "gone.sqlite: no such file"),
+    (["bad.csv", "--out", "x.csv"], "bad.csv: row 1: has no number; expected a table"),
+    (["word.csv", "--out", "x.csv"], "word.csv: row 1: number: is 'one'; expected a value of kind int"),
+]
+
+
+@pytest.mark.parametrize(("words", "line"), WRONG)
+def test_one_line_for_what_cannot_be_exported(words, line, folder, capsys, monkeypatch):
+    (folder / "bad.csv").write_text("a,b\n1,2\n", encoding="utf-8")
+    good = (folder / "r.csv").read_text(encoding="utf-8").splitlines()
+    (folder / "word.csv").write_text(f"{good[0]}\n{good[1].replace('1,', 'one,', 1)}\n", encoding="utf-8")
+    monkeypatch.chdir(folder)
+    assert cli.main(["export", *words]) == 2
+    said = capsys.readouterr().err
+    assert line in said
+    assert said.count("\n") == 1
+    assert not list(folder.glob("x.*"))
+
+
+def test_without_pyogrio_one_line(monkeypatch, folder, tmp_path, capsys):
+    monkeypatch.setitem(__import__("sys").modules, "pyogrio.raw", None)
+    monkeypatch.setitem(__import__("sys").modules, "pyogrio", None)
+    assert cli.main(["export", str(folder / "r.csv"), "--out", str(tmp_path / "x.gpkg"), *WORDS]) == 1
+    assert capsys.readouterr().err == "yieldmon: needs pyogrio, which is not installed; pip install 'yieldmon[geo]'\n"

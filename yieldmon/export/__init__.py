@@ -1,0 +1,1 @@
+"""Seconds, loads and yield points as other programs read them, a module a format."""

@@ -1,0 +1,50 @@
+"""Yield points as Ag Leader "advanced" text, which yield-cleaning tools such as the USDA's Yield Editor read.
+
+No header, comma-separated: longitude and latitude in deg, grain flow in lb/s, GPS time in s, logging interval in s, distance
+and swath in inches, moisture in %, header status (33 down), pass, serial number, field, load, grain, GPS status, PDOP, altitude
+in feet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from .points import YieldPoint
+from .whole_file import scratch_for
+
+LB_PER_KG = 1.0 / 0.45359237
+IN_PER_M = 1.0 / 0.0254
+HEADER_DOWN = 33
+_DIFFERENTIAL_FIX, _PDOP, _ALTITUDE_FT = 1, 0.0, 0.0
+
+
+def line(point: YieldPoint, field: str, grain: str) -> str:
+    """One point. A moisture that is not known is 0, as these tools expect; position quality is not known to yieldmon either."""
+    values = (
+        f"{point.longitude_deg:.7f}",
+        f"{point.latitude_deg:.7f}",
+        f"{point.mass_flow_kg_s * LB_PER_KG:.3f}",
+        f"{round(point.time_s)}",
+        f"{point.duration_s:.0f}",
+        f"{point.distance_m * IN_PER_M:.1f}",
+        f"{point.swath_m * IN_PER_M:.0f}",
+        f"{0.0 if point.moisture_pct is None else point.moisture_pct:.1f}",
+        f"{HEADER_DOWN}",
+        f"{point.pass_number}",
+        "0",
+        f'"F1:{field}"',
+        f'"L{point.load_number}:<1>"',
+        f'"{grain}"',
+        f"{_DIFFERENTIAL_FIX}",
+        f"{_PDOP:.1f}",
+        f"{_ALTITUDE_FT:.1f}",
+    )
+    return ",".join(values)
+
+
+def write(path: Path, points: Sequence[YieldPoint], field: str, grain: str) -> None:
+    """One line a point."""
+    text = "".join(line(point, field, grain) + "\r\n" for point in points)
+    with scratch_for(path) as scratch:
+        scratch.write_text(text, encoding="ascii", errors="replace", newline="")

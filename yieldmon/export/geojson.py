@@ -1,0 +1,34 @@
+"""Yield points as GeoJSON (RFC 7946): WGS 84, longitude first."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from .points import YieldPoint
+from .whole_file import scratch_for
+
+
+def properties(point: YieldPoint) -> dict[str, object]:
+    """All but the position; time as ISO 8601 in UTC beside Unix time."""
+    values = dataclasses.asdict(point)
+    longitude, latitude = values.pop("longitude_deg"), values.pop("latitude_deg")
+    assert -180.0 <= longitude <= 180.0 and -90.0 <= latitude <= 90.0, "the engine lets no other position in"  # noqa: PT018
+    return {"time_utc": datetime.fromtimestamp(point.time_s, UTC).isoformat(timespec="milliseconds"), **values}
+
+
+def write(path: Path, points: Sequence[YieldPoint]) -> None:
+    """One Feature a line, so that large files can be looked into."""
+    with scratch_for(path) as scratch, scratch.open("w", encoding="utf-8") as stream:
+        stream.write('{"type": "FeatureCollection", "features": [\n')
+        for number, point in enumerate(points):
+            feature = {
+                "type": "Feature",
+                "geometry": {"type": "Point", "coordinates": [point.longitude_deg, point.latitude_deg]},
+                "properties": properties(point),
+            }
+            stream.write((",\n" if number else "") + json.dumps(feature, allow_nan=False))
+        stream.write("\n]}\n")
