@@ -1,0 +1,101 @@
+"""The reference campaign as shipped: whole, consistent, and read by what the page and the virtual combine need of it."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import json
+import subprocess
+import sys
+from collections import defaultdict
+from math import radians, tan
+from pathlib import Path
+
+import pytest
+
+from yieldmon.files import table
+from yieldmon.physics.machine import Machine
+from yieldmon.plant.dem import campaign
+from yieldmon.resources import shipped
+
+ROOT = Path(__file__).parents[2]
+DATA = ROOT / "tests" / "data"
+
+
+@pytest.fixture(scope="module")
+def rows() -> list[dict[str, str]]:
+    with (DATA / "dem_campaign.csv").open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_it_is_what_the_plan_says(rows: list[dict[str, str]]) -> None:
+    path = shipped("config/dem/reference.yaml")
+    plan = campaign.parse(path.read_text(encoding="utf-8"), str(path))
+    planned = {
+        (f"{t.paddle_mass_kg:g}", f"{t.contact.friction:g}", str(t.seed), t.throw_key()) for t in plan.throws
+    }
+    assert len(rows) >= 150
+    assert {(r["paddle_mass_kg"], r["friction"], r["trial"], r["throw_key"]) for r in rows} <= planned
+    assert len({(r["throw_key"], r["plate_angle_deg"]) for r in rows}) == len(rows)
+    first_seed = [r for r in rows if r["trial"] == "1"]
+    assert len(first_seed) == 100
+    source = json.loads((DATA / "dem_campaign_provenance.json").read_text(encoding="utf-8"))
+    assert source["source_sha256"] == plan.source_sha256
+    assert {int(r["engine_version"]) for r in rows} == {source["engine_version"]}
+
+
+def test_the_rows_obey_mechanics(rows: list[dict[str, str]]) -> None:
+    for row in rows:
+        angle, mass = radians(float(row["plate_angle_deg"])), float(row["paddle_mass_kg"])
+        normal, total = float(row["momentum_kg_m_s"]), float(row["momentum_total_kg_m_s"])
+        assert 0.0 < normal <= total * (1.0 + 1e-3)
+        # Friction adds at most mu cot(phi) of the normal part to the horizontal; the edges' contacts a little more.
+        assert total - normal <= (float(row["friction"]) / tan(angle) + 5e-3) * normal
+        assert normal < 1.75 * float(row["release_speed_m_s"]) * mass
+        assert float(row["fraction_released"]) == 1.0
+        shares = [float(row[f"fraction_{name}"]) for name in ("touch", "deflected", "miss")]
+        assert shares[0] <= shares[1] + 0.02
+        assert shares[1] + shares[2] <= 1.0 + 1e-6
+
+
+def test_more_grain_more_momentum(rows: list[dict[str, str]]) -> None:
+    series: dict[tuple[str, ...], list[tuple[float, float]]] = defaultdict(list)
+    for row in rows:
+        key = tuple(row[k] for k in ("plate_angle_deg", "elevator_speed_rpm", "friction", "trial"))
+        series[key].append((float(row["paddle_mass_kg"]), float(row["momentum_kg_m_s"])))
+    for cells in series.values():
+        momenta = [momentum for _, momentum in sorted(cells)]
+        assert momenta == sorted(momenta)
+
+
+def test_the_histories_hold_the_same_impulse(rows: list[dict[str, str]]) -> None:
+    names = ("plate_angle_deg", "paddle_mass_kg", "elevator_speed_rpm", "friction", "trial")
+    impulse: dict[tuple[float, ...], float] = defaultdict(float)
+    with gzip.open(DATA / "dem_campaign_forces.csv.gz", "rt", encoding="utf-8") as stream:
+        for row in csv.DictReader(stream):
+            impulse[tuple(float(row[n]) for n in names)] += float(row["force_normal_n"]) * 1e-3
+    assert len(impulse) == len(rows)
+    for row in rows:
+        assert impulse[tuple(float(row[n]) for n in names)] == pytest.approx(float(row["momentum_kg_m_s"]), rel=1e-4)
+
+
+def test_the_verbs_read_it() -> None:
+    data = table.load(DATA / "dem_campaign.csv")
+    assert data.load == "paddle_mass_kg"
+    assert data.reading == "momentum_kg_m_s"
+    assert data.conditions(Machine()).paddle_mass_kg is not None
+
+
+def test_the_page_can_be_made_again(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    names = ("heap", "release", "landing", "impact", "plate-friction")
+    page.write_text("\n".join(f"<!-- {n} -->\n<!-- /{n} -->" for n in names), encoding="utf-8")
+    command = [sys.executable, str(ROOT / "tools" / "dem-report"), "heap", "release", "landing", "impact"]
+    subprocess.run([*command, "--page", str(page), "--pictures", str(tmp_path)], check=True)
+    text = page.read_text(encoding="utf-8")
+    shipped_page = (ROOT / "docs" / "dem.md").read_text(encoding="utf-8")
+    for name in names:
+        block = text.split(f"<!-- {name} -->\n")[1].split(f"<!-- /{name} -->")[0]
+        assert block.startswith("|")
+        assert block in shipped_page
+    assert {p.name for p in tmp_path.glob("*.png")} == {"heap.png", "release.png", "landing.png", "impact.png"}
