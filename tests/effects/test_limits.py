@@ -99,9 +99,7 @@ def test_gravity_vanishes_as_the_elevator_speeds_up() -> None:
 def test_drag_takes_a_share_per_metre() -> None:
     light = replace(AT, paddle_mass_kg=1e-9, plate_angle_rad=np.radians(90.0))
     length = MACHINE.plate_pivot_x_m
-    np.testing.assert_allclose(
-        read("air_drag", at=light, rate_per_m=0.3) / read(at=light), np.exp(-0.3 * length), rtol=1e-3
-    )
+    np.testing.assert_allclose(read("air_drag", at=light, rate_per_m=0.3) / read(at=light), np.exp(-0.3 * length), rtol=1e-3)
 
 
 def test_captured_grain_lands_in_proportion() -> None:

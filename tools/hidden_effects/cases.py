@@ -52,7 +52,7 @@ REPLICATES = 3
 
 @dataclass(frozen=True)
 class Case:
-    """kind: hidden, clean, outside, removed or pair; hidden: names of the effects in the data; without: taken from the library."""
+    """kind: hidden, clean, outside, removed or pair; hidden: effects in the data; without: taken from the library."""
 
     kind: str
     hidden: tuple[str, ...]
@@ -86,13 +86,17 @@ def all_cases(per_effect: int, per_effect_noisy: int, clean: int, outside: int, 
     for name in SIZES:
         single_too = name != "speed_dependent_shape"
         groups.append([Case("hidden", (name,), i, 1.0, "one" if i % 2 and single_too else "many") for i in range(per_effect)])
-        groups.append([Case("hidden", (name,), i, 3.0, "one" if i % 2 and single_too else "many") for i in range(per_effect_noisy)])
+        groups.append(
+            [Case("hidden", (name,), i, 3.0, "one" if i % 2 and single_too else "many") for i in range(per_effect_noisy)]
+        )
         groups.append([Case("removed", (name,), i, 1.0, "many") for i in range(removed)])
     groups.append([Case("clean", (), i, 1.0 if i % 2 else 3.0, "many" if i % 4 < 2 else "one") for i in range(clean)])
     for kind in g.OUTSIDE:
         groups.append([Case("outside", (kind,), i, 1.0, "many") for i in range(outside)])
     rng = np.random.default_rng(7)
-    groups.append([Case("pair", tuple(sorted(map(str, rng.choice(list(SIZES), 2, replace=False)))), i, 1.0, "many") for i in range(pairs)])
+    groups.append(
+        [Case("pair", tuple(sorted(map(str, rng.choice(list(SIZES), 2, replace=False)))), i, 1.0, "many") for i in range(pairs)]
+    )
     return list(_in_turn(groups))
 
 
@@ -136,7 +140,11 @@ def make(case: Case) -> Data:
 
 def _design(case: Case, rng: np.random.Generator):  # type: ignore[no-untyped-def]
     if case.speeds == "many":
-        angles, flows, speeds = np.arange(40.0, 91.0, 10.0), np.array([1.5, 4.0, 8.0, 14.0, 21.0]), np.array([330.0, 400.0, 470.0])
+        angles, flows, speeds = (
+            np.arange(40.0, 91.0, 10.0),
+            np.array([1.5, 4.0, 8.0, 14.0, 21.0]),
+            np.array([330.0, 400.0, 470.0]),
+        )
     else:
         angles, flows, speeds = np.arange(40.0, 91.0, 5.0), np.array([1.5, 4.0, 7.0, 11.0, 15.0, 19.0, 23.0]), np.array([400.0])
     wet = [14.0, 22.0] if "moisture_dependence" in case.hidden else [15.0]

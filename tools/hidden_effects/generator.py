@@ -1,8 +1,8 @@
 """Data with a known hidden effect, made without the project's forward model.
 
 Layers of the heap are integrated along the paddle by Runge-Kutta, flown in small steps to the plate, bounced and summed. Every
-effect has a form of its own here, unlike the candidates' where physics allows (exponential for rational, a logarithm for a power, a
-box of directions for a Gaussian one). SI units, radians; y down, angles clockwise from +x.
+effect has a form of its own here, unlike the candidates' where physics allows (exponential for rational, a logarithm for a
+power, a box of directions for a Gaussian one). SI units, radians; y down, angles clockwise from +x.
 """
 
 from __future__ import annotations
@@ -49,7 +49,9 @@ Effects = Mapping[str, float]
 """Name -> size; moisture_dependence stands for its friction rate, with density and restitution following."""
 
 
-def force(angle: Array, speed: Array, flow: Array, moisture: Array, grain: Grain, effects: Effects, machine: Geometry = Geometry()) -> Array:
+def force(
+    angle: Array, speed: Array, flow: Array, moisture: Array, grain: Grain, effects: Effects, machine: Geometry = Geometry()
+) -> Array:
     """Mean horizontal force, N, for arrays of one shape (rows,); nan where the paddles would overflow."""
     size = dict(effects)
     wetter = moisture - 15.0
@@ -164,7 +166,16 @@ def _slide(rho: Array, push: Array, mu: Array, number: Array, start: float) -> t
 
 
 def _strike(
-    x: Array, y: Array, vx: Array, vy: Array, thickness: Array, mass: Array, angle: Array, e: Array, size: Mapping[str, float], machine: Geometry
+    x: Array,
+    y: Array,
+    vx: Array,
+    vy: Array,
+    thickness: Array,
+    mass: Array,
+    angle: Array,
+    e: Array,
+    size: Mapping[str, float],
+    machine: Geometry,
 ) -> tuple[Array, Array]:
     """Horizontal impulse per paddle and the mass that lands, for one direction of the fan."""
     sin, cos = np.sin(angle)[:, None], np.cos(angle)[:, None]
@@ -186,8 +197,9 @@ def _strike(
         crosses = ~reached & (before >= 0.0) & (after <= 1e-12) & (dt > 0.0)
         part = np.where(crosses, before / np.where(before - after == 0.0, 1.0, before - after), 0.0)
         hx, hy = np.where(crosses, px + part * (qx - px), hx), np.where(crosses, py + part * (qy - py), hy)
-        ux, uy = np.where(reached, ux, np.where(crosses, ux + part * (wx - ux), wx)), np.where(
-            reached, uy, np.where(crosses, uy + part * (wy - uy), wy)
+        ux, uy = (
+            np.where(reached, ux, np.where(crosses, ux + part * (wx - ux), wx)),
+            np.where(reached, uy, np.where(crosses, uy + part * (wy - uy), wy)),
         )
         px, py = qx, qy
         reached |= crosses
@@ -206,7 +218,11 @@ def _strike(
         bounce = bounce * np.exp(-0.7 * thickness * size["jet_shielding"])
     if "speed_dependent_restitution" in size:
         nominal = machine.length * machine.nominal_speed
-        bounce = bounce * np.clip(1.0 - size["speed_dependent_restitution"] * np.log(np.maximum(normal, 0.3) / nominal), 0.0, 1.0 / np.maximum(bounce, 1e-9))
+        bounce = bounce * np.clip(
+            1.0 - size["speed_dependent_restitution"] * np.log(np.maximum(normal, 0.3) / nominal),
+            0.0,
+            1.0 / np.maximum(bounce, 1e-9),
+        )
     if "secondary_impact" in size:
         facing = np.maximum(normal, 0.0) / np.maximum(np.hypot(normal, tangent), 1e-9)
         bounce = np.minimum(bounce + size["secondary_impact"] * facing**3 * bounce * (1.0 - bounce), 1.0)
@@ -226,8 +242,8 @@ def _strike(
 def outside(kind: str, reading: Array, angle: Array, speed: Array, flow: Array, size: float) -> Array:
     """Effects that no candidate describes, on a reading in the order of its rows.
 
-    speed_resonance: gain peaks at one elevator speed (or one paddle rate). bent_bracket: the cell's bracket yields between 58 and 72
-    deg. lagging_sensor: the reading keeps a share of the row before. overfull_spill: a step of loss above a flow.
+    speed_resonance: gain peaks at one elevator speed. bent_bracket: the cell's bracket yields between 58 and 72 deg.
+    lagging_sensor: the reading keeps a share of the row before. overfull_spill: a step of loss above a flow.
     """
     if kind == "speed_resonance":
         centre = np.median(np.unique(speed))

@@ -129,11 +129,12 @@ def summarise(records: list[dict[str, Any]]) -> dict[str, Any]:
     out["clean"] = {"false_alarms": sum(r["verdict"] != "none" for r in kinds["clean"]), "of": len(kinds["clean"])}
     out["outside"] = _verdicts(kinds["outside"])
     out["outside_by_kind"] = {
-        name: _verdicts([r for r in kinds["outside"] if r["hidden"] == [name]]) for name in sorted({r["hidden"][0] for r in kinds["outside"]})
+        name: _verdicts([r for r in kinds["outside"] if r["hidden"] == [name]])
+        for name in sorted({r["hidden"][0] for r in kinds["outside"]})
     }
     removed = [r for r in kinds["removed"] if _visible(r)]
     out["removed_and_visible"] = _verdicts(removed)
-    both = [r for r in kinds["pair"]]
+    both = kinds["pair"]
     out["pairs"] = {
         "of": len(both),
         "both": sum(_pair_hits(r) == 2 for r in both),
@@ -173,7 +174,9 @@ def _named(records: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _verdicts(records: list[dict[str, Any]]) -> dict[str, Any]:
-    return {"of": len(records)} | {f"{v}_pct": _share([r["verdict"] == v for r in records]) for v in ("unknown", "effect", "none")}
+    return {"of": len(records)} | {
+        f"{v}_pct": _share([r["verdict"] == v for r in records]) for v in ("unknown", "effect", "none")
+    }
 
 
 def _pair_hits(record: dict[str, Any]) -> int:
@@ -208,15 +211,18 @@ def markdown(summary: dict[str, Any], made_at: str) -> str:
     lines = [
         "# Hidden-effect study: results",
         "",
-        f"Made by `tools/hidden-effects report`, commit {made_at}; cases and seeds in `tools/hidden_effects/cases.py` (each case's seed is a",
-        "checksum of its key). Numbers are percent of cases unless said otherwise. Visible: the hidden effect's signature beyond",
-        "recalibration is at least 4 standard deviations long (snr).",
+        f"Made by `tools/hidden-effects report` from results of commit {made_at}; cases in `tools/hidden_effects/cases.py` (a",
+        "case's seed is a checksum of its key). Numbers are percent of cases unless said otherwise. Visible: the hidden effect's signature",
+        "beyond recalibration is at least 4 standard deviations long (snr).",
         "",
         "## Named",
         "",
         _table_head("hidden effects", _NAMED),
     ]
-    rows = {"1 % noise, change of 5 % or more": s["hidden_1pct_noise_5pct_change"], "the same, visible ones": s["the_same_and_visible"]}
+    rows = {
+        "1 % noise, change of 5 % or more": s["hidden_1pct_noise_5pct_change"],
+        "the same, visible ones": s["the_same_and_visible"],
+    }
     rows |= s["by_snr"]
     lines += [_table_row(name, _NAMED, values) for name, values in rows.items() if values["of"]]
     lines += ["", "## By effect, 1 % noise", "", _table_head("effect", _NAMED)]
@@ -228,20 +234,25 @@ def markdown(summary: dict[str, Any], made_at: str) -> str:
         _table_row("effect removed from the library, visible", _VERDICTS, s["removed_and_visible"]),
         "",
         f"Clean data: {s['clean']['false_alarms']} false alarms in {s['clean']['of']} cases.",
-        f"Two effects at once: both named in {s['pairs']['both']} of {s['pairs']['of']}, at least one in {s['pairs']['at_least_one']}.",
+        f"Two effects at once: both named in {s['pairs']['both']} of {s['pairs']['of']}, "
+        f"at least one in {s['pairs']['at_least_one']}.",
         "",
         "## Against simpler choices",
         "",
         _table_head("choice", _RIVALS),
         _table_row("yieldmon diagnose", _RIVALS, s["ours"]),
-        *(_table_row({"aicc": "AICc alone", "bic": "BIC alone", "sparse": "lasso on residuals, BIC"}[k], _RIVALS, v) for k, v in s["baselines"].items()),
+        *(
+            _table_row({"aicc": "AICc alone", "bic": "BIC alone", "sparse": "lasso on residuals, BIC"}[k], _RIVALS, v)
+            for k, v in s["baselines"].items()
+        ),
         "",
     ]
     return "\n".join(lines)
 
 
 _NAMED = {
-    "of": "cases", "median_snr": "median snr", "first_place_pct": "first", "within_class_pct": "within class", "wrong_name_pct": "wrong",
+    "of": "cases", "median_snr": "median snr", "first_place_pct": "first", "within_class_pct": "within class",
+    "wrong_name_pct": "wrong",
     "unknown_pct": "unknown", "none_pct": "none", "mean_class_size": "class size", "median_closed_pct": "gap closed, held out",
     "median_parameter_error_pct": "parameter error",
 }  # fmt: skip
@@ -258,5 +269,7 @@ def _table_head(first: str, columns: dict[str, str]) -> str:
 
 
 def _table_row(name: str, columns: dict[str, str], values: dict[str, Any]) -> str:
-    cells = ["" if values.get(c) is None else f"{values[c]:.3g}" if isinstance(values[c], float) else str(values[c]) for c in columns]
+    cells = [
+        "" if values.get(c) is None else f"{values[c]:.3g}" if isinstance(values[c], float) else str(values[c]) for c in columns
+    ]
     return f"| {name} | " + " | ".join(cells) + " |"

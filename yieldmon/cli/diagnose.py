@@ -28,7 +28,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--form",
         choices=("auto", "restitution", "exchange"),
         default="auto",
-        help="gain of the published model: 1 + e, or k1 and k2; auto takes the parameter file's, and k1, k2 where 1 + e cannot fit",
+        help="gain of the published model: 1 + e, or k1 and k2; auto: the parameter file's, and k1, k2 where 1 + e cannot fit",
     )
     parser.add_argument(
         "--hold-out",
@@ -60,9 +60,7 @@ def run(args: argparse.Namespace) -> int:
     parameter_path = Path(args.params) if args.params is not None else shipped(parameter_file.DEFAULT)
     parameters = parameter_file.load(parameter_path)
     machine = machine_file.load(args.machine)
-    options = replace(
-        diagnosis.Options(), form=args.form, hold_out=args.hold_out, without=tuple(args.without), seed=args.seed
-    )
+    options = replace(diagnosis.Options(), form=args.form, hold_out=args.hold_out, without=tuple(args.without), seed=args.seed)
     with _progress() as tell:
         found = diagnosis.diagnose(data, machine, parameters, options, tell)
     for note in data.notes:
@@ -116,7 +114,8 @@ def _print_text(found: diagnosis.Diagnosis) -> None:
     if found.held_out is not None:
         held = found.held_out
         print(
-            f"  held out ({held.rows} rows): rms {held.before.rms:.4g} -> {held.after.rms:.4g}, noise {held.noise_floor_rms:.4g}, "
+            f"  held out ({held.rows} rows): rms {held.before.rms:.4g} -> {held.after.rms:.4g}, "
+            f"noise {held.noise_floor_rms:.4g}, "
             f"gap closed {held.closed_pct:.0f} %"
         )
     for region in document["where"]:  # type: ignore[attr-defined]

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from yieldmon.physics.effects import registry
 from yieldmon.physics.numerics import Array, real
@@ -36,7 +37,7 @@ class Signature:
     def directions(self) -> Array:
         """Unit signatures of the points that can be seen at all, shape (visible, cells)."""
         norm = np.linalg.norm(self.change, axis=1)
-        return self.change[norm > 1e-6] / norm[norm > 1e-6, None]
+        return np.asarray(self.change[norm > 1e-6] / norm[norm > 1e-6, None])
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ def signature(current: Fit, effect: str) -> Signature:
     parameters = effect_parameters(effect, frame.unit)
     points, sizes = _points(parameters)
     values = {p.name: float(v) for p, v in zip(current.parameters, current.x, strict=True)}
-    batch: dict[str, object] = dict(values)
+    batch: dict[str, ArrayLike] = dict(values)
     for i, p in enumerate(parameters):
         batch[p.name] = points[:, i][:, None]
     with_effect = real(predictions(frame, (*current.effects, effect), batch))
@@ -120,7 +121,9 @@ def refit(current: Fit, found: Score, *, starts: int = 1) -> Fit | None:
     parameters = effect_parameters(found.effect, current.frame.unit)
     for size in (1.0, -1.0, 0.3, 3.0)[: max(starts - 1, 0)]:
         options.append({p.name: float(np.clip(p.start + size * (p.typical - p.start), p.lower, p.upper)) for p in parameters})
-    fits = [f for option in options if (f := fit(current.frame, effects, _moved(current, found.effect, values | option))) is not None]
+    fits = [
+        f for option in options if (f := fit(current.frame, effects, _moved(current, found.effect, values | option))) is not None
+    ]
     return min(fits, key=lambda f: f.chi2) if fits else None
 
 
@@ -136,7 +139,9 @@ def only_at_bound(found: Fit, effect: str, allowance: float) -> str:
         if p.name not in found.at_bound or p.name != leading(name, found.frame.unit):
             continue
         if name == effect:
-            inside = fit(found.frame, found.effects, found.values, held={p.name: p.start + 0.75 * (float(v) - p.start)}, iterations=6)
+            inside = fit(
+                found.frame, found.effects, found.values, held={p.name: p.start + 0.75 * (float(v) - p.start)}, iterations=6
+            )
             if inside is not None and inside.chi2 - found.chi2 <= allowance * max(found.chi2 / max(found.dof, 1), 1.0):
                 continue
         needed.append(name)
@@ -159,7 +164,9 @@ def _moved(current: Fit, effect: str, start: dict[str, float]) -> dict[str, floa
     scaled = current.jacobian * scale
     # Damped: the tangent plane is trusted over about one typical size of each parameter.
     count = max(float(np.linalg.norm(scaled, axis=0).max()), 1e-300)
-    step = -np.linalg.lstsq(np.vstack((scaled, 0.02 * count * np.eye(len(scale)))), np.concatenate((residual, 0.0 * scale)), rcond=None)[0]
+    step = -np.linalg.lstsq(
+        np.vstack((scaled, 0.02 * count * np.eye(len(scale)))), np.concatenate((residual, 0.0 * scale)), rcond=None
+    )[0]
     step = np.clip(step, -1.0, 1.0) * scale
     moved = dict(start)
     for p, s in zip(current.parameters, step, strict=True):
@@ -169,11 +176,13 @@ def _moved(current: Fit, effect: str, start: dict[str, float]) -> dict[str, floa
     return moved if np.all(np.isfinite(better)) and trial @ trial < residual @ residual else start
 
 
-def false_alarm(signatures: Iterable[Signature], tangent: Array, noise: Noise, rng: np.random.Generator) -> Callable[[float], float]:
+def false_alarm(
+    signatures: Iterable[Signature], tangent: Array, noise: Noise, rng: np.random.Generator
+) -> Callable[[float], float]:
     """p value of a gain in chi-square when every candidate had its chance and none is true.
 
-    Monte Carlo in the tangent plane of the model without them: the largest gain over all signatures' points, each of one sign, and
-    over the span of those with several parameters; the noise estimate's own uncertainty included.
+    Monte Carlo in the tangent plane of the model without them: the largest gain over all signatures' points, each of one sign,
+    and over the span of those with several parameters; the noise estimate's own uncertainty included.
     """
     chosen = [s for s in signatures if s.directions.size]
     cells = tangent.shape[0]

@@ -1,4 +1,4 @@
-"""The whole workflow: seal rows, fit the published model, find the gap, name effects, prove them on the sealed rows, plan ahead."""
+"""The whole workflow: seal rows, fit the published model, find the gap, name effects, prove them on the sealed rows, plan."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from math import degrees
 
 import numpy as np
+from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
@@ -35,7 +36,7 @@ class Options:
     hold_out: str = "cells"
     without: tuple[str, ...] = ()
     seed: int = 1
-    policy: Policy = Policy(refits=24, exchanges=8)
+    policy: Policy = field(default_factory=lambda: Policy(refits=24, exchanges=8))
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ class Diagnosis:
     base: Fit
     best: Fit
     rows: obs.Rows
-    sealed: Array
+    sealed: NDArray[np.bool_]
     before: Measure
     after: Measure
     held_out: HeldOut | None
@@ -85,7 +86,7 @@ class Diagnosis:
 
     @property
     def verdict(self) -> str:
-        """"effect", "none" or "unknown"."""
+        """ "effect", "none" or "unknown"."""
         return self.choice.verdict
 
     @property
@@ -155,8 +156,8 @@ class Examination:
     noise: Noise
     choice: Choice
     held_out: HeldOut | None
-    sealed: Array
-    outlier: Array
+    sealed: NDArray[np.bool_]
+    outlier: NDArray[np.bool_]
     notes: tuple[str, ...]
 
 
@@ -251,21 +252,23 @@ def _published(
     try:
         base = fit_base(frame)
         if wanted == "auto" and form == "restitution" and "restitution" in base.at_bound:
-            notes.append("restitution ends at its physical bound: the published exchange coefficients k1, k2 are fitted in its place")
+            notes.append(
+                "restitution ends at its physical bound: the published exchange coefficients k1, k2 are fitted in its place"
+            )
             form = "exchange"
             frame = base_frame(grouped, sd, parameters, form)
             base = fit_base(frame)
     except ValueError as error:
         raise InputError(name, str(error), "loads that a paddle of this machine can hold") from error
-    held = [n for n in base.at_bound]
+    held = base.at_bound
     if held:
         notes.append(f"the published model's best fit has {', '.join(held)} at a physical bound")
     return form, frame, base, notes
 
 
 def _open(
-    rows: obs.Rows, sealed: Array, base: Fit, best: Fit, noise: Noise
-) -> tuple[HeldOut | None, Array]:
+    rows: obs.Rows, sealed: NDArray[np.bool_], base: Fit, best: Fit, noise: Noise
+) -> tuple[HeldOut | None, NDArray[np.bool_]]:
     odd = np.zeros(len(rows), dtype=bool)
     if not np.any(sealed):
         return None, odd
@@ -319,7 +322,9 @@ def _noise_notes(noise: Noise, outliers: int) -> list[str]:
         "smooth": "no replicates: noise from the scatter about a smooth surface through the rows",
         "stated": "noise as stated, not measured in this table",
     }[noise.how]
-    form = f"sd = {noise.constant:.4g}" + (f" + {100.0 * noise.proportional:.2g} % of reading (in quadrature)" if noise.proportional else "")
+    form = f"sd = {noise.constant:.4g}" + (
+        f" + {100.0 * noise.proportional:.2g} % of reading (in quadrature)" if noise.proportional else ""
+    )
     return [f"{how}: {form}"] + ([f"{outliers} outlying rows left out"] if outliers else [])
 
 

@@ -68,7 +68,10 @@ def plan(best: Fit, rivals: Sequence[Fit], noise: Noise, *, rows: int = 8) -> Pl
         gains = np.stack([_separation_with(*state) for state in states])
         worst = np.where(usable, np.min(np.minimum(gains, 60.0), axis=0) + 1e-3 * np.mean(gains, axis=0), -np.inf)
         i = int(np.argmax(worst))
+        if not np.isfinite(worst[i]):
+            break
         chosen.append(i)
+        usable[i] = False
         for state in states:
             j, d = state[3][i], state[4][i]
             state[0], state[1], state[2] = state[0] + np.outer(j, j), state[1] + j * d, state[2] + float(d * d)
@@ -94,7 +97,7 @@ def _separation_with(information: Array, moment: Array, square: float, jacobian:
     now = square - float(moment @ inverse @ moment)
     leverage = np.einsum("ij,jk,ik->i", jacobian, inverse, jacobian)
     unexplained = difference - jacobian @ (inverse @ moment)
-    return now + unexplained**2 / (1.0 + leverage)
+    return np.asarray(now + unexplained**2 / (1.0 + leverage))
 
 
 @dataclass(frozen=True)
@@ -123,13 +126,17 @@ def _with_jacobian(fitted: Fit, grid: _Grid) -> tuple[Array, Array]:
     frame = fitted.frame
     model = ForwardModel(frame.cells.rows.machine, fitted.effects, nodes=frame.nodes)
     moisture = float(np.nanmedian(frame.cells.moisture_pct)) if np.any(np.isfinite(frame.cells.moisture_pct)) else np.nan
-    conditions = Conditions(grid.plate_angle_rad, grid.elevator_speed_rad_s, mass_flow_kg_s=grid.mass_flow_kg_s, moisture_pct=moisture)
+    conditions = Conditions(
+        grid.plate_angle_rad, grid.elevator_speed_rad_s, mass_flow_kg_s=grid.mass_flow_kg_s, moisture_pct=moisture
+    )
     if not np.isfinite(moisture):
         conditions = replace(conditions, moisture_pct=None)
     evaluate = model.force if frame.cells.rows.of == "force" else model.paddle_momentum
     names = [p.name for p in fitted.parameters]
     moved = fitted.x[:, None] + 1j * COMPLEX_STEP * np.eye(len(names))
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        values = np.asarray(evaluate(conditions, dict(frame.fixed) | {n: moved[i][:, None] for i, n in enumerate(names)}, overfull="nan"))
+        values = np.asarray(
+            evaluate(conditions, dict(frame.fixed) | {n: moved[i][:, None] for i, n in enumerate(names)}, overfull="nan")
+        )
     values = np.broadcast_to(values, (len(names), len(grid.mass_flow_kg_s)))
     return real(values[0]), np.nan_to_num(np.imag(values).T / COMPLEX_STEP)

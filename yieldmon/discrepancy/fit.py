@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.effects import registry
@@ -19,7 +20,7 @@ from yieldmon.physics.numerics import COMPLEX_STEP, Array, real
 from .observations import Cells, Rows
 
 SEARCH_NODES = 12
-#: Physical bounds of the published model's parameters (PHYSICAL ranges of the source thesis); k1 and k2 in the reading's unit.
+#: Physical bounds of the published model's parameters (ranges of the source thesis); k1 and k2 in the reading's unit.
 BOUNDS = {"friction": (0.0, 1.0), "density": (750.0, 2000.0), "restitution": (0.0, 1.0)}
 _REFERENCE_FORCE_N = 60.0
 """Largest force of a table in N for which the effects' own bounds in N are meant."""
@@ -61,7 +62,10 @@ class Frame:
 
 @dataclass(frozen=True)
 class Fit:
-    """A model with `effects` at its least chi-square: residual = (prediction - mean) / sd, shape (cells,); jacobian (cells, free)."""
+    """A model with `effects` at its least chi-square.
+
+    residual: (prediction - mean) / sd, shape (cells,); jacobian: its derivatives, shape (cells, parameters).
+    """
 
     effects: tuple[str, ...]
     parameters: tuple[Parameter, ...]
@@ -139,7 +143,7 @@ def effect_parameters(effect: str, unit: float) -> tuple[Parameter, ...]:
     return tuple(out)
 
 
-def predictions(frame: Frame, effects: Iterable[str], values: Mapping[str, object]) -> Array:
+def predictions(frame: Frame, effects: Iterable[str], values: Mapping[str, ArrayLike]) -> Array:
     """Prediction for each cell of the frame, shape (..., cells); values are numbers or carry leading axes of shape (..., 1)."""
     cells = frame.cells
     model = ForwardModel(cells.rows.machine, effects, nodes=frame.nodes)
@@ -148,7 +152,9 @@ def predictions(frame: Frame, effects: Iterable[str], values: Mapping[str, objec
     conditions = Conditions(
         grid.plate_angle_rad, grid.elevator_speed_rad_s, moisture_pct=grid.moisture_pct, **{cells.rows.load_name: grid.load}
     )
-    spread = {name: np.asarray(v)[..., None] if np.ndim(v) else np.asarray(v) for name, v in (dict(frame.fixed) | dict(values)).items()}
+    spread = {
+        name: np.asarray(v)[..., None] if np.ndim(v) else np.asarray(v) for name, v in (dict(frame.fixed) | dict(values)).items()
+    }
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         out = np.asarray(evaluate(conditions, spread, overfull="nan"))
     return out.reshape(*out.shape[:-2], -1)[..., grid.place]
@@ -165,7 +171,8 @@ def fit(
 ) -> Fit | None:
     """Least squares from one start (base and null values where `start` is silent); None where no start fits on the paddles.
 
-    held: parameters that may not move from the given values. Ends when a step gains less than `tolerance` in chi-square relative to 1 + chi2 / dof.
+    held: parameters that may not move from the given values. Ends when a step gains less than `tolerance` in chi-square relative
+    to 1 + chi2 / dof.
     """
     effects = tuple(effects)
     parameters = frame.base + tuple(p for e in effects for p in effect_parameters(e, frame.unit))
@@ -225,7 +232,7 @@ def fit(
 
 
 def base_frame(cells: Cells, sd: Array, parameters: ParameterSet, form: str) -> Frame:
-    """Frame for the published model in `form` ("restitution" or "exchange"), with friction and density free and the shape ratio fixed.
+    """Frame for the published model in `form` ("restitution" or "exchange"); friction and density free, the shape ratio fixed.
 
     Bounds are physical, widened where the given parameters already lie outside.
     """
@@ -250,7 +257,9 @@ def fit_base(frame: Frame, effects: tuple[str, ...] = ()) -> Fit:
     gain_names = [n for n in names if n in ("restitution", "k1", "k2")]
     for friction in (0.1, 0.45, 0.85):
         for density in (800.0, 1200.0, 1800.0):
-            starts.append({"friction": friction, "density": density} | {p.name: p.start for p in frame.base if p.name in gain_names})
+            starts.append(
+                {"friction": friction, "density": density} | {p.name: p.start for p in frame.base if p.name in gain_names}
+            )
     found = []
     for start in starts:
         linear = _solve_gain(frame, effects, start)
@@ -264,7 +273,7 @@ def fit_base(frame: Frame, effects: tuple[str, ...] = ()) -> Fit:
 
 
 def _solve_gain(frame: Frame, effects: tuple[str, ...], start: dict[str, float]) -> tuple[float, dict[str, float]] | None:
-    """chi2 and start with the gain (1 + e, or k1 and k2) that is best at this friction and density; the reading is linear in it."""
+    """chi2 and start with the best gain (1 + e, or k1 and k2) at this friction and density; the reading is linear in it."""
     y = frame.cells.mean / frame.sd
     if "restitution" in start:
         unit = real(predictions(frame, effects, start | {"restitution": 0.0})) / frame.sd

@@ -11,13 +11,14 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
 from yieldmon.physics.numerics import Array
 
 from .fit import Fit
 from .noise import Noise
-from .observations import Rows, cluster
+from .observations import SAME_ANGLE_RAD, SAME_LOAD, SAME_SPEED, Rows, cluster
 
 DRAWS = 2000
 
@@ -77,12 +78,13 @@ def where(fit: Fit, noise: Noise, rng: np.random.Generator, *, level: float = 0.
     """Windows in which the residuals sum to more than chance anywhere allows, strongest first, none overlapping."""
     cells = fit.frame.cells
     fill = fills(fit)
-    axes = (
-        (cells.plate_angle_rad, _steps(cells.plate_angle_rad, 0.25 * np.pi / 180.0, 11)),
-        (fill, _steps(np.log(np.maximum(fill, 1e-9)), 0.03, 6)),
-        (cells.elevator_speed_rad_s, _steps(np.log(cells.elevator_speed_rad_s), 0.01, 5)),
+    windows = _windows(
+        [
+            _steps(cells.plate_angle_rad, SAME_ANGLE_RAD, 11),
+            _steps(np.log(np.maximum(fill, 1e-9)), SAME_LOAD, 6),
+            _steps(np.log(cells.elevator_speed_rad_s), SAME_SPEED, 5),
+        ]
     )
-    windows = _windows([numbers for _, numbers in axes])
     tangent = fit.tangent()
     projected = windows - (windows @ tangent) @ tangent.T
     norm = np.linalg.norm(projected, axis=1)
@@ -106,7 +108,9 @@ def where(fit: Fit, noise: Noise, rng: np.random.Generator, *, level: float = 0.
         mean = float(np.mean(cells.mean[inside] / fit.frame.sd[inside]))
         out.append(
             Region(
-                *((float(v[inside].min()), float(v[inside].max())) for v, _ in axes),
+                _span(cells.plate_angle_rad[inside]),
+                _span(fill[inside]),
+                _span(cells.elevator_speed_rad_s[inside]),
                 100.0 * error / (mean if abs(mean) > 1.0 else largest_ratio),
                 p,
                 tuple(int(j) for j in np.flatnonzero(inside)),
@@ -124,15 +128,19 @@ def _noise_draws(cells: int, noise: Noise, rng: np.random.Generator) -> list[Arr
     return blocks
 
 
-def _steps(values: Array, width: float, most: int) -> Array:
+def _span(values: Array) -> tuple[float, float]:
+    return float(values.min()), float(values.max())
+
+
+def _steps(values: Array, width: float, most: int) -> NDArray[np.int64]:
     numbers = cluster(values, width)
     if numbers.max() < most:
         return numbers
     edges = np.quantile(values, np.linspace(0.0, 1.0, most + 1)[1:-1])
-    return np.searchsorted(edges, values, side="right")
+    return np.asarray(np.searchsorted(edges, values, side="right"), dtype=np.int64)
 
 
-def _windows(axes: list[Array]) -> Array:
+def _windows(axes: list[NDArray[np.int64]]) -> Array:
     """Indicator of each distinct window with at least 2 and less than all cells, shape (windows, cells)."""
     spans = []
     for numbers in axes:

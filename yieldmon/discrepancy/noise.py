@@ -22,7 +22,7 @@ _MIN_REPLICATE_DOF = 8
 
 @dataclass(frozen=True)
 class Noise:
-    """sd of one row: sqrt(constant^2 + (proportional y)^2); dof behind it; how it was found ("replicates", "smooth", "stated")."""
+    """sd of one row: sqrt(constant^2 + (proportional y)^2), with dof behind it; how: "replicates", "smooth" or "stated"."""
 
     constant: float
     proportional: float
@@ -169,6 +169,9 @@ def _surface(rows: Rows, count: int) -> Array | None:
     for total in (7, 6, 5, 4, 3, 2):
         powers = [p for p in product(*(range(d + 1) for d in degrees)) if sum(p) <= total]
         if len(powers) <= 0.5 * count:
-            columns = [np.prod([np.polynomial.chebyshev.chebval(s, [0.0] * k + [1.0]) for s, k in zip(scaled, p, strict=True)], axis=0) for p in powers]
+            columns = [
+                np.prod([np.polynomial.chebyshev.chebval(s, [0.0] * k + [1.0]) for s, k in zip(scaled, p, strict=True)], axis=0)
+                for p in powers
+            ]
             return np.stack(columns, axis=-1)
     return None

@@ -185,19 +185,17 @@ def with_cells(rows: Rows) -> Rows:
 
 def cells(rows: Rows) -> Cells:
     """Means and scatter of the rows that repeat one condition."""
-    count = np.bincount(rows.cell).astype(float)
+    count: Array = np.bincount(rows.cell).astype(np.float64)
 
     def mean(values: Array) -> Array:
-        return np.bincount(rows.cell, values) / count
+        return np.asarray(np.bincount(rows.cell, values) / count)
 
     average = mean(rows.value)
     angle, speed, load, moisture = (
         mean(v) for v in (rows.plate_angle_rad, rows.elevator_speed_rad_s, rows.load, rows.moisture_pct)
     )
-    scatter = np.bincount(rows.cell, (rows.value - average[rows.cell]) ** 2)
-    return Cells(
-        rows, angle, speed, load, moisture, average, count, scatter, lay_out(angle, speed, load, moisture)
-    )
+    scatter = np.asarray(np.bincount(rows.cell, (rows.value - average[rows.cell]) ** 2), dtype=np.float64)
+    return Cells(rows, angle, speed, load, moisture, average, count, scatter, lay_out(angle, speed, load, moisture))
 
 
 def lay_out(angle: Array, speed: Array, load: Array, moisture: Array) -> Layout:

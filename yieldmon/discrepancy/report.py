@@ -51,7 +51,8 @@ def summary(diagnosis: Diagnosis) -> str:
     before = diagnosis.before.rms_over_max_pct
     if diagnosis.verdict == "none":
         return (
-            f"The model fits these measurements as well as they repeat (error {before:.1f} % of the largest reading). Nothing to mend."
+            f"The model fits these measurements as well as they repeat (error {before:.1f} % of the largest reading). "
+            "Nothing to mend."
         )
     if diagnosis.verdict == "unknown":
         return (
@@ -91,7 +92,14 @@ def _residual_map(fitted: Fit, title: str) -> bytes:
     limit = max(float(np.max(np.abs(error))), 0.5)
     spread = 0.6 * (cells.elevator_speed_rad_s / np.median(cells.elevator_speed_rad_s) - 1.0)
     points = axes.scatter(
-        np.degrees(cells.plate_angle_rad) + 6.0 * spread, cells.load, c=error, cmap="RdBu_r", vmin=-limit, vmax=limit, s=110, edgecolors="0.4"
+        np.degrees(cells.plate_angle_rad) + 6.0 * spread,
+        cells.load,
+        c=error,
+        cmap="RdBu_r",
+        vmin=-limit,
+        vmax=limit,
+        s=110,
+        edgecolors="0.4",
     )
     axes.set_xlabel("plate angle, deg")
     axes.set_ylabel("mass flow, kg/s" if cells.rows.load_name == "mass_flow_kg_s" else "mass per paddle, kg")
@@ -153,7 +161,8 @@ def _page(diagnosis: Diagnosis, title: str, pictures: dict[str, bytes]) -> str:
     if diagnosis.correction is not None:
         parts.append(
             "<h2>Stop-gap</h2><p>A Gaussian-process correction over "
-            f"{e(', '.join(diagnosis.correction.axes))} takes up {diagnosis.correction.closed_pct:.0f} % of the excess on cells left out. "
+            f"{e(', '.join(diagnosis.correction.axes))} takes up {diagnosis.correction.closed_pct:.0f} % "
+            "of the excess on cells left out. "
             "It names no cause and holds only where these rows lie.</p>"
         )
     return "\n".join(parts) + "</html>\n"
@@ -163,7 +172,8 @@ def _gap_table(diagnosis: Diagnosis) -> str:
     rows = [("all rows", diagnosis.before, diagnosis.after)]
     if diagnosis.held_out is not None:
         rows.append((f"{diagnosis.held_out.rows} held-out rows", diagnosis.held_out.before, diagnosis.held_out.after))
-    out = "<table><tr><th></th><th>rms before</th><th>rms after</th><th>% of max before</th><th>after</th><th>F before</th><th>F after</th></tr>"
+    head = ("", "rms before", "rms after", "% of max before", "after", "F before", "F after")
+    out = "<table><tr>" + "".join(f"<th>{h}</th>" for h in head) + "</tr>"
     for name, before, after in rows:
         f = [f"{m.lack_of_fit_f:.2f}" if m.lack_of_fit_f is not None else "" for m in (before, after)]
         out += (

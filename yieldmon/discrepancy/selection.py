@@ -185,9 +185,7 @@ def merit(candidate: Fit, scale: float, policy: Policy) -> float:
     return candidate.chi2 / scale + cost
 
 
-def _admissible(
-    found: tuple[Candidate, ...], current: Fit, policy: Policy, *, first: bool, excess: float
-) -> list[Candidate]:
+def _admissible(found: tuple[Candidate, ...], current: Fit, policy: Policy, *, first: bool, excess: float) -> list[Candidate]:
     groups = current.frame.cells.groups()
     before = float(np.mean(list(grouped_error(current, groups).values()) or [np.nan]))
     out = []
@@ -268,7 +266,9 @@ def _steps(
     return tuple(steps), tuple(all_rivals)
 
 
-def _stability(chosen: Fit, rivals: list[Fit], tied: list[bool], noise: Noise, rng: np.random.Generator, draws: int = 400) -> float:
+def _stability(
+    chosen: Fit, rivals: list[Fit], tied: list[bool], noise: Noise, rng: np.random.Generator, draws: int = 400
+) -> float:
     """Share of bootstrap samples of the chosen model in which it, or one tied with it, is still the best."""
     if not rivals:
         return 1.0

@@ -1,7 +1,7 @@
 """A correction for a gap that no effect explains: a stop-gap, labelled as one, that holds only where data were taken.
 
 Relative correction of the fitted model as a Gaussian process over plate angle and fill (and speed where it varied), after
-Kennedy and O'Hagan, "Bayesian calibration of computer models", J. R. Stat. Soc. B 63 (2001). Length scales by marginal likelihood.
+Kennedy and O'Hagan, "Bayesian calibration of computer models", J. R. Stat. Soc. B 63 (2001). Lengths by marginal likelihood.
 """
 
 from __future__ import annotations
@@ -75,4 +75,4 @@ def correction(fit: Fit) -> Correction:
 
 def _kernel(a: Array, b: Array, length: float, size: float) -> Array:
     distance2 = np.sum(((a[:, None, :] - b[None, :, :]) / length) ** 2, axis=-1)
-    return size**2 * np.exp(-0.5 * distance2)
+    return np.asarray(size**2 * np.exp(-0.5 * distance2))

@@ -1,0 +1,75 @@
+"""Rows made by the study's own generator, which shares no code with the forward model."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
+
+from hidden_effects import generator
+
+from yieldmon.discrepancy.observations import Rows, with_cells
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.physics.machine import Machine
+
+GRAIN = generator.Grain(friction=0.3, restitution=0.55, density=1150.0)
+START = {"friction": 0.2, "density": 1100.0, "shape_ratio": 2.0, "restitution": 0.6}
+
+
+@pytest.fixture
+def start() -> ParameterSet:
+    return ParameterSet(values=START)
+
+
+@pytest.fixture
+def make_rows() -> Callable[..., Rows]:
+    """make_rows(effects, seed=, noise=, speeds_rpm=, repeats=, alter=): 6 angles x 4 flows x speeds x repeats."""
+
+    def make(
+        effects: dict[str, float] | None = None,
+        *,
+        seed: int = 5,
+        noise: float = 0.01,
+        speeds_rpm: tuple[float, ...] = (340.0, 400.0, 460.0),
+        repeats: int = 3,
+        alter: Callable[..., np.ndarray] | None = None,
+    ) -> Rows:
+        speed, flow, repeat, angle = (
+            a.ravel()
+            for a in np.meshgrid(
+                np.array(speeds_rpm) * generator.RPM,
+                [1.5, 5.0, 10.0, 18.0],
+                np.arange(repeats),
+                np.radians(np.arange(40.0, 91.0, 10.0)),
+                indexing="ij",
+            )
+        )
+        moisture = np.full(angle.shape, np.nan)
+        force = generator.force(angle, speed, flow, np.full(angle.shape, 15.0), GRAIN, effects or {})
+        if alter is not None:
+            force = alter(force, angle, speed, flow)
+        sd = noise * np.hypot(np.abs(force), 0.1 * np.max(force))
+        force = force + sd * np.random.default_rng(seed).standard_normal(force.shape)
+        return with_cells(
+            Rows(
+                Machine(),
+                "mass_flow_kg_s",
+                "force",
+                True,
+                angle,
+                speed,
+                flow,
+                moisture,
+                force,
+                np.full(angle.shape, np.nan),
+                tuple(str(int(r)) for r in repeat),
+                np.zeros(angle.size, dtype=np.int64),
+            )
+        )
+
+    return make

@@ -1,0 +1,114 @@
+"""`yieldmon diagnose`: the document, adoption and its way back, the report, and errors of one line."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from yieldmon.cli.main import main
+from yieldmon.files import parameter_file
+
+DATA = Path(__file__).resolve().parents[1] / "data"
+
+
+@pytest.fixture(scope="module")
+def offset_table(tmp_path_factory) -> Path:
+    """A table with a zero offset of 4 N, from the generator."""
+    from hidden_effects import generator
+
+    speed, flow, _, angle = (
+        a.ravel()
+        for a in np.meshgrid([41.9, 48.0], [2.0, 6.0, 14.0], [1, 2, 3], np.radians(np.arange(40.0, 91.0, 10.0)), indexing="ij")
+    )
+    force = generator.force(angle, speed, flow, np.full(angle.shape, 15.0), generator.Grain(0.3, 0.55, 1150.0), {"zero_offset": 4.0})
+    force = force * (1.0 + 0.01 * np.random.default_rng(4).standard_normal(force.shape))
+    path = tmp_path_factory.mktemp("tables") / "offset.csv"
+    rows = [f"{np.degrees(a):.6g},{q:.6g},{s / generator.RPM:.8g},{f:.8g}" for a, q, s, f in zip(angle, flow, speed, force, strict=True)]
+    path.write_text("plate_angle_deg,mass_flow_kg_s,elevator_speed_rpm,force_n\n" + "\n".join(rows) + "\n")
+    return path
+
+
+def test_dem_table(capsys) -> None:
+    """The published discrete-element table: the published model's gap closes with at most three effects."""
+    assert main(["diagnose", str(DATA / "dem_table.csv"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["verdict"] == "effect"
+    assert 1 <= len(found["effects"]) <= 3
+    assert found["gap"]["before"]["lack_of_fit_f"] > 12.0
+    assert found["gap"]["after"]["lack_of_fit_f"] <= 2.5
+    assert found["gap"]["closed_pct"] >= 60.0
+    assert set(found["gap"]["before"]) >= {"rms", "rms_over_max_pct", "lack_of_fit_f", "p_value"}
+    assert set(found["effects"][0]) == {"name", "stage", "parameters", "confidence", "equivalent"}
+    assert found["next_experiment"]["rows"]
+    assert set(found["next_experiment"]["rows"][0]) == {"plate_angle_deg", "mass_flow_kg_s", "elevator_speed_rpm"}
+
+
+def test_adopt_plan_report_and_rollback(offset_table: Path, tmp_path: Path, capsys) -> None:
+    params, plan, report = tmp_path / "p.yaml", tmp_path / "next.csv", tmp_path / "report"
+    params.write_bytes((DATA.parents[1] / "config/parameters/corn.yaml").read_bytes())
+    parent = params.read_bytes()
+    code = main(
+        ["diagnose", str(offset_table), "--params", str(params), "--adopt", str(params), "--plan", str(plan), "--report", str(report)]
+    )
+    said = capsys.readouterr()
+    assert code == 0
+    assert "verdict: effect" in said.out
+    adopted = parameter_file.load(params)
+    assert adopted.effects == ("zero_offset",)
+    assert (adopted.version, adopted.provenance["parent_version"]) == (2, "1")
+    assert re.fullmatch("[0-9a-f]{64}", adopted.provenance["data_sha256"])
+    assert float(adopted.provenance["gap_before_rms"]) > float(adopted.provenance["gap_after_rms"])
+    assert plan.read_text().startswith("plate_angle_deg,mass_flow_kg_s,elevator_speed_rpm,repeats\n")
+    assert "angles_deg: [" in plan.with_suffix(".sweep.yaml").read_text()
+    page = (report / "index.html").read_text()
+    assert "zero-load reading" in page
+    assert not re.search(r'(src|href)="(?!data:)', page)
+    assert {p.name for p in report.glob("*.png")} == {"where.png", "after.png", "profiles.png", "ranking.png"}
+
+    assert main(["diagnose", "--rollback", str(params)]) == 0
+    assert params.read_bytes() == parent
+    assert parameter_file.load(params.with_name("p.v2.rolled-back.yaml")).effects == ("zero_offset",)
+
+
+def test_rollback_refuses_an_altered_parent(offset_table: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "p.yaml"
+    assert main(["diagnose", str(offset_table), "--adopt", str(out), "--hold-out", "trials"]) == 0
+    before = out.read_bytes()
+    copy = tmp_path / "p.v1.parent.yaml"
+    copy.write_text(copy.read_text() + "# touched\n")
+    assert main(["diagnose", "--rollback", str(out)]) == 2
+    assert "is not the parent" in capsys.readouterr().err
+    assert out.read_bytes() == before
+
+
+def test_report_without_matplotlib_says_what_to_install(offset_table: Path, tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert main(["diagnose", str(offset_table), "--report", str(tmp_path / "r")]) == 2
+    assert "pip install 'yieldmon[plot]'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ([], "no table given"),
+        (["{table}", "--without", "ghost"], "'ghost' is no effect"),
+        (["{table}", "--hold-out", "plate_angle_deg=12"], "holds out 0 of"),
+        (["no-such.csv"], "no-such.csv"),
+        (["{few}"], "has 3 rows"),
+        (["--rollback", "{params}"], "names no parent"),
+    ],
+)
+def test_bad_input_gets_one_line(arguments: list[str], says: str, offset_table: Path, tmp_path: Path, capsys) -> None:
+    few = tmp_path / "few.csv"
+    few.write_text("plate_angle_deg,mass_flow_kg_s,force_n\n40,5,10\n60,5,20\n80,5,30\n")
+    names = {"table": offset_table, "few": few, "params": DATA.parents[1] / "config/parameters/corn.yaml"}
+    assert main(["diagnose", *(a.format(**names) for a in arguments)]) == 2
+    error = capsys.readouterr().err.strip()
+    assert says in error
+    assert error.startswith("yieldmon: ")
+    assert len(error.splitlines()) == 1

@@ -1,0 +1,130 @@
+"""What is hidden is named, what is not is not, and the sealed rows prove it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from yieldmon.discrepancy import diagnosis, experiment
+from yieldmon.discrepancy.selection import Policy
+from yieldmon.physics.machine import Machine
+from yieldmon.physics.model import ForwardModel
+
+QUICK = diagnosis.Options(policy=Policy(refits=8, exchanges=4, beam=2))
+
+
+@pytest.mark.parametrize(
+    ("effect", "size"),
+    [
+        ("zero_offset", 4.0),
+        ("plate_angle_offset", 0.06),
+        ("release_angle", -0.12),
+        ("plate_friction", 0.3),
+        ("resting_grain", 0.1),
+        ("gravity", 9.81),
+        ("speed_dependent_shape", -1.0),
+    ],
+)
+def test_a_hidden_effect_is_named_and_the_gap_closes(make_rows, start, effect: str, size: float) -> None:
+    seen = diagnosis.examine(make_rows({effect: size}), start, QUICK)
+    assert seen.choice.verdict == "effect"
+    first = seen.choice.steps[0]
+    assert effect in (first.added, *first.equivalent)
+    assert len(first.equivalent) <= 3
+    assert first.confidence > 0.5
+    assert seen.held_out.closed_pct > 50.0
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_clean_data_raise_no_alarm(make_rows, start, seed: int) -> None:
+    assert diagnosis.examine(make_rows(seed=seed), start, QUICK).choice.verdict == "none"
+
+
+OUTSIDE = {
+    "resonance in speed": lambda force, angle, speed, flow: force * np.where(np.abs(speed - 41.9) < 1.0, 1.1, 1.0),
+    "bracket that yields in one range of angle": lambda force, angle, speed, flow: force
+    * (1.0 - 0.12 * np.exp(-(((np.degrees(angle) - 65.0) / 6.0) ** 4))),
+}
+
+
+@pytest.mark.parametrize("kind", OUTSIDE)
+def test_what_no_candidate_describes_stays_unknown(make_rows, start, kind: str) -> None:
+    found = diagnosis.diagnose_rows(make_rows(alter=OUTSIDE[kind]), start, QUICK)
+    assert found.verdict == "unknown"
+    assert found.choice.named == ()
+    assert found.correction.closed_pct > 50.0
+    document = diagnosis.to_document(found)
+    assert document["effects"] == []
+    assert "names no cause" in document["stop_gap"]["kind"]
+
+
+def test_two_effects_are_both_named(make_rows, start) -> None:
+    rows = make_rows({"zero_offset": 4.0, "plate_friction": 0.3})
+    assert set(diagnosis.examine(rows, start, QUICK).choice.named) == {"zero_offset", "plate_friction"}
+
+
+def test_an_effect_taken_out_of_the_library_is_never_named(make_rows, start) -> None:
+    options = replace(QUICK, without=("zero_offset",))
+    seen = diagnosis.examine(make_rows({"zero_offset": 4.0}), start, options)
+    assert all("zero_offset" not in (c.effect, *c.fit.effects) for c in seen.choice.looked_at)
+    assert seen.choice.verdict == "unknown"
+
+
+def test_sealed_rows_are_not_fitted(make_rows, start) -> None:
+    """Whatever stands in the sealed rows, the choice and its parameters are the same."""
+    rows = make_rows({"zero_offset": 4.0})
+    first = diagnosis.examine(rows, start, QUICK)
+    spoilt = replace(rows, value=np.where(first.sealed, -5.0 * rows.value, rows.value))
+    second = diagnosis.examine(spoilt, start, QUICK)
+    assert first.choice.best.values == second.choice.best.values
+    assert first.held_out.after.rms != second.held_out.after.rms
+
+
+def test_the_same_seed_gives_the_same_document(make_rows, start) -> None:
+    rows = make_rows({"release_angle": -0.12}, speeds_rpm=(400.0,))
+    documents = [json.dumps(diagnosis.to_document(diagnosis.diagnose_rows(rows, start, QUICK))) for _ in range(2)]
+    assert documents[0] == documents[1]
+
+
+def test_a_sensor_unit_takes_the_exchange_form(make_rows, start) -> None:
+    rows = make_rows({"plate_angle_offset": 0.06})
+    rows = replace(rows, value=40.0 * rows.value, of="momentum", si=False)
+    seen = diagnosis.examine(rows, start, QUICK)
+    assert seen.form == "exchange"
+    assert "k1" in seen.choice.base.values
+
+
+def test_ties_come_with_rows_that_separate_them(make_rows, start) -> None:
+    """At one speed a turned jet is the same whether released early or already moving outward."""
+    found = diagnosis.diagnose_rows(make_rows({"release_angle": -0.06}, speeds_rpm=(400.0,), noise=0.02), start, QUICK)
+    assert found.choice.rivals
+    machine = Machine()
+    for row in found.plan.rows:
+        assert machine.min_plate_angle_rad - 1e-9 <= row.plate_angle_rad <= machine.max_plate_angle_rad + 1e-9
+        assert machine.min_elevator_speed_rad_s <= row.elevator_speed_rad_s <= machine.max_elevator_speed_rad_s
+        assert row.mass_flow_kg_s > 0.0
+    more = experiment.plan(found.choice.best, found.choice.rivals, found.noise, rows=16)
+    assert 0.0 < found.plan.power <= more.power <= 1.0
+    pairs = {name for pair in found.plan.separates for name in pair}
+    assert pairs & set(found.choice.steps[0].equivalent)
+
+
+def test_adopted_parameters_predict_what_was_fitted(make_rows, start) -> None:
+    found = diagnosis.diagnose_rows(make_rows({"zero_offset": 4.0}), start, QUICK)
+    adopted = diagnosis.adopted(found, start, {"parent": "x"})
+    assert adopted.version == start.version + 1
+    assert adopted.effects == ("zero_offset",)
+    model = ForwardModel(Machine(), adopted.effects)
+    cells = found.best.frame.cells
+    np.testing.assert_allclose(model.force(cells.conditions(), adopted.values), found.best.predict(cells.conditions()), rtol=1e-12)
+    sd = adopted.standard_deviation("zero_offset.force_n")
+    assert abs(adopted.values["zero_offset.force_n"] - 4.0) < 4.0 * sd
+
+
+def test_nothing_is_adopted_without_a_name(make_rows, start) -> None:
+    found = diagnosis.diagnose_rows(make_rows(), start, QUICK)
+    with pytest.raises(ValueError, match="only a named effect"):
+        diagnosis.adopted(found, start, {})

@@ -1,0 +1,99 @@
+"""The fit, its tangent plane, and the tests that are built on it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.optimize import least_squares
+
+from yieldmon.discrepancy import crossvalidation, fit, gap, noise, observations
+
+
+@pytest.fixture
+def frame(make_rows, start) -> fit.Frame:
+    rows = make_rows({"zero_offset": 3.0})
+    cells = observations.cells(rows)
+    found, _ = noise.estimate(rows)
+    return fit.base_frame(cells, found.sd(cells.mean) / np.sqrt(cells.count), start, "restitution")
+
+
+def test_it_is_the_minimum_that_scipy_finds(frame) -> None:
+    ours = fit.fit(frame, ("zero_offset",), tolerance=1e-9)
+    names = [p.name for p in ours.parameters]
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        return (np.real(fit.predictions(frame, ("zero_offset",), dict(zip(names, x, strict=True)))) - frame.cells.mean) / frame.sd
+
+    scale = [p.scale for p in ours.parameters]
+    bounds = ([p.lower for p in ours.parameters], [p.upper for p in ours.parameters])
+    theirs = least_squares(residual, [0.25, 1000.0, 0.5, 1.0], x_scale=scale, bounds=bounds, xtol=1e-12, ftol=1e-12)
+    assert ours.chi2 == pytest.approx(2.0 * theirs.cost, rel=1e-5)
+    np.testing.assert_allclose(ours.x, theirs.x, rtol=2e-2)
+
+
+def test_it_finds_the_hidden_values(frame) -> None:
+    found = fit.fit(frame, ("zero_offset",)).values
+    assert found["zero_offset.force_n"] == pytest.approx(3.0, abs=0.2)
+    assert found["friction"] == pytest.approx(0.3, abs=0.05)
+
+
+def test_laid_out_prediction_is_the_row_by_row_one(frame) -> None:
+    fitted = fit.fit_base(frame)
+    np.testing.assert_allclose(fitted.residual * frame.sd + frame.cells.mean, fitted.predict(frame.cells.conditions()), rtol=1e-5)
+
+
+def test_bounds_hold(frame) -> None:
+    narrow = replace(frame, base=tuple(replace(p, upper=0.1, start=0.05) if p.name == "friction" else p for p in frame.base))
+    fitted = fit.fit_base(narrow)
+    assert fitted.values["friction"] <= 0.1
+    assert "friction" in fitted.at_bound
+
+
+def test_leaving_a_group_out_in_the_tangent_plane_is_a_refit(frame) -> None:
+    fitted = fit.fit(frame, ("zero_offset",), tolerance=1e-9)
+    numbers = frame.cells.groups()["plate_angle"]
+    quick = crossvalidation.left_out_residual(fitted, numbers)
+    out = numbers == 2
+    heavy = frame.sd.copy()
+    heavy[out] *= 1e4
+    refitted = fit.fit(replace(frame, sd=heavy), ("zero_offset",), fitted.values, tolerance=1e-9)
+    true = refitted.residual[out] * heavy[out] / frame.sd[out]
+    np.testing.assert_allclose(quick[out], true, atol=0.05 + 0.02 * np.max(np.abs(true)))
+
+
+def test_the_f_ratio_has_its_distribution_under_a_full_bootstrap(make_rows, start) -> None:
+    """60 tables of the published model itself, each with its own noise estimate and nonlinear refit (seeds 0 to 59)."""
+    p_values = []
+    for seed in range(60):
+        rows = make_rows(seed=seed, speeds_rpm=(400.0,))
+        found, odd = noise.estimate(rows)
+        cells = observations.cells(rows.take(~odd))
+        frame = fit.base_frame(cells, found.sd(cells.mean) / np.sqrt(cells.count), start, "restitution")
+        p_values.append(gap.lack_of_fit(fit.fit(frame, ()), found).p_value)
+    assert stats.kstest(p_values, "uniform").pvalue > 0.01
+    assert np.mean(np.array(p_values) < 0.05) <= 0.15
+
+
+def test_where_finds_the_region_and_its_sign(make_rows, start) -> None:
+    rows = make_rows(alter=lambda f, angle, speed, flow: f * np.where((angle > 1.1) & (angle < 1.3) & (flow > 4.0), 0.9, 1.0))
+    found, _ = noise.estimate(rows)
+    cells = observations.cells(rows)
+    frame = fit.base_frame(cells, found.sd(cells.mean) / np.sqrt(cells.count), start, "restitution")
+    regions = gap.where(fit.fit_base(frame), found, np.random.default_rng(0))
+    assert regions[0].p_value < 0.01
+    assert np.degrees(regions[0].plate_angle_rad) == pytest.approx([70.0, 70.0])
+    assert regions[0].mean_error_pct == pytest.approx(8.0, abs=3.5)
+
+
+def test_where_is_silent_on_clean_data(make_rows, start) -> None:
+    alarms = 0
+    for seed in range(12):
+        rows = make_rows(seed=100 + seed, speeds_rpm=(400.0,))
+        found, _ = noise.estimate(rows)
+        cells = observations.cells(rows)
+        frame = fit.base_frame(cells, found.sd(cells.mean) / np.sqrt(cells.count), start, "restitution")
+        alarms += bool(gap.where(fit.fit(frame, ()), found, np.random.default_rng(seed)))
+    assert alarms <= 2

@@ -1,0 +1,80 @@
+"""Noise from replicates, from a smooth surface, as stated; outliers by majority and by surface."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from yieldmon.discrepancy import noise, observations
+
+
+def test_replicates_give_both_parts_of_the_noise(make_rows) -> None:
+    rows = make_rows(noise=0.02, repeats=6)
+    found, outlier = noise.estimate(rows)
+    assert found.how == "replicates"
+    assert not np.any(outlier)
+    level = np.array([0.1, 0.5, 1.0]) * rows.value.max()
+    np.testing.assert_allclose(found.sd(level), 0.02 * np.hypot(level, 0.1 * rows.value.max()), rtol=0.2)
+
+
+def test_even_noise_is_kept_as_one_number(make_rows) -> None:
+    rows = make_rows(noise=0.0)
+    rows = replace(rows, value=rows.value + 1.5 * np.random.default_rng(3).standard_normal(len(rows)))
+    found, _ = noise.estimate(rows)
+    assert found.proportional == 0.0
+    assert found.constant == pytest.approx(1.5, rel=0.15)
+
+
+@pytest.mark.parametrize("repeats", [2, 3, 6])
+def test_an_outlier_is_left_out_and_nothing_else(make_rows, repeats: int) -> None:
+    rows = make_rows(repeats=repeats)
+    value = rows.value.copy()
+    value[17] += 0.3 * value.max()
+    _, outlier = noise.estimate(replace(rows, value=value))
+    assert np.flatnonzero(outlier).tolist() == [17]
+
+
+def test_two_outliers_that_agree_do_not_outvote_the_truth(make_rows) -> None:
+    rows = make_rows(repeats=3)
+    places = np.flatnonzero(rows.cell == rows.cell[40])
+    value = rows.value.copy()
+    value[places[:2]] = 0.8 * value.max()
+    _, outlier = noise.estimate(replace(rows, value=value))
+    assert np.flatnonzero(outlier).tolist() == sorted(places[:2])
+
+
+def test_without_replicates_a_smooth_surface_tells_the_noise(make_rows) -> None:
+    rows = make_rows({"release_angle": 0.1}, repeats=1, noise=0.02)
+    found, _ = noise.estimate(rows)
+    assert found.how == "smooth"
+    level = 0.5 * rows.value.max()
+    assert found.sd(level) == pytest.approx(0.02 * level, rel=0.4)
+
+
+def test_stated_sigma_is_taken_at_its_word(make_rows) -> None:
+    rows = make_rows(repeats=1)
+    found, _ = noise.estimate(replace(rows, sigma=np.full(len(rows), 0.7)))
+    assert (found.how, found.sd(50.0)) == ("stated", pytest.approx(0.7))
+
+
+def test_rows_that_repeat_a_condition_share_a_cell(make_rows) -> None:
+    rows = make_rows(repeats=3)
+    jittered = observations.with_cells(replace(rows, load=rows.load * np.random.default_rng(1).uniform(0.995, 1.005, len(rows))))
+    assert np.array_equal(jittered.cell, rows.cell)
+    assert np.all(np.bincount(rows.cell) == 3)
+
+
+@pytest.mark.parametrize(("how", "share"), [("cells", 0.2), ("trials", 1 / 3), ("plate_angle_deg=60", 1 / 6), ("none", 0.0)])
+def test_sealing(make_rows, how: str, share: float) -> None:
+    rows = make_rows()
+    sealed = observations.seal(rows, how, 1)
+    assert np.mean(sealed) == pytest.approx(share, abs=0.03)
+    assert np.array_equal(sealed, observations.seal(rows, how, 1))
+
+
+@pytest.mark.parametrize("how", ["everything", "plate_angle_deg=71", "moisture_pct=15", "plate_angle_deg=x"])
+def test_sealing_refuses_what_it_cannot_do(make_rows, how: str) -> None:
+    with pytest.raises(ValueError, match="--hold-out"):
+        observations.seal(make_rows(), how, 1)
