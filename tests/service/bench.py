@@ -128,15 +128,16 @@ def running(
     start_s: float = START_S,
     silence_s: float = math.inf,
     socketcan: str | None = None,
+    state: Path | None = None,
 ) -> Iterator[Bench]:
-    """A running daemon whose state lies in `folder`, with the configuration `text` in folder/c.yaml.
+    """A running daemon whose state lies in `state` or `folder`, with the configuration `text` in folder/c.yaml.
 
     On a virtual bus, or on the SocketCAN interface that its configuration then has to name.
     """
     channel = socketcan or f"service-{next(_channels)}"
     path = folder / "c.yaml"
     path.write_text(text or "bus: {transmit_max_age_s: 60}")
-    environment = {"STATE_DIRECTORY": str(folder), "RUNTIME_DIRECTORY": str(folder)}
+    environment = {"STATE_DIRECTORY": str(state or folder), "RUNTIME_DIRECTORY": str(folder)}
     if notify is not None:
         environment |= {"NOTIFY_SOCKET": str(notify.getsockname()), "WATCHDOG_USEC": "10000000"}
 

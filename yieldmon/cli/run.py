@@ -11,6 +11,7 @@ from pathlib import Path
 from yieldmon.resources import shipped
 from yieldmon.service import configuration
 from yieldmon.service.daemon import Daemon
+from yieldmon.service.store import StoreError
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -34,4 +35,8 @@ def run(args: argparse.Namespace) -> int:
     for name in (signal.SIGTERM, signal.SIGINT):
         signal.signal(name, lambda *_: daemon.request_stop())
     signal.signal(signal.SIGHUP, lambda *_: daemon.request_reload())
-    return daemon.run()
+    try:
+        return daemon.run()
+    except StoreError as error:
+        print(f"yieldmon: {error}", file=sys.stderr)
+        return 1

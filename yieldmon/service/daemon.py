@@ -41,7 +41,7 @@ from yieldmon.service.metrics import MetricsFile
 from yieldmon.service.notify import ServiceManager
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.snapshot import Rates, snapshot
-from yieldmon.service.store import Store, StoreError, set_aside
+from yieldmon.service.store import Store, StoreDamagedError, StoreError, set_aside
 from yieldmon.service.transmit import Transmitter
 from yieldmon.service.writer import StoreWriter
 
@@ -128,8 +128,8 @@ class Daemon:
     def run(self) -> int:
         """Run until told to stop; returns the exit code.
 
-        Raises can.CanError or InputError when the bus cannot be opened at the start, InputError when the store or the
-        control socket cannot be made.
+        Raises can.CanError or InputError when the bus cannot be opened at the start, StoreError when the store can be
+        neither made nor read, InputError when the control socket cannot be made.
         """
         memory = self._recall()
         parameters, self._origin = choose_parameters(memory, self.configuration.parameters)
@@ -184,14 +184,22 @@ class Daemon:
         return Store(self.configuration.store_path, self.configuration.retention)
 
     def _recall(self) -> Memory:
-        """What the store remembers; a damaged one is set aside, and the fault says so."""
+        """What the store remembers; a damaged one is set aside, and the fault says so.
+
+        A medium that is full now need not stop the measuring: what it holds can be read all the same.
+        """
+        path = self.configuration.store_path
         try:
-            with self._open_store() as store:
-                return recall(store)
-        except StoreError as error:
-            path = self.configuration.store_path
-            if not path.exists():
-                raise InputError("store.path", str(error), "a file that can be made") from error
+            try:
+                with self._open_store() as store:
+                    return recall(store)
+            except StoreDamagedError:
+                raise
+            except StoreError as error:
+                _log.error("%s", error)
+                with Store(path, self.configuration.retention, exclusive=True) as store:
+                    return recall(store)
+        except StoreDamagedError as error:
             _log.error("%s", error)
             aside = set_aside(path, f"damaged-{int(time.time())}")
             self._store_note = f"damaged, set aside as {aside.name}; totals began anew"

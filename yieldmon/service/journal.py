@@ -16,7 +16,7 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
 from yieldmon.frames import SweepState
 from yieldmon.service.rows import second_row
-from yieldmon.service.store import Batch, FaultEvent, Load, ParameterVersion, Store, StoreError, SweepRecord, Ticket
+from yieldmon.service.store import Batch, FaultEvent, Load, ParameterVersion, Store, StoreDamagedError, SweepRecord, Ticket
 
 _SWEEP_ENDS = frozenset({SweepState.ABORTED, SweepState.UPDATED, SweepState.NOT_LEARNED})
 _UNKNOWN_MOISTURE_KG = 1e-6
@@ -49,7 +49,7 @@ class Memory:
 
 
 def recall(store: Store) -> Memory:
-    """What the store remembers. Raises StoreError when it makes no sense."""
+    """What the store remembers. Raises StoreDamagedError when it makes no sense."""
     document = store.state()
     if document is None:
         return Memory()
@@ -72,7 +72,7 @@ def recall(store: Store) -> Memory:
             counters=store.counters(),
         )
     except (KeyError, IndexError, TypeError, ValueError, InputError) as error:
-        raise StoreError(f"{store.path}: the state cannot be used: {error!r}") from error
+        raise StoreDamagedError(f"{store.path}: the state cannot be used: {error!r}") from error
 
 
 def choose_parameters(memory: Memory, configured: ParameterSet) -> tuple[ParameterSet, str]:

@@ -116,6 +116,10 @@ class StoreError(Exception):
     """The medium or the file fails: full, read-only, not a store, damaged. One line."""
 
 
+class StoreDamagedError(StoreError):
+    """The file's content is broken, or no store at all; another medium or more room would not help."""
+
+
 class BatchRefusedError(StoreError):
     """A batch that no store can take, because a value breaks the schema; trying again cannot help."""
 
@@ -149,12 +153,13 @@ _PRUNE_ROWS = 2000
 def _failures_of(path: Path) -> Iterator[None]:
     try:
         yield
-    except InputError:
+    except (InputError, StoreError):
         raise
     except (sqlite3.IntegrityError, ValueError) as error:
         raise BatchRefusedError(f"{path}: {error}") from error
     except (sqlite3.DatabaseError, OSError) as error:
-        raise StoreError(f"{path}: {error}") from error
+        damaged = getattr(error, "sqlite_errorname", "").startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB"))
+        raise (StoreDamagedError if damaged else StoreError)(f"{path}: {error}") from error
 
 
 class Store:
@@ -163,13 +168,20 @@ class Store:
     Raises StoreError from every method when the file or the medium fails; what was committed before stays.
     """
 
-    def __init__(self, path: Path, retention: Retention = Retention(), timeout_s: float = 2.0) -> None:
+    def __init__(
+        self,
+        path: Path,
+        retention: Retention = Retention(),
+        timeout_s: float = 2.0,
+        exclusive: bool = False,
+    ) -> None:
         """Open the store at `path`, making or migrating it when needed.
 
-        timeout_s: how long a commit waits for another process that holds the file.
+        timeout_s: how long a commit waits for another process that holds the file. exclusive: nobody else may read
+        meanwhile, which takes no room on the medium: a store on a full one can be opened and read this way.
 
-        Raises StoreError when it cannot be opened or is damaged, InputError when it is another program's or of a newer
-        version.
+        Raises StoreError when it cannot be opened, StoreDamagedError when it is damaged, InputError when it is another
+        program's or of a newer version.
         """
         self.path = path
         self.retention = retention
@@ -178,6 +190,8 @@ class Store:
             self._database = sqlite3.connect(path, timeout=timeout_s, isolation_level=None)
         try:
             with _failures_of(path):
+                if exclusive:
+                    self._database.execute("PRAGMA locking_mode = EXCLUSIVE")
                 self._check_header()
                 self._prepare()
         except BaseException:
@@ -202,7 +216,7 @@ class Store:
         for table in ("state", "counter", "load", "parameter_set"):
             finding = self._pragma(f"quick_check({table})")
             if finding != "ok":
-                raise sqlite3.DatabaseError(f"damaged: {finding}")
+                raise StoreDamagedError(f"{self.path}: damaged: {finding}")
 
     def _migrate(self, step: int) -> None:
         with self._transaction():
