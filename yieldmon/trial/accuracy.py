@@ -87,7 +87,8 @@ def assess(
 
     delivered_kg: true mass past the plate by each of an array of times (s), kg. delay_s: how long before a MassFlow frame the
     second that it speaks of has ended (half a paddle pattern: docs/frames.md). end_s: end of the run; mass is compared at its
-    last MassFlow frame. A window in which the monitor says that nothing is harvested counts as a flow of 0 only where the true flow is below the first band's end;
+    last MassFlow frame. A window in which the monitor says that nothing is harvested counts as a flow of 0 only where the
+    true flow is below the first band's end;
     elsewhere as missing. Raises ValueError when no MassFlow frame lies in the run.
     """
     frames = [f for f in published if f.message == MASS_FLOW and delay_s + 1.0 <= f.time_s <= end_s]

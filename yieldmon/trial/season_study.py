@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
+from yieldmon.engine.settings import SweepSettings
 from yieldmon.estimation.calibration import Measurements, calibrate
 from yieldmon.estimation.closed_loop import ClosedLoopSettings, MassAnchor, SelfCalibrator, Sweep
 from yieldmon.estimation.open_loop import OpenLoop
@@ -58,7 +59,7 @@ class StudySettings:
     """
 
     sweep_interval_s: float = 1800.0
-    sweep_angles_deg: tuple[float, ...] = (40.0, 45.0, 50.0, 55.0, 60.0, 65.0, 75.0, 80.0, 85.0, 90.0)
+    sweep_angles_deg: tuple[float, ...] = SweepSettings().angles_deg
     windows_per_angle: int = 2
     home_every: int = 2
     steady_windows: int = 8
