@@ -116,7 +116,6 @@ WRONG = [
     ("sweep: {angles_deg: [40, fifty]}", "sweep.angles_deg[1]: 'fifty'; expected a list of numbers, deg"),
     ("sweep: {angles_deg: []}", "sweep.angles_deg: []; expected a list of numbers, deg"),
     ("sweep: {angles_deg: [40, 20]}", "sweep.angles_deg[1]: 20; expected 40 to 90 deg, the range of sprocket-8"),
-    ("sweep: {angles_deg: [40, 40]}", "sweep.angles_deg: an angle appears twice; expected different angles"),
     ("store: {size_mb: .nan}", "store.size_mb: nan; expected a number from 16 to 100000 MB"),
     ("store: {siz_mb: 20}", "store.siz_mb: unknown key; expected size_mb"),
     ("stroe: {}", "stroe: unknown key; expected store"),

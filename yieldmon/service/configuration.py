@@ -179,8 +179,6 @@ def _contradictions(document: Document, machine: Machine) -> Iterator[tuple[str,
         # The range went through radians and back.
         if not low - 1e-9 <= angle <= high + 1e-9:
             yield f"sweep.angles_deg[{index}]", f"{angle:g}", f"{low:g} to {high:g} deg, the range of {machine.name}"
-    if len(set(document.sweep.angles_deg)) < len(document.sweep.angles_deg):
-        yield "sweep.angles_deg", "an angle appears twice", "different angles"
 
 
 def _problems(error: ValidationError, path: str) -> list[InputError]:
