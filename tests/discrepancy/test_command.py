@@ -25,10 +25,15 @@ def offset_table(tmp_path_factory) -> Path:
         a.ravel()
         for a in np.meshgrid([41.9, 48.0], [2.0, 6.0, 14.0], [1, 2, 3], np.radians(np.arange(40.0, 91.0, 10.0)), indexing="ij")
     )
-    force = generator.force(angle, speed, flow, np.full(angle.shape, 15.0), generator.Grain(0.3, 0.55, 1150.0), {"zero_offset": 4.0})
+    force = generator.force(
+        angle, speed, flow, np.full(angle.shape, 15.0), generator.Grain(0.3, 0.55, 1150.0), {"zero_offset": 4.0}
+    )
     force = force * (1.0 + 0.01 * np.random.default_rng(4).standard_normal(force.shape))
     path = tmp_path_factory.mktemp("tables") / "offset.csv"
-    rows = [f"{np.degrees(a):.6g},{q:.6g},{s / generator.RPM:.8g},{f:.8g}" for a, q, s, f in zip(angle, flow, speed, force, strict=True)]
+    rows = [
+        f"{np.degrees(a):.6g},{q:.6g},{s / generator.RPM:.8g},{f:.8g}"
+        for a, q, s, f in zip(angle, flow, speed, force, strict=True)
+    ]
     path.write_text("plate_angle_deg,mass_flow_kg_s,elevator_speed_rpm,force_n\n" + "\n".join(rows) + "\n")
     return path
 
@@ -53,7 +58,18 @@ def test_adopt_plan_report_and_rollback(offset_table: Path, tmp_path: Path, caps
     params.write_bytes((DATA.parents[1] / "config/parameters/corn.yaml").read_bytes())
     parent = params.read_bytes()
     code = main(
-        ["diagnose", str(offset_table), "--params", str(params), "--adopt", str(params), "--plan", str(plan), "--report", str(report)]
+        [
+            "diagnose",
+            str(offset_table),
+            "--params",
+            str(params),
+            "--adopt",
+            str(params),
+            "--plan",
+            str(plan),
+            "--report",
+            str(report),
+        ]
     )
     said = capsys.readouterr()
     assert code == 0

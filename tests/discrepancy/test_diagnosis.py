@@ -45,8 +45,9 @@ def test_clean_data_raise_no_alarm(make_rows, start, seed: int) -> None:
 
 OUTSIDE = {
     "resonance in speed": lambda force, angle, speed, flow: force * np.where(np.abs(speed - 41.9) < 1.0, 1.1, 1.0),
-    "bracket that yields in one range of angle": lambda force, angle, speed, flow: force
-    * (1.0 - 0.12 * np.exp(-(((np.degrees(angle) - 65.0) / 6.0) ** 4))),
+    "bracket that yields in one range of angle": lambda force, angle, speed, flow: (
+        force * (1.0 - 0.12 * np.exp(-(((np.degrees(angle) - 65.0) / 6.0) ** 4)))
+    ),
 }
 
 
@@ -119,7 +120,9 @@ def test_adopted_parameters_predict_what_was_fitted(make_rows, start) -> None:
     assert adopted.effects == ("zero_offset",)
     model = ForwardModel(Machine(), adopted.effects)
     cells = found.best.frame.cells
-    np.testing.assert_allclose(model.force(cells.conditions(), adopted.values), found.best.predict(cells.conditions()), rtol=1e-12)
+    np.testing.assert_allclose(
+        model.force(cells.conditions(), adopted.values), found.best.predict(cells.conditions()), rtol=1e-12
+    )
     sd = adopted.standard_deviation("zero_offset.force_n")
     assert abs(adopted.values["zero_offset.force_n"] - 4.0) < 4.0 * sd
 

@@ -14,7 +14,8 @@ from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 
 ANGLE, FLOW, SPEED = (
-    a.ravel() for a in np.meshgrid(np.radians([40.0, 55.0, 75.0, 90.0]), [1.0, 6.0, 15.0], np.array([350.0, 450.0]) * generator.RPM)
+    a.ravel()
+    for a in np.meshgrid(np.radians([40.0, 55.0, 75.0, 90.0]), [1.0, 6.0, 15.0], np.array([350.0, 450.0]) * generator.RPM)
 )
 DRY = np.full(ANGLE.shape, 15.0)
 

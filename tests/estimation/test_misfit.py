@@ -16,7 +16,7 @@ def sweeps(pattern: np.ndarray, count: int, seed: int, scatter: float = 0.01) ->
     return [SweepResiduals(ANGLES, pattern + scatter * rng.standard_normal(ANGLES.size), SD, 3) for _ in range(count)]
 
 
-LOCAL = np.where((ANGLES > np.radians(54.0)) & (ANGLES < np.radians(66.0)), -0.03, 0.0)
+LOCAL = np.where((np.radians(54.0) < ANGLES) & (np.radians(66.0) > ANGLES), -0.03, 0.0)
 
 
 def test_a_shared_pattern_is_found_with_its_region_and_sign() -> None:
@@ -47,5 +47,8 @@ def test_few_sweeps_say_nothing(count: int) -> None:
 
 
 def test_unknown_residuals_are_passed_over() -> None:
-    broken = [SweepResiduals(s.plate_angle_rad, np.where(ANGLES > 1.5, np.nan, s.relative_residual), s.sd, 3) for s in sweeps(LOCAL, 6, 1)]
+    broken = [
+        SweepResiduals(s.plate_angle_rad, np.where(ANGLES > 1.5, np.nan, s.relative_residual), s.sd, 3)
+        for s in sweeps(LOCAL, 6, 1)
+    ]
     assert common_misfit(broken).disagrees

@@ -20,7 +20,11 @@ from yieldmon.resources import shipped
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
-    parser = subparsers.add_parser("diagnose", help="find and name what the model leaves out", description=__doc__)
+    parser = subparsers.add_parser(
+        "diagnose", help="find and name what the model leaves out",
+        description=__doc__,
+        epilog="example: yieldmon diagnose facility.csv --params corn.yaml --report found",
+    )
     parser.add_argument("data", nargs="?", metavar="DATA.csv", help="table with plate angle, load and reading")
     parser.add_argument("--params", metavar="P.yaml", help="parameters of the published model (default: the shipped corn)")
     parser.add_argument("--machine", metavar="M.yaml", help="machine geometry (default: the shipped 8-tooth machine)")

@@ -244,9 +244,9 @@ def base_frame(cells: Cells, sd: Array, parameters: ParameterSet, form: str) -> 
     if form == "restitution":
         base.append(_base("restitution", {"restitution": 0.6} | dict(given), 0.3))
     else:
-        for name, lower, value, size in (("k1", -20.0, 0.0, 1.0), ("k2", 0.0, 1.6, 1.0)):
+        for name, lower, value, size in (("k1", -60.0, 0.0, 1.0), ("k2", 0.0, 1.6, 1.0)):
             start = float(given.get(name, value * unit))
-            base.append(Parameter(name, lower * unit, 20.0 * unit, start, size * unit))
+            base.append(Parameter(name, lower * unit, 60.0 * unit, start, size * unit))
     return Frame(cells, sd, tuple(base), {"shape_ratio": float(given["shape_ratio"])}, unit)
 
 

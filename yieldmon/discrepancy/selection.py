@@ -27,11 +27,11 @@ class Policy:
     """The same for each further effect."""
     gap_p: float = 0.01
     """Lack of fit below this is a gap."""
-    least_share: float = 0.03
+    least_share: float = 0.02
     """Share of the original excess chi-square that a further effect must explain."""
-    unexplained_f: float = 2.5
+    unexplained_f: float = 3.5
     """Lack of fit above which a gap is never called explained."""
-    unexplained_share: float = 0.1
+    unexplained_share: float = 0.15
     """Share of the original excess chi-square that may remain, significant, under a named verdict."""
     tie: float = 6.0
     """Chi-square distance (over the best one's misfit, where above 1) within which the data cannot tell two effects apart."""

@@ -31,7 +31,7 @@ class SweepResiduals:
 
 @dataclass(frozen=True, slots=True)
 class Misfit:
-    """disagrees: the common pattern is significant; region and mean relative error of its strongest run of angles, nan if none."""
+    """disagrees: the common pattern is significant. Region and mean relative error of its strongest run of angles."""
 
     disagrees: bool
     p_value: float
