@@ -33,7 +33,11 @@ PROGRESS_AFTER_S = 2.0
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
-    parser = subparsers.add_parser("calibrate", help="fit parameters to a table", description=__doc__)
+    parser = subparsers.add_parser(
+        "calibrate", help="fit parameters to a table",
+        description=__doc__,
+        epilog="example: yieldmon calibrate facility.csv --out corn.yaml",
+    )
     parser.add_argument("data", metavar="DATA.csv", help="plate_angle_deg, a load column and a reading column")
     parser.add_argument("--out", metavar="P.yaml", help="write the parameters here")
     parser.add_argument("--machine", metavar="F", help="machine file (YAML); default: the 8-tooth machine")

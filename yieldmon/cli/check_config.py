@@ -13,7 +13,11 @@ from yieldmon.service import configuration
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
-    parser = subparsers.add_parser("check-config", help="check a configuration file", description=__doc__)
+    parser = subparsers.add_parser(
+        "check-config", help="check a configuration file",
+        description=__doc__,
+        epilog="example: yieldmon check-config /etc/yieldmon/yieldmon.yaml",
+    )
     parser.add_argument("file", nargs="?", help="configuration (YAML); default: the shipped one")
     parser.add_argument("--json", action="store_true", help="print what was found as one JSON document")
     parser.add_argument("--defaults", action="store_true", help="print the default configuration, commented, and end")

@@ -19,7 +19,11 @@ from yieldmon.physics.model import ForwardModel
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
-    parser = subparsers.add_parser("estimate", help="mass flow from force (open loop)", description=__doc__)
+    parser = subparsers.add_parser(
+        "estimate", help="mass flow from force (open loop)",
+        description=__doc__,
+        epilog="example: yieldmon estimate windows.csv --params corn.yaml --json",
+    )
     parser.add_argument("data", metavar="DATA.csv", help="plate_angle_deg and force_n, momentum_kg_m_s or response")
     model_options.add_model_arguments(parser)
     parser.add_argument(

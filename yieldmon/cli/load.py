@@ -14,7 +14,11 @@ from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
-    parser = subparsers.add_parser("load", help="start or stop a load, or list all loads", description=__doc__)
+    parser = subparsers.add_parser(
+        "load", help="start or stop a load, or list all loads",
+        description=__doc__,
+        epilog="example: yieldmon load start --field north    and later: yieldmon load stop",
+    )
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     start = actions.add_parser("start", help="begin a new load")
     start.add_argument("--field", help="field name, for this load and the next ones")

@@ -20,7 +20,11 @@ COLUMNS = ("mass_flow_kg_s", "plate_angle_deg", "elevator_speed_rpm", "paddle_ma
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
-    parser = subparsers.add_parser("predict", help="force from mass flow", description=__doc__)
+    parser = subparsers.add_parser(
+        "predict", help="force from mass flow",
+        description=__doc__,
+        epilog="example: yieldmon predict --mass-flow 2 9 18 --plate-angle 40:90:10 --json",
+    )
     parser.add_argument("--mass-flow", nargs="+", required=True, metavar="KG_S", help="e.g. 2,5,9 or 2:26:1 (kg/s)")
     parser.add_argument("--plate-angle", nargs="+", metavar="DEG", help="e.g. 40:90:5 (deg); default: home")
     parser.add_argument("--elevator-speed", nargs="+", metavar="RPM", help="default: the machine's nominal speed")

@@ -20,6 +20,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "run",
         help="run the yield monitor as a daemon",
         description=f"{__doc__} SIGTERM and SIGINT end it; SIGHUP reads the configuration anew.",
+        epilog="example: yieldmon run --config /etc/yieldmon/yieldmon.yaml",
     )
     parser.add_argument("--config", metavar="F", help="configuration (YAML); default: the shipped one")
 

@@ -26,7 +26,11 @@ LEVEL = 0.9
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
-    parser = subparsers.add_parser("self-calibrate", help="flows and parameters from sweeps (closed loop)", description=__doc__)
+    parser = subparsers.add_parser(
+        "self-calibrate", help="flows and parameters from sweeps (closed loop)",
+        description=__doc__,
+        epilog="example: yieldmon self-calibrate sweeps.csv --group-by sweep --out updated.yaml",
+    )
     parser.add_argument("data", metavar="DATA.csv", help="plate_angle_deg and a reading; a load column is only compared with")
     model_options.add_model_arguments(parser)
     parser.add_argument(

@@ -18,7 +18,11 @@ _SHOWN_WINDOWS = 5
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
-    parser = subparsers.add_parser("status", help="show what a running daemon is doing", description=__doc__)
+    parser = subparsers.add_parser(
+        "status", help="show what a running daemon is doing",
+        description=__doc__,
+        epilog="example: yieldmon status --json",
+    )
     add_daemon_arguments(parser)
     parser.add_argument("--json", action="store_true", help="print everything as one JSON document")
 

@@ -16,7 +16,11 @@ from yieldmon.errors import InputError
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
-    parser = subparsers.add_parser("ticket", help="correct past loads by a weighed mass", description=__doc__)
+    parser = subparsers.add_parser(
+        "ticket", help="correct past loads by a weighed mass",
+        description=__doc__,
+        epilog="example: yieldmon ticket 3-5 27.4t --note \"elevator scale\"",
+    )
     parser.add_argument("loads", metavar="LOAD", help="number of the load, or FIRST-LAST for several on one ticket")
     parser.add_argument("mass", metavar="MASS", help="weighed mass: 9120, 9120kg or 9.12t")
     parser.add_argument("--std-dev", metavar="MASS", help="standard deviation of the weighing (default: 0.5 %% of it)")

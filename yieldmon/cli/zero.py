@@ -9,7 +9,11 @@ from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
-    parser = subparsers.add_parser("zero", help="calibrate the zero-load voltage", description=__doc__)
+    parser = subparsers.add_parser(
+        "zero", help="calibrate the zero-load voltage",
+        description=__doc__,
+        epilog="example: yieldmon zero",
+    )
     add_daemon_arguments(parser)
 
 

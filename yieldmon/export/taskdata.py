@@ -154,7 +154,8 @@ def files(points: Sequence[YieldPoint], field: str, reference_moisture_pct: floa
 
 def _document(root: ET.Element) -> bytes:
     ET.indent(root)
-    return b'<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="utf-8") + b"\n"
+    text: str = ET.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()
 
 
 def write(path: Path, points: Sequence[YieldPoint], field: str, reference_moisture_pct: float) -> None:

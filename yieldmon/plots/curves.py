@@ -47,7 +47,9 @@ def draw(
 
     def force(plate_rad: Array | float, rate_kg_s: Array | float) -> Array:
         conditions = Conditions(plate_rad, elevator_speed_rad_s, mass_flow_kg_s=rate_kg_s, moisture_pct=moisture_pct)
-        return np.real(np.broadcast_to(model.force(conditions, parameters.values), np.broadcast(plate_rad, rate_kg_s).shape))
+        found: Array = np.real(model.force(conditions, parameters.values))
+        spread: Array = found + np.zeros(np.broadcast(plate_rad, rate_kg_s).shape)
+        return spread
 
     for k, rate in enumerate(flows_kg_s):
         colour = colours(0.9 * k / max(len(flows_kg_s) - 1, 1))

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions, ForwardModel
@@ -31,7 +32,7 @@ FLOWS_KG_S: Array = np.arange(2.0, 26.1, 4.0)
 
 def forces_n(machine: Machine, name: str, values: Array, plate_angle_rad: float, flows_kg_s: Array = FLOWS_KG_S) -> Array:
     """Force, N, of shape (flows, values): `name` takes the values, the other parameters are TYPICAL; nominal elevator speed."""
-    parameters = {**TYPICAL, name: values[None, :]}
+    parameters: dict[str, ArrayLike] = {**TYPICAL, name: values[None, :]}
     conditions = Conditions(plate_angle_rad, machine.nominal_elevator_speed_rad_s, mass_flow_kg_s=flows_kg_s[:, None])
     shape = (len(flows_kg_s), len(values))
     return np.broadcast_to(np.real(ForwardModel(machine).force(conditions, parameters)), shape)

@@ -1,0 +1,45 @@
+"""docs/commands.md is what the parsers say, and every verb shows an example."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from yieldmon.cli.main import build_parser, find_verbs
+from yieldmon.cli.reference import commands
+
+ROOT = Path(__file__).parents[2]
+VERBS = find_verbs()
+
+
+def test_the_page_is_what_the_parsers_say(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "110")
+    assert (ROOT / "docs" / "commands.md").read_text(encoding="utf-8") == commands(), (
+        "make it anew: python -m yieldmon.cli.reference > docs/commands.md"
+    )
+
+
+@pytest.mark.parametrize("name", VERBS)
+def test_every_verb_shows_an_example_that_parses(name):
+    parser, _ = build_parser(VERBS, VERBS[name])
+    actions = next(action for action in parser._actions if action.dest == "verb")
+    verb = actions.choices[name]
+    assert verb.epilog is not None
+    assert verb.epilog.startswith(f"example: yieldmon {name}")
+
+
+@pytest.mark.parametrize("line", ["yieldmon ca", "yieldmon plot sens", "yieldmon export --fo"])
+def test_completion(line, tmp_path):
+    """As bash's completion calls the command."""
+    out = tmp_path / "completions"
+    environment = {
+        **os.environ, "_ARGCOMPLETE": "1", "COMP_LINE": line, "COMP_POINT": str(len(line)), "COMP_TYPE": "9",
+        "_ARGCOMPLETE_IFS": "\n", "_ARGCOMPLETE_STDOUT_FILENAME": str(out), "PYTHONPATH": str(ROOT),
+    }
+    subprocess.run([sys.executable, "-m", "yieldmon"], env=environment, check=False, capture_output=True)
+    last = line.split()[-1]
+    assert any(found.startswith(last) and len(found) > len(last) for found in out.read_text(encoding="utf-8").split())
