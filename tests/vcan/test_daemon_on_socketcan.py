@@ -16,6 +16,7 @@ import pytest
 
 from tests.service.bench import CODEC, Bench, running, traffic
 from yieldmon import frames
+from yieldmon.bus.opening import open_bus
 from yieldmon.frames import CommandMode
 from yieldmon.service.daemon import SILENCE_S
 
@@ -103,6 +104,16 @@ def test_an_interface_pulled_and_put_back_50_times(vcan1: str, tmp_path: Path, r
         eventually(lambda: bench.rows[-1]["number"] > windows + 1, "windows after the last return")
     record_property("slowest_return_s", round(slowest_s, 2))
     print(f"slowest return to frames: {slowest_s:.2f} s")
+
+
+def test_receiving_never_blocks_on_an_error_that_sending_took(vcan1: str) -> None:
+    with open_bus("socketcan", vcan1) as bus:
+        ip("set", vcan1, "down")
+        with pytest.raises(can.CanError):
+            bus.send(can.Message(arbitration_id=1))
+        with pytest.raises(OSError, match="temporarily unavailable"):
+            bus.socket.recv(16)
+        ip("set", vcan1, "up")
 
 
 def forged(rng: random.Random) -> can.Message:

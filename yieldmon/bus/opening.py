@@ -78,6 +78,9 @@ def prepared(
     """The same bus with its receive buffer enlarged, and rid of frames queued before the filters were set."""
     sock = _can_socket(bus)
     if sock is not None:
+        # The kernel tells of a lost interface once: between select() and recv() a sending thread may take that away, and
+        # a blocking recv() would then wait for ever.
+        sock.setblocking(False)
         _log.info("%s: receive buffer %d bytes", bus.channel_info, _enlarge_receive_buffer(sock, receive_buffer_bytes))
         if filters is not None:
             _drain(bus)
