@@ -76,4 +76,5 @@ def some(values: Array) -> Array:
     distinct = np.unique(values)
     if len(distinct) <= _MOST_CURVES:
         return distinct
-    return distinct[np.unique(np.linspace(0, len(distinct) - 1, _MOST_CURVES).round().astype(int))]
+    thinned: Array = distinct[np.unique(np.linspace(0, len(distinct) - 1, _MOST_CURVES).round().astype(int))]
+    return thinned
