@@ -117,3 +117,15 @@ def test_correlated_parameters_count_their_correlation() -> None:
 def test_effects_of_model_and_parameters_must_agree() -> None:
     with pytest.raises(ValueError, match="effects"):
         OpenLoop(ForwardModel(MACHINE, ("gravity",)), ParameterSet(GRAIN))
+
+
+def test_an_effect_that_needs_moisture_gives_no_estimate_without_it():
+    from yieldmon.physics.machine import RPM, Machine
+    from yieldmon.physics.model import ForwardModel
+
+    values = {"friction": 0.2, "density": 1100.0, "shape_ratio": 2.0, "restitution": 0.5}
+    values |= {f"moisture_dependence.{n}_per_pct": v for n, v in (("friction", 0.03), ("restitution", -0.01), ("density", 0.0))}
+    loop = OpenLoop(ForwardModel(Machine(), ("moisture_dependence",)), ParameterSet(values))
+    found = loop.estimate([80.0, 80.0], np.radians(70.0), 400.0 * RPM, 1.0, [np.nan, 18.0])
+    assert list(found.status) == [FlowStatus.NOT_AVAILABLE, FlowStatus.OK]
+    assert np.isnan(found.mass_flow_kg_s[0])

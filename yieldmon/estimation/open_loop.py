@@ -147,6 +147,9 @@ class OpenLoop:
             *(np.asarray(v, dtype=float) for v in (force_n, plate_angle_rad, elevator_speed_rad_s, force_std_dev_n, moisture))
         )
         usable = np.isfinite(force) & np.isfinite(angle) & np.isfinite(speed) & (speed > 0.0) & np.isfinite(noise)
+        if self.model.needs_moisture:
+            usable = usable & np.isfinite(moist)
+            moist = np.where(np.isfinite(moist), moist, 0.0)
         machine = self.model.machine
         force = np.where(usable, force, 0.0)
         angle = np.where(usable, angle, machine.home_plate_angle_rad)

@@ -77,6 +77,11 @@ class ForwardModel:
         """Qualified names (`effect.parameter`) of the effects' parameters."""
         return tuple(f"{e.name}.{p.name}" for e in self._effects for p in e.parameters)
 
+    @property
+    def needs_moisture(self) -> bool:
+        """Whether an effect needs the grain's moisture in every condition."""
+        return any(effect.needs_moisture for effect in self._effects)
+
     def with_effects(self, effects: Iterable[str]) -> ForwardModel:
         """The same machine and order with other effects."""
         return ForwardModel(self.machine, effects, nodes=self.nodes)

@@ -49,5 +49,7 @@ class Effect:
     impulse: Callable[[Impulse, Values, Setting], Impulse] | None = None
     reading: Callable[[Reading, Values, Setting], Reading] | None = None
     needs_misses: bool = False
+    needs_moisture: bool = False
+    """True where the effect cannot be worked out without the grain's moisture."""
     unit_follows_response: bool = False
     """True where a parameter is in the reading's own unit, so that it scales with the table's response unit."""

@@ -44,4 +44,5 @@ EFFECT = Effect(
         ),
     ),
     setting=_setting,
+    needs_moisture=True,
 )
