@@ -21,7 +21,7 @@ from yieldmon.service import configuration as configurations
 from yieldmon.service.daemon import Daemon
 from yieldmon.service.store import Store
 
-pytestmark = pytest.mark.vcan
+pytestmark = [pytest.mark.vcan, pytest.mark.slow]
 
 #: Bounds a hang only.
 WAIT_S = 120.0
