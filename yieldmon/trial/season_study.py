@@ -27,6 +27,7 @@ from yieldmon.plant.season import Season, SeasonSettings
 
 Array = NDArray[np.float64]
 
+_WIDENINGS = 4
 DAY_S = 10 * 3600
 """A day's work; a season of 60 h has six of them."""
 
@@ -307,7 +308,14 @@ class _Keeper:
             moisture = float(np.mean(self.season.moisture_reading_pct[used]))
             anchor = replace(anchor, moisture_pct=np.full(anchor.force_n.shape, moisture))
         self._grow(hour)
-        self._take(self.calibrator.update(self.parameters, [], [anchor]), hour)
+        outcome = self.calibrator.update(self.parameters, [], [anchor])
+        # A scale is believed: where it contradicts the parameters, they were less certain than they claimed.
+        for _ in range(_WIDENINGS):
+            if outcome.consistent:
+                break
+            self.parameters = replace(self.parameters, covariance=4.0 * np.array(self.parameters.covariance))
+            outcome = self.calibrator.update(self.parameters, [], [anchor])
+        self._take(outcome, hour)
 
     def _take(self, outcome, hour: float) -> None:  # type: ignore[no-untyped-def]
         if outcome.updated:
