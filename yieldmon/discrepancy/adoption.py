@@ -14,10 +14,18 @@ from yieldmon.files import parameter_file
 from .diagnosis import Diagnosis, adopted
 
 
-def adopt(diagnosis: Diagnosis, parent: ParameterSet, parent_path: Path, out: Path, data: tuple[str, str], now: datetime) -> Path:
+def adopt(
+    diagnosis: Diagnosis,
+    parent: ParameterSet,
+    parent_path: Path,
+    out: Path,
+    data: tuple[str, str],
+    now: datetime,
+    scale_sd: float = 0.0,
+) -> Path:
     """Write the next version of the parameters to `out` and a copy of the parent beside it; returns the copy's path.
 
-    data: path and SHA-256 of the table. Raises InputError when the verdict names no effect.
+    data: path and SHA-256 of the table. scale_sd: see `diagnosis.adopted`. Raises InputError when the verdict names no effect.
     """
     if diagnosis.verdict != "effect":
         raise InputError("--adopt", f"the verdict is {diagnosis.verdict!r}", "a named effect to adopt")
@@ -43,7 +51,7 @@ def adopt(diagnosis: Diagnosis, parent: ParameterSet, parent_path: Path, out: Pa
     if diagnosis.held_out is not None:
         provenance["held_out_closed_pct"] = f"{diagnosis.held_out.closed_pct:.4g}"
     _replace(copy, text)
-    parameter_file.save(adopted(diagnosis, parent, provenance), out)
+    parameter_file.save(adopted(diagnosis, parent, provenance, scale_sd), out)
     return copy
 
 

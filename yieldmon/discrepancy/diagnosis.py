@@ -30,11 +30,15 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Options:
-    """form: "auto", "restitution" or "exchange". hold_out: see `observations.seal`. without: effects taken out of the library."""
+    """form: "auto", "restitution" or "exchange". hold_out: see `observations.seal`. without: effects taken out of the library.
+
+    keep_effects: the model in question has the effects that the parameters speak of, at their values, instead of none.
+    """
 
     form: str = "auto"
     hold_out: str = "cells"
     without: tuple[str, ...] = ()
+    keep_effects: bool = False
     seed: int = 1
     policy: Policy = field(default_factory=lambda: Policy(refits=24, exchanges=8))
 
@@ -174,7 +178,9 @@ def examine(
     outlier[np.flatnonzero(~sealed)[odd]] = True
     training = rows.take(~sealed & ~outlier)
     tell("published model", 0.05)
-    form, frame, base, why = _published(training, noise, parameters, options.form, name)
+    form, frame, base, why = _published(
+        training, noise, parameters, options.form, name, options.keep_effects
+    )
     chosen = choose(
         base, noise, library(frame, options.without), rng, options.policy, lambda text, share: tell(text, 0.1 + 0.7 * share)
     )
@@ -185,16 +191,21 @@ def examine(
     return Examination(form, noise, chosen, held_out, sealed, outlier, (*_noise_notes(noise, int(outlier.sum())), *why))
 
 
-def adopted(diagnosis: Diagnosis, parent: ParameterSet, provenance: dict[str, str]) -> ParameterSet:
+def adopted(
+    diagnosis: Diagnosis, parent: ParameterSet, provenance: dict[str, str], scale_sd: float = 0.0
+) -> ParameterSet:
     """Parameters with the named effects, fitted to every row, as the next version of `parent`.
 
-    Raises ValueError unless the verdict names an effect.
+    scale_sd: relative standard deviation common to all loads of the table, which the fit takes as exact; it widens the covariance
+    along (load, density, impact gain) -> (a, a, 1/a). Raises ValueError unless the verdict names an effect.
     """
     if diagnosis.verdict != "effect":
         raise ValueError(f"the verdict is {diagnosis.verdict!r}; only a named effect can be adopted")
     best = diagnosis.best
     names = tuple(p.name for p in best.parameters)
     covariance = best.covariance() * max(best.chi2 / max(best.dof, 1), 1.0)
+    along = np.array([_along_scale(name, best.values[name]) for name in names])
+    covariance = covariance + scale_sd**2 * np.outer(along, along)
     cells = best.frame.cells
     passes = cells.elevator_speed_rad_s * cells.rows.machine.sprocket_pitch_radius_m / cells.rows.machine.paddle_spacing_m
     flow = cells.load if cells.rows.load_name == "mass_flow_kg_s" else cells.load * passes
@@ -213,6 +224,11 @@ def adopted(diagnosis: Diagnosis, parent: ParameterSet, provenance: dict[str, st
         version=parent.version + 1,
         provenance=provenance,
     )
+
+
+def _along_scale(name: str, value: float) -> float:
+    """d(parameter) / d(ln a) along the direction in which loads and density grow alike and no reading changes."""
+    return {"density": value, "restitution": -(1.0 + value), "k1": -value, "k2": -value}.get(name, 0.0)
 
 
 def minimum_detectable(signatures: list[Signature]) -> dict[str, float]:
@@ -238,7 +254,7 @@ def minimum_detectable(signatures: list[Signature]) -> dict[str, float]:
 
 
 def _published(
-    training: obs.Rows, noise: Noise, parameters: ParameterSet, wanted: str, name: str
+    training: obs.Rows, noise: Noise, parameters: ParameterSet, wanted: str, name: str, keep_effects: bool
 ) -> tuple[str, Frame, Fit, list[str]]:
     grouped = obs.cells(training)
     sd = noise.sd(grouped.mean) / np.sqrt(grouped.count)
@@ -246,7 +262,7 @@ def _published(
     notes: list[str] = []
     if wanted == "auto":
         form = "exchange" if "k1" in parameters.values or not training.si else "restitution"
-    frame = base_frame(grouped, sd, parameters, form)
+    frame = base_frame(grouped, sd, parameters, form, keep_effects=keep_effects)
     if len(frame.base) + 3 > len(grouped):
         raise InputError(name, f"has {len(grouped)} distinct conditions to fit", f"at least {len(frame.base) + 3}")
     try:
@@ -256,7 +272,7 @@ def _published(
                 "restitution ends at its physical bound: the published exchange coefficients k1, k2 are fitted in its place"
             )
             form = "exchange"
-            frame = base_frame(grouped, sd, parameters, form)
+            frame = base_frame(grouped, sd, parameters, form, keep_effects=keep_effects)
             base = fit_base(frame)
     except ValueError as error:
         raise InputError(name, str(error), "loads that a paddle of this machine can hold") from error

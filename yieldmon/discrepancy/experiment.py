@@ -124,7 +124,7 @@ def _grid(best: Fit, rivals: Sequence[Fit]) -> _Grid:
 
 def _with_jacobian(fitted: Fit, grid: _Grid) -> tuple[Array, Array]:
     frame = fitted.frame
-    model = ForwardModel(frame.cells.rows.machine, fitted.effects, nodes=frame.nodes)
+    model = ForwardModel(frame.cells.rows.machine, (*frame.known, *fitted.effects), nodes=frame.nodes)
     moisture = float(np.nanmedian(frame.cells.moisture_pct)) if np.any(np.isfinite(frame.cells.moisture_pct)) else np.nan
     conditions = Conditions(
         grid.plate_angle_rad, grid.elevator_speed_rad_s, mass_flow_kg_s=grid.mass_flow_kg_s, moisture_pct=moisture

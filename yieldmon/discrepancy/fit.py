@@ -55,6 +55,11 @@ class Frame:
     unit: float
     nodes: int = SEARCH_NODES
 
+    @property
+    def known(self) -> tuple[str, ...]:
+        """Effects that belong to the model from the start, their parameters among the fixed ones."""
+        return tuple(sorted({name.partition(".")[0] for name in self.fixed if "." in name}))
+
     def with_cells(self, cells: Cells, sd: Array) -> Frame:
         """The same questions about other cells."""
         return Frame(cells, sd, self.base, self.fixed, self.unit, self.nodes)
@@ -107,7 +112,7 @@ class Fit:
     def predict(self, rows: Rows | Conditions, of: str | None = None) -> Array:
         """Prediction for other rows."""
         conditions = rows.conditions() if isinstance(rows, Rows) else rows
-        model = ForwardModel(self.frame.cells.rows.machine, self.effects)
+        model = ForwardModel(self.frame.cells.rows.machine, (*self.frame.known, *self.effects))
         evaluate = model.force if (of or self.frame.cells.rows.of) == "force" else model.paddle_momentum
         with np.errstate(invalid="ignore"):
             return real(np.asarray(evaluate(conditions, self.values, overfull="nan")))
@@ -146,7 +151,7 @@ def effect_parameters(effect: str, unit: float) -> tuple[Parameter, ...]:
 def predictions(frame: Frame, effects: Iterable[str], values: Mapping[str, ArrayLike]) -> Array:
     """Prediction for each cell of the frame, shape (..., cells); values are numbers or carry leading axes of shape (..., 1)."""
     cells = frame.cells
-    model = ForwardModel(cells.rows.machine, effects, nodes=frame.nodes)
+    model = ForwardModel(cells.rows.machine, (*frame.known, *effects), nodes=frame.nodes)
     evaluate = model.force if cells.rows.of == "force" else model.paddle_momentum
     grid = cells.layout
     conditions = Conditions(
@@ -231,10 +236,11 @@ def fit(
     return Fit(effects, parameters, x, chi2, r, jacobian, frame)
 
 
-def base_frame(cells: Cells, sd: Array, parameters: ParameterSet, form: str) -> Frame:
+def base_frame(cells: Cells, sd: Array, parameters: ParameterSet, form: str, *, keep_effects: bool = False) -> Frame:
     """Frame for the published model in `form` ("restitution" or "exchange"); friction and density free, the shape ratio fixed.
 
-    Bounds are physical, widened where the given parameters already lie outside.
+    keep_effects: effects that the parameters speak of belong to the model, at their values. Bounds are physical, widened where
+    the given parameters already lie outside.
     """
     top = float(np.max(np.abs(cells.mean)))
     force = top if cells.rows.of == "force" else top * float(np.median(_passes(cells)))
@@ -247,7 +253,8 @@ def base_frame(cells: Cells, sd: Array, parameters: ParameterSet, form: str) -> 
         for name, lower, value, size in (("k1", -60.0, 0.0, 1.0), ("k2", 0.0, 1.6, 1.0)):
             start = float(given.get(name, value * unit))
             base.append(Parameter(name, lower * unit, 60.0 * unit, start, size * unit))
-    return Frame(cells, sd, tuple(base), {"shape_ratio": float(given["shape_ratio"])}, unit)
+    kept = {name: float(value) for name, value in given.items() if keep_effects and "." in name}
+    return Frame(cells, sd, tuple(base), {"shape_ratio": float(given["shape_ratio"])} | kept, unit)
 
 
 def fit_base(frame: Frame, effects: tuple[str, ...] = ()) -> Fit:
