@@ -18,7 +18,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import chdtrc, ndtri
 
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
@@ -172,7 +172,7 @@ class FlowPosterior:
 
     def interval(self, level: float = 0.9) -> tuple[float, float]:
         """Central interval, kg/s."""
-        reach = float(stats.norm.ppf(0.5 + 0.5 * level)) * self.log_sd
+        reach = float(ndtri(0.5 + 0.5 * level)) * self.log_sd
         return self.mass_flow_kg_s * float(np.exp(-reach)), self.mass_flow_kg_s * float(np.exp(reach))
 
 
@@ -194,7 +194,7 @@ class Learning:
 
     def interval(self, level: float = 0.9) -> tuple[float, float]:
         """Central interval."""
-        reach = float(stats.norm.ppf(0.5 + 0.5 * level)) * self.sd
+        reach = float(ndtri(0.5 + 0.5 * level)) * self.sd
         return self.value - reach, self.value + reach
 
 
@@ -492,7 +492,7 @@ class _Problem:
         chi2 = float(residual @ residual)
         windows = sum(s.force_n.size for s in self.sweeps)
         dof = max(windows + len(self.anchors) + (self.density is not None) - count, 1)
-        p_value = float(stats.chi2.sf(chi2, dof))
+        p_value = float(chdtrc(dof, chi2))
         kept_theta, kept_cov = self._refuse(theta, posterior, information)
         prior_sd = self.prior.standard_deviation
         moved = kept_cov is not None
