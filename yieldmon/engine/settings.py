@@ -192,6 +192,21 @@ class FaultSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class DisagreementSettings:
+    """When the residual pattern that sweeps share is the model's."""
+
+    keep_sweeps: int = 16
+    """Newest sweeps that are looked at together."""
+    least_sweeps: int = 4
+    tolerance: float = 0.005
+    """Relative error of the model at one plate angle that is nobody's concern (standard deviation)."""
+    begin_p: float = 0.001
+    """Probability of so strong a pattern by chance below which the model is said to disagree."""
+    end_p: float = 0.05
+    """Probability above which it no longer is."""
+
+
+@dataclass(frozen=True, slots=True)
 class AnchorSettings:
     """Reference masses from a tank scale."""
 
@@ -216,4 +231,5 @@ class EngineSettings:
     plate: PlateSettings = field(default_factory=PlateSettings)
     sweep: SweepSettings = field(default_factory=SweepSettings)
     faults: FaultSettings = field(default_factory=FaultSettings)
+    disagreement: DisagreementSettings = field(default_factory=DisagreementSettings)
     anchors: AnchorSettings = field(default_factory=AnchorSettings)

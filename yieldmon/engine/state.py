@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
+from yieldmon.engine.disagreement import DisagreementState, SweepPattern
 from yieldmon.engine.totals import Totals
 from yieldmon.engine.zero import ZeroState
 
@@ -21,6 +22,7 @@ class EngineState:
     sweep_due_in_s: float = 0.0
     calibration_age_s: float | None = None
     parameter_version: int = 0
+    disagreement: DisagreementState = field(default_factory=DisagreementState)
 
     def as_dict(self) -> dict[str, Any]:
         """Nested plain dict of numbers, fit for JSON."""
@@ -28,7 +30,11 @@ class EngineState:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> EngineState:
-        """Inverse of `as_dict`. Raises ValueError when a key is missing, unknown or of the wrong kind."""
+        """Inverse of `as_dict`. Raises ValueError when a key is missing, unknown or of the wrong kind.
+
+        A state from before sweeps' patterns were kept has none.
+        """
+        data = {"disagreement": {"patterns": (), "present": False}, **data}
         known = {item.name for item in fields(cls)}
         if set(data) != known:
             raise ValueError(f"engine state has keys {sorted(data)}; expected {sorted(known)}")
@@ -36,6 +42,14 @@ class EngineState:
             zero = data["zero"]
             if zero is not None:
                 zero = ZeroState(**{**zero, "vibration_mv": tuple(zero.get("vibration_mv", ()))})
-            return cls(**{**data, "totals": Totals(**data["totals"]), "zero": zero})
-        except TypeError as error:
+            disagreement = DisagreementState(
+                tuple(_pattern(pattern) for pattern in data["disagreement"]["patterns"]), data["disagreement"]["present"]
+            )
+            return cls(**{**data, "totals": Totals(**data["totals"]), "zero": zero, "disagreement": disagreement})
+        except (KeyError, TypeError) as error:
             raise ValueError(f"engine state: {error}") from error
+
+
+def _pattern(data: Mapping[str, Any]) -> SweepPattern:
+    plain: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in data.items()}
+    return SweepPattern(**plain)

@@ -1,19 +1,31 @@
 """Whether the residuals of several sweeps show a pattern that the model cannot make, and where.
 
 One sweep's residuals may be a bad sweep; the same pattern over several is the model's. Residuals are averaged over sweeps at each
-plate angle; their mean square over what the sweeps' own scatter allows is an F ratio, and the region is the contiguous run of
-angles whose normalised sum is largest.
+plate angle; their mean square over what the sweeps' own scatter and a tolerated model error allow is an F ratio, and the region
+is the contiguous run of angles whose normalised sum is largest.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from numpy.typing import NDArray
+from scipy.special import fdtrc
 
-from yieldmon.physics.numerics import Array
+from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.physics.numerics import Array, real
+
+from .batch import levenberg_marquardt
+from .home_flow import Visits, bracketed, wander_per_s
+from .open_loop import OpenLoop
+from .parameters import ParameterSet
+
+_HOME_RAD = np.radians(1.0)
+_SAME_ANGLE_RAD = np.radians(2.0)
+_LEAST, _MOST = np.array([0.0, 750.0, -2.0]), np.array([1.0, 2000.0, 2.0])
+"""Bounds of friction, of density, kg/m3 (ranges of the source thesis), and of the logarithm of a change of gain."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,38 +51,181 @@ class Misfit:
     mean_relative_error: float
 
 
+NO_MISFIT = Misfit(False, 1.0, (np.nan, np.nan), np.nan)
+"""Nothing to say."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReducedSweep:
+    """One sweep brought to one flow and speed: logarithm of the force (N) at each plate angle and its sd, shapes (angles,).
+
+    mass_flow_kg_s: mean of the flow at home, with the parameters then in use. moisture_pct: nan where not known.
+    """
+
+    plate_angle_rad: Array
+    log_force: Array
+    sd: Array
+    mass_flow_kg_s: float
+    elevator_speed_rad_s: float
+    moisture_pct: float = float("nan")
+
+
+def reduce_sweep(
+    model: ForwardModel,
+    parameters: ParameterSet,
+    time_s: Array,
+    plate_angle_rad: Array,
+    elevator_speed_rad_s: Array,
+    force_n: Array,
+    force_std_dev_n: Array,
+    moisture_pct: Array,
+) -> ReducedSweep | None:
+    """A sweep's windows, arrays (windows,), as one value for each plate angle; None where they do not say.
+
+    The flow of a window is that of the visits home around it (`home_flow`); the model only carries the force from it to the mean.
+    """
+    known = np.isfinite(moisture_pct)
+    moisture = float(np.median(moisture_pct[known])) if np.any(known) else float("nan")
+    if model.needs_moisture and not np.isfinite(moisture):
+        return None
+    with np.errstate(invalid="ignore"):
+        usable = np.isfinite(plate_angle_rad) & (elevator_speed_rad_s > 0.0) & (force_n > 0.0) & (force_std_dev_n > 0.0)
+        home = usable & (np.abs(plate_angle_rad - model.machine.home_plate_angle_rad) <= _HOME_RAD)
+    if not np.any(home):
+        return None
+    relative_sd = np.divide(force_std_dev_n, force_n, out=np.full(force_n.shape, np.nan), where=usable)
+    loop = OpenLoop(model, parameters)
+    home_flow = loop.invert(
+        force_n[home], plate_angle_rad[home], elevator_speed_rad_s[home], np.full(np.count_nonzero(home), moisture)
+    )
+    visits = Visits.of(time_s[home], home_flow, relative_sd[home])
+    log_flow, flow_sd = bracketed(visits, time_s, wander_per_s([visits]), at_home=home)
+    usable &= np.isfinite(log_flow)
+    if not np.any(usable):
+        return None
+    angle, speed, flow = plate_angle_rad[usable], elevator_speed_rad_s[usable], np.exp(log_flow[usable])
+    mean_flow, mean_speed = float(np.exp(np.mean(visits.log_flow))), float(np.mean(speed))
+    there = _force(model, parameters.values, angle, speed, flow, moisture)
+    here = _force(model, parameters.values, angle, mean_speed, mean_flow, moisture)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        log_force = np.log(force_n[usable] * here / there)
+    good = np.isfinite(log_force)
+    if not np.any(good):
+        return None
+    means = _by_angle(angle[good], log_force[good], relative_sd[usable][good], flow_sd[usable][good])
+    return ReducedSweep(*means, mean_flow, mean_speed, moisture)
+
+
+def pooled_residuals(
+    model: ForwardModel, parameters: ParameterSet, sweeps: Sequence[ReducedSweep]
+) -> tuple[list[SweepResiduals], int]:
+    """Residuals of sweeps after the best fit that friction, density and impact gain can do, the same for all sweeps.
+
+    They may be anything physical (the gain anything), whatever is thought of them: a pattern that a recalibration would absorb is
+    no disagreement of the model. Returns the residuals and how many of the three the fit could move (those not at a bound).
+    """
+    sizes = [s.plate_angle_rad.size for s in sweeps]
+    measured, sd = (np.concatenate([getattr(s, name) for s in sweeps]) for name in ("log_force", "sd"))
+    flow, speed, moisture = (
+        np.repeat([getattr(s, name) for s in sweeps], sizes)
+        for name in ("mass_flow_kg_s", "elevator_speed_rad_s", "moisture_pct")
+    )
+    conditions = Conditions(
+        np.concatenate([s.plate_angle_rad for s in sweeps]), speed, mass_flow_kg_s=flow, moisture_pct=moisture
+    )
+    start = np.array([parameters.values["friction"], parameters.values["density"], 0.0])
+    low, high = np.minimum(_LEAST, start), np.maximum(_MOST, start)
+
+    def difference(theta: Array) -> tuple[Array, Array]:
+        """ln(model) - ln(measurement), and its derivatives; nan beyond a full paddle."""
+        values = dict(parameters.values) | {"friction": float(theta[0]), "density": float(theta[1])}
+        force, slopes = model.derivatives(conditions, values, ("friction", "density"), of="force")
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.log(force) + theta[2] - measured, np.column_stack((slopes / force[:, None], np.ones(len(force))))
+
+    def whitened(theta: Array, _: NDArray[np.intp]) -> tuple[Array, Array]:
+        value, slopes = difference(theta[0])
+        good = np.isfinite(value)
+        return np.where(good, value / sd, 0.0)[None], np.where(good[:, None], slopes / sd[:, None], 0.0)[None]
+
+    found = levenberg_marquardt(whitened, start[None], low, high, iterations=30, tolerance=1e-5).theta[0]
+    parts = np.split(difference(found)[0], np.cumsum(sizes)[:-1])
+    left = [SweepResiduals(s.plate_angle_rad, r, s.sd, 0) for s, r in zip(sweeps, parts, strict=True)]
+    return left, int(np.count_nonzero((found > low) & (found < high)))
+
+
+def _force(
+    model: ForwardModel, values: Mapping[str, float], angle: Array, speed: Array | float, flow: Array | float, moisture: float
+) -> Array:
+    conditions = Conditions(
+        angle,
+        np.broadcast_to(speed, angle.shape),
+        mass_flow_kg_s=np.broadcast_to(flow, angle.shape),
+        moisture_pct=np.full(angle.shape, moisture),
+    )
+    return real(np.asarray(model.force(conditions, values, overfull="nan")))
+
+
+def _by_angle(angle: Array, values: Array, noise: Array, bracket: Array) -> tuple[Array, Array, Array]:
+    """Angle, mean value and sd at each angle; the error of the bracketing flow is common to the windows there."""
+    numbers = _clusters(angle, _SAME_ANGLE_RAD)
+    weight = 1.0 / (noise**2 + bracket**2)
+    total = np.bincount(numbers, weight)
+
+    def mean(column: Array) -> Array:
+        return np.asarray(np.bincount(numbers, weight * column) / total)
+
+    own = np.bincount(numbers, (weight * noise) ** 2) / total**2
+    return mean(angle), mean(values), np.sqrt(own + mean(bracket) ** 2)
+
+
+def _clusters(angle: Array, width_rad: float) -> NDArray[np.int64]:
+    """Number of the angle that each value belongs to; a gap above width_rad begins a new one."""
+    order = np.argsort(angle, kind="stable")
+    numbers = np.empty(angle.size, dtype=np.int64)
+    numbers[order] = np.concatenate(([0], np.cumsum(np.diff(angle[order]) > width_rad)))
+    return numbers
+
+
 def common_misfit(
-    sweeps: Sequence[SweepResiduals], *, least_sweeps: int = 4, level: float = 0.001, width_rad: float = np.radians(2.0)
+    sweeps: Sequence[SweepResiduals],
+    *,
+    least_sweeps: int = 4,
+    level: float = 0.001,
+    width_rad: float = _SAME_ANGLE_RAD,
+    tolerance: float = 0.0,
+    shared: int = 0,
 ) -> Misfit:
     """Test the pattern over plate angle that the sweeps share.
 
-    width_rad: steps closer than this are one angle. Never disagrees on fewer than least_sweeps sweeps. The scatter of the sweeps
-    about their common pattern widens the stated sd where it is larger, so that flow that wanders raises no alarm.
+    width_rad: steps closer than this are one angle. tolerance: standard deviation of a relative model error at each angle that is
+    nobody's concern; averaging over sweeps does not take it away. shared: quantities fitted to all sweeps together. Never
+    disagrees on fewer than least_sweeps sweeps. The scatter of the sweeps about their common pattern widens the stated sd where
+    it is larger, so that flow that wanders raises no alarm.
     """
-    nothing = Misfit(False, 1.0, (np.nan, np.nan), np.nan)
     usable = [s for s in sweeps if len(s.relative_residual) > s.fitted + 1]
     if len(usable) < least_sweeps:
-        return nothing
+        return NO_MISFIT
     angle = np.concatenate([s.plate_angle_rad for s in usable])
     residual = np.concatenate([s.relative_residual for s in usable])
     sd = np.concatenate([s.sd for s in usable])
     good = np.isfinite(angle) & np.isfinite(residual) & np.isfinite(sd) & (sd > 0.0)
     angle, residual, sd = angle[good], residual[good], sd[good]
     if angle.size == 0:
-        return nothing
-    order = np.argsort(angle, kind="stable")
-    numbers = np.empty(angle.size, dtype=np.int64)
-    numbers[order] = np.concatenate(([0], np.cumsum(np.diff(angle[order]) > width_rad)))
+        return NO_MISFIT
+    numbers = _clusters(angle, width_rad)
     count = int(numbers.max()) + 1
     weight = np.bincount(numbers, 1.0 / sd**2, count)
     mean = np.bincount(numbers, residual / sd**2, count) / weight
     fitted = float(np.mean([s.fitted for s in usable]))
     within_dof = angle.size - count - (len(usable) - 1) * fitted
-    if count <= fitted + 1.0 or within_dof < 3.0:
-        return nothing
+    free = count - fitted - shared
+    if free < 1.0 or within_dof < 3.0:
+        return NO_MISFIT
     scatter = max(float(np.sum(((residual - mean[numbers]) / sd) ** 2)) / within_dof, 1.0)
-    between = float(np.sum(mean**2 * weight)) / (count - fitted)
-    p_value = float(stats.f.sf(between / scatter, count - fitted, within_dof))
+    weight = 1.0 / (scatter / weight + tolerance**2)
+    between = float(np.sum(mean**2 * weight)) / free
+    p_value = float(fdtrc(free, within_dof, between))
     if p_value >= level:
         return Misfit(False, p_value, (np.nan, np.nan), np.nan)
     first, last = _strongest_run(mean * np.sqrt(weight))

@@ -1,0 +1,81 @@
+"""Flow while the plate is away from home, from the visits home that bracket it.
+
+A visit is a run of windows at home; its flow is their mean. In between flow is taken to run straight in its logarithm. What it
+may do beside that is a random walk, whose variance for each second comes from how much the visits differ beyond their own noise;
+pinned at both ends it is a Brownian bridge.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.physics.numerics import Array
+
+_VISIT_GAP_S = 3.0
+"""Windows at home further apart than this belong to two visits."""
+
+
+@dataclass(frozen=True, slots=True)
+class Visits:
+    """Visits home of one sweep, arrays (visits,), in order of time: middle, s; logarithm of flow, and its sd from noise."""
+
+    time_s: Array
+    log_flow: Array
+    sd: Array
+
+    @classmethod
+    def of(cls, time_s: Array, flow_kg_s: Array, relative_sd: Array) -> Visits:
+        """From the windows at home, arrays (windows,); those without a flow above 0 are left out."""
+        with np.errstate(invalid="ignore"):
+            known = np.flatnonzero((flow_kg_s > 0.0) & (relative_sd > 0.0))
+        order = known[np.argsort(time_s[known], kind="stable")]
+        time, log_flow, sd = time_s[order], np.log(flow_kg_s[order]), relative_sd[order]
+        if not order.size:
+            return cls(time, log_flow, sd)
+        number = np.concatenate(([0], np.cumsum(np.diff(time) > _VISIT_GAP_S)))
+        count = np.bincount(number)
+        return cls(
+            np.bincount(number, time) / count,
+            np.bincount(number, log_flow) / count,
+            np.sqrt(np.bincount(number, sd**2)) / count,
+        )
+
+    def __len__(self) -> int:
+        return self.time_s.size
+
+
+def wander_per_s(sweeps: Sequence[Visits]) -> float:
+    """Variance by which ln(flow) wanders in a second, pooled over sweeps; 0 where their own noise explains all differences."""
+    excess, seconds = 0.0, 0.0
+    for visits in sweeps:
+        step = np.diff(visits.log_flow)
+        excess += float(np.sum(step**2 - visits.sd[1:] ** 2 - visits.sd[:-1] ** 2))
+        seconds += float(np.sum(np.diff(visits.time_s)))
+    return max(excess, 0.0) / seconds if seconds > 0.0 else 0.0
+
+
+def bracketed(visits: Visits, time_s: Array, wander: float, *, at_home: NDArray[np.bool_] | None = None) -> tuple[Array, Array]:
+    """ln(flow) at given times and its standard deviation, arrays of time_s's shape; nan outside the first and last visit.
+
+    wander: see `wander_per_s`. at_home: windows that are part of a visit themselves; theirs is judged by the other visits alone,
+    so the first and last have none.
+    """
+    value, sd = np.full(time_s.shape, np.nan), np.full(time_s.shape, np.nan)
+    for i, at in enumerate(time_s):
+        time, log_flow, spread = visits.time_s, visits.log_flow, visits.sd
+        if at_home is not None and at_home[i] and len(visits):
+            others = np.arange(len(visits)) != int(np.argmin(np.abs(time - at)))
+            time, log_flow, spread = time[others], log_flow[others], spread[others]
+        right = int(np.searchsorted(time, at))
+        if right == 0 or right == len(time):
+            continue
+        span = time[right] - time[right - 1]
+        share = (at - time[right - 1]) / span
+        value[i] = (1.0 - share) * log_flow[right - 1] + share * log_flow[right]
+        noise = ((1.0 - share) * spread[right - 1]) ** 2 + (share * spread[right]) ** 2
+        sd[i] = np.sqrt(noise + wander * span * share * (1.0 - share))
+    return value, sd
