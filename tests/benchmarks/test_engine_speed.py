@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "engine"))
 
 from engine_bench import MACHINE, Bench, monitor
 
-from yieldmon.engine.monitor import SampleRun
+from yieldmon.engine.runs import run_of
 from yieldmon.engine.settings import WindowSettings
 from yieldmon.engine.windows import WindowBuilder
 from yieldmon.physics.machine import RPM
@@ -35,13 +35,11 @@ def test_feed(benchmark):
 
 @pytest.mark.benchmark(group="30 s of frames (8,400 frames)")
 def test_feed_run(benchmark):
-    samples = BENCH.sample_frames(30)
-    slow = sorted(BENCH.slow_frames(30), key=lambda frame: frame.time_s)
-    places = np.searchsorted(samples["times_s"], [frame.time_s for frame in slow], side="right")
+    whole = run_of(BENCH.frames(30))
 
     def run():
         target = monitor()
-        target.feed_run(SampleRun(places=places, **samples), slow)
+        target.feed_run(whole)
         return target
 
     assert benchmark(run).totals.total_kg > 200.0

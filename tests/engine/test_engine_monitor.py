@@ -18,14 +18,14 @@ from engine_bench import (
     monitor,
     only,
     qualities,
-    sample_frame,
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from yieldmon import frames as bus
 from yieldmon.engine.faults import FaultCode
-from yieldmon.engine.monitor import Monitor, SampleRun
+from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.runs import run_of
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.state import EngineState
 from yieldmon.estimation.open_loop import FlowEstimate
@@ -78,36 +78,24 @@ def test_stated_standard_deviation_covers_the_error() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_blocks_of_any_size_give_the_same_bytes(seed: int) -> None:
-    bench = replace(STEADY, drop=lambda i: i % 97 == 5, seed=seed + 20)
-    samples, slow = bench.sample_frames(20), sorted(bench.slow_frames(20), key=lambda f: f.time_s)
+def test_runs_of_any_length_give_the_same_bytes(seed: int) -> None:
+    frames = replace(STEADY, drop=lambda i: i % 97 == 5, seed=seed + 20).frames(40)
     one_by_one = monitor()
-    expected = feed(one_by_one, bench.frames(20))
+    expected = feed(one_by_one, frames)
     target, out = monitor(), []
     generator = np.random.default_rng(seed)
-    first, first_slow = 0, 0
-    while first < samples["times_s"].size:
-        last = min(samples["times_s"].size, first + int(generator.integers(1, 900)))
-        end_s = samples["times_s"][last - 1]
-        last_slow = first_slow + sum(f.time_s <= end_s for f in slow[first_slow:])
-        part = {name: values[first:last] for name, values in samples.items()}
-        others = slow[first_slow:last_slow]
-        places = np.searchsorted(part["times_s"], [f.time_s for f in others], side="right")
-        out += target.feed_run(SampleRun(places=places, **part), others)
-        first, first_slow = last, last_slow
-    out += feed(target, slow[first_slow:])
+    first = 0
+    while first < len(frames):
+        last = first + int(np.exp(generator.uniform(0.0, np.log(9000))))
+        out += target.feed_run(run_of(frames[first:last]))
+        first = last
     assert repr(out) == repr(expected)
     assert repr(target.take_records()) == repr(one_by_one.take_records())
 
 
 def test_a_run_with_a_clock_jump_inside_gives_the_same_bytes() -> None:
-    samples = STEADY.sample_frames(10)
-    samples["times_s"] = samples["times_s"] + np.where(np.arange(samples["times_s"].size) >= 1000, -3600.0, 0.0)
-    frames = [
-        sample_frame(t, mv, c)
-        for t, mv, c in zip(*(samples[n].tolist() for n in ("times_s", "millivolts", "counters")), strict=True)
-    ]
-    assert repr(monitor().feed_run(SampleRun(**samples))) == repr(feed(monitor(), frames))
+    frames = [f if f.time_s < 1006.0 else f._replace(time_s=f.time_s - 3600.0) for f in STEADY.frames(10)]
+    assert repr(monitor().feed_run(run_of(frames))) == repr(feed(monitor(), frames))
 
 
 JUMPS = [-7 * 3600.0, -1.0, 3600.0, 1e6]

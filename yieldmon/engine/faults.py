@@ -230,6 +230,14 @@ class FaultBook:
             entry.occurrences += int(present)
             self._events.append(FaultEvent(time_s, code, present, entry.detail))
 
+    def observe_all(self, present: Mapping[FaultCode, str], time_s: float) -> None:
+        """One window's verdict on every condition; present: those that hold, with what is to be said of them."""
+        for code, entry in self._entries.items():
+            if code in present:
+                self.observe(code, True, time_s, present[code])
+            elif entry.active or entry.streak or code in self._reported:
+                self.observe(code, False, time_s)
+
     def report(self, code: FaultCode, present: bool, detail: str = "") -> None:
         """What the service around the engine sees of a condition; it counts as present until reported otherwise."""
         if present:

@@ -15,8 +15,10 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import partial
 from math import degrees, floor, hypot, isfinite, radians
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,17 +26,20 @@ from numpy.typing import NDArray
 from yieldmon import frames as bus
 from yieldmon.engine.anchors import AnchorSource, ReferenceMass, TankScale
 from yieldmon.engine.clock import BusClock
+from yieldmon.engine.disagreement import Disagreement
 from yieldmon.engine.faults import FAULTS, FaultBook, FaultCode, Severity
 from yieldmon.engine.flow_filter import FlowFilter
 from yieldmon.engine.gates import GateInputs, HarvestGate
+from yieldmon.engine.inputs import DEGREE, Inputs, Moment, RunInputs
 from yieldmon.engine.plate_commands import RELEASE, PlateCommander
 from yieldmon.engine.records import CalibrationOutcome, FlowEstimator, SelfCalibrator, WindowRecord
+from yieldmon.engine.runs import FrameRun
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.state import EngineState
 from yieldmon.engine.sweep import PlateReading, SweepAbort, SweepMachine, SweepWindow
 from yieldmon.engine.totals import Totals, dry_mass
-from yieldmon.engine.windows import Window, WindowBuilder, number
-from yieldmon.engine.zero import ZeroTracker
+from yieldmon.engine.windows import Window, WindowBuilder
+from yieldmon.engine.zero import ZeroState, ZeroTracker
 from yieldmon.estimation.open_loop import FlowStatus
 from yieldmon.frames import (
     NOT_AVAILABLE,
@@ -49,32 +54,12 @@ from yieldmon.frames import (
 from yieldmon.physics.machine import RPM, Machine
 
 _NAN = float("nan")
+_GROUP_WINDOWS = 16
+"""Windows of a run that are closed together: enough to share the cost of array operations, few enough for the cache."""
 _KEPT_RECORDS = 7200
 _KEPT_LOADS = 256
-_MAX_PLAUSIBLE_RPM = 3000.0
-_MAX_PLAUSIBLE_ANGLE_DEG = 180.0
-_KMH = 1.0 / 3.6
 _COUNTER_MODULUS = 256
 _NO_FAULTS: dict[str, Value] = {code.value: 0 for code in FAULTS}
-
-
-class Held:
-    """Last usable value of an input and the engine time it came at."""
-
-    __slots__ = ("time_s", "value")
-
-    def __init__(self) -> None:
-        self.value = _NAN
-        self.time_s = float("-inf")
-
-    def set(self, time_s: float, value: float) -> None:
-        """A new value."""
-        self.value = value
-        self.time_s = time_s
-
-    def within(self, now_s: float, timeout_s: float) -> float:
-        """The value while it is fresh, else nan."""
-        return self.value if now_s - self.time_s <= timeout_s else _NAN
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,21 +76,6 @@ class LoadSummary:
 
 
 @dataclass(frozen=True, slots=True)
-class SampleRun:
-    """Consecutive ImpactSensorSamples frames as arrays: times_s (bus time), counters and statuses (n,), millivolts (n, samples).
-
-    nan for what is not available. places (m,): how many of these frames came before each of the m frames of other messages that
-    are fed along with them; not falling.
-    """
-
-    times_s: NDArray[np.float64]
-    millivolts: NDArray[np.float64]
-    counters: NDArray[np.float64]
-    statuses: NDArray[np.float64]
-    places: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
-
-
-@dataclass(frozen=True, slots=True)
 class _Flow:
     """Flow of a window, nan where there is none, what it is worth, and whether grain was seen."""
 
@@ -118,6 +88,40 @@ class _Flow:
     saturated: bool = False
     noise_kg_s: float = _NAN
     """The part of std_dev_kg_s that changes from window to window."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Reading:
+    """What is known of a window before its flow is estimated, and what zero and gate made of it.
+
+    flow: None where an estimate decides. stuck_s: how long no sample has changed. still: the plate rested. speed_known: at the
+    window's end; in_range: at a speed at which grain is measured.
+    """
+
+    window: Window
+    moment: Moment
+    flow: _Flow | None
+    force_n: float
+    force_std_dev_n: float
+    speed_known: bool
+    in_range: bool
+    stuck_s: int
+    stale_angle: bool
+    still: bool
+    at_home: bool
+    harvesting: bool
+    zero: ZeroState | None
+    zero_drifted: bool
+    calibrating_zero: bool
+
+
+class _Estimate(NamedTuple):
+    """One row of a FlowEstimate; noise_kg_s is None where the estimator does not tell it apart."""
+
+    rate_kg_s: float
+    std_dev_kg_s: float
+    status: FlowStatus
+    noise_kg_s: float | None
 
 
 class Monitor:
@@ -147,6 +151,7 @@ class Monitor:
         self._filter = FlowFilter(settings.flow_filter)
         self._commander = PlateCommander(settings.plate, machine)
         self._sweep = SweepMachine(settings.sweep, settings.plate, degrees(machine.home_plate_angle_rad))
+        self.disagreement = Disagreement(settings.disagreement, machine)
         self._scale = TankScale(settings.anchors)
         self._tickets: deque[ReferenceMass] = deque(maxlen=settings.anchors.keep)
         self._ticks_per_window = round(settings.windows.window_s / settings.plate.command_interval_s)
@@ -155,18 +160,8 @@ class Monitor:
         self._tick = self._next_tick = 0
         self._next_s = float("-inf")
         self._window_start_s = 0.0
-        self._speed = Held()
-        self._angle = Held()
-        self._moisture = Held()
-        self._test_weight = Held()
-        self._latitude = Held()
-        self._longitude = Held()
-        self._course = Held()
-        self._ground_speed = Held()
-        self._header_down = Held()
-        self._working = Held()
-        self._scale_status = Held()
-        self._actuator = ActuatorState.IDLE
+        self._inputs = Inputs(settings.inputs)
+        self._weighed_s = float("-inf")
         self._idle_since_s: float | None = None
         self._cutting_s = float("-inf")
         self._windows = 0
@@ -182,17 +177,9 @@ class Monitor:
         self._load_start_s = _NAN
         self._load_complete = True
         self._last_record: WindowRecord | None = None
+        self._reporting = True
+        self._rest_rad = radians(2.0 * settings.plate.at_target_tolerance_deg)
         self._diagnostic = 0
-        self._handlers: dict[str, Callable[[float, Mapping[str, Value]], None]] = {
-            bus.IMPACT_SENSOR_SAMPLES: self._on_samples,
-            bus.ELEVATOR_SPEED: self._on_speed,
-            bus.PLATE_ACTUATOR_FEEDBACK: self._on_feedback,
-            bus.GRAIN_CONDITION: self._on_grain,
-            bus.TANK_SCALE: self._on_scale,
-            bus.HARVEST_STATE: self._on_harvest_state,
-            bus.VEHICLE_POSITION: self._on_position,
-            bus.VEHICLE_DIRECTION_SPEED: self._on_direction,
-        }
 
     # Frames
 
@@ -202,9 +189,7 @@ class Monitor:
         if now is None:
             return []
         out = self._advance(now) if now >= self._next_s else []
-        handler = self._handlers.get(frame.message)
-        if handler is not None:
-            handler(now, frame.signals)
+        self._take(now, frame.message, frame.signals)
         return out
 
     def tick(self, time_s: float) -> list[Frame]:
@@ -212,42 +197,22 @@ class Monitor:
         now = self._clock.engine_time(time_s)
         return [] if now is None else self._advance(now)
 
-    def feed_run(self, run: SampleRun, others: Sequence[Frame] = ()) -> list[Frame]:
-        """Take a run of ImpactSensorSamples frames and the frames of other messages that came among them.
+    def feed_run(self, run: FrameRun, *, reports: bool = True) -> list[Frame]:
+        """Take a run of frames: the same as `feed` frame by frame, to the bit, at a fraction of its cost.
 
-        The same as `feed` frame by frame in order of arrival, to the bit, at a fraction of its cost.
+        reports: False leaves out the frames that tell of a window, which a log's reader has no use for.
         """
-        count = run.times_s.size
-        places = run.places + np.arange(len(others), dtype=np.intp)
-        rows = np.column_stack((run.times_s, run.counters, run.statuses, run.millivolts)).astype(np.float64, copy=False)
-        times = np.insert(run.times_s, run.places, [frame.time_s for frame in others])
-        if self._clock.now_s is None and times.size:
-            start = self._clock.engine_time(float(times[0]))
-            if start is not None:
-                self._advance(start)
-        if not self._clock.regular(times):
-            return self._feed_merged(rows, others, run.places)
-        times = times + self._clock.offset_s
-        rows[:, 0] += self._clock.offset_s
-        out: list[Frame] = []
-        done, other = 0, 0
-        while done < times.size:
-            after = done + int(np.searchsorted(times[done:], self._next_s, side="left"))
-            next_other = int(np.searchsorted(places, after, side="left"))
-            first, last = done - other, after - next_other
-            if last > first:
-                self._builder.add_block(rows[first:last])
-            for index in range(other, next_other):
-                frame = others[index]
-                handler = self._handlers.get(frame.message)
-                if handler is not None:
-                    handler(float(times[places[index]]), frame.signals)
-            if after < times.size:
-                out += self._advance(float(times[after]))
-            done, other = after, next_other
-        if count or others:
-            self._clock.now_s = float(times[-1])
-        return out
+        if not run.times_s.size:
+            return []
+        self._reporting = reports
+        try:
+            if self._clock.now_s is None:
+                start = self._clock.engine_time(float(run.times_s[0]))
+                if start is not None:
+                    self._advance(start)
+            return self._feed_regular(run) if self._clock.regular(run.times_s) else self._feed_one_by_one(run)
+        finally:
+            self._reporting = True
 
     # Operator and service
 
@@ -277,7 +242,7 @@ class Monitor:
         self._sweep.abort(self._clock.now_s or 0.0)
 
     def set_estimator(self, estimator: FlowEstimator, calibration_age_s: float | None) -> None:
-        """New parameters from outside; calibration_age_s: time since they were calibrated, None where it is not known."""
+        """Other parameters; calibration_age_s: time since they were calibrated, None where it is not known."""
         self._estimator = estimator
         self._calibration_age_s = calibration_age_s
 
@@ -331,6 +296,11 @@ class Monitor:
         return (*self._loads, self._load_summary(_NAN)) if self.totals.load_open else tuple(self._loads)
 
     @property
+    def due_s(self) -> float:
+        """Bus time of the first frame that will make `feed` do more than take note of it; -inf before the first frame."""
+        return self._clock.bus_time(self._next_s)
+
+    @property
     def last_record(self) -> WindowRecord | None:
         """The last window."""
         return self._last_record
@@ -351,6 +321,7 @@ class Monitor:
             sweep_due_in_s=self._sweep.remaining_s(self._clock.now_s or 0.0),
             calibration_age_s=self._calibration_age_s,
             parameter_version=self._estimator.parameters.version,
+            disagreement=self.disagreement.state,
         )
 
     def restore(self, state: EngineState) -> None:
@@ -361,92 +332,71 @@ class Monitor:
         self._sweep.sweep_id = state.sweep_id
         self._sweep.first_after_s = max(self.settings.sweep.first_after_s, state.sweep_due_in_s)
         self._calibration_age_s = state.calibration_age_s
+        # Where other parameters came from outside meanwhile, the patterns seen so far say nothing about them.
+        if state.parameter_version == self._estimator.parameters.version:
+            self.disagreement.restore(state.disagreement, self._estimator.parameters)
 
     # Inputs
 
-    def _feed_merged(self, rows: NDArray[np.float64], others: Sequence[Frame], places: NDArray[np.intp]) -> list[Frame]:
+    def _take(self, now: float, message: str, signals: Mapping[str, Value]) -> None:
+        if message == bus.IMPACT_SENSOR_SAMPLES:
+            get = signals.get
+            self._builder.rows.append(
+                (
+                    now,
+                    get("SampleCounter"),
+                    get("SensorStatus"),
+                    get("Sample0"),
+                    get("Sample1"),
+                    get("Sample2"),
+                    get("Sample3"),
+                )
+            )
+        elif self._inputs.take(message, now, signals):
+            if message == bus.ELEVATOR_SPEED:
+                self._builder.add_speed(now, self._inputs.held["speed_rad_s"].value)
+            else:
+                self._builder.add_angle(now, self._inputs.held["angle_deg"].value * DEGREE)
+
+    def _feed_one_by_one(self, run: FrameRun) -> list[Frame]:
+        others = {place: frame for part in run.others for place, frame in part.frames()}
+        out: list[Frame] = []
+        samples = iter(run.samples.tolist())
+        for place, time_s in enumerate(run.times_s.tolist()):
+            if place in others:
+                out += self.feed(others[place])
+                continue
+            row = next(samples)
+            now = self._clock.engine_time(time_s)
+            if now is not None:
+                out += self._advance(now) if now >= self._next_s else []
+                self._builder.rows.append((now, *row))
+        return out
+
+    def _feed_regular(self, run: FrameRun) -> list[Frame]:
+        """A run whose times neither step back nor jump: its windows are closed a group at a time."""
+        offset_s = self._clock.offset_s
+        last_s = float(run.times_s[-1]) + offset_s
+        inputs = self._inputs.follow(run, offset_s)
+        feeding = _Feeding(self._builder, run, offset_s, inputs)
+        ends = self._window_ends(last_s)
+        moments = inputs.moments(ends)
         out: list[Frame] = []
         first = 0
-        for frame, place in zip(others, places.tolist(), strict=True):
-            for row in rows[first:place]:
-                out += self._feed_row(row)
-            first = place
-            out += self.feed(frame)
-        for row in rows[first:]:
-            out += self._feed_row(row)
+        while first < len(ends):
+            last = first + 1
+            if not _stale(moments[first]):
+                while last < min(len(ends), first + _GROUP_WINDOWS) and not _stale(moments[last]):
+                    last += 1
+            feeding.up_to(ends[last - 1])
+            out += self._close_windows(moments[first:last], inputs.plate_at)
+            first = last
+        feeding.rest()
+        while self._next_s <= last_s:
+            out += self._due(*inputs.plate_at(self._next_s))
+        inputs.finish()
+        self._clock.now_s = last_s
         return out
-
-    def _feed_row(self, row: NDArray[np.float64]) -> list[Frame]:
-        now = self._clock.engine_time(float(row[0]))
-        if now is None:
-            return []
-        out = self._advance(now) if now >= self._next_s else []
-        self._builder.rows.append((now, *row[1:].tolist()))
-        return out
-
-    def _on_samples(self, now: float, signals: Mapping[str, Value]) -> None:
-        get = signals.get
-        self._builder.rows.append(
-            (
-                now,
-                get("SampleCounter"),
-                get("SensorStatus"),
-                get("Sample0"),
-                get("Sample1"),
-                get("Sample2"),
-                get("Sample3"),
-            )
-        )
-
-    def _on_speed(self, now: float, signals: Mapping[str, Value]) -> None:
-        rpm = number(signals.get("ElevatorSpeed"))
-        if 0.0 <= rpm <= _MAX_PLAUSIBLE_RPM:
-            self._speed.set(now, rpm * RPM)
-            self._builder.add_speed(now, rpm * RPM)
-
-    def _on_feedback(self, now: float, signals: Mapping[str, Value]) -> None:
-        state = number(signals.get("ActuatorState"))
-        if state in (0.0, 1.0, 2.0, 3.0):
-            self._actuator = ActuatorState(int(state))
-        angle = number(signals.get("PlateAngle"))
-        if 0.0 <= angle <= _MAX_PLAUSIBLE_ANGLE_DEG and self._actuator is not ActuatorState.FAULT:
-            self._angle.set(now, angle)
-            self._builder.add_angle(now, radians(angle))
-
-    def _on_grain(self, now: float, signals: Mapping[str, Value]) -> None:
-        moisture = number(signals.get("Moisture"))
-        if 0.0 <= moisture < 100.0:
-            self._moisture.set(now, moisture)
-        weight = number(signals.get("TestWeight"))
-        if weight > 0.0:
-            self._test_weight.set(now, weight)
-
-    def _on_scale(self, now: float, signals: Mapping[str, Value]) -> None:
-        status = number(signals.get("TankScaleStatus"))
-        mass = number(signals.get("TankMass"))
-        if isfinite(status):
-            self._scale_status.set(now, status)
-        if status == ScaleStatus.STABLE.value and isfinite(mass):
-            self._scale.reading(now, mass)
-
-    def _on_harvest_state(self, now: float, signals: Mapping[str, Value]) -> None:
-        for held, name in ((self._header_down, "HeaderDown"), (self._working, "WorkState")):
-            value = number(signals.get(name))
-            if value in (0.0, 1.0):
-                held.set(now, value)
-
-    def _on_position(self, now: float, signals: Mapping[str, Value]) -> None:
-        latitude, longitude = number(signals.get("Latitude")), number(signals.get("Longitude"))
-        if abs(latitude) <= 90.0 and abs(longitude) <= 180.0:
-            self._latitude.set(now, latitude)
-            self._longitude.set(now, longitude)
-
-    def _on_direction(self, now: float, signals: Mapping[str, Value]) -> None:
-        course, speed = number(signals.get("CompassBearing")), number(signals.get("NavigationSpeed"))
-        if 0.0 <= course <= 360.0:
-            self._course.set(now, course)
-        if speed >= 0.0:
-            self._ground_speed.set(now, speed * _KMH)
 
     # Time
 
@@ -456,12 +406,19 @@ class Monitor:
             self._begin(now)
         out: list[Frame] = []
         while self._next_s <= now:
-            at_s = self._next_s
-            self._tick = self._next_tick
-            if self._ticks_to_end(self._tick) == self._ticks_per_window:
-                out += self._close_window(at_s)
-            out += self._drive(at_s)
-            self._plan_next()
+            moment = self._inputs.moment(self._next_s)
+            if self._ticks_to_end(self._next_tick) == self._ticks_per_window:
+                out += self._close_windows([moment])
+            else:
+                out += self._due(moment.angle_deg, self._inputs.actuator)
+        return out
+
+    def _due(self, angle_deg: float, actuator: ActuatorState) -> list[Frame]:
+        """The tick that is due, the plate being at angle_deg (nan: unknown)."""
+        at_s = self._next_s
+        self._tick = self._next_tick
+        out = self._drive(at_s, angle_deg, actuator)
+        self._plan_next()
         return out
 
     def _begin(self, now: float) -> None:
@@ -481,6 +438,17 @@ class Monitor:
         self._next_tick = self._tick + ahead
         self._next_s = self._next_tick * self.settings.windows.window_s / self._ticks_per_window
 
+    def _window_ends(self, last_s: float) -> list[float]:
+        """Ends of windows that fall due until last_s, engine time."""
+        ends: list[float] = []
+        tick = self._tick
+        while True:
+            tick += self._ticks_to_end(tick)
+            end_s = tick * self.settings.windows.window_s / self._ticks_per_window
+            if end_s > last_s:
+                return ends
+            ends.append(end_s)
+
     def _ticks_to_end(self, tick: int) -> int:
         """Ticks from a tick to the next end of a window after it."""
         return self._ticks_per_window - (tick - self._offset_ticks) % self._ticks_per_window
@@ -488,87 +456,94 @@ class Monitor:
     def _bus_now(self) -> float:
         return _NAN if self._clock.now_s is None else self._clock.bus_time(self._clock.now_s)
 
-    def _drive(self, at_s: float) -> list[Frame]:
+    def _drive(self, at_s: float, angle_deg: float, actuator: ActuatorState) -> list[Frame]:
         """Let the sweep say what it wants of the plate, and command it."""
-        angle = self._angle.within(at_s, self.settings.inputs.feedback_timeout_s)
-        demand = self._sweep.tick(PlateReading(at_s, angle, self._actuator))
+        demand = self._sweep.tick(PlateReading(at_s, angle_deg, actuator))
         if demand is None:
             if not self._driving:
                 return []
             demand = RELEASE
         self._driving = demand.mode is not CommandMode.RELEASE
-        signals = self._commander.command(demand, angle)
+        signals = self._commander.command(demand, angle_deg)
         return [Frame(self._clock.bus_time(at_s), bus.PLATE_ACTUATOR_COMMAND, signals)]
 
     # Windows
 
-    def _close_window(self, at_s: float) -> list[Frame]:
-        stale_angle = not isfinite(self._angle.within(at_s, self.settings.inputs.feedback_timeout_s))
-        if stale_angle and (self._actuator is ActuatorState.MOVING or self._driving):
+    def _close_windows(
+        self, moments: Sequence[Moment], plate_at: Callable[[float], tuple[float, ActuatorState]] | None = None
+    ) -> list[Frame]:
+        """Close the windows that end at these moments, one after the other; all their samples are with the builder.
+
+        What a window is worth is worked out for all of them together, in three passes: zero, gate and force, each after the one
+        before; the estimates, which know nothing of each other; all the rest, in order again. plate_at: where the plate was at a
+        tick between two ends; a single window needs none. Where the angle is stale at an end, that window comes alone.
+        """
+        out: list[Frame] = []
+        if plate_at is not None:
+            out += self._ticks_before(moments[0].time_s, plate_at)
+        first = moments[0]
+        if _stale(first) and (first.actuator == ActuatorState.MOVING or self._driving):
             self._builder.forget_angle()
-        window = self._builder.close(self._window_start_s, at_s)
-        self._window_start_s = at_s
-        self._windows += 1
-        seconds = window.end_s - window.start_s
-        if self._calibration_age_s is not None:
-            self._calibration_age_s += seconds
-        timeout_s = self.settings.inputs.speed_timeout_s
-        speed_known = isfinite(self._speed.within(at_s, timeout_s))
+        windows = self._builder.close_run([self._window_start_s, *(moment.time_s for moment in moments)])
+        self._window_start_s = moments[-1].time_s
+        readings = [self._read(window, moment) for window, moment in zip(windows, moments, strict=True)]
+        estimator, estimates = self._estimator, self._estimates(readings)
+        for index, reading in enumerate(readings):
+            if self._estimator is not estimator:
+                estimator = self._estimator
+                estimates[index:] = self._estimates(readings[index:])
+            if plate_at is not None:
+                out += self._ticks_before(reading.window.end_s, plate_at)
+            out += self._conclude(reading, estimates[index])
+            out += self._due(reading.moment.angle_deg, ActuatorState(reading.moment.actuator))
+        return out
+
+    def _ticks_before(self, end_s: float, plate_at: Callable[[float], tuple[float, ActuatorState]]) -> list[Frame]:
+        out: list[Frame] = []
+        while self._next_s < end_s:
+            out += self._due(*plate_at(self._next_s))
+        return out
+
+    def _read(self, window: Window, moment: Moment) -> _Reading:
+        """Zero, gate and force of a window, which come before its flow."""
+        settings = self.settings
         # With everything silent, what the last window left over was still measured at a known speed.
-        speed_was_known = speed_known or isfinite(self._speed.within(self._builder.last_frame_s, timeout_s))
-        moisture = self._moisture.within(at_s, self.settings.inputs.condition_timeout_s)
+        timeout_s = settings.inputs.speed_timeout_s
+        speed_was_known = moment.speed_known or window.last_frame_s - moment.speed_time_s <= timeout_s
         in_range = self.machine.min_elevator_speed_rad_s <= window.speed_rad_s <= self.machine.max_elevator_speed_rad_s
-        still = window.plate_max_rad - window.plate_min_rad <= radians(2.0 * self.settings.plate.at_target_tolerance_deg)
+        still = window.plate_max_rad - window.plate_min_rad <= self._rest_rad
+        at_home = abs(window.plate_angle_rad - self.machine.home_plate_angle_rad) <= self._rest_rad
         self._stuck = self._stuck + 1 if window.samples and window.span_mv == 0.0 and in_range else 0
-        stuck = self._stuck >= self.settings.faults.stuck_windows
-        idle_s = self._idle_s(at_s)
-
-        flow = self._flow(window, speed_was_known, in_range, stuck, stale_angle, moisture, idle_s)
-        at_home = abs(window.plate_angle_rad - self.machine.home_plate_angle_rad) <= radians(
-            2.0 * self.settings.plate.at_target_tolerance_deg
+        stuck = self._stuck >= settings.faults.stuck_windows
+        idle_s = self._idle_s(moment)
+        flow, force, noise = self._gated(window, speed_was_known, in_range, stuck, idle_s)
+        self._follow_zero(window, moment, moment.speed_known and in_range and not stuck, still and at_home)
+        return _Reading(
+            window=window,
+            moment=moment,
+            flow=flow,
+            force_n=force,
+            force_std_dev_n=noise,
+            speed_known=moment.speed_known,
+            in_range=in_range,
+            stuck_s=self._stuck,
+            stale_angle=_stale(moment),
+            still=still,
+            at_home=at_home,
+            harvesting=self._gate.harvesting,
+            zero=self._zero.state,
+            zero_drifted=self._zero.drifted,
+            calibrating_zero=self._zero.calibrating,
         )
-        self._follow_zero(window, speed_known and in_range and not stuck, still and at_home)
 
-        mass_kg = self._count(window, flow, moisture)
-        self._scale.window(window.start_s, window.end_s, self.totals.total_kg - mass_kg, mass_kg, _measured(flow))
-        sweep_step = self._sweep.window(
-            SweepWindow(
-                end_s=at_s,
-                support_start_s=window.start_s - self._ramp_s(window),
-                flow_kg_s=flow.rate_kg_s,
-                force_n=flow.force_n,
-                speed_rad_s=window.speed_rad_s,
-                angle_deg=degrees(window.plate_angle_rad),
-                whole=window.coverage >= self.settings.windows.full_coverage and not flow.saturated and window.lost_frames == 0,
-                still=still,
-                trend=window.trend,
-            )
-        )
-        bus_s = self._clock.bus_time(at_s)
-        self._judge_faults(bus_s, at_s, window, flow, speed_known, in_range, stuck, stale_angle)
-        state = self._operating_state(window, speed_known)
-        published = self._filtered(window, flow, still and at_home)
-        record = self._record(bus_s, window, published, state, mass_kg, moisture, still, sweep_step)
-        self._records.append(record)
-        self._last_record = record
-        self._learn(at_s, record)
-        return self._report(bus_s, record)
-
-    def _flow(
-        self,
-        window: Window,
-        speed_known: bool,
-        in_range: bool,
-        stuck: bool,
-        stale_angle: bool,
-        moisture_pct: float,
-        idle_s: float,
-    ) -> _Flow:
-        """Gate, force and flow of a window."""
+    def _gated(
+        self, window: Window, speed_known: bool, in_range: bool, stuck: bool, idle_s: float
+    ) -> tuple[_Flow | None, float, float]:
+        """The flow of a window that needs no estimate (else None), its force and the force's standard deviation, N."""
         quality = EstimateQuality
         zero = self._zero.state
         if zero is None or not window.covered_s > 0.0 or not speed_known or stuck:
-            return _Flow(_NAN, _NAN, quality.NOT_AVAILABLE, _NAN, _NAN)
+            return _Flow(_NAN, _NAN, quality.NOT_AVAILABLE, _NAN, _NAN), _NAN, _NAN
         gain = self.machine.sensor.gain_n_per_mv
         force = (window.mean_mv - zero.zero_mv) * gain
         noise = self._force_std_dev(window, force)
@@ -578,21 +553,79 @@ class Monitor:
         grain = self._gate.grain(gate)
         if not self._gate.see(gate):
             found = quality.NOT_AVAILABLE if grain and not in_range else quality.NOT_HARVESTING
-            return _Flow(_NAN, _NAN, found, force, noise)
+            return _Flow(_NAN, _NAN, found, force, noise), force, noise
         held_long = window.held_s > 0.5 * self.settings.windows.window_s and abs(force) > self.settings.gate.grain_on_n
         if held_long:
-            return _Flow(_NAN, _NAN, quality.NOT_AVAILABLE, force, noise)
-        estimate = self._estimator.estimate(force, window.plate_angle_rad, window.speed_rad_s, noise, moisture_pct)
-        rate, std_dev = float(estimate.mass_flow_kg_s), float(estimate.std_dev_kg_s)
-        status = FlowStatus(int(estimate.status))
+            return _Flow(_NAN, _NAN, quality.NOT_AVAILABLE, force, noise), force, noise
+        return None, force, noise
+
+    def _estimates(self, readings: Sequence[_Reading]) -> list[_Estimate | None]:
+        """The estimator's word on each window that needs one, asked for all at once."""
+        open_flow = [reading for reading in readings if reading.flow is None]
+        if not open_flow:
+            return [None] * len(readings)
+        inputs = np.array(
+            [
+                (r.force_n, r.window.plate_angle_rad, r.window.speed_rad_s, r.force_std_dev_n, r.moment.moisture_pct)
+                for r in open_flow
+            ]
+        ).T.copy()
+        found = self._estimator.estimate(*inputs)
+        size = len(open_flow)
+        columns = [
+            np.broadcast_to(column, size).tolist() if column is not None else [None] * size
+            for column in (found.mass_flow_kg_s, found.std_dev_kg_s, found.status, found.noise_std_dev_kg_s)
+        ]
+        rows = (_Estimate(rate, sd, FlowStatus(status), own) for rate, sd, status, own in zip(*columns, strict=True))
+        return [next(rows) if reading.flow is None else None for reading in readings]
+
+    def _conclude(self, reading: _Reading, estimate: _Estimate | None) -> list[Frame]:
+        """All that follows from a window's flow: totals, sweep, faults, the record and the frames that tell of it."""
+        window, moment = reading.window, reading.moment
+        at_s = window.end_s
+        self._windows += 1
+        if self._calibration_age_s is not None:
+            self._calibration_age_s += at_s - window.start_s
+        flow = reading.flow if estimate is None else self._flow(reading, estimate)
+        assert flow is not None
+        mass_kg = self._count(window, flow, moment.moisture_pct)
+        if moment.tank_time_s != self._weighed_s:
+            self._weighed_s = moment.tank_time_s
+            self._scale.reading(moment.tank_time_s, moment.tank_kg)
+        self._scale.window(window.start_s, at_s, self.totals.total_kg - mass_kg, mass_kg, _measured(flow))
+        sweep_step = self._sweep.window(
+            SweepWindow(
+                end_s=at_s,
+                support_start_s=window.start_s - self._ramp_s(window),
+                flow_kg_s=flow.rate_kg_s,
+                force_n=flow.force_n,
+                speed_rad_s=window.speed_rad_s,
+                angle_deg=degrees(window.plate_angle_rad),
+                whole=window.coverage >= self.settings.windows.full_coverage and not flow.saturated and window.lost_frames == 0,
+                still=reading.still,
+                trend=window.trend,
+            )
+        )
+        bus_s = self._clock.bus_time(at_s)
+        self._judge_faults(bus_s, reading, flow)
+        published = self._filtered(flow, reading.still and reading.at_home)
+        record = self._record(bus_s, reading, published, mass_kg, sweep_step)
+        self._records.append(record)
+        self._last_record = record
+        self._learn(at_s, record)
+        return self._report(bus_s, record) if self._reporting else []
+
+    def _flow(self, reading: _Reading, estimate: _Estimate) -> _Flow:
+        """Flow of a window from what the estimator says of it."""
+        quality = EstimateQuality
+        window, force, noise, moisture_pct = reading.window, reading.force_n, reading.force_std_dev_n, reading.moment.moisture_pct
+        rate, std_dev, status, own = estimate
         if status is FlowStatus.SATURATED:
             rate, std_dev = self._full_paddle(force, window, noise, moisture_pct)
         if not (isfinite(rate) and isfinite(std_dev)) or rate < 0.0:
             return _Flow(_NAN, _NAN, quality.NOT_AVAILABLE, force, noise)
-        away = abs(window.plate_angle_rad - self.machine.home_plate_angle_rad) > radians(
-            2.0 * self.settings.plate.at_target_tolerance_deg
-        )
-        if stale_angle:
+        away = not reading.at_home
+        if reading.stale_angle:
             std_dev = hypot(std_dev, self._angle_uncertainty(rate, force, window, noise, moisture_pct))
         if away:
             std_dev *= self.settings.sweep.max_std_dev_factor
@@ -603,7 +636,7 @@ class Monitor:
             or window.surplus_frames > 0
             or window.sensor_fault_frames > 0
             or window.held_s > 0.25 * self.settings.windows.window_s
-            or stale_angle
+            or reading.stale_angle
             or self.faults.is_active(FaultCode.CALIBRATION_OLD)
         )
         if saturated:
@@ -618,11 +651,10 @@ class Monitor:
             found = quality.OK
         outside = status is FlowStatus.OUTSIDE_CALIBRATION
         # An estimator that does not tell them apart: flow is nearly proportional to force, so a share of one is one of the other.
-        own = estimate.noise_std_dev_kg_s
-        window_noise = rate * noise / force if own is None and force > 0.0 else float(own) if own is not None else _NAN
+        window_noise = rate * noise / force if own is None and force > 0.0 else own if own is not None else _NAN
         return _Flow(rate, std_dev, found, force, noise, outside, saturated, window_noise)
 
-    def _filtered(self, window: Window, flow: _Flow, plate_rests_at_home: bool) -> _Flow:
+    def _filtered(self, flow: _Flow, plate_rests_at_home: bool) -> _Flow:
         """The flow to publish: windows of a plate at rest at home weighed together; every other stands for itself."""
         usable = plate_rests_at_home and not flow.saturated and flow.force_n > 0.0 and flow.rate_kg_s > 0.0
         if not usable:
@@ -668,11 +700,9 @@ class Monitor:
         other = float(estimate.mass_flow_kg_s)
         return abs(other - rate) if isfinite(other) else rate
 
-    def _follow_zero(self, window: Window, elevator_runs: bool, plate_rests_at_home: bool) -> None:
+    def _follow_zero(self, window: Window, moment: Moment, elevator_runs: bool, plate_rests_at_home: bool) -> None:
         whole = window.coverage >= self.settings.windows.full_coverage
-        timeout_s = self.settings.inputs.vehicle_timeout_s
-        header_down = self._header_down.within(window.end_s, timeout_s) == 1.0
-        if header_down and self._working.within(window.end_s, timeout_s) != 0.0:
+        if moment.header_down == 1.0 and moment.working != 0.0:
             self._cutting_s = window.end_s
         emptied = window.end_s - self._cutting_s >= self.settings.gate.emptying_s
         if elevator_runs and whole and plate_rests_at_home:
@@ -699,13 +729,13 @@ class Monitor:
         longest = self.settings.windows.max_ramp_s
         return min(longest, self.machine.pattern_length_m / chain) if chain > 0.0 else longest
 
-    def _idle_s(self, at_s: float) -> float:
+    def _idle_s(self, moment: Moment) -> float:
         """How long header, work state or ground speed have said that no crop is taken in, s."""
-        timeout = self.settings.inputs.vehicle_timeout_s
+        at_s = moment.time_s
         idle = (
-            self._header_down.within(at_s, timeout) == 0.0
-            or self._working.within(at_s, timeout) == 0.0
-            or self._ground_speed.within(at_s, timeout) < self.settings.gate.min_ground_speed_m_s
+            moment.header_down == 0.0
+            or moment.working == 0.0
+            or moment.ground_speed_m_s < self.settings.gate.min_ground_speed_m_s
         )
         if not idle:
             self._idle_since_s = None
@@ -714,92 +744,76 @@ class Monitor:
             self._idle_since_s = at_s
         return at_s - self._idle_since_s
 
-    def _judge_faults(
-        self,
-        bus_s: float,
-        at_s: float,
-        window: Window,
-        flow: _Flow,
-        speed_known: bool,
-        in_range: bool,
-        stuck: bool,
-        stale_angle: bool,
-    ) -> None:
-        settings = self.settings
+    def _judge_faults(self, bus_s: float, reading: _Reading, flow: _Flow) -> None:
+        settings, window, moment = self.settings, reading.window, reading.moment
         rpm = window.speed_rad_s / RPM
-        turning = speed_known and rpm > settings.gate.min_turning_rpm
-        scale_heard = isfinite(self._scale_status.value)
-        scale_status = self._scale_status.within(at_s, settings.inputs.scale_timeout_s)
-        outcome = self._outcome
+        turning = reading.speed_known and rpm > settings.gate.min_turning_rpm
+        saturated = window.saturated_share >= settings.windows.saturated_share
+        counted = window.lost_frames > 0 or window.surplus_frames > 0
+        old = self._calibration_age_s is not None and self._calibration_age_s > settings.faults.calibration_old_s
+        scale_silent = not isfinite(moment.fresh_scale_status)
+        scale_fault = scale_silent or moment.fresh_scale_status == ScaleStatus.FAULT.value
+        outcome, disagreement = self._outcome, self.disagreement
+        vague = outcome is not None and not outcome.identifiable
         if self._clock.jumps != self._jumps_seen:
             self._jump_shown = settings.faults.clock_jump_hold_windows
         self._jumps_seen = self._clock.jumps
         jumped = self._jump_shown > 0
         self._jump_shown = max(0, self._jump_shown - 1)
         reason = self._sweep.abort_reason
-        present: dict[FaultCode, tuple[bool, str]] = {
-            FaultCode.SENSOR_MISSING: (
+        verdicts: tuple[tuple[FaultCode, bool, str, tuple[object, ...]], ...] = (
+            (
+                FaultCode.SENSOR_MISSING,
                 window.samples == 0 or 2 * window.sensor_fault_frames > window.frames,
-                f"{window.samples} usable samples in the window",
+                "{} usable samples in the window",
+                (window.samples,),
             ),
-            FaultCode.SENSOR_STUCK: (stuck, f"no change for {self._stuck} s"),
-            FaultCode.SENSOR_SATURATED: (
-                window.saturated_share >= settings.windows.saturated_share,
-                f"{100.0 * window.saturated_share:.0f} % of the samples",
+            (FaultCode.SENSOR_STUCK, reading.stuck_s >= settings.faults.stuck_windows, "no change for {} s", (reading.stuck_s,)),
+            (FaultCode.SENSOR_SATURATED, saturated, "{:.0f} % of the samples", (100.0 * window.saturated_share,)),
+            (FaultCode.ZERO_DRIFTED, reading.zero_drifted, "", ()),
+            (FaultCode.SPEED_MISSING, not reading.speed_known, "", ()),
+            (FaultCode.SPEED_OUT_OF_RANGE, turning and not reading.in_range, "{:.0f} rpm", (rpm,)),
+            (FaultCode.PLATE_NOT_FOLLOWING, self._sweep.not_following, "", ()),
+            (FaultCode.PLATE_FEEDBACK_STALE, reading.stale_angle, "", ()),
+            (FaultCode.SWEEP_ABORTED, reason is not None, "{}", (reason,)),
+            (FaultCode.CALIBRATION_OLD, old, "", ()),
+            (
+                FaultCode.FLOW_OUTSIDE_CALIBRATION,
+                flow.out_of_calibration or (flow.saturated and not saturated),
+                "{:.1f} kg/s",
+                (flow.rate_kg_s,),
             ),
-            FaultCode.ZERO_DRIFTED: (self._zero.drifted, ""),
-            FaultCode.SPEED_MISSING: (not speed_known, ""),
-            FaultCode.SPEED_OUT_OF_RANGE: (turning and not in_range, f"{rpm:.0f} rpm"),
-            FaultCode.PLATE_NOT_FOLLOWING: (self._sweep.not_following, ""),
-            FaultCode.PLATE_FEEDBACK_STALE: (stale_angle, ""),
-            FaultCode.SWEEP_ABORTED: (reason is not None, reason.value if reason else ""),
-            FaultCode.CALIBRATION_OLD: (
-                self._calibration_age_s is not None and self._calibration_age_s > settings.faults.calibration_old_s,
-                "",
+            (FaultCode.NOT_IDENTIFIABLE, vague, "{}", (outcome.reason if outcome else "",)),
+            (FaultCode.MODEL_DISAGREES, disagreement.present, "{}", (disagreement.region,)),
+            (
+                FaultCode.FRAMES_LOST,
+                counted or 0.0 < window.coverage < settings.windows.full_coverage,
+                "{} lost, {} too many",
+                (window.lost_frames, window.surplus_frames),
             ),
-            FaultCode.FLOW_OUTSIDE_CALIBRATION: (
-                flow.out_of_calibration or (flow.saturated and window.saturated_share < settings.windows.saturated_share),
-                f"{flow.rate_kg_s:.1f} kg/s",
+            (FaultCode.CLOCK_JUMPED, jumped, "", ()),
+            (
+                FaultCode.SCALE_FAULT,
+                isfinite(moment.scale_status) and scale_fault,
+                "silent" if scale_silent else "reports a fault",
+                (),
             ),
-            FaultCode.NOT_IDENTIFIABLE: (outcome is not None and not outcome.identifiable, outcome.reason if outcome else ""),
-            FaultCode.MODEL_DISAGREES: (outcome is not None and outcome.disagrees, outcome.region if outcome else ""),
-            FaultCode.FRAMES_LOST: (
-                window.lost_frames > 0 or window.surplus_frames > 0 or 0.0 < window.coverage < settings.windows.full_coverage,
-                f"{window.lost_frames} lost, {window.surplus_frames} too many",
-            ),
-            FaultCode.CLOCK_JUMPED: (jumped, ""),
-            FaultCode.SCALE_FAULT: (
-                scale_heard and (not isfinite(scale_status) or scale_status == ScaleStatus.FAULT.value),
-                "silent" if not isfinite(scale_status) else "reports a fault",
-            ),
-        }
-        for code in FAULTS:
-            here, detail = present.get(code, (False, ""))
-            self.faults.observe(code, here, bus_s, detail)
+        )
+        self.faults.observe_all({code: text.format(*of) for code, holds, text, of in verdicts if holds}, bus_s)
 
-    def _operating_state(self, window: Window, speed_known: bool) -> OperatingState:
-        if any(FAULTS[code].severity is Severity.STOP_TRUSTING for code in self.faults.active):
+    def _operating_state(self, reading: _Reading, active: tuple[FaultCode, ...]) -> OperatingState:
+        if any(FAULTS[code].severity is Severity.STOP_TRUSTING for code in active):
             return OperatingState.FAULT
-        if not window.samples or not speed_known:
+        if not reading.window.samples or not reading.speed_known:
             return OperatingState.STARTING
-        if self._zero.state is None or self._zero.calibrating:
+        if reading.zero is None or reading.calibrating_zero:
             return OperatingState.ZEROING
         if self._sweep.driving:
             return OperatingState.SWEEPING
-        return OperatingState.HARVESTING if self._gate.harvesting else OperatingState.NOT_HARVESTING
+        return OperatingState.HARVESTING if reading.harvesting else OperatingState.NOT_HARVESTING
 
-    def _record(
-        self,
-        bus_s: float,
-        window: Window,
-        flow: _Flow,
-        state: OperatingState,
-        mass_kg: float,
-        moisture_pct: float,
-        still: bool,
-        sweep_step: int,
-    ) -> WindowRecord:
-        inputs = self.settings.inputs
+    def _record(self, bus_s: float, reading: _Reading, flow: _Flow, mass_kg: float, sweep_step: int) -> WindowRecord:
+        window, moment, active = reading.window, reading.moment, self.faults.active
         return WindowRecord(
             time_s=bus_s,
             window=self._windows,
@@ -809,18 +823,18 @@ class Monitor:
             force_std_dev_n=flow.force_std_dev_n,
             elevator_speed_rad_s=window.speed_rad_s,
             plate_angle_rad=window.plate_angle_rad,
-            plate_still=still,
-            moisture_pct=moisture_pct,
-            test_weight_kg_m3=self._test_weight.within(window.end_s, inputs.condition_timeout_s),
+            plate_still=reading.still,
+            moisture_pct=moment.moisture_pct,
+            test_weight_kg_m3=moment.test_weight_kg_m3,
             mass_flow_kg_s=flow.rate_kg_s,
             std_dev_kg_s=flow.std_dev_kg_s,
             quality=flow.quality,
-            operating_state=state,
+            operating_state=self._operating_state(reading, active),
             mass_kg=mass_kg,
             load_kg=self.totals.load_kg,
             total_kg=self.totals.total_kg,
             load_number=self.totals.load_number,
-            zero_mv=self._zero.state.zero_mv if self._zero.state else _NAN,
+            zero_mv=reading.zero.zero_mv if reading.zero else _NAN,
             pulse_mv=window.pulse_mv,
             saturated_share=window.saturated_share,
             lost_frames=window.lost_frames,
@@ -830,11 +844,11 @@ class Monitor:
             sweep_step=sweep_step if sweep_step >= 0 else self._sweep.step,
             usable_for_calibration=sweep_step >= 0,
             parameter_version=self._estimator.parameters.version,
-            faults=self.faults.active,
-            latitude_deg=self._latitude.within(window.end_s, inputs.vehicle_timeout_s),
-            longitude_deg=self._longitude.within(window.end_s, inputs.vehicle_timeout_s),
-            ground_speed_m_s=self._ground_speed.within(window.end_s, inputs.vehicle_timeout_s),
-            course_deg=self._course.within(window.end_s, inputs.vehicle_timeout_s),
+            faults=active,
+            latitude_deg=moment.latitude_deg,
+            longitude_deg=moment.longitude_deg,
+            ground_speed_m_s=moment.ground_speed_m_s,
+            course_deg=moment.course_deg,
         )
 
     def _learn(self, at_s: float, record: WindowRecord) -> None:
@@ -850,6 +864,7 @@ class Monitor:
         if self._sweep.lying_feedback():
             self._sweep.abort(at_s, SweepAbort.FORCE_DOES_NOT_FOLLOW)
             return
+        self.disagreement.add(records, self._estimator.parameters)
         updated = False
         if self._calibrator is not None:
             self._outcome = self._calibrator.update(records, self.anchors, self._estimator)
@@ -948,6 +963,47 @@ class Monitor:
             OccurrenceCount=min(126, self.faults.occurrences(code)),
         )
         return signals
+
+
+def _stale(moment: Moment) -> bool:
+    """Whether there is no plate angle of late."""
+    return not isfinite(moment.angle_deg)
+
+
+class _Feeding:
+    """Hands a run's samples, speeds and angles to the builder, up to one end of a window after another."""
+
+    def __init__(self, builder: WindowBuilder, run: FrameRun, offset_s: float, inputs: RunInputs) -> None:
+        self._builder = builder
+        times = run.sample_times_s + offset_s
+        self._rows = np.column_stack((times, run.samples))
+        speed, angle = inputs.track("speed_rad_s"), inputs.track("angle_deg")
+        self._parts: list[tuple[NDArray[np.float64], Callable[[int, int], None]]] = [
+            (times, self._add_rows),
+            (speed.times_s, partial(self._add, builder.add_speeds, speed.times_s.tolist(), speed.values.tolist())),
+            (angle.times_s, partial(self._add, builder.add_angles, angle.times_s.tolist(), (angle.values * DEGREE).tolist())),
+        ]
+        self._done = [0] * len(self._parts)
+
+    def up_to(self, end_s: float) -> None:
+        """All that came before end_s."""
+        for index, (times, add) in enumerate(self._parts):
+            last = int(np.searchsorted(times, end_s, side="left"))
+            add(self._done[index], last)
+            self._done[index] = last
+
+    def rest(self) -> None:
+        """All that is left."""
+        self.up_to(float("inf"))
+
+    def _add_rows(self, first: int, last: int) -> None:
+        self._builder.add_block(self._rows[first:last])
+
+    @staticmethod
+    def _add(
+        add: Callable[[Sequence[float], Sequence[float]], None], times: list[float], values: list[float], first: int, last: int
+    ) -> None:
+        add(times[first:last], values[first:last])
 
 
 def _measured(flow: _Flow) -> bool:

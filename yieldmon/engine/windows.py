@@ -10,7 +10,9 @@ every harmonic of the paddle pattern. So a steady pulse train gives a steady mea
 paddles, and to first order while the speed changes. The result belongs to the time from t_{k-1} to t_k, both less half a
 pattern.
 
-All arithmetic runs once, at the close of the window, on arrays in the order of arrival: how the frames came in does not matter.
+All arithmetic runs once, at the close of the window or of many windows in a row, on arrays in the order of arrival: neither how
+the frames came in nor how many windows are closed together changes a bit of the result. So sums run over one window's samples at
+a time (`ufunc.reduceat`, or a running sum along a row), never over what is padded or stands beside.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ from yieldmon.frames import SensorStatus
 from yieldmon.physics.machine import Machine
 
 Array = NDArray[np.float64]
+Counts = NDArray[np.intp]
 
 ROW_COLUMNS = 3
 """Columns of a sample row before the samples: engine time, counter, status."""
@@ -34,18 +37,22 @@ ROW_COLUMNS = 3
 HARMONICS = 4
 """Harmonics of the paddle pattern that make up the pulse amplitude: with two paddles a pattern, two of the paddle passes."""
 
+_WHOLE_TURN = 2.0 * np.pi
+
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """One closed window. Means are under the window's weights; nan where nothing was measured.
+    """One closed window. Means are under the window's weights; nan where nothing was measured, but for speed and plate angle:
+    these are then the means over the time from start_s to end_s.
 
     start_s, end_s: engine time. weight_s: the window's whole weight, s; covered_s: the part that has samples. mean_mv and
     std_dev_mv: of the sensor, zero-load voltage included; std_dev_mv is of the mean, from the scatter of whole paddle patterns
     (patterns of them). harmonics_mv: complex amplitudes of what repeats with the paddle pattern, their phase counted along the
-    chain from the first window, so that windows can be averaged coherently. trend: difference of the window's halves in
-    standard errors. lost_frames by counter and time; surplus_frames: more than the time allows; repeated_frames: same counter
-    twice (one is used). span_mv: largest less smallest sample. held_s: how long the last sample had not moved at the end.
-    plate_min_rad .. plate_max_rad: over the whole support.
+    chain from the first window, so that windows can be averaged coherently; pulse_mv: amplitude of all of them together. trend:
+    difference of the window's halves in standard errors. lost_frames by counter and time; surplus_frames: more than the time
+    allows; repeated_frames: same counter twice (one is used). last_frame_s: engine time of the last sample frame until now.
+    span_mv: largest less smallest sample. held_s: how long the last sample had not moved at the end. plate_min_rad ..
+    plate_max_rad: over the whole support.
     """
 
     start_s: float
@@ -53,6 +60,7 @@ class Window:
     mean_mv: float
     std_dev_mv: float
     harmonics_mv: tuple[complex, ...]
+    pulse_mv: float
     trend: float
     patterns: int
     weight_s: float
@@ -63,6 +71,7 @@ class Window:
     plate_max_rad: float
     frames: int
     samples: int
+    last_frame_s: float
     span_mv: float
     held_s: float
     saturated_share: float
@@ -76,34 +85,33 @@ class Window:
         """Share of the window's weight that was measured, 0 .. 1."""
         return min(1.0, self.covered_s / self.weight_s) if self.weight_s > 0.0 else 0.0
 
-    @property
-    def pulse_mv(self) -> float:
-        """Amplitude of what repeats with the paddle pattern in this window, all harmonics together, mV."""
-        return float(sum(abs(value) ** 2 for value in self.harmonics_mv) ** 0.5)
-
 
 @dataclass(frozen=True, slots=True)
-class _Samples:
-    """Samples with what is known of each. weight: what it still has to give; phase: in patterns from the window's start."""
+class _Frames:
+    """Accepted frames of w windows, flat. bounds (w + 1,): first frame of each window and the end of the last.
 
-    phase: Array
-    weight: Array
-    value: Array
-    speed: Array
-    angle: Array
+    times (n,); samples and usable (n, samples_per_frame), 0 where not usable; over (n, samples_per_frame): at the end of the
+    range; fault (n,). lost, surplus, repeated, last_frame_s: (w,).
+    """
 
-
-@dataclass(frozen=True, slots=True)
-class _Rows:
-    """Accepted frames of a window: times (n,), samples (n, samples_per_frame) with nan where unusable, and the counts."""
-
+    bounds: Counts
     times: Array
     samples: Array
-    over_range: NDArray[np.bool_]
-    fault_frames: int
-    lost: int
-    surplus: int
-    repeated: int
+    usable: NDArray[np.bool_]
+    over: NDArray[np.bool_]
+    fault: NDArray[np.bool_]
+    lost: Counts
+    surplus: Counts
+    repeated: Counts
+    last_frame_s: Array
+
+
+@dataclass(frozen=True, slots=True)
+class _Knots:
+    """A signal over w windows, straight between knots; arrays (w, k), each row from a window's start to its end and then held."""
+
+    times: Array
+    values: Array
 
 
 def coherent_amplitudes(windows: Iterable[Window]) -> tuple[float, ...]:
@@ -130,18 +138,66 @@ def _as_array(rows: Sequence[tuple[Any, ...]]) -> Array:
         return np.array([[number(value) for value in row] for row in rows], dtype=np.float64)
 
 
-def _no_samples() -> _Samples:
-    none = np.empty(0)
-    return _Samples(none, none, none, none, none)
+class _Signal:
+    """Measured points of a signal that wait for their window, and the value carried into it."""
+
+    def __init__(self, carried: float) -> None:
+        self.carried = carried
+        self._times: list[float] = []
+        self._values: list[float] = []
+
+    def add(self, time_s: float, value: float) -> None:
+        self._times.append(time_s)
+        self._values.append(value)
+
+    def extend(self, times_s: Sequence[float], values: Sequence[float]) -> None:
+        self._times.extend(times_s)
+        self._values.extend(values)
+
+    def forget(self) -> None:
+        self.carried = float("nan")
+        self._times.clear()
+        self._values.clear()
+
+    def take(self, edges: Array) -> tuple[_Knots, NDArray[np.bool_]]:
+        """The knots of the windows between edges, and which of them were measured; the points are used up.
+
+        Before the first point ever the first point's own value holds.
+        """
+        starts, ends = edges[:-1, None], edges[1:, None]
+        times, values = np.array(self._times), np.array([self.carried, *self._values])
+        bounds = _window_bounds(times, edges)
+        counts = np.diff(bounds)
+        columns = np.arange(int(counts.max()) + 2)
+        measured = (columns >= 1) & (columns <= counts[:, None])
+        # Column 0 is what was carried in, the last column and those between hold the window's last value.
+        places = bounds[:-1, None] + np.minimum(columns, counts[:, None])
+        table = values[places]
+        unknown = np.isnan(table[:, 0])
+        if unknown.any():
+            table[unknown, 0] = table[unknown, 1]
+        knots = np.broadcast_to(ends, measured.shape).copy()
+        knots[:, :1] = starts
+        if times.size:
+            knots[measured] = times
+        knots = np.maximum.accumulate(np.minimum(np.maximum(knots, starts), ends), axis=1)
+        self.carried = float(table[-1, -1])
+        self._times.clear()
+        self._values.clear()
+        return _Knots(knots, table), measured
 
 
 class WindowBuilder:
-    """Collects samples, speeds and plate angles and closes one window after another.
+    """Collects samples, speeds and plate angles and closes windows, one or several in a row.
 
-    The caller feeds in engine time and closes at each window's end before it adds anything later.
+    The caller feeds in engine time and closes at the end of a window, or of several, before it adds anything later. Everything
+    is worked out with the same operations in the same order for a window closed by itself and for one among many.
+    Raises ValueError for edges longer than half a window.
     """
 
     def __init__(self, settings: WindowSettings, machine: Machine) -> None:
+        if 2.0 * settings.max_ramp_s > settings.window_s:
+            raise ValueError(f"max_ramp_s is {settings.max_ramp_s}; expected at most half of window_s, {settings.window_s}")
         self._settings = settings
         self._full_scale_mv = machine.sensor.full_scale_mv
         self._patterns_per_rad = machine.sprocket_pitch_radius_m / machine.pattern_length_m
@@ -149,20 +205,17 @@ class WindowBuilder:
         lags = np.arange(settings.samples_per_frame - 1, -1, -1, dtype=np.float64)
         self._lags_s = lags * settings.sample_interval_s
         self._frame_interval_s = settings.sample_interval_s * settings.samples_per_frame
-        self._grid = np.arange(round(settings.window_s / settings.sample_interval_s), dtype=np.float64)
         self.rows: list[tuple[Any, ...]] = []
         """Pending sample rows (engine time, counter, status, samples...); the caller appends."""
         self._blocks: list[Array] = []
-        self._speeds: list[tuple[float, float]] = []
-        self._angles: list[tuple[float, float]] = []
-        self._speed_rad_s = machine.nominal_elevator_speed_rad_s
-        self._angle_rad = float("nan")
-        self._earlier_angles: list[tuple[float, float]] = []
-        self._tail = _no_samples()
-        self._grid_tail = _no_samples()
+        self._speed = _Signal(machine.nominal_elevator_speed_rad_s)
+        self._angle = _Signal(float("nan"))
+        self._earlier_angles = (float("inf"), float("-inf"))
+        self._left = np.zeros(4)
+        self._left_s = 0.0
+        self._left_waves = np.zeros((2, HARMONICS), dtype=np.complex128)
         self._turns = 0.0
-        self.last_frame_s = float("nan")
-        """Engine time of the last sample frame of the windows closed so far."""
+        self._last_frame_s = float("nan")
         self._last_counter = float("nan")
 
     def add_block(self, rows: Array) -> None:
@@ -175,212 +228,310 @@ class WindowBuilder:
 
     def add_speed(self, time_s: float, speed_rad_s: float) -> None:
         """A measured elevator speed; the speed runs straight from one to the next and holds after the last."""
-        self._speeds.append((time_s, speed_rad_s))
+        self._speed.add(time_s, speed_rad_s)
 
     def add_angle(self, time_s: float, angle_rad: float) -> None:
         """A measured plate angle, used like the speeds."""
-        self._angles.append((time_s, angle_rad))
+        self._angle.add(time_s, angle_rad)
+
+    def add_speeds(self, times_s: Sequence[float], speeds_rad_s: Sequence[float]) -> None:
+        """Several speeds that follow those already there."""
+        self._speed.extend(times_s, speeds_rad_s)
+
+    def add_angles(self, times_s: Sequence[float], angles_rad: Sequence[float]) -> None:
+        """Several plate angles that follow those already there."""
+        self._angle.extend(times_s, angles_rad)
 
     def forget_angle(self) -> None:
         """The last plate angle no longer holds: the angle is unknown until the next one."""
-        self._angle_rad = float("nan")
-        self._angles.clear()
-        self._earlier_angles = []
+        self._angle.forget()
+        self._earlier_angles = (float("inf"), float("-inf"))
 
     def close(self, start_s: float, end_s: float) -> Window:
         """Close the window from start_s to end_s."""
-        rows = self._take_rows()
-        speed_times, speeds = _knots(self._speeds, self._speed_rad_s, start_s, end_s)
-        self._speed_rad_s = float(speeds[-1])
-        self._speeds.clear()
-        rates = np.maximum(speeds * self._patterns_per_rad, self._min_rate)
-        phases = np.concatenate(([0.0], np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(speed_times))))
-        end_phase = float(phases[-1])
-        angle_times, angles, angle_range = self._plate(start_s, end_s)
+        return self.close_run((start_s, end_s))[0]
 
-        times = (rows.times[:, None] - self._lags_s).ravel()
-        values = rows.samples.ravel()
-        usable = np.isfinite(values)
-        times, values = times[usable], values[usable]
-        window_samples = _Samples(
-            np.interp(times, speed_times, phases),
-            np.ones_like(times),
-            values,
-            np.interp(times, speed_times, speeds),
-            np.interp(times, angle_times, angles),
+    def close_run(self, edges_s: Sequence[float]) -> list[Window]:
+        """Close the windows between consecutive edges (w + 1,), engine time; each takes what arrived before its end."""
+        edges = np.array(edges_s)
+        frames = self._take_frames(edges)
+        speeds, _ = self._speed.take(edges)
+        angles, measured = self._angle.take(edges)
+        plate_min, plate_max = self._plate_range(angles, measured, edges)
+        phases, weight_s = self._phases(speeds, edges)
+        end_phases = phases[:, -1]
+        turns = self._turns_at_starts(end_phases)
+
+        sizes = np.diff(frames.bounds)
+        in_first = frames.bounds * self._lags_s.size
+        frame_starts = np.repeat(edges[:-1], sizes)
+        times = np.maximum(frames.times[:, None] - self._lags_s, frame_starts[:, None])
+        phase = np.interp(times, speeds.times.ravel(), phases.ravel())
+        to_end = np.repeat(end_phases, sizes)[:, None] - phase
+        kept = np.minimum(np.maximum(1.0 - to_end, 0.0), 1.0) * frames.usable
+        weights = frames.usable - kept
+        middles = np.maximum(frames.times - 0.5 * self._lags_s[0], frame_starts)
+        moving = np.stack(
+            (
+                np.interp(middles, speeds.times.ravel(), speeds.values.ravel()),
+                np.interp(middles, angles.times.ravel(), angles.values.ravel()),
+            )
         )
-        support, weights, self._tail = _share(self._tail, window_samples, end_phase)
+        total, mean, speed, angle = self._means(frames, weights, kept, moving, in_first)
+        empty = ~(total > 0.0)
+        if empty.any():
+            speed[empty], angle[empty] = _mean_over_time(speeds)[empty], _mean_over_time(angles)[empty]
+        harmonics = self._harmonics(frames, phase + np.repeat(turns, sizes)[:, None], weights, kept, mean, total, in_first)
+        std_dev, trend, patterns = _scatter(frames, to_end, end_phases, sizes * self._lags_s.size)
+        std_dev[empty], trend[empty], patterns[empty] = np.nan, np.nan, 0
+        span, held, samples = _extremes(frames, in_first)
+        pulse = np.sqrt(np.cumsum(np.square(harmonics.real) + np.square(harmonics.imag), axis=1)[:, -1])
+        cells = np.diff(in_first)
+        saturated = _segments(np.add, frames.over.ravel().astype(np.float64), in_first, 0.0) / np.maximum(cells, 1)
+        waves = [() if none else tuple(row) for none, row in zip(empty.tolist(), harmonics.tolist(), strict=True)]
+        columns = (
+            edges[:-1], edges[1:], mean, std_dev, waves, pulse, trend, patterns, weight_s,
+            total * self._settings.sample_interval_s, speed, angle, plate_min, plate_max, sizes, samples, frames.last_frame_s,
+            span, held * self._settings.sample_interval_s, saturated,
+            _segments(np.add, frames.fault.astype(np.intp), frames.bounds, 0), frames.lost, frames.surplus, frames.repeated,
+        )  # fmt: skip
+        lists = (column.tolist() if isinstance(column, np.ndarray) else column for column in columns)
+        return [Window(*row) for row in zip(*lists, strict=True)]
 
-        step_s = (end_s - start_s) / self._grid.size
-        grid_times = start_s + (self._grid + 0.5) * step_s
-        grid_phase = np.interp(grid_times, speed_times, phases)
-        grid = _Samples(
-            grid_phase,
-            np.ones_like(grid_phase),
-            grid_phase,
-            np.interp(grid_times, speed_times, speeds),
-            np.interp(grid_times, angle_times, angles),
-        )
-        grid_support, grid_weights, self._grid_tail = _share(self._grid_tail, grid, end_phase)
-        grid_total = float(grid_weights.sum())
-
-        total = float(weights.sum())
-        if total > 0.0:
-            mean = float((weights * support.value).sum()) / total
-            speed = float((weights * support.speed).sum()) / total
-            angle = float((weights * support.angle).sum()) / total
-            harmonics = _harmonics(support, mean, weights / total, self._turns)
-            std_dev, trend, patterns = self._scatter(support, end_phase)
-        else:
-            mean = std_dev = trend = float("nan")
-            harmonics = ()
-            patterns = 0
-            speed = float((grid_weights * grid_support.speed).sum()) / grid_total
-            angle = float((grid_weights * grid_support.angle).sum()) / grid_total
-        self._turns = (self._turns + end_phase) % 1.0
-        over = rows.over_range[:, None] | (rows.samples >= self._full_scale_mv)
-        return Window(
-            start_s=start_s,
-            end_s=end_s,
-            mean_mv=mean,
-            std_dev_mv=std_dev,
-            harmonics_mv=harmonics,
-            trend=trend,
-            patterns=patterns,
-            weight_s=grid_total * step_s,
-            covered_s=total * self._settings.sample_interval_s,
-            speed_rad_s=speed,
-            plate_angle_rad=angle,
-            plate_min_rad=angle_range[0],
-            plate_max_rad=angle_range[1],
-            frames=int(rows.times.size),
-            samples=int(values.size),
-            span_mv=float(values.max() - values.min()) if values.size else float("nan"),
-            held_s=_held(values) * self._settings.sample_interval_s,
-            saturated_share=float(over.sum()) / over.size if over.size else 0.0,
-            sensor_fault_frames=rows.fault_frames,
-            lost_frames=rows.lost,
-            surplus_frames=rows.surplus,
-            repeated_frames=rows.repeated,
-        )
-
-    def _take_rows(self) -> _Rows:
+    def _take_frames(self, edges: Array) -> _Frames:
         blocks = self._blocks
         if self.rows:
             blocks = [*blocks, _as_array(self.rows)]
         self.rows = []
         self._blocks = []
         if not blocks:
-            none = np.empty(0)
-            return _Rows(none, np.empty((0, self._lags_s.size)), np.empty(0, dtype=np.bool_), 0, 0, 0, 0)
-        table = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
-        times, counters, status = table[:, 0], table[:, 1], table[:, 2]
-        steps = self._frame_steps(times, counters)
-        self.last_frame_s, self._last_counter = float(times[-1]), float(counters[-1])
+            table = np.empty((0, ROW_COLUMNS + self._lags_s.size))
+        else:
+            table = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
+        bounds = _window_bounds(table[:, 0], edges)
+        last = self._last_frame_s
+        last_frame_s = np.concatenate(([last], table[:, 0]))[bounds[1:]]
+        steps = self._frame_steps(table[:, 0], table[:, 1])
+        if table.shape[0]:
+            self._last_frame_s, self._last_counter = float(table[-1, 0]), float(table[-1, 1])
         new = steps != 0.0
-        net = round(float(steps.sum()) - float(np.count_nonzero(new)))
-        table = table[new]
-        status = status[new]
+        net = np.rint(_segments(np.add, steps - new, bounds, 0.0)).astype(np.intp)
+        repeated = np.diff(bounds) - _segments(np.add, new.astype(np.intp), bounds, 0)
+        if not new.all():
+            table = table[new]
+            bounds = np.concatenate(([0], np.cumsum(new)))[bounds]
+        status = table[:, 2]
         fault = status == SensorStatus.FAULT.value
         samples = table[:, ROW_COLUMNS:]
         limit = self._settings.plausible_full_scales * self._full_scale_mv
         with np.errstate(invalid="ignore"):
-            unusable = fault[:, None] | ~(np.abs(samples) <= limit)
-        return _Rows(
-            times=table[:, 0],
-            samples=np.where(unusable, np.nan, samples),
-            over_range=status == SensorStatus.OVER_RANGE.value,
-            fault_frames=int(np.count_nonzero(fault)),
-            lost=max(0, net),
-            surplus=max(0, -net),
-            repeated=int(new.size - np.count_nonzero(new)),
+            usable = (np.abs(samples) <= limit) & ~fault[:, None]
+            over = (status == SensorStatus.OVER_RANGE.value)[:, None] | (usable & (samples >= self._full_scale_mv))
+        return _Frames(
+            bounds=bounds,
+            times=np.ascontiguousarray(table[:, 0]),
+            samples=np.where(usable, samples, 0.0),
+            usable=usable,
+            over=over,
+            fault=fault,
+            lost=np.maximum(net, 0),
+            surplus=np.maximum(-net, 0),
+            repeated=repeated,
+            last_frame_s=last_frame_s,
         )
 
     def _frame_steps(self, times: Array, counters: Array) -> Array:
         """Frames from each frame to the one before by counter, the counter's turns told by time; 0 is a repeat."""
         modulus = float(self._settings.sample_counter_modulus)
-        by_time = np.rint(np.diff(times, prepend=self.last_frame_s) / self._frame_interval_s)
+        by_time = np.rint(np.diff(times, prepend=self._last_frame_s) / self._frame_interval_s)
         with np.errstate(invalid="ignore"):
             difference = np.mod(np.diff(counters, prepend=self._last_counter), modulus)
         by_counter = difference + modulus * np.rint((by_time - difference) / modulus)
         steps = np.where(np.isfinite(by_counter), by_counter, np.maximum(by_time, 1.0))
         return np.where(np.isfinite(steps), steps, 1.0)
 
-    def _plate(self, start_s: float, end_s: float) -> tuple[Array, Array, tuple[float, float]]:
-        first = self._angles[0][1] if self._angles else float("nan")
-        carried = self._angle_rad if self._angle_rad == self._angle_rad else first
-        times, angles = _knots(self._angles, carried, start_s, end_s)
-        support = [angle for _, angle in self._earlier_angles] + [float(angle) for angle in angles]
-        self._angle_rad = float(angles[-1])
-        ramp_start_s = end_s - self._settings.max_ramp_s
-        self._earlier_angles = [(t, a) for t, a in self._angles if t >= ramp_start_s]
-        self._angles.clear()
-        return times, angles, (min(support), max(support))
+    def _plate_range(self, angles: _Knots, measured: NDArray[np.bool_], edges: Array) -> tuple[Array, Array]:
+        """Smallest and largest plate angle over each window's support, which reaches into the window before it."""
+        ramps = measured & (angles.times >= edges[1:, None] - self._settings.max_ramp_s)
+        before = np.concatenate(([self._earlier_angles[0]], np.where(ramps, angles.values, np.inf).min(axis=1)))
+        above = np.concatenate(([self._earlier_angles[1]], np.where(ramps, angles.values, -np.inf).max(axis=1)))
+        self._earlier_angles = float(before[-1]), float(above[-1])
+        return np.minimum(before[:-1], angles.values.min(axis=1)), np.maximum(above[:-1], angles.values.max(axis=1))
 
-    def _scatter(self, support: _Samples, end_phase: float) -> tuple[float, float, int]:
-        """Standard deviation of the mean from differences of neighbouring patterns, the trend, and the patterns used."""
-        count = int(end_phase)
-        index = np.floor(end_phase - support.phase).astype(np.intp)
-        inside = (index >= 0) & (index < count)
-        sizes = np.bincount(index[inside], minlength=count)
-        sums = np.bincount(index[inside], weights=support.value[inside], minlength=count)
-        full = sizes >= 0.5 * sizes.max() if sizes.size and sizes.max() > 0 else np.zeros(count, dtype=np.bool_)
-        means = sums[full] / sizes[full]
-        if means.size < 3:
-            return float("nan"), float("nan"), int(means.size)
-        variance = float(np.square(np.diff(means)).sum()) / (2.0 * (means.size - 1))
-        half = means.size // 2
-        difference = float(means[:half].mean() - means[-half:].mean())
-        error = (2.0 * variance / half) ** 0.5
-        trend = abs(difference) / error if error > 0.0 else 0.0
-        return (variance / means.size) ** 0.5, trend, int(means.size)
+    def _phases(self, speeds: _Knots, edges: Array) -> tuple[Array, Array]:
+        """Chain phase at the knots, in patterns from each window's start, and the windows' whole weights, s."""
+        rates = np.maximum(speeds.values * self._patterns_per_rad, self._min_rate)
+        steps_s = np.diff(speeds.times, axis=1)
+        phases = np.zeros_like(rates)
+        np.cumsum(0.5 * (rates[:, 1:] + rates[:, :-1]) * steps_s, axis=1, out=phases[:, 1:])
+        # What a window leaves to the next: the integral of its far edge, which rises straight between knots.
+        edge = phases - phases[:, -1:] + 1.0
+        low, high = edge[:, :-1], edge[:, 1:]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            crossing = high * high / (high - low)
+        parts = 0.5 * steps_s * np.where(high <= 0.0, 0.0, np.where(low >= 0.0, low + high, crossing))
+        left = np.concatenate(([self._left_s], np.cumsum(parts, axis=1)[:, -1]))
+        self._left_s = float(left[-1])
+        return phases, left[:-1] + np.diff(edges) - left[1:]
+
+    def _turns_at_starts(self, end_phases: Array) -> Array:
+        turns = []
+        for end_phase in end_phases.tolist():
+            turns.append(self._turns)
+            self._turns = (self._turns + end_phase) % 1.0
+        return np.array(turns)
+
+    def _means(
+        self, frames: _Frames, weights: Array, kept: Array, moving: Array, in_first: Counts
+    ) -> tuple[Array, Array, Array, Array]:
+        """Total weight and weighted means of sample, speed and angle; speed and angle are taken at the middle of a frame."""
+        own_weight, kept_weight = _rows_sum(weights), _rows_sum(kept)
+        own = [
+            _segments(np.add, own_weight, frames.bounds, 0.0),
+            _segments(np.add, (weights * frames.samples).ravel(), in_first, 0.0),
+            *(_segments(np.add, own_weight * signal, frames.bounds, 0.0) for signal in moving),
+        ]
+        left = np.stack(
+            [
+                _segments(np.add, kept_weight, frames.bounds, 0.0),
+                _segments(np.add, (kept * frames.samples).ravel(), in_first, 0.0),
+                *(_segments(np.add, kept_weight * signal, frames.bounds, 0.0) for signal in moving),
+            ]
+        )
+        sums = np.stack(own) + np.concatenate((self._left[:, None], left[:, :-1]), axis=1)
+        self._left = left[:, -1]
+        total = sums[0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            mean, speed, angle = sums[1:] / total
+        mean[~(total > 0.0)] = np.nan
+        return total, mean, speed, angle
+
+    def _harmonics(
+        self, frames: _Frames, phase: Array, weights: Array, kept: Array, mean: Array, total: Array, in_first: Counts
+    ) -> NDArray[np.complex128]:
+        """Complex amplitudes (w, HARMONICS) at the first harmonics of the paddle pattern; phase: along the chain.
+
+        The mean is taken off first, so that a window with samples missing does not turn its level into an amplitude. What an
+        earlier window left has its sums with and without the sample kept, for the mean that is not known yet.
+        """
+        angle = _WHOLE_TURN * phase.ravel()
+        turn = np.empty(angle.size, dtype=np.complex128)
+        np.cos(angle, out=turn.real)
+        np.negative(np.sin(angle), out=turn.imag)
+        level = np.repeat(np.nan_to_num(mean), np.diff(in_first))
+        wave = (weights.ravel() * (frames.samples.ravel() - level)) * turn
+        late = np.flatnonzero(kept.ravel() > 0.0)
+        late_bounds = np.searchsorted(late, in_first)
+        late_turn = turn[late]
+        late_plain = kept.ravel()[late] * late_turn
+        late_wave = frames.samples.ravel()[late] * late_plain
+        own = np.empty((mean.size, HARMONICS), dtype=np.complex128)
+        left = np.empty((mean.size, 2, HARMONICS), dtype=np.complex128)
+        for harmonic in range(HARMONICS):
+            if harmonic:
+                wave, late_plain, late_wave = wave * turn, late_plain * late_turn, late_wave * late_turn
+            own[:, harmonic] = _segments(np.add, wave, in_first, 0.0)
+            left[:, 0, harmonic] = _segments(np.add, late_wave, late_bounds, 0.0)
+            left[:, 1, harmonic] = _segments(np.add, late_plain, late_bounds, 0.0)
+        before = np.concatenate((self._left_waves[None], left[:-1]))
+        self._left_waves = left[-1]
+        found = own + (before[:, 0] - np.nan_to_num(mean)[:, None] * before[:, 1])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where((total > 0.0)[:, None], 2.0 * found / total[:, None], 0.0)
 
 
-def _knots(points: list[tuple[float, float]], carried: float, start_s: float, end_s: float) -> tuple[Array, Array]:
-    """Times and values of a signal over a window: carried in at the start, straight between points, held to the end."""
-    times = np.array([start_s, *(t for t, _ in points), end_s])
-    values = np.array([carried, *(v for _, v in points), points[-1][1] if points else carried])
-    return np.maximum.accumulate(np.clip(times, start_s, end_s)), values
+def _window_bounds(times: Array, edges: Array) -> Counts:
+    """First entry of each window and the end of the last, (w + 1,); a time that lies back belongs to the window it came in."""
+    inner = np.searchsorted(np.maximum.accumulate(times), edges[1:-1], side="left") if edges.size > 2 else ()
+    return np.array([0, *inner, times.size], dtype=np.intp)
 
 
-def _share(tail: _Samples, new: _Samples, end_phase: float) -> tuple[_Samples, Array, _Samples]:
-    """Everything with weight in the window, its weights, and what is left for the next window."""
-    support = _Samples(
-        np.concatenate((tail.phase, new.phase)),
-        np.concatenate((tail.weight, new.weight)),
-        np.concatenate((tail.value, new.value)),
-        np.concatenate((tail.speed, new.speed)),
-        np.concatenate((tail.angle, new.angle)),
-    )
-    kept = np.minimum(np.clip(support.phase - end_phase + 1.0, 0.0, 1.0), support.weight)
-    left = kept > 0.0
-    rest = _Samples(
-        support.phase[left] - end_phase,
-        kept[left],
-        support.value[left],
-        support.speed[left],
-        support.angle[left],
-    )
-    return support, support.weight - kept, rest
+def _segments(operation: np.ufunc, values: NDArray[Any], bounds: Counts, empty: float) -> NDArray[Any]:
+    """The operation over each stretch of values between bounds (w + 1,), `empty` for a stretch without values."""
+    some = bounds[1:] > bounds[:-1]
+    if some.all():
+        found: NDArray[Any] = operation.reduceat(values, bounds[:-1])
+        return found
+    found = np.full(some.size, empty, dtype=values.dtype)
+    if some.any():
+        found[some] = operation.reduceat(values, bounds[:-1][some])
+    return found
 
 
-def _held(values: Array) -> int:
-    """Samples at the end that equal the last one."""
-    if not values.size:
-        return 0
-    moves = np.flatnonzero(values != values[-1])
-    return int(values.size - 1 - moves[-1]) if moves.size else int(values.size)
+def _rows_sum(table: Array) -> Array:
+    """Sums of the rows of a table with few columns, from left to right."""
+    total = table[:, 0]
+    for column in range(1, table.shape[1]):
+        total = total + table[:, column]
+    return total
 
 
-def _harmonics(support: _Samples, mean: float, shares: Array, turns: float) -> tuple[complex, ...]:
-    """Complex amplitudes at the first harmonics of the paddle pattern; turns: chain phase at the window's start.
+def _mean_over_time(knots: _Knots) -> Array:
+    """Means (w,) of a signal over each window."""
+    parts = 0.5 * (knots.values[:, 1:] + knots.values[:, :-1]) * np.diff(knots.times, axis=1)
+    mean: Array = np.cumsum(parts, axis=1)[:, -1] / (knots.times[:, -1] - knots.times[:, 0])
+    return mean
 
-    The mean is taken off first, so that a window with samples missing does not turn its level into an amplitude.
+
+def _scatter(frames: _Frames, to_end: Array, end_phases: Array, sizes: Counts) -> tuple[Array, Array, Counts]:
+    """Standard deviation of the mean from differences of neighbouring patterns, the trend, and the patterns used, each (w,).
+
+    to_end: phase from each sample to its window's end. sizes: samples, usable or not, of each window.
     """
-    turn = np.exp(-2j * np.pi * (support.phase + turns))
-    wave = 2.0 * shares * (support.value - mean) * turn
-    found = []
-    for _ in range(HARMONICS):
-        found.append(complex(wave.sum()))
-        wave = wave * turn
-    return tuple(found)
+    counts = end_phases.astype(np.intp)
+    most = max(1, int(counts.max()))
+    index = np.floor(to_end.ravel()).astype(np.intp)
+    inside = (index >= 0) & (index < np.repeat(counts, sizes)) & frames.usable.ravel()
+    cell = index + np.repeat(np.arange(sizes.size) * most, sizes)
+    values = frames.samples.ravel()
+    if not inside.all():
+        cell, values = cell[inside], values[inside]
+    members = np.bincount(cell, minlength=sizes.size * most).reshape(-1, most)
+    sums = np.bincount(cell, weights=values, minlength=sizes.size * most).reshape(-1, most)
+    full = (members > 0) & (members >= 0.5 * members.max(axis=1, keepdims=True))
+    used = np.count_nonzero(full, axis=1)
+    std_dev, trend = np.full(sizes.size, np.nan), np.full(sizes.size, np.nan)
+    enough = used >= 3
+    if enough.any():
+        means = sums[full] / members[full]
+        stops = np.cumsum(used)[enough]
+        patterns = used[enough]
+        starts = stops - patterns
+        half = patterns // 2
+        squares = np.append(np.square(np.diff(means)), 0.0)
+        variance = _between(squares, starts, stops - 1) / (2.0 * (patterns - 1))
+        padded = np.append(means, 0.0)
+        difference = (_between(padded, starts, starts + half) - _between(padded, stops - half, stops)) / half
+        error = np.sqrt(2.0 * variance / half)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            trend[enough] = np.where(error > 0.0, np.abs(difference) / error, 0.0)
+        std_dev[enough] = np.sqrt(variance / patterns)
+    return std_dev, trend, used
+
+
+def _between(values: Array, starts: Counts, stops: Counts) -> Array:
+    """Sums of values[start:stop], each of at least one value; values has one entry to spare at its end."""
+    pairs = np.column_stack((starts, stops)).ravel()
+    sums: Array = np.add.reduceat(values, pairs)[::2]
+    return sums
+
+
+def _extremes(frames: _Frames, in_first: Counts) -> tuple[Array, Counts, Counts]:
+    """Largest less smallest sample (nan without any), samples at the end that equal the last one, and samples, each (w,)."""
+    values, usable = frames.samples.ravel(), frames.usable.ravel()
+    samples = _segments(np.add, usable.astype(np.intp), in_first, 0)
+    if usable.all():
+        high, low = _segments(np.maximum, values, in_first, -np.inf), _segments(np.minimum, values, in_first, np.inf)
+    else:
+        high = _segments(np.maximum, np.where(usable, values, -np.inf), in_first, -np.inf)
+        low = _segments(np.minimum, np.where(usable, values, np.inf), in_first, np.inf)
+    places = np.arange(values.size)
+    last = _segments(np.maximum, np.where(usable, places, -1), in_first, -1)
+    at_end = np.append(values, 0.0)[last]
+    moves = usable & (values != np.repeat(at_end, np.diff(in_first)))
+    moved = _segments(np.maximum, np.where(moves, places, -1), in_first, -1)
+    ordinal = np.concatenate(([0], np.cumsum(usable)))
+    since = np.where(moved >= 0, moved + 1, in_first[:-1])
+    held = ordinal[in_first[1:]] - ordinal[since]
+    with np.errstate(invalid="ignore"):
+        return np.where(samples > 0, high - low, np.nan), held, samples

@@ -1,4 +1,4 @@
-"""Logs through the engine in bulk: read and decoded as arrays, the samples fed a run at a time.
+"""Logs through the engine in bulk: read and decoded as arrays, fed a run at a time.
 
 The result is that of one engine over all frames in the order of the logs, to the last bit: what a window is worth depends on the
 zero, the gate, the totals and the paddles before it, so the engine itself is never split. What needs no state, reading and
@@ -11,38 +11,41 @@ import multiprocessing
 import signal
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.bus.bulk import USABLE, DecodedBlock, MessageColumns, decode_block, frames_of
+from yieldmon.bus.bulk import USABLE, DecodedBlock, FrameBlock, MessageColumns, SignalColumn, decode_block
 from yieldmon.bus.codec import Codec
 from yieldmon.bus.loading import iter_blocks
 from yieldmon.bus.logs import LogNotes
-from yieldmon.engine.monitor import Monitor, SampleRun
+from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.runs import FrameRun, SignalRun
 from yieldmon.errors import InputError
-from yieldmon.frames import IMPACT_SENSOR_SAMPLES, INPUTS, SAMPLES_PER_FRAME, Frame
+from yieldmon.frames import IMPACT_SENSOR_SAMPLES, INPUTS, SAMPLES_PER_FRAME
 from yieldmon.service.processing import Summary
 from yieldmon.service.rows import SecondRow, second_row
 
-#: Frames fed at a time. Where the recorder's clock steps, the frames of one piece are fed one by one; and a piece must not
-#: bring more windows than a monitor keeps.
-_PIECE_FRAMES = 1024
-_SAMPLES = tuple(f"Sample{k}" for k in range(SAMPLES_PER_FRAME))
+#: Frames of a log fed at a time: windows enough to be closed in groups. Where the recorder's clock steps, the frames of one run
+#: are fed one by one.
+_RUN_FRAMES = 16_384
+#: A run must not bring more windows than a monitor keeps.
+_RUN_S = 3600.0
+_SAMPLE_SIGNALS = ("SampleCounter", "SensorStatus", *(f"Sample{k}" for k in range(SAMPLES_PER_FRAME)))
 
 
 @dataclass(frozen=True)
 class Stretch:
     """Some frames of a log, ready for the engine. frames: all of the log in this stretch, ours: those among them that
-    the engine takes, malformed: those of ours with a wrong length. runs: pieces for Monitor.feed_run()."""
+    the engine takes, malformed: those of ours with a wrong length. runs: for Monitor.feed_run()."""
 
     frames: int
     ours: int
     malformed: int
-    runs: list[tuple[SampleRun, list[Frame]]] = field(default_factory=list)
+    runs: list[FrameRun] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -76,8 +79,8 @@ def process_in_bulk(
                 summary.frames += stretch.frames
                 summary.ours += stretch.ours
                 summary.malformed += stretch.malformed
-                for run, others in stretch.runs:
-                    monitor.feed_run(run, others)
+                for run in stretch.runs:
+                    monitor.feed_run(run, reports=False)
                     for record in monitor.take_records():
                         summary.windows += 1
                         take_row(second_row(summary.windows, record))
@@ -91,53 +94,52 @@ def stretches_of(paths: Iterable[str], codec: Codec) -> Iterator[Stretch | EndOf
     for path in paths:
         notes = LogNotes()
         for block in iter_blocks(path, notes):
-            yield _stretch(decode_block(codec, block), len(block))
+            yield _stretch(decode_block(codec, block), block)
         yield EndOfLog(path, [str(damage) for damage in notes.damages])
 
 
-def _stretch(decoded: DecodedBlock, frames: int) -> Stretch:
+def _stretch(decoded: DecodedBlock, block: FrameBlock) -> Stretch:
     inputs = [decoded.messages[name] for name in INPUTS if name in decoded.messages]
-    runs = [_run(inputs, first, first + _PIECE_FRAMES) for first in range(0, frames, _PIECE_FRAMES)]
-    ours = sum(len(columns.rows) for columns in inputs)
-    return Stretch(frames, ours, len(decoded.wrong_length), [run for run in runs if run[0].times_s.size or run[1]])
+    rows = np.sort(np.concatenate([np.empty(0, np.intp), *(columns.rows for columns in inputs)]), kind="stable")
+    times = block.time_s[rows]
+    runs = [_run(inputs, rows[part], times[part]) for part in _parts(times)]
+    return Stretch(len(block), len(rows), len(decoded.wrong_length), runs)
 
 
-def _run(inputs: list[MessageColumns], first: int, end: int) -> tuple[SampleRun, list[Frame]]:
-    """The frames in rows first to end of the block."""
-    none = np.empty(0)
-    samples = SampleRun(none, np.empty((0, SAMPLES_PER_FRAME)), none, none)
-    sample_rows: NDArray[np.intp] = np.empty(0, np.intp)
-    others: list[tuple[int, Frame]] = []
+def _parts(times: NDArray[np.float64]) -> Iterator[slice]:
+    """Stretches of at most _RUN_FRAMES frames and, while the clock runs on, _RUN_S seconds."""
+    first = 0
+    while first < times.size:
+        ahead = times[first : first + _RUN_FRAMES]
+        beyond = np.flatnonzero(np.abs(ahead - ahead[0]) > _RUN_S)
+        last = first + (int(beyond[0]) if beyond.size else ahead.size)
+        yield slice(first, last)
+        first = last
+
+
+def _run(inputs: list[MessageColumns], rows: NDArray[np.intp], times: NDArray[np.float64]) -> FrameRun:
+    """The frames in these rows of the block, all of messages that the engine takes."""
+    sample_places: NDArray[np.intp] = np.empty(0, np.intp)
+    samples = np.empty((0, len(_SAMPLE_SIGNALS)))
+    others = []
     for columns in inputs:
-        part = slice(*np.searchsorted(columns.rows, (first, end)))
-        rows = columns.rows[part]
-        if not len(rows):
+        part = slice(*np.searchsorted(columns.rows, (rows[0], rows[-1] + 1)))
+        places = np.searchsorted(rows, columns.rows[part])
+        if not places.size:
             continue
         if columns.name == IMPACT_SENSOR_SAMPLES:
-            samples, sample_rows = _sample_run(columns, part), rows
+            sample_places = places
+            samples = np.column_stack([_known(columns.signals[name], part) for name in _SAMPLE_SIGNALS])
         else:
-            others += zip(rows.tolist(), frames_of(_part(columns, part)), strict=True)
-    others.sort(key=lambda other: other[0])
-    places = np.searchsorted(sample_rows, [row for row, _ in others]).astype(np.intp)
-    return replace(samples, places=places), [frame for _, frame in others]
+            signals = {name: _known(column, part) for name, column in columns.signals.items()}
+            others.append(SignalRun(columns.name, places, columns.time_s[part], signals))
+    return FrameRun(times, sample_places, samples, others)
 
 
-def _sample_run(columns: MessageColumns, part: slice) -> SampleRun:
+def _known(column: SignalColumn, part: slice) -> NDArray[np.float64]:
     """nan for what is not available."""
-
-    def known(name: str) -> NDArray[np.float64]:
-        column = columns.signals[name]
-        return np.where(column.status[part] == USABLE, column.values[part], np.nan)
-
-    millivolts = np.column_stack([known(name) for name in _SAMPLES])
-    return SampleRun(columns.time_s[part], millivolts, known("SampleCounter"), known("SensorStatus"))
-
-
-def _part(columns: MessageColumns, part: slice) -> MessageColumns:
-    signals = {
-        name: type(column)(column.values[part], column.status[part]) for name, column in columns.signals.items()
-    }
-    return MessageColumns(columns.name, columns.rows[part], columns.time_s[part], signals)
+    values: NDArray[np.float64] = np.where(column.status[part] == USABLE, column.values[part], np.nan)
+    return values
 
 
 @contextmanager
