@@ -7,6 +7,7 @@ import pytest
 
 from yieldmon.estimation.open_loop import FlowStatus, OpenLoop
 from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
+from yieldmon.physics.effects import effect_parameter
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 
@@ -86,6 +87,26 @@ def test_one_bad_row_does_not_spoil_the_others() -> None:
     for i in (0, 3):
         single = loop().estimate(force[i], ANGLE, SPEED, 1.0)
         assert together.mass_flow_kg_s[i] == pytest.approx(float(single.mass_flow_kg_s), rel=1e-12)
+
+
+@pytest.mark.parametrize("effects", [(), ("gravity",), ("gravity", "paddle_leakage", "stream_spread")])
+def test_no_row_depends_on_those_beside_it(effects: tuple[str, ...]) -> None:
+    """To the last bit: a log estimated many windows at a time must give what a window alone gives."""
+    values = GRAIN | {name: effect_parameter(name).typical for name in ForwardModel(MACHINE, effects).effect_parameters}
+    parameters = ParameterSet(values, NAMES, np.diag([0.02, 0.03, 40.0]) ** 2)
+    estimator = OpenLoop(ForwardModel(MACHINE, effects), parameters)
+    rng = np.random.default_rng(20261121)
+    count = 150
+    force = rng.choice([np.nan, -3.0, 0.0, 1e4, *rng.uniform(0.01, 160.0, 60)], count)
+    rows = (force, np.radians(rng.uniform(40.0, 90.0, count)), rng.uniform(250.0, 500.0, count) * RPM,
+            rng.uniform(0.0, 3.0, count), rng.choice([np.nan, 12.0, 18.0], count))  # fmt: skip
+    alone = [estimator.estimate(*(column[i : i + 1] for column in rows)) for i in range(count)]
+    for size in (150, 61, 7):
+        for first in range(0, count - size + 1, size):
+            together = estimator.estimate(*(column[first : first + size] for column in rows))
+            for name in ("mass_flow_kg_s", "std_dev_kg_s", "noise_std_dev_kg_s", "status"):
+                expected = np.concatenate([getattr(one, name) for one in alone[first : first + size]])
+                np.testing.assert_array_equal(getattr(together, name), expected)
 
 
 def test_standard_deviation_matches_drawn_parameters_and_noise() -> None:

@@ -117,7 +117,7 @@ def test_grain_leaves_the_tip_with_the_paddles_speed_and_its_own() -> None:
     setting = throw().setting
     tau = np.array([0.3])
     flow = release.outflow(tau, setting)
-    x, y, vx, vy = release.at_tip(tau, flow, setting)
+    x, y, vx, vy = release.at_tip(flow, setting)
     tip = 0.16 * 400.0 * RPM
     assert np.hypot(x, y) == pytest.approx(0.16)
     assert np.hypot(vx, vy) == pytest.approx(tip * np.sqrt(1.0 + flow.radial_speed**2))
@@ -131,7 +131,7 @@ def test_grain_leaves_the_tip_with_the_paddles_speed_and_its_own() -> None:
 @given(st.floats(np.radians(40.0), np.radians(90.0)), st.floats(0.0, 1.2), st.sampled_from([None, 3.0, 9.81]))
 def test_meeting_lies_on_path_and_plate(angle: float, tau: float, gravity: float | None) -> None:
     setting = throw(0.2, 350.0 * RPM, gravity, angle).setting
-    x, y, vx, vy = release.at_tip(np.array([tau]), release.outflow(np.array([tau]), setting), setting)
+    x, y, vx, vy = release.at_tip(release.outflow(np.array([tau]), setting), setting)
     meeting = flight.meet_plate(x, y, vx, vy, setting)
     if not np.isfinite(meeting.from_low_edge_m[0]):
         return

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import exp, isfinite, log, sqrt
+from typing import NamedTuple
 
 _LARGEST_FLOW_KG_S = 1e6
 """Beyond any machine; what is above is handed on as it came."""
@@ -44,8 +45,7 @@ class _Model:
     trend_noise: float
 
 
-@dataclass(frozen=True, slots=True)
-class _State:
+class _State(NamedTuple):
     mean: _Vector
     spread: _Matrix
     weight: float
@@ -86,10 +86,12 @@ class FlowFilter:
             return flow_kg_s, noise_std_dev_kg_s
         self._states = _step(self._states, self._models, self._settings.stay, seen, noise)
         levels = [s.mean[0] + lead_windows * s.mean[1] for s in self._states]
-        level = sum(s.weight * each for s, each in zip(self._states, levels, strict=True))
-        variance = sum(
-            s.weight * (s.spread[0] + lead_windows * (2.0 * s.spread[1] + lead_windows * s.spread[2]) + (each - level) ** 2)
-            for s, each in zip(self._states, levels, strict=True)
+        level = _sum([s.weight * each for s, each in zip(self._states, levels, strict=True)])
+        variance = _sum(
+            [
+                s.weight * (s.spread[0] + lead_windows * (2.0 * s.spread[1] + lead_windows * s.spread[2]) + (each - level) ** 2)
+                for s, each in zip(self._states, levels, strict=True)
+            ]
         )
         flow = exp(level)
         return flow, flow * sqrt(variance)
@@ -102,39 +104,33 @@ def _step(
     move = (1.0 - stay) / (count - 1)
     updated, weights = [], []
     for j, model in enumerate(models):
-        reach = [(stay if i == j else move) * states[i].weight for i in range(count)]
-        total = sum(reach)
+        reach = [(stay if i == j else move) * state.weight for i, state in enumerate(states)]
+        total = _sum(reach)
         mean, spread = _mixture(states, [r / total for r in reach])
-        mean, spread = _predict(mean, spread, model)
-        innovation, variance = seen - mean[0], spread[0] + noise
-        gain = (spread[0] / variance, spread[1] / variance)
+        (level, trend), (a, b, c) = _predict(mean, spread, model)
+        innovation, variance = seen - level, a + noise
+        gain, trend_gain = a / variance, b / variance
         updated.append(
-            (
-                (mean[0] + gain[0] * innovation, mean[1] + gain[1] * innovation),
-                (
-                    spread[0] - gain[0] * spread[0],
-                    spread[1] - gain[0] * spread[1],
-                    spread[2] - gain[1] * spread[1],
-                ),
-            )
+            ((level + gain * innovation, trend + trend_gain * innovation), (a - gain * a, b - gain * b, c - trend_gain * b))
         )
         weights.append(log(total) - 0.5 * innovation * innovation / variance - 0.5 * log(variance))
     top = max(weights)
     # Kept above zero so that a description that has long been wrong can come back.
     shares = [max(exp(w - top), 1e-12) for w in weights]
-    whole = sum(shares)
-    return tuple(_State(mean, spread, share / whole) for (mean, spread), share in zip(updated, shares, strict=True))
+    whole = _sum(shares)
+    return tuple([_State(mean, spread, share / whole) for (mean, spread), share in zip(updated, shares, strict=True)])
 
 
 def _mixture(states: tuple[_State, ...], shares: list[float]) -> tuple[_Vector, _Matrix]:
-    level = sum(w * s.mean[0] for w, s in zip(shares, states, strict=True))
-    trend = sum(w * s.mean[1] for w, s in zip(shares, states, strict=True))
-    a = b = c = 0.0
-    for w, s in zip(shares, states, strict=True):
-        dl, dt = s.mean[0] - level, s.mean[1] - trend
-        a += w * (s.spread[0] + dl * dl)
-        b += w * (s.spread[1] + dl * dt)
-        c += w * (s.spread[2] + dt * dt)
+    level = trend = a = b = c = 0.0
+    for w, (mean, _, _) in zip(shares, states, strict=True):
+        level += w * mean[0]
+        trend += w * mean[1]
+    for w, (mean, spread, _) in zip(shares, states, strict=True):
+        dl, dt = mean[0] - level, mean[1] - trend
+        a += w * (spread[0] + dl * dl)
+        b += w * (spread[1] + dl * dt)
+        c += w * (spread[2] + dt * dt)
     return (level, trend), (a, b, c)
 
 
@@ -147,3 +143,11 @@ def _predict(mean: _Vector, spread: _Matrix, model: _Model) -> tuple[_Vector, _M
         a = spread[0] + 2.0 * spread[1] + spread[2]
         b = spread[1] + spread[2]
     return (level, f * mean[1]), (a + model.level_noise, b, f * f * spread[2] + model.trend_noise)
+
+
+def _sum(values: list[float]) -> float:
+    """From left to right: the built-in one rounds otherwise from Python 3.12 on."""
+    total = 0.0
+    for value in values:
+        total += value
+    return total

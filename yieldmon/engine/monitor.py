@@ -54,8 +54,10 @@ from yieldmon.frames import (
 from yieldmon.physics.machine import RPM, Machine
 
 _NAN = float("nan")
-_GROUP_WINDOWS = 16
-"""Windows of a run that are closed together: enough to share the cost of array operations, few enough for the cache."""
+_FORMED_TOGETHER = 16
+"""Windows of a run that are formed at once: enough to share the cost of array operations, few enough for the cache."""
+_ESTIMATED_TOGETHER = 64
+"""The same for flow estimates."""
 _KEPT_RECORDS = 7200
 _KEPT_LOADS = 256
 _COUNTER_MODULUS = 256
@@ -386,10 +388,9 @@ class Monitor:
         while first < len(ends):
             last = first + 1
             if not _stale(moments[first]):
-                while last < min(len(ends), first + _GROUP_WINDOWS) and not _stale(moments[last]):
+                while last < min(len(ends), first + _ESTIMATED_TOGETHER) and not _stale(moments[last]):
                     last += 1
-            feeding.up_to(ends[last - 1])
-            out += self._close_windows(moments[first:last], inputs.plate_at)
+            out += self._close_windows(moments[first:last], feeding)
             first = last
         feeding.rest()
         while self._next_s <= last_s:
@@ -469,39 +470,44 @@ class Monitor:
 
     # Windows
 
-    def _close_windows(
-        self, moments: Sequence[Moment], plate_at: Callable[[float], tuple[float, ActuatorState]] | None = None
-    ) -> list[Frame]:
-        """Close the windows that end at these moments, one after the other; all their samples are with the builder.
+    def _close_windows(self, moments: Sequence[Moment], feeding: _Feeding | None = None) -> list[Frame]:
+        """Close the windows that end at these moments, one after the other.
 
         What a window is worth is worked out for all of them together, in three passes: zero, gate and force, each after the one
-        before; the estimates, which know nothing of each other; all the rest, in order again. plate_at: where the plate was at a
-        tick between two ends; a single window needs none. Where the angle is stale at an end, that window comes alone.
+        before; the estimates, which know nothing of each other; all the rest, in order again. feeding: what comes before their
+        ends and is not with the builder yet. Where the angle is stale at an end, that window comes alone.
         """
         out: list[Frame] = []
-        if plate_at is not None:
-            out += self._ticks_before(moments[0].time_s, plate_at)
+        if feeding is not None:
+            out += self._ticks_before(moments[0].time_s, feeding)
         first = moments[0]
         if _stale(first) and (first.actuator == ActuatorState.MOVING or self._driving):
+            if feeding is not None:
+                feeding.up_to(first.time_s)
             self._builder.forget_angle()
-        windows = self._builder.close_run([self._window_start_s, *(moment.time_s for moment in moments)])
-        self._window_start_s = moments[-1].time_s
-        readings = [self._read(window, moment) for window, moment in zip(windows, moments, strict=True)]
+        readings = []
+        for start in range(0, len(moments), _FORMED_TOGETHER):
+            part = moments[start : start + _FORMED_TOGETHER]
+            if feeding is not None:
+                feeding.up_to(part[-1].time_s)
+            windows = self._builder.close_run([self._window_start_s, *(moment.time_s for moment in part)])
+            self._window_start_s = part[-1].time_s
+            readings += [self._read(window, moment) for window, moment in zip(windows, part, strict=True)]
         estimator, estimates = self._estimator, self._estimates(readings)
         for index, reading in enumerate(readings):
             if self._estimator is not estimator:
                 estimator = self._estimator
                 estimates[index:] = self._estimates(readings[index:])
-            if plate_at is not None:
-                out += self._ticks_before(reading.window.end_s, plate_at)
+            if feeding is not None:
+                out += self._ticks_before(reading.window.end_s, feeding)
             out += self._conclude(reading, estimates[index])
             out += self._due(reading.moment.angle_deg, ActuatorState(reading.moment.actuator))
         return out
 
-    def _ticks_before(self, end_s: float, plate_at: Callable[[float], tuple[float, ActuatorState]]) -> list[Frame]:
+    def _ticks_before(self, end_s: float, feeding: _Feeding) -> list[Frame]:
         out: list[Frame] = []
         while self._next_s < end_s:
-            out += self._due(*plate_at(self._next_s))
+            out += self._due(*feeding.inputs.plate_at(self._next_s))
         return out
 
     def _read(self, window: Window, moment: Moment) -> _Reading:
@@ -975,6 +981,7 @@ class _Feeding:
 
     def __init__(self, builder: WindowBuilder, run: FrameRun, offset_s: float, inputs: RunInputs) -> None:
         self._builder = builder
+        self.inputs = inputs
         times = run.sample_times_s + offset_s
         self._rows = np.column_stack((times, run.samples))
         speed, angle = inputs.track("speed_rad_s"), inputs.track("angle_deg")

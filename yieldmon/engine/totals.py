@@ -28,14 +28,15 @@ class Totals:
         dry = 0.0 if dry_kg is None else dry_kg
         unknown = mass_kg if dry_kg is None else 0.0
         share = 1.0 if self.load_open else 0.0
-        return replace(
-            self,
+        return Totals(
             total_kg=self.total_kg + mass_kg,
             total_dry_kg=self.total_dry_kg + dry,
             total_unknown_moisture_kg=self.total_unknown_moisture_kg + unknown,
             load_kg=self.load_kg + share * mass_kg,
             load_dry_kg=self.load_dry_kg + share * dry,
             load_unknown_moisture_kg=self.load_unknown_moisture_kg + share * unknown,
+            load_number=self.load_number,
+            load_open=self.load_open,
         )
 
     def start_load(self) -> Totals:

@@ -44,12 +44,13 @@ class ZeroTracker:
         self._settings = settings
         self.state: ZeroState | None = None
         self._recent: deque[Window] = deque(maxlen=settings.settle_windows)
+        self._pattern: tuple[tuple[float, ...], float] | None = None
         self._calibrating = False
 
     def calibrate(self) -> None:
         """Operator's zero calibration: the next windows are empty by the operator's word; learn zero and vibration from them."""
         self._calibrating = True
-        self._recent.clear()
+        self.interrupt()
 
     @property
     def calibrating(self) -> bool:
@@ -86,6 +87,7 @@ class ZeroTracker:
     def interrupt(self) -> None:
         """The windows to come do not follow on those seen (sensor lost, plate moved, elevator out of its range)."""
         self._recent.clear()
+        self._pattern = None
 
     def see(self, window: Window, may_be_empty: bool) -> None:
         """A whole window with the elevator turning in its range and the plate at home.
@@ -96,6 +98,7 @@ class ZeroTracker:
             self.interrupt()
             return
         self._recent.append(window)
+        self._pattern = None
         if self._calibrating:
             if len(self._recent) == self._settings.settle_windows:
                 self.state = self._learnt(list(self._recent))
@@ -151,8 +154,11 @@ class ZeroTracker:
         state = self.state
         if state is None or not state.vibration_mv:
             return None
-        factor = _speed_factor(_mean_speed(self._recent), state.speed_rad_s)
-        for amplitude, learnt in zip(coherent_amplitudes(self._recent), state.vibration_mv, strict=False):
+        if self._pattern is None:
+            self._pattern = coherent_amplitudes(self._recent), _mean_speed(self._recent)
+        amplitudes, speed_rad_s = self._pattern
+        factor = _speed_factor(speed_rad_s, state.speed_rad_s)
+        for amplitude, learnt in zip(amplitudes, state.vibration_mv, strict=False):
             usual = learnt * factor
             margin = max(self._settings.pulse_margin_mv, self._settings.pulse_margin * usual)
             if amplitude - usual > margin or (below and usual - amplitude > margin):

@@ -114,11 +114,13 @@ class OpenLoop:
         names = parameters.covariance_names
         base = {name: np.asarray(value) for name, value in parameters.values.items()}
         self._base = base
-        # One row a parameter: a step of a thousandth of its standard deviation keeps the difference linear and above rounding.
+        # One row as it is and one a parameter: a step of a thousandth of its standard deviation keeps the difference linear and
+        # above rounding.
         steps = np.array([1e-3 * parameters.standard_deviation(name) for name in names])
         self._steps = steps
+        moves = np.diag(steps)
         self._rows = {
-            name: value + (np.eye(len(names))[names.index(name)] * steps if name in names else 0.0)
+            name: value + (np.concatenate(([0.0], moves[names.index(name)])) if name in names else 0.0)
             for name, value in base.items()
         }
 
@@ -181,12 +183,9 @@ class OpenLoop:
         if not len(self._steps):
             return np.zeros(flow.shape)
         throw = self.model.throw(angle[..., None], speed[..., None], self._rows, moisture[..., None])
-        centre = self._throw(angle, speed, moisture)
-        mass = np.nan_to_num(flow)[..., None]
-        moved = throw.momentum(mass / throw.passes_per_s) * throw.passes_per_s
-        still = centre.momentum(mass / centre.passes_per_s) * centre.passes_per_s
+        force = throw.momentum(np.nan_to_num(flow)[..., None] / throw.passes_per_s) * throw.passes_per_s
         with np.errstate(divide="ignore", invalid="ignore"):
-            jacobian = np.where(self._steps > 0.0, (moved - still) / self._steps, 0.0)
+            jacobian = np.where(self._steps > 0.0, (force[..., 1:] - force[..., :1]) / self._steps, 0.0)
         variance = np.zeros(flow.shape)
         for i in range(jacobian.shape[-1]):
             for j in range(jacobian.shape[-1]):

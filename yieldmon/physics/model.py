@@ -282,7 +282,7 @@ class Throw:
         flow = release.outflow(tau, setting)
         psi = settling.opening_angle(flow.release_radius, inner, setting.shape_ratio)
         mass = self._heap_scale_kg * width * flow.inward_rate * flow.release_radius * psi
-        x, y, vx, vy = release.at_tip(tau, flow, setting)
+        x, y, vx, vy = release.at_tip(flow, setting)
         jet: Jet = self._alter("jet", Jet(load, inner, flow.release_radius, mass, tau, x, y, vx, vy))
         return jet
 
@@ -315,7 +315,7 @@ class Throw:
 
         def miss(tau: AnyArray) -> AnyArray:
             flow = release.outflow(tau, setting)
-            return flight.miss_measure(*release.at_tip(tau, flow, setting), setting)
+            return flight.miss_measure(*release.at_tip(flow, setting), setting)
 
         return first_root(miss, upper)
 

@@ -26,6 +26,9 @@ class Outflow:
     """At the tip, in l Omega."""
     inward_rate: AnyArray
     """-d rho_0 / d tau."""
+    sin: AnyArray
+    cos: AnyArray
+    """Of the paddle's angle as the grain leaves the tip."""
 
 
 def outflow(tau: AnyArray, setting: Setting) -> Outflow:
@@ -40,14 +43,16 @@ def outflow(tau: AnyArray, setting: Setting) -> Outflow:
     if setting.radial_speed is not None:
         rate = damping * (cosh - mu / s * sinh)
         position, velocity = position + setting.radial_speed * velocity, velocity + setting.radial_speed * rate
+    angle = start_angle(setting) + tau
+    sin, cos = np.sin(angle), np.cos(angle)
     if setting.gravity_m_s2 is not None:
-        forced, forced_rate = _forced(tau, mu, s, damping, cosh, sinh, setting)
+        forced, forced_rate = _forced(sin, cos, mu, s, damping, cosh, sinh, setting)
         release = (1.0 - forced) / position
         radial = release * velocity + forced_rate
     else:
         release = 1.0 / position
         radial = release * velocity
-    return Outflow(release, radial, radial * release if setting.gravity_m_s2 is None else radial / position)
+    return Outflow(release, radial, radial * release if setting.gravity_m_s2 is None else radial / position, sin, cos)
 
 
 def start_angle(setting: Setting) -> AnyArray:
@@ -58,9 +63,16 @@ def start_angle(setting: Setting) -> AnyArray:
 
 
 def _forced(
-    tau: AnyArray, mu: AnyArray, s: AnyArray, damping: AnyArray, cosh: AnyArray, sinh: AnyArray, setting: Setting
+    sin: AnyArray,
+    cos: AnyArray,
+    mu: AnyArray,
+    s: AnyArray,
+    damping: AnyArray,
+    cosh: AnyArray,
+    sinh: AnyArray,
+    setting: Setting,
 ) -> tuple[AnyArray, AnyArray]:
-    """Solution for G (sin theta + mu cos theta) that starts at rest at the centre, and its rate."""
+    """Solution for G (sin theta + mu cos theta) that starts at rest at the centre, and its rate; sin, cos: of theta."""
     assert setting.gravity_m_s2 is not None
     number = setting.gravity_m_s2 / (setting.paddle_length_m * setting.elevator_speed_rad_s**2)
     start = start_angle(setting)
@@ -69,7 +81,6 @@ def _forced(
     free, free_rate = damping * (cosh + mu / s * sinh), damping * sinh / s
     free_rate_rate = damping * (cosh - mu / s * sinh)
     sin0, cos0 = np.sin(start), np.cos(start)
-    sin, cos = np.sin(start + tau), np.cos(start + tau)
     at_start, rate_at_start = a * sin0 + b * cos0, a * cos0 - b * sin0
     value = a * sin + b * cos - at_start * free - rate_at_start * free_rate
     rate = a * cos - b * sin - at_start * free_rate - rate_at_start * free_rate_rate
@@ -79,7 +90,8 @@ def _forced(
 def rotation_to_empty(inner_radius: AnyArray, setting: Setting, limit: AnyArray) -> AnyArray:
     """tau at which the innermost grain (radius `inner_radius`, in l) leaves the tip, at most `limit`, rad.
 
-    Newton on log rho_0, kept inside a bracket; complex perturbations are carried by a last step.
+    Newton on log rho_0, kept inside a bracket; complex perturbations are carried by a last step. What has settled stays as it is,
+    so that no value depends on those beside it.
     """
     goal = np.maximum(real(inner_radius), 1e-12)
     end = real(limit)
@@ -88,6 +100,7 @@ def rotation_to_empty(inner_radius: AnyArray, setting: Setting, limit: AnyArray)
     tau = np.minimum(plain * (1.0 + real(setting.friction) * plain / 3.0), end)
     shape = np.broadcast_shapes(tau.shape, setting.friction.shape, setting.elevator_speed_rad_s.shape)
     low, high = np.zeros(shape), end
+    settled = np.zeros(shape, dtype=bool)
     for _ in range(60):
         flow = outflow(tau, setting)
         rho, rate = real(flow.release_radius), real(flow.inward_rate)
@@ -95,10 +108,11 @@ def rotation_to_empty(inner_radius: AnyArray, setting: Setting, limit: AnyArray)
         low, high = np.where(late, low, tau), np.where(late, tau, high)
         trial = np.minimum(tau + rho * np.log(np.maximum(rho, 1e-300) / goal) / np.maximum(rate, 1e-300), end)
         trial = np.where((trial >= low) & (trial <= high), trial, 0.5 * (low + high))
-        moved = np.abs(trial - tau)
-        tau = trial
         # Quadratic convergence: a step this small leaves an error of 1e-10, and the heap has no grain there anyway.
-        if not (moved > 1e-5 * tau + 1e-300).any():
+        small = ~(np.abs(trial - tau) > 1e-5 * trial + 1e-300)
+        tau = np.where(settled, tau, trial)
+        settled = settled | small
+        if settled.all():
             break
     if any(map(np.iscomplexobj, (flow.release_radius, inner_radius, limit))):
         flow = outflow(tau, setting)
@@ -109,10 +123,9 @@ def rotation_to_empty(inner_radius: AnyArray, setting: Setting, limit: AnyArray)
     return tau
 
 
-def at_tip(tau: AnyArray, flow: Outflow, setting: Setting) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
+def at_tip(flow: Outflow, setting: Setting) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
     """Place (x, y) in m and velocity (x, y) in m/s of the grain as it leaves the tip [8.16]."""
-    theta = start_angle(setting) + tau
-    sin, cos = np.sin(theta), np.cos(theta)
+    sin, cos = flow.sin, flow.cos
     length = setting.paddle_length_m
     tip_speed = length * setting.elevator_speed_rad_s
     u = flow.radial_speed

@@ -21,12 +21,14 @@ def inner_radius(fraction: AnyArray, shape_ratio: AnyArray) -> AnyArray:
     """x = h0/l of a heap of `fraction` = M / (eta w l^2), 0 <= fraction <= shape_ratio / 2; nan outside.
 
     Newton from the thin-heap limit 1 - x = sqrt(2 a / h_f), which lies on the side from which the iteration is monotone for
-    thin heaps; steps that leave [0, 1] are halved back. Complex perturbations are carried by a last step.
+    thin heaps; steps that leave [0, 1] are halved back. Complex perturbations are carried by a last step. What has settled
+    stays as it is, so that no value depends on those beside it.
     """
     a, h = real(fraction), real(shape_ratio)
     with np.errstate(invalid="ignore", divide="ignore"):
         thin = np.sqrt(2.0 * a / h)
         thickness = np.minimum(thin, 1.0)
+        settled = np.zeros(thickness.shape, dtype=bool)
         for _ in range(60):
             psi = h * thickness
             sin = np.sin(psi)
@@ -34,10 +36,11 @@ def inner_radius(fraction: AnyArray, shape_ratio: AnyArray) -> AnyArray:
             slope = 0.5 * (h + sin - (1.0 - thickness) * h * np.cos(psi))
             trial = thickness - value / slope
             trial = np.where(trial > 1.0, 0.5 * (thickness + 1.0), np.where(trial < 0.0, 0.5 * thickness, trial))
-            moved = np.abs(trial - thickness)
-            thickness = np.where(a == 0.0, 0.0, trial)
             # Quadratic convergence: a step this small leaves an error at rounding.
-            if not np.any(moved > 1e-8 * thickness):
+            small = ~(np.abs(trial - thickness) > 1e-8 * trial) | (a == 0.0)
+            thickness = np.where(settled, thickness, np.where(a == 0.0, 0.0, trial))
+            settled = settled | small
+            if settled.all():
                 break
     # So thin a heap is its own limit; Newton would stumble over rounding in filled_fraction.
     thickness = np.where(a < 1e-20, thin, thickness)

@@ -14,6 +14,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from operator import attrgetter
 from pathlib import Path
 from typing import IO, Any, Protocol, get_args, get_type_hints
 
@@ -22,6 +23,7 @@ from yieldmon.service.rows import SecondRow
 
 COLUMNS = tuple(field.name for field in dataclasses.fields(SecondRow))
 FORMATS = (".csv", ".jsonl", ".parquet")
+_values = attrgetter(*COLUMNS)
 
 
 class RowWriter(Protocol):
@@ -75,7 +77,7 @@ class _CsvWriter:
         self._writer.writerow(COLUMNS)
 
     def write(self, row: SecondRow) -> None:
-        self._writer.writerow(dataclasses.astuple(row))
+        self._writer.writerow(_values(row))
 
     def finish(self) -> None:
         pass
@@ -86,7 +88,7 @@ class _JsonLinesWriter:
         self._file = file
 
     def write(self, row: SecondRow) -> None:
-        self._file.write(json.dumps(dataclasses.asdict(row), separators=(",", ":"), allow_nan=False) + "\n")
+        self._file.write(json.dumps(dict(zip(COLUMNS, _values(row), strict=True)), separators=(",", ":"), allow_nan=False) + "\n")
 
     def finish(self) -> None:
         pass
@@ -110,7 +112,7 @@ class _ParquetWriter:
         self._rows: list[dict[str, Any]] = []
 
     def write(self, row: SecondRow) -> None:
-        self._rows.append(dataclasses.asdict(row))
+        self._rows.append(dict(zip(COLUMNS, _values(row), strict=True)))
         if len(self._rows) >= self._ROWS:
             self._flush()
 
