@@ -1,8 +1,11 @@
 """Yield points as Ag Leader "advanced" text, which yield-cleaning tools such as the USDA's Yield Editor read.
 
-No header, comma-separated: longitude and latitude in deg, grain flow in lb/s, GPS time in s, logging interval in s, distance
-and swath in inches, moisture in %, header status (33 down), pass, serial number, field, load, grain, GPS status, PDOP, altitude
-in feet.
+No header, comma-separated, 17 columns: longitude and latitude in deg, grain flow in lb/s, GPS time in s, logging interval in s,
+distance and swath in inches, moisture in %, header and marker status (33 down), pass, serial number, field ("F<number>:<name>"),
+load ("L<number>:<name>"), grain, GPS status, PDOP, elevation in feet.
+
+Sources: the order of the columns, Ag Leader Technology, "GPS 2000/2100 Operator's Manual" (April 1998), page 8-7, "Advanced Ag
+Leader Format"; the units, the data set gartner.corn of the R package agridat, which gives them with the formula for the yield.
 """
 
 from __future__ import annotations
