@@ -74,7 +74,6 @@ def test_a_sweep_moves_friction_towards_the_truth_and_counts_the_version() -> No
     assert abs(after.values["friction"] - 0.25) < 0.5 * abs(0.2 - 0.25)
     assert after.version == PRIOR.version + 1
     assert outcome.identifiable
-    assert not outcome.disagrees
 
 
 def test_a_ticket_fixes_what_the_sweep_cannot() -> None:
@@ -127,17 +126,14 @@ def test_a_mass_that_cannot_be_used_is_left_out(change: dict, why: str) -> None:
     assert not calibrator.last.scale.observable, why
 
 
-def test_windows_that_no_parameters_explain_change_nothing_and_are_named_the_second_time() -> None:
+def test_windows_that_no_parameters_explain_change_nothing_and_are_named() -> None:
     before = OpenLoop(MODEL, PRIOR)
     bad = records(12.0)
     bad[3] = dataclasses.replace(bad[3], force_n=2.0 * bad[3].force_n)
     calibrator = ClosedLoopCalibrator(MODEL, EXACT)
-    first = calibrator.update(bad, (), before)
-    second = calibrator.update(bad, (), before)
-    assert first.estimator is None
-    assert not first.disagrees
-    assert second.disagrees
-    assert second.region == "55 deg"
+    outcome = calibrator.update(bad, (), before)
+    assert outcome.estimator is None
+    assert "55 deg" in outcome.reason
 
 
 @pytest.mark.parametrize("count", [0, 3])

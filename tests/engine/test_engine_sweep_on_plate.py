@@ -89,7 +89,6 @@ def test_commands_come_ten_times_a_second_with_a_counter_and_within_the_rate() -
     [
         (CalibrationOutcome(None, "nothing new"), SweepState.NOT_LEARNED, set()),
         (CalibrationOutcome(None, "as wide as before", identifiable=False), SweepState.NOT_LEARNED, {FaultCode.NOT_IDENTIFIABLE}),
-        (CalibrationOutcome(None, "", disagrees=True, region="40 deg"), SweepState.NOT_LEARNED, {FaultCode.MODEL_DISAGREES}),
     ],
 )
 def test_what_a_sweep_did_not_teach(outcome: CalibrationOutcome, state: SweepState, faults: set[FaultCode]) -> None:

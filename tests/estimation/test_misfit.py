@@ -5,7 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yieldmon.estimation.misfit import SweepResiduals, common_misfit
+from tests.plant_sweeps import MACHINE, MOISTURE_PCT, NONE, SPEED_RAD_S, STRONG, shown_force, sweep_windows
+from yieldmon.estimation.misfit import ReducedSweep, SweepResiduals, common_misfit, pooled_residuals, reduce_sweep
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.files import parameter_file
+from yieldmon.physics.model import Conditions, ForwardModel
 
 ANGLES = np.radians([40.0, 45.0, 50.0, 55.0, 60.0, 65.0, 70.0, 75.0, 80.0, 85.0, 90.0])
 SD = np.full(ANGLES.shape, 0.01)
@@ -52,3 +56,88 @@ def test_unknown_residuals_are_passed_over() -> None:
         for s in sweeps(LOCAL, 6, 1)
     ]
     assert common_misfit(broken).disagrees
+
+
+MODEL = ForwardModel(MACHINE, ("gravity",))
+SHIPPED = parameter_file.load()
+COLUMNS = ("time_s", "plate_angle_rad", "elevator_speed_rad_s", "force_n", "force_std_dev_n", "moisture_pct")
+
+
+def reduced(effects: dict, flow_kg_s: float, seed: int, **how: float) -> ReducedSweep:
+    windows = sweep_windows(MACHINE, shown_force(MACHINE, effects), flow_kg_s=flow_kg_s, seed=seed, **how)
+    found = reduce_sweep(MODEL, SHIPPED, **{name: np.array([getattr(w, name) for w in windows]) for name in COLUMNS})
+    assert found is not None
+    return found
+
+
+def test_a_sweep_is_brought_to_one_flow() -> None:
+    """Flow that doubles during the sweep leaves the forces of a steady one; plate angles come once each."""
+    windows = sweep_windows(MACHINE, shown_force(MACHINE, NONE), flow_kg_s=8.0, seed=1, wander=0.0)
+    columns = {name: np.array([getattr(w, name) for w in windows]) for name in COLUMNS}
+    growing = 8.0 * np.exp(columns["time_s"] / columns["time_s"].max() * np.log(2.0))
+    steady = np.full(growing.shape, 8.0 * np.sqrt(2.0))
+
+    def sweep(flow: np.ndarray) -> ReducedSweep:
+        force = shown_force(MACHINE, NONE)(flow, columns["plate_angle_rad"])
+        found = reduce_sweep(MODEL, SHIPPED, **(columns | {"force_n": force}))
+        assert found is not None
+        return found
+
+    one, other = sweep(growing), sweep(steady)
+    assert np.degrees(one.plate_angle_rad) == pytest.approx([40.0, 50.0, 60.0, 70.0, 80.0, 90.0])
+    apart = one.log_force - other.log_force
+    assert apart - apart.mean() == pytest.approx(0.0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "change", [{"friction": 0.35}, {"density": 1400.0}, {"restitution": 0.3}, {"friction": 0.1, "density": 950.0}], ids=str
+)
+def test_what_a_recalibration_absorbs_leaves_nothing(change: dict[str, float]) -> None:
+    true = dict(SHIPPED.values) | change
+    angle = np.radians(np.arange(40.0, 91.0, 10.0))
+    sweeps = []
+    for flow in (6.0, 9.0, 12.0, 15.0):
+        conditions = Conditions(angle, np.full(6, SPEED_RAD_S), mass_flow_kg_s=np.full(6, flow))
+        log_force = np.log(np.real(MODEL.force(conditions, true)))
+        sweeps.append(ReducedSweep(angle, log_force, np.full(6, 0.01), flow, SPEED_RAD_S, MOISTURE_PCT))
+    residuals, moved = pooled_residuals(MODEL, SHIPPED, sweeps)
+    assert moved == 3
+    assert np.concatenate([r.relative_residual for r in residuals]) == pytest.approx(0.0, abs=1e-4)
+
+
+def test_the_plant_without_a_hidden_effect_leaves_next_to_nothing_and_with_one_a_pattern() -> None:
+    clean, _ = pooled_residuals(MODEL, SHIPPED, [reduced(NONE, 6.0 + 2.0 * i, seed=i) for i in range(8)])
+    strong, _ = pooled_residuals(MODEL, SHIPPED, [reduced(STRONG, 6.0 + 2.0 * i, seed=i) for i in range(8)])
+    assert not common_misfit(clean, shared=3).disagrees
+    assert common_misfit(strong, shared=3).disagrees
+
+
+def test_a_tolerated_error_is_no_disagreement() -> None:
+    assert common_misfit(sweeps(LOCAL, 6, seed=1)).disagrees
+    assert not common_misfit(sweeps(LOCAL, 6, seed=1), tolerance=0.03).disagrees
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda c: c | {"force_n": -c["force_n"]},
+        lambda c: c | {"plate_angle_rad": np.full(c["force_n"].shape, np.radians(40.0))},
+        lambda c: {name: values[:2] for name, values in c.items()},
+        lambda c: c | {"force_n": np.full(c["force_n"].shape, 1e6)},
+    ],
+    ids=["no force", "never at home", "one visit", "above a full paddle"],
+)
+def test_a_sweep_that_says_nothing(spoil) -> None:
+    windows = sweep_windows(MACHINE, shown_force(MACHINE, NONE), flow_kg_s=8.0, seed=1)
+    columns = {name: np.array([getattr(w, name) for w in windows]) for name in COLUMNS}
+    assert reduce_sweep(MODEL, SHIPPED, **spoil(columns)) is None
+
+
+def test_a_model_that_needs_moisture_says_nothing_without() -> None:
+    windows = sweep_windows(MACHINE, shown_force(MACHINE, NONE), flow_kg_s=8.0, seed=1)
+    columns = {name: np.array([getattr(w, name) for w in windows]) for name in COLUMNS}
+    moist = ForwardModel(MACHINE, ("gravity", "moisture_dependence"))
+    slopes = {f"moisture_dependence.{name}_per_pct": 0.0 for name in ("friction", "restitution", "density")}
+    parameters = ParameterSet(dict(SHIPPED.values) | slopes)
+    assert reduce_sweep(moist, parameters, **columns) is not None
+    assert reduce_sweep(moist, parameters, **(columns | {"moisture_pct": np.full(len(windows), np.nan)})) is None

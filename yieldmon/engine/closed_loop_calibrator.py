@@ -45,8 +45,6 @@ class CalibratorSettings:
     density_ratio: float | None = None
     density_ratio_std_dev: float = 0.1
     test_weight_std_dev_kg_m3: float = 10.0
-    disagreements: int = 2
-    """Inconsistent sweeps in a row from which the model is said to disagree."""
 
 
 class ClosedLoopCalibrator:
@@ -62,7 +60,6 @@ class ClosedLoopCalibrator:
         self._at_s = float("nan")
         self._at_kg = float("nan")
         self._anchors_until_s = float("-inf")
-        self._inconsistent = 0
         self._history: list[tuple[float, ParameterSet]] = []
         self.last: Outcome | None = None
 
@@ -90,18 +87,15 @@ class ClosedLoopCalibrator:
         except ValueError as error:
             return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False)
         self.last = outcome
-        self._inconsistent = 0 if consistent else self._inconsistent + 1
-        disagrees = self._inconsistent >= self._settings.disagreements
-        region = outcome.region if disagrees else ""
         self._anchors_until_s = max([self._anchors_until_s, *(a.end_s for a in anchors)])
         if not outcome.updated and prior.values == used.values:
-            return CalibrationOutcome(None, outcome.reason, False, disagrees, region)
+            return CalibrationOutcome(None, outcome.reason, identifiable=False)
         # Without a lesson the moisture map alone has moved the values; the new prior is what is known.
         self._at_s, self._at_kg, self._moisture_pct = now_s, total_kg, moisture_pct
         self._history = [*self._history[-7:], (now_s, used)]
         known = outcome.parameter_set if outcome.updated else replace(prior, version=used.version + 1)
         reason = outcome.reason if outcome.updated else "moved by the moisture map; the sweep said too little"
-        return CalibrationOutcome(OpenLoop(self._model, known), reason, outcome.updated, disagrees, region)
+        return CalibrationOutcome(OpenLoop(self._model, known), reason, outcome.updated)
 
     def _prior(self, used: ParameterSet, moisture_pct: float, now_s: float, total_kg: float) -> ParameterSet:
         """What is known now: the parameters in use, moved by moisture and widened by drift."""

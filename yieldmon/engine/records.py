@@ -83,15 +83,12 @@ class FlowEstimator(Protocol):
 class CalibrationOutcome:
     """What a sweep taught. estimator: the one to use from now on, or None where the parameters stay.
 
-    reason: one sentence for the operator. identifiable: the sweep narrowed what it was to determine. disagrees: the residuals of
-    this and earlier sweeps show a pattern that the model cannot make; region names it.
+    reason: one sentence for the operator. identifiable: the sweep narrowed what it was to determine.
     """
 
     estimator: FlowEstimator | None
     reason: str
     identifiable: bool = True
-    disagrees: bool = False
-    region: str = ""
 
 
 class SelfCalibrator(Protocol):

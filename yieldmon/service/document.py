@@ -347,6 +347,19 @@ class Anchors(Section):
     keep: int = quantity(_A.keep, 1, 10_000, "references", "newest references to keep")
 
 
+_D = _ENGINE.disagreement
+
+
+class Disagreement(Section):
+    """When the residuals of several sweeps say that the model lacks an effect: the fault ModelDisagrees."""
+
+    keep_sweeps: int = quantity(_D.keep_sweeps, 2, 200, "sweeps", "newest sweeps that are looked at together")
+    least_sweeps: int = quantity(_D.least_sweeps, 2, 200, "sweeps", "fewer say nothing")
+    tolerance: float = quantity(_D.tolerance, 0.0, 0.5, "1", "relative error of the model at an angle that is nobody's concern")
+    begin_p: float = quantity(_D.begin_p, 0.0, 0.5, "1", "probability of such a pattern by chance below which the fault is shown")
+    end_p: float = quantity(_D.end_p, 0.0, 1.0, "1", "probability above which it is withdrawn")
+
+
 _L = CalibratorSettings()
 _K = _L.closed_loop
 
@@ -373,7 +386,6 @@ class Learning(Section):
     test_weight_std_dev_kg_m3: float = quantity(
         _L.test_weight_std_dev_kg_m3, 0.1, 500.0, "kg/m3", "standard deviation of the test weight"
     )
-    disagreements: int = quantity(_L.disagreements, 1, 100, "sweeps", "misfits in a row from which the model disagrees")
 
 
 class Document(Section):
@@ -399,11 +411,14 @@ class Document(Section):
     sweep: Sweep = Sweep()
     faults: Faults = Faults()
     anchors: Anchors = Anchors()
+    disagreement: Disagreement = Disagreement()
     learning: Learning = Learning()
 
 
 #: Sections that hand their keys to the engine's settings of the same name.
-ENGINE_SECTIONS = ("clock", "windows", "inputs", "zero", "gate", "totals", "flow_filter", "plate", "sweep", "faults", "anchors")
+ENGINE_SECTIONS = (
+    "clock", "windows", "inputs", "zero", "gate", "totals", "flow_filter", "plate", "sweep", "faults", "anchors", "disagreement",
+)  # fmt: skip
 
 #: Settings of the engine that the protocol fixes; the file has no key for them.
 FIXED_BY_THE_FRAMES = frozenset(

@@ -1,0 +1,123 @@
+"""The fault ModelDisagrees: raised by a pattern that sweeps share, quiet otherwise, withdrawn when there is reason to."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from tests.plant_sweeps import MACHINE, MOISTURE_PCT, NONE, STRONG, Effects, shown_force, sweep_windows, window
+from yieldmon.engine.disagreement import Disagreement
+from yieldmon.engine.faults import FaultCode
+from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.settings import DisagreementSettings, EngineSettings
+from yieldmon.engine.state import EngineState
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.files import parameter_file
+from yieldmon.frames import Frame
+from yieldmon.service.assembly import build_monitor
+
+SHIPPED = parameter_file.load()
+SETTINGS = DisagreementSettings()
+
+
+def harvest(target: Disagreement, effects: Effects, sweeps: int, seed: int = 0, parameters: ParameterSet = SHIPPED) -> list[bool]:
+    """Sweeps at flows of 6 to 18 kg/s; whether the model is said to disagree after each."""
+    force = shown_force(MACHINE, effects)
+    said = []
+    for i in range(sweeps):
+        windows = sweep_windows(MACHINE, force, flow_kg_s=6.0 + 4.0 * (i % 4), seed=1000 * seed + i, start_s=1800.0 * i)
+        target.add(windows, parameters)
+        said.append(target.present)
+    return said
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_quiet_over_a_season_without_a_hidden_effect(seed: int) -> None:
+    """40 sweeps a seed, paddle scatter of 7 %, a wandering flow, physics that is not the model's."""
+    assert not any(harvest(Disagreement(SETTINGS, MACHINE), NONE, 40, seed))
+
+
+@pytest.mark.parametrize(
+    ("effects", "angle_deg"),
+    [
+        (STRONG, "40"),
+        ({"plate_angle_offset": {"angle_deg": 3.0}}, "40"),
+        ({"residual_radial_speed": {"share_of_tip_speed": 0.06}}, "40"),
+    ],
+    ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
+)
+def test_a_hidden_effect_is_said_with_its_region_and_after_several_sweeps(effects: Effects, angle_deg: str) -> None:
+    target = Disagreement(SETTINGS, MACHINE)
+    said = harvest(target, effects, SETTINGS.keep_sweeps)
+    assert not any(said[: SETTINGS.least_sweeps - 1])
+    assert said[-1]
+    assert angle_deg in target.region
+    assert "too low" in target.region
+
+
+def test_the_pattern_goes_when_the_machine_is_mended() -> None:
+    target = Disagreement(SETTINGS, MACHINE)
+    assert harvest(target, STRONG, 12)[-1]
+    assert not harvest(target, NONE, SETTINGS.keep_sweeps, seed=1)[-1]
+    assert target.region == ""
+
+
+def test_no_more_sweeps_are_kept_than_asked_for() -> None:
+    target = Disagreement(replace(SETTINGS, keep_sweeps=5), MACHINE)
+    harvest(target, NONE, 7)
+    assert [pattern.time_s > 3600.0 for pattern in target.state.patterns] == [True] * 5
+
+
+@pytest.mark.parametrize("windows", [[], [window(force_n=5.0, force_std_dev_n=0.1, plate_angle_rad=1.0)]], ids=["none", "one"])
+def test_a_sweep_that_says_nothing_is_passed_over(windows: list) -> None:
+    target = Disagreement(SETTINGS, MACHINE)
+    target.add(windows, SHIPPED)
+    assert target.state.patterns == ()
+
+
+def disagreeing() -> Monitor:
+    monitor = build_monitor(EngineSettings(), MACHINE, SHIPPED)
+    assert harvest(monitor.disagreement, STRONG, 12)[-1]
+    return monitor
+
+
+def faults_after_a_second(monitor: Monitor) -> tuple[FaultCode, ...]:
+    for time_s in (10.0, 11.2, 12.2):
+        monitor.feed(Frame(time_s, "ElevatorSpeed", {"ElevatorSpeed": 400.0}))
+    return monitor.faults.active
+
+
+def test_the_fault_outlives_a_restart() -> None:
+    before = disagreeing()
+    assert FaultCode.MODEL_DISAGREES in faults_after_a_second(before)
+    state = EngineState.from_dict(json.loads(json.dumps(before.snapshot().as_dict())))
+    after = build_monitor(EngineSettings(), MACHINE, SHIPPED)
+    after.restore(state)
+    assert after.disagreement.state == before.disagreement.state
+    assert after.disagreement.region == before.disagreement.region
+    assert FaultCode.MODEL_DISAGREES in faults_after_a_second(after)
+
+
+def test_parameters_from_outside_begin_anew() -> None:
+    """As on a reload with another parameter file, or a start with one."""
+    state = disagreeing().snapshot()
+    other = build_monitor(EngineSettings(), MACHINE, replace(SHIPPED, version=SHIPPED.version + 1))
+    other.restore(state)
+    assert other.disagreement.state.patterns == ()
+    assert FaultCode.MODEL_DISAGREES not in faults_after_a_second(other)
+
+
+def test_a_state_from_before_patterns_were_kept_is_read() -> None:
+    data = EngineState().as_dict()
+    del data["disagreement"]
+    assert EngineState.from_dict(data) == EngineState()
+
+
+def test_unknown_moisture_is_kept_as_such() -> None:
+    target = Disagreement(SETTINGS, MACHINE)
+    windows = sweep_windows(MACHINE, shown_force(MACHINE, NONE), flow_kg_s=9.0, seed=1)
+    target.add([replace(w, moisture_pct=float("nan")) for w in windows], SHIPPED)
+    target.add(windows, SHIPPED)
+    assert [pattern.moisture_pct for pattern in target.state.patterns] == [None, MOISTURE_PCT]
