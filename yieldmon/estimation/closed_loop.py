@@ -24,20 +24,19 @@ from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
 
 from .batch import MomentumBatch, levenberg_marquardt
+from .flow_process import SAME_ANGLE_RAD, correlation, process_sd
 from .identifiability import Direction, directions, flow_names, natural_scale, scaled, share_flow
 from .open_loop import OpenLoop
 from .parameters import ParameterSet
 from .priors import Prior, physical_bounds
-
-_SAME_ANGLE_RAD = np.radians(0.75)
 
 
 @dataclass(frozen=True, slots=True)
 class ClosedLoopSettings:
     """How a sweep is read.
 
-    flow: "constant", "linear" (a slope with prior flow_slope_sd_per_s) or "process" (a smooth random process around a constant,
-    relative standard deviation flow_process_sd and correlation time flow_process_time_s; returns to the home angle bracket it).
+    flow: "constant", "linear" (a slope with prior flow_slope_sd_per_s) or "process" (a random process around a constant with
+    correlation time flow_process_time_s; its size is taken from windows at like angles, flow_process_sd is the likeliest before).
     model_error: relative standard deviation of the model's own error, one draw for each plate angle of a sweep.
     """
 
@@ -323,6 +322,7 @@ class _Problem:
         self.tail = sum(s.force_n.size for s in self.sweeps)
         self.slopes = len(self.sweeps) if settings.flow == "linear" else 0
         self.clocks = [s.time_s - s.time_s.mean() for s in self.sweeps]
+        self.flow_covariances: list[Array] = []
 
     @staticmethod
     def _impact_scale(values: Mapping[str, float]) -> float:
@@ -411,21 +411,24 @@ class _Problem:
             return [np.diag(1.0 / sweep.force_std_dev_n) for sweep in self.sweeps]
         force, _, by_load = self._forces(unknown, anchor_flows)
         loads = self._loads(unknown, anchor_flows)
-        out = []
+        out: list[Array] = []
+        covariances: list[Array] = []
         for sweep, rows, clock in zip(self.sweeps, self.sweep_rows, self.clocks, strict=True):
             noise = np.diag(sweep.force_std_dev_n**2)
             if settings.model_error > 0.0:
-                lag = (sweep.plate_angle_rad[:, None] - sweep.plate_angle_rad) / _SAME_ANGLE_RAD
+                lag = (sweep.plate_angle_rad[:, None] - sweep.plate_angle_rad) / SAME_ANGLE_RAD
                 noise += settings.model_error**2 * np.exp(-(lag**2)) * np.outer(force[rows], force[rows])
             if settings.flow == "process":
                 elastic = by_load[rows] * loads[rows]
-                noise += self._flow_covariance(clock) * np.outer(elastic, elastic)
+                sd = process_sd(
+                    (sweep.force_n - force[rows]) / elastic, sweep.force_std_dev_n / elastic, sweep.plate_angle_rad, clock,
+                    settings.flow_process_time_s, settings.flow_process_sd,
+                )
+                covariances.append(sd**2 * correlation(clock, settings.flow_process_time_s))
+                noise += covariances[-1] * np.outer(elastic, elastic)
             out.append(np.linalg.inv(np.linalg.cholesky(noise)))
+        self.flow_covariances = covariances
         return out
-
-    def _flow_covariance(self, clock: Array) -> Array:
-        lag = np.abs(clock[:, None] - clock) / self.settings.flow_process_time_s
-        return self.settings.flow_process_sd**2 * np.exp(-lag)
 
     def _search_residuals(
         self, whiteners: Sequence[Array], anchor_flows: Array, unknown: Array, _: NDArray[np.intp]
@@ -602,7 +605,7 @@ class _Problem:
             extra = 0.0
             if self.settings.flow == "process":
                 # The process given the residuals; it moves against the level, so both count together.
-                covariance = self._flow_covariance(self.clocks[i])
+                covariance = self.flow_covariances[i]
                 gain = whiteners[i] @ (self._elastic(unknown)[rows, None] * covariance)
                 level -= float((gain.T @ residual[rows]).mean())
                 gradient -= gain.mean(axis=1) @ jacobian[rows]
