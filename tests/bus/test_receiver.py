@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import errno
 import queue
+import socket
 import threading
 
 import can
 import pytest
 
+from yieldmon.bus import receiver as receiving
 from yieldmon.bus.opening import BusUnavailable
-from yieldmon.bus.receiver import BusEvent, BusEventKind, Receiver
+from yieldmon.bus.receiver import BusEvent, BusEventKind, Receiver, nap_s
 
 WAIT_S = 10.0
 
@@ -236,3 +238,106 @@ def test_interface_loss_that_only_sending_was_told_of_is_seen():
     assert [event.kind for event in events] == [BusEventKind.INTERFACE_LOST, BusEventKind.INTERFACE_RESTORED]
     assert "Network is down" in events[0].detail
     assert len(opened) == 2
+
+
+class KernelsBus(can.BusABC):
+    """Frames wait in a socket, as on SocketCAN; those with odd numbers are left out by filters in Python."""
+
+    def __init__(self) -> None:
+        super().__init__(channel="socket pair")
+        self.ours, self.far_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+
+    def arrive(self, *numbers: int) -> None:
+        for number in numbers:
+            self.far_end.send(bytes([number]))
+
+    def fileno(self) -> int:
+        return self.ours.fileno()
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        raise NotImplementedError
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        self.ours.settimeout(timeout or 1e-6)
+        try:
+            number = self.ours.recv(1)[0]
+        except (TimeoutError, BlockingIOError):
+            return None, False
+        if number == 255:
+            raise can.CanOperationError("Network is down", errno.ENETDOWN)
+        return (frame(number) if number % 2 == 0 else None), True
+
+    def shutdown(self) -> None:
+        super().shutdown()
+        self.ours.close()
+        self.far_end.close()
+
+
+@pytest.fixture
+def in_batches(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(receiving, "kept_by_the_kernel", lambda bus: isinstance(bus, KernelsBus))
+
+
+@pytest.mark.usefixtures("in_batches")
+def test_what_waits_is_fetched_together_in_order_and_up_to_a_loss() -> None:
+    """Frames that the filters leave out are not taken for the end; what came before a loss is not lost."""
+    bus = KernelsBus()
+    bus.arrive(0, 2, 1, 3, 4, 6, 255)
+    with Receiver(opener(bus, ScriptedBus(frame(8)))) as receiver:
+        got = collect(receiver, 7)
+    assert got == [0, 2, 4, 6, BusEventKind.INTERFACE_LOST, BusEventKind.INTERFACE_RESTORED, 8]
+
+
+@pytest.mark.usefixtures("in_batches")
+def test_the_consumer_is_woken_once_for_what_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    bus = KernelsBus()
+    bus.arrive(*range(0, 100, 2))
+    taken: list[int] = []
+    take = Receiver._take
+    monkeypatch.setattr(Receiver, "_take", lambda self, messages: (taken.append(len(messages)), take(self, messages)))
+    with Receiver(opener(bus)) as receiver:
+        assert collect(receiver, 50) == list(range(0, 100, 2))
+    assert taken == [50]
+
+
+@pytest.mark.parametrize(
+    ("due_s", "rest_s"),
+    [
+        (float("-inf"), 0.0),
+        (99.0, 0.0),
+        (100.0, 0.0),
+        (100.0015, 0.0),
+        (100.011, pytest.approx(0.01)),
+        (101.0, 0.02),
+        (1e9, 0.02),
+    ],
+    ids=["nothing known", "overdue", "now", "at once", "soon", "later", "clock set back"],
+)
+def test_no_rest_outlasts_what_is_due(due_s: float, rest_s: float) -> None:
+    assert nap_s(due_s, 100.0) == rest_s
+
+
+def test_an_empty_queue_is_not_yet_a_silent_bus() -> None:
+    """While the receiver has not come round to reading, nothing is known; once a read has found nothing, it is."""
+    bus = ScriptedBus(frame(1))
+    asked, let_go = threading.Event(), threading.Event()
+    read = bus._recv_internal
+
+    def starved(timeout: float | None) -> tuple[can.Message | None, bool]:
+        if not bus.feed.empty():
+            return read(timeout)
+        asked.set()
+        let_go.wait(WAIT_S)
+        return None, True
+
+    bus._recv_internal = starved  # type: ignore[method-assign]
+    with Receiver(opener(bus)) as receiver:
+        assert asked.wait(WAIT_S)
+        before = receiver.empty_until_s
+        let_go.set()
+        for _ in range(1000):
+            if receiver.empty_until_s > before:
+                break
+            threading.Event().wait(0.01)
+        assert before == float("-inf")
+        assert receiver.empty_until_s > before

@@ -138,6 +138,11 @@ def kernel_drops_of(bus: can.BusABC) -> int | None:
     return int(_MEMINFO.unpack(memory)[_SK_MEMINFO_DROPS]) if len(memory) == _MEMINFO.size else None
 
 
+def kept_by_the_kernel(bus: can.BusABC) -> bool:
+    """Whether the kernel stamps and keeps this bus's frames, by the system's clock, so that one read later is as good."""
+    return _can_socket(bus) is not None or type(bus).__name__ == "UdpMulticastBus"
+
+
 def _can_socket(bus: can.BusABC) -> socket.socket | None:
     sock = getattr(bus, "socket", None)
     family = getattr(socket, "AF_CAN", None)

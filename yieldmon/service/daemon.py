@@ -106,8 +106,9 @@ class Daemon:
         self._started_s = monotonic()
         self._store_note = ""
         self._origin = "file"
-        self._last_ours: tuple[float, float] | None = None
-        self._last_heard_s = monotonic()
+        self._last_heard: tuple[float, float] | None = None
+        """Bus time and monotonic time of the last frame, whoever sent it."""
+        self._ours_s = float("-inf")
         self._answer: Answer = {}
         settings = configuration.document.bus
         self._receiver = Receiver(bus_factory or self._open_bus, capacity=settings.receive_queue_frames)
@@ -222,18 +223,17 @@ class Daemon:
     # The engine's thread
 
     def _round(self) -> None:
+        # Read before the queue: what came by then is in there.
+        empty_until_s = self._receiver.empty_until_s
         items = self._receiver.get_many(_BATCH_FRAMES, _WAIT_S)
         for item in items:
             if isinstance(item, BusEvent):
                 self._take_event(item)
             else:
                 self._take_message(item)
-        now_s = monotonic()
-        if items:
-            self._last_heard_s = now_s
-        else:
-            self._tick_if_silent(now_s)
-        self._tell_faults(now_s)
+        self._tick_if_silent(empty_until_s if not items else float("-inf"))
+        self._receiver.due_s = self._monitor.due_s
+        self._tell_faults(monotonic())
         self._do_commands()
         if self._reload_wanted.is_set():
             self._reload_wanted.clear()
@@ -242,6 +242,7 @@ class Daemon:
             raise RuntimeError("a thread of the service has died")
 
     def _take_message(self, message: can.Message) -> None:
+        self._last_heard = (message.timestamp, monotonic())
         try:
             frame = self._codec.decode(message)
         except FrameError as error:
@@ -256,19 +257,22 @@ class Daemon:
                 return
             self._conditions.present("conflict", monotonic() + _HOLD_S, f"{frame.message} from another node")
             return
-        self._last_ours = (frame.time_s, monotonic())
+        self._ours_s = frame.time_s
         self._send(self._monitor.feed(frame))
 
-    def _tick_if_silent(self, now_s: float) -> None:
-        if self._last_ours is None:
+    def _tick_if_silent(self, empty_until_s: float) -> None:
+        """Lets the engine's time go on without frames of ours: as far as others' frames say, or the bus is known to be empty."""
+        if self._last_heard is None:
             # No frame yet, so no bus time either; the system's clock is as good a start as any, once it is needed.
-            if now_s - self._last_heard_s > self.configuration.document.bus.idle_after_s:
-                self._send(self._monitor.tick(time.time()))
-                self._last_ours = (time.time(), now_s)
+            if monotonic() - self._started_s > self.configuration.document.bus.idle_after_s:
+                self._last_heard = (time.time(), monotonic())
+                self._send(self._monitor.tick(self._last_heard[0]))
             return
-        bus_s, heard_s = self._last_ours
-        if now_s - heard_s > self._silence_s:
-            self._send(self._monitor.tick(bus_s + (now_s - heard_s) - _TICK_DELAY_S))
+        bus_s, heard_s = self._last_heard
+        if empty_until_s - heard_s > self._silence_s:
+            self._send(self._monitor.tick(bus_s + (empty_until_s - heard_s) - _TICK_DELAY_S))
+        elif abs(bus_s - self._ours_s) > self._silence_s:
+            self._send(self._monitor.tick(bus_s))
 
     def _send(self, out: list[Frame]) -> None:
         if not out:
