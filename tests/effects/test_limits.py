@@ -77,6 +77,54 @@ def test_radial_speed_without_friction_follows_energy() -> None:
     np.testing.assert_allclose(speed2 - 1.0, 1.0 - jet.release_radius**2 * (1.0 - 0.25), rtol=1e-12)
 
 
+def jet_of(effect: str = "", load: float = 1.0, **own: float):
+    values = GRAIN | {f"{effect}.{key}": value for key, value in own.items()}
+    throw = ForwardModel(MACHINE, (effect, "miss_capture") if effect else ("miss_capture",)).throw(
+        1.2, 40.0, values | {"miss_capture.share": 0.0}
+    )
+    return throw.reading(np.asarray(load)).impulse.arrival.jet
+
+
+def test_layers_all_free_fly_level_at_their_own_carried_speed() -> None:
+    """At a rate without bound all but the grain at the paddle's face leaves as the housing carried it: Omega rho_0, level."""
+    free = jet_of("unpushed_layers", rate_per_rad=1e6)
+    carried = 40.0 * MACHINE.paddle_length_m * free.release_radius
+    np.testing.assert_allclose(free.vx_m_s, carried, rtol=1e-9)
+    np.testing.assert_allclose(free.vy_m_s, 0.0, atol=1e-9 * carried.max())
+    np.testing.assert_allclose(free.y_m, -MACHINE.paddle_length_m * free.release_radius, rtol=1e-9)
+    np.testing.assert_allclose(free.x_m, carried * free.travel_angle_rad / 40.0, rtol=1e-9)
+
+
+def test_a_layer_is_free_by_the_angle_it_reaches_ahead() -> None:
+    """The layer's share is 1 - exp(-rate psi), psi where the heap's straight inner surface crosses its radius."""
+    base, part, free = jet_of(), jet_of("unpushed_layers", rate_per_rad=2.0), jet_of("unpushed_layers", rate_per_rad=1e6)
+    share = (part.vx_m_s - base.vx_m_s) / (free.vx_m_s - base.vx_m_s)
+    x = base.inner_radius
+    reach = 2.0 * (1.0 - x)
+    for rho, got in zip(base.release_radius.ravel(), share.ravel(), strict=True):
+        t = np.linspace(0.0, 1.0, 200_001)
+        px, py = x + t * (np.cos(reach) - x), t * np.sin(reach)
+        crossing = int(np.flatnonzero(np.diff(np.sign(np.hypot(px, py) - rho)))[-1])
+        assert got == pytest.approx(1.0 - np.exp(-2.0 * np.arctan2(py[crossing], px[crossing])), abs=1e-4)
+
+
+def test_unpushed_layers_bring_heavy_loads_onto_a_low_plate() -> None:
+    """Their jet clears the low edge that the published one passes below, and is slower where all of both lands."""
+    low = Conditions(np.radians(40.0), 40.0, paddle_mass_kg=np.array([0.1, 2.5]))
+    light, heavy = read("unpushed_layers", at=low, rate_per_rad=3.0) / read(at=low)
+    assert heavy > 1.1 * light
+    upright = Conditions(np.radians(90.0), 40.0, paddle_mass_kg=0.1)
+    assert read("unpushed_layers", at=upright, rate_per_rad=3.0) < read(at=upright)
+
+
+def test_unpushed_layers_change_the_same_share_at_every_speed() -> None:
+    fast = replace(AT, elevator_speed_rad_s=1.5 * SPEED)
+    np.testing.assert_allclose(
+        read("unpushed_layers", at=fast, rate_per_rad=3.0) / read(at=fast), read("unpushed_layers", rate_per_rad=3.0) / BASE,
+        rtol=1e-9,
+    )  # fmt: skip
+
+
 def test_release_angle_turns_the_jet_and_leaves_its_speed() -> None:
     base = ForwardModel(MACHINE).throw(1.2, 40.0, GRAIN).reading(np.asarray(0.05)).impulse.arrival.jet
     model = ForwardModel(MACHINE, ("release_angle",))

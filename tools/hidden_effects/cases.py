@@ -37,6 +37,7 @@ SIZES: dict[str, tuple[float, float]] = {
     "cell_nonlinearity": (0.0, 0.004),
     "plate_buildup": (0.0, 20.0),
     "moisture_dependence": (0.0, 0.06),
+    "unpushed_layers": (0.0, 12.0),
 }
 #: The candidate's parameter that carries the size.
 LEADING = {
@@ -46,6 +47,7 @@ LEADING = {
     "jet_shielding": "rate_per_m", "speed_dependent_restitution": "exponent", "secondary_impact": "share",
     "resting_grain": "time_s", "zero_offset": "force_n", "plate_angle_offset": "angle_rad", "lever_arm": "slope",
     "cell_nonlinearity": "softening_per_n", "plate_buildup": "weight_n", "moisture_dependence": "friction_per_pct",
+    "unpushed_layers": "rate_per_rad",
 }  # fmt: skip
 REPLICATES = 3
 

@@ -82,6 +82,16 @@ def force(
     tip = (length * speed)[:, None]
     vx, vy = tip * (outward * np.cos(theta) - np.sin(theta)), tip * (outward * np.sin(theta) + np.cos(theta))
     x, y = length * np.cos(theta), length * np.sin(theta)
+    if "unpushed_layers" in size:
+        # A rational share of each layer; free grain starts from the housing's edge, where the paddle leaves it behind.
+        ahead = size["unpushed_layers"] * psi
+        free = ahead / (1.0 + ahead)
+        since = tau / speed[:, None]
+        c, d = np.cos(start), np.sin(start)
+        wx, wy = tip * (push * c - radius * d), tip * (push * d + radius * c)
+        px, py = length * radius * c + since * wx, length * radius * d + since * (wy + 0.5 * pull * since)
+        vx, vy = vx + free * (wx - vx), vy + free * (wy + pull * since - vy)
+        x, y = x + free * (px - x), y + free * (py - y)
 
     fan = np.sqrt(3.0) * size.get("stream_spread", 0.0) * (np.linspace(-1.0, 1.0, 15) if "stream_spread" in size else np.zeros(1))
     momentum = np.zeros(len(mass))
