@@ -34,7 +34,12 @@ class Teacher:
         self.lessons = 0
 
     def update(
-        self, records: Sequence[WindowRecord], anchors: Sequence[ReferenceMass], estimator: FlowEstimator
+        self,
+        records: Sequence[WindowRecord],
+        anchors: Sequence[ReferenceMass],
+        estimator: FlowEstimator,
+        *,
+        believe_sweep: bool = True,
     ) -> CalibrationOutcome:
         self.lessons += 1
         return CalibrationOutcome(ForceProportional(relative_std_dev=0.03 * (self.lessons + 1)), "learnt")

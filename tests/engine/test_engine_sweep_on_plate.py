@@ -32,7 +32,12 @@ class Teacher:
     given: list[Sequence[WindowRecord]] = field(default_factory=list)
 
     def update(
-        self, records: Sequence[WindowRecord], anchors: Sequence[ReferenceMass], estimator: FlowEstimator
+        self,
+        records: Sequence[WindowRecord],
+        anchors: Sequence[ReferenceMass],
+        estimator: FlowEstimator,
+        *,
+        believe_sweep: bool = True,
     ) -> CalibrationOutcome:
         self.given.append(records)
         return self.outcome

@@ -61,10 +61,19 @@ class ClosedLoopCalibrator:
         self._at_kg = float("nan")
         self._anchors_until_s = float("-inf")
         self._history: list[tuple[float, ParameterSet]] = []
+        self._given: ParameterSet | None = None
+        """As they came from outside, for as long as no reference mass has taught anything since."""
+        self._taught: ParameterSet | None = None
+        """The last set that was handed back."""
         self.last: Outcome | None = None
 
     def update(
-        self, records: Sequence[WindowRecord], anchors: Sequence[ReferenceMass], estimator: FlowEstimator
+        self,
+        records: Sequence[WindowRecord],
+        anchors: Sequence[ReferenceMass],
+        estimator: FlowEstimator,
+        *,
+        believe_sweep: bool = True,
     ) -> CalibrationOutcome:
         """See records.SelfCalibrator."""
         if not records:
@@ -75,9 +84,16 @@ class ClosedLoopCalibrator:
         prior = self._prior(used, moisture_pct, now_s, total_kg)
         masses = self._mass_anchors(anchors, used)
         density = self._density(records, prior)
+        if used is not self._taught:
+            self._given = used
+        if masses or density is not None:
+            self._given = None
+        if not believe_sweep and not masses and density is None:
+            return self._without_sweeps(used)
         try:
+            sweeps = [_sweep(records)] if believe_sweep else []
             outcome = self_calibrate(
-                self._model, prior, [_sweep(records)], anchors=masses, density=density, settings=self._settings.closed_loop
+                self._model, prior, sweeps, anchors=masses, density=density, settings=self._settings.closed_loop
             )
             consistent = outcome.consistent
             if not consistent and (masses or density is not None):
@@ -95,7 +111,19 @@ class ClosedLoopCalibrator:
         self._history = [*self._history[-7:], (now_s, used)]
         known = outcome.parameter_set if outcome.updated else replace(prior, version=used.version + 1)
         reason = outcome.reason if outcome.updated else "moved by the moisture map; the sweep said too little"
+        self._taught = known
         return CalibrationOutcome(OpenLoop(self._model, known), reason, outcome.updated)
+
+    def _without_sweeps(self, used: ParameterSet) -> CalibrationOutcome:
+        """The model lacks something, so sweeps have taught the wrong lesson: back to what was given, where nothing else taught.
+
+        With a moisture map the values given hold at another moisture, and those in use stay.
+        """
+        if self._given is None or self._given is used or self._map is not None:
+            return CalibrationOutcome(None, "the model disagrees with the sweeps; they teach nothing", identifiable=False)
+        self._taught = self._given = replace(self._given, version=used.version + 1)
+        reason = "the model disagrees with the sweeps; what they have taught is taken back"
+        return CalibrationOutcome(OpenLoop(self._model, self._taught), reason, identifiable=False)
 
     def _prior(self, used: ParameterSet, moisture_pct: float, now_s: float, total_kg: float) -> ParameterSet:
         """What is known now: the parameters in use, moved by moisture and widened by drift."""

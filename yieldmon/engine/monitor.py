@@ -873,7 +873,9 @@ class Monitor:
         self.disagreement.add(records, self._estimator.parameters)
         updated = False
         if self._calibrator is not None:
-            self._outcome = self._calibrator.update(records, self.anchors, self._estimator)
+            self._outcome = self._calibrator.update(
+                records, self.anchors, self._estimator, believe_sweep=not self.disagreement.present
+            )
             if self._outcome.estimator is not None:
                 self.set_estimator(self._outcome.estimator, 0.0)
                 updated = True

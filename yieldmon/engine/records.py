@@ -95,6 +95,14 @@ class SelfCalibrator(Protocol):
     """Learns from the windows of a sweep and from reference masses."""
 
     def update(
-        self, records: Sequence[WindowRecord], anchors: Sequence[ReferenceMass], estimator: FlowEstimator
+        self,
+        records: Sequence[WindowRecord],
+        anchors: Sequence[ReferenceMass],
+        estimator: FlowEstimator,
+        *,
+        believe_sweep: bool = True,
     ) -> CalibrationOutcome:
-        """records: the usable windows of one whole sweep. anchors: all reference masses kept. estimator: the one in use."""
+        """records: the usable windows of one whole sweep. anchors: all reference masses kept. estimator: the one in use.
+
+        believe_sweep: False while the model disagrees with what sweeps show; then only reference masses teach.
+        """
