@@ -100,7 +100,7 @@ class Journal:
         self._version = memory.last_version
         self._loads = {load.number: load for load in memory.loads}
         self._faults = set(memory.faults)
-        self._sweep: tuple[int, SweepState] | None = None
+        self._ended_sweep: int | None = None
         self._parameters: ParameterSet | None = None
         self._counters_before = dict(memory.counters or {})
         self._tickets: list[Ticket] = []
@@ -208,21 +208,24 @@ class Journal:
         return gone + come
 
     def _ended_sweeps(self, monitor: Monitor, time_s: float) -> tuple[SweepRecord, ...]:
-        now = (monitor.sweep.sweep_id, monitor.sweep.state)
-        before, self._sweep = self._sweep, now
-        if before is None or before == now or now[1] not in _SWEEP_ENDS:
+        sweep_id, state = monitor.sweep.sweep_id, monitor.sweep.state
+        if self._ended_sweep is None:
+            self._ended_sweep = sweep_id
+        # Once for each: a plate that is fetched home later on ends the same sweep again.
+        if sweep_id == self._ended_sweep or state not in _SWEEP_ENDS:
             return ()
+        self._ended_sweep = sweep_id
         outcome, abort = monitor.outcome, monitor.sweep.abort_reason
-        if now[1] is SweepState.ABORTED:
+        if state is SweepState.ABORTED:
             reason = abort.value if abort is not None else ""
         else:
             reason = outcome.reason if outcome is not None else "no calibrator"
         document = {
-            "sweep_id": now[0],
+            "sweep_id": sweep_id,
             "angles_deg": list(monitor.sweep.sequence),
             "parameter_version": monitor.estimator.parameters.version,
         }
-        return (SweepRecord(time_s, now[1].name.lower(), reason, document),)
+        return (SweepRecord(time_s, state.name.lower(), reason, document),)
 
     def _new_parameters(self, monitor: Monitor, time_s: float, origin: str) -> tuple[ParameterVersion, ...]:
         parameters, before = monitor.estimator.parameters, self._parameters
