@@ -10,7 +10,10 @@ import argparse
 import os
 import sys
 import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import can
 
@@ -27,13 +30,47 @@ def say(*words: object) -> None:
     os.write(1, (" ".join(map(str, words)) + "\n").encode())
 
 
-def live(folder: Path, seconds: int) -> None:
-    """Runs until killed, or for so many seconds of bus time."""
+class UnsyncedStore(Store):
+    """Does not wait for the medium."""
+
+    def _prepare(self) -> None:
+        super()._prepare()
+        self._database.execute("PRAGMA synchronous = OFF")
+
+
+class SplitStore(Store):
+    """Puts the records into one transaction and the state that belongs to them into another."""
+
+    def commit(self, batches: Sequence[Batch]) -> None:
+        for batch in batches:
+            before = self.state()
+            if before is not None:
+                super().commit([replace(batch, number=2 * batch.number, state=before)])
+                batch = replace(batch, seconds=(), faults=(), sweeps=(), tickets=())  # noqa: PLW2901 - what is left of it
+            super().commit([replace(batch, number=2 * batch.number + 1)])
+
+
+class TwiceStore(Store):
+    """Tells a monitor that goes on from it of a second more than it holds."""
+
+    def state(self) -> dict[str, Any] | None:
+        state, last = super().state(), self.last_second()
+        if state is not None and last is not None:
+            state["engine"]["totals"]["total_kg"] += last.mass_kg
+        return state
+
+
+#: Stores that are wrong on purpose, by the name of how.
+BROKEN: Mapping[str, type[Store]] = {"": Store, "unsynced": UnsyncedStore, "split": SplitStore, "twice": TwiceStore}
+
+
+def live(folder: Path, seconds: int, broken: str = "") -> None:
+    """Runs until killed, or for so many seconds of bus time. broken: a name of BROKEN."""
     environment = {"STATE_DIRECTORY": str(folder), "RUNTIME_DIRECTORY": str(folder)}
     (folder / "c.yaml").write_text("sweep: {enabled: false}\nbus: {transmit_max_age_s: 60}\n")
 
-    class TellingStore(Store):
-        def commit(self, batches: tuple[Batch, ...]) -> None:  # type: ignore[override]
+    class TellingStore(BROKEN[broken]):  # type: ignore[misc]
+        def commit(self, batches: Sequence[Batch]) -> None:
             super().commit(batches)
             rows = [row for batch in batches for row in batch.seconds]
             if rows:
@@ -81,5 +118,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seconds", type=int, default=100_000)
+    parser.add_argument("--broken", choices=list(BROKEN), default="")
     args = parser.parse_args()
-    live(args.folder, args.seconds)
+    live(args.folder, args.seconds, args.broken)

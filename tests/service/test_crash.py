@@ -13,9 +13,13 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 
-def crash_test(*options: str) -> dict:
+def run(*options: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, str(ROOT / "tools" / "crash-test"), "--seed", "20261121", *options]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+
+
+def crash_test(*options: str) -> dict:
+    done = run(*options)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 
@@ -33,3 +37,21 @@ def test_power_cuts_leave_a_store_that_adds_up():
     result = crash_test("--power-cuts", "60")
     assert result["stores_opened"] > 50
     assert result["seconds"] > 100
+
+
+@pytest.mark.parametrize(
+    ("broken", "finding"), [("split", "the last second"), ("twice", "sum of the seconds")], ids=["split", "twice"]
+)
+def test_a_store_that_is_wrong_is_found_out(broken, finding):
+    done = run("--broken", broken, "--kills", "60")
+    assert done.returncode == 1
+    assert finding in done.stderr
+
+
+@pytest.mark.strace
+def test_a_store_that_does_not_wait_for_the_medium_is_found_out():
+    if shutil.which("strace") is None:
+        pytest.skip("needs strace, which sees the store's writes")
+    done = run("--broken", "unsynced", "--power-cuts", "30")
+    assert done.returncode == 1
+    assert "committed before" in done.stderr
