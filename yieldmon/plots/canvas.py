@@ -41,6 +41,13 @@ def save(figure: Figure, path: Path) -> None:
         figure.savefig(path, dpi=110, metadata={"Date": None} if path.suffix.lower() == ".svg" else None)
 
 
+def legend_above(axes: Axes) -> None:
+    """The legend in one line above the axes, where it covers nothing."""
+    _, labels = axes.get_legend_handles_labels()
+    place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2}
+    axes.legend(**place, ncols=max(len(labels), 1), frameon=False, fontsize=9)
+
+
 def band(axes: Axes, x: Array, y: Array, std_dev: Array, **how: Any) -> None:
     """The 90 % interval around y."""
     axes.fill_between(x, y - 1.645 * std_dev, y + 1.645 * std_dev, alpha=0.25, lw=0, **how)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.physics.machine import RPM
 from yieldmon.physics.model import Conditions, ForwardModel
 
 from .canvas import Array, new_figure
@@ -68,6 +69,8 @@ def draw(
     by_flow.set_xlabel("mass flow, kg/s")
     for axes in (by_angle, by_flow):
         axes.legend(fontsize=8)
+    shown = "lines: model, points: readings" if readings is not None else "model"
+    figure.suptitle(f"{shown}; elevator at {elevator_speed_rad_s / RPM:.0f} rpm", fontsize=10)
     return figure
 
 

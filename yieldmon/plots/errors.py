@@ -38,6 +38,9 @@ def draw(true_kg_s: Array, measured_kg_s: Array, edges_kg_s: Array, limit_pct: f
         )
     for centre, _, errors in bands:
         axes.annotate(f"n={len(errors)}", (centre, 0.98), xycoords=("data", "axes fraction"), ha="center", va="top", fontsize=8)
+    axes.set_xlim(edges_kg_s[0], edges_kg_s[-1])
+    axes.set_xticks(edges_kg_s)
+    axes.set_title("box: quartiles and median; whiskers: 5th and 95th percentile; n: seconds", fontsize=9, loc="right")
     axes.set_xlabel("true mass flow, kg/s")
     axes.set_ylabel("error of a second, %")
     axes.legend(loc="lower right")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .canvas import MEASURED, TRUTH, Array, band, new_figure
+from .canvas import MEASURED, TRUTH, Array, band, legend_above, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,14 +24,14 @@ def draw(
     end in s, measured kg and weighed kg of each load with a ticket."""
     figure, (flow, mass) = new_figure(2, 1, size_in=(11.0, 8.0), sharex=True, height_ratios=(2, 1))
     start_s = time_s[0] if len(time_s) else 0.0
-    hours = (time_s - start_s) / 60.0
+    minutes = (time_s - start_s) / 60.0
     if truth is not None:
         at = (truth[0] - start_s) / 60.0
         flow.plot(at, truth[1], color=TRUTH, lw=1.2, label="true")
         mass.plot(at, truth[2], color=TRUTH, lw=1.2, label="true")
-    band(flow, hours, mass_flow_kg_s, std_dev_kg_s, color=MEASURED, label="90 % interval")
-    flow.plot(hours, mass_flow_kg_s, color=MEASURED, lw=1.0, label="measured, 1 Hz")
-    mass.plot(hours, total_kg, color=MEASURED, lw=1.4, label="measured")
+    band(flow, minutes, mass_flow_kg_s, std_dev_kg_s, color=MEASURED, label="90 % interval")
+    flow.plot(minutes, mass_flow_kg_s, color=MEASURED, lw=1.0, label="measured, 1 Hz")
+    mass.plot(minutes, total_kg, color=MEASURED, lw=1.4, label="measured")
     for end_s, measured_kg, weighed_kg in weighed or []:
         place = (end_s - start_s) / 60.0
         mass.axvline(place, color="gray", lw=0.6)
@@ -39,10 +39,10 @@ def draw(
         mass.annotate(text, (place, 0.02), xycoords=("data", "axes fraction"), fontsize=7, ha="right", rotation=90)
     if truth is not None and len(truth[2]) and truth[2][-1] > 0.0:
         error_pct = 100.0 * (total_kg[-1] / float(np.interp(time_s[-1], truth[0], truth[2])) - 1.0)
-        mass.set_title(f"accumulated mass {error_pct:+.2f} %", fontsize=10)
+        mass.set_title(f"measured less true at the end: {error_pct:+.2f} %", fontsize=9, loc="right")
     flow.set_ylabel("mass flow, kg/s")
     mass.set_ylabel("accumulated mass, kg")
     mass.set_xlabel("time, min")
     for axes in (flow, mass):
-        axes.legend(loc="upper left")
+        legend_above(axes)
     return figure

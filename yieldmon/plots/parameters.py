@@ -8,11 +8,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.physics.effects import effect_parameter
 
-from .canvas import MODEL, band, new_figure
+from .canvas import MODEL, band, legend_above, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+def unit_of(name: str) -> str:
+    """The unit of a parameter, "" for a pure number."""
+    if "." in name:
+        return effect_parameter(name).unit
+    return "kg/m³" if name == "density" else ""
 
 
 def draw(time_s: Sequence[float], sets: Sequence[ParameterSet], origins: Sequence[str]) -> Figure:
@@ -27,13 +35,17 @@ def draw(time_s: Sequence[float], sets: Sequence[ParameterSet], origins: Sequenc
     for axes, name in zip(grid[:, 0], names, strict=True):
         value = np.array([known.values.get(name, np.nan) for known in sets])
         spread = np.array([known.standard_deviation(name) if name in known.values else np.nan for known in sets])
-        band(axes, hours, value, spread, color=MODEL, step="post")
-        axes.step(hours, value, where="post", color=MODEL, lw=1.2)
+        held = (np.append(column, column[-1]) for column in (value, spread))
+        shown = np.append(hours, hours[-1] + 0.05 * max(hours[-1], 0.1))
+        values, spreads = held
+        band(axes, shown, values, spreads, color=MODEL, step="post", label="90 % interval")
+        axes.step(shown, values, where="post", color=MODEL, lw=1.2)
         for origin, marker in (("file", "s"), ("sweep", "o"), ("ticket", "^")):
             chosen = np.array([one == origin for one in origins])
             if chosen.any():
-                axes.plot(hours[chosen], value[chosen], marker, color=MODEL, ms=4, label=origin)
-        axes.set_ylabel(name.replace(".", "\n"), fontsize=8)
-    grid[0, 0].legend(fontsize=8)
+                axes.plot(hours[chosen], value[chosen], marker, color=MODEL, ms=4, label=f"from {origin}")
+        unit = unit_of(name)
+        axes.set_ylabel(name.replace(".", "\n") + (f"\n{unit}" if unit else ""), fontsize=8)
+    legend_above(grid[0, 0])
     grid[-1, 0].set_xlabel("time, h")
     return figure
