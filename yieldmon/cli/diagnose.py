@@ -7,15 +7,19 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 from yieldmon.discrepancy import adoption, diagnosis, planning, report
 from yieldmon.errors import InputError
+from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file, table
+from yieldmon.files.table import Table
 from yieldmon.physics.effects import registry
+from yieldmon.physics.machine import Machine
 from yieldmon.resources import shipped
+from yieldmon.service import sweep_table
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -25,8 +29,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description=__doc__,
         epilog="example: yieldmon diagnose facility.csv --params corn.yaml --report found",
     )
-    parser.add_argument("data", nargs="?", metavar="DATA.csv", help="table with plate angle, load and reading")
-    parser.add_argument("--params", metavar="P.yaml", help="parameters of the published model (default: the shipped corn)")
+    parser.add_argument(
+        "data", nargs="?", metavar="DATA", help="CSV table with plate angle, load and reading, or a daemon's store (.sqlite, .db)"
+    )
+    parser.add_argument(
+        "--params", metavar="P.yaml", help="parameters of the model (default: shipped corn; for a store, those it was given last)"
+    )
     parser.add_argument("--machine", metavar="M.yaml", help="machine geometry (default: the shipped 8-tooth machine)")
     parser.add_argument(
         "--form",
@@ -42,6 +50,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--without", action="append", default=[], metavar="EFFECT", help="leave an effect out of the library")
     parser.add_argument("--seed", type=int, default=1, help="of splits and bootstraps (default: 1)")
+    parser.add_argument("--sweeps", type=int, metavar="N", help="of a store, the newest N sweeps (default: all)")
+    parser.add_argument("--table", metavar="OUT.csv", help="of a store, write the table that is diagnosed")
     parser.add_argument("--adopt", metavar="OUT.yaml", help="write the next version of the parameters, with the named effects")
     parser.add_argument("--rollback", metavar="FILE.yaml", help="put the parent of an adopted file back in its place, and end")
     parser.add_argument("--plan", metavar="OUT.csv", help="write the next experiment, and beside it the daemon's sweep section")
@@ -56,15 +66,21 @@ def run(args: argparse.Namespace) -> int:
         print(f"{args.rollback}: version {version} again", file=sys.stderr)
         return 0
     if args.data is None:
-        raise InputError("diagnose", "no table given", "DATA.csv, or --rollback FILE.yaml")
+        raise InputError("diagnose", "no table given", "DATA.csv, a store, or --rollback FILE.yaml")
     unknown = [name for name in args.without if name not in registry()]
     if unknown:
         raise InputError("--without", f"{unknown[0]!r} is no effect", f"one of {', '.join(registry())}")
-    data = table.load(args.data)
-    parameter_path = Path(args.params) if args.params is not None else shipped(parameter_file.DEFAULT)
-    parameters = parameter_file.load(parameter_path)
     machine = machine_file.load(args.machine)
-    options = replace(diagnosis.Options(), form=args.form, hold_out=args.hold_out, without=tuple(args.without), seed=args.seed)
+    source = _from_store(args, machine) if sweep_table.is_store(args.data) else _from_csv(args)
+    data, parameters = source.data, source.parameters
+    options = replace(
+        diagnosis.Options(),
+        form=args.form,
+        hold_out=args.hold_out,
+        without=tuple(args.without),
+        seed=args.seed,
+        keep_effects=source.keep_effects,
+    )
     with _progress() as tell:
         found = diagnosis.diagnose(data, machine, parameters, options, tell)
     for note in data.notes:
@@ -84,9 +100,46 @@ def run(args: argparse.Namespace) -> int:
             print(f"yieldmon: nothing to adopt: the verdict is {found.verdict}", file=sys.stderr)
             return 1
         now = datetime.now(UTC)
-        copy = adoption.adopt(found, parameters, parameter_path, Path(args.adopt), (args.data, data.sha256), now)
+        parent = source.parameter_path
+        if parent is None:
+            parent = Path(args.adopt).with_suffix(f".v{parameters.version}.store.yaml")
+            parameter_file.save(parameters, parent)
+        copy = adoption.adopt(
+            found, parameters, parent, Path(args.adopt), (args.data, data.sha256), now, scale_sd=source.scale_sd
+        )
         print(f"adopted: {args.adopt} (version {parameters.version + 1}); parent kept as {copy}", file=sys.stderr)
     return 0
+
+
+@dataclass(frozen=True)
+class _Source:
+    """What is diagnosed. parameter_path: None for parameters that are in no file yet."""
+
+    data: Table
+    parameters: ParameterSet
+    parameter_path: Path | None
+    keep_effects: bool = False
+    scale_sd: float = 0.0
+
+
+def _from_csv(args: argparse.Namespace) -> _Source:
+    for option, value in (("--sweeps", args.sweeps), ("--table", args.table)):
+        if value is not None:
+            raise InputError(option, f"{args.data} is no store", f"a name that ends in {', '.join(sweep_table.SUFFIXES)}")
+    path = Path(args.params) if args.params is not None else shipped(parameter_file.DEFAULT)
+    return _Source(table.load(args.data), parameter_file.load(path), path)
+
+
+def _from_store(args: argparse.Namespace, machine: Machine) -> _Source:
+    """A daemon's model has effects that its parameters speak of; they are not looked for again."""
+    if args.sweeps is not None and args.sweeps < 1:
+        raise InputError("--sweeps", f"is {args.sweeps}", "at least 1")
+    path = Path(args.params) if args.params is not None else None
+    parameters = parameter_file.load(path) if path is not None else sweep_table.given_parameters(args.data)
+    found = sweep_table.read(args.data, machine, parameters, args.sweeps)
+    if args.table is not None:
+        Path(args.table).write_text(found.text, encoding="utf-8")
+    return _Source(found.table, parameters, path, True, found.scale_sd)
 
 
 @contextmanager

@@ -109,5 +109,10 @@ FROM load LEFT JOIN ticket ON ticket.id = (
     SELECT max(id) FROM ticket WHERE load.number BETWEEN ticket.first_load AND ticket.last_load);
 """
 
-MIGRATIONS: tuple[str, ...] = (_VERSION_1, _VERSION_2)
+# A sweep's windows among millions of seconds.
+_VERSION_3 = """
+CREATE INDEX second_of_sweep ON second (number) WHERE usable_for_calibration = 1;
+"""
+
+MIGRATIONS: tuple[str, ...] = (_VERSION_1, _VERSION_2, _VERSION_3)
 VERSION = len(MIGRATIONS)

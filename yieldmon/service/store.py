@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from dataclasses import astuple, dataclass, field, fields
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from yieldmon.errors import InputError
 from yieldmon.service import schema
@@ -352,6 +353,35 @@ class Store:
         with _failures_of(self.path):
             cursor = self._database.execute(f"SELECT {_columns(row_type)} FROM {source}", tuple(values))
             return [row_type(*row) for row in cursor]
+
+
+def read_only(path: Path) -> sqlite3.Connection:
+    """A connection that only reads a store, whether or not a daemon writes it meanwhile; to be closed by the caller.
+
+    Raises InputError when there is no such file, it is no yieldmon store, is damaged, or is of a newer version than this one.
+    """
+    if not path.is_file():
+        raise InputError(str(path), "no such file", "a daemon's store")
+    # Reading beside a writer needs the writer's journal index; without a journal the file alone is the whole store.
+    quiet = not path.with_name(f"{path.name}-wal").exists()
+    location = f"file:{quote(str(path.absolute()))}?{'immutable=1' if quiet else 'mode=ro'}"
+    database = sqlite3.connect(location, uri=True, isolation_level=None)
+    try:
+        application, version = (
+            database.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version")
+        )
+    except sqlite3.DatabaseError as error:
+        database.close()
+        raise InputError(str(path), str(error), "a daemon's store") from error
+    problem = ""
+    if application != schema.APPLICATION_ID:
+        problem = "is an SQLite file of another program"
+    elif version > schema.VERSION:
+        problem = f"is a store of schema version {version}; this yieldmon knows {schema.VERSION}"
+    if problem:
+        database.close()
+        raise InputError(str(path), problem, "a store of this version or an older one")
+    return database
 
 
 def _statements(script: str) -> Iterator[str]:

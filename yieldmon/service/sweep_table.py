@@ -1,0 +1,290 @@
+"""The sweeps in a daemon's store as a measurement table, for `yieldmon diagnose`.
+
+One row for each visit of each whole sweep: the mean force of its windows over the flow that the visits home around it give. What
+the table cannot know is the scale: the flow is what the given parameters make of the force at the home angle, so an effect that
+acts alike at every angle does not show, and the load's own curve at home is the parameters' own.
+
+Conditions that are meant to be the same are brought together: visits to one angle, speeds within 2 %, moisture within 2 points,
+and flows on steps of 10 %, to which the force is carried by the parameters' own model over no more than half a step.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+import sqlite3
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.errors import InputError
+from yieldmon.estimation.home_flow import Visits, bracketed, wander_per_s
+from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.files import parameter_file
+from yieldmon.files.table import Table
+from yieldmon.physics.machine import RPM, Machine
+from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.physics.numerics import Array, real
+from yieldmon.service.store import read_only
+
+SUFFIXES = (".sqlite", ".sqlite3", ".db")
+LEAST_ANGLES = 4
+_HOME_RAD = np.radians(1.0)
+_SAME_ANGLE_DEG = 1.0
+_SPEED_STEP = np.log(1.02)
+_FLOW_STEP = np.log(1.1)
+_MOISTURE_STEP_PCT = 2.0
+_LEAST_DOF = 20
+
+_WINDOWS = """
+SELECT sweep_id, sweep_step, time_s, plate_angle_deg, elevator_speed_rpm, force_n, force_std_dev_n, moisture_pct
+FROM second
+WHERE usable_for_calibration = 1 AND plate_angle_deg IS NOT NULL AND elevator_speed_rpm > 0 AND force_n > 0
+  AND force_std_dev_n > 0
+ORDER BY number
+"""
+
+
+@dataclass(frozen=True)
+class SweepTable:
+    """What a store says of its sweeps.
+
+    table: rows fit for `diagnose`. text: the same as CSV. sweeps: how many are in it. scale_sd: relative standard deviation of
+    all its flows together, from the parameters that they rest on.
+    """
+
+    table: Table
+    text: str
+    sweeps: int
+    scale_sd: float
+
+
+@dataclass(frozen=True)
+class _Windows:
+    """Usable windows of one sweep, arrays (windows,); moisture is the sweep's, nan where unknown."""
+
+    sweep_id: int
+    step: NDArray[np.int64]
+    time_s: Array
+    angle_rad: Array
+    speed_rad_s: Array
+    force_n: Array
+    relative_sd: Array
+    moisture_pct: float
+
+
+@dataclass(frozen=True)
+class _Visit:
+    """Mean of the windows of one step. relative_sd: of force and bracketing flow together."""
+
+    sweep_id: int
+    angle_rad: float
+    speed_rad_s: float
+    flow_kg_s: float
+    force_n: float
+    relative_sd: float
+    moisture_pct: float
+
+
+def is_store(path: Path | str) -> bool:
+    """Whether a name is that of a store rather than of a CSV table."""
+    return Path(path).suffix.lower() in SUFFIXES
+
+
+def given_parameters(path: Path | str) -> ParameterSet:
+    """The parameters that the daemon was given last, without what sweeps taught since: that rests on the model in question.
+
+    Raises InputError when the store holds none.
+    """
+    with _opened(path) as database:
+        row = database.execute(
+            "SELECT document FROM parameter_set WHERE origin = 'file' ORDER BY version DESC LIMIT 1"
+        ).fetchone()
+    if row is None:
+        raise InputError(str(path), "holds no parameters that came from a file", "such parameters, or --params P.yaml")
+    return parameter_file.from_document(json.loads(row[0]), str(path))
+
+
+def read(path: Path | str, machine: Machine, parameters: ParameterSet, last: int | None = None) -> SweepTable:
+    """The sweeps in a store, the `last` ones only where that is given; parameters make flow of the force at home.
+
+    Raises InputError when it is no store of this version or an older one, or its sweeps do not say enough.
+    """
+    with _opened(path) as database:
+        rows = database.execute(_WINDOWS).fetchall()
+    sweeps = _by_sweep(rows)[-last if last is not None else 0 :]
+    if not sweeps:
+        raise InputError(str(path), "holds no sweep", "a store in which a sweep of the plate was measured")
+    model = ForwardModel(machine, parameters.effects)
+    visits = _visits(sweeps, model, parameters)
+    angle_deg = _same(np.degrees([v.angle_rad for v in visits]), _SAME_ANGLE_DEG)
+    angles = np.unique(angle_deg)
+    if angles.size < LEAST_ANGLES:
+        found = ", ".join(f"{a:g}" for a in angles) or "none"
+        raise InputError(
+            str(path), f"has sweeps with a known flow at {angles.size} plate angles ({found} deg)", f"at least {LEAST_ANGLES}"
+        )
+    columns = _standardised(visits, angle_deg, model, parameters)
+    columns["sigma"] = columns["sigma"] * _scatter_over_stated(columns)
+    trial = tuple(str(v.sweep_id) for v in visits)
+    text = _csv(columns, trial)
+    used = len(set(trial))
+    scale_sd = _scale_sd(visits, model, parameters)
+    note = (
+        f"{path}: {len(visits)} visits in {used} sweeps; the flow is what version {parameters.version} of the parameters makes "
+        f"of the force at the home angle, so the scale of flow and gain is theirs (good to {100.0 * scale_sd:.1f} %)"
+    )
+    table = Table(
+        str(path), hashlib.sha256(text.encode()).hexdigest(), "mass_flow_kg_s", "force_n", columns, {"trial": trial}, (note,)
+    )
+    return SweepTable(table, text, used, scale_sd)
+
+
+@contextmanager
+def _opened(path: Path | str) -> Iterator[sqlite3.Connection]:
+    with closing(read_only(Path(path))) as database:
+        try:
+            yield database
+        except sqlite3.DatabaseError as error:
+            raise InputError(str(path), str(error), "a daemon's store") from error
+
+
+def _by_sweep(rows: Sequence[tuple[float | None, ...]]) -> list[_Windows]:
+    if not rows:
+        return []
+    values = np.array([[np.nan if v is None else v for v in row] for row in rows], dtype=float)
+    sweep_id = values[:, 0].astype(int)
+    # Ids begin anew in a store whose state was lost: a run of one id is one sweep.
+    starts = np.flatnonzero(np.diff(sweep_id, prepend=-1))
+    out = []
+    for part in np.split(values, starts[1:]):
+        _, step, time_s, angle, rpm, force, sd, moisture = part.T
+        known = moisture[np.isfinite(moisture)]
+        out.append(
+            _Windows(
+                sweep_id=int(part[0, 0]),
+                step=step.astype(int),
+                time_s=time_s,
+                angle_rad=np.radians(angle),
+                speed_rad_s=rpm * RPM,
+                force_n=force,
+                relative_sd=sd / force,
+                moisture_pct=float(np.median(known)) if known.size else float("nan"),
+            )
+        )
+    return out
+
+
+def _visits(sweeps: Sequence[_Windows], model: ForwardModel, parameters: ParameterSet) -> list[_Visit]:
+    """Visits whose flow is known from visits home before and after."""
+    loop = OpenLoop(model, parameters)
+    home_rad = model.machine.home_plate_angle_rad
+    at_home = [np.abs(w.angle_rad - home_rad) <= _HOME_RAD for w in sweeps]
+    brackets = []
+    for w, home in zip(sweeps, at_home, strict=True):
+        moisture = np.full(np.count_nonzero(home), w.moisture_pct)
+        usable = not model.needs_moisture or np.isfinite(w.moisture_pct)
+        flow = loop.invert(w.force_n[home], w.angle_rad[home], w.speed_rad_s[home], moisture) if usable else moisture * np.nan
+        brackets.append(Visits.of(w.time_s[home], flow, w.relative_sd[home]))
+    wander = wander_per_s(brackets)
+    out = []
+    for w, home, visits in zip(sweeps, at_home, brackets, strict=True):
+        log_flow, flow_sd = bracketed(visits, w.time_s, wander, at_home=home)
+        for step in np.unique(w.step):
+            here = (w.step == step) & np.isfinite(log_flow)
+            if not np.any(here):
+                continue
+            noise = float(np.sqrt(np.sum(w.relative_sd[here] ** 2))) / np.count_nonzero(here)
+            out.append(
+                _Visit(
+                    sweep_id=w.sweep_id,
+                    angle_rad=float(np.mean(w.angle_rad[here])),
+                    speed_rad_s=float(np.mean(w.speed_rad_s[here])),
+                    flow_kg_s=float(np.exp(np.mean(log_flow[here]))),
+                    force_n=float(np.mean(w.force_n[here])),
+                    relative_sd=float(np.hypot(noise, np.mean(flow_sd[here]))),
+                    moisture_pct=w.moisture_pct,
+                )
+            )
+    return out
+
+
+def _standardised(
+    visits: Sequence[_Visit], angle_deg: Array, model: ForwardModel, parameters: ParameterSet
+) -> dict[str, Array]:
+    """Columns of the table, with each force carried to the nearest of the conditions that are meant to be the same."""
+    angle, speed, flow, force, relative_sd, moisture = (
+        np.array([getattr(v, name) for v in visits])
+        for name in ("angle_rad", "speed_rad_s", "flow_kg_s", "force_n", "relative_sd", "moisture_pct")
+    )
+    nominal = model.machine.nominal_elevator_speed_rad_s
+    near_speed = nominal * np.exp(np.round(np.log(speed / nominal) / _SPEED_STEP) * _SPEED_STEP)
+    near_flow = np.exp(np.round(np.log(flow) / _FLOW_STEP) * _FLOW_STEP)
+    near_moisture = np.round(moisture / _MOISTURE_STEP_PCT) * _MOISTURE_STEP_PCT
+
+    def predicted(speed_rad_s: Array, flow_kg_s: Array) -> Array:
+        conditions = Conditions(angle, speed_rad_s, mass_flow_kg_s=flow_kg_s, moisture_pct=moisture)
+        return real(np.asarray(model.force(conditions, parameters.values, overfull="nan")))
+
+    there, here = predicted(near_speed, near_flow), predicted(speed, flow)
+    # Beyond the model's full paddle its slope is no help; force goes about as flow and speed.
+    plain = near_flow * near_speed / (flow * speed)
+    ratio = np.divide(there, here, out=plain, where=np.isfinite(there) & np.isfinite(here) & (here > 0.0))
+    carried = force * ratio
+    return {
+        "plate_angle_deg": angle_deg,
+        "mass_flow_kg_s": np.round(near_flow, 4),
+        "elevator_speed_rpm": np.round(near_speed / RPM, 2),
+        "force_n": carried,
+        "sigma": carried * relative_sd,
+        "moisture_pct": near_moisture,
+    }
+
+
+def _scatter_over_stated(columns: dict[str, Array]) -> float:
+    """Scatter of the rows under the same conditions over what is stated; 1 where too few repeat each other to say."""
+    names = ("plate_angle_deg", "mass_flow_kg_s", "elevator_speed_rpm", "moisture_pct")
+    keys = np.nan_to_num(np.stack([columns[name] for name in names], axis=-1), nan=-1.0)
+    _, cell = np.unique(keys, axis=0, return_inverse=True)
+    cell = cell.ravel()
+    weight = columns["sigma"] ** -2.0
+    mean = np.bincount(cell, weight * columns["force_n"]) / np.bincount(cell, weight)
+    dof = cell.size - int(cell.max()) - 1
+    if dof < _LEAST_DOF:
+        return 1.0
+    return float(np.sqrt(np.sum(weight * (columns["force_n"] - mean[cell]) ** 2) / dof))
+
+
+def _scale_sd(visits: Sequence[_Visit], model: ForwardModel, parameters: ParameterSet) -> float:
+    """Relative standard deviation that the parameters' covariance leaves on the flow at home, at the visits' mean flow."""
+    machine = model.machine
+    flow, moisture = float(np.mean([v.flow_kg_s for v in visits])), float(np.mean([v.moisture_pct for v in visits]))
+    at = (machine.home_plate_angle_rad, machine.nominal_elevator_speed_rad_s)
+    conditions = Conditions(*at, mass_flow_kg_s=flow, moisture_pct=moisture)
+    force = float(np.real(model.force(conditions, parameters.values)))
+    estimate = OpenLoop(model, parameters).estimate(force, *at, moisture_pct=moisture)
+    return float(estimate.std_dev_kg_s) / flow
+
+
+def _same(values: Array, width: float) -> Array:
+    """Each value replaced by the mean of its cluster, to a tenth; a gap above width begins a new cluster."""
+    order = np.argsort(values, kind="stable")
+    number = np.empty(values.size, dtype=np.int64)
+    number[order] = np.concatenate(([0], np.cumsum(np.diff(values[order]) > width)))[: values.size]
+    return np.asarray(np.round(np.bincount(number, values) / np.bincount(number), 1)[number])
+
+
+def _csv(columns: dict[str, Array], trial: Sequence[str]) -> str:
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow([*columns, "trial"])
+    for values, name in zip(zip(*columns.values(), strict=True), trial, strict=True):
+        writer.writerow([*("nan" if np.isnan(v) else f"{v:.6g}" for v in values), name])
+    return out.getvalue()
