@@ -1,0 +1,73 @@
+"""The quick version of tools/fuzz-frames (tools/fuzz-config has its own beside the configuration's tests)."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import random
+import subprocess
+import sys
+from importlib.machinery import SourceFileLoader
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from yieldmon import frames
+from yieldmon.bus.codec import Codec
+from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.plate_commands import PlateCommander
+from yieldmon.engine.totals import Totals
+from yieldmon.service import configuration
+
+TOOL = Path(__file__).parents[2] / "tools" / "fuzz-frames"
+
+
+def test_nothing_escapes():
+    command = [sys.executable, str(TOOL), "--count", "60000", "--seed", "20261121", "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    counts = json.loads(done.stdout)
+    assert counts["escapes"] == 0
+    assert counts["frames"] >= 60_000
+    assert counts["malformed"] > 20
+    assert counts["windows"] > 150
+    assert counts["sweeps"] > 0
+
+
+@pytest.fixture(scope="module")
+def tool() -> ModuleType:
+    loader = SourceFileLoader("fuzz_frames", str(TOOL))
+    module = importlib.util.module_from_spec(importlib.util.spec_from_loader(loader.name, loader))
+    loader.exec_module(module)
+    return module
+
+
+def runs_back(self: Totals, mass_kg: float, dry_kg: float | None) -> Totals:
+    return Totals(total_kg=(self.total_kg or 1000.0) - mass_kg)
+
+
+def out_of_range(self: PlateCommander, demand: object, angle_deg: float) -> dict[str, frames.Value]:
+    return {"TargetPlateAngle": 120.0, "CommandMode": 1, "CommandCounter": 0}
+
+
+def negative(self: Monitor, *_: object) -> float:
+    return -1.0
+
+
+@pytest.mark.parametrize(
+    ("owner", "name", "fault", "finding"),
+    [
+        (Totals, "with_mass", runs_back, "ran back"),
+        (PlateCommander, "command", out_of_range, "commanded to 120"),
+        (Monitor, "_count", negative, "mass_kg is -1.0"),
+    ],
+    ids=["total", "plate", "mass"],
+)
+def test_an_engine_that_is_wrong_is_found_out(tool, monkeypatch, owner, name, fault, finding):
+    monkeypatch.setattr(owner, name, fault)
+    loaded = configuration.build(tool.SETTINGS, Path("fuzz.yaml"), {})
+    rng = random.Random(3)  # brings grain and a sweep
+    monkeypatch.setattr(tool, "RATES", (0.001,))
+    with pytest.raises(tool.Escape, match=finding):
+        tool.Fuzzer(Codec(), loaded, rng).live(tool.LIFE_FRAMES)
