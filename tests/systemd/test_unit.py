@@ -64,10 +64,11 @@ def test_verify_is_clean() -> None:
     assert run("systemd-analyze", "verify", "--man=no", UNIT) == ""
 
 
-def test_exposure_is_at_most_2() -> None:
+def test_exposure_is_at_most_2(record_property) -> None:
     overall = run("systemd-analyze", "security", "--no-pager", UNIT).splitlines()[-1]
     found = re.search(r"exposure level for yieldmon.service: (\d+\.\d+)", overall)
     assert found is not None, overall
+    record_property("exposure", found[1])
     assert float(found[1]) <= 2.0
 
 

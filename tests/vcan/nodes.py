@@ -5,11 +5,9 @@ The project's commands are forked rather than started anew: in the emulated gues
 
 from __future__ import annotations
 
-import itertools
-import math
+import logging
 import multiprocessing
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -21,39 +19,31 @@ from typing import Any
 
 import can
 import cantools
-import numpy as np
 
-from yieldmon import frames
 from yieldmon.bus.codec import Codec
-from yieldmon.bus.opening import open_bus
-from yieldmon.cli import run, simulate
+from yieldmon.cli import replay, run, simulate
 from yieldmon.cli.main import main
-from yieldmon.files import parameter_file
-from yieldmon.frames import Frame
-from yieldmon.physics.machine import RPM, Machine
-from yieldmon.physics.model import Conditions, ForwardModel
-from yieldmon.plant.actuator import ActuatorFault, ActuatorSettings, PlateActuator
 from yieldmon.resources import shipped
 from yieldmon.service.control import ControlError, ask
 from yieldmon.service.store import Store
 
 CODEC = Codec()
 #: Bounds a hang only; the emulated guest is several times slower than its host.
-PATIENCE_S = 120.0
+PATIENCE_S = 180.0
 #: The kernel's list of raw sockets that take every frame.
 RECEIVERS = Path("/proc/net/can/rcvlist_all")
 
 #: Verbs that are forked, so that their imports are done by then.
-VERBS = (run, simulate)
+VERBS = (replay, run, simulate)
 _FORK = multiprocessing.get_context("fork")
 
 
-def eventually(condition: Callable[[], object], what: str) -> None:
+def eventually(condition: Callable[[], object], what: str, every_s: float = 0.2) -> None:
     """Waits for what another process does in its own time."""
     deadline = time.monotonic() + PATIENCE_S
     while not condition():
         assert time.monotonic() < deadline, f"still waiting for: {what}"
-        time.sleep(0.05)
+        time.sleep(every_s)
 
 
 class Command:
@@ -69,6 +59,8 @@ class Command:
             os.dup2(file.fileno(), 1)
             os.dup2(file.fileno(), 2)
         sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__
+        # pytest's own would take the daemon's lines.
+        logging.getLogger().handlers.clear()
         os.environ.update(environment)
         os._exit(main(words))
 
@@ -77,9 +69,9 @@ class Command:
         self.process.terminate()
         self.finished()
 
-    def finished(self) -> None:
+    def finished(self, patience_s: float = PATIENCE_S) -> None:
         """Waits for its own end; fails when it does not end well."""
-        self.process.join(PATIENCE_S)
+        self.process.join(patience_s)
         if self.process.is_alive():
             self.process.kill()
         printed = self.output.read_text()
@@ -112,6 +104,10 @@ class DaemonNode:
         return int(rows[-1]["number"]) if rows else 0
 
     @property
+    def printed(self) -> str:
+        return self.command.output.read_text()
+
+    @property
     def resident_kb(self) -> int:
         lines = Path(f"/proc/{self.command.process.pid}/status").read_text().splitlines()
         return next(int(line.split()[1]) for line in lines if line.startswith("VmRSS"))
@@ -131,8 +127,7 @@ class DaemonNode:
 def daemon(channel: str, folder: Path, sections: str = "") -> Iterator[DaemonNode]:
     """`yieldmon run` on the interface, its state in `folder`. It must live, and end well at SIGTERM."""
     path = folder / "c.yaml"
-    # Frames may wait long here: the guest now and then stops for more than the half second that is the default.
-    path.write_text(f"bus: {{interface: socketcan, channel: {channel}, transmit_max_age_s: 30}}\n{sections}")
+    path.write_text(f"bus: {{interface: socketcan, channel: {channel}}}\n{sections}")
     environment = {"STATE_DIRECTORY": str(folder), "RUNTIME_DIRECTORY": str(folder)}
     node = DaemonNode(Command(["run", "--config", str(path)], folder / "daemon.txt", environment), folder)
     try:
@@ -144,68 +139,19 @@ def daemon(channel: str, folder: Path, sections: str = "") -> Iterator[DaemonNod
     node.command.end()
 
 
-class LeanCombine:
-    """The virtual actuator, elevator speed and a force that follows the plate's true angle, at nominal rates, as a process.
-
-    The whole virtual combine takes more than a processor of the emulated guest in real time. EMPTY_S without grain, then a
-    constant flow. A fault begins begin_s after the start; `true_deg` is where the plate is.
-    """
-
-    EMPTY_S = 5.0
-    FLOW_KG_S = 14.0
-    ZERO_MV = 120.0
-
-    def __init__(self, channel: str, fault: str | None = None, begin_s: float = 0.0) -> None:
-        machine = Machine()
-        self._actuator = PlateActuator(ActuatorSettings(), machine, np.random.default_rng(20261121))
-        self._fault = ActuatorFault(fault) if fault else None
-        self._begin_s = begin_s
-        self._angle = _FORK.Value("d", self._actuator.angle_deg)
-        self._grid_deg = np.arange(40.0, 91.0, 5.0)
-        speed = 400.0 * RPM
-        self._pass_hz = machine.paddle_speed_m_s(speed) / machine.paddle_spacing_m
-        conditions = Conditions(np.radians(self._grid_deg), speed, mass_flow_kg_s=self.FLOW_KG_S)
-        force_n = ForwardModel(machine).force(conditions, parameter_file.load(shipped("config/parameters/corn.yaml")).values)
-        self._millivolts = force_n / machine.sensor.gain_n_per_mv
-        self.process = _FORK.Process(target=self._run, args=(channel,), daemon=True)
-        self.process.start()
-
-    @property
-    def true_deg(self) -> float:
-        return float(self._angle.value)
-
-    def end(self) -> None:
-        self.process.terminate()
-        self.process.join(PATIENCE_S)
-
-    def _run(self, channel: str) -> None:
-        signal.signal(signal.SIGTERM, lambda *_: os._exit(0))
-        with open_bus("socketcan", channel, filters=CODEC.filters([frames.PLATE_ACTUATOR_COMMAND])) as bus:
-            begin_s = time.monotonic()
-            for number in itertools.count():
-                at_s = number * 0.004
-                while (left_s := begin_s + at_s - time.monotonic()) > 0.0:
-                    if (message := bus.recv(left_s)) is not None:
-                        self._actuator.command(CODEC.decode(message), at_s)
-                for frame in self._frames(number, at_s):
-                    bus.send(CODEC.encode(frame))
-
-    def _frames(self, number: int, at_s: float) -> Iterator[Frame]:
-        if number % 12 == 0:
-            self._actuator.fault = self._fault if at_s >= self._begin_s else None
-            self._angle.value = self._actuator.step(at_s, 0.048)
-            if (told := self._actuator.feedback()) is not None:
-                signals = {"PlateAngle": told[0], "ActuatorState": int(told[1])}
-                yield Frame(at_s, frames.PLATE_ACTUATOR_FEEDBACK, signals)
-        if number % 25 == 0:
-            yield Frame(at_s, frames.ELEVATOR_SPEED, {"ElevatorSpeed": 400.0})
-        mean = float(np.interp(self.true_deg, self._grid_deg, self._millivolts)) if at_s > self.EMPTY_S else 0.0
-        signals = {"SampleCounter": number % 256, "SensorStatus": 0}
-        for k in range(frames.SAMPLES_PER_FRAME):
-            phase = 2.0 * math.pi * self._pass_hz * (at_s + 0.001 * k)
-            ripple = mean * math.sin(phase) + 0.8 * math.sin(1.7 * phase)
-            signals[f"Sample{k}"] = round(2.0 * max(0.0, self.ZERO_MV + mean + ripple)) / 2.0
-        yield Frame(at_s, frames.IMPACT_SENSOR_SAMPLES, signals)
+@contextmanager
+def combine(channel: str, folder: Path, scenario: str) -> Iterator[None]:
+    """The virtual combine on the interface in real time, until the block ends; then its truth is in folder/truth.csv."""
+    path = folder / "scenario.yaml"
+    path.write_text(scenario)
+    words = ["simulate", "--scenario", str(path), "--truth", str(folder / "truth.csv"), "-i", "socketcan", "-c", channel]
+    node = Command(words, folder / "combine.txt", {})
+    try:
+        yield
+    except BaseException:
+        node.process.kill()
+        raise
+    node.end()
 
 
 @contextmanager

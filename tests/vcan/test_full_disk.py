@@ -14,6 +14,8 @@ from yieldmon.service.store import Store
 
 pytestmark = pytest.mark.vcan
 
+SETTINGS = "bus: {transmit_max_age_s: 60}\nzero: {first_zero_windows: 1}\n"
+
 
 @pytest.fixture
 def small_disk(vcan0: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
@@ -37,9 +39,9 @@ def fill(folder: Path) -> Path:
 
 
 def test_a_full_disk_is_a_fault_and_nothing_is_lost(small_disk: Path, tmp_path: Path) -> None:
-    with running(tmp_path, state=small_disk) as bench:
-        bench.play(14, 0.0)
-        bench.play(4, 60.0)
+    with running(tmp_path, SETTINGS, state=small_disk) as bench:
+        bench.play(4, 0.0)
+        bench.play(3, 60.0)
         bench.played()
         wait_for(lambda: bench.daemon._writer.health().pending == 0, "the first seconds in the store")
         ballast = fill(small_disk)
@@ -48,18 +50,18 @@ def test_a_full_disk_is_a_fault_and_nothing_is_lost(small_disk: Path, tmp_path: 
             bench.played()
             if bench.daemon._writer.health().failing:
                 break
-        bench.play(3, 60.0)
+        bench.play(2, 60.0)
         wait_for(lambda: "StoreFailing" in bench.faults, "StoreFailing")
         measured_kg = bench.status["total"]["mass_kg"]
     fill(small_disk)
-    with running(tmp_path, state=small_disk, start_s=START_S + 200) as bench:
+    with running(tmp_path, SETTINGS, state=small_disk, start_s=START_S + 200) as bench:
         kept_kg = bench.status["total"]["mass_kg"]
         assert 0.0 < kept_kg <= measured_kg + 10.0, "the state is read from a full disk"
-        bench.play(4, 60.0)
+        bench.play(2, 60.0)
         wait_for(lambda: "StoreFailing" in bench.faults, "StoreFailing after a start on a full disk")
         ballast.unlink()
         wait_for(lambda: not bench.daemon._writer.health().failing, "recovery")
-        bench.play(6, 60.0)
+        bench.play(3, 60.0)
         bench.played()
         assert "StoreFailing" not in bench.faults
     with Store(small_disk / "yieldmon.sqlite") as store:
