@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from yieldmon.bus.candump import parse_line
+from yieldmon.bus.log_writing import writing
 from yieldmon.bus.logs import LogNotes, read_log
 from yieldmon.errors import InputError
 
@@ -40,7 +41,7 @@ def sample_log() -> list[can.Message]:
 
 
 def write(path: Path, messages: list[can.Message]) -> Path:
-    with can.Logger(path) as writer:
+    with writing(path) as writer:
         for message in messages:
             writer.on_message_received(message)
     return path
@@ -77,6 +78,12 @@ def test_round_trip(tmp_path: Path, suffix: str, packed: bool) -> None:
     assert (notes.frames, notes.damaged_places) == (60, 0)
     steps = [later.timestamp - first.timestamp for first, later in itertools.pairwise(messages)]
     assert steps == pytest.approx([0.004] * 59, abs=2e-6)
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_a_long_log_is_written_to_its_last_frame(tmp_path: Path, suffix: str) -> None:
+    messages = sample_log() * 100
+    assert essence(read(write(tmp_path / f"drive{suffix}", messages))[0]) == essence(messages)
 
 
 def test_mf4_without_its_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import importlib.util
 import json
 import random
 from pathlib import Path
@@ -11,6 +12,7 @@ import can
 import pytest
 
 from tests.service.bench import CODEC, START_S, ZERO_MV, running, traffic
+from yieldmon.bus.log_writing import writing
 from yieldmon.bus.logs import read_log
 from yieldmon.cli import main as cli
 from yieldmon.errors import InputError
@@ -42,7 +44,7 @@ def messages(duration_s: float = DURATION_S) -> list[can.Message]:
 
 def write(path: Path, frames: list[can.Message]) -> Path:
     """A log by python-can."""
-    with can.Logger(str(path)) as logger:
+    with writing(path) as logger:
         for message in frames:
             logger.on_message_received(message)
     return path
@@ -116,7 +118,14 @@ def test_trouble_changes_nothing_of_that(kind, tmp_path):
     assert rows_of(process_in_bulk, [path]) == rows_of(process_logs, [path])
 
 
-@pytest.mark.parametrize("ending", [".asc", ".blf", ".csv", ".trc", ".log.gz"])
+HAS_MF4 = importlib.util.find_spec("asammdf") is not None
+FORMATS = [
+    *(".asc", ".blf", ".csv", ".db", ".trc", ".log.gz"),
+    pytest.param(".mf4", marks=[pytest.mark.mf4, pytest.mark.skipif(not HAS_MF4, reason="needs the mf4 extra")]),
+]
+
+
+@pytest.mark.parametrize("ending", FORMATS)
 def test_every_format(ending, tmp_path):
     path = write(tmp_path / f"drive{ending}", messages(16))
     in_bulk, summary = rows_of(process_in_bulk, [path])

@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.live import Live
 
 from yieldmon.bus.codec import Codec
+from yieldmon.bus.log_writing import writing
 from yieldmon.bus.logs import LogNotes, read_log, require_log
 from yieldmon.bus.opening import add_bus_arguments, open_bus_from
 from yieldmon.bus.replay import Schedule
@@ -80,7 +81,7 @@ class _Recorder:
 
     def start(self, path: Path) -> str:
         try:
-            self._logger = self._stack.enter_context(can.Logger(path))
+            self._logger = self._stack.enter_context(writing(path))
         except (ValueError, OSError) as error:
             raise InputError(str(path), str(error), "a log file name that python-can can write, such as drive.log") from error
         return path.name

@@ -9,12 +9,14 @@ import sys
 import threading
 import time
 from collections import Counter
+from contextlib import ExitStack
 from pathlib import Path
 
 import can
 
 from yieldmon import frames
 from yieldmon.bus.codec import Codec, FrameError
+from yieldmon.bus.log_writing import writing
 from yieldmon.bus.opening import add_bus_arguments, open_bus_from
 from yieldmon.errors import InputError
 from yieldmon.files import machine_file
@@ -99,23 +101,16 @@ def _duration(seconds: float) -> float:
 
 
 def _write_log(combine: VirtualCombine, codec: Codec, args: argparse.Namespace, counts: Counter[str]) -> None:
-    try:
-        writer = can.Logger(args.log)
-    except ValueError as error:
-        raise InputError(f"--log {args.log}", str(error), "a format of python-can") from None
-    with writer:
+    with ExitStack() as stack:
+        try:
+            writer = stack.enter_context(writing(args.log))
+        except ValueError as error:
+            raise InputError(f"--log {args.log}", str(error), "a format of python-can") from None
         for frame in combine.frames_until(combine.scenario.duration_s):
             message = codec.encode(frame._replace(time_s=args.start_time + frame.time_s))
             message.channel = "can0"
             writer.on_message_received(message)
             counts[frame.message] += 1
-        _drain(writer)
-
-
-def _drain(writer: object) -> None:
-    """python-can's SQLite writer drops what its thread has not fetched yet when it is closed."""
-    while isinstance(writer, can.SqliteWriter) and not writer.buffer.empty():
-        time.sleep(0.02)
 
 
 def _drive_bus(combine: VirtualCombine, codec: Codec, args: argparse.Namespace, counts: Counter[str]) -> None:

@@ -44,8 +44,8 @@ def save(figure: Figure, path: Path) -> None:
 def legend_above(axes: Axes) -> None:
     """The legend in one line above the axes, where it covers nothing."""
     _, labels = axes.get_legend_handles_labels()
-    place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2}
-    axes.legend(**place, ncols=max(len(labels), 1), frameon=False, fontsize=9)
+    count = max(len(labels), 1)
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=count, frameon=False, fontsize=9, borderaxespad=0.2)
 
 
 def band(axes: Axes, x: Array, y: Array, std_dev: Array, **how: Any) -> None:
