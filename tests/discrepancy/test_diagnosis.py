@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from yieldmon.discrepancy import diagnosis, experiment
-from yieldmon.discrepancy.selection import Policy
+from yieldmon.discrepancy.selection import Policy, form_allowance
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 
@@ -72,6 +72,27 @@ def test_an_effect_taken_out_of_the_library_is_never_named(make_rows, start) -> 
     seen = diagnosis.examine(make_rows({"zero_offset": 4.0}), start, options)
     assert all("zero_offset" not in (c.effect, *c.fit.effects) for c in seen.choice.looked_at)
     assert seen.choice.verdict == "unknown"
+
+
+def test_more_ties_than_a_class_holds_are_no_name(make_rows, start) -> None:
+    """Where the data cannot tell the leading effect from many, nothing is named, though the gap is explained."""
+    options = replace(QUICK, policy=replace(QUICK.policy, tie=1e9))
+    choice = diagnosis.examine(make_rows({"zero_offset": 4.0}), start, options).choice
+    assert len(choice.steps[0].equivalent) >= options.policy.largest_class
+    assert (choice.verdict, choice.named) == ("unknown", ())
+
+
+def test_a_form_may_differ_by_a_share_of_what_the_effect_changes(make_rows, start) -> None:
+    choice = diagnosis.examine(make_rows({"zero_offset": 4.0}), start, QUICK).choice
+    offset_n = choice.best.values["zero_offset.force_n"]
+    by_hand = np.sum((0.1 * offset_n / choice.best.frame.sd) ** 2)
+    assert form_allowance(choice.best, "zero_offset", Policy(form=0.1)) == pytest.approx(by_hand, rel=1e-9)
+
+
+def test_a_further_effect_must_gain_more_than_another_form_of_the_first(make_rows, start) -> None:
+    options = replace(QUICK, policy=replace(QUICK.policy, form=1.0))
+    seen = diagnosis.examine(make_rows({"zero_offset": 4.0, "plate_friction": 0.3}), start, options)
+    assert len(seen.choice.steps) == 1
 
 
 def test_sealed_rows_are_not_fitted(make_rows, start) -> None:

@@ -18,7 +18,7 @@ from yieldmon.files import parameter_file
 
 from . import baselines, cases
 
-POLICY = Policy(refits=10, exchanges=5, beam=2)
+POLICY = Policy(refits=14, exchanges=5, beam=2)
 SNR_BINS = ((0.0, 4.0), (4.0, 8.0), (8.0, 16.0), (16.0, np.inf))
 
 

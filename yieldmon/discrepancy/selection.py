@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from yieldmon.physics.numerics import Array
+from yieldmon.physics.numerics import Array, real
 
 from .candidates import Score, false_alarm, only_at_bound, refit, score, signature
 from .crossvalidation import grouped_error
-from .fit import Fit, fit
+from .fit import Fit, effect_parameters, fit, predictions
 from .gap import LackOfFit, lack_of_fit
 from .noise import Noise
 
@@ -35,6 +35,13 @@ class Policy:
     """Share of the original excess chi-square that may remain, significant, under a named verdict."""
     tie: float = 6.0
     """Chi-square distance (over the best one's misfit, where above 1) within which the data cannot tell two effects apart."""
+    form: float = 0.04
+    """Relative error of an effect's form: what one of the same name and another law would change otherwise (`form_allowance`).
+
+    A rival within it of a tie is tied; a further effect must gain more than it, or it may stand in for the first one's law.
+    """
+    largest_class: int = 4
+    """Effects that the leading class may hold and still count as a name."""
     per_parameter: float = 3.0
     """Chi-square that each further parameter must earn."""
     refits: int = 12
@@ -146,7 +153,9 @@ def choose(
     much = best_gap.f > policy.unexplained_f or remaining > policy.unexplained_share * excess
     unexplained = best_gap.p_value < policy.gap_p and much
     steps, rivals = _steps(current, _by_weight(current, order), places, noise, rng, policy, p_any)
-    return Choice("unknown" if unexplained else "effect", base, current, base_gap, best_gap, steps, looked_at, p_any, rivals)
+    undecided = len(steps[0].equivalent) >= policy.largest_class
+    verdict = "unknown" if unexplained or undecided else "effect"
+    return Choice(verdict, base, current, base_gap, best_gap, steps, looked_at, p_any, rivals)
 
 
 def _candidates(
@@ -188,10 +197,11 @@ def merit(candidate: Fit, scale: float, policy: Policy) -> float:
 def _admissible(found: tuple[Candidate, ...], current: Fit, policy: Policy, *, first: bool, excess: float) -> list[Candidate]:
     groups = current.frame.cells.groups()
     before = float(np.mean(list(grouped_error(current, groups).values()) or [np.nan]))
+    doubt = max((form_allowance(current, e, policy) for e in current.effects), default=0.0)
     out = []
     for c in found:
         significant = c.p_value < (policy.first_p if first else policy.next_p)
-        large = first or c.gain >= policy.least_share * excess
+        large = first or c.gain >= max(policy.least_share * excess, doubt)
         predicts = not np.isfinite(before) or c.cross_validated < before
         if significant and large and predicts and not c.refused:
             out.append(c)
@@ -259,11 +269,24 @@ def _steps(
         usable = [c for c in found if not c.refused and c.effect != name]
         scale = misfit([current, *(c.fit for c in usable)])
         limit = merit(current, scale, policy) + policy.tie
-        tied = tuple(c.effect for c in usable if merit(c.fit, scale, policy) <= limit)
+        tied = tuple(
+            c.effect
+            for c in usable
+            if merit(c.fit, scale, policy) - form_allowance(c.fit, c.effect, policy) / scale <= limit
+        )
         stays = _stability(current, [c.fit for c in usable], [c.effect in tied for c in usable], noise, rng)
         steps.append(Step(name, found, tied, stays * (1.0 - p_any)))
         all_rivals += [c.fit for c in usable if c.effect in tied]
     return tuple(steps), tuple(all_rivals)
+
+
+def form_allowance(current: Fit, effect: str, policy: Policy) -> float:
+    """Chi-square that another physical form of `effect` could take away: (form x whitened change that the effect makes)^2."""
+    null = {p.name: p.start for p in effect_parameters(effect, current.frame.unit)}
+    without = real(predictions(current.frame, current.effects, current.values | null))
+    change = current.residual + (current.frame.cells.mean - without) / current.frame.sd
+    change = np.where(np.isfinite(change), change, 0.0)
+    return float(policy.form**2 * np.sum(change**2))
 
 
 def _stability(
