@@ -99,6 +99,39 @@ def test_a_ticket_counts_once() -> None:
     assert again.estimator is None or calibrator.last.scale.ratio == pytest.approx(1.0, abs=1e-6)
 
 
+def test_a_ticket_teaches_between_sweeps_and_counts_once() -> None:
+    before = OpenLoop(MODEL, PRIOR)
+    calibrator = ClosedLoopCalibrator(MODEL, EXACT)
+    now = dataclasses.replace(records(12.0)[0], time_s=700.0)
+    anchors = (ticket(before, 12.0, 0.0, 500.0),)
+    outcome = calibrator.weigh(now, anchors, before)
+    assert outcome.estimator is not None
+    assert abs(home_error_pct(before, 12.0)) > 1.0
+    assert abs(home_error_pct(outcome.estimator, 12.0)) < 0.2  # type: ignore[arg-type]
+    assert calibrator.weigh(now, anchors, outcome.estimator).estimator is None
+
+
+def test_a_late_ticket_for_an_earlier_load_still_counts() -> None:
+    before = OpenLoop(MODEL, PRIOR)
+    calibrator = ClosedLoopCalibrator(MODEL, EXACT)
+    now = dataclasses.replace(records(12.0)[0], time_s=3000.0)
+    later = ticket(before, 12.0, 1000.0, 1500.0, sd_kg=600.0)
+    first = calibrator.weigh(now, (later,), before)
+    known = before if first.estimator is None else first.estimator
+    second = calibrator.weigh(now, (ticket(before, 12.0, 0.0, 500.0), later), known)
+    assert second.estimator is not None
+    assert abs(home_error_pct(second.estimator, 12.0)) < 0.3  # type: ignore[arg-type]
+
+
+def test_a_scale_that_contradicts_certain_parameters_is_believed() -> None:
+    certain = dataclasses.replace(PRIOR, covariance=np.array(PRIOR.covariance) / 400.0)
+    before = OpenLoop(MODEL, certain)
+    now = dataclasses.replace(records(12.0)[0], time_s=700.0)
+    outcome = ClosedLoopCalibrator(MODEL, EXACT).weigh(now, (ticket(before, 12.0, 0.0, 500.0),), before)
+    assert outcome.estimator is not None
+    assert abs(home_error_pct(outcome.estimator, 12.0)) < 0.2  # type: ignore[arg-type]
+
+
 def test_a_total_across_an_update_is_taken_with_the_parameters_that_made_each_part() -> None:
     before = OpenLoop(MODEL, PRIOR)
     calibrator = ClosedLoopCalibrator(MODEL, EXACT)

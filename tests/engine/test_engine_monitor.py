@@ -23,10 +23,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from yieldmon import frames as bus
+from yieldmon.engine.anchors import ReferenceMass
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.records import CalibrationOutcome
 from yieldmon.engine.runs import run_of
-from yieldmon.engine.settings import EngineSettings
+from yieldmon.engine.settings import AnchorSettings, EngineSettings
 from yieldmon.engine.state import EngineState
 from yieldmon.estimation.open_loop import FlowEstimate
 from yieldmon.frames import NOT_AVAILABLE, EstimateQuality, Frame, OperatingState
@@ -302,11 +304,41 @@ def test_tank_scale_gives_reference_masses() -> None:
         Frame(t, bus.TANK_SCALE, {"TankMass": tank(t), "TankScaleStatus": 0 if t < 1006 or t > 1060 else 1})
         for t in np.arange(1004.03, 1070.0).tolist()
     ]
-    target = monitor()
+    target = monitor(replace(EngineSettings(), anchors=AnchorSettings(min_increment_kg=300.0)))
     feed(target, sorted([*replace(STEADY, scatter=0.0).frames(70), *readings], key=lambda f: f.time_s))
     (anchor,) = target.anchors
     assert anchor.measured_kg == pytest.approx(anchor.reference_kg, rel=0.01)
     assert anchor.complete
+
+
+class Scales:
+    """A calibrator that keeps what it is given to weigh by."""
+
+    def __init__(self) -> None:
+        self.weighed: list[tuple[ReferenceMass, ...]] = []
+
+    def update(self, records, anchors, estimator, *, believe_sweep=True):  # type: ignore[no-untyped-def]
+        raise AssertionError("no sweep here")
+
+    def weigh(self, record, anchors, estimator):  # type: ignore[no-untyped-def]
+        self.weighed.append(tuple(anchors))
+        known = replace(estimator.parameters, version=estimator.parameters.version + 1)
+        return CalibrationOutcome(ForceProportional(parameters=known), "weighed", weighed=True)
+
+
+def test_a_ticket_teaches_when_the_window_under_way_ends() -> None:
+    scales = Scales()
+    target = monitor(calibrator=scales)
+    frames = replace(STEADY, scatter=0.0).frames(30)
+    feed(target, [f for f in frames if f.time_s < 1020.0])
+    before = target.estimator.parameters.version
+    anchor = target.ticket(1, 250.0, 2.0)
+    assert not scales.weighed
+    feed(target, [f for f in frames if f.time_s >= 1020.0])
+    assert scales.weighed == [(anchor,)]
+    assert target.estimator.parameters.version == before + 1
+    assert target.outcome is not None
+    assert target.outcome.reason == "weighed"
 
 
 def test_snapshot_goes_on_where_it_ended() -> None:

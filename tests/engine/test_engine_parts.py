@@ -187,7 +187,7 @@ SCALE = [
 
 @pytest.mark.parametrize(("readings", "missing", "expected"), SCALE)
 def test_tank_scale(readings: list[tuple[float, float]], missing: set[int], expected: list[tuple[float, float, bool]]) -> None:
-    scale, total = TankScale(AnchorSettings()), 0.0
+    scale, total = TankScale(AnchorSettings(min_increment_kg=300.0)), 0.0
     pending = list(readings)
     for second in range(100):
         if pending and pending[0][0] <= second + 1.0:

@@ -9,7 +9,7 @@ import pytest
 
 from yieldmon.estimation import empirical
 from yieldmon.estimation.batch import LOAD, MomentumBatch, levenberg_marquardt
-from yieldmon.estimation.calibration import Calibration, Measurements, calibrate, default_start
+from yieldmon.estimation.calibration import Calibration, Measurements, calibrate, default_start, profile_curves
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.priors import PUBLISHED_BOUNDS, Prior
 from yieldmon.files import table
@@ -180,6 +180,28 @@ def test_profile_interval_ends_where_the_fit_gets_worse_by_the_quantile() -> Non
         dof = rows.momentum.size - 3
         # F(0.95; 1, 61) = 3.998
         assert rise / (best / dof) == pytest.approx(3.998, rel=0.03)
+
+
+def test_profile_curves_are_those_of_fits_with_the_parameter_held() -> None:
+    rows = noisy(4, sd=0.2)
+    result = calibrate(MODEL, rows, START, FREE, starts=1)
+    best = float(np.sum((result.predicted - rows.momentum) ** 2))
+    variance = best / (rows.momentum.size - 3)
+    curves = {c.name: c for c in profile_curves(MODEL, rows, result, points=9)}
+    assert set(curves) == set(FREE)
+    for name in FREE:
+        curve = curves[name]
+        assert np.all(np.diff(curve.rise) > 0.0), name
+        assert curve.rise[4] == pytest.approx(0.0, abs=1e-6)
+        low, high = next(p.interval for p in result.parameters if p.name == name)
+        assert np.interp([-curve.limit, curve.limit], curve.rise, curve.values) == pytest.approx([low, high], rel=0.02)
+        for at in (0, 2, 8):
+            others = tuple(n for n in FREE if n != name)
+            held = calibrate(
+                MODEL, rows, dict(result.parameter_set.values) | {name: curve.values[at]}, others, starts=1, intervals=False
+            )
+            rise = float(np.sum((held.predicted - rows.momentum) ** 2)) - best
+            assert curve.rise[at] ** 2 == pytest.approx(rise / variance, rel=1e-3), name
 
 
 def test_given_sigma_is_believed() -> None:

@@ -19,7 +19,14 @@ import numpy as np
 from yieldmon.cli import model_options
 from yieldmon.errors import InputError
 from yieldmon.estimation import empirical, identifiability
-from yieldmon.estimation.calibration import CONFIDENCE, Calibration, Measurements, calibrate, default_start
+from yieldmon.estimation.calibration import (
+    CONFIDENCE,
+    Calibration,
+    Measurements,
+    calibrate,
+    default_start,
+    profile_curves,
+)
 from yieldmon.estimation.moisture import fit as fit_moisture_map
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import Prior
@@ -56,6 +63,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--by-moisture", action="store_true", help="a fit for each moisture_pct and a map; --out names a folder")
     parser.add_argument("--compare", action="store_true", help="beside the empirical models, by cross-validation over loads")
     parser.add_argument("--identifiability", action="store_true", help="what these rows can tell, and what would tell more")
+    parser.add_argument(
+        "--profiles", metavar="F", help="draw how the misfit grows with each parameter (*.png or *.svg; needs the plot extra)"
+    )
     parser.add_argument("--seed", type=int, default=0, help="of the random starts; default: 0")
     parser.add_argument("--json", action="store_true", help="one JSON document")
 
@@ -85,6 +95,8 @@ def run(args: argparse.Namespace) -> int:
             ForwardModel(machine, result.parameter_set.effects), rows.conditions, result.parameter_set, result.names,
             result.residuals.noise_sd if rows.sigma is None else rows.sigma,
         ).document()
+    if args.profiles is not None:
+        document["profiles"] = _profiles(args, result, machine, rows)
     if args.out is not None:
         parameter_file.save(result.parameter_set, args.out)
         document["written"] = args.out
@@ -252,6 +264,26 @@ def _by_moisture(args: argparse.Namespace, machine: Machine, data: table.Table, 
     else:
         print("\n\n".join(f"moisture {d['moisture_pct']:g} %\n{text(d)}" for d in documents))
     return 0
+
+
+def _profiles(args: argparse.Namespace, result: Calibration, machine: Machine, rows: Measurements) -> list[dict[str, Any]]:
+    """Draws the profiles; returns them as plain data."""
+    # Only here: matplotlib is an extra.
+    from yieldmon.plots import canvas, profiles
+
+    out = Path(args.profiles)
+    if out.suffix.lower() not in canvas.SUFFIXES:
+        raise InputError("--profiles", f"is {args.profiles}", f"a name that ends in {' or '.join(canvas.SUFFIXES)}")
+    known = parameter_file.load(args.prior) if args.prior is not None else None
+    curves = profile_curves(
+        ForwardModel(machine, result.parameter_set.effects), rows, result,
+        prior=Prior.of(known, result.names) if known is not None else None, bounds=_bounds(args.bounds), robust=args.robust,
+    )
+    canvas.save(profiles.draw(curves), out)
+    print(f"written: {out}", file=sys.stderr)
+    return [
+        {"name": c.name, "values": c.values.tolist(), "rise": c.rise.tolist(), "limit": c.limit} for c in curves
+    ]
 
 
 def _compare(args: argparse.Namespace, result: Calibration, machine: Machine, rows: Measurements) -> list[dict[str, Any]]:

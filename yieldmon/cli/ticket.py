@@ -1,7 +1,7 @@
 """Correct one or several past loads by a weighed mass.
 
 What was measured stays on record beside the correction. A ticket for loads that the running daemon measured also becomes a
-reference mass for its next calibration.
+reference mass for its calibration.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
         print()
     else:
         change_pct = 100.0 * (answer["factor"] - 1.0)
-        use = "a reference for the next calibration" if answer["anchor"] else "no reference: measured before the last start"
+        use = "a reference for the calibration" if answer["anchor"] else "no reference: measured before the last start"
         print(
             f"loads {first} to {last}: measured {answer['measured_mass_kg']:.1f} kg, weighed "
             f"{answer['weighed_mass_kg']:.1f} kg ({change_pct:+.2f} %); {use}"

@@ -54,27 +54,30 @@ class TankScale:
         """A stable reading; it is matched with the measured total when the window around it closes."""
         self._pending = (time_s, mass_kg)
 
-    def window(self, start_s: float, end_s: float, total_before_kg: float, mass_kg: float, measured: bool) -> None:
-        """A window that measured (or failed to measure) mass_kg between two times; the total before it."""
+    def window(self, start_s: float, end_s: float, total_before_kg: float, mass_kg: float, measured: bool) -> bool:
+        """A window that measured (or failed to measure) mass_kg between two times; the total before it.
+
+        Returns whether a reference mass has come of it.
+        """
         if not measured:
             self._complete = False
         if self._pending is None:
-            return
+            return False
         time_s, scale_kg = self._pending
         if time_s > end_s:
-            return
+            return False
         self._pending = None
         share = min(1.0, max(0.0, (time_s - start_s) / (end_s - start_s))) if end_s > start_s else 1.0
-        self._weigh(_Weighing(time_s, scale_kg, total_before_kg + share * mass_kg))
+        return self._weigh(_Weighing(time_s, scale_kg, total_before_kg + share * mass_kg))
 
-    def _weigh(self, now: _Weighing) -> None:
+    def _weigh(self, now: _Weighing) -> bool:
         start = self._start
         if start is None or now.mass_kg < start.mass_kg - self._settings.unloading_kg:
             self._start, self._complete = now, True
-            return
+            return False
         increment = now.mass_kg - start.mass_kg
         if increment < self._settings.min_increment_kg:
-            return
+            return False
         self.anchors.append(
             ReferenceMass(
                 source=AnchorSource.TANK_SCALE,
@@ -87,3 +90,4 @@ class TankScale:
             )
         )
         self._start, self._complete = now, True
+        return True

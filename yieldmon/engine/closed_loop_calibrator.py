@@ -20,6 +20,7 @@ from yieldmon.estimation.closed_loop import (
     MassAnchor,
     Outcome,
     Sweep,
+    believe_weights,
     self_calibrate,
 )
 from yieldmon.estimation.drift import DriftRates, grow
@@ -59,7 +60,7 @@ class ClosedLoopCalibrator:
         self._moisture_pct = float("nan")
         self._at_s = float("nan")
         self._at_kg = float("nan")
-        self._anchors_until_s = float("-inf")
+        self._used: frozenset[ReferenceMass] = frozenset()
         self._history: list[tuple[float, ParameterSet]] = []
         self._given: ParameterSet | None = None
         """As they came from outside, for as long as no reference mass has taught anything since."""
@@ -95,22 +96,46 @@ class ClosedLoopCalibrator:
             outcome = self_calibrate(
                 self._model, prior, sweeps, anchors=masses, density=density, settings=self._settings.closed_loop
             )
-            consistent = outcome.consistent
-            if not consistent and (masses or density is not None):
-                outcome = self_calibrate(
-                    self._model, prior, (), anchors=masses, density=density, settings=self._settings.closed_loop
-                )
+            if not outcome.consistent and (masses or density is not None):
+                outcome = self._believe(prior, masses, density)
         except ValueError as error:
             return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False)
+        return self._taken(outcome, prior, used, anchors, (now_s, total_kg, moisture_pct))
+
+    def weigh(
+        self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator
+    ) -> CalibrationOutcome:
+        """See records.SelfCalibrator."""
+        used = estimator.parameters
+        moment = (record.time_s, record.total_kg, record.moisture_pct if self._map is not None else float("nan"))
+        prior = self._prior(used, moment[2], moment[0], moment[1])
+        masses = self._mass_anchors(anchors, used)
+        if not masses:
+            return CalibrationOutcome(None, "no weighed mass that was measured whole; the parameters stay", identifiable=False)
+        self._given = None
+        try:
+            outcome = self._believe(prior, masses, None)
+        except ValueError as error:
+            return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False)
+        return replace(self._taken(outcome, prior, used, anchors, moment), weighed=True)
+
+    def _believe(self, prior: ParameterSet, masses: Sequence[MassAnchor], density: DensityAnchor | None) -> Outcome:
+        return believe_weights(self._model, prior, masses, density, self._settings.closed_loop)
+
+    def _taken(
+        self, outcome: Outcome, prior: ParameterSet, used: ParameterSet, anchors: Sequence[ReferenceMass],
+        moment: tuple[float, float, float],
+    ) -> CalibrationOutcome:
+        """The new parameters, remembered with the moment (bus time s, total kg, moisture %) they hold from."""
         self.last = outcome
-        self._anchors_until_s = max([self._anchors_until_s, *(a.end_s for a in anchors)])
+        self._used = frozenset(anchors)
         if not outcome.updated and prior.values == used.values:
             return CalibrationOutcome(None, outcome.reason, identifiable=False)
         # Without a lesson the moisture map alone has moved the values; the new prior is what is known.
-        self._at_s, self._at_kg, self._moisture_pct = now_s, total_kg, moisture_pct
-        self._history = [*self._history[-7:], (now_s, used)]
+        self._at_s, self._at_kg, self._moisture_pct = moment
+        self._history = [*self._history[-7:], (moment[0], used)]
         known = outcome.parameter_set if outcome.updated else replace(prior, version=used.version + 1)
-        reason = outcome.reason if outcome.updated else "moved by the moisture map; the sweep said too little"
+        reason = outcome.reason if outcome.updated else "moved by the moisture map; the data said too little"
         self._taught = known
         return CalibrationOutcome(OpenLoop(self._model, known), reason, outcome.updated)
 
@@ -143,7 +168,7 @@ class ClosedLoopCalibrator:
         out = []
         for anchor in anchors:
             span_s = anchor.end_s - anchor.start_s
-            if not anchor.complete or anchor.end_s <= self._anchors_until_s or anchor.measured_kg <= 0.0 or span_s <= 0.0:
+            if not anchor.complete or anchor in self._used or anchor.measured_kg <= 0.0 or span_s <= 0.0:
                 continue
             out.append(self._mass_anchor(anchor, used, span_s))
         return out

@@ -156,6 +156,7 @@ class Monitor:
         self.disagreement = Disagreement(settings.disagreement, machine)
         self._scale = TankScale(settings.anchors)
         self._tickets: deque[ReferenceMass] = deque(maxlen=settings.anchors.keep)
+        self._weights_new = False
         self._ticks_per_window = round(settings.windows.window_s / settings.plate.command_interval_s)
         self._offset_ticks = round(settings.windows.grid_offset_s / settings.plate.command_interval_s)
         self._begun = False
@@ -249,7 +250,7 @@ class Monitor:
         self._calibration_age_s = calibration_age_s
 
     def ticket(self, load_number: int, mass_kg: float, std_dev_kg: float) -> ReferenceMass:
-        """A scale ticket for a load; returns the reference mass kept for the next calibration.
+        """A scale ticket for a load; returns the reference mass, which teaches when the window or sweep under way ends.
 
         Raises ValueError when the load is not known or a number makes no sense.
         """
@@ -264,6 +265,7 @@ class Monitor:
                     AnchorSource.TICKET, load.start_s, end_s, mass_kg, std_dev_kg, load.measured_kg, load.complete, load_number
                 )
                 self._tickets.append(anchor)
+                self._weights_new = True
                 return anchor
         known = sorted(load.number for load in self.loads)
         raise ValueError(f"ticket for load {load_number}: no such load; expected one of {known}")
@@ -279,7 +281,7 @@ class Monitor:
 
     @property
     def outcome(self) -> CalibrationOutcome | None:
-        """What the last whole sweep taught."""
+        """What the last whole sweep or weighed mass taught."""
         return self._outcome
 
     @property
@@ -598,7 +600,8 @@ class Monitor:
         if moment.tank_time_s != self._weighed_s:
             self._weighed_s = moment.tank_time_s
             self._scale.reading(moment.tank_time_s, moment.tank_kg)
-        self._scale.window(window.start_s, at_s, self.totals.total_kg - mass_kg, mass_kg, _measured(flow))
+        weighed = self._scale.window(window.start_s, at_s, self.totals.total_kg - mass_kg, mass_kg, _measured(flow))
+        self._weights_new = self._weights_new or weighed
         sweep_step = self._sweep.window(
             SweepWindow(
                 end_s=at_s,
@@ -861,6 +864,7 @@ class Monitor:
         """Collect a sweep's windows; at its end hand them to the calibrator and take what comes back."""
         if not self._sweep.visiting and not self._sweep.completed:
             self._sweep_records.clear()
+            self._weigh(record)
             return
         if record.usable_for_calibration:
             self._sweep_records.append(record)
@@ -873,6 +877,7 @@ class Monitor:
         self.disagreement.add(records, self._estimator.parameters)
         updated = False
         if self._calibrator is not None:
+            self._weights_new = False
             self._outcome = self._calibrator.update(
                 records, self.anchors, self._estimator, believe_sweep=not self.disagreement.present
             )
@@ -880,6 +885,15 @@ class Monitor:
                 self.set_estimator(self._outcome.estimator, 0.0)
                 updated = True
         self._sweep.finish(at_s, updated)
+
+    def _weigh(self, record: WindowRecord) -> None:
+        """Hand reference masses that have come since the last lesson to the calibrator."""
+        if self._calibrator is None or not self._weights_new:
+            return
+        self._weights_new = False
+        self._outcome = self._calibrator.weigh(record, self.anchors, self._estimator)
+        if self._outcome.estimator is not None:
+            self.set_estimator(self._outcome.estimator, 0.0)
 
     # Loads
 

@@ -81,14 +81,16 @@ class FlowEstimator(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class CalibrationOutcome:
-    """What a sweep taught. estimator: the one to use from now on, or None where the parameters stay.
+    """What a sweep or a weighed mass taught. estimator: the one to use from now on, or None where the parameters stay.
 
-    reason: one sentence for the operator. identifiable: the sweep narrowed what it was to determine.
+    reason: one sentence for the operator. identifiable: what was to be determined was narrowed. weighed: a reference mass alone
+    taught, no sweep.
     """
 
     estimator: FlowEstimator | None
     reason: str
     identifiable: bool = True
+    weighed: bool = False
 
 
 class SelfCalibrator(Protocol):
@@ -106,3 +108,8 @@ class SelfCalibrator(Protocol):
 
         believe_sweep: False while the model disagrees with what sweeps show; then only reference masses teach.
         """
+
+    def weigh(
+        self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator
+    ) -> CalibrationOutcome:
+        """What reference masses alone teach, between sweeps. record: the last window; anchors: all reference masses kept."""

@@ -210,7 +210,7 @@ class DisagreementSettings:
 class AnchorSettings:
     """Reference masses from a tank scale."""
 
-    min_increment_kg: float = 300.0
+    min_increment_kg: float = 1000.0
     scale_std_dev_kg: float = 20.0
     unloading_kg: float = 50.0
     """A fall of the tank mass by this much is unloading."""

@@ -173,6 +173,39 @@ def calibrate(
     return problem.result(theta, basins, starts, response_unit, intervals)
 
 
+@dataclass(frozen=True)
+class ProfileCurve:
+    """Misfit against one parameter, every other free one refitted at each point.
+
+    values: ascending, (points,). rise: root of the growth of chi-square over the best fit, (points,), negative below the best
+    value; a straight line where the model is linear, flat where the data say nothing, nan where the model cannot carry the loads.
+    limit: the rise at the ends of the CONFIDENCE interval.
+    """
+
+    name: str
+    values: Array
+    rise: Array
+    limit: float
+
+
+def profile_curves(
+    model: ForwardModel,
+    data: Measurements,
+    fitted: Calibration,
+    *,
+    prior: Prior | None = None,
+    bounds: Bounds | None = None,
+    robust: bool = False,
+    points: int = 25,
+) -> tuple[ProfileCurve, ...]:
+    """Profile of every free parameter, out to 1.6 times its interval or to a bound (Bates and Watts, chapter 6).
+
+    prior, bounds, robust: as in the call of `calibrate` that gave `fitted`.
+    """
+    problem = _Problem(model, data, fitted.parameter_set.values, fitted.names, prior, bounds, robust)
+    return problem.curves(fitted, points)
+
+
 def default_start(
     model: ForwardModel, data: Measurements, impact: Sequence[str], known: Mapping[str, float] | None = None
 ) -> dict[str, float]:
@@ -385,16 +418,9 @@ class _Problem:
     ) -> Calibration:
         value, jacobian = self.momentum(theta[None])
         predicted, slopes = value[0][self.cell], jacobian[0][self.cell]
-        rows, width = slopes.shape
+        width = slopes.shape[1]
         error = predicted - self.data.momentum
-        weight = 1.0 / self.row_sd
-        if self.robust:
-            weight = weight * (1.0 + (error * weight / _ROBUST_SCALE) ** 2) ** -0.25
-        spread = error * weight
-        dof = max(rows - width + len(self.prior_white), 1)
-        inflation = float(np.sum(spread**2) / dof)
-        # A given sigma is believed unless the residuals say it is too small (Birge's ratio).
-        factor = max(inflation, 1.0) if self.given_sigma else inflation
+        weight, factor, dof = self._noise(error, width)
         information = (slopes * weight[:, None]).T @ (slopes * weight[:, None]) / max(factor, 1e-300)
         information = information + self.prior_white.T @ self.prior_white
         free_cov, singular = _inverse(information, self.unit)
@@ -463,6 +489,52 @@ class _Problem:
     def _wald(self, theta: Array, errors: Array, dof: int) -> Array:
         reach = stats.t.ppf(0.5 + 0.5 * CONFIDENCE, dof) * np.where(np.isfinite(errors), errors, np.inf)
         return np.stack((np.maximum(theta - reach, self.lower), np.minimum(theta + reach, self.upper)), axis=-1)
+
+    def curves(self, fitted: Calibration, points: int) -> tuple[ProfileCurve, ...]:
+        """See `profile_curves`."""
+        theta = np.array([p.value for p in fitted.parameters])
+        width = theta.size
+        value, _ = self.momentum(theta[None])
+        weight, factor, dof = self._noise(value[0][self.cell] - self.data.momentum, width)
+        row_sd = np.sqrt(max(factor, 1e-300)) / weight
+        grids = [self._span_of(p, points) for p in fitted.parameters]
+        start = np.tile(theta, (width * points, 1))
+        index = np.repeat(np.arange(width), points)
+        start[np.arange(index.size), index] = np.concatenate(grids)
+        held = index[:, None] == np.arange(width)
+        found = levenberg_marquardt(
+            lambda t, _: self.residuals(t, row_sd), start, self.lower, self.upper, held=held, iterations=60, tolerance=1e-5,
+        )
+        best = float(np.sum(self.residuals(theta[None], row_sd)[0] ** 2))
+        rise = np.sqrt(np.maximum(2.0 * found.cost - best, 0.0)).reshape(width, points)
+        limit = float(np.sqrt(stats.f.ppf(CONFIDENCE, 1, dof)))
+        return tuple(
+            ProfileCurve(p.name, grid, np.where(np.isfinite(line), np.copysign(line, grid - p.value), np.nan), limit)
+            for p, grid, line in zip(fitted.parameters, grids, rise, strict=True)
+        )
+
+    def _span_of(self, parameter: FittedParameter, points: int) -> Array:
+        """Ascending, with the fitted value among them where it lies inside."""
+        i = self.names.index(parameter.name)
+        low, high = (
+            parameter.value + 1.6 * (end - parameter.value) for end in parameter.interval
+        )
+        low, high = max(low, self.lower[i]), min(high, self.upper[i])
+        half = points // 2
+        if low < parameter.value < high:
+            return np.concatenate((np.linspace(low, parameter.value, half, endpoint=False),
+                                   np.linspace(parameter.value, high, points - half)))
+        return np.linspace(low, high, points)
+
+    def _noise(self, error: Array, width: int) -> tuple[Array, float, int]:
+        """Weight of each row, what its variance is multiplied by, degrees of freedom."""
+        weight = 1.0 / self.row_sd
+        if self.robust:
+            weight = weight * (1.0 + (error * weight / _ROBUST_SCALE) ** 2) ** -0.25
+        dof = max(error.size - width + len(self.prior_white), 1)
+        inflation = float(np.sum((error * weight) ** 2) / dof)
+        # A given sigma is believed unless the residuals say it is too small (Birge's ratio).
+        return weight, max(inflation, 1.0) if self.given_sigma else inflation, dof
 
     def _profile(self, theta: Array, errors: Array, weight: Array, factor: float, dof: int) -> Array:
         """(n, 2): where the best fit over the other parameters gets worse by the F quantile; a bound where it never does."""

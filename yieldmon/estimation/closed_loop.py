@@ -285,6 +285,29 @@ def self_calibrate(
     return problem.solve()
 
 
+_WIDENINGS = 4
+
+
+def believe_weights(
+    model: ForwardModel,
+    prior: ParameterSet,
+    anchors: Sequence[MassAnchor],
+    density: DensityAnchor | None = None,
+    settings: ClosedLoopSettings | None = None,
+) -> Outcome:
+    """`self_calibrate` from weighed masses alone. A scale is believed: where it contradicts the parameters, they were less
+    certain than they claimed, and their standard deviations are doubled until both agree, up to 16 times. Raises as
+    `self_calibrate`.
+    """
+    outcome = self_calibrate(model, prior, (), anchors=anchors, density=density, settings=settings)
+    for _ in range(_WIDENINGS):
+        if outcome.consistent:
+            break
+        prior = replace(prior, covariance=4.0 * prior.covariance)
+        outcome = self_calibrate(model, prior, (), anchors=anchors, density=density, settings=settings)
+    return outcome
+
+
 class _Problem:
     def __init__(
         self,
@@ -674,5 +697,5 @@ def _flows_first(joint: Array, width: int) -> Array:
 
 __all__ = [
     "ClosedLoopSettings", "DensityAnchor", "FlowPosterior", "Learning", "MassAnchor", "Outcome", "ScaleReport", "SelfCalibrator",
-    "Sweep", "scaled", "self_calibrate",
+    "Sweep", "believe_weights", "scaled", "self_calibrate",
 ]

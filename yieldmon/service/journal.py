@@ -233,6 +233,8 @@ class Journal:
         if parameters.version == self._version and (before is None or before is parameters):
             return ()
         self._version = parameters.version
+        if origin == "sweep" and monitor.outcome is not None and monitor.outcome.weighed:
+            origin = "ticket"
         return (ParameterVersion(parameters.version, time_s, origin, parameter_file.to_document(parameters)),)
 
 

@@ -15,7 +15,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from yieldmon.engine.settings import SweepSettings
 from yieldmon.estimation.calibration import Measurements, calibrate
-from yieldmon.estimation.closed_loop import ClosedLoopSettings, MassAnchor, SelfCalibrator, Sweep
+from yieldmon.estimation.closed_loop import ClosedLoopSettings, MassAnchor, SelfCalibrator, Sweep, believe_weights
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import RPM, Machine
@@ -27,7 +27,6 @@ from yieldmon.plant.season import Season, SeasonSettings
 
 Array = NDArray[np.float64]
 
-_WIDENINGS = 4
 DAY_S = 10 * 3600
 """A day's work; a season of 60 h has six of them."""
 
@@ -59,7 +58,7 @@ class StudySettings:
     drift_per_sqrt_h: growth of each parameter's standard deviation, relative. map_sd: of the moisture map's slopes, 1/%.
     """
 
-    sweep_interval_s: float = 1800.0
+    sweep_interval_s: float = 600.0
     sweep_angles_deg: tuple[float, ...] = SweepSettings().angles_deg
     windows_per_angle: int = 2
     home_every: int = 2
@@ -308,14 +307,7 @@ class _Keeper:
             moisture = float(np.mean(self.season.moisture_reading_pct[used]))
             anchor = replace(anchor, moisture_pct=np.full(anchor.force_n.shape, moisture))
         self._grow(hour)
-        outcome = self.calibrator.update(self.parameters, [], [anchor])
-        # A scale is believed: where it contradicts the parameters, they were less certain than they claimed.
-        for _ in range(_WIDENINGS):
-            if outcome.consistent:
-                break
-            self.parameters = replace(self.parameters, covariance=4.0 * np.array(self.parameters.covariance))
-            outcome = self.calibrator.update(self.parameters, [], [anchor])
-        self._take(outcome, hour)
+        self._take(believe_weights(self.model, self.parameters, [anchor], settings=self.calibrator.settings), hour)
 
     def _take(self, outcome, hour: float) -> None:  # type: ignore[no-untyped-def]
         if outcome.updated:
