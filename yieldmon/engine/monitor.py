@@ -331,6 +331,8 @@ class Monitor:
     def restore(self, state: EngineState) -> None:
         """Go on from a snapshot; to be called before the first frame."""
         self.totals = state.totals
+        # What passed between the snapshot and now was not measured.
+        self._load_complete = not (state.totals.load_open and state.totals.load_kg > 0.0)
         self._zero.state = state.zero
         self._windows = state.windows
         self._sweep.sweep_id = state.sweep_id

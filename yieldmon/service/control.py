@@ -24,6 +24,7 @@ _log = logging.getLogger(__name__)
 MAX_REQUEST_BYTES = 64 * 1024
 #: A peer that is slower than this with its request is cut off.
 _PATIENCE_S = 5.0
+_CONNECT_S = 1.0
 
 Answer = Mapping[str, Any]
 
@@ -39,11 +40,13 @@ class ControlServer:
         """path: the socket; what is there of an earlier run is replaced. group: may use it too (mode 0660, else 0600).
         answer: called with each request, on any thread; InputError and ControlError become an error answer.
 
-        Raises InputError for a group that does not exist or a path that cannot be bound.
+        Raises InputError for a group that does not exist, a path that cannot be bound, or one at which a daemon is running.
         """
         self.path = path
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
+            if _answers(path):
+                raise InputError("status.socket", f"{path}: a daemon is running there", "a socket for each daemon")
             path.unlink(missing_ok=True)
             # The mode must be right from the first moment on, so bind() runs under the umask.
             before = os.umask(0o177)
@@ -72,6 +75,20 @@ class ControlServer:
         self._thread.join()
         self._server.server_close()
         self.path.unlink(missing_ok=True)
+
+
+def _answers(path: Path) -> bool:
+    """Whether somebody listens at a socket."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
+        connection.settimeout(_CONNECT_S)
+        try:
+            connection.connect(str(path))
+        except (BlockingIOError, TimeoutError):
+            # Listening, with more waiting than it has room for.
+            return True
+        except OSError:
+            return False
+    return True
 
 
 class _Server(socketserver.ThreadingMixIn, socketserver.UnixStreamServer):

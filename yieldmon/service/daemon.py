@@ -39,6 +39,7 @@ from yieldmon.service.control import Answer, ControlError, ControlServer
 from yieldmon.service.journal import Journal, Memory, choose_parameters, recall
 from yieldmon.service.metrics import MetricsFile
 from yieldmon.service.notify import ServiceManager
+from yieldmon.service.ownership import owned
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.snapshot import Rates, snapshot
 from yieldmon.service.store import Store, StoreDamagedError, StoreError, set_aside
@@ -130,8 +131,12 @@ class Daemon:
         """Run until told to stop; returns the exit code.
 
         Raises can.CanError or InputError when the bus cannot be opened at the start, StoreError when the store can be
-        neither made nor read, InputError when the control socket cannot be made.
+        neither made nor read, InputError when another daemon uses it or the control socket cannot be made.
         """
+        with owned(self.configuration.store_path):
+            return self._run()
+
+    def _run(self) -> int:
         memory = self._recall()
         parameters, self._origin = choose_parameters(memory, self.configuration.parameters)
         self._journal = Journal(memory, self.configuration.parameters)
@@ -187,22 +192,31 @@ class Daemon:
     def _recall(self) -> Memory:
         """What the store remembers; a damaged one is set aside, and the fault says so.
 
-        A medium that is full now need not stop the measuring: what it holds can be read all the same.
+        A medium that is full, or takes no writing, need not stop the measuring: what it holds can be read all the same.
         """
-        path = self.configuration.store_path
+        path, retention = self.configuration.store_path, self.configuration.retention
+        ways: tuple[Callable[[], Store], ...] = (
+            self._open_store,
+            lambda: Store(path, retention, exclusive=True),
+            lambda: Store(path, retention, immutable=True),
+        )
         try:
-            try:
-                with self._open_store() as store:
-                    return recall(store)
-            except StoreDamagedError:
-                raise
-            except StoreError as error:
-                _log.error("%s", error)
-                with Store(path, self.configuration.retention, exclusive=True) as store:
-                    return recall(store)
+            for way in ways[:-1]:
+                try:
+                    with way() as store:
+                        return recall(store)
+                except StoreDamagedError:
+                    raise
+                except StoreError as error:
+                    _log.error("%s", error)
+            with ways[-1]() as store:
+                return recall(store)
         except StoreDamagedError as error:
             _log.error("%s", error)
-            aside = set_aside(path, f"damaged-{int(time.time())}")
+            try:
+                aside = set_aside(path, f"damaged-{int(time.time())}")
+            except OSError as failure:
+                raise StoreError(f"{error}, and cannot be set aside: {failure.strerror}") from failure
             self._store_note = f"damaged, set aside as {aside.name}; totals began anew"
             _log.error("%s: %s", path, self._store_note)
             return Memory()
@@ -416,10 +430,11 @@ class Daemon:
         fixed = [name for name in _FIXED_AT_START if getattr(new.document, name) != getattr(old.document, name)]
         fresh = self._journal.use_parameter_file(new.parameters)
         state = self._monitor.snapshot()
+        self._commit()
         if fresh is not None:
+            # The next batch brings them.
             self._origin = "file"
             state = dataclasses.replace(state, calibration_age_s=calibration_age_s(fresh, time.time()))
-        self._commit()
         monitor = _monitor_for(new, fresh or self._monitor.estimator.parameters)
         monitor.restore(state)
         self._monitor = monitor

@@ -175,11 +175,13 @@ class Store:
         retention: Retention = Retention(),
         timeout_s: float = 2.0,
         exclusive: bool = False,
+        immutable: bool = False,
     ) -> None:
         """Open the store at `path`, making or migrating it when needed.
 
         timeout_s: how long a commit waits for another process that holds the file. exclusive: nobody else may read
-        meanwhile, which takes no room on the medium: a store on a full one can be opened and read this way.
+        meanwhile, which takes no room on the medium: a store on a full one can be opened and read this way. immutable: only
+        read, from a medium that takes no writing at all; not a store with a journal, whose last seconds would be missed.
 
         Raises StoreError when it cannot be opened, StoreDamagedError when it is damaged, InputError when it is another
         program's or of a newer version.
@@ -187,14 +189,21 @@ class Store:
         self.path = path
         self.retention = retention
         with _failures_of(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._database = sqlite3.connect(path, timeout=timeout_s, isolation_level=None)
+            if immutable:
+                _refuse_journal(path)
+                address = f"{path.absolute().as_uri()}?immutable=1"
+                self._database = sqlite3.connect(address, timeout=timeout_s, isolation_level=None, uri=True)
+            else:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                self._database = sqlite3.connect(path, timeout=timeout_s, isolation_level=None)
         try:
             with _failures_of(path):
                 if exclusive:
                     self._database.execute("PRAGMA locking_mode = EXCLUSIVE")
                 self._check_header()
-                self._prepare()
+                if not immutable:
+                    self._prepare()
+                self._check_content()
         except BaseException:
             self._database.close()
             raise
@@ -213,6 +222,11 @@ class Store:
         self._database.execute("PRAGMA journal_size_limit = 4194304")
         for step in range(self._pragma("user_version"), schema.VERSION):
             self._migrate(step)
+
+    def _check_content(self) -> None:
+        version = self._pragma("user_version")
+        if version != schema.VERSION:
+            raise StoreError(f"{self.path}: schema version {version}, which cannot be brought up to {schema.VERSION} here")
         # The one-second records may be hundreds of megabytes; what a start depends on is small.
         for table in ("state", "counter", "load", "parameter_set"):
             finding = self._pragma(f"quick_check({table})")
@@ -382,6 +396,12 @@ def read_only(path: Path) -> sqlite3.Connection:
         database.close()
         raise InputError(str(path), problem, "a store of this version or an older one")
     return database
+
+
+def _refuse_journal(path: Path) -> None:
+    journal = path.with_name(f"{path.name}-wal")
+    if journal.exists() and journal.stat().st_size:
+        raise StoreError(f"{path}: its journal cannot be read on a medium that takes no writing")
 
 
 def _statements(script: str) -> Iterator[str]:
