@@ -140,8 +140,8 @@ _TABLE = (
     FaultDefinition(
         _C.MODEL_DISAGREES, 520200, 31, _W, 1, 1,
         "The residuals of several sweeps show a pattern that the model cannot make.",
-        "Flow may be biased at some angles and loads.",
-        "Run diagnose on the records and adopt the effect that it proves.",
+        "Flow may be biased at some angles and loads; sweeps teach nothing, and what they alone had taught is taken back.",
+        "Run diagnose on the store and adopt the effect that it proves.",
     ),
     FaultDefinition(
         _C.STORE_FAILING, 520201, 12, _W, 1, 3,
