@@ -211,7 +211,7 @@ def test_moisture_moves_the_prior_by_the_maps_ratio() -> None:
     known = MoistureMap((14.0, 26.0), {"friction": (0.1, 0.2)}, doubt=0.0)
     wet = dict(TRUE, friction=0.4)
     start = dataclasses.replace(PRIOR, values={**PRIOR.values, "friction": 0.2, "restitution": 0.62, "density": 1150.0})
-    calibrator = ClosedLoopCalibrator(MODEL, EXACT, known)
+    calibrator = ClosedLoopCalibrator(MODEL, dataclasses.replace(EXACT, moisture_map=known))
     first = calibrator.update(records(12.0, values=dict(TRUE, friction=0.2), moisture=14.0), (), OpenLoop(MODEL, start))
     assert first.estimator is not None
     calibrator.update(records(12.0, start_s=3000.0, values=wet, moisture=26.0), (), first.estimator)

@@ -16,6 +16,7 @@ from yieldmon.cli import main as cli
 from yieldmon.engine.closed_loop_calibrator import CalibratorSettings
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.errors import InputError
+from yieldmon.estimation.drift import DriftRates
 from yieldmon.resources import shipped
 from yieldmon.service import configuration
 from yieldmon.service.configuration import ConfigurationError
@@ -129,7 +130,7 @@ WRONG = [
     ("gate: {grain_on_n: 0.1}", "gate.grain_off_n: 0.5; expected at most gate.grain_on_n, 0.1 N"),
     ("gate: {certain_force_n: 0.5}", "gate.certain_force_n: 0.5; expected at least gate.grain_on_n, 1 N"),
     ("windows: {min_coverage: 1}", "windows.min_coverage: 1; expected at most windows.full_coverage, 0.98"),
-    ("[]", "[]; expected keys machine_file, parameter_file, bus"),
+    ("[]", "[]; expected keys machine_file, parameter_file, moisture_map_file, bus"),
 ]  # fmt: skip
 
 
@@ -168,10 +169,20 @@ def test_check_config_prints_the_default(capsys):
     assert yaml.safe_load(capsys.readouterr().out)["bus"]["interface"] == "socketcan"
 
 
-@pytest.mark.parametrize("key", ["machine_file", "parameter_file"])
+@pytest.mark.parametrize("key", ["machine_file", "parameter_file", "moisture_map_file"])
 def test_a_missing_file_that_the_configuration_names_is_one_line(written, key, tmp_path):
     with pytest.raises(InputError, match="No such file"):
         configuration.load(written(f"{key}: absent.yaml"), {})
+
+
+def test_moisture_map_and_drift_reach_the_self_calibration(written, tmp_path):
+    (tmp_path / "map.yaml").write_text("moisture_pct: [14, 20]\nvalues: {friction: [0.2, 0.3]}\n", encoding="utf-8")
+    text = f"moisture_map_file: {tmp_path / 'map.yaml'}\ndrift_per_root_hour: {{friction: 0.07}}\ndrift_limit: {{density: 0.3}}"
+    found = configuration.load(written(text), {}).calibrator
+    assert found.moisture_map.at("friction", 17.0) == pytest.approx(0.25)
+    assert found.drift.per_root_hour["friction"] == 0.07
+    assert found.drift.limit["density"] == 0.3
+    assert found.drift.per_root_kilotonne == DriftRates().per_root_kilotonne
 
 
 def test_plate_range_of_the_machine_is_taken_exactly(written):

@@ -35,6 +35,7 @@ class CalibratorSettings:
     """What the self-calibration believes.
 
     anchor_error: relative error of a weighed load that is not the scale's (flow spread, model), added in quadrature.
+    moisture_map: moves the prior when the moisture changes; None: moisture is not used.
     density_ratio: parameter density over test weight, from a calibration in which both were known; None: test weight is not used.
     """
 
@@ -46,17 +47,16 @@ class CalibratorSettings:
     density_ratio: float | None = None
     density_ratio_std_dev: float = 0.1
     test_weight_std_dev_kg_m3: float = 10.0
+    moisture_map: MoistureMap | None = None
 
 
 class ClosedLoopCalibrator:
     """A `records.SelfCalibrator`. Each reference mass is used once."""
 
-    def __init__(
-        self, model: ForwardModel, settings: CalibratorSettings | None = None, moisture_map: MoistureMap | None = None
-    ) -> None:
+    def __init__(self, model: ForwardModel, settings: CalibratorSettings | None = None) -> None:
         self._model = model
         self._settings = CalibratorSettings() if settings is None else settings
-        self._map = moisture_map
+        self._map = self._settings.moisture_map
         self._moisture_pct = float("nan")
         self._at_s = float("nan")
         self._at_kg = float("nan")
@@ -90,7 +90,7 @@ class ClosedLoopCalibrator:
         if masses or density is not None:
             self._given = None
         if not believe_sweep and not masses and density is None:
-            return self._without_sweeps(used)
+            return self._without_sweeps(used, now_s)
         try:
             sweeps = [_sweep(records)] if believe_sweep else []
             outcome = self_calibrate(
@@ -139,16 +139,17 @@ class ClosedLoopCalibrator:
         self._taught = known
         return CalibrationOutcome(OpenLoop(self._model, known), reason, outcome.updated)
 
-    def _without_sweeps(self, used: ParameterSet) -> CalibrationOutcome:
+    def _without_sweeps(self, used: ParameterSet, now_s: float) -> CalibrationOutcome:
         """The model lacks something, so sweeps have taught the wrong lesson: back to what was given, where nothing else taught.
 
         With a moisture map the values given hold at another moisture, and those in use stay.
         """
         if self._given is None or self._given is used or self._map is not None:
-            return CalibrationOutcome(None, "the model disagrees with the sweeps; they teach nothing", identifiable=False)
+            return CalibrationOutcome(None, "the model disagrees with the sweeps; they teach nothing")
+        self._history = [*self._history[-7:], (now_s, used)]
         self._taught = self._given = replace(self._given, version=used.version + 1)
         reason = "the model disagrees with the sweeps; what they have taught is taken back"
-        return CalibrationOutcome(OpenLoop(self._model, self._taught), reason, identifiable=False)
+        return CalibrationOutcome(OpenLoop(self._model, self._taught), reason)
 
     def _prior(self, used: ParameterSet, moisture_pct: float, now_s: float, total_kg: float) -> ParameterSet:
         """What is known now: the parameters in use, moved by moisture and widened by drift."""

@@ -23,8 +23,10 @@ from yieldmon.engine.closed_loop_calibrator import CalibratorSettings
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.errors import InputError
 from yieldmon.estimation.closed_loop import ClosedLoopSettings
+from yieldmon.estimation.drift import DriftRates
+from yieldmon.estimation.moisture import MoistureMap
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.files import machine_file, parameter_file, strict_yaml
+from yieldmon.files import machine_file, moisture_file, parameter_file, strict_yaml
 from yieldmon.physics.machine import Machine
 from yieldmon.resources import shipped
 from yieldmon.service.document import ENGINE_SECTIONS, Document, Section
@@ -64,8 +66,8 @@ class Configuration:
 def load(path: Path | str, environment: Mapping[str, str] = os.environ) -> Configuration:
     """Configuration from the YAML file at `path`; an empty file is the default configuration.
 
-    `environment` gives the service manager's folders. Raises ConfigurationError, or InputError from the machine or
-    parameter file.
+    `environment` gives the service manager's folders. Raises ConfigurationError, or InputError from the machine, parameter or
+    moisture map file.
     """
     path = Path(path).absolute()
     content = strict_yaml.load(path)
@@ -81,6 +83,8 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
     machine_path = _beside(path, document.machine_file, DEFAULT_MACHINE)
     parameter_path = _beside(path, document.parameter_file, DEFAULT_PARAMETERS)
     machine = machine_file.load(machine_path)
+    named = document.moisture_map_file
+    moisture_map = moisture_file.load(path.parent / named) if named is not None else None
     problems = [InputError(f"{path}: {key}", *rest) for key, *rest in _contradictions(document, machine)]
     if problems:
         raise ConfigurationError(problems)
@@ -89,7 +93,7 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
         path=path,
         document=document,
         engine=engine_settings(document),
-        calibrator=calibrator_settings(document) if document.learning.enabled else None,
+        calibrator=calibrator_settings(document, moisture_map) if document.learning.enabled else None,
         machine=machine,
         machine_path=machine_path,
         parameters=parameter_file.load(parameter_path),
@@ -114,12 +118,17 @@ def engine_settings(document: Document) -> EngineSettings:
     return dataclasses.replace(defaults, **sections)
 
 
-def calibrator_settings(document: Document) -> CalibratorSettings:
+def calibrator_settings(document: Document, moisture_map: MoistureMap | None = None) -> CalibratorSettings:
     """The self-calibration's settings that a document asks for."""
     values = document.learning.model_dump(exclude={"enabled"})
     values["flow"] = values.pop("flow_model")
     inner = {field.name: values.pop(field.name) for field in dataclasses.fields(ClosedLoopSettings)}
-    return CalibratorSettings(closed_loop=ClosedLoopSettings(**inner), **values)
+    drift = DriftRates(
+        per_root_hour=document.drift_per_root_hour.model_dump(),
+        per_root_kilotonne=document.drift_per_root_kilotonne.model_dump(),
+        limit=document.drift_limit.model_dump(),
+    )
+    return CalibratorSettings(closed_loop=ClosedLoopSettings(**inner), drift=drift, moisture_map=moisture_map, **values)
 
 
 def state_folder(environment: Mapping[str, str]) -> Path:

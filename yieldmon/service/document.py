@@ -388,6 +388,33 @@ class Learning(Section):
     )
 
 
+_R = _L.drift
+
+
+class DriftPerRootHour(Section):
+    """Growth of what is not known: relative standard deviation after one hour without a lesson."""
+
+    friction: float = quantity(_R.per_root_hour["friction"], 0.0, 1.0, "1", "friction")
+    restitution: float = quantity(_R.per_root_hour["restitution"], 0.0, 1.0, "1", "impact gain (1 + restitution, k1, k2)")
+    density: float = quantity(_R.per_root_hour["density"], 0.0, 1.0, "1", "density")
+
+
+class DriftPerRootKilotonne(Section):
+    """The same by wear: relative standard deviation after 1000 t of grain."""
+
+    friction: float = quantity(_R.per_root_kilotonne["friction"], 0.0, 1.0, "1", "friction")
+    restitution: float = quantity(_R.per_root_kilotonne["restitution"], 0.0, 1.0, "1", "impact gain")
+    density: float = quantity(_R.per_root_kilotonne["density"], 0.0, 1.0, "1", "density")
+
+
+class DriftLimit(Section):
+    """Relative standard deviation beyond which nothing grows: what is known without any calibration."""
+
+    friction: float = quantity(_R.limit["friction"], 0.0, 2.0, "1", "friction")
+    restitution: float = quantity(_R.limit["restitution"], 0.0, 2.0, "1", "impact gain")
+    density: float = quantity(_R.limit["density"], 0.0, 2.0, "1", "density")
+
+
 class Document(Section):
     """The whole file. Every key may be left out; its default is shown here."""
 
@@ -395,6 +422,9 @@ class Document(Section):
         None, "machine geometry; null: the shipped 8-tooth sprocket; relative to this file"
     )
     parameter_file: str | None = text(None, "grain parameters; null: the shipped corn; relative to this file")
+    moisture_map_file: str | None = text(
+        None, "how parameters change with moisture (`calibrate --by-moisture`); null: they do not; relative to this file"
+    )
     bus: Bus = Bus()
     store: Store = Store()
     status: Status = Status()
@@ -413,6 +443,9 @@ class Document(Section):
     anchors: Anchors = Anchors()
     disagreement: Disagreement = Disagreement()
     learning: Learning = Learning()
+    drift_per_root_hour: DriftPerRootHour = DriftPerRootHour()
+    drift_per_root_kilotonne: DriftPerRootKilotonne = DriftPerRootKilotonne()
+    drift_limit: DriftLimit = DriftLimit()
 
 
 #: Sections that hand their keys to the engine's settings of the same name.
