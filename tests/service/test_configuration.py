@@ -101,6 +101,12 @@ def test_folders_are_the_service_managers_or_the_users(written, environment, sto
     assert (str(loaded.store_path), str(loaded.socket_path)) == (store, socket)
 
 
+def test_the_metrics_file_is_where_another_user_can_read_it(written):
+    """The state folder is the daemon's own (0700); the runtime folder is not."""
+    loaded = configuration.load(written("status: {prometheus_file: yieldmon.prom}"), ENVIRONMENT)
+    assert loaded.prometheus_path == Path("/run/yieldmon/yieldmon.prom")
+
+
 def test_files_are_found_beside_the_configuration(written, tmp_path):
     (tmp_path / "m.yaml").write_text(shipped("config/machines/sprocket-10.yaml").read_text())
     loaded = configuration.load(written("machine_file: m.yaml"), {})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import socket
 import sqlite3
 from contextlib import suppress
@@ -310,7 +311,10 @@ def test_the_service_manager_is_told(tmp_path):
     assert told.count("WATCHDOG=1") <= windows + 2, "fed by windows, not by a timer"
 
 
-def test_metrics_file_is_written_and_taken_away(tmp_path):
+def test_metrics_file_is_written_and_taken_away(tmp_path, request):
+    """Readable by the collector, another user, whatever the unit's umask; in the runtime folder, which others may enter."""
+    umask = os.umask(0o077)
+    request.addfinalizer(lambda: os.umask(umask))
     text = "status: {prometheus_file: metrics.prom, prometheus_interval_s: 1}"
     with running(tmp_path, text) as bench:
         bench.play(3, EMPTY_MV)
@@ -319,4 +323,5 @@ def test_metrics_file_is_written_and_taken_away(tmp_path):
         wait_for(lambda: path.exists() and "yieldmon_frames_received_total" in path.read_text(), "metrics")
         lines = path.read_text().splitlines()
         assert 'yieldmon_fault{code="SensorMissing"} 0' in lines
+        assert path.stat().st_mode & 0o777 == 0o644
     assert not path.exists()

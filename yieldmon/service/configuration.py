@@ -101,7 +101,7 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
         store_path=state_folder(environment) / document.store.path,
         retention=Retention(document.store.record_hours, document.store.size_mb, document.store.event_rows),
         socket_path=runtime_folder(environment) / document.status.socket,
-        prometheus_path=state_folder(environment) / prometheus if prometheus is not None else None,
+        prometheus_path=runtime_folder(environment) / prometheus if prometheus is not None else None,
     )
 
 

@@ -52,10 +52,11 @@ class MetricsFile:
 
 
 def write(path: Path, status: Mapping[str, Any]) -> None:
-    """Put a new file in the place of the old one. Raises OSError."""
+    """Put a new file in the place of the old one, readable by all: the collector is another user. Raises OSError."""
     scratch = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     path.parent.mkdir(parents=True, exist_ok=True)
     scratch.write_text("".join(f"{line}\n" for line in lines(status)), encoding="utf-8")
+    scratch.chmod(0o644)
     scratch.replace(path)
 
 
