@@ -36,10 +36,7 @@ class Policy:
     tie: float = 6.0
     """Chi-square distance (over the best one's misfit, where above 1) within which the data cannot tell two effects apart."""
     form: float = 0.04
-    """Relative error of an effect's form: what one of the same name and another law would change otherwise (`form_allowance`).
-
-    A rival within it of a tie is tied; a further effect must gain more than it, or it may stand in for the first one's law.
-    """
+    """Relative error of an effect's law: a rival that another law could bring within a tie is tied (`form_allowance`)."""
     largest_class: int = 4
     """Effects that the leading class may hold and still count as a name."""
     per_parameter: float = 3.0
@@ -197,11 +194,10 @@ def merit(candidate: Fit, scale: float, policy: Policy) -> float:
 def _admissible(found: tuple[Candidate, ...], current: Fit, policy: Policy, *, first: bool, excess: float) -> list[Candidate]:
     groups = current.frame.cells.groups()
     before = float(np.mean(list(grouped_error(current, groups).values()) or [np.nan]))
-    doubt = max((form_allowance(current, e, policy) for e in current.effects), default=0.0)
     out = []
     for c in found:
         significant = c.p_value < (policy.first_p if first else policy.next_p)
-        large = first or c.gain >= max(policy.least_share * excess, doubt)
+        large = first or c.gain >= policy.least_share * excess
         predicts = not np.isfinite(before) or c.cross_validated < before
         if significant and large and predicts and not c.refused:
             out.append(c)
