@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import fcntl
 import io
 import json
 import os
 import pty
+import re
 import select
+import struct
 import sys
+import termios
 import time
 
 import can
@@ -208,23 +212,77 @@ def test_bad_arguments_are_one_line(arguments, log, capsys):
     assert capsys.readouterr().err.strip().count("\n") == 0
 
 
+class Terminal:
+    """yieldmon on a pseudo-terminal of 80 columns and 24 lines."""
+
+    def __init__(self, *words: str, **environment: str) -> None:
+        self.seen = b""
+        self._deadline = time.monotonic() + 60.0
+        self._child, self._master = pty.fork()
+        if self._child == 0:
+            kept = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES", "NO_COLOR")}
+            # The size is set by the parent, which may come later than the program's start: it waits for the first byte.
+            os.read(0, 1)
+            os.execve(sys.executable, [sys.executable, "-m", "yieldmon", *words], kept | {"TERM": "xterm-256color"} | environment)
+        fcntl.ioctl(self._master, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+        os.write(self._master, b"\n")
+
+    def until(self, text: bytes) -> None:
+        """Reads until the text has come."""
+        while text not in self.seen:
+            assert time.monotonic() < self._deadline, self.seen
+            if select.select([self._master], [], [], 1.0)[0]:
+                self.seen += os.read(self._master, 65536)
+
+    def press(self, key: bytes) -> None:
+        os.write(self._master, key)
+
+    def exit_code(self) -> int:
+        """Reads on until the program has ended."""
+        while time.monotonic() < self._deadline:
+            if select.select([self._master], [], [], 0.1)[0]:
+                try:
+                    self.seen += os.read(self._master, 65536)
+                except OSError:
+                    break
+        return os.waitstatus_to_exitcode(os.waitpid(self._child, 0)[1])
+
+    def pages(self) -> list[list[str]]:
+        """Each screen drawn, as plain lines."""
+        plain = (re.sub(rb"\x1b\[[0-9;?]*[A-Za-z]", b"", page).decode() for page in self.seen.split(b"\x1b[H")[1:])
+        return [page.split("\r\n") for page in plain]
+
+
 def test_on_a_real_terminal_until_q(log):
-    child, terminal = pty.fork()
-    if child == 0:
-        os.environ.update(TERM="xterm", COLUMNS="80", LINES="24")
-        os.execv(sys.executable, [sys.executable, "-m", "yieldmon", "monitor", str(log), "--speed", "0.2"])
-    seen = b""
-    deadline = time.monotonic() + 60.0
-    while b"ElevatorSpeed" not in seen and time.monotonic() < deadline:
-        if select.select([terminal], [], [], 1.0)[0]:
-            seen += os.read(terminal, 65536)
-    assert b"ElevatorSpeed" in seen
-    os.write(terminal, b"q")
-    ended = False
-    while not ended and time.monotonic() < deadline:
-        if select.select([terminal], [], [], 0.1)[0]:
-            try:
-                ended = not os.read(terminal, 65536)
-            except OSError:
-                ended = True
-    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    terminal = Terminal("monitor", str(log), "--speed", "0.2")
+    terminal.until(b"ElevatorSpeed")
+    terminal.press(b"q")
+    assert terminal.exit_code() == 0
+    for page in terminal.pages():
+        assert len(page) <= 24
+        assert max(map(len, page)) <= 80
+    assert b"\x1b[1;3" in terminal.seen
+
+
+def test_ctrl_c_on_a_real_terminal(log):
+    terminal = Terminal("monitor", str(log), "--speed", "0.2")
+    terminal.until(b"ElevatorSpeed")
+    terminal.press(b"\x03")
+    assert terminal.exit_code() == 130
+    assert b"Traceback" not in terminal.seen
+
+
+def test_ctrl_c_in_a_replay_on_a_real_terminal(log):
+    terminal = Terminal("replay", str(log), "-i", "virtual", "-c", "ctrl-c", "--loop")
+    terminal.until(b"frames")
+    terminal.press(b"\x03")
+    assert terminal.exit_code() == 130
+    assert b"Traceback" not in terminal.seen
+
+
+def test_no_colour_on_a_real_terminal(log):
+    terminal = Terminal("monitor", str(log), "--once", NO_COLOR="1")
+    assert terminal.exit_code() == 0
+    assert b"ElevatorSpeed" in terminal.seen
+    codes = {code for found in re.findall(rb"\x1b\[([0-9;]*)m", terminal.seen) for code in found.split(b";")}
+    assert not {code for code in codes if code[:1] in (b"3", b"4", b"9") and len(code) > 1}

@@ -35,6 +35,9 @@ class RowWriter(Protocol):
     def finish(self) -> None:
         """No more rows."""
 
+    def abandon(self) -> None:
+        """The table is not wanted any more; what is held open for it is let go."""
+
 
 @contextmanager
 def open_table(path: str, kind: str | None = None) -> Iterator[RowWriter]:
@@ -55,7 +58,11 @@ def open_table(path: str, kind: str | None = None) -> Iterator[RowWriter]:
         with scratch.open("wb") as file:
             text = None if kind == ".parquet" else io.TextIOWrapper(file, encoding="utf-8", newline="")
             writer = _writer(kind, text, file)
-            yield writer
+            try:
+                yield writer
+            except BaseException:
+                writer.abandon()
+                raise
             writer.finish()
             if text is not None:
                 text.flush()
@@ -82,6 +89,9 @@ class _CsvWriter:
     def finish(self) -> None:
         pass
 
+    def abandon(self) -> None:
+        pass
+
 
 class _JsonLinesWriter:
     def __init__(self, file: IO[str]) -> None:
@@ -91,6 +101,9 @@ class _JsonLinesWriter:
         self._file.write(json.dumps(dict(zip(COLUMNS, _values(row), strict=True)), separators=(",", ":"), allow_nan=False) + "\n")
 
     def finish(self) -> None:
+        pass
+
+    def abandon(self) -> None:
         pass
 
 
@@ -118,6 +131,9 @@ class _ParquetWriter:
 
     def finish(self) -> None:
         self._flush()
+        self._writer.close()
+
+    def abandon(self) -> None:
         self._writer.close()
 
     def _flush(self) -> None:

@@ -1,0 +1,64 @@
+"""Ctrl-C as a terminal sends it, a signal to the whole process group: exit code 130, no traceback, no half files."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from tests.service.bench import CODEC, START_S, traffic
+
+ROOT = Path(__file__).parents[2]
+LIMIT_S = 60.0
+
+
+def lines(duration_s: float) -> bytes:
+    """Nominal traffic as candump writes it."""
+    messages = (CODEC.encode(frame) for frame in traffic(START_S, duration_s, 0.0))
+    text = (f"({m.timestamp:.6f}) can0 {m.arbitration_id:08X}#{bytes(m.data).hex().upper()}\n" for m in messages)
+    return "".join(text).encode()
+
+
+@pytest.fixture
+def endless(tmp_path):
+    """A log that never ends: a pipe filled as fast as it is read, and an event set once more is read than a pipe holds."""
+    path, taken, over = tmp_path / "endless.log", threading.Event(), threading.Event()
+    os.mkfifo(path)
+    piece = lines(2.0) * 8
+
+    def fill() -> None:
+        try:
+            with path.open("wb", buffering=0) as pipe:
+                while not over.is_set():
+                    pipe.write(piece)
+                    taken.set()
+        except BrokenPipeError:
+            pass
+
+    thread = threading.Thread(target=fill, daemon=True)
+    thread.start()
+    yield path, taken
+    over.set()
+    thread.join(LIMIT_S)
+
+
+@pytest.mark.parametrize("words", [["t.csv"], ["t.parquet", "--jobs", "1"]], ids=["ahead", "alone"])
+def test_process_interrupted(words, endless, tmp_path):
+    log, taken = endless
+    folder = tmp_path / "out"
+    folder.mkdir()
+    command = [sys.executable, "-m", "yieldmon", "process", str(log), "--out", str(folder / words[0]), *words[1:]]
+    running = subprocess.Popen(command, cwd=ROOT, start_new_session=True, text=True, stderr=subprocess.PIPE)
+    try:
+        assert taken.wait(LIMIT_S)
+        os.killpg(running.pid, signal.SIGINT)
+        _, said = running.communicate(timeout=LIMIT_S)
+    finally:
+        running.kill()
+    assert (running.returncode, said) == (130, "")
+    assert list(folder.iterdir()) == [], "a table under way leaves nothing"
