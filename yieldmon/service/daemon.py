@@ -239,6 +239,7 @@ class Daemon:
     def _round(self) -> None:
         # Read before the queue: what came by then is in there.
         empty_until_s = self._receiver.empty_until_s
+        self._window_closed = False
         items = self._receiver.get_many(_BATCH_FRAMES, _WAIT_S)
         for item in items:
             if isinstance(item, BusEvent):
@@ -249,7 +250,8 @@ class Daemon:
         self._receiver.due_s = self._monitor.due_s
         self._tell_faults(monotonic())
         self._do_commands()
-        if self._reload_wanted.is_set():
+        # Between two windows, where a new monitor has least to miss; a quiet bus has none.
+        if self._reload_wanted.is_set() and (self._window_closed or not items):
             self._reload_wanted.clear()
             self._do_reload()
         if not self._writer.alive or not self._transmitter.alive:
@@ -306,9 +308,11 @@ class Daemon:
             self._second_done()
 
     _last_record: object = None
+    _window_closed = False
 
     def _second_done(self) -> None:
         """A window has closed: the engine lives, its frames are out, and the second goes to the store."""
+        self._window_closed = True
         self._commit()
         self._manager.alive()
         self._rates.second(monotonic(), self._receiver.counters().received)
