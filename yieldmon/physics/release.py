@@ -26,9 +26,10 @@ class Outflow:
     """At the tip, in l Omega."""
     inward_rate: AnyArray
     """-d rho_0 / d tau."""
-    sin: AnyArray
-    cos: AnyArray
-    """Of the paddle's angle as the grain leaves the tip."""
+    angle: AnyArray
+    """The paddle's, as the grain leaves the tip."""
+    direction: tuple[AnyArray, AnyArray] | None
+    """Sine and cosine of that angle where the motion needed them."""
 
 
 def outflow(tau: AnyArray, setting: Setting) -> Outflow:
@@ -44,15 +45,15 @@ def outflow(tau: AnyArray, setting: Setting) -> Outflow:
         rate = damping * (cosh - mu / s * sinh)
         position, velocity = position + setting.radial_speed * velocity, velocity + setting.radial_speed * rate
     angle = start_angle(setting) + tau
-    sin, cos = np.sin(angle), np.cos(angle)
-    if setting.gravity_m_s2 is not None:
-        forced, forced_rate = _forced(sin, cos, mu, s, damping, cosh, sinh, setting)
-        release = (1.0 - forced) / position
-        radial = release * velocity + forced_rate
-    else:
+    if setting.gravity_m_s2 is None:
         release = 1.0 / position
         radial = release * velocity
-    return Outflow(release, radial, radial * release if setting.gravity_m_s2 is None else radial / position, sin, cos)
+        return Outflow(release, radial, radial * release, angle, None)
+    sin, cos = np.sin(angle), np.cos(angle)
+    forced, forced_rate = _forced(sin, cos, mu, s, damping, cosh, sinh, setting)
+    release = (1.0 - forced) / position
+    radial = release * velocity + forced_rate
+    return Outflow(release, radial, radial / position, angle, (sin, cos))
 
 
 def start_angle(setting: Setting) -> AnyArray:
@@ -125,7 +126,7 @@ def rotation_to_empty(inner_radius: AnyArray, setting: Setting, limit: AnyArray)
 
 def at_tip(flow: Outflow, setting: Setting) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
     """Place (x, y) in m and velocity (x, y) in m/s of the grain as it leaves the tip [8.16]."""
-    sin, cos = flow.sin, flow.cos
+    sin, cos = flow.direction or (np.sin(flow.angle), np.cos(flow.angle))
     length = setting.paddle_length_m
     tip_speed = length * setting.elevator_speed_rad_s
     u = flow.radial_speed
