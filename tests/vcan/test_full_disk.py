@@ -50,18 +50,18 @@ def test_a_full_disk_is_a_fault_and_nothing_is_lost(small_disk: Path, tmp_path: 
             bench.played()
             if bench.daemon._writer.health().failing:
                 break
-        bench.play(2, 60.0)
+        bench.play(3, 60.0)
         wait_for(lambda: "StoreFailing" in bench.faults, "StoreFailing")
         measured_kg = bench.status["total"]["mass_kg"]
     fill(small_disk)
     with running(tmp_path, SETTINGS, state=small_disk, start_s=START_S + 200) as bench:
         kept_kg = bench.status["total"]["mass_kg"]
         assert 0.0 < kept_kg <= measured_kg + 10.0, "the state is read from a full disk"
-        bench.play(2, 60.0)
+        bench.play(4, 60.0)
         wait_for(lambda: "StoreFailing" in bench.faults, "StoreFailing after a start on a full disk")
         ballast.unlink()
         wait_for(lambda: not bench.daemon._writer.health().failing, "recovery")
-        bench.play(3, 60.0)
+        bench.play(6, 60.0)
         bench.played()
         assert "StoreFailing" not in bench.faults
     with Store(small_disk / "yieldmon.sqlite") as store:

@@ -16,7 +16,7 @@ SPAN_S = 120.0
 TOLERANCE_S = 0.1
 
 
-@pytest.mark.parametrize("frames_s", [20, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("frames_s", [20, pytest.param(300, marks=pytest.mark.slow)])
 def test_a_log_of_120_s_takes_120_s(vcan0: str, tmp_path: Path, frames_s: int) -> None:
     frames_sent = round(SPAN_S * frames_s) + 1
     log, recording = tmp_path / "drive.log", tmp_path / "recorded.log"
