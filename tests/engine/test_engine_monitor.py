@@ -423,3 +423,12 @@ def test_estimator_that_knows_nothing_is_not_available() -> None:
 def test_settings_of_the_machine_in_use() -> None:
     target = Monitor(EngineSettings(), MACHINE, ForceProportional())
     assert target.machine.sensor.gain_n_per_mv == 0.4448
+
+
+def test_a_sensor_that_starts_and_stops_has_lost_nothing() -> None:
+    target = monitor()
+    frames = replace(STEADY, scatter=0.0).frames(20)
+    quiet = [f for f in frames if f.message == bus.ELEVATOR_SPEED or 1004.5 < f.time_s < 1015.4]
+    feed(target, quiet)
+    assert FaultCode.SENSOR_MISSING in target.faults.active
+    assert target.faults.occurrences(FaultCode.FRAMES_LOST) == 0

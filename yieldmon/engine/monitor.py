@@ -169,6 +169,7 @@ class Monitor:
         self._cutting_s = float("-inf")
         self._windows = 0
         self._stuck = 0
+        self._sampled = False
         self._jumps_seen = 0
         self._jump_shown = 0
         self._driving = False
@@ -757,6 +758,9 @@ class Monitor:
 
     def _judge_faults(self, bus_s: float, reading: _Reading, flow: _Flow) -> None:
         settings, window, moment = self.settings, reading.window, reading.moment
+        # A sensor that starts or stops within a window covers a part of it and has lost nothing.
+        began, self._sampled = not self._sampled, window.coverage > 0.0
+        ended = window.end_s - window.last_frame_s > settings.inputs.sensor_timeout_s
         rpm = window.speed_rad_s / RPM
         turning = reading.speed_known and rpm > settings.gate.min_turning_rpm
         saturated = window.saturated_share >= settings.windows.saturated_share
@@ -798,7 +802,7 @@ class Monitor:
             (FaultCode.MODEL_DISAGREES, disagreement.present, "{}", (disagreement.region,)),
             (
                 FaultCode.FRAMES_LOST,
-                counted or 0.0 < window.coverage < settings.windows.full_coverage,
+                counted or 0.0 < window.coverage < settings.windows.full_coverage and not (began or ended),
                 "{} lost, {} too many",
                 (window.lost_frames, window.surplus_frames),
             ),
