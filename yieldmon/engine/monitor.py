@@ -802,7 +802,7 @@ class Monitor:
             (FaultCode.MODEL_DISAGREES, disagreement.present, "{}", (disagreement.region,)),
             (
                 FaultCode.FRAMES_LOST,
-                counted or 0.0 < window.coverage < settings.windows.full_coverage and not (began or ended),
+                counted or (0.0 < window.coverage < settings.windows.full_coverage and not (began or ended)),
                 "{} lost, {} too many",
                 (window.lost_frames, window.surplus_frames),
             ),
