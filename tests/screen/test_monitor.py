@@ -9,6 +9,7 @@ import os
 import pty
 import re
 import select
+import signal
 import struct
 import sys
 import termios
@@ -223,6 +224,8 @@ class Terminal:
             kept = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES", "NO_COLOR")}
             # The size is set by the parent, which may come later than the program's start: it waits for the first byte.
             os.read(0, 1)
+            # A shell's background job has it ignored, and what it starts inherits that.
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
             os.execve(sys.executable, [sys.executable, "-m", "yieldmon", *words], kept | {"TERM": "xterm-256color"} | environment)
         fcntl.ioctl(self._master, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
         os.write(self._master, b"\n")
@@ -245,6 +248,8 @@ class Terminal:
                     self.seen += os.read(self._master, 65536)
                 except OSError:
                     break
+        else:
+            os.kill(self._child, signal.SIGKILL)
         return os.waitstatus_to_exitcode(os.waitpid(self._child, 0)[1])
 
     def pages(self) -> list[list[str]]:

@@ -15,6 +15,11 @@ from tests.service.bench import CODEC, START_S, traffic
 
 ROOT = Path(__file__).parents[2]
 LIMIT_S = 60.0
+#: Shells start background jobs with the signal ignored, and what they start inherits that.
+INTERRUPTIBLE = (
+    "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
+    "runpy.run_module('yieldmon', run_name='__main__', alter_sys=True)"
+)
 
 
 def lines(duration_s: float) -> bytes:
@@ -52,7 +57,7 @@ def test_process_interrupted(words, endless, tmp_path):
     log, taken = endless
     folder = tmp_path / "out"
     folder.mkdir()
-    command = [sys.executable, "-m", "yieldmon", "process", str(log), "--out", str(folder / words[0]), *words[1:]]
+    command = [sys.executable, "-c", INTERRUPTIBLE, "process", str(log), "--out", str(folder / words[0]), *words[1:]]
     running = subprocess.Popen(command, cwd=ROOT, start_new_session=True, text=True, stderr=subprocess.PIPE)
     try:
         assert taken.wait(LIMIT_S)
@@ -62,3 +67,13 @@ def test_process_interrupted(words, endless, tmp_path):
         running.kill()
     assert (running.returncode, said) == (130, "")
     assert list(folder.iterdir()) == [], "a table under way leaves nothing"
+
+
+def test_a_reader_whose_parent_was_killed_ends(endless, tmp_path):
+    log, taken = endless
+    command = [sys.executable, "-m", "yieldmon", "process", str(log), "--out", str(tmp_path / "t.csv")]
+    running = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE)
+    assert taken.wait(LIMIT_S)
+    running.kill()
+    # The pipe ends only when the last process that holds it has ended.
+    assert running.communicate(timeout=LIMIT_S)[1] == b""

@@ -152,7 +152,7 @@ def _stretches_ahead(paths: list[str], codec: Codec) -> Iterator[Iterator[Stretc
     """The same from a process that reads ahead as far as the pipe between them holds."""
     context = multiprocessing.get_context("fork")
     receiving, sending = context.Pipe(duplex=False)
-    reader = context.Process(target=_read, args=(paths, codec, sending), daemon=True)
+    reader = context.Process(target=_read, args=(paths, codec, sending, receiving), daemon=True)
     reader.start()
     sending.close()
     try:
@@ -163,14 +163,18 @@ def _stretches_ahead(paths: list[str], codec: Codec) -> Iterator[Iterator[Stretc
         receiving.close()
 
 
-def _read(paths: list[str], codec: Codec, sending: Connection) -> None:
+def _read(paths: list[str], codec: Codec, sending: Connection, receiving: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # With this end open here too, a reader whose parent was killed would wait for ever instead of finding nobody there.
+    receiving.close()
     try:
         for stretch in stretches_of(paths, codec):
             sending.send(stretch)
         sending.send(None)
     except InputError as error:
         sending.send((error.where, error.problem, error.expected))
+    except BrokenPipeError:
+        return
 
 
 def _received(receiving: Connection) -> Iterator[Stretch | EndOfLog]:
