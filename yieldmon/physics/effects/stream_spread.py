@@ -12,25 +12,38 @@ from yieldmon.physics.stages import Arrival, Setting
 
 from .effect import Effect, EffectParameter, Values
 
+_FAR = 7.0
+"""Standard deviations beyond which the low edge no longer cuts the fan (1e-12 of the grain)."""
+
 
 def _arrival(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
     spread = values["spread_rad"]
     meets = np.isfinite(real(arrival.from_low_edge_m)) & (real(arrival.normal_speed_m_s) > 0.0)
+    fans_out = real(spread) > 0.0
     normal = np.where(meets, arrival.normal_speed_m_s, 1.0)
-    speed = np.sqrt(normal**2 + arrival.tangential_speed_m_s**2)
-    length = np.where(meets, arrival.flight_length_m, 1.0)
-    # A fan of half width s covers L s / cos(incidence) along the plate.
-    width = np.sqrt(2.0) * spread * maximum(length, np.asarray(1e-3)) * speed / normal
-    fans_out = real(width) > 0.0
-    beyond = np.where(meets, arrival.from_low_edge_m, 1.0) / np.where(fans_out, width, 1.0)
-    # erf is 1 to rounding from 6 on, and its complex continuation overflows far out.
-    beyond = np.where(real(beyond) > 6.0, 6.0, np.where(real(beyond) < -6.0, -6.0, beyond))
-    smeared = np.where(meets, 0.5 * (1.0 - erf(beyond)), 0.0)
+    tangential = np.where(meets, arrival.tangential_speed_m_s, 0.0)
+    speed = np.sqrt(normal**2 + tangential**2)
+    length = maximum(np.where(meets, arrival.flight_length_m, 1.0), np.asarray(1e-3))
+    kappa = np.where(meets, arrival.from_low_edge_m, 0.0)
+    incidence = np.arctan(tangential / normal)
+    # Seen from where the path comes from, the low edge lies this far round from the path, towards the low edge.
+    edge = np.arctan((length * tangential / speed - kappa) * speed / (length * normal)) - incidence
+    width = np.where(fans_out, spread, 1.0)
+    z = edge / width
+    z = np.where(real(z) > _FAR, _FAR, np.where(real(z) < -_FAR, -_FAR, z))
+    lands = 0.5 * (1.0 + erf(z / np.sqrt(2.0)))
+    # Mean and variance of a normal variable below z: what lands is turned towards the top.
+    hazard = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi) / lands
+    turned = incidence - width * hazard
+    kept = speed * np.exp(-0.5 * width**2 * (1.0 - z * hazard - hazard**2))
+    fan = meets & fans_out
+    # The series of which this is the start may pass a right angle where next to nothing lands.
+    into = maximum(kept * np.cos(turned), np.asarray(1e-9))
     return replace(
         arrival,
-        landing_share=np.where(fans_out, smeared, arrival.landing_share),
-        normal_speed_m_s=arrival.normal_speed_m_s * np.exp(-0.5 * spread**2),
-        tangential_speed_m_s=arrival.tangential_speed_m_s * np.exp(-0.5 * spread**2),
+        landing_share=np.where(fans_out, np.where(meets, lands, 0.0), arrival.landing_share),
+        normal_speed_m_s=np.where(fan, into, arrival.normal_speed_m_s),
+        tangential_speed_m_s=np.where(fan, kept * np.sin(turned), arrival.tangential_speed_m_s),
     )
 
 
@@ -39,7 +52,7 @@ EFFECT = Effect(
     stage="flight",
     summary="Grain leaves the tip in a fan of directions, so that the plate's low edge cuts it softly.",
     signature="smeared low edge: gain at low plate angles where grain misses, loss where it hits; a uniform loss of s^2/2",
-    source="Gaussian fan of directions about the path of [8.17]",
+    source="Gaussian fan of directions about the path of [8.17], cut by the plate's low edge; moments of a truncated normal",
     parameters=(
         EffectParameter("spread_rad", "rad", 0.0, 0.0, 0.5, 0.1, "standard deviation of direction", 0.15),
     ),
