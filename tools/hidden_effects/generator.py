@@ -82,30 +82,49 @@ def force(
     tip = (length * speed)[:, None]
     vx, vy = tip * (outward * np.cos(theta) - np.sin(theta)), tip * (outward * np.sin(theta) + np.cos(theta))
     x, y = length * np.cos(theta), length * np.sin(theta)
-    if "unpushed_layers" in size:
-        # A rational share of each layer; free grain starts from the housing's edge, where the paddle leaves it behind.
-        ahead = size["unpushed_layers"] * psi
-        free = ahead / (1.0 + ahead)
-        since = tau / speed[:, None]
-        c, d = np.cos(start), np.sin(start)
-        wx, wy = tip * (push * c - radius * d), tip * (push * d + radius * c)
-        px, py = length * radius * c + since * wx, length * radius * d + since * (wy + 0.5 * pull * since)
-        vx, vy = vx + free * (wx - vx), vy + free * (wy + pull * since - vy)
-        x, y = x + free * (px - x), y + free * (py - y)
+    parts = _as_released(
+        x, y, vx, vy, size=size, radius=radius, psi=psi, inner=inner, push=push, tau=tau, speed=speed, tip=tip, start=start
+    )
 
     fan = np.sqrt(3.0) * size.get("stream_spread", 0.0) * (np.linspace(-1.0, 1.0, 15) if "stream_spread" in size else np.zeros(1))
     momentum = np.zeros(len(mass))
     landed_mass = np.zeros(len(mass))
-    for turn in fan:
-        ux, uy = vx * np.cos(turn) - vy * np.sin(turn), vx * np.sin(turn) + vy * np.cos(turn)
-        pulse, landed = _strike(x, y, ux, uy, radius * psi * length, layer_mass, angle, e, size, machine)
-        momentum += pulse / len(fan)
-        landed_mass += landed / len(fan)
+    for share, (px, py, wx, wy) in parts:
+        for turn in fan:
+            ux, uy = wx * np.cos(turn) - wy * np.sin(turn), wx * np.sin(turn) + wy * np.cos(turn)
+            pulse, landed = _strike(px, py, ux, uy, radius * psi * length, share * layer_mass, angle, e, size, machine)
+            momentum += pulse / len(fan)
+            landed_mass += landed / len(fan)
     reading = momentum * passes
     reading = reading + landed_mass * passes * G * size.get("resting_grain", 0.0)
     reading = _cell(reading, size)
     reading = reading + size.get("zero_offset", 0.0) + size.get("plate_buildup", 0.0) * np.cos(angle)
     return np.where(mass <= full, reading, np.nan)
+
+
+def _as_released(
+    x: Array, y: Array, vx: Array, vy: Array, *, size: Mapping[str, float], radius: Array, psi: Array, inner: Array, push: Array,
+    tau: Array, speed: Array, tip: Array, start: float,
+) -> list[tuple[Array, tuple[Array, Array, Array, Array]]]:  # fmt: skip
+    """Shares of each layer with the jet (x, y, vx, vy) that they make, after the effects that keep grain from its paddle."""
+    since = tau / speed[:, None]
+    rise = np.zeros_like(x)
+    if "stream_rise" in size:
+        # From the pressure of the grain inside, which goes as the difference of the radii's squares.
+        rise = size["stream_rise"] * tip * (radius**2 - inner[:, None] ** 2) / (1.0 + inner[:, None])
+    carried = (x, y - rise * since, vx, vy - rise)
+    if "unpushed_layers" not in size:
+        return [(np.ones_like(radius), carried)]
+    # A rational share of each layer; free grain starts from the housing's edge, where the paddle leaves it behind, and is
+    # drawn along by what follows: half way to the tip's speed, as a geometric mean.
+    ahead = size["unpushed_layers"] * psi
+    free = ahead / (1.0 + ahead)
+    pull, drawn = size.get("gravity", 0.0), np.sqrt(radius)
+    length = tip / speed[:, None]
+    c, d = np.cos(start), np.sin(start)
+    wx, wy = tip * (push * c - drawn * d), tip * (push * d + drawn * c) - rise
+    px, py = length * radius * c + since * wx, length * radius * d + since * (wy + 0.5 * pull * since)
+    return [(1.0 - free, carried), (free, (px, py, wx, wy + pull * since))]
 
 
 def _cell(reading: Array, size: Mapping[str, float]) -> Array:
@@ -219,10 +238,7 @@ def _strike(
     towards = reached & (normal > 0.0)
     width = np.maximum(np.abs(np.gradient(kappa, axis=1)), 1e-6)
     lands = np.where(towards, np.clip(0.5 - kappa / width, 0.0, 1.0), 0.0)
-    if "miss_capture" in size:
-        lands = lands + np.where(towards, (1.0 - lands) * size["miss_capture"] * np.exp(-np.maximum(kappa, 0.0) / 0.6), 0.0)
-    if "plate_overshoot" in size:
-        lands = lands * (1.0 - np.exp(-np.maximum(along + 0.004, 0.0) / (2.0 * size["plate_overshoot"])))
+    lands = _caught(lands, mass, along, kappa, np.where(reached, normal, 0.0), tangent, size)
     bounce = e[:, None] + 0.0 * normal
     if "jet_shielding" in size:
         bounce = bounce * np.exp(-0.7 * thickness * size["jet_shielding"])
@@ -247,6 +263,25 @@ def _strike(
         weight = np.exp(size["lever_arm"] * place)
     landed = mass * lands
     return np.sum(landed * weight * (push * sin + rub * cos), axis=1), np.sum(landed, axis=1)
+
+
+def _caught(
+    lands: Array, mass: Array, along: Array, kappa: Array, normal: Array, tangent: Array, size: Mapping[str, float]
+) -> Array:
+    """Share that lands, after the effects that act on grain near the plate's edges."""
+    if "miss_capture" in size:
+        # By the part of the momentum on the plate that runs down it, fading below the edge.
+        towards = normal > 0.0
+        momentum = lands * mass * np.hypot(normal, tangent)
+        cosine = np.where(towards, np.maximum(tangent, 0.0) / np.maximum(np.hypot(normal, tangent), 1e-9), 0.0)
+        down = np.sum(momentum * cosine, axis=1, keepdims=True) / np.maximum(np.sum(momentum, axis=1, keepdims=True), 1e-12)
+        reach = np.exp(-np.maximum(kappa, 0.0) / 0.6)
+        lands = lands + np.where(towards, (1.0 - lands) * size["miss_capture"] * down * reach, 0.0)
+    if "plate_overshoot" in size:
+        lands = lands * (1.0 - np.exp(-np.maximum(along + 0.004, 0.0) / (2.0 * size["plate_overshoot"])))
+    if "stream_rise" in size:
+        lands = lands * np.clip(0.5 + along / 0.03, 0.0, 1.0)
+    return lands
 
 
 def outside(kind: str, reading: Array, angle: Array, speed: Array, flow: Array, size: float) -> Array:

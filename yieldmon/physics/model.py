@@ -61,6 +61,7 @@ class ForwardModel:
         self.nodes = nodes
         chosen = [get_effect(name) for name in names]
         self._effects: tuple[Effect, ...] = tuple(sorted(chosen, key=lambda effect: effect.name))
+        self._acting = tuple(sorted(self._effects, key=lambda effect: effect.rank))
         self._misses = any(effect.needs_misses for effect in self._effects)
         self._alters_load = any(effect.load is not None for effect in self._effects)
 
@@ -69,7 +70,7 @@ class ForwardModel:
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Names of the effects, in alphabetical order, which is also the order in which they act within a stage."""
+        """Names of the effects, in alphabetical order; within a stage they act by rank, then in this order."""
         return tuple(effect.name for effect in self._effects)
 
     @property
@@ -257,7 +258,7 @@ class Throw:
         return reading
 
     def _alter(self, stage: str, state):  # type: ignore[no-untyped-def]
-        for effect in self._model._effects:
+        for effect in self._model._acting:
             hook = getattr(effect, stage)
             if hook is not None:
                 state = hook(state, self._values[effect.name], self.setting)
@@ -291,6 +292,8 @@ class Throw:
         share: AnyArray = np.ones(1)
         if self._model._misses:
             share = np.repeat([1.0, 0.0], self._model.nodes)
+            # An effect on release may have parted each node's grain.
+            share = np.tile(share, jet.mass_kg.shape[-1] // len(share))
         arrival: Arrival = self._alter(
             "arrival",
             Arrival(

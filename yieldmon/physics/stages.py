@@ -102,6 +102,8 @@ class Arrival:
     """Along the plate, positive towards its low edge."""
     landing_share: AnyArray
     """Share of the node's mass that strikes the plate."""
+    edge_blur_m: AnyArray | float = 0.0
+    """Width (sqrt 2 standard deviations) over which the low edge has cut the stream; 0: a sharp cut."""
 
     @property
     def flight_length_m(self) -> AnyArray:

@@ -1,0 +1,40 @@
+"""How a stream of unequal grain is cut by the plate's edges."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import erf
+
+from yieldmon.physics.numerics import AnyArray, real
+from yieldmon.physics.stages import Arrival
+
+KERNEL_M = 0.01
+"""About one kernel: what a stream of unequal grain blurs an edge by."""
+
+
+def share_beyond(distance_m: AnyArray, width_m: AnyArray) -> AnyArray:
+    """Share of a stream that lies beyond an edge, its path `distance_m` beyond it: 1/2 (1 + erf(distance / width))."""
+    z = distance_m / width_m
+    # erf is 1 to rounding from 6 on, and its complex continuation overflows far out.
+    z = np.where(real(z) > 6.0, 6.0, np.where(real(z) < -6.0, -6.0, z))
+    share: AnyArray = 0.5 * (1.0 + erf(z))
+    return share
+
+
+def blur_low_edge(arrival: Arrival, width_m: AnyArray) -> Arrival:
+    """The low edge cuts the stream over `width_m` more (in quadrature) by where its paths now meet the plate's line.
+
+    A width of 0 leaves the arrival as it is.
+    """
+    meets = np.isfinite(real(arrival.from_low_edge_m)) & (real(arrival.normal_speed_m_s) > 0.0)
+    blurs = real(width_m) > 0.0
+    added = np.where(blurs, width_m, 1.0)
+    width = np.sqrt(added * added + arrival.edge_blur_m * arrival.edge_blur_m)
+    above = share_beyond(np.where(meets, -arrival.from_low_edge_m, -1.0), width)
+    return replace(
+        arrival,
+        landing_share=np.where(blurs, np.where(meets, above, 0.0), arrival.landing_share),
+        edge_blur_m=np.where(blurs, width, arrival.edge_blur_m),
+    )
