@@ -45,6 +45,29 @@ def test_two_outliers_that_agree_do_not_outvote_the_truth(make_rows) -> None:
     assert np.flatnonzero(outlier).tolist() == sorted(places[:2])
 
 
+@pytest.mark.parametrize("drier", [True, False])
+def test_an_outlier_in_damp_grain_is_judged_by_damp_grain(make_rows, drier: bool) -> None:
+    """The wild row lies where the other moisture's rows lie, so that it looks right to whoever overlooks the moisture."""
+    dry, damp = make_rows(repeats=3), make_rows({"zero_offset": 25.0}, repeats=3, seed=6)
+    both = [dry, damp]
+    rows = observations.with_cells(
+        replace(
+            dry,
+            **{
+                name: np.concatenate([getattr(r, name) for r in both])
+                for name in ("plate_angle_rad", "load", "elevator_speed_rad_s", "value", "sigma", "cell")
+            },
+            trial=dry.trial + damp.trial,
+            moisture_pct=np.repeat([14.0, 22.0], len(dry)),
+        )
+    )
+    wild = 100 if drier else 100 + len(dry)
+    value = rows.value.copy()
+    value[wild] += 17.0 if drier else -20.0
+    _, outlier = noise.estimate(replace(rows, value=value))
+    assert np.flatnonzero(outlier).tolist() == [wild]
+
+
 def test_without_replicates_a_smooth_surface_tells_the_noise(make_rows) -> None:
     rows = make_rows({"release_angle": 0.1}, repeats=1, noise=0.02)
     found, _ = noise.estimate(rows)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,22 +13,23 @@ import numpy as np
 
 from yieldmon.discrepancy import diagnosis
 from yieldmon.discrepancy.candidates import library
-from yieldmon.discrepancy.fit import fit, predictions
-from yieldmon.discrepancy.selection import Policy
+from yieldmon.discrepancy.fit import Fit, fit, predictions
 from yieldmon.files import parameter_file
 
 from . import baselines, cases
 
-POLICY = Policy(refits=14, exchanges=5, beam=2)
+VISIBLE = 4.0
+"""Standard deviations that a signature must be long to be called visible."""
 SNR_BINS = ((0.0, 4.0), (4.0, 8.0), (8.0, 16.0), (16.0, np.inf))
 
 
 def run_case(case: cases.Case) -> dict[str, Any]:
     """Make the rows, examine them, and note what was said beside what was hidden."""
     data = cases.make(case)
-    seen = diagnosis.examine(data.rows, parameter_file.load(), diagnosis.Options(policy=POLICY, without=case.without))
+    seen = diagnosis.examine(data.rows, parameter_file.load(), diagnosis.Options(without=case.without))
     choice = seen.choice
     steps = choice.steps
+    snr, projected = _signature(case, data, choice.base) if case.kind in ("hidden", "removed") else (None, None)
     return {
         "key": case.key,
         "kind": case.kind,
@@ -36,7 +38,9 @@ def run_case(case: cases.Case) -> dict[str, Any]:
         "speeds": case.speeds,
         "sizes": data.sizes,
         "change_pct": 100.0 * data.change,
-        "snr": _snr(case, data, seen) if case.kind in ("hidden", "removed") else None,
+        "snr": snr,
+        "projected_pct": projected,
+        "snr_beside": _snr_beside(data, choice.base) if case.kind == "pair" else None,
         "verdict": choice.verdict,
         "named": list(choice.named),
         "partial": [s.added for s in steps],
@@ -54,22 +58,41 @@ def run_case(case: cases.Case) -> dict[str, Any]:
     }
 
 
-def _snr(case: cases.Case, data: cases.Data, seen: diagnosis.Examination) -> float:
-    """Length of the hidden effect's signature beyond recalibration, in standard deviations of the cell means.
+def _signature(case: cases.Case, data: cases.Data, base: Fit) -> tuple[float, float]:
+    """The hidden effect's signature beyond recalibration: its length in standard deviations of the cell means, and its largest
+    value in percent of the largest reading.
 
     The published model is refitted to the candidate's own prediction at the hidden size; what it cannot follow is the signature.
     """
     effect = case.hidden[0]
-    base = seen.choice.base
-    truth = {f"{effect}.{p}": v for p, v in _leading_values(effect, data.sizes[effect]).items()}
-    moved = np.real(predictions(base.frame, (effect,), base.values | truth))
-    if not np.all(np.isfinite(moved)):
-        return float("nan")
-    cells = base.frame.cells
-    from dataclasses import replace
+    absorbed = _absorbed(base, (effect,), (), base.values | _truth(data))
+    if absorbed is None:
+        return float("nan"), float("nan")
+    left = float(np.max(np.abs(absorbed.residual * base.frame.sd)))
+    return float(np.sqrt(absorbed.chi2)), 100.0 * left / float(np.max(np.abs(base.frame.cells.mean)))
 
-    absorbed = fit(replace(base.frame, cells=replace(cells, mean=moved)), (), base.values, iterations=12)
-    return float(np.sqrt(absorbed.chi2)) if absorbed is not None else float("nan")
+
+def _snr_beside(data: cases.Data, base: Fit) -> list[float]:
+    """For each effect of a pair, the length of what recalibration and the other effect, refitted, cannot follow of the two."""
+    grain = data.grain
+    gain = {"restitution": grain.restitution} if "restitution" in base.values else {"k1": 0.0, "k2": 1.0 + grain.restitution}
+    true = base.values | {"friction": grain.friction, "density": grain.density} | gain | _truth(data)
+    pair = tuple(data.sizes)
+    left = [_absorbed(base, pair, tuple(e for e in pair if e != name), true) for name in pair]
+    return [float("nan") if a is None else float(np.sqrt(a.chi2)) for a in left]
+
+
+def _truth(data: cases.Data) -> dict[str, float]:
+    return {f"{e}.{p}": v for e, size in data.sizes.items() for p, v in _leading_values(e, size).items()}
+
+
+def _absorbed(base: Fit, hidden: tuple[str, ...], known: tuple[str, ...], values: dict[str, float]) -> Fit | None:
+    """The model with the `known` effects fitted to the noise-free prediction with the `hidden` ones."""
+    moved = np.real(predictions(base.frame, hidden, values))
+    if not np.all(np.isfinite(moved)):
+        return None
+    cells = base.frame.cells
+    return fit(replace(base.frame, cells=replace(cells, mean=moved)), known, values, iterations=20)
 
 
 def _leading_values(effect: str, size: float) -> dict[str, float]:
@@ -118,6 +141,7 @@ def summarise(records: list[dict[str, Any]]) -> dict[str, Any]:
     seen = [r for r in strong if _visible(r)]
     out["hidden_1pct_noise_5pct_change"] = _named(strong)
     out["the_same_and_visible"] = _named(seen)
+    out["left_of_full_scale_5pct"] = _named([r for r in strong if (r["projected_pct"] or 0.0) >= 5.0])
     out["by_snr"] = {}
     for noise in (1.0, 3.0):
         for low, high in SNR_BINS:
@@ -134,12 +158,8 @@ def summarise(records: list[dict[str, Any]]) -> dict[str, Any]:
     }
     removed = [r for r in kinds["removed"] if _visible(r)]
     out["removed_and_visible"] = _verdicts(removed)
-    both = kinds["pair"]
-    out["pairs"] = {
-        "of": len(both),
-        "both": sum(_pair_hits(r) == 2 for r in both),
-        "at_least_one": sum(_pair_hits(r) >= 1 for r in both),
-    }
+    out["pairs"] = _pairs(kinds["pair"])
+    out["pairs_both_visible"] = _pairs([r for r in kinds["pair"] if min(r["snr_beside"]) >= VISIBLE])
     out["baselines"] = {name: _baseline(kinds, name) for name in ("aicc", "bic", "sparse")}
     out["ours"] = {
         "first_place": _share([r["named"][:1] == r["hidden"] for r in seen]),
@@ -150,7 +170,7 @@ def summarise(records: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _visible(record: dict[str, Any]) -> bool:
-    return (record["snr"] or 0.0) >= 4.0
+    return (record["snr"] or 0.0) >= VISIBLE
 
 
 def _named(records: list[dict[str, Any]]) -> dict[str, Any]:
@@ -163,7 +183,9 @@ def _named(records: list[dict[str, Any]]) -> dict[str, Any]:
         "of": len(records),
         "first_place_pct": _share(first),
         "within_class_pct": _share(within),
+        "right_pct": _share([w or (r["verdict"] == "none" and not _visible(r)) for r, w in zip(records, within, strict=True)]),
         "wrong_name_pct": _share([r["verdict"] == "effect" and not w for r, w in zip(records, within, strict=True)]),
+        "further_name_pct": _share([len(r["named"]) > 1 for r in records]),
         "unknown_pct": _share([r["verdict"] == "unknown" for r in records]),
         "none_pct": _share([r["verdict"] == "none" for r in records]),
         "mean_class_size": float(np.mean(sizes)) if sizes else None,
@@ -176,6 +198,17 @@ def _named(records: list[dict[str, Any]]) -> dict[str, Any]:
 def _verdicts(records: list[dict[str, Any]]) -> dict[str, Any]:
     return {"of": len(records)} | {
         f"{v}_pct": _share([r["verdict"] == v for r in records]) for v in ("unknown", "effect", "none")
+    }
+
+
+def _pairs(records: list[dict[str, Any]]) -> dict[str, int]:
+    hits = [_pair_hits(r) for r in records]
+    return {
+        "of": len(records),
+        "both": sum(n == 2 for n in hits),
+        "at_least_one": sum(n >= 1 for n in hits),
+        "unknown": sum(r["verdict"] == "unknown" for r in records),
+        "wrong": sum(r["verdict"] == "effect" and n == 0 for r, n in zip(records, hits, strict=True)),
     }
 
 
@@ -213,7 +246,8 @@ def markdown(summary: dict[str, Any], made_at: str) -> str:
         "",
         f"Made by `tools/hidden-effects report` from results of commit {made_at}; cases in `tools/hidden_effects/cases.py` (a",
         "case's seed is a checksum of its key). Numbers are percent of cases unless said otherwise. Visible: the hidden effect's",
-        "signature beyond recalibration is at least 4 standard deviations long (snr).",
+        "signature beyond recalibration is at least 4 standard deviations long (snr). Right: within the class, or `none` where",
+        "the effect is not visible. Further: more than the one effect was named.",
         "",
         "## Named",
         "",
@@ -222,6 +256,7 @@ def markdown(summary: dict[str, Any], made_at: str) -> str:
     rows = {
         "1 % noise, change of 5 % or more": s["hidden_1pct_noise_5pct_change"],
         "the same, visible ones": s["the_same_and_visible"],
+        "the same, 5 % or more beyond recalibration": s["left_of_full_scale_5pct"],
     }
     rows |= s["by_snr"]
     lines += [_table_row(name, _NAMED, values) for name, values in rows.items() if values["of"]]
@@ -234,8 +269,8 @@ def markdown(summary: dict[str, Any], made_at: str) -> str:
         _table_row("effect removed from the library, visible", _VERDICTS, s["removed_and_visible"]),
         "",
         f"Clean data: {s['clean']['false_alarms']} false alarms in {s['clean']['of']} cases.",
-        f"Two effects at once: both named in {s['pairs']['both']} of {s['pairs']['of']}, "
-        f"at least one in {s['pairs']['at_least_one']}.",
+        _pair_line("Two effects at once", s["pairs"]),
+        _pair_line("Those of which each is visible beside the other", s["pairs_both_visible"]),
         "",
         "## Against simpler choices",
         "",
@@ -250,9 +285,16 @@ def markdown(summary: dict[str, Any], made_at: str) -> str:
     return "\n".join(lines)
 
 
+def _pair_line(name: str, pairs: dict[str, int]) -> str:
+    return (
+        f"{name}: both named in {pairs['both']} of {pairs['of']}, at least one in {pairs['at_least_one']}, "
+        f"`unknown` in {pairs['unknown']}, a wrong name first in {pairs['wrong']}."
+    )
+
+
 _NAMED = {
     "of": "cases", "median_snr": "median snr", "first_place_pct": "first", "within_class_pct": "within class",
-    "wrong_name_pct": "wrong",
+    "right_pct": "right", "wrong_name_pct": "wrong", "further_name_pct": "further",
     "unknown_pct": "unknown", "none_pct": "none", "mean_class_size": "class size", "median_closed_pct": "gap closed, held out",
     "median_parameter_error_pct": "parameter error",
 }  # fmt: skip

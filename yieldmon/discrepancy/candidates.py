@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -113,18 +113,42 @@ def score(current: Fit, drawn: Signature) -> Score:
     return Score(drawn.effect, best_gain, best)
 
 
-def refit(current: Fit, found: Score, *, starts: int = 1) -> Fit | None:
-    """The model with the effect added, fitted from where the linear guess points (and, with more starts, from typical sizes)."""
+def refit(current: Fit, found: Score, *, starts: int = 1, beside: Mapping[str, float] | None = None) -> Fit | None:
+    """The model with the effect added, fitted from where the linear guess points (and, with more starts, from typical sizes).
+
+    beside: another point of the present parameters to start from as well; what lies at its null value in `current`, where its
+    derivative may vanish, is found again from there.
+    """
     values = {p.name: float(v) for p, v in zip(current.parameters, current.x, strict=True)}
     effects = (*current.effects, found.effect)
     options = [found.start]
     parameters = effect_parameters(found.effect, current.frame.unit)
     for size in (1.0, -1.0, 0.3, 3.0)[: max(starts - 1, 0)]:
         options.append({p.name: float(np.clip(p.start + size * (p.typical - p.start), p.lower, p.upper)) for p in parameters})
-    fits = [
-        f for option in options if (f := fit(current.frame, effects, _moved(current, found.effect, values | option))) is not None
-    ]
+    points = [_moved(current, found.effect, values | option) for option in options]
+    if beside is not None:
+        points.append(values | dict(beside) | found.start)
+    fits = [f for point in points if (f := fit(current.frame, effects, point)) is not None]
     return min(fits, key=lambda f: f.chi2) if fits else None
+
+
+def again(found: Fit) -> Fit:
+    """The same model from other frictions, densities and sizes of its effects: the best of the fits, `found` among them.
+
+    A fit that needs a bound of an effect's leading parameter, where `found` does not, is no better.
+    """
+    names = [leading(e, found.frame.unit) for e in found.effects]
+    null = {p.name: p.start for p in found.parameters}
+    points = [{"friction": mu, "density": rho} for mu in (0.15, 0.45, 0.8) for rho in (900.0, 1500.0)]
+    points += [{name: null[name] + share * (found.values[name] - null[name])} for name in names for share in (0.4, 2.0)]
+    best = found
+    for point in points:
+        other = fit(found.frame, found.effects, found.values | point)
+        if other is None or set(names) & (set(other.at_bound) - set(found.at_bound)):
+            continue
+        if other.chi2 < best.chi2 - 0.5:
+            best = other
+    return best
 
 
 def only_at_bound(found: Fit, effect: str, allowance: float) -> str:

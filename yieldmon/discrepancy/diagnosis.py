@@ -40,7 +40,7 @@ class Options:
     without: tuple[str, ...] = ()
     keep_effects: bool = False
     seed: int = 1
-    policy: Policy = field(default_factory=lambda: Policy(refits=24, exchanges=8))
+    policy: Policy = field(default_factory=Policy)
 
 
 @dataclass(frozen=True)

@@ -133,7 +133,7 @@ def fit_variances(variance: Array, dof: Array, level2: Array, pooled: float) -> 
 
 
 def _from_smooth_surface(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
-    """Scatter about a polynomial surface over angle, load and speed, which no model had a say in."""
+    """Scatter about a polynomial surface over angle, load, speed and moisture, which no model had a say in."""
     keep = np.ones(len(rows), dtype=bool)
     top = float(np.max(np.abs(rows.value)))
     noise = Noise(0.002 * top, 0.01, 20.0, "stated", 0.01 * top)
@@ -159,9 +159,11 @@ def _from_smooth_surface(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
 
 
 def _surface(rows: Rows, count: int) -> Array | None:
-    axes = (rows.plate_angle_rad, np.sqrt(np.maximum(rows.load, 0.0)), rows.elevator_speed_rad_s)
+    axes = [rows.plate_angle_rad, np.sqrt(np.maximum(rows.load, 0.0)), rows.elevator_speed_rad_s]
+    if np.all(np.isfinite(rows.moisture_pct)):
+        axes.append(rows.moisture_pct)
     scaled, degrees = [], []
-    for values, most in zip(axes, (5, 4, 3), strict=True):
+    for values, most in zip(axes, (5, 4, 3, 2), strict=False):
         span = float(np.ptp(values))
         levels = len(np.unique(np.round(values / max(span, 1e-300), 3))) if span > 0.0 else 1
         scaled.append((values - values.min()) / span * 2.0 - 1.0 if span > 0.0 else np.zeros(len(values)))

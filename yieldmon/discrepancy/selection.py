@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from yieldmon.physics.numerics import Array, real
 
-from .candidates import Score, false_alarm, only_at_bound, refit, score, signature
+from .candidates import Score, again, false_alarm, only_at_bound, refit, score, signature
 from .crossvalidation import grouped_error
 from .fit import Fit, effect_parameters, fit, predictions
 from .gap import LackOfFit, lack_of_fit
@@ -24,7 +24,9 @@ class Policy:
     first_p: float = 0.02
     """Global false-alarm rate of naming anything at all."""
     next_p: float = 0.002
-    """The same for each further effect."""
+    """The same for each further effect, where the model so far may be complete."""
+    complete_f: float = 2.0
+    """Lack of fit up to which it may be: above, p below `gap_p`, that is refuted, and `first_p` holds for a further effect."""
     gap_p: float = 0.01
     """Lack of fit below this is a gap."""
     least_share: float = 0.02
@@ -37,17 +39,19 @@ class Policy:
     """Chi-square distance (over the best one's misfit, where above 1) within which the data cannot tell two effects apart."""
     form: float = 0.04
     """Relative error of an effect's law: a rival that another law could bring within a tie is tied (`form_allowance`)."""
-    largest_class: int = 4
+    near: float = 30.0
+    """Chi-square (over the misfit) beyond a tie within which a rival is fitted from other starts before it is ruled out."""
+    largest_class: int = 5
     """Effects that the leading class may hold and still count as a name."""
     per_parameter: float = 3.0
     """Chi-square that each further parameter must earn."""
-    refits: int = 12
+    refits: int = 24
     """Candidates refitted at a step, the best by signature."""
     bound_allowance: float = 4.0
     """Chi-square (over the misfit) that leaving a bound may cost an effect that is not refused for it."""
     beam: int = 3
     """First-step candidates, refused ones too, whose pairs are tried where the first effect leaves a gap."""
-    exchanges: int = 6
+    exchanges: int = 8
     """Candidates refitted at each exchange."""
     starts: int = 1
     """Starts of each refit."""
@@ -124,14 +128,14 @@ def choose(
         if number == 0:
             looked_at = found
             p_any = min((c.p_value for c in found), default=1.0)
-        good = _admissible(found, current, policy, first=number == 0, excess=excess)
+        good = _admissible(found, current, noise, policy, excess)
         leader = order
         if number == 1 and lack_of_fit(current, noise).p_value < policy.gap_p:
             tell("step 2: other pairs", 0.45)
             for other in [c for c in looked_at if c.effect != order[0]][: policy.beam]:
                 beside = tuple(e for e in effects if e != other.effect)
                 pairs = _candidates(other.fit, noise, beside, rng, policy, policy.exchanges)
-                better = _admissible(pairs, other.fit, policy, first=False, excess=excess)
+                better = _admissible(pairs, other.fit, noise, policy, excess)
                 scale = misfit([c.fit for c in (*good[:1], *better[:1])])
                 if better and (not good or merit(better[0].fit, scale, policy) < merit(good[0].fit, scale, policy) - 1.0):
                     good, found, leader = better, pairs, [other.effect]
@@ -142,6 +146,8 @@ def choose(
         if number > 0:
             tell(f"step {number + 1}: exchange", (number + 0.6) / policy.most_effects)
             current, order, places = _exchange(current, order, places, effects, noise, rng, policy)
+        if lack_of_fit(current, noise).p_value < policy.gap_p:
+            current = again(current)
     if not order:
         verdict = "unknown" if base_gap.p_value < policy.gap_p else "none"
         return Choice(verdict, base, base, base_gap, base_gap, (), looked_at, p_any)
@@ -150,23 +156,29 @@ def choose(
     much = best_gap.f > policy.unexplained_f or remaining > policy.unexplained_share * excess
     unexplained = best_gap.p_value < policy.gap_p and much
     steps, rivals = _steps(current, _by_weight(current, order), places, noise, rng, policy, p_any)
-    undecided = len(steps[0].equivalent) >= policy.largest_class
+    undecided = 1 + len(steps[0].equivalent) > policy.largest_class
     verdict = "unknown" if unexplained or undecided else "effect"
     return Choice(verdict, base, current, base_gap, best_gap, steps, looked_at, p_any, rivals)
 
 
 def _candidates(
-    current: Fit, noise: Noise, effects: tuple[str, ...], rng: np.random.Generator, policy: Policy, refits: int
+    current: Fit,
+    noise: Noise,
+    effects: tuple[str, ...],
+    rng: np.random.Generator,
+    policy: Policy,
+    refits: int,
+    beside: Mapping[str, float] | None = None,
 ) -> tuple[Candidate, ...]:
-    """The `refits` most promising effects, refitted, best first."""
+    """The `refits` most promising effects, refitted (also from `beside`, see `candidates.refit`), best first."""
     signatures = [signature(current, e) for e in effects]
     p_value = false_alarm(signatures, current.tangent(), noise, rng)
     scores = sorted((score(current, s) for s in signatures), key=lambda s: -s.gain)
-    worth: list[Score] = [s for s in scores if s.gain > 1.0][:refits]
+    worth: list[Score] = scores[:refits]
     groups = current.frame.cells.groups()
     out = []
     for s in worth:
-        added = refit(current, s, starts=policy.starts)
+        added = refit(current, s, starts=policy.starts, beside=beside)
         if added is None:
             continue
         gain = current.chi2 - added.chi2
@@ -191,17 +203,24 @@ def merit(candidate: Fit, scale: float, policy: Policy) -> float:
     return candidate.chi2 / scale + cost
 
 
-def _admissible(found: tuple[Candidate, ...], current: Fit, policy: Policy, *, first: bool, excess: float) -> list[Candidate]:
+def _admissible(found: tuple[Candidate, ...], current: Fit, noise: Noise, policy: Policy, excess: float) -> list[Candidate]:
     groups = current.frame.cells.groups()
     before = float(np.mean(list(grouped_error(current, groups).values()) or [np.nan]))
+    first = not current.effects
+    level = policy.first_p if first or _incomplete(current, noise, policy) else policy.next_p
     out = []
     for c in found:
-        significant = c.p_value < (policy.first_p if first else policy.next_p)
         large = first or c.gain >= policy.least_share * excess
         predicts = not np.isfinite(before) or c.cross_validated < before
-        if significant and large and predicts and not c.refused:
+        if c.p_value < level and large and predicts and not c.refused:
             out.append(c)
     return out
+
+
+def _incomplete(current: Fit, noise: Noise, policy: Policy) -> bool:
+    """Whether the data refute that nothing is missing any more, by more than the effects' laws may be off."""
+    gap = lack_of_fit(current, noise)
+    return gap.f > policy.complete_f and gap.p_value < policy.gap_p
 
 
 def _exchange(
@@ -228,7 +247,7 @@ def _exchange(
             places[name] = ()
             continue
         free = tuple(e for e in effects if e not in others)
-        found = _candidates(reduced, noise, free, rng, policy, policy.exchanges)
+        found = _candidates(reduced, noise, free, rng, policy, policy.exchanges, current.values)
         usable = [c for c in found if not c.refused]
         scale = misfit([current, *(c.fit for c in usable)])
         places[name] = found
@@ -261,7 +280,7 @@ def _steps(
 ) -> tuple[tuple[Step, ...], tuple[Fit, ...]]:
     steps, all_rivals = [], []
     for name in order:
-        found = places.get(name, ())
+        found = _once_more(places.get(name, ()), name, current, policy)
         usable = [c for c in found if not c.refused and c.effect != name]
         scale = misfit([current, *(c.fit for c in usable)])
         limit = merit(current, scale, policy) + policy.tie
@@ -274,6 +293,22 @@ def _steps(
         steps.append(Step(name, found, tied, stays * (1.0 - p_any)))
         all_rivals += [c.fit for c in usable if c.effect in tied]
     return tuple(steps), tuple(all_rivals)
+
+
+def _once_more(found: tuple[Candidate, ...], name: str, current: Fit, policy: Policy) -> tuple[Candidate, ...]:
+    """The candidates for the place of `name`, those that miss a tie by little replaced where other starts lead to one."""
+    scale = misfit([current, *(c.fit for c in found if not c.refused)])
+    limit = merit(current, scale, policy) + policy.tie
+    out = []
+    for candidate in found:
+        c = candidate
+        beyond = merit(c.fit, scale, policy) - limit
+        if c.effect != name and not c.refused and 0.0 < beyond < policy.near:
+            better = again(c.fit)
+            if merit(better, scale, policy) <= limit:
+                c = replace(c, fit=better, gain=c.gain + c.fit.chi2 - better.chi2)
+        out.append(c)
+    return tuple(sorted(out, key=lambda c: merit(c.fit, scale, policy)))
 
 
 def form_allowance(current: Fit, effect: str, policy: Policy) -> float:

@@ -1,0 +1,122 @@
+"""The rules of the choice, each on its own: other starts, levels of significance, what counts as complete."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from yieldmon.discrepancy import candidates, diagnosis, selection
+from yieldmon.discrepancy.candidates import Score
+from yieldmon.discrepancy.fit import Fit, fit
+from yieldmon.discrepancy.selection import Candidate, Policy
+
+NAMED_NOTHING = diagnosis.Options(policy=Policy(most_effects=0), hold_out="none")
+
+
+@pytest.fixture
+def published(make_rows, start):
+    """published(effects): the fit of the published model to rows that hide them, and the noise."""
+
+    def make(effects: dict[str, float] | None = None, **more):
+        seen = diagnosis.examine(make_rows(effects, **more), start, NAMED_NOTHING)
+        return seen.choice.base, seen.noise
+
+    return make
+
+
+def test_an_effect_that_stuck_at_nothing_is_found_again_from_where_it_was(published) -> None:
+    """A spread of the stream acts by its square: from zero no derivative leads away."""
+    base, _ = published({"stream_spread": 0.15, "release_angle": -0.12})
+    whole = fit(base.frame, ("stream_spread", "release_angle"), base.values | {"stream_spread.spread_rad": 0.2})
+    stuck = fit(base.frame, ("stream_spread",), base.values | {"stream_spread.spread_rad": 0.0})
+    assert stuck.values["stream_spread.spread_rad"] == 0.0
+    wanted = Score("release_angle", 0.0, {"release_angle.angle_rad": -0.1})
+    alone = candidates.refit(stuck, wanted)
+    helped = candidates.refit(stuck, wanted, beside=whole.values)
+    assert helped.chi2 == pytest.approx(whole.chi2, abs=0.1)
+    assert helped.chi2 < alone.chi2 - 50.0
+
+
+def test_other_starts_leave_a_poor_minimum_and_never_make_a_fit_worse(published) -> None:
+    base, _ = published({"speed_dependent_shape": -1.0, "unpushed_layers": 4.0})
+    effects = ("speed_dependent_shape", "unpushed_layers")
+    best = candidates.again(fit(base.frame, effects, base.values))
+    poor = fit(base.frame, effects, base.values | {"unpushed_layers.rate_per_rad": 15.0}, iterations=1)
+    assert candidates.again(poor).chi2 == pytest.approx(best.chi2, rel=0.02)
+    assert candidates.again(poor).chi2 < 0.5 * poor.chi2
+    assert candidates.again(best).chi2 <= best.chi2
+
+
+def test_other_starts_take_no_effect_to_its_bound(published) -> None:
+    base, _ = published({"zero_offset": -3.0})
+    weight = "plate_buildup.weight_n"
+    found = fit(base.frame, ("plate_buildup",), base.values | {weight: 1.0}, iterations=0)
+    assert weight in fit(base.frame, ("plate_buildup",), found.values).at_bound
+    assert weight not in candidates.again(found).at_bound
+
+
+def _scaled(found: Fit, f: float) -> Fit:
+    """The same fit with residuals that leave a lack of fit of `f`."""
+    times = np.sqrt(f * found.dof / found.chi2)
+    return replace(found, chi2=times**2 * found.chi2, residual=times * found.residual)
+
+
+@pytest.mark.parametrize(
+    ("left_f", "p_value", "enough"),
+    [(3.0, 0.01, True), (3.0, 0.03, False), (1.0, 0.01, False), (1.0, 0.001, True), (1.9, 0.01, False)],
+)
+def test_a_further_effect_needs_less_where_the_model_so_far_is_refuted(published, left_f, p_value, enough) -> None:
+    base, noise = published({"zero_offset": 4.0})
+    current = _scaled(fit(base.frame, ("zero_offset",), base.values), left_f)
+    further = fit(base.frame, ("zero_offset", "release_angle"), base.values)
+    found = (Candidate("release_angle", further, 1e6, p_value, 0.0),)
+    good = selection._admissible(found, current, noise, Policy(), excess=1.0)
+    assert [c.effect for c in good] == (["release_angle"] if enough else [])
+
+
+@pytest.mark.parametrize(
+    ("p_value", "gain", "error", "refused"),
+    [(0.03, 50.0, 0.5, ""), (0.001, 50.0, 99.0, ""), (0.001, 1.0, 0.5, ""), (0.001, 50.0, 0.5, "at a bound")],
+)
+def test_a_further_effect_must_be_significant_large_predictive_and_within_bounds(
+    published, p_value, gain, error, refused
+) -> None:
+    base, noise = published({"zero_offset": 4.0})
+    current = _scaled(fit(base.frame, ("zero_offset",), base.values), 3.0)
+    found = Candidate("release_angle", current, 50.0, 0.001, 0.0)
+    assert selection._admissible((found,), current, noise, Policy(), excess=1000.0) == [found]
+    spoilt = replace(found, p_value=p_value, gain=gain, cross_validated=error, refused=refused)
+    assert selection._admissible((spoilt,), current, noise, Policy(), excess=1000.0) == []
+
+
+def test_a_rival_that_misses_a_tie_by_little_is_fitted_again(published) -> None:
+    base, _ = published({"zero_offset": 4.0})
+    current = fit(base.frame, ("zero_offset",), base.values)
+    worse = fit(
+        base.frame,
+        ("zero_offset",),
+        base.values | {"zero_offset.force_n": current.values["zero_offset.force_n"] + 0.35},
+        iterations=0,
+    )
+    policy = Policy(tie=1.0, near=1e6)
+    rival = Candidate("plate_buildup", worse, 0.0, 0.5, 0.0)
+    assert worse.chi2 > current.chi2 + 10.0
+    (again,) = selection._once_more((rival,), "zero_offset", current, policy)
+    assert again.fit.chi2 == pytest.approx(current.chi2, abs=0.5)
+    assert again.gain == pytest.approx(worse.chi2 - again.fit.chi2)
+    for left in (replace(policy, near=0.0), policy):
+        kept = rival if left is not policy else replace(rival, refused="at a bound")
+        assert selection._once_more((kept,), "zero_offset", current, left) == (kept,)
+
+
+def test_a_pair_hidden_behind_each_other_is_named(make_rows, start) -> None:
+    """Each of the two alone is a compromise of both; the exchange takes it apart."""
+    rows = make_rows({"miss_capture": 0.5, "residual_radial_speed": 0.14})
+    choice = diagnosis.examine(rows, start, diagnosis.Options(policy=Policy(beam=1))).choice
+    classes = [{s.added, *s.equivalent} for s in choice.steps]
+    assert choice.verdict == "effect"
+    assert any("miss_capture" in c for c in classes)
+    assert any("residual_radial_speed" in c for c in classes)
+    assert choice.best_gap.f < 2.0
