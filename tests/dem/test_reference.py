@@ -11,10 +11,11 @@ from collections import defaultdict
 from math import radians, tan
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from yieldmon.files import table
-from yieldmon.physics.machine import Machine
+from yieldmon.physics.machine import RPM, Machine
 from yieldmon.plant.dem import campaign
 from yieldmon.resources import shipped
 
@@ -42,6 +43,37 @@ def test_it_is_what_the_plan_says(rows: list[dict[str, str]]) -> None:
     source = json.loads((DATA / "dem_campaign_provenance.json").read_text(encoding="utf-8"))
     assert source["source_sha256"] == plan.source_sha256
     assert {int(r["engine_version"]) for r in rows} == {source["engine_version"]}
+
+
+def test_grain_ahead_of_the_paddle_leaves_level_half_way_to_the_tips_speed() -> None:
+    """What the effect unpushed_layers says of free grain, and that grain at the paddle leaves otherwise."""
+    tip_m_s = Machine().paddle_length_m * 400.0 * RPM
+    with np.load(DATA / "dem_campaign_grains.npz") as grains:
+        for load in grains["paddle_mass_kg"][1:]:
+            along, ahead, radius, speed, below = (
+                grains[f"{name}_{load:g}"].astype(float)
+                for name in ("along_mm", "ahead_mm", "let_go_radius_mm", "speed_m_s", "below_horizontal_deg")
+            )
+            rho, lead = 1e-3 * radius / Machine().paddle_length_m, np.degrees(np.arctan2(ahead, along))
+            inner = (rho > 0.75) & (rho < 0.9)
+            free, carried = inner & (lead > 15.0), inner & (lead < 5.0)
+            level = speed * np.cos(np.radians(below)) / tip_m_s
+            assert np.mean(level[free]) == pytest.approx(np.mean(0.5 * (1.0 + rho[free])), rel=0.02)
+            assert abs(np.mean(below[free])) < 4.0
+            assert np.mean(below[carried]) > np.mean(below[free]) + 3.0
+
+
+def test_the_outer_grain_of_a_deeper_heap_leaves_higher() -> None:
+    """What the effect stream_rise is about; 0.9 deg of gravity's fall included."""
+    with (DATA / "dem_campaign_layers.csv").open(encoding="utf-8", newline="") as stream:
+        layers = [row for row in csv.DictReader(stream) if row["trial"] == "1" and row["elevator_speed_rpm"] == "400"]
+    for friction in ("0.15", "0.3"):
+        outer = [(float(r["paddle_mass_kg"]), float(r["below_horizontal_deg"])) for r in layers
+                 if r["friction"] == friction and r["layer"] == "5"]  # fmt: skip
+        below = [angle for _, angle in sorted(outer)]
+        assert len(below) == 5
+        assert below[0] > below[2] > below[4]
+        assert below[4] < -1.0
 
 
 def test_the_rows_obey_mechanics(rows: list[dict[str, str]]) -> None:
