@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Mapping
 from math import nan
 
@@ -12,7 +13,9 @@ import pytest
 from yieldmon.engine.anchors import AnchorSource, ReferenceMass
 from yieldmon.engine.closed_loop_calibrator import CalibratorSettings, ClosedLoopCalibrator
 from yieldmon.engine.records import WindowRecord
+from yieldmon.engine.state import EngineState
 from yieldmon.estimation.closed_loop import ClosedLoopSettings
+from yieldmon.estimation.drift import DriftRates
 from yieldmon.estimation.moisture import MoistureMap
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
@@ -228,3 +231,78 @@ def test_time_and_grain_widen_the_prior() -> None:
     assert calibrator.last is not None
     for learning in calibrator.last.parameters:
         assert learning.prior_sd > first.estimator.parameters.standard_deviation(learning.name)
+
+
+STEADY = dataclasses.replace(
+    EXACT, steady_per_kilotonne={"friction": 0.3, "restitution": 0.0, "density": 0.0},
+    drift=DriftRates({}, {"friction": 0.005}, {}), closed_loop=ClosedLoopSettings(learned_information=0.0, kept_ratio=1.0),
+)
+EXACT_PRIOR = dataclasses.replace(PRIOR, covariance=np.diag([0.04**2, 1e-6**2, 0.01**2]), values=dict(TRUE))
+
+
+def rising(hour: float) -> dict[str, float]:
+    """Friction that rises by 10 % for 1000 t; a sweep each 3600 s of 12 kg/s."""
+    return dict(TRUE, friction=TRUE["friction"] * (1.0 + 0.1 * 12.0 * 3600.0 * hour * 1e-6))
+
+
+def taught(calibrator: ClosedLoopCalibrator, hours: range, estimator: OpenLoop) -> OpenLoop:
+    for hour in hours:
+        outcome = calibrator.update(records(12.0, start_s=3600.0 * hour, values=rising(hour)), (), estimator)
+        assert outcome.estimator is not None
+        estimator = outcome.estimator
+    return estimator
+
+
+def test_a_steady_drift_is_expected_once_it_has_been_seen() -> None:
+    calibrator = ClosedLoopCalibrator(MODEL, STEADY)
+    estimator = taught(calibrator, range(20), OpenLoop(MODEL, EXACT_PRIOR))
+    calibrator.update(records(12.0, start_s=3600.0 * 30, values=rising(30)), (), estimator)
+    assert calibrator.last is not None
+    prior = next(p for p in calibrator.last.parameters if p.name == "friction")
+    assert prior.prior == pytest.approx(rising(30)["friction"], rel=0.01)
+    assert estimator.parameters.values["friction"] < prior.prior
+
+
+def test_what_was_learnt_of_the_drift_outlives_a_restart() -> None:
+    calibrator = ClosedLoopCalibrator(MODEL, STEADY)
+    estimator = taught(calibrator, range(20), OpenLoop(MODEL, EXACT_PRIOR))
+    last_s, last_kg = 3600.0 * 19 + 30.0, 12.0 * (3600.0 * 19 + 30.0)
+    kept = calibrator.snapshot(last_s + 100.0, last_kg + 1200.0)
+    text = json.dumps(dataclasses.replace(EngineState(), calibrator=kept).as_dict())
+    state = EngineState.from_dict(json.loads(text)).calibrator
+    assert state == kept
+    again = ClosedLoopCalibrator(MODEL, STEADY)
+    assert state is not None
+    again.restore(state, estimator.parameters, last_kg + 1200.0)
+    assert again.snapshot(0.0, last_kg + 1200.0) == state
+    for one in (calibrator, again):
+        one.update(records(12.0, start_s=3600.0 * 30, values=rising(30)), (), estimator)
+    assert calibrator.last is not None
+    assert again.last is not None
+    # The restarted one cannot know how long it was off; the grain that passed tells.
+    assert again.last.parameters[0].prior == pytest.approx(calibrator.last.parameters[0].prior, rel=1e-9)
+
+
+def test_rates_of_another_configuration_begin_anew() -> None:
+    calibrator = ClosedLoopCalibrator(MODEL, STEADY)
+    estimator = taught(calibrator, range(3), OpenLoop(MODEL, EXACT_PRIOR))
+    state = calibrator.snapshot(2e4, 2e5)
+    assert state is not None
+    other = ClosedLoopCalibrator(MODEL, dataclasses.replace(STEADY, steady_per_kilotonne={"friction": 0.3, "density": 0.1}))
+    other.restore(state, estimator.parameters, 2e5)
+    outcome = other.update(records(12.0, start_s=3600.0 * 3, values=rising(3)), (), estimator)
+    assert outcome.estimator is not None
+    fresh = other.snapshot(2e4, 2e5)
+    assert fresh is not None
+    assert fresh.drifting == ("friction", "density")
+
+
+@pytest.mark.parametrize("change", [{"rates": [0.1, 0.2]}, {"covariance": []}, {"covariance": [[1.0]], "unknown": 1}])
+def test_a_damaged_state_of_the_calibrator_is_refused(change: dict) -> None:
+    calibrator = ClosedLoopCalibrator(MODEL, STEADY)
+    taught(calibrator, range(2), OpenLoop(MODEL, EXACT_PRIOR))
+    data = dataclasses.replace(EngineState(), calibrator=calibrator.snapshot(1e4, 1e5)).as_dict()
+    data = json.loads(json.dumps(data))
+    data["calibrator"] |= change
+    with pytest.raises(ValueError, match="engine state"):
+        EngineState.from_dict(data)

@@ -15,10 +15,11 @@ from hypothesis import strategies as st
 from yieldmon import frames as bus
 from yieldmon.engine.anchors import ReferenceMass
 from yieldmon.engine.monitor import Monitor
-from yieldmon.engine.records import CalibrationOutcome, FlowEstimator, WindowRecord
+from yieldmon.engine.records import CalibrationOutcome, CalibratorState, FlowEstimator, WindowRecord
 from yieldmon.engine.runs import run_of
 from yieldmon.engine.settings import EngineSettings, SweepSettings, WindowSettings
 from yieldmon.engine.windows import WindowBuilder
+from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.frames import ERROR, NOT_AVAILABLE, Frame, SweepState
 from yieldmon.physics.machine import RPM
 
@@ -46,6 +47,12 @@ class Teacher:
 
     def weigh(self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator) -> CalibrationOutcome:
         return self.update([record], anchors, estimator)
+
+    def snapshot(self, now_s: float, total_kg: float) -> None:
+        return None
+
+    def restore(self, state: CalibratorState, parameters: ParameterSet, total_kg: float) -> None:
+        raise AssertionError("nothing was kept")
 
 
 @dataclass

@@ -13,9 +13,10 @@ from yieldmon import frames as bus
 from yieldmon.engine.anchors import ReferenceMass
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
-from yieldmon.engine.records import CalibrationOutcome, FlowEstimator, WindowRecord
+from yieldmon.engine.records import CalibrationOutcome, CalibratorState, FlowEstimator, WindowRecord
 from yieldmon.engine.settings import EngineSettings, SweepSettings
 from yieldmon.engine.sweep import SweepAbort
+from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.frames import EstimateQuality, Frame, SweepState
 
 SETTINGS = EngineSettings(sweep=SweepSettings(first_after_s=18.0, angles_deg=(40.0, 55.0, 85.0, 90.0)))
@@ -44,6 +45,12 @@ class Teacher:
 
     def weigh(self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator) -> CalibrationOutcome:
         raise AssertionError("nothing was weighed")
+
+    def snapshot(self, now_s: float, total_kg: float) -> None:
+        return None
+
+    def restore(self, state: CalibratorState, parameters: ParameterSet, total_kg: float) -> None:
+        raise AssertionError("nothing was kept")
 
 
 def sweep_states(out: list[Frame]) -> list[SweepState]:

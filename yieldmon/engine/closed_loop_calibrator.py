@@ -6,14 +6,14 @@ Between sweeps the parameters' covariance grows (drift), and moisture moves the 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
 
 import numpy as np
 
 from yieldmon.engine.anchors import ReferenceMass
-from yieldmon.engine.records import CalibrationOutcome, FlowEstimator, WindowRecord
+from yieldmon.engine.records import CalibrationOutcome, CalibratorState, FlowEstimator, WindowRecord
 from yieldmon.estimation.closed_loop import (
     ClosedLoopSettings,
     DensityAnchor,
@@ -23,10 +23,11 @@ from yieldmon.estimation.closed_loop import (
     believe_weights,
     self_calibrate,
 )
-from yieldmon.estimation.drift import DriftRates, grow
+from yieldmon.estimation.drift import DriftRates
 from yieldmon.estimation.moisture import MoistureMap
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.steady_drift import DriftingParameters, advance, begin, carried, learn
 from yieldmon.physics.model import ForwardModel
 
 
@@ -35,6 +36,7 @@ class CalibratorSettings:
     """What the self-calibration believes.
 
     anchor_error: relative error of a weighed load that is not the scale's (flow spread, model), added in quadrature.
+    drift, steady_per_kilotonne: how parameters wander, and the standard deviations of their steady rates (`steady_drift`).
     moisture_map: moves the prior when the moisture changes; None: moisture is not used.
     density_ratio: parameter density over test weight, from a calibration in which both were known; None: test weight is not used.
     """
@@ -43,6 +45,9 @@ class CalibratorSettings:
         default_factory=lambda: ClosedLoopSettings(flow="process", model_error=0.01)
     )
     drift: DriftRates = field(default_factory=DriftRates)
+    steady_per_kilotonne: Mapping[str, float] = field(
+        default_factory=lambda: {"friction": 0.0, "restitution": 0.0, "density": 0.0}
+    )
     anchor_error: float = 0.005
     density_ratio: float | None = None
     density_ratio_std_dev: float = 0.1
@@ -66,6 +71,10 @@ class ClosedLoopCalibrator:
         """As they came from outside, for as long as no reference mass has taught anything since."""
         self._taught: ParameterSet | None = None
         """The last set that was handed back."""
+        self._drifting: DriftingParameters | None = None
+        """The same with the rates of its drift."""
+        self._waited_s = 0.0
+        """Time since the last lesson before a restart."""
         self.last: Outcome | None = None
 
     def update(
@@ -82,7 +91,8 @@ class ClosedLoopCalibrator:
         now_s, total_kg = records[-1].time_s, records[-1].total_kg
         used = estimator.parameters
         moisture_pct = _median(r.moisture_pct for r in records)
-        prior = self._prior(used, moisture_pct, now_s, total_kg)
+        drifting = self._prior(used, moisture_pct, now_s, total_kg)
+        prior = drifting.parameters
         masses = self._mass_anchors(anchors, used)
         density = self._density(records, prior)
         if used is not self._taught:
@@ -100,7 +110,7 @@ class ClosedLoopCalibrator:
                 outcome = self._believe(prior, masses, density)
         except ValueError as error:
             return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False)
-        return self._taken(outcome, prior, used, anchors, (now_s, total_kg, moisture_pct))
+        return self._taken(outcome, drifting, used, anchors, (now_s, total_kg, moisture_pct))
 
     def weigh(
         self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator
@@ -108,7 +118,8 @@ class ClosedLoopCalibrator:
         """See records.SelfCalibrator."""
         used = estimator.parameters
         moment = (record.time_s, record.total_kg, record.moisture_pct if self._map is not None else float("nan"))
-        prior = self._prior(used, moment[2], moment[0], moment[1])
+        drifting = self._prior(used, moment[2], moment[0], moment[1])
+        prior = drifting.parameters
         masses = self._mass_anchors(anchors, used)
         if not masses:
             return CalibrationOutcome(None, "no weighed mass that was measured whole; the parameters stay", identifiable=False)
@@ -117,25 +128,30 @@ class ClosedLoopCalibrator:
             outcome = self._believe(prior, masses, None)
         except ValueError as error:
             return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False)
-        return replace(self._taken(outcome, prior, used, anchors, moment), weighed=True)
+        return replace(self._taken(outcome, drifting, used, anchors, moment), weighed=True)
 
     def _believe(self, prior: ParameterSet, masses: Sequence[MassAnchor], density: DensityAnchor | None) -> Outcome:
         return believe_weights(self._model, prior, masses, density, self._settings.closed_loop)
 
     def _taken(
-        self, outcome: Outcome, prior: ParameterSet, used: ParameterSet, anchors: Sequence[ReferenceMass],
+        self, outcome: Outcome, drifting: DriftingParameters, used: ParameterSet, anchors: Sequence[ReferenceMass],
         moment: tuple[float, float, float],
     ) -> CalibrationOutcome:
         """The new parameters, remembered with the moment (bus time s, total kg, moisture %) they hold from."""
         self.last = outcome
         self._used = frozenset(anchors)
+        prior = drifting.parameters
         if not outcome.updated and prior.values == used.values:
             return CalibrationOutcome(None, outcome.reason, identifiable=False)
-        # Without a lesson the moisture map alone has moved the values; the new prior is what is known.
+        # Without a lesson the moisture map or the drift alone has moved the values; the new prior is what is known.
         self._at_s, self._at_kg, self._moisture_pct = moment
         self._history = [*self._history[-7:], (moment[0], used)]
-        known = outcome.parameter_set if outcome.updated else replace(prior, version=used.version + 1)
-        reason = outcome.reason if outcome.updated else "moved by the moisture map; the data said too little"
+        if outcome.updated:
+            self._drifting = learn(drifting, outcome.parameter_set, widening=outcome.prior_widening)
+        else:
+            self._drifting = carried(drifting, replace(prior, version=used.version + 1))
+        known = self._drifting.parameters
+        reason = outcome.reason if outcome.updated else "moved by moisture or steady drift; the data said too little"
         self._taught = known
         return CalibrationOutcome(OpenLoop(self._model, known), reason, outcome.updated)
 
@@ -151,19 +167,50 @@ class ClosedLoopCalibrator:
         reason = "the model disagrees with the sweeps; what they have taught is taken back"
         return CalibrationOutcome(OpenLoop(self._model, self._taught), reason)
 
-    def _prior(self, used: ParameterSet, moisture_pct: float, now_s: float, total_kg: float) -> ParameterSet:
-        """What is known now: the parameters in use, moved by moisture and widened by drift."""
-        prior = used
+    def snapshot(self, now_s: float, total_kg: float) -> CalibratorState | None:
+        """See records.SelfCalibrator."""
+        if not isfinite(self._at_kg):
+            return None
+        known = self._drifting
+        count = 0 if known is None else len(known.parameters.covariance_names)
+        return CalibratorState(
+            waited_s=max(now_s - self._at_s, 0.0) if isfinite(self._at_s) else self._waited_s,
+            harvested_kg=max(total_kg - self._at_kg, 0.0),
+            moisture_pct=self._moisture_pct if isfinite(self._moisture_pct) else None,
+            drifting=() if known is None else known.names,
+            rates=() if known is None else tuple(map(float, known.rates)),
+            covariance=() if known is None else tuple(tuple(map(float, row)) for row in known.joint[count:]),
+        )
+
+    def restore(self, state: CalibratorState, parameters: ParameterSet, total_kg: float) -> None:
+        """See records.SelfCalibrator."""
+        self._waited_s, self._at_kg = state.waited_s, total_kg - state.harvested_kg
+        self._moisture_pct = float("nan") if state.moisture_pct is None else state.moisture_pct
+        fresh = begin(parameters, self._settings.steady_per_kilotonne)
+        if not state.drifting or fresh.names != state.drifting or len(state.covariance[0]) != len(fresh.joint):
+            return  # No rates, or others by now: they begin anew.
+        rows, joint = np.array(state.covariance), fresh.joint.copy()
+        joint[-len(rows) :, :] = rows
+        joint[:, -len(rows) :] = rows.T
+        self._drifting = replace(fresh, rates=np.array(state.rates), joint=joint)
+
+    def _prior(self, used: ParameterSet, moisture_pct: float, now_s: float, total_kg: float) -> DriftingParameters:
+        """What is known now: the parameters in use, moved by moisture and their steady rates, widened by what wanders."""
+        known = self._drifting
+        if known is None or known.parameters is not used:
+            known = begin(used, self._settings.steady_per_kilotonne)
         if self._map is not None and isfinite(moisture_pct):
             if isfinite(self._moisture_pct):
-                prior = self._map.moved(prior, self._moisture_pct, moisture_pct)
+                known = carried(known, self._map.moved(known.parameters, self._moisture_pct, moisture_pct))
             else:
                 self._moisture_pct = moisture_pct
-        hours = (now_s - self._at_s) / 3600.0 if isfinite(self._at_s) else 0.0
-        grain_kg = total_kg - self._at_kg if isfinite(self._at_kg) else 0.0
         if not isfinite(self._at_s):
-            self._at_s, self._at_kg = now_s, total_kg
-        return grow(prior, self._settings.drift, max(hours, 0.0), max(grain_kg, 0.0))
+            self._at_s = now_s - self._waited_s
+        if not isfinite(self._at_kg):
+            self._at_kg = total_kg
+        hours = max(now_s - self._at_s, 0.0) / 3600.0
+        later, _ = advance(known, self._settings.drift, hours, max(total_kg - self._at_kg, 0.0))
+        return later
 
     def _mass_anchors(self, anchors: Sequence[ReferenceMass], used: ParameterSet) -> list[MassAnchor]:
         out = []

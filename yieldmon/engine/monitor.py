@@ -327,6 +327,7 @@ class Monitor:
             calibration_age_s=self._calibration_age_s,
             parameter_version=self._estimator.parameters.version,
             disagreement=self.disagreement.state,
+            calibrator=self._calibrator.snapshot(self._bus_now(), self.totals.total_kg) if self._calibrator is not None else None,
         )
 
     def restore(self, state: EngineState) -> None:
@@ -342,6 +343,8 @@ class Monitor:
         # Where other parameters came from outside meanwhile, the patterns seen so far say nothing about them.
         if state.parameter_version == self._estimator.parameters.version:
             self.disagreement.restore(state.disagreement, self._estimator.parameters)
+            if state.calibrator is not None and self._calibrator is not None:
+                self._calibrator.restore(state.calibrator, self._estimator.parameters, state.totals.total_kg)
 
     # Inputs
 

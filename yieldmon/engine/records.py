@@ -93,6 +93,23 @@ class CalibrationOutcome:
     weighed: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class CalibratorState:
+    """What self-calibration knows beside the parameters.
+
+    waited_s, harvested_kg: since the last lesson. moisture_pct: of the grain for which the parameters hold. drifting: the r
+    parameters that have a steady rate; rates: (r,), per kilotonne; covariance: (r, n + r) of the rates with the n parameters that
+    have a variance, and with each other.
+    """
+
+    waited_s: float
+    harvested_kg: float
+    moisture_pct: float | None
+    drifting: tuple[str, ...]
+    rates: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+
+
 class SelfCalibrator(Protocol):
     """Learns from the windows of a sweep and from reference masses."""
 
@@ -113,3 +130,9 @@ class SelfCalibrator(Protocol):
         self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator
     ) -> CalibrationOutcome:
         """What reference masses alone teach, between sweeps. record: the last window; anchors: all reference masses kept."""
+
+    def snapshot(self, now_s: float, total_kg: float) -> CalibratorState | None:
+        """What is to outlive a restart beside the parameters; None: nothing."""
+
+    def restore(self, state: CalibratorState, parameters: ParameterSet, total_kg: float) -> None:
+        """Go on from a snapshot, with the parameters that were in use then."""

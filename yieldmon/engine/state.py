@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from yieldmon.engine.disagreement import DisagreementState, SweepPattern
+from yieldmon.engine.records import CalibratorState
 from yieldmon.engine.totals import Totals
 from yieldmon.engine.zero import ZeroState
 
@@ -23,6 +24,7 @@ class EngineState:
     calibration_age_s: float | None = None
     parameter_version: int = 0
     disagreement: DisagreementState = field(default_factory=DisagreementState)
+    calibrator: CalibratorState | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Nested plain dict of numbers, fit for JSON."""
@@ -32,9 +34,9 @@ class EngineState:
     def from_dict(cls, data: Mapping[str, Any]) -> EngineState:
         """Inverse of `as_dict`. Raises ValueError when a key is missing, unknown or of the wrong kind.
 
-        A state from before sweeps' patterns were kept has none.
+        A state from before sweeps' patterns or the calibrator's were kept has none.
         """
-        data = {"disagreement": {"patterns": (), "present": False}, **data}
+        data = {"disagreement": {"patterns": (), "present": False}, "calibrator": None, **data}
         known = {item.name for item in fields(cls)}
         if set(data) != known:
             raise ValueError(f"engine state has keys {sorted(data)}; expected {sorted(known)}")
@@ -45,7 +47,9 @@ class EngineState:
             disagreement = DisagreementState(
                 tuple(_pattern(pattern) for pattern in data["disagreement"]["patterns"]), data["disagreement"]["present"]
             )
-            return cls(**{**data, "totals": Totals(**data["totals"]), "zero": zero, "disagreement": disagreement})
+            calibrator = None if data["calibrator"] is None else _calibrator(data["calibrator"])
+            parts = {"totals": Totals(**data["totals"]), "zero": zero, "disagreement": disagreement, "calibrator": calibrator}
+            return cls(**{**data, **parts})
         except (KeyError, TypeError) as error:
             raise ValueError(f"engine state: {error}") from error
 
@@ -53,3 +57,12 @@ class EngineState:
 def _pattern(data: Mapping[str, Any]) -> SweepPattern:
     plain: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in data.items()}
     return SweepPattern(**plain)
+
+
+def _calibrator(data: Mapping[str, Any]) -> CalibratorState:
+    lists = {name: tuple(data[name]) for name in ("drifting", "rates")}
+    state = CalibratorState(**{**data, **lists, "covariance": tuple(tuple(row) for row in data["covariance"])})
+    count = len(state.drifting)
+    if len(state.rates) != count or len(state.covariance) != count or len({len(row) for row in state.covariance}) > 1:
+        raise ValueError(f"engine state: rates {state.rates} do not fit the parameters {state.drifting}")
+    return state

@@ -242,6 +242,8 @@ class Outcome:
     """The same, whitened."""
     flow_parameter_covariance: Array = field(repr=False)
     """(S + n, S + n): logarithms of the flows, then the parameters."""
+    prior_widening: float = 1.0
+    """What `believe_weights` multiplied the prior's covariance by before it agreed with the weighed masses."""
 
     def learned(self) -> tuple[str, ...]:
         """Names of the parameters that moved."""
@@ -299,13 +301,15 @@ def believe_weights(
     certain than they claimed, and their standard deviations are doubled until both agree, up to 16 times. Raises as
     `self_calibrate`.
     """
+    widening = 1.0
     outcome = self_calibrate(model, prior, (), anchors=anchors, density=density, settings=settings)
     for _ in range(_WIDENINGS):
         if outcome.consistent:
             break
-        prior = replace(prior, covariance=4.0 * prior.covariance)
-        outcome = self_calibrate(model, prior, (), anchors=anchors, density=density, settings=settings)
-    return outcome
+        widening *= 4.0
+        wide = replace(prior, covariance=widening * prior.covariance)
+        outcome = self_calibrate(model, wide, (), anchors=anchors, density=density, settings=settings)
+    return replace(outcome, prior_widening=widening)
 
 
 class _Problem:

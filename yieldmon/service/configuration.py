@@ -128,7 +128,10 @@ def calibrator_settings(document: Document, moisture_map: MoistureMap | None = N
         per_root_kilotonne=document.drift_per_root_kilotonne.model_dump(),
         limit=document.drift_limit.model_dump(),
     )
-    return CalibratorSettings(closed_loop=ClosedLoopSettings(**inner), drift=drift, moisture_map=moisture_map, **values)
+    steady = document.steady_drift_per_kilotonne.model_dump()
+    return CalibratorSettings(
+        closed_loop=ClosedLoopSettings(**inner), drift=drift, steady_per_kilotonne=steady, moisture_map=moisture_map, **values
+    )
 
 
 def state_folder(environment: Mapping[str, str]) -> Path:

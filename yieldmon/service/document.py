@@ -407,6 +407,14 @@ class DriftPerRootKilotonne(Section):
     density: float = quantity(_R.per_root_kilotonne["density"], 0.0, 1.0, "1", "density")
 
 
+class SteadyDriftPerKilotonne(Section):
+    """Steady drift, whose rate is learnt: its likely size before that, relative, per 1000 t of grain; 0: not looked for."""
+
+    friction: float = quantity(_L.steady_per_kilotonne["friction"], 0.0, 2.0, "1", "friction")
+    restitution: float = quantity(_L.steady_per_kilotonne["restitution"], 0.0, 2.0, "1", "impact gain")
+    density: float = quantity(_L.steady_per_kilotonne["density"], 0.0, 2.0, "1", "density")
+
+
 class DriftLimit(Section):
     """Relative standard deviation beyond which nothing grows: what is known without any calibration."""
 
@@ -445,6 +453,7 @@ class Document(Section):
     learning: Learning = Learning()
     drift_per_root_hour: DriftPerRootHour = DriftPerRootHour()
     drift_per_root_kilotonne: DriftPerRootKilotonne = DriftPerRootKilotonne()
+    steady_drift_per_kilotonne: SteadyDriftPerKilotonne = SteadyDriftPerKilotonne()
     drift_limit: DriftLimit = DriftLimit()
 
 

@@ -7,7 +7,7 @@ model) and only what its sensors would tell it; a load is judged by the paramete
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,11 @@ from scipy.interpolate import RectBivariateSpline
 from yieldmon.engine.settings import SweepSettings
 from yieldmon.estimation.calibration import Measurements, calibrate
 from yieldmon.estimation.closed_loop import ClosedLoopSettings, MassAnchor, SelfCalibrator, Sweep, believe_weights
+from yieldmon.estimation.closed_loop import Outcome as Lesson
+from yieldmon.estimation.drift import DriftRates
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.steady_drift import Advance, advance, begin, learn, smoothed
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.plant import facility
@@ -55,17 +58,26 @@ STRATEGIES = (
 class StudySettings:
     """Standard deviations of what is not known beforehand, and the sweep's schedule.
 
-    drift_per_sqrt_h: growth of each parameter's standard deviation, relative. map_sd: of the moisture map's slopes, 1/%.
+    wandering: the parameters' random walks. steady_per_kilotonne: of their steady rates, which begin at 0 and are learnt; empty:
+    no rates. map_sd: of the moisture map's slopes, 1/%. learned_information, kept_ratio: as in ClosedLoopSettings; scraps may add
+    up here, because the virtual combine keeps to the model.
     """
 
     sweep_interval_s: float = 600.0
     sweep_angles_deg: tuple[float, ...] = SweepSettings().angles_deg
-    windows_per_angle: int = 2
-    home_every: int = 2
+    windows_per_angle: int = SweepSettings().windows_per_step
+    home_every: int = SweepSettings().home_every
+    plate_rate_deg_s: float = 20.0
+    settle_s: float = SweepSettings().settle_s
     steady_windows: int = 8
     steady_cv: float = 0.08
     min_flow_kg_s: float = 4.0
-    drift_per_sqrt_h: Mapping[str, float] = None  # type: ignore[assignment]
+    wandering: DriftRates = field(
+        default_factory=lambda: DriftRates({}, {"friction": 0.025, "restitution": 0.0025, "density": 0.005}, {})
+    )
+    steady_per_kilotonne: Mapping[str, float] = None  # type: ignore[assignment]
+    learned_information: float = 1e-6
+    kept_ratio: float = 1.0 - 1e-6
     map_mean: Mapping[str, float] = None  # type: ignore[assignment]
     map_sd: Mapping[str, float] = None  # type: ignore[assignment]
     ticket_sd_kg: float = 10.0
@@ -74,9 +86,9 @@ class StudySettings:
 
     def __post_init__(self) -> None:
         defaults = {
-            "drift_per_sqrt_h": {"friction": 0.03, "restitution": 0.015, "density": 0.008},
+            "steady_per_kilotonne": {"friction": 0.2, "restitution": 0.025, "density": 0.05},
             "map_mean": {"friction_per_pct": 0.02, "restitution_per_pct": -0.01, "density_per_pct": -0.005},
-            "map_sd": {"friction_per_pct": 0.02, "restitution_per_pct": 0.01, "density_per_pct": 0.005},
+            "map_sd": {"friction_per_pct": 0.01, "restitution_per_pct": 0.005, "density_per_pct": 0.0025},
         }
         for name, value in defaults.items():
             if getattr(self, name) is None:
@@ -86,7 +98,7 @@ class StudySettings:
 @dataclass(frozen=True)
 class Outcome:
     """One strategy over the season. load_error_pct: signed, by load, with the parameters that held then. posted_error_pct: the
-    same after tickets were used to correct the loads before them, as `yieldmon ticket` does; equal where there are none.
+    same after each day's ticket was used to correct the day's loads (`steady_drift.smoothed`); equal where there are none.
     sweeps, updates: done, and that moved a parameter. history: columns time_h and, for each parameter, value and standard
     deviation.
     """
@@ -166,18 +178,23 @@ class _Keeper:
         effects = ("gravity", "moisture_dependence") if strategy.moisture_map else ("gravity",)
         self.model = ForwardModel(self.machine, effects)
         self.parameters = _with_map(first, settings, float(season.moisture_reading_pct[0])) if strategy.moisture_map else first
+        self.drifting = begin(self.parameters, settings.steady_per_kilotonne)
+        self.steps: list[Advance] = []
         loop = ClosedLoopSettings(
-            flow="process", flow_process_sd=0.12, flow_process_time_s=30.0, model_error=settings.model_error
-        )
+            flow="process", flow_process_sd=0.12, flow_process_time_s=30.0, model_error=settings.model_error,
+            learned_information=settings.learned_information, kept_ratio=settings.kept_ratio,
+        )  # fmt: skip
         self.calibrator = SelfCalibrator(self.model, loop)
         self.flow = np.full(season.time_s.size, np.nan)
         self.angle_deg = np.full(season.time_s.size, self.home_deg)
         self.force, self.force_sd = season.measure(np.arange(season.time_s.size), self.home_deg)
         self.next_sweep_s = settings.sweep_interval_s
-        self.grown_to_h = 0.0
+        self.grown_to = (0.0, 0)
+        self.step_h: list[float] = []
         self.sweeps = self.updates = 0
         self.told_day = 0
-        self.tickets: list[int] = []
+        self.posted_kg = np.full(season.loads.mass_kg.size, np.nan)
+        self.ticketed = 0
         self.load_of_day: list[int] = []
         self.rows: list[tuple[float, ...]] = []
         self.kept = ("friction", "restitution", "density")
@@ -204,13 +221,14 @@ class _Keeper:
         if day > self.told_day:
             if self.strategy.tickets_per_day:
                 for ticket in self.load_of_day[-self.strategy.tickets_per_day :]:
-                    self.tickets.append(ticket)
                     self._weigh(ticket, float(self.season.loads.mass_kg[ticket]), self.settings.ticket_sd_kg, hour)
+                self._post(number + 1)
             self.told_day, self.load_of_day = day, []
 
     def outcome(self) -> Outcome:
         season = self.season
         measured = np.add.reduceat(np.nan_to_num(self.flow), season.loads.start)
+        posted = np.where(np.isfinite(self.posted_kg), self.posted_kg, measured)
         rated = season.mass_flow_kg_s >= 4.0
         relative = 100.0 * np.abs(self.flow[rated] / season.mass_flow_kg_s[rated] - 1.0)
         columns = np.array(self.rows).T
@@ -218,7 +236,7 @@ class _Keeper:
         return Outcome(
             self.strategy,
             100.0 * (measured / season.loads.mass_kg - 1.0),
-            100.0 * (measured * self._ticket_factors(measured) / season.loads.mass_kg - 1.0),
+            100.0 * (posted / season.loads.mass_kg - 1.0),
             float(np.nanmean(relative)),
             float(np.nanpercentile(relative, 95.0)),
             self.sweeps,
@@ -226,32 +244,37 @@ class _Keeper:
             dict(zip(names, columns, strict=True)),
         )
 
-    def _ticket_factors(self, measured_kg: Array) -> Array:
-        """What post-calibration multiplies each load by: 1 just after a ticket, growing evenly to what the next one asks."""
-        factors = np.ones(measured_kg.size)
-        last = 0
-        for ticket in self.tickets:
-            asked = self.season.loads.mass_kg[ticket] / measured_kg[ticket]
-            share = np.arange(1, ticket - last + 2) / (ticket - last + 1)
-            factors[last : ticket + 1] = asked**share
-            last = ticket + 1
-        return factors
+    def _post(self, end: int) -> None:
+        """Measure the loads since the last ticket again, with the parameters as the day's lessons together have them."""
+        known = smoothed(self.steps, self.drifting)
+        hours = np.array([*self.step_h, float(self.season.time_s[self.season.loads.end[end - 1] - 1]) / 3600.0])
+        names = self.parameters.covariance_names
+        rows = np.array([[values[name] for name in names] for values in known])
+        for number in range(self.ticketed, end):
+            windows = slice(int(self.season.loads.start[number]), int(self.season.loads.end[number]))
+            hour = float(np.mean(self.season.time_s[windows])) / 3600.0
+            here = {n: float(np.interp(hour, hours, rows[:, i])) for i, n in enumerate(names)}
+            parameters = replace(self.parameters, values={**self.parameters.values, **here})
+            self.posted_kg[number] = float(np.sum(self._flow(windows, parameters)))
+        self.ticketed = end
 
     def _moisture(self, windows: Array | slice) -> Array | None:
         return self.season.moisture_reading_pct[windows] if self.strategy.moisture_map else None
 
     def _measure(self, start: int, stop: int) -> None:
         """Flow of the windows [start, stop); a window without grain has none."""
-        windows = slice(start, stop)
+        self.flow[start:stop] = self._flow(slice(start, stop), self.parameters)
+
+    def _flow(self, windows: slice, parameters: ParameterSet) -> Array:
         force, speed = self.force[windows], self.season.elevator_speed_rpm[windows] * RPM
         moisture = self._moisture(windows)
-        loop = OpenLoop(self.model, self.parameters)
+        loop = OpenLoop(self.model, parameters)
         flow = np.empty(force.size)
         for angle in np.unique(self.angle_deg[windows]):
             here = self.angle_deg[windows] == angle
             level = None if moisture is None else float(np.mean(moisture))
             flow[here] = _inverted(loop, force[here], float(np.radians(angle)), speed[here], level)
-        self.flow[windows] = np.where(force > 1.0, flow, 0.0)
+        return np.where(force > 1.0, flow, 0.0)
 
     def _try_sweep(self, place: int, end: int) -> int:
         """A sweep from window `place` if the flow has been steady; returns the first window after it."""
@@ -266,18 +289,20 @@ class _Keeper:
             plan.append(angle)
             if (i + 1) % settings.home_every == 0:
                 plan.append(self.home_deg)
-        stride = settings.windows_per_angle + 1
-        length = stride * len(plan)
+        travel_s = np.abs(np.diff([self.home_deg, *plan])) / settings.plate_rate_deg_s + settings.settle_s
+        lost = np.ceil(travel_s).astype(int)
+        strides = lost + settings.windows_per_angle
+        length = int(strides.sum())
         if place + length >= end or np.min(self.season.mass_flow_kg_s[place : place + length]) <= 0.0:
             self.next_sweep_s = place + 30.0
             return place
         windows = np.arange(place, place + length)
-        self.angle_deg[windows] = np.repeat(plan, stride)
+        self.angle_deg[windows] = np.repeat(plan, strides)
         self.force[windows], self.force_sd[windows] = self.season.measure(windows, self.angle_deg[windows])
         self._measure(place, place + length)
-        used = windows[np.arange(length) % stride != 0]
+        used = windows[np.concatenate([np.arange(n) >= k for n, k in zip(strides, lost, strict=True)])]
         hour = float(self.season.time_s[place + length - 1]) / 3600.0
-        self._grow(hour)
+        self._grow(place + length)
         moisture = self._moisture(slice(place, place + length))
         sweep = Sweep(
             self.season.time_s[used],
@@ -306,24 +331,26 @@ class _Keeper:
         if self.strategy.moisture_map:
             moisture = float(np.mean(self.season.moisture_reading_pct[used]))
             anchor = replace(anchor, moisture_pct=np.full(anchor.force_n.shape, moisture))
-        self._grow(hour)
+        self._grow(end)
         self._take(believe_weights(self.model, self.parameters, [anchor], settings=self.calibrator.settings), hour)
 
-    def _take(self, outcome, hour: float) -> None:  # type: ignore[no-untyped-def]
-        if outcome.updated:
-            self.parameters = outcome.parameter_set
+    def _take(self, lesson: Lesson, hour: float) -> None:
+        if lesson.updated:
+            self.drifting = learn(self.drifting, lesson.parameter_set, widening=lesson.prior_widening)
+            self.parameters = self.drifting.parameters
             self.updates += 1
         self._remember(hour)
 
-    def _grow(self, hour: float) -> None:
-        """Let the parameters' covariance grow to the hour."""
-        names = self.parameters.covariance_names
-        covariance = np.array(self.parameters.covariance)
-        for name, rate in self.settings.drift_per_sqrt_h.items():
-            i = names.index(name)
-            covariance[i, i] += (rate * self.parameters.values[name]) ** 2 * max(0.0, hour - self.grown_to_h)
-        self.grown_to_h = max(hour, self.grown_to_h)
-        self.parameters = replace(self.parameters, covariance=covariance)
+    def _grow(self, stop: int) -> None:
+        """What is known at the end of window `stop` - 1."""
+        hour_before, window_before = self.grown_to
+        hour = float(self.season.time_s[stop - 1]) / 3600.0
+        harvested_kg = float(np.nansum(self.flow[window_before:stop]))
+        self.step_h.append(hour_before)
+        self.drifting, step = advance(self.drifting, self.settings.wandering, hour - hour_before, harvested_kg)
+        self.steps.append(step)
+        self.parameters = self.drifting.parameters
+        self.grown_to = (hour, stop)
 
     def _remember(self, hour: float) -> None:
         row = [hour]

@@ -1,0 +1,126 @@
+"""Rates of drift that are learnt along with the parameters, and what later lessons say of earlier values."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from yieldmon.estimation.drift import DriftRates, grow
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.steady_drift import DriftingParameters, advance, begin, learn, smoothed
+
+NAMES = ("friction", "restitution", "density")
+KNOWN = ParameterSet(
+    {"friction": 0.2, "restitution": 0.6, "density": 1100.0, "shape_ratio": 2.0}, NAMES, np.diag([0.02**2, 0.02**2, 50.0**2])
+)
+STILL = DriftRates({}, {}, {})
+SEED = 20261121
+
+
+def measured(prior: ParameterSet, name: str, value: float, sd: float) -> ParameterSet:
+    """The textbook update of a Gaussian by one direct measurement of one parameter."""
+    i = prior.covariance_names.index(name)
+    gain = prior.covariance[:, i] / (prior.covariance[i, i] + sd**2)
+    values = {n: prior.values[n] + g * (value - prior.values[name]) for n, g in zip(prior.covariance_names, gain, strict=True)}
+    covariance = prior.covariance - np.outer(gain, prior.covariance[i])
+    return replace(prior, values={**prior.values, **values}, covariance=0.5 * (covariance + covariance.T))
+
+
+def test_without_rates_it_is_the_random_walk() -> None:
+    rates = DriftRates({"friction": 0.03}, {"density": 0.02}, {})
+    later, _ = advance(begin(KNOWN, {}), rates, 4.0, 0.5e6)
+    assert later.parameters.covariance == pytest.approx(grow(KNOWN, rates, 4.0, 0.5e6).covariance)
+    assert later.parameters.values == KNOWN.values
+
+
+def test_an_unknown_rate_widens_in_proportion_to_grain_and_restitution_by_its_gain() -> None:
+    later, _ = advance(begin(KNOWN, {"friction": 0.1, "restitution": 0.05}), STILL, 7.0, 2e6)
+    assert later.parameters.standard_deviation("friction") == pytest.approx(np.hypot(0.02, 0.2 * 0.1 * 2.0))
+    assert later.parameters.standard_deviation("restitution") == pytest.approx(np.hypot(0.02, 1.6 * 0.05 * 2.0))
+    assert later.parameters.standard_deviation("density") == pytest.approx(50.0)
+
+
+def test_k1_and_k2_share_restitutions_rate() -> None:
+    values = {"friction": 0.2, "k1": -0.3, "k2": 1.5, "density": 1100.0, "shape_ratio": 2.0}
+    assert begin(ParameterSet(values, ("k1", "k2"), np.eye(2)), {"restitution": 0.1}).names == ("k1", "k2")
+
+
+def trended(noise: float) -> tuple[list[float], list[float], DriftingParameters, list[float]]:
+    """Friction rising by 10 % a kilotonne from 0.2, measured at every 0.1 kt: truth, filtered, what is known last, smoothed."""
+    rng = np.random.default_rng(SEED)
+    known, steps, truth, live = begin(KNOWN, {"friction": 0.3}), [], [], []
+    for i in range(1, 31):
+        known, step = advance(known, STILL, 1.0, 1e5)
+        steps.append(step)
+        true = 0.2 * float(np.exp(0.01 * i))
+        known = learn(known, measured(known.parameters, "friction", true + noise * rng.standard_normal(), max(noise, 1e-4)))
+        truth.append(true)
+        live.append(known.parameters.values["friction"])
+    return truth, live, known, [v["friction"] for v in smoothed(steps, known)][1:]
+
+
+def test_a_steady_rate_is_learnt() -> None:
+    _, live, known, _ = trended(0.0)
+    assert known.rates == pytest.approx([0.1], abs=1e-3)
+    ahead, _ = advance(known, STILL, 0.0, 1e6)
+    assert ahead.parameters.values["friction"] == pytest.approx(live[-1] * 1.1, rel=0.01)
+
+
+def test_later_lessons_better_the_past() -> None:
+    truth, live, _, later = trended(0.02)
+    early = slice(0, 15)
+    error = np.abs(np.subtract(live, truth))[early].mean()
+    assert np.abs(np.subtract(later, truth))[early].mean() < 0.6 * error
+
+
+def test_smoothing_is_the_least_squares_fit_of_all_lessons() -> None:
+    """Three states of one parameter, two lessons: against the joint Gaussian, conditioned at once."""
+    sd, rate_sd, noise = 0.02, 0.3, 0.01
+    known, steps = begin(replace(KNOWN, covariance=np.diag([sd**2, 1e-8, 1e-8])), {"friction": rate_sd}), []
+    readings = (0.21, 0.19)
+    for reading in readings:
+        known, step = advance(known, STILL, 1.0, 1e5)
+        steps.append(step)
+        known = learn(known, measured(known.parameters, "friction", reading, noise))
+    # Deviations from 0.2 of (start, rate); the second step's own linearisation adds rate x reading, second order, below 1e-3.
+    design = np.array([[1.0, 0.02], [1.0, 0.04]])
+    prior = np.diag([sd**2, rate_sd**2])
+    gain = prior @ design.T @ np.linalg.inv(design @ prior @ design.T + noise**2 * np.eye(2))
+    start = 0.2 + (gain @ (np.array(readings) - 0.2))[0]
+    assert smoothed(steps, known)[0]["friction"] == pytest.approx(start, abs=2e-4)
+
+
+def test_a_widened_lesson_counts_with_the_width_it_was_given() -> None:
+    known, _ = advance(begin(KNOWN, {"friction": 0.3}), STILL, 1.0, 1e6)
+    wide = replace(known.parameters, covariance=4.0 * known.parameters.covariance)
+    posterior = measured(wide, "friction", 0.3, 0.001)
+    plain = learn(replace(known, parameters=wide, joint=4.0 * known.joint), posterior)
+    assert learn(known, posterior, widening=4.0).joint == pytest.approx(plain.joint)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.tuples(st.sampled_from(NAMES), st.floats(0.5, 1.5), st.floats(0.0, 3e6)), max_size=12))
+def test_covariance_stays_a_covariance(lessons: list[tuple[str, float, float]]) -> None:
+    known = begin(KNOWN, {"friction": 0.2, "restitution": 0.03, "density": 0.05})
+    for name, factor, grain_kg in lessons:
+        known, _ = advance(known, DriftRates(), 1.0, grain_kg)
+        prior = known.parameters
+        known = learn(known, measured(prior, name, prior.values[name] * factor, prior.standard_deviation(name)))
+        scale = np.sqrt(np.diag(known.joint))
+        assert np.linalg.eigvalsh(known.joint / np.outer(scale, scale)).min() > -1e-9
+
+
+@pytest.mark.parametrize("rates", [{"friction": -0.1}, {"density": float("nan")}])
+def test_impossible_rates_are_refused(rates: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match="expected 0 or more"):
+        begin(KNOWN, rates)
+
+
+def test_a_posterior_of_other_parameters_is_refused() -> None:
+    other = ParameterSet(dict(KNOWN.values), ("friction",), np.eye(1) * 1e-4)
+    with pytest.raises(ValueError, match="posterior of"):
+        learn(begin(KNOWN, {}), other)
