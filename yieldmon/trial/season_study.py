@@ -30,10 +30,6 @@ from yieldmon.plant.season import Season, SeasonSettings
 
 Array = NDArray[np.float64]
 
-DAY_S = 10 * 3600
-"""A day's work; a season of 60 h has six of them."""
-
-
 @dataclass(frozen=True, slots=True)
 class Strategy:
     """How the calibration is kept. tickets_per_day: weighed loads told at the end of the day; scale: every load weighed."""
@@ -78,6 +74,7 @@ class StudySettings:
     steady_per_kilotonne: Mapping[str, float] = None  # type: ignore[assignment]
     learned_information: float = 1e-6
     kept_ratio: float = 1.0 - 1e-6
+    day_s: float = 10.0 * 3600.0
     map_mean: Mapping[str, float] = None  # type: ignore[assignment]
     map_sd: Mapping[str, float] = None  # type: ignore[assignment]
     ticket_sd_kg: float = 10.0
@@ -123,8 +120,13 @@ class Outcome:
         return float(np.mean(np.abs(self.load_error_pct) <= 1.0))
 
     @property
+    def within_1_pct_by_third(self) -> tuple[float, ...]:
+        """The same of the first, second and last third of the season's loads."""
+        return tuple(float(np.mean(np.abs(part) <= 1.0)) for part in np.array_split(self.load_error_pct, 3))
+
+    @property
     def posted_within_1_pct(self) -> float:
-        """The same after post-calibration by tickets."""
+        """Share of the loads within 1 % after each day was posted, 0 to 1."""
         return float(np.mean(np.abs(self.posted_error_pct) <= 1.0))
 
 
@@ -217,7 +219,7 @@ class _Keeper:
         self.load_of_day.append(number)
         if self.strategy.tank_scale:
             self._weigh(number, float(self.season.loads.scale_mass_kg[number]), self.settings.scale_sd_kg, hour)
-        day = int(self.season.time_s[end - 1] // DAY_S)
+        day = int(self.season.time_s[end - 1] // self.settings.day_s)
         if day > self.told_day:
             if self.strategy.tickets_per_day:
                 for ticket in self.load_of_day[-self.strategy.tickets_per_day :]:
