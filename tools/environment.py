@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import os
 import shutil
 import subprocess
@@ -34,6 +35,16 @@ def ensure(extra: str) -> Path:
     run([*pip, "--editable", f"{ROOT}[{extra}]"], "pip could not install the project")
     stamp.write_text(wanted)
     return python
+
+
+def enter(module: str, extra: str = "dev") -> None:
+    """Go on in the environment where this Python lacks a module that a tool imports; for tools that import at their top.
+
+    Replaces the process. extra: what the environment is to hold. Raises SystemExit as `ensure`.
+    """
+    if importlib.util.find_spec(module) is None and Path(sys.prefix) != FOLDER:
+        python = ensure(extra)
+        os.execve(str(python), [str(python), *sys.argv], activated())
 
 
 def new_enough_python() -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from yieldmon.plant import facility, season
 from yieldmon.plant.combine import VirtualCombine
 from yieldmon.plant.mean_force import shown_force_n
 from yieldmon.plant.pulse_table import Condition, PulseTable
-from yieldmon.plant.scenario import from_mapping
+from yieldmon.plant.scenario import Scenario, from_mapping
 from yieldmon.plant.season import SeasonSettings
 from yieldmon.plant.throw import throw
 
@@ -163,3 +164,12 @@ def test_seasons_with_one_seed_are_one_season(short):
     np.testing.assert_array_equal(first.mass_flow_kg_s, again.mass_flow_kg_s)
     np.testing.assert_array_equal(first.measure([7, 8], 70.0)[0], again.measure([7, 8], 70.0)[0])
     assert not np.array_equal(first.mass_flow_kg_s, other.mass_flow_kg_s)
+
+
+@pytest.mark.parametrize(("exponent", "share"), [(1.0, 0.25), (2.0, 0.0625), (0.5, 0.5)])
+def test_drift_follows_the_power_asked_for(exponent: float, share: float) -> None:
+    settings = replace(SHORT, drift_exponent=exponent, moisture_pct=(14.0, 14.0, 14.0))
+    begun, later = (season._condition(settings, Scenario(), progress) for progress in (0.0, 0.25))
+    assert later.grain.friction / begun.grain.friction - 1.0 == pytest.approx(share * settings.friction_drift)
+    assert later.grain.restitution / begun.grain.restitution - 1.0 == pytest.approx(share * settings.restitution_drift)
+    assert later.effects.paddle_wear.length_mm == pytest.approx(share * settings.wear_mm)

@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 class SeasonSettings:
     """What happens over the season. Drifts run smoothly from 0 at the start to the full value at the end.
 
+    drift_exponent: drifts and wear go with this power of the season's progress: 1 is a steady rate, 2 begins slowly, 0.5 fast.
     hours: of windows, headlands included. moisture_pct: start, peak at half time, end. friction_drift, restitution_drift,
     density_drift: relative, on top of moisture. wear_mm: paddle length lost. zero_error_n: standard deviation of what zeroing
     leaves, slow over ten minutes. moisture_error_pct: constant bias of the moisture frames is drawn with this deviation.
@@ -41,6 +42,7 @@ class SeasonSettings:
     restitution_drift: float = -0.08
     density_drift: float = 0.0
     wear_mm: float = 3.0
+    drift_exponent: float = 1.0
     flow_kg_s: tuple[float, float] = (2.0, 22.0)
     pass_s: float = 240.0
     headland_s: float = 15.0
@@ -181,14 +183,15 @@ def _condition(settings: SeasonSettings, scenario: Scenario, progress: float) ->
     rise = 0.5 - 0.5 * np.cos(2.0 * np.pi * progress)
     moisture = (start if progress < 0.5 else end) * (1.0 - rise) + peak * rise
     grain: Grain = scenario.crop.grain.at_moisture(float(moisture), settings.moisture_dependence)
+    drifted = progress**settings.drift_exponent
     grain = replace(
         grain,
-        friction=grain.friction * (1.0 + settings.friction_drift * progress),
-        restitution=grain.restitution * (1.0 + settings.restitution_drift * progress),
-        bulk_density_kg_m3=grain.bulk_density_kg_m3 * (1.0 + settings.density_drift * progress),
+        friction=grain.friction * (1.0 + settings.friction_drift * drifted),
+        restitution=grain.restitution * (1.0 + settings.restitution_drift * drifted),
+        bulk_density_kg_m3=grain.bulk_density_kg_m3 * (1.0 + settings.density_drift * drifted),
     )
     already = scenario.effects.paddle_wear.length_mm if scenario.effects.paddle_wear else 0.0
-    wear = PaddleWear(length_mm=already + settings.wear_mm * progress)
+    wear = PaddleWear(length_mm=already + settings.wear_mm * drifted)
     return Condition(settings.hours * progress, grain, scenario.effects.model_copy(update={"paddle_wear": wear}))
 
 
