@@ -133,6 +133,18 @@ def test_estimate_gives_a_status_for_each_row(
     assert rows[1]["std_dev_kg_s"] > 0.0
 
 
+@pytest.mark.parametrize("sigma", ["-1", "nan", "inf"])
+def test_estimate_refuses_noise_that_is_none(capsys: pytest.CaptureFixture[str], tmp_path: Path, sigma: str) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("plate_angle_deg,force_n\n70,50\n")
+    assert "--sigma: is " in run(capsys, "estimate", path, "--sigma", sigma, code=2)
+
+
+@pytest.mark.parametrize(("out", "problem"), [("nowhere/x.yaml", "there is no folder"), (".", "is a folder")])
+def test_calibrate_tells_before_the_fit_that_it_cannot_write(capsys: pytest.CaptureFixture[str], out: str, problem: str) -> None:
+    assert problem in run(capsys, "calibrate", DATA / "dem_table.csv", "--out", out, code=2)
+
+
 def test_estimate_refuses_parameters_of_another_scale(capsys: pytest.CaptureFixture[str]) -> None:
     assert "holds response" in run(capsys, "estimate", DATA / "bench_table.csv", code=2)
 
@@ -279,6 +291,10 @@ def test_self_calibrate_in_words(capsys: pytest.CaptureFixture[str], sweep_table
     [
         ([], "says nothing of its noise"),
         (["--sigma", "0"], "--sigma: is 0"),
+        (["--sigma", "inf"], "--sigma: is inf"),
+        (["--sigma", "1", "--model-error", "-1"], "--model-error: is -1"),
+        (["--sigma", "1", "--model-error", "nan"], "--model-error: is nan"),
+        (["--sigma", "1", "--out", "nowhere/x.yaml"], "nowhere/x.yaml: there is no folder"),
         (["--sigma", "1", "--group-by", "colour"], "colour is no column"),
         (["--sigma", "1", "--group-by", "force_n"], "fewer than two plate angles"),
         (["--sigma", "1", "--density", "1100"], "KG_M3:SD"),

@@ -34,6 +34,26 @@ def test_the_seed_decides(demo, capsys):
     assert runs[0] == runs[1] != runs[2]
 
 
+def test_the_table_is_plain_text(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "40")
+    assert main(["demo", "--duration", "20"]) == 0
+    title, headings, *bands, flow, mass = capsys.readouterr().out.splitlines()
+    assert title.startswith("measured against true flow, 1 Hz, 20 s, ")
+    assert {len(line) for line in (headings, *bands)} == {len(headings)}
+    assert bands[2].split()[0] == "4-8"
+    assert flow.startswith("from 4 kg/s: mean |error| ")
+    assert mass.startswith("accumulated: ")
+
+
+@pytest.mark.parametrize("picture", ["x.pdf", "x", "nowhere/x.png", "."])
+def test_a_picture_that_cannot_be_is_told_before_the_run(picture, capsys):
+    assert main(["demo", "--picture", picture]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("yieldmon: ")
+    assert err.count("\n") == 1
+
+
 @pytest.mark.parametrize("duration", ["1", "1e9", "nan"])
 def test_a_wrong_duration_is_one_line(duration, capsys):
     assert main(["demo", "--duration", duration]) == 2

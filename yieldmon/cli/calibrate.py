@@ -30,7 +30,7 @@ from yieldmon.estimation.calibration import (
 from yieldmon.estimation.moisture import fit as fit_moisture_map
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import Prior
-from yieldmon.files import moisture_file, parameter_file, table
+from yieldmon.files import moisture_file, parameter_file, table, whole_file
 from yieldmon.physics.effects import get_effect
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import EXCHANGE_FORM, RESTITUTION_FORM, ForwardModel
@@ -74,6 +74,13 @@ def run(args: argparse.Namespace) -> int:
     """Fit, report, write."""
     if args.starts < 1:
         raise InputError("--starts", f"is {args.starts}", "1 or more")
+    if args.out is not None and not args.by_moisture:
+        whole_file.check_place(args.out)
+    if args.profiles is not None:
+        from yieldmon.plots import canvas
+
+        canvas.check_name(Path(args.profiles), "--profiles")
+        whole_file.check_place(args.profiles)
     machine = model_options.machine(args)
     data = table.load(args.data)
     for note in data.notes:
@@ -272,8 +279,6 @@ def _profiles(args: argparse.Namespace, result: Calibration, machine: Machine, r
     from yieldmon.plots import canvas, profiles
 
     out = Path(args.profiles)
-    if out.suffix.lower() not in canvas.SUFFIXES:
-        raise InputError("--profiles", f"is {args.profiles}", f"a name that ends in {' or '.join(canvas.SUFFIXES)}")
     known = parameter_file.load(args.prior) if args.prior is not None else None
     curves = profile_curves(
         ForwardModel(machine, result.parameter_set.effects), rows, result,

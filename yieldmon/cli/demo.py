@@ -10,19 +10,20 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
 from yieldmon.bus.codec import Codec
 from yieldmon.errors import InputError
-from yieldmon.files import machine_file
+from yieldmon.files import machine_file, whole_file
 from yieldmon.physics.machine import RPM
 from yieldmon.plant import scenario as scenarios
 from yieldmon.plant.combine import VirtualCombine
+from yieldmon.plots import canvas
 from yieldmon.resources import shipped
 from yieldmon.service import configuration
 from yieldmon.service.assembly import build_monitor
 from yieldmon.trial import accuracy, lockstep, picture
 
+_HEADINGS = ("true flow, kg/s", "windows", "no number", "bias, kg/s", "rms, kg/s", "mean |error|, %", "95 % |error|, %")
 EXAMPLE = "yieldmon demo --duration 120 --seed 1 --picture demo.png"
 
 
@@ -41,6 +42,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Run the demo; 0 unless something failed."""
+    if args.picture is not None:
+        canvas.check_name(args.picture, "--picture")
+        whole_file.check_place(args.picture)
     chosen = scenarios.load(args.scenario or shipped("config/scenarios/demo.yaml"))
     if args.duration is not None:
         if not 10.0 <= args.duration <= 400_000.0:
@@ -72,28 +76,21 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _show(found: accuracy.Accuracy, frames: int, duration_s: float) -> None:
-    console = Console()
-    table = Table(title=f"Measured against true flow, 1 Hz, {duration_s:.0f} s, {frames} frames")
-    for heading in ("true flow, kg/s", "windows", "no number", "bias, kg/s", "rms, kg/s", "mean |error|, %", "95 % |error|, %"):
-        table.add_column(heading, justify="right")
-    for band in found.bands:
-        table.add_row(
-            f"{band.low_kg_s:.0f}-{band.high_kg_s:.0f}",
-            str(band.windows),
-            str(band.missing),
-            *(_number(v) for v in (band.bias_kg_s, band.rms_kg_s, band.mean_abs_pct, band.p95_abs_pct)),
-        )
-    console.print(table)
-    console.print(
+    print(f"measured against true flow, 1 Hz, {duration_s:.0f} s, {frames} frames")
+    for row in (_HEADINGS, *map(_cells, found.bands)):
+        print("   ".join(f"{cell:>{len(heading)}}" for cell, heading in zip(row, _HEADINGS, strict=True)))
+    print(
         f"from {accuracy.RATED_FROM_KG_S:.0f} kg/s: mean |error| {found.mean_abs_pct:.2f} %, "
         f"95th percentile {found.p95_abs_pct:.2f} %, "
         f"{found.missing_rated_windows} of {found.rated_windows} windows without a number"
     )
-    console.print(
+    print(
         f"accumulated: {found.measured_mass_kg:.1f} kg of {found.true_mass_kg:.1f} kg ({found.mass_error_pct:+.2f} %), "
         f"{found.sweeps} sweeps"
     )
 
 
-def _number(value: float) -> str:
-    return f"{value:.2f}" if isfinite(value) else "-"
+def _cells(band: accuracy.Band) -> tuple[str, ...]:
+    errors = (band.bias_kg_s, band.rms_kg_s, band.mean_abs_pct, band.p95_abs_pct)
+    counts = (f"{band.low_kg_s:.0f}-{band.high_kg_s:.0f}", str(band.windows), str(band.missing))
+    return counts + tuple(f"{value:z.2f}" if isfinite(value) else "-" for value in errors)

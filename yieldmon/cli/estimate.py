@@ -34,6 +34,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """A row of output for each row of the table; rows of bad input are errors, rows without a reading have a status."""
+    if not 0.0 <= args.sigma < np.inf:
+        raise InputError("--sigma", f"is {args.sigma:g}", "a number of at least 0")
     machine, known = model_options.machine(args), model_options.parameters(args)
     data = table.load(args.data, need_load=False)
     model_options.check_unit(known, data)

@@ -15,7 +15,7 @@ import numpy as np
 from yieldmon.cli import model_options
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.files import machine_file, parameter_file, strict_yaml, table
+from yieldmon.files import machine_file, parameter_file, strict_yaml, table, whole_file
 from yieldmon.physics.machine import RPM
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
@@ -80,8 +80,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 when the picture is written."""
     out = Path(args.out)
-    if out.suffix.lower() not in canvas.SUFFIXES:
-        raise InputError("--out", f"is {args.out}", f"a name that ends in {' or '.join(canvas.SUFFIXES)}")
+    canvas.check_name(out, "--out")
+    whole_file.check_place(out)
     figure = args.draw(args)
     canvas.save(figure, out)
     print(f"written: {out}", file=sys.stderr)

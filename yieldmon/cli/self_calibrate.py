@@ -16,7 +16,7 @@ import numpy as np
 from yieldmon.cli import model_options
 from yieldmon.errors import InputError
 from yieldmon.estimation.closed_loop import ClosedLoopSettings, DensityAnchor, Outcome, Sweep, self_calibrate
-from yieldmon.files import parameter_file, table
+from yieldmon.files import parameter_file, table, whole_file
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
@@ -52,6 +52,10 @@ def run(args: argparse.Namespace) -> int:
     machine, prior = model_options.machine(args), model_options.parameters(args)
     if args.separate and args.out is not None:
         raise InputError("--out", "given with --separate", "one of them: separate sweeps give separate parameters")
+    if args.out is not None:
+        whole_file.check_place(args.out)
+    if not 0.0 <= args.model_error < 1.0:
+        raise InputError("--model-error", f"is {args.model_error:g}", "a share from 0 to 1")
     data = table.load(args.data, need_load=False)
     model_options.check_unit(prior, data)
     for note in data.notes:
@@ -128,7 +132,7 @@ def _sigma(args: argparse.Namespace, data: table.Table, labels: np.ndarray) -> A
     """Noise of each row in the reading's unit: given, in the table, or from replicates at one angle of one group."""
     column = data.columns.get("sigma", np.full(len(data), np.nan))
     if args.sigma is not None:
-        if not args.sigma > 0.0:
+        if not 0.0 < args.sigma < np.inf:
             raise InputError("--sigma", f"is {args.sigma:g}", "a number above 0")
         return np.where(np.isfinite(column), column, args.sigma)
     if np.all(np.isfinite(column)) and np.all(column > 0.0):

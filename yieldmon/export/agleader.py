@@ -13,8 +13,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from yieldmon.files.whole_file import scratch_for
+
 from .points import YieldPoint
-from .whole_file import scratch_for
 
 LB_PER_KG = 1.0 / 0.45359237
 IN_PER_M = 1.0 / 0.0254

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from .whole_file import scratch_for
+from yieldmon.files.whole_file import scratch_for
 
 
 def write_csv(path: Path, kind: type, rows: Sequence[Any]) -> None:

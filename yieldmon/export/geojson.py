@@ -8,8 +8,9 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
+from yieldmon.files.whole_file import scratch_for
+
 from .points import YieldPoint
-from .whole_file import scratch_for
 
 
 def properties(point: YieldPoint) -> dict[str, object]:

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from yieldmon.files.whole_file import scratch_for
+
 from .geojson import properties
 from .points import YieldPoint
-from .whole_file import scratch_for
 
 LAYER = "yield"
 

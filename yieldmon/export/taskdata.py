@@ -14,9 +14,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from yieldmon import __version__
+from yieldmon.files.whole_file import scratch_for
 
 from .points import YieldPoint
-from .whole_file import scratch_for
 
 LOG_NAME = "TLG00001"
 FOLDER = "TASKDATA"

@@ -13,6 +13,7 @@ from yieldmon.files.parameter_file import GRAIN_LIMITS
 from yieldmon.resources import shipped
 
 from .checked import load_mapping, number
+from .whole_file import scratch_for
 
 PUBLISHED = "config/moisture/corn-published.yaml"
 
@@ -47,7 +48,8 @@ def save(known: MoistureMap, path: str | Path) -> None:
         "values": {name: list(row) for name, row in known.values.items()},
         "doubt": known.doubt,
     }
-    Path(path).write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+    with scratch_for(path) as scratch:
+        scratch.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
 
 
 def _row(value: Any, where: str, unit: str, low: float, high: float) -> tuple[float, ...]:

@@ -5,7 +5,6 @@ Numbers are written with Python's shortest exact representation, so a file read 
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from math import isfinite, radians
 from pathlib import Path
@@ -21,6 +20,7 @@ from yieldmon.physics.machine import RPM
 from yieldmon.resources import shipped
 
 from .checked import load_mapping, number
+from .whole_file import scratch_for
 
 DEFAULT = "config/parameters/corn.yaml"
 FORMAT = 1
@@ -107,18 +107,10 @@ def to_document(parameters: ParameterSet) -> dict[str, Any]:
 
 
 def save(parameters: ParameterSet, path: str | Path) -> None:
-    """Write the file whole or not at all (a new file is synced, then put in place of the old)."""
-    path = Path(path)
+    """Write the file whole or not at all. Raises InputError or OSError as `whole_file.scratch_for`."""
     text = yaml.dump(to_document(parameters), Dumper=_ExactDumper, sort_keys=False, allow_unicode=True)
-    scratch = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with open(scratch, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(scratch, path)
-    finally:
-        scratch.unlink(missing_ok=True)
+    with scratch_for(path, durable=True) as scratch:
+        scratch.write_text(text, encoding="utf-8")
 
 
 class _ExactDumper(yaml.SafeDumper):

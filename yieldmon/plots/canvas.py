@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
+from yieldmon.files.whole_file import scratch_for
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,14 +32,27 @@ def new_figure(rows: int = 1, columns: int = 1, *, size_in: tuple[float, float] 
     return figure, axes
 
 
-def save(figure: Figure, path: Path) -> None:
-    """Write a PNG or an SVG; the same picture gives the same file. Raises InputError for another ending."""
+def check_name(path: Path, where: str) -> None:
+    """To be asked before the work: raises InputError for a name that is no PNG's or SVG's, ImportError without matplotlib.
+
+    where: the option that gave the name.
+    """
+    import matplotlib  # noqa: F401 - is it there?
+
     if path.suffix.lower() not in SUFFIXES:
-        raise InputError(str(path), f"unknown kind of picture {path.suffix!r}", f"a name that ends in {' or '.join(SUFFIXES)}")
+        raise InputError(where, f"is {path}", f"a name that ends in {' or '.join(SUFFIXES)}")
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a PNG or an SVG whole or not at all; the same picture gives the same file.
+
+    Raises InputError for another ending or a path that cannot be a file's.
+    """
+    check_name(path, "picture")
     import matplotlib
 
-    with matplotlib.rc_context({"svg.hashsalt": "yieldmon", "svg.fonttype": "none"}):
-        figure.savefig(path, dpi=110, metadata={"Date": None} if path.suffix.lower() == ".svg" else None)
+    with matplotlib.rc_context({"svg.hashsalt": "yieldmon", "svg.fonttype": "none"}), scratch_for(path) as scratch:
+        figure.savefig(scratch, dpi=110, metadata={"Date": None} if path.suffix.lower() == ".svg" else None)
 
 
 def legend_above(axes: Axes) -> None:

@@ -10,7 +10,6 @@ import csv
 import dataclasses
 import io
 import json
-import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,6 +18,7 @@ from pathlib import Path
 from typing import IO, Any, Protocol, get_args, get_type_hints
 
 from yieldmon.errors import InputError
+from yieldmon.files.whole_file import scratch_for
 from yieldmon.service.rows import SecondRow
 
 COLUMNS = tuple(field.name for field in dataclasses.fields(SecondRow))
@@ -43,7 +43,8 @@ class RowWriter(Protocol):
 def open_table(path: str, kind: str | None = None) -> Iterator[RowWriter]:
     """A writer for the file at `path`, which appears under its name when it is whole; "-" is standard output.
 
-    kind: one of FORMATS; default: the path's suffix, for standard output ".csv". Raises InputError for another kind.
+    kind: one of FORMATS; default: the path's suffix, for standard output ".csv". Raises InputError for another kind and
+    for a path that cannot be a file's.
     """
     kind = kind or (".csv" if path == "-" else Path(path).suffix.lower())
     if kind not in FORMATS:
@@ -53,23 +54,18 @@ def open_table(path: str, kind: str | None = None) -> Iterator[RowWriter]:
         yield writer
         writer.finish()
         return
-    scratch = Path(path).with_name(f".{Path(path).name}.{os.getpid()}.tmp")
-    try:
-        with scratch.open("wb") as file:
-            text = None if kind == ".parquet" else io.TextIOWrapper(file, encoding="utf-8", newline="")
-            writer = _writer(kind, text, file)
-            try:
-                yield writer
-            except BaseException:
-                writer.abandon()
-                raise
-            writer.finish()
-            if text is not None:
-                text.flush()
-                text.detach()
-        scratch.replace(path)
-    finally:
-        scratch.unlink(missing_ok=True)
+    with scratch_for(path) as scratch, scratch.open("wb") as file:
+        text = None if kind == ".parquet" else io.TextIOWrapper(file, encoding="utf-8", newline="")
+        writer = _writer(kind, text, file)
+        try:
+            yield writer
+        except BaseException:
+            writer.abandon()
+            raise
+        writer.finish()
+        if text is not None:
+            text.flush()
+            text.detach()
 
 
 def _writer(kind: str, text: Any, binary: IO[bytes]) -> RowWriter:

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
+from yieldmon.plots import canvas
+
 from .accuracy import Accuracy
 
 
 def draw(accuracy: Accuracy, path: Path) -> None:
-    """Write a PNG or SVG: both flows over time, and the error of each rated window. Raises ImportError without matplotlib."""
+    """Write a PNG or SVG: both flows over time, and the error of each rated window. Raises as `canvas.save`."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, 7), layout="constrained")
@@ -35,4 +37,4 @@ def draw(accuracy: Accuracy, path: Path) -> None:
     error.set_xlabel("bus time, s")
     for axes in (flow, error):
         axes.grid(alpha=0.3)
-    figure.savefig(path, dpi=110)
+    canvas.save(figure, path)

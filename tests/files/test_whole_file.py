@@ -1,0 +1,72 @@
+"""Files that appear whole: what is there before, meanwhile, after, and when something fails."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from yieldmon.errors import InputError
+from yieldmon.files.whole_file import scratch_for
+
+
+@pytest.mark.parametrize("durable", [False, True])
+def test_the_old_file_stays_until_the_new_one_is_whole(tmp_path: Path, durable: bool) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text("old")
+    with scratch_for(path, durable=durable) as scratch:
+        scratch.write_text("new")
+        assert path.read_text() == "old"
+        assert scratch.suffix == ".csv"
+    assert path.read_text() == "new"
+    assert os.listdir(tmp_path) == ["table.csv"]
+
+
+def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text("old")
+    writing = scratch_for(path)
+    writing.__enter__().write_text("half")
+    assert not writing.__exit__(KeyboardInterrupt, KeyboardInterrupt(), None)
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["table.csv"]
+
+
+def test_what_is_no_file_is_written_to_and_stays_what_it_is(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        with scratch_for(pipe) as scratch:
+            scratch.write_text("through")
+        assert os.read(reader, 100) == b"through"
+    finally:
+        os.close(reader)
+    assert pipe.is_fifo()
+
+
+def test_a_link_is_followed(tmp_path: Path) -> None:
+    kept = tmp_path / "real" / "corn.yaml"
+    kept.parent.mkdir()
+    kept.write_text("old")
+    link = tmp_path / "corn.yaml"
+    link.symlink_to(kept)
+    with scratch_for(link) as scratch:
+        scratch.write_text("new")
+    assert link.is_symlink()
+    assert kept.read_text() == "new"
+
+
+@pytest.mark.parametrize(("name", "problem"), [("", "is a folder"), ("nowhere/x.csv", "there is no folder")])
+def test_a_place_for_no_file_is_named(tmp_path: Path, name: str, problem: str) -> None:
+    with pytest.raises(InputError, match=problem) as caught, scratch_for(tmp_path / name):
+        pytest.fail("nothing can be written there")
+    assert caught.value.where == str(tmp_path / name)
+
+
+def test_an_error_names_the_path_that_was_asked_for(tmp_path: Path) -> None:
+    path = tmp_path / "x.csv"
+    with pytest.raises(FileNotFoundError) as caught, scratch_for(path):
+        pass  # Nothing was written, so there is nothing to put in place.
+    assert caught.value.filename == str(path)

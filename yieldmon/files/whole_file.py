@@ -1,0 +1,53 @@
+"""A file that appears under its name when it is whole: readers see the old one or the new one, never a half."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from yieldmon.errors import InputError
+
+
+def check_place(path: str | Path) -> None:
+    """To be asked before the work: raises InputError for a folder, or a name in a folder that does not exist."""
+    target = Path(path).resolve()
+    if target.is_dir():
+        raise InputError(str(path), "is a folder", "the name of a file to write")
+    if not target.parent.is_dir():
+        raise InputError(str(path), f"there is no folder {target.parent}", "a file in a folder that exists")
+
+
+@contextmanager
+def scratch_for(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
+    """A path to write to, beside `path`; it takes that name at the end, and goes when something fails.
+
+    A link is followed. What is there and is no file (a pipe, /dev/stdout) is written to as it is. durable: on the medium before
+    it takes the name. Raises InputError as `check_place`; an OSError names `path`.
+    """
+    check_place(path)
+    target = Path(path).resolve()
+    if target.exists() and not target.is_file():
+        yield target
+        return
+    scratch = target.with_name(f".{target.stem}.{os.getpid()}{target.suffix}")
+    try:
+        yield scratch
+        if durable:
+            _sync(scratch)
+        scratch.replace(target)
+    except OSError as error:
+        if error.filename == str(scratch):
+            error.filename = str(path)
+        raise
+    finally:
+        scratch.unlink(missing_ok=True)
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
