@@ -249,6 +249,23 @@ def test_a_fan_is_many_straight_paths_of_which_the_edge_lets_some_pass(incidence
         assert float(fan.landing_share * got) == pytest.approx(np.mean(speed * of(direction) * strikes), abs=5e-4 * speed)
 
 
+@pytest.mark.parametrize(("other", "key", "size"), [("plate_overshoot", "depth_m", 0.02), ("miss_capture", "share", 0.8)])
+def test_what_a_fan_lands_is_lost_or_caught_like_other_grain(other: str, key: str, size: float) -> None:
+    """The fan settles what passes the low edge; what acts on grain near the edges acts on that."""
+
+    def momentum(share: float):
+        values = GRAIN | {"stream_spread.spread_rad": 0.2, f"{other}.{key}": share}
+        return ForwardModel(MACHINE, ("stream_spread", other)).paddle_momentum(AT, values, overfull="nan")
+
+    change = momentum(size) / momentum(0.0) - 1.0
+    held = np.isfinite(change)
+    if other == "plate_overshoot":
+        assert np.all(change[held] < -0.1)
+    else:
+        assert np.all(change[held] > -1e-12)
+        assert np.max(change[held]) > 0.02
+
+
 def test_overshoot_takes_most_from_grain_near_the_top() -> None:
     lost = 1.0 - read("plate_overshoot", depth_m=0.01) / BASE
     light, heavy = lost[LOAD == 0.05], lost[LOAD == 2.5]

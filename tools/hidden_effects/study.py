@@ -213,16 +213,13 @@ def _pairs(records: list[dict[str, Any]]) -> dict[str, int]:
 
 
 def _pair_hits(record: dict[str, Any]) -> int:
+    """How many of the two are named, each in a place of its own: as its first name, or within a class of at most four."""
     if record["verdict"] != "effect":
         return 0
-    hits = 0
-    left = list(record["classes"])
-    for name in record["hidden"]:
-        place = next((c for c in left if name == c[0]), None) or next((c for c in left if name in c and len(c) <= 4), None)
-        if place is not None:
-            left.remove(place)
-            hits += 1
-    return hits
+    one, other = (
+        {i for i, c in enumerate(record["classes"]) if name == c[0] or (name in c and len(c) <= 4)} for name in record["hidden"]
+    )
+    return min(bool(one) + bool(other), len(one | other))
 
 
 def _baseline(kinds: dict[str, list[dict[str, Any]]], name: str) -> dict[str, Any]:

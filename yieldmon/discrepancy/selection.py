@@ -14,6 +14,7 @@ from .crossvalidation import grouped_error
 from .fit import Fit, effect_parameters, fit, predictions
 from .gap import LackOfFit, lack_of_fit
 from .noise import Noise
+from .pairs import screen
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,9 @@ class Policy:
     gap_p: float = 0.01
     """Lack of fit below this is a gap."""
     least_share: float = 0.02
-    """Share of the original excess chi-square that a further effect must explain."""
+    """Share of the original excess chi-square that a further effect must explain, or else"""
+    least_of_rest: float = 0.5
+    """this share of what is left, where the data refute that nothing is missing any more."""
     unexplained_f: float = 3.5
     """Lack of fit above which a gap is never called explained."""
     unexplained_share: float = 0.15
@@ -42,15 +45,17 @@ class Policy:
     near: float = 30.0
     """Chi-square (over the misfit) beyond a tie within which a rival is fitted from other starts before it is ruled out."""
     largest_class: int = 5
-    """Effects that the leading class may hold and still count as a name."""
+    """Effects that a class may hold and still count as a name (see `_spared` for a further effect's)."""
     per_parameter: float = 3.0
     """Chi-square that each further parameter must earn."""
     refits: int = 24
     """Candidates refitted at a step, the best by signature."""
     bound_allowance: float = 4.0
     """Chi-square (over the misfit) that leaving a bound may cost an effect that is not refused for it."""
-    beam: int = 3
-    """First-step candidates, refused ones too, whose pairs are tried where the first effect leaves a gap."""
+    beam: int = 6
+    """First-step candidates, refused ones too, beside which a second is screened where the first leaves a gap; pairs tried."""
+    pairs: int = 12
+    """Pairs refitted, the best by screening."""
     exchanges: int = 8
     """Candidates refitted at each exchange."""
     starts: int = 1
@@ -131,14 +136,10 @@ def choose(
         good = _admissible(found, current, noise, policy, excess)
         leader = order
         if number == 1 and lack_of_fit(current, noise).p_value < policy.gap_p:
-            tell("step 2: other pairs", 0.45)
-            for other in [c for c in looked_at if c.effect != order[0]][: policy.beam]:
-                beside = tuple(e for e in effects if e != other.effect)
-                pairs = _candidates(other.fit, noise, beside, rng, policy, policy.exchanges)
-                better = _admissible(pairs, other.fit, noise, policy, excess)
-                scale = misfit([c.fit for c in (*good[:1], *better[:1])])
-                if better and (not good or merit(better[0].fit, scale, policy) < merit(good[0].fit, scale, policy) - 1.0):
-                    good, found, leader = better, pairs, [other.effect]
+            tell("step 2: all pairs", 0.45)
+            better = _better_pair(base, looked_at, good, effects, noise, rng, policy, excess)
+            if better is not None:
+                leader, good, found = better
         if not good:
             break
         current, order = good[0].fit, [*leader, good[0].effect]
@@ -151,14 +152,19 @@ def choose(
     if not order:
         verdict = "unknown" if base_gap.p_value < policy.gap_p else "none"
         return Choice(verdict, base, base, base_gap, base_gap, (), looked_at, p_any)
+    current, steps, rivals = _spared(current, order, places, effects, noise, rng, policy, p_any, excess)
     best_gap = lack_of_fit(current, noise)
-    remaining = current.chi2 - current.dof
-    much = best_gap.f > policy.unexplained_f or remaining > policy.unexplained_share * excess
-    unexplained = best_gap.p_value < policy.gap_p and much
-    steps, rivals = _steps(current, _by_weight(current, order), places, noise, rng, policy, p_any)
+    unexplained = _unexplained(current, noise, policy, excess)
     undecided = 1 + len(steps[0].equivalent) > policy.largest_class
     verdict = "unknown" if unexplained or undecided else "effect"
     return Choice(verdict, base, current, base_gap, best_gap, steps, looked_at, p_any, rivals)
+
+
+def _unexplained(current: Fit, noise: Noise, policy: Policy, excess: float) -> bool:
+    """Whether what is left is significant, and too much to call the gap explained."""
+    gap = lack_of_fit(current, noise)
+    much = gap.f > policy.unexplained_f or current.chi2 - current.dof > policy.unexplained_share * excess
+    return gap.p_value < policy.gap_p and much
 
 
 def _candidates(
@@ -169,12 +175,13 @@ def _candidates(
     policy: Policy,
     refits: int,
     beside: Mapping[str, float] | None = None,
+    always: tuple[str, ...] = (),
 ) -> tuple[Candidate, ...]:
-    """The `refits` most promising effects, refitted (also from `beside`, see `candidates.refit`), best first."""
+    """The `refits` most promising effects and `always`, refitted (also from `beside`, see `candidates.refit`), best first."""
     signatures = [signature(current, e) for e in effects]
     p_value = false_alarm(signatures, current.tangent(), noise, rng)
     scores = sorted((score(current, s) for s in signatures), key=lambda s: -s.gain)
-    worth: list[Score] = scores[:refits]
+    worth: list[Score] = scores[:refits] + [s for s in scores[refits:] if s.effect in always]
     groups = current.frame.cells.groups()
     out = []
     for s in worth:
@@ -182,11 +189,54 @@ def _candidates(
         if added is None:
             continue
         gain = current.chi2 - added.chi2
-        refused = only_at_bound(added, s.effect, policy.bound_allowance)
+        # A bound that the data do not refute is no evidence against the effect.
+        complete = lack_of_fit(added, noise).p_value >= policy.gap_p
+        refused = "" if complete else only_at_bound(added, s.effect, policy.bound_allowance)
         errors = grouped_error(added, groups)
         out.append(Candidate(s.effect, added, gain, p_value(gain), float(np.mean(list(errors.values()) or [np.nan])), refused))
     scale = misfit([c.fit for c in out])
     return tuple(sorted(out, key=lambda c: merit(c.fit, scale, policy)))
+
+
+def _better_pair(
+    base: Fit,
+    looked_at: tuple[Candidate, ...],
+    good: list[Candidate],
+    effects: tuple[str, ...],
+    noise: Noise,
+    rng: np.random.Generator,
+    policy: Policy,
+    excess: float,
+) -> tuple[list[str], list[Candidate], tuple[Candidate, ...]] | None:
+    """A pair better than the forward step's `good[0]`: its first effect, its second, and all candidates beside the first."""
+    for alone, pair in _pairs(base, looked_at, effects, policy)[: policy.beam]:
+        scale = misfit([pair, *(c.fit for c in good[:1])])
+        if good and merit(pair, scale, policy) >= merit(good[0].fit, scale, policy) - 1.0:
+            return None
+        others = tuple(e for e in effects if e != alone.effect)
+        found = _candidates(alone.fit, noise, others, rng, policy, policy.exchanges, pair.values, pair.effects)
+        second = [c for c in _admissible(found, alone.fit, noise, policy, excess) if c.effect in pair.effects]
+        if second:
+            return [alone.effect], second, found
+    return None
+
+
+def _pairs(
+    base: Fit, looked_at: tuple[Candidate, ...], effects: tuple[str, ...], policy: Policy
+) -> list[tuple[Candidate, Fit]]:
+    """All pairs of effects screened, the best refitted: each with the better of its two alone, best first."""
+    alone = {c.effect: c for c in looked_at}
+    singles = [
+        (c.fit, [score(c.fit, signature(c.fit, e)) for e in effects if e != c.effect]) for c in looked_at[: policy.beam]
+    ]
+    out = []
+    for pair in screen(base, [signature(base, e) for e in effects], singles)[: policy.pairs]:
+        present = [alone[e] for e in pair.effects if e in alone]
+        both = fit(base.frame, pair.effects, base.values | pair.start)
+        if present and both is not None:
+            out.append((min(present, key=lambda c: c.fit.chi2), both))
+    scale = misfit([f for _, f in out])
+    return sorted(out, key=lambda found: merit(found[1], scale, policy))
 
 
 def misfit(fits: list[Fit]) -> float:
@@ -207,10 +257,14 @@ def _admissible(found: tuple[Candidate, ...], current: Fit, noise: Noise, policy
     groups = current.frame.cells.groups()
     before = float(np.mean(list(grouped_error(current, groups).values()) or [np.nan]))
     first = not current.effects
-    level = policy.first_p if first or _incomplete(current, noise, policy) else policy.next_p
+    incomplete = _incomplete(current, noise, policy)
+    level = policy.first_p if first or incomplete else policy.next_p
+    least = policy.least_share * excess
+    if incomplete:
+        least = min(least, policy.least_of_rest * (current.chi2 - current.dof))
     out = []
     for c in found:
-        large = first or c.gain >= policy.least_share * excess
+        large = first or c.gain >= least
         predicts = not np.isfinite(before) or c.cross_validated < before
         if c.p_value < level and large and predicts and not c.refused:
             out.append(c)
@@ -293,6 +347,32 @@ def _steps(
         steps.append(Step(name, found, tied, stays * (1.0 - p_any)))
         all_rivals += [c.fit for c in usable if c.effect in tied]
     return tuple(steps), tuple(all_rivals)
+
+
+def _spared(
+    current: Fit,
+    order: list[str],
+    places: dict[str, tuple[Candidate, ...]],
+    effects: tuple[str, ...],
+    noise: Noise,
+    rng: np.random.Generator,
+    policy: Policy,
+    p_any: float,
+    excess: float,
+) -> tuple[Fit, tuple[Step, ...], tuple[Fit, ...]]:
+    """The fit and its steps, less the further effects that are no name, being tied with too many.
+
+    None is left out whose absence the data refute, or which leaves the gap unexplained.
+    """
+    steps, rivals = _steps(current, _by_weight(current, order), places, noise, rng, policy, p_any)
+    while crowded := [s.added for s in steps[1:] if 1 + len(s.equivalent) > policy.largest_class]:
+        kept = [s.added for s in steps if s.added != crowded[-1]]
+        fewer = fit(current.frame, kept, current.values)
+        if fewer is None or _incomplete(fewer, noise, policy) or _unexplained(fewer, noise, policy, excess):
+            break
+        current, order, places = _exchange(fewer, kept, {}, effects, noise, rng, policy)
+        steps, rivals = _steps(current, _by_weight(current, order), places, noise, rng, policy, p_any)
+    return current, steps, rivals
 
 
 def _once_more(found: tuple[Candidate, ...], name: str, current: Fit, policy: Policy) -> tuple[Candidate, ...]:

@@ -58,4 +58,5 @@ EFFECT = Effect(
     ),
     arrival=_arrival,
     needs_misses=True,
+    rank=1,
 )
