@@ -341,3 +341,19 @@ def test_an_empty_queue_is_not_yet_a_silent_bus() -> None:
             threading.Event().wait(0.01)
         assert before == float("-inf")
         assert receiver.empty_until_s > before
+
+
+def test_what_the_kernel_dropped_on_a_bus_that_was_lost_stays_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    drops: dict[object, int] = {}
+    monkeypatch.setattr(receiving, "kernel_drops_of", drops.get)
+    first, second = ScriptedBus(), ScriptedBus()
+    drops |= {first: 3, second: 4}
+    with Receiver(opener(first, second)) as receiver:
+        lost = receiver.get(WAIT_S)
+        assert (lost.kind, lost.count) == (BusEventKind.FRAMES_DROPPED, 3)
+        first.feed.put(OSError("gone"))
+        found = [receiver.get(WAIT_S) for _ in range(3)]
+    assert [(item.kind, item.count) for item in found[1:]] == [
+        (BusEventKind.INTERFACE_RESTORED, 1), (BusEventKind.FRAMES_DROPPED, 4),
+    ]
+    assert receiver.counters().kernel_drops == 7

@@ -438,3 +438,51 @@ def test_a_sensor_that_starts_and_stops_has_lost_nothing() -> None:
     feed(target, quiet)
     assert FaultCode.SENSOR_MISSING in target.faults.active
     assert target.faults.occurrences(FaultCode.FRAMES_LOST) == 0
+
+
+@pytest.mark.parametrize(
+    ("lost", "complete"),
+    [
+        (lambda i: False, True),
+        (lambda i: 2750 <= i < 2760, True),  # a sixth of a second: the window counts whole
+        (lambda i: 2780 <= i < 3020, False),  # nearly all of one window
+        (lambda i: 2750 <= i < 3500, False),  # whole windows
+    ],
+    ids=["nothing", "a little", "most of a window", "windows"],
+)
+def test_a_load_is_complete_when_no_window_of_it_is_missing(lost: Callable[[int], bool], complete: bool) -> None:
+    target = monitor()
+    frames = replace(STEADY, drop=lost).frames(20)
+    feed(target, [f for f in frames if f.time_s < 1004.5])
+    assert target.start_load() == 2
+    feed(target, [f for f in frames if f.time_s >= 1004.5])
+    assert target.totals.load_kg > 0.0
+    assert target.ticket(2, 100.0, 1.0).complete is complete
+
+
+def test_a_load_that_began_before_there_was_a_zero_is_not_complete() -> None:
+    target = monitor()
+    feed(target, STEADY_FRAMES)
+    assert not target.ticket(1, 100.0, 1.0).complete
+
+
+@pytest.mark.parametrize(("load_kg", "load_open", "complete"), [(50.0, True, False), (0.0, True, True)])
+def test_a_load_with_grain_from_before_a_restart_is_not_complete(load_kg: float, load_open: bool, complete: bool) -> None:
+    first = monitor()
+    feed(first, STEADY_FRAMES)
+    before, target = first.snapshot(), monitor()
+    target.restore(replace(before, totals=replace(before.totals, load_kg=load_kg, load_open=load_open)))
+    feed(target, STEADY_FRAMES)
+    assert target.loads[-1].complete is complete
+
+
+def test_away_from_home_the_standard_deviation_is_widened() -> None:
+    found = {}
+    for factor in (1.0, 3.0):
+        target = monitor(replace(EngineSettings(), sweep=replace(EngineSettings().sweep, max_std_dev_factor=factor)))
+        feed(target, replace(STEADY, angle=lambda t: 70.0 if t < 1008.0 else 60.0).frames(15))
+        record = target.last_record
+        assert record is not None
+        assert record.quality is Q.SWEEPING
+        found[factor] = record.std_dev_kg_s
+    assert found[3.0] == pytest.approx(3.0 * found[1.0])

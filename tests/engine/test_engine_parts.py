@@ -197,6 +197,8 @@ def test_tank_scale(readings: list[tuple[float, float]], missing: set[int], expe
         total += mass
     found = [(a.reference_kg, pytest.approx(a.measured_kg), a.complete) for a in scale.anchors]
     assert found == expected
+    # An increment is the difference of two readings.
+    assert all(a.std_dev_kg == pytest.approx(2.0**0.5 * AnchorSettings().scale_std_dev_kg) for a in scale.anchors)
 
 
 ZERO = ZeroState(151.0, 150.0, 41.9, 3.0, (0.1, 2.0, 0.3, 0.4))

@@ -101,3 +101,10 @@ def test_operators_zero_calibration_learns_any_vibration() -> None:
     feed(target, [f for f in frames if f.time_s >= 1010.5])
     assert target.last_record.zero_mv == pytest.approx(150.0, abs=0.5)  # type: ignore[union-attr]
     assert target.last_record.operating_state is OperatingState.NOT_HARVESTING  # type: ignore[union-attr]
+
+
+def test_the_zero_moves_no_faster_than_its_rate() -> None:
+    bench = Bench(zero=lambda t: 150.0 if t < 1030.0 else 160.0)
+    found = zeros(bench, 60)
+    steps = np.abs(np.diff(found[3:]))
+    assert steps.max() == pytest.approx(0.2, rel=0.02)

@@ -126,6 +126,15 @@ def test_standard_deviation_matches_drawn_parameters_and_noise() -> None:
     assert flows.std() == pytest.approx(float(estimate.std_dev_kg_s), rel=0.15)
 
 
+def test_the_window_s_own_noise_is_told_apart_from_the_parameters() -> None:
+    noise_only = loop((0.0, 0.0, 0.0)).estimate(60.0, ANGLE, SPEED, 1.5)
+    both = loop((0.02, 0.03, 40.0)).estimate(60.0, ANGLE, SPEED, 1.5)
+    parameters_only = loop((0.02, 0.03, 40.0)).estimate(60.0, ANGLE, SPEED)
+    assert both.noise_std_dev_kg_s == pytest.approx(noise_only.std_dev_kg_s)
+    assert parameters_only.noise_std_dev_kg_s == 0.0
+    assert both.std_dev_kg_s == pytest.approx(np.hypot(noise_only.std_dev_kg_s, parameters_only.std_dev_kg_s))
+
+
 def test_correlated_parameters_count_their_correlation() -> None:
     # Density and 1 + e that move against each other along the scale direction leave the force of a thin load as uncertain as e.
     covariance = np.diag([0.0, 0.06**2, 110.0**2])

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from yieldmon.estimation.drift import DriftRates, grow
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.steady_drift import DriftingParameters, advance, begin, learn, smoothed
+from yieldmon.estimation.steady_drift import DriftingParameters, advance, begin, carried, learn, smoothed
 
 NAMES = ("friction", "restitution", "density")
 KNOWN = ParameterSet(
@@ -47,6 +47,16 @@ def test_an_unknown_rate_widens_in_proportion_to_grain_and_restitution_by_its_ga
 def test_k1_and_k2_share_restitutions_rate() -> None:
     values = {"friction": 0.2, "k1": -0.3, "k2": 1.5, "density": 1100.0, "shape_ratio": 2.0}
     assert begin(ParameterSet(values, ("k1", "k2"), np.eye(2)), {"restitution": 0.1}).names == ("k1", "k2")
+
+
+def test_what_is_moved_takes_its_ties_with_the_rates_along() -> None:
+    known, _ = advance(begin(KNOWN, {"friction": 0.1}), STILL, 0.0, 1e6)
+    tie, spread = known.joint[0, 3], known.joint[3, 3]
+    assert tie > 0.0
+    moved = carried(known, replace(known.parameters, values={**known.parameters.values, "friction": 0.3}))
+    assert moved.joint[0, 3] == moved.joint[3, 0] == pytest.approx(1.5 * tie)
+    assert moved.joint[3, 3] == spread
+    assert moved.joint[:3, :3] == pytest.approx(moved.parameters.covariance)
 
 
 def trended(noise: float) -> tuple[list[float], list[float], DriftingParameters, list[float]]:

@@ -99,6 +99,8 @@ def test_predict_with_an_effect_set_by_name(capsys: pytest.CaptureFixture[str]) 
         (["--mass-flow", "5", "--set", "nothing.here=2"], "effect 'nothing': unknown"),
         (["--mass-flow", "5", "--set", "k1=2"], "k1 and k2"),
         (["--mass-flow", "5", "--params", "none.yaml"], "none.yaml"),
+        (["--mass-flow", "5", "--moisture", "nan"], "--moisture: is nan; expected 0 to 100 %"),
+        (["--mass-flow", "5", "--moisture", "-4"], "--moisture: is -4"),
     ],
 )
 def test_predict_refuses_in_one_line(capsys: pytest.CaptureFixture[str], words: list[str], message: str) -> None:
@@ -150,6 +152,11 @@ def test_estimate_refuses_parameters_of_another_scale(capsys: pytest.CaptureFixt
 
 
 # calibrate
+
+
+@pytest.mark.parametrize("scale", ["0", "-2", "nan", "inf"])
+def test_calibrate_refuses_a_response_scale_that_is_none(capsys: pytest.CaptureFixture[str], scale: str) -> None:
+    assert "--response-scale: is " in run(capsys, "calibrate", DATA / "bench_table.csv", "--response-scale", scale, code=2)
 
 
 def test_calibrate_writes_what_estimate_reads(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -114,6 +114,16 @@ def test_exchange_gain_is_linear_in_fill() -> None:
     )
 
 
+def test_exchange_gain_goes_by_what_the_paddle_still_carries() -> None:
+    """With a load of half a paddle offered and a loss of 0.4 at full fill, a share 1 / 1.2 of it arrives."""
+    leaky, offered = ForwardModel(MACHINE, ("paddle_leakage",)), 0.5 * FULL_KG
+    grain = {"friction": 0.2, "density": 1100.0, "shape_ratio": 2.0, "paddle_leakage.loss_at_full": 0.4}
+    conditions = Conditions(1.2, 400.0 * RPM, paddle_mass_kg=offered)
+    unit = leaky.paddle_momentum(conditions, grain | {"k1": 0.0, "k2": 1.0})
+    found = leaky.paddle_momentum(conditions, grain | {"k1": 1.5, "k2": 0.6})
+    assert found == pytest.approx((1.5 * 0.5 / 1.2 + 0.6) * unit, rel=1e-12)
+
+
 def test_force_is_momentum_times_paddle_passes_and_flow_is_mass_times_passes() -> None:
     conditions = Conditions(1.2, 42.0, mass_flow_kg_s=10.0)
     passes = 42.0 * 0.0541 / MACHINE.paddle_spacing_m

@@ -151,6 +151,18 @@ def test_meeting_lies_on_path_and_plate(angle: float, tau: float, gravity: float
     assert np.sign(miss[0]) == np.sign(meeting.from_low_edge_m[0])
 
 
+@pytest.mark.parametrize("angle_deg", [40.0, 55.0, 70.0, 90.0])
+@pytest.mark.parametrize("gravity", [None, 9.81])
+def test_misses_begin_where_the_path_meets_the_low_edge(angle_deg: float, gravity: float | None) -> None:
+    setting = throw(0.2, 350.0 * RPM, gravity, np.radians(angle_deg)).setting
+    path = release.at_tip(release.outflow(np.linspace(0.0, 1.2, 4001), setting), setting)
+    kappa, miss = flight.meet_plate(*path, setting).from_low_edge_m, flight.miss_measure(*path, setting)
+    met = np.isfinite(kappa)
+    assert np.array_equal(np.sign(miss[met]), np.sign(kappa[met]))
+    assert (kappa[met] > 0.0).any()
+    assert (kappa[met] < 0.0).any()
+
+
 # The chain
 
 

@@ -109,6 +109,11 @@ WRONG = [
     (["flow", "{folder}/r.csv", "--truth", str(DATA / "bench_table.csv"), "--out", "x.png"], "csv: is no truth: 'time_s'"),
     (["errors", "{folder}/r.csv", "--truth", "{folder}/truth.csv", "--bands", "3", "2", "--out", "x.png"], "two or more rising"),
     (["curves", str(DATA / "bench_table.csv"), "--out", "x.png"], "holds response, but the parameters are in the unit 'N'"),
+    (["curves", "--elevator-speed", "-5", "--out", "x.png"], "--elevator-speed: is -5; expected above 0 rpm"),
+    (["curves", "--mass-flow", "1000", "--out", "x.png"], "a full paddle"),
+    (["curves", "--moisture", "nan", "--out", "x.png"], "--moisture: is nan"),
+    (["sensitivity", "--plate-angle", "nan", "--out", "x.png"], "--plate-angle: is nan"),
+    (["sensitivity", "--out", "nowhere/x.png"], "nowhere/x.png: there is no folder"),
     (["published", str(DATA.parents[1] / "config/parameters/corn.yaml"), "--out", "x.png"], "lacks 'generated_momentum'"),
 ]
 

@@ -218,8 +218,9 @@ def test_loads_tickets_and_names(tmp_path, capsys):
         weighed = 1.02 * (loads[0]["mass_kg"] + loads[1]["mass_kg"])
         ticket = ask(tmp_path, capsys, "ticket", "1-2", f"{weighed}kg", "--note", "elevator 3")
         assert ticket["factor"] == pytest.approx(1.02)
-        assert ticket["anchor"] is True
-        assert [anchor.load_number for anchor in bench.daemon._monitor.anchors] == [1, 2]
+        assert ticket["anchor"] is False, "load 1 began before there was a zero"
+        assert ask(tmp_path, capsys, "ticket", "2", f"{1.02 * loads[1]['mass_kg']}kg")["anchor"] is True
+        assert [anchor.load_number for anchor in bench.daemon._monitor.anchors] == [2]
         after = ask(tmp_path, capsys, "load", "list")["loads"]
         assert [load["mass_kg"] for load in after] == [load["mass_kg"] for load in loads]
         assert after[0]["corrected_mass_kg"] == pytest.approx(1.02 * loads[0]["mass_kg"])
@@ -231,7 +232,7 @@ def test_loads_tickets_and_names(tmp_path, capsys):
         assert bench.status["load"]["open"] is False
         assert ask(tmp_path, capsys, "ticket", "1", "50kg")["anchor"] is False
     with Store(tmp_path / "yieldmon.sqlite") as store:
-        assert [ticket.note for ticket in store.tickets()] == ["elevator 3", ""]
+        assert [ticket.note for ticket in store.tickets()] == ["elevator 3", "", ""]
         rows = store.corrected_loads()
     assert rows[0]["corrected_mass_kg"] == pytest.approx(50.0)
 

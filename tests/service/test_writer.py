@@ -123,3 +123,15 @@ def test_a_batch_that_no_store_takes_is_left_out_and_counted(disk):
     assert writer.health().batches_refused == 1
     writer.stop()
     assert rows(disk) == [1, 2, 4, 5]
+
+
+def test_room_is_made_once_a_minute(disk, monkeypatch):
+    rounds = []
+    monkeypatch.setattr(Store, "prune", lambda store: rounds.append(store.last_batch()))
+    writer = StoreWriter(disk.open, 100)
+    writer.start()
+    for number in range(1, 131):
+        writer.submit(batch(number))
+        assert writer.wait_until_written(PATIENCE_S)
+    writer.stop()
+    assert rounds == [60, 120]

@@ -120,6 +120,25 @@ def with_values(known: ParameterSet, changes: Mapping[str, float], where: str = 
         raise InputError(where, str(error)) from error
 
 
+def check_moisture(moisture_pct: float | None) -> None:
+    """Raises InputError for a --moisture that is none."""
+    if moisture_pct is not None and not 0.0 <= moisture_pct <= 100.0:
+        raise InputError("--moisture", f"is {moisture_pct:g}", "0 to 100 %")
+
+
+def check_each(good: np.ndarray, values: np.ndarray, option: str, expected: str) -> None:
+    """Raises InputError naming the first of an option's values that is not good."""
+    if not np.all(good):
+        raise InputError(option, f"is {values[np.argmin(good)]:g}", expected)
+
+
+def check_operating_points(flow_kg_s: np.ndarray, angle_deg: np.ndarray, speed_rpm: np.ndarray) -> None:
+    """Raises InputError for a --mass-flow, --plate-angle or --elevator-speed at which no model says anything."""
+    check_each(flow_kg_s >= 0.0, flow_kg_s, "--mass-flow", "0 kg/s or more")
+    check_each((angle_deg > 0.0) & (angle_deg < 180.0), angle_deg, "--plate-angle", "0 to 180 deg, both excluded")
+    check_each((speed_rpm > 0.0) & (speed_rpm < np.inf), speed_rpm, "--elevator-speed", "above 0 rpm")
+
+
 def numbers(texts: Sequence[str], option: str) -> Array:
     """Numbers from words such as `2 5 9`, `2,5,9` or `40:90:5` (first:last:step, last included). Raises InputError."""
     out: list[float] = []
@@ -148,7 +167,7 @@ def momentum(data: Table, machine: Machine, response_scale: float | None = None)
         scale = 1.0
     elif data.reading != RESPONSE:
         raise InputError("--response-scale", f"given, but {data.path} holds {data.reading}", "a table of `response`")
-    elif not response_scale > 0.0:
+    elif not 0.0 < response_scale < np.inf:
         raise InputError("--response-scale", f"is {response_scale:g}", "a number above 0")
     else:
         scale = response_scale

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from math import inf
 from pathlib import Path
 
 import can
@@ -52,8 +53,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Watch until q, Ctrl-C or the end of the log."""
-    if args.speed < 0.0 or args.seconds <= 0.0:
-        raise InputError("--speed, --seconds", f"are {args.speed:g}, {args.seconds:g}", "0 or more, and above 0")
+    if not 0.0 <= args.speed < inf:
+        raise InputError("--speed", f"is {args.speed:g}", "a number of at least 0")
+    if not 0.0 < args.seconds < inf:
+        raise InputError("--seconds", f"is {args.seconds:g}", "a number above 0")
     codec = Codec()
     traffic = Traffic(codec)
     with ExitStack() as stack:

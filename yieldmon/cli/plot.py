@@ -187,6 +187,7 @@ def _model(args: argparse.Namespace) -> tuple[ForwardModel, ParameterSet]:
 
 
 def _curves(args: argparse.Namespace) -> Figure:
+    model_options.check_moisture(args.moisture)
     model, known = _model(args)
     speed = model.machine.nominal_elevator_speed_rad_s if args.elevator_speed is None else args.elevator_speed * RPM
     readings = None if args.data is None else _readings(args, model, known, speed)
@@ -198,7 +199,11 @@ def _curves(args: argparse.Namespace) -> Figure:
         angles = np.radians(model_options.numbers(args.plate_angle, "--plate-angle"))
     else:
         angles = np.radians(np.arange(40.0, 91.0, 10.0)) if readings is None else curves.some(readings.plate_angle_rad)
-    return curves.draw(model, known, flows, angles, speed, args.moisture, readings)
+    model_options.check_operating_points(flows, np.degrees(angles), np.array([speed / RPM]))
+    try:
+        return curves.draw(model, known, flows, angles, speed, args.moisture, readings)
+    except ValueError as error:
+        raise InputError("plot curves", str(error)) from error
 
 
 def _readings(args: argparse.Namespace, model: ForwardModel, known: ParameterSet, speed_rad_s: float) -> curves.Readings:
@@ -226,6 +231,9 @@ def _residuals(args: argparse.Namespace) -> Figure:
 
 
 def _sensitivity(args: argparse.Namespace) -> Figure:
+    model_options.check_each(
+        np.array([0.0 < args.plate_angle < 180.0]), np.array([args.plate_angle]), "--plate-angle", "0 to 180 deg, both excluded"
+    )
     return sensitivity.draw(machine_file.load(args.machine), radians(args.plate_angle))
 
 

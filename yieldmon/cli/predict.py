@@ -47,9 +47,8 @@ def run(args: argparse.Namespace) -> int:
         if args.elevator_speed is None
         else model_options.numbers(args.elevator_speed, "--elevator-speed")
     )
-    _check(flow >= 0.0, flow, "--mass-flow", "0 kg/s or more")
-    _check((angle > 0.0) & (angle < 180.0), angle, "--plate-angle", "0 to 180 deg, both excluded")
-    _check(speed > 0.0, speed, "--elevator-speed", "above 0 rpm")
+    model_options.check_operating_points(flow, angle, speed)
+    model_options.check_moisture(args.moisture)
     grid = np.meshgrid(flow, angle, speed, indexing="ij")
     flow, angle, speed = (axis.ravel() for axis in grid)
     conditions = Conditions(np.radians(angle), speed * RPM, mass_flow_kg_s=flow, moisture_pct=args.moisture)
@@ -68,8 +67,3 @@ def run(args: argparse.Namespace) -> int:
         writer.writerow(COLUMNS)
         writer.writerows([f"{value:.10g}" for value in row] for row in table)
     return 0
-
-
-def _check(good: np.ndarray, values: np.ndarray, option: str, expected: str) -> None:
-    if not np.all(good):
-        raise InputError(option, f"is {values[np.argmin(good)]:g}", expected)

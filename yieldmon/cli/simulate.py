@@ -19,7 +19,7 @@ from yieldmon.bus.codec import Codec, FrameError
 from yieldmon.bus.log_writing import writing
 from yieldmon.bus.opening import add_bus_arguments, open_bus_from
 from yieldmon.errors import InputError
-from yieldmon.files import machine_file
+from yieldmon.files import machine_file, whole_file
 from yieldmon.physics.machine import Machine
 from yieldmon.plant import scenario as scenarios
 from yieldmon.plant.combine import BLOCK_S, VirtualCombine
@@ -27,6 +27,8 @@ from yieldmon.plant.truth_file import write_csv
 from yieldmon.resources import shipped
 
 NOT_SENT = "not sent"
+#: Latest time stamp, in the year 2286: ten digits, as log formats print them.
+LATEST_S = 9_999_999_999.0
 """Beside the message names in the summary's counts: frames that the bus did not take."""
 
 
@@ -56,6 +58,10 @@ def run(args: argparse.Namespace) -> int:
         scenario = scenario.model_copy(update={"duration_s": _duration(args.duration)})
     if args.seed < 0:
         raise InputError("--seed", f"is {args.seed}", "a whole number from 0")
+    if not 0.0 <= args.start_time <= LATEST_S:
+        raise InputError("--start-time", f"is {args.start_time:g}", f"0 to {LATEST_S:.0f} s")
+    if args.truth is not None:
+        whole_file.check_place(args.truth)
     machine = _machine(args.machine if args.machine is not None else scenario.machine)
     combine = VirtualCombine(scenario, machine, args.seed)
     codec = Codec()

@@ -41,7 +41,8 @@ def run(args: argparse.Namespace) -> int:
         print()
     else:
         change_pct = 100.0 * (answer["factor"] - 1.0)
-        use = "a reference for the calibration" if answer["anchor"] else "no reference: measured before the last start"
+        why_not = "no reference: not measured whole since the last start or reload"
+        use = "a reference for the calibration" if answer["anchor"] else why_not
         print(
             f"loads {first} to {last}: measured {answer['measured_mass_kg']:.1f} kg, weighed "
             f"{answer['weighed_mass_kg']:.1f} kg ({change_pct:+.2f} %); {use}"

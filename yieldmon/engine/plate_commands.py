@@ -62,10 +62,5 @@ class PlateCommander:
         self._last_deg = target
         return {"TargetPlateAngle": target, "CommandMode": int(mode), "CommandCounter": counter}
 
-    def travel_time_s(self, from_deg: float, to_deg: float, rate_deg_s: float) -> float:
-        """Time the plate needs between two angles, s; the whole range's where the start is not known."""
-        distance = abs(to_deg - from_deg) if isfinite(from_deg) else self.max_deg - self.min_deg
-        return distance / rate_deg_s
-
     def _within_range(self, angle_deg: float) -> float:
         return min(self.max_deg, max(self.min_deg, angle_deg))

@@ -78,10 +78,10 @@ def _ticket(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_
 
 
 def _anchor(monitor: Monitor, covered: list[Load], ticket: Ticket, std_dev_kg: float) -> bool:
-    """Hands the ticket to the calibration as a reference mass, shared out over its loads; False when the monitor no longer
-    has those loads in memory (they were measured before the last start)."""
-    known = {load.number for load in monitor.loads}
-    if not all(load.number in known for load in covered):
+    """Hands the ticket to the calibration as a reference mass, shared out over its loads; False when one of them was not
+    measured whole since the last start or reload, and then no part of the ticket can teach."""
+    whole = {load.number for load in monitor.loads if load.complete}
+    if not all(load.number in whole for load in covered):
         return False
     for load in covered:
         share = load.mass_kg / ticket.measured_mass_kg

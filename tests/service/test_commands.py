@@ -1,0 +1,81 @@
+"""Tickets as the engine's thread carries them out: what is corrected, and what becomes a reference mass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+
+import pytest
+
+from yieldmon.errors import InputError
+from yieldmon.files import parameter_file
+from yieldmon.service import commands
+from yieldmon.service.journal import Journal, Memory
+from yieldmon.service.store import Load, Ticket
+
+LOADS = tuple(Load(number, "north", "corn", None, None, mass_kg, 0.9 * mass_kg) for number, mass_kg in ((1, 3000.0), (2, 1000.0)))
+
+
+@dataclass
+class Told:
+    """A monitor that remembers the tickets handed to it. complete: load number -> measured whole."""
+
+    complete: dict[int, bool]
+    tickets: list[tuple[int, float, float]] = field(default_factory=list)
+
+    @property
+    def loads(self) -> list[SimpleNamespace]:
+        return [SimpleNamespace(number=number, complete=whole) for number, whole in self.complete.items()]
+
+    def ticket(self, *ticket: float) -> None:
+        self.tickets.append(ticket)
+
+
+def journal(*tickets: Ticket) -> Journal:
+    return Journal(Memory(loads=LOADS, tickets=tickets), parameter_file.load())
+
+
+def ask(monitor: Told, **request: object) -> dict:
+    return dict(commands.execute({"command": "ticket", **request}, monitor, journal(), 1.7e9))
+
+
+def test_a_ticket_for_several_loads_is_shared_out_by_mass_and_its_doubt_by_variance() -> None:
+    monitor = Told({1: True, 2: True})
+    answer = ask(monitor, first_load=1, last_load=2, mass_kg=4400.0, std_dev_kg=20.0)
+    assert answer["factor"] == pytest.approx(1.1)
+    assert answer["anchor"] is True
+    assert monitor.tickets == [(1, pytest.approx(3300.0), pytest.approx(20.0 * 0.75**0.5)), (2, pytest.approx(1100.0), 10.0)]
+    assert sum(sd**2 for _, _, sd in monitor.tickets) == pytest.approx(20.0**2)
+
+
+@pytest.mark.parametrize("complete", [{2: True}, {1: False, 2: True}], ids=["before the start", "not measured whole"])
+def test_a_ticket_that_cannot_teach_says_so(complete: dict[int, bool]) -> None:
+    monitor = Told(complete)
+    answer = ask(monitor, first_load=1, last_load=2, mass_kg=4400.0)
+    assert answer["anchor"] is False
+    assert answer["factor"] == pytest.approx(1.1)
+    assert monitor.tickets == []
+
+
+def test_the_newest_ticket_of_a_load_counts() -> None:
+    old, new = (Ticket(1.7e9, 1, 1, mass_kg, 3000.0) for mass_kg in (3300.0, 2700.0))
+    first, second = journal(old, new).load_table()
+    assert (first["corrected_mass_kg"], first["corrected_dry_mass_kg"]) == (pytest.approx(2700.0), pytest.approx(2430.0))
+    assert first["ticket_mass_kg"] == 2700.0
+    assert (second["corrected_mass_kg"], second["ticket_mass_kg"]) == (1000.0, None)
+
+
+@pytest.mark.parametrize(
+    ("request_", "problem"),
+    [
+        ({"first_load": 3, "mass_kg": 1.0}, "no such load; expected 1 to 2"),
+        ({"first_load": 2, "last_load": 1, "mass_kg": 1.0}, "the last comes before the first"),
+        ({"first_load": 1, "mass_kg": 0.0}, "expected a mass above 0"),
+        ({"first_load": 1, "mass_kg": float("nan")}, "expected a mass above 0"),
+        ({"first_load": True, "mass_kg": 1.0}, "expected the number of a load"),
+        ({"first_load": 1, "mass_kg": 1.0, "note": "two\nlines"}, "printable"),
+    ],
+)
+def test_a_ticket_that_makes_no_sense_is_refused(request_: dict, problem: str) -> None:
+    with pytest.raises(InputError, match=problem):
+        ask(Told({1: True, 2: True}), **request_)
