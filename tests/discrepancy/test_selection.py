@@ -120,17 +120,3 @@ def test_a_pair_hidden_behind_each_other_is_named(make_rows, start) -> None:
     assert any("miss_capture" in c for c in classes)
     assert any("residual_radial_speed" in c for c in classes)
     assert choice.best_gap.f < 2.0
-
-
-@pytest.mark.parametrize(("bound", "beyond", "refused"), [(1.0, False, False), (0.3, True, True)])
-def test_a_bound_refuses_an_effect_only_where_the_data_want_it_beyond(published, bound, beyond, refused) -> None:
-    """Ended at its bound, and needing it, an effect is refused if it would gain by passing it."""
-    base, _ = published({"zero_offset": 4.0})
-    found = fit(base.frame, ("zero_offset",), base.values)
-    (i,) = [i for i, p in enumerate(found.parameters) if p.name == "zero_offset.force_n"]
-    ends = tuple(replace(p, upper=bound * float(found.x[i])) if j == i else p for j, p in enumerate(found.parameters))
-    at_end = fit(base.frame, ("zero_offset",), found.values, held={"zero_offset.force_n": ends[i].upper})
-    at_end = replace(at_end, parameters=ends)
-    assert "zero_offset.force_n" in at_end.at_bound
-    assert (candidates._gain_beyond(at_end, i) > 4.0) == beyond
-    assert bool(candidates.only_at_bound(at_end, "zero_offset", 4.0)) == refused

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from yieldmon.physics.effects import registry
 from yieldmon.physics.numerics import Array, real
 
-from .fit import Fit, Frame, Parameter, effect_parameters, fit, orthonormal, predictions
+from .fit import Fit, Frame, Parameter, effect_parameters, fit, predictions
 from .noise import Noise
 
 #: Sizes at which a signature is drawn, in typical sizes from the null value.
@@ -154,35 +154,22 @@ def again(found: Fit) -> Fit:
 def only_at_bound(found: Fit, effect: str, allowance: float) -> str:
     """Why a fit is refused: the bounds that its effects need, "" where none does.
 
-    A bound is needed when the effect's leading parameter would pass it, and gain more than `allowance` in chi-square beyond (in
-    the tangent plane), and when holding it three quarters of the way there costs more than that. Of the effects other than
-    `effect`, any leading parameter at a bound counts.
+    A bound is needed when holding the effect's leading parameter three quarters of the way there costs more than `allowance` in
+    chi-square. Of the effects other than `effect`, any leading parameter at a bound counts.
     """
     needed = []
-    enough = allowance * max(found.chi2 / max(found.dof, 1), 1.0)
-    for i, (p, v) in enumerate(zip(found.parameters, found.x, strict=True)):
+    for p, v in zip(found.parameters, found.x, strict=True):
         name = p.name.partition(".")[0]
         if p.name not in found.at_bound or p.name != leading(name, found.frame.unit):
             continue
         if name == effect:
-            if _gain_beyond(found, i) <= enough:
-                continue
             inside = fit(
                 found.frame, found.effects, found.values, held={p.name: p.start + 0.75 * (float(v) - p.start)}, iterations=6
             )
-            if inside is not None and inside.chi2 - found.chi2 <= enough:
+            if inside is not None and inside.chi2 - found.chi2 <= allowance * max(found.chi2 / max(found.dof, 1), 1.0):
                 continue
         needed.append(name)
     return f"only with {', '.join(sorted(set(needed)))} at a bound" if needed else ""
-
-
-def _gain_beyond(found: Fit, index: int) -> float:
-    """Chi-square that a parameter would gain beyond its bound, the others following as far as theirs allow."""
-    others = [j for j, p in enumerate(found.parameters) if j != index and p.name not in found.at_bound]
-    tangent = orthonormal(found.jacobian[:, others] * np.array([found.parameters[j].scale for j in others]))
-    column = found.jacobian[:, index] - tangent @ (tangent.T @ found.jacobian[:, index])
-    norm2 = float(column @ column)
-    return float(column @ found.residual) ** 2 / norm2 if norm2 > 0.0 else 0.0
 
 
 def leading(effect: str, unit: float) -> str:

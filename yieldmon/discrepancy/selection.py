@@ -9,7 +9,7 @@ import numpy as np
 
 from yieldmon.physics.numerics import Array, real
 
-from .candidates import Score, again, false_alarm, only_at_bound, refit, score, signature
+from .candidates import Score, again, false_alarm, leading, only_at_bound, refit, score, signature
 from .crossvalidation import grouped_error
 from .fit import Fit, effect_parameters, fit, predictions
 from .gap import LackOfFit, lack_of_fit
@@ -137,7 +137,7 @@ def choose(
         leader = order
         if number == 1 and lack_of_fit(current, noise).p_value < policy.gap_p:
             tell("step 2: all pairs", 0.45)
-            better = _better_pair(base, looked_at, good, effects, noise, rng, policy, excess)
+            better = _better_pair(base, looked_at, order[0], good, effects, noise, rng, policy, excess)
             if better is not None:
                 leader, good, found = better
         if not good:
@@ -201,6 +201,7 @@ def _candidates(
 def _better_pair(
     base: Fit,
     looked_at: tuple[Candidate, ...],
+    leader: str,
     good: list[Candidate],
     effects: tuple[str, ...],
     noise: Noise,
@@ -209,7 +210,7 @@ def _better_pair(
     excess: float,
 ) -> tuple[list[str], list[Candidate], tuple[Candidate, ...]] | None:
     """A pair better than the forward step's `good[0]`: its first effect, its second, and all candidates beside the first."""
-    for alone, pair in _pairs(base, looked_at, effects, policy)[: policy.beam]:
+    for alone, pair in _pairs(base, looked_at, leader, effects, noise, policy)[: policy.beam]:
         scale = misfit([pair, *(c.fit for c in good[:1])])
         if good and merit(pair, scale, policy) >= merit(good[0].fit, scale, policy) - 1.0:
             return None
@@ -222,18 +223,27 @@ def _better_pair(
 
 
 def _pairs(
-    base: Fit, looked_at: tuple[Candidate, ...], effects: tuple[str, ...], policy: Policy
+    base: Fit, looked_at: tuple[Candidate, ...], leader: str, effects: tuple[str, ...], noise: Noise, policy: Policy
 ) -> list[tuple[Candidate, Fit]]:
-    """All pairs of effects screened, the best refitted: each with the better of its two alone, best first."""
+    """All pairs without `leader`, which has been seen beside every other: screened, the best refitted, best first.
+
+    Each comes with the better of its two alone. Those that need a bound are left out.
+    """
     alone = {c.effect: c for c in looked_at}
+    others = [e for e in effects if e != leader]
     singles = [
-        (c.fit, [score(c.fit, signature(c.fit, e)) for e in effects if e != c.effect]) for c in looked_at[: policy.beam]
+        (c.fit, [score(c.fit, signature(c.fit, e)) for e in others if e != c.effect])
+        for c in looked_at[: policy.beam]
+        if c.effect != leader
     ]
     out = []
-    for pair in screen(base, [signature(base, e) for e in effects], singles)[: policy.pairs]:
+    for pair in screen(base, [signature(base, e) for e in others], singles)[: policy.pairs]:
         present = [alone[e] for e in pair.effects if e in alone]
         both = fit(base.frame, pair.effects, base.values | pair.start)
-        if present and both is not None:
+        if not present or both is None:
+            continue
+        ends = {leading(e, base.frame.unit) for e in pair.effects} & set(both.at_bound)
+        if not ends or lack_of_fit(both, noise).p_value >= policy.gap_p:
             out.append((min(present, key=lambda c: c.fit.chi2), both))
     scale = misfit([f for _, f in out])
     return sorted(out, key=lambda found: merit(found[1], scale, policy))
