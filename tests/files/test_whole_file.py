@@ -65,6 +65,15 @@ def test_a_place_for_no_file_is_named(tmp_path: Path, name: str, problem: str) -
     assert caught.value.where == str(tmp_path / name)
 
 
+def test_a_full_medium_is_told_with_the_path(tmp_path: Path) -> None:
+    path = tmp_path / "x.csv"
+    path.symlink_to("/dev/full")
+    with pytest.raises(OSError, match="No space left") as caught, scratch_for(path) as scratch:
+        scratch.write_text("x" * 100_000)
+    assert caught.value.filename == str(path)
+    assert Path("/dev/full").is_char_device()
+
+
 def test_an_error_names_the_path_that_was_asked_for(tmp_path: Path) -> None:
     path = tmp_path / "x.csv"
     with pytest.raises(FileNotFoundError) as caught, scratch_for(path):

@@ -11,9 +11,11 @@ import re
 import select
 import signal
 import struct
+import subprocess
 import sys
 import termios
 import time
+from pathlib import Path
 
 import can
 import pytest
@@ -27,6 +29,7 @@ from yieldmon.screen.keys import press
 from yieldmon.screen.panels import Screen, View
 from yieldmon.screen.traffic import Traffic
 
+ROOT = Path(__file__).parents[2]
 CODEC = Codec()
 FAULTS = {s.name: 0 for s in CODEC.layouts[frames.YIELD_MONITOR_STATUS].signals}
 
@@ -197,6 +200,30 @@ def test_json_lines_from_a_log_at_speed(log, capsys):
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [line["frames"] for line in lines] == sorted(line["frames"] for line in lines)
     assert lines
+
+
+def test_json_lines_end_with_all_that_the_log_holds(log, capsys):
+    assert main(["monitor", str(log), "--json", "--speed", "0"]) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["frames"] == 44
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
+def test_a_terminal_of_any_encoding_shows_the_flow(encoding, log):
+    environment = os.environ | {"PYTHONIOENCODING": encoding, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "yieldmon", "monitor", str(log), "--once"]
+    done = subprocess.run(command, env=environment, capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+    shown = done.stdout.decode(encoding)
+    head = shown.split("message")[0]
+    assert ("50.0" if encoding != "utf-8" else "\u2588\u2580\u2580 \u2588\u2580\u2588") in head
+    assert "?" not in head
+
+
+@pytest.mark.parametrize("option", ["--speed", "--seconds"])
+@pytest.mark.parametrize("value", ["nan", "-1", "inf"])
+def test_a_number_that_is_none_is_refused(option, value, log, capsys):
+    assert main(["monitor", str(log), "--once", option, value]) == 2
+    assert f"{option}: is {value}" in capsys.readouterr().err
 
 
 def test_recording_writes_every_frame(log, tmp_path, capsys):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import subprocess
 import sys
@@ -158,3 +159,11 @@ def test_completion_lists_verbs(tmp_path):
     }
     subprocess.run([sys.executable, "-m", "yieldmon"], env=environment, cwd=ROOT, check=True, capture_output=True)
     assert answer.read_text().split() == ["check-config"]
+
+
+def test_what_the_encoding_lacks_is_no_error(verb_named_probe, monkeypatch):
+    verb_named_probe("return print('\\u00b1 1') or 0")
+    written = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, encoding="ascii"))
+    assert cli.main(["probe-it"]) == 0
+    assert written.getvalue() == b"? 1\n"

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import ast
 import importlib
+import io
 import os
 import shlex
 import signal
@@ -86,7 +87,9 @@ def _operational_errors() -> tuple[type[BaseException], ...]:
 
 
 def _tell(error: object) -> None:
-    text = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.filename else str(error)
+    text = str(error)
+    if isinstance(error, OSError) and error.strerror:
+        text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     print(f"yieldmon: {' '.join(text.split())}", file=sys.stderr)
 
 
@@ -98,6 +101,13 @@ def _missing_package(error: ModuleNotFoundError) -> str | None:
     if top in EXTRAS:
         return f"needs {top}, which is not installed; pip install 'yieldmon[{EXTRAS[top]}]'"
     return f"needs {top}, which is not installed"
+
+
+def _print_anything() -> None:
+    """What the terminal's encoding does not have (a plus-minus sign, a name) comes out as a question mark and is no error."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 def _run(argv: Sequence[str]) -> int:
@@ -119,6 +129,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     0 done, 1 failed, 2 bad usage or input, 130 interrupted.
     """
+    _print_anything()
     try:
         code = _run(sys.argv[1:] if argv is None else argv)
         sys.stdout.flush()

@@ -180,16 +180,22 @@ def _show(source: Source, traffic: Traffic, codec: Codec, view: View, record: _R
 
 
 def _print_lines(source: Source, traffic: Traffic, codec: Codec, record: _Recorder) -> None:
-    told = -float("inf")
+    told, told_frames = -float("inf"), 0
+
+    def tell() -> None:
+        nonlocal told, told_frames
+        told, told_frames = traffic.now_s, traffic.frames
+        print(json.dumps(_document(traffic, View())), flush=True)
 
     def act() -> bool:
-        nonlocal told
         if traffic.now_s - told >= 1.0 - 0.5 * REFRESH_S:
-            told = traffic.now_s
-            print(json.dumps(_document(traffic, View())), flush=True)
+            tell()
         return True
 
     _refreshes(source, traffic, record, act)
+    if traffic.frames > told_frames:
+        traffic.mark(traffic.now_s)
+        tell()
 
 
 def _print_once(traffic: Traffic, codec: Codec, view: View, as_json: bool) -> None:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from yieldmon.errors import InputError
+
+_NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
+"""What only writing can meet, and a write's error does not name its file."""
 
 
 def check_place(path: str | Path) -> None:
@@ -28,21 +32,21 @@ def scratch_for(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
     """
     check_place(path)
     target = Path(path).resolve()
-    if target.exists() and not target.is_file():
-        yield target
-        return
-    scratch = target.with_name(f".{target.stem}.{os.getpid()}{target.suffix}")
+    in_place = target.exists() and not target.is_file()
+    scratch = target if in_place else target.with_name(f".{target.stem}.{os.getpid()}{target.suffix}")
     try:
         yield scratch
-        if durable:
-            _sync(scratch)
-        scratch.replace(target)
+        if not in_place:
+            if durable:
+                _sync(scratch)
+            scratch.replace(target)
     except OSError as error:
-        if error.filename == str(scratch):
+        if error.filename == str(scratch) or (error.filename is None and error.errno in _NO_ROOM):
             error.filename = str(path)
         raise
     finally:
-        scratch.unlink(missing_ok=True)
+        if not in_place:
+            scratch.unlink(missing_ok=True)
 
 
 def _sync(path: Path) -> None:

@@ -66,17 +66,18 @@ class Screen:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         height = (options.height or console.height) - HEAD_LINES - FOOT_LINES - 1
         width = options.max_width
-        yield Group(self._head(width), self._table(max(height, 1), width), self._foot(width))
+        yield Group(self._head(width, plain=options.ascii_only), self._table(max(height, 1), width), self._foot(width))
 
-    def _head(self, width: int) -> Group:
+    def _head(self, width: int, *, plain: bool) -> Group:
+        """plain: the terminal's encoding has neither blocks nor lines."""
         traffic = self._traffic
         flow, quality = self._flow()
-        big = _big(flow)
+        big = _big(flow, plain=plain)
         mass, calibration = traffic.latest(ACCUMULATED_MASS), traffic.latest(SELF_CALIBRATION_STATUS)
         plate, status = traffic.latest(PLATE_ACTUATOR_FEEDBACK), traffic.latest(YIELD_MONITOR_STATUS)
         spread = traffic.latest(MASS_FLOW)
         side = [
-            f"± {_number(spread.signals['MassFlowStdDev'], 2) if spread else '-'} kg/s   {quality}",
+            f"{'+-' if plain else '±'} {_number(spread.signals['MassFlowStdDev'], 2) if spread else '-'} kg/s   {quality}",
             f"plate {_number(plate.signals['PlateAngle'], 1) if plate else '-'} deg   sweep {_sweep(calibration)}",
             f"load {_number(mass.signals['LoadMass'], 0) if mass else '-'} kg"
             f"   total {_number(mass.signals['TotalMass'], 0) if mass else '-'} kg",
@@ -90,12 +91,13 @@ class Screen:
             lines.append(line)
         state = values.code_name("OperatingState", status.signals["OperatingState"]) if status else "no monitor on the bus"
         on = [name for name, value in status.signals.items() if name != "OperatingState" and value == 1] if status else []
-        trend = Text(f" kg/s {_sparkline(list(traffic.flow_kg_s)[-(width - 8) :])}", no_wrap=True, overflow="crop")
+        flows = [] if plain else list(traffic.flow_kg_s)[-(width - 8) :]
+        trend = Text(f" kg/s {_sparkline(flows)}", no_wrap=True, overflow="crop")
         faults = Text(f" {state}   ", no_wrap=True, overflow="ellipsis")
         if status is not None:
             faults.append("faults: " + ", ".join(on) if on else "no faults", style="bold red" if on else "green")
         faults.truncate(width, overflow="ellipsis")
-        return Group(*lines, trend, faults, Text("─" * width, style="dim"))
+        return Group(*lines, trend, faults, Text(("-" if plain else "─") * width, style="dim"))
 
     def _flow(self) -> tuple[float | None, str]:
         frame = self._traffic.latest(MASS_FLOW)
@@ -159,8 +161,10 @@ class Screen:
         return Text("\n").join((line, keys))
 
 
-def _big(flow_kg_s: float | None) -> tuple[str, str, str]:
+def _big(flow_kg_s: float | None, *, plain: bool) -> tuple[str, str, str]:
     text = f"{flow_kg_s:.1f}" if flow_kg_s is not None else "--.-"
+    if plain:
+        return "", text, ""
     top, middle, bottom = (" ".join(_DIGITS[c][i] for c in text) for i in range(3))
     return top, middle, bottom
 
