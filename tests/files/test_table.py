@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +48,8 @@ def test_unknown_values_and_columns(tmp_path):
     ("text", "expected"),
     [
         ("", "is empty"),
+        ("plate_angle_deg;mass_flow_kg_s;force_n\n70;1,5;2\n", "header: is separated by semicolons; expected commas"),
+        ("plate_angle_deg,mass_flow_kg_s,force_n\n70,1_0,2\n", "row 1, mass_flow_kg_s: is '1_0'"),
         ("plate_angle_deg,mass_flow_kg_s,force_n\n", "has a header and no rows"),
         ("mass_flow_kg_s,force_n\n1,2\n", "header: has no plate_angle_deg"),
         ("plate_angle_deg,force_n\n1,2\n", "no load column"),
@@ -72,8 +75,20 @@ def test_bad_tables_are_named(tmp_path, text, expected):
 
 
 def test_a_file_that_is_not_text_and_one_that_is_not_there(tmp_path):
-    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00plate")
+    (tmp_path / "binary.csv").write_bytes(b"\xfe\xfe\x00plate")
     with pytest.raises(InputError, match="not UTF-8"):
         table.load(tmp_path / "binary.csv")
     with pytest.raises(InputError, match="No such file"):
         table.load(tmp_path / "missing.csv")
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [(gzip.compress(b"plate_angle_deg\n"), "is compressed"), ("plate_angle_deg\n".encode("utf-16"), "is UTF-16 text")],
+    ids=["gzip", "utf-16"],
+)
+def test_what_is_no_plain_text_is_named(tmp_path, content, problem):
+    path = tmp_path / "t.csv"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=problem):
+        table.load(path)

@@ -7,6 +7,7 @@ import json
 import pytest
 
 from yieldmon.cli.main import main
+from yieldmon.resources import shipped
 
 
 @pytest.fixture(scope="module")
@@ -43,6 +44,22 @@ def test_the_table_is_plain_text(capsys, monkeypatch):
     assert bands[2].split()[0] == "4-8"
     assert flow.startswith("from 4 kg/s: mean |error| ")
     assert mass.startswith("accumulated: ")
+
+
+def test_the_configured_machine_is_the_one_simulated(capsys, tmp_path):
+    shipped_machine = shipped("config/machines/sprocket-8.yaml").read_text(encoding="utf-8")
+    six = shipped_machine.replace("name: sprocket-8", "name: sprocket-6").replace("0.0541", "0.0406")
+    (tmp_path / "six.yaml").write_text(six, encoding="utf-8")
+    (tmp_path / "config.yaml").write_text("machine_file: six.yaml\n", encoding="utf-8")
+    words = ["demo", "--duration", "20", "--config", str(tmp_path / "config.yaml")]
+    assert main([*words, "--json"]) == 0
+    six_teeth = json.loads(capsys.readouterr().out)
+    assert main(["demo", "--duration", "20", "--json"]) == 0
+    assert six_teeth["measured_mass_kg"] != json.loads(capsys.readouterr().out)["measured_mass_kg"]
+    assert abs(six_teeth["mass_error_pct"]) < 5.0
+    scenario = str(shipped("config/scenarios/demo.yaml"))
+    assert main([*words, "--scenario", scenario]) == 2
+    assert capsys.readouterr().err == f"yieldmon: {scenario}: machine is 'sprocket-8'; expected 'sprocket-6' as configured\n"
 
 
 @pytest.mark.parametrize("picture", ["x.pdf", "x", "nowhere/x.png", "."])

@@ -13,7 +13,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from yieldmon.bus.codec import Codec
 from yieldmon.errors import InputError
-from yieldmon.files import machine_file, whole_file
+from yieldmon.files import whole_file
 from yieldmon.physics.machine import RPM
 from yieldmon.plant import scenario as scenarios
 from yieldmon.plant.combine import VirtualCombine
@@ -51,9 +51,9 @@ def run(args: argparse.Namespace) -> int:
             raise InputError("--duration", f"is {args.duration:g}", "10 to 400000 s")
         chosen = chosen.model_copy(update={"duration_s": args.duration})
     settings = configuration.load(args.config or shipped("config/yieldmon.yaml"))
-    machine = machine_file.load(shipped("config/machines") / f"{chosen.machine}.yaml")
-    if machine != settings.machine:
-        raise InputError(str(args.scenario), f"machine is {chosen.machine!r}", f"{settings.machine.name!r} as configured")
+    machine = settings.machine
+    if args.scenario is not None and chosen.machine != machine.name:
+        raise InputError(args.scenario, f"machine is {chosen.machine!r}", f"{machine.name!r} as configured")
     monitor = build_monitor(settings.engine, machine, settings.parameters, settings.calibrator)
     console = Console(stderr=True)
     with Progress(

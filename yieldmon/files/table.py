@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import hashlib
 from collections.abc import Mapping
@@ -18,6 +19,7 @@ from yieldmon.physics.numerics import Array
 LOADS = ("mass_flow_kg_s", "paddle_mass_kg")
 READINGS = ("force_n", "momentum_kg_m_s", "response")
 OPTIONAL = ("elevator_speed_rpm", "moisture_pct", "trial", "group", "sigma")
+_GZIP = b"\x1f\x8b"
 _UNKNOWN = ("", "-", "nan", "NaN", "NAN")
 _LIMITS = {
     "plate_angle_deg": (0.0, 180.0, "deg"),
@@ -80,16 +82,14 @@ def load(path: str | Path, *, need_load: bool = True) -> Table:
     raw = _read_bytes(path)
     where = str(path)
     try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(where, f"byte {error.start} is not UTF-8", "a UTF-8 CSV file") from error
-    try:
-        rows = [row for row in csv.reader(text.splitlines()) if row and not row[0].startswith("#")]
+        rows = [row for row in csv.reader(_text(raw, where).splitlines()) if row and not row[0].startswith("#")]
     except csv.Error as error:
         raise InputError(where, f"not CSV: {error}") from error
     if not rows:
         raise InputError(where, "is empty", "a header line and rows")
     header = [name.strip() for name in rows[0]]
+    if len(header) == 1 and ";" in header[0]:
+        raise InputError(f"{where}: header", "is separated by semicolons", "commas, and points in the numbers")
     load_name, reading = _roles(header, where, need_load)
     body = rows[1:]
     if not body:
@@ -122,6 +122,17 @@ def _read_bytes(path: str | Path) -> bytes:
         raise InputError(str(path), error.strerror or str(error), "a readable CSV file") from error
 
 
+def _text(raw: bytes, where: str) -> str:
+    if raw.startswith(_GZIP):
+        raise InputError(where, "is compressed", "a plain CSV file; gunzip it")
+    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise InputError(where, "is UTF-16 text", "a UTF-8 CSV file")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(where, f"byte {error.start} is not UTF-8", "a UTF-8 CSV file") from error
+
+
 def _roles(header: list[str], where: str, need_load: bool) -> tuple[str | None, str]:
     if len(set(header)) != len(header):
         twice = sorted({name for name in header if header.count(name) > 1})
@@ -145,7 +156,8 @@ def _numbers(cells: tuple[str, ...], name: str, where: str) -> Array:
             out[i] = np.nan
             continue
         try:
-            out[i] = float(cell)
+            # Python's own digit separator is no part of a number in a table.
+            out[i] = float(cell if "_" not in cell else "")
         except ValueError:
             raise InputError(f"{where}: row {i + 1}, {name}", f"is {cell[:40]!r}", f"a number in {unit}") from None
         if not low <= out[i] <= high:
