@@ -90,6 +90,18 @@ def test_a_ticket_fixes_what_the_sweep_cannot() -> None:
     assert calibrator.last.scale.observable
 
 
+def test_a_ticket_is_no_better_than_its_weighing_and_what_is_not_the_scales_together() -> None:
+    """A scale good to 1 kg in 6000 kg, with an anchor error of 1 %, is worth what a scale good to 60 kg is without one."""
+    before, found = OpenLoop(MODEL, PRIOR), []
+    for anchor_error, sd_kg in ((0.01, 1.0), (0.0, np.hypot(1.0, 60.0)), (0.0, 1.0)):
+        calibrator = ClosedLoopCalibrator(MODEL, dataclasses.replace(EXACT, anchor_error=anchor_error))
+        outcome = calibrator.update(records(12.0), (ticket(before, 12.0, 0.0, 500.0, sd_kg),), before)
+        assert outcome.estimator is not None
+        found.append(outcome.estimator.parameters.covariance)
+    assert found[0] == pytest.approx(found[1], rel=1e-6)
+    assert found[0][2, 2] > found[2][2, 2]
+
+
 def test_a_ticket_counts_once() -> None:
     before = OpenLoop(MODEL, PRIOR)
     anchors = (ticket(before, 12.0, 0.0, 500.0, sd_kg=120.0),)

@@ -7,9 +7,12 @@ from types import SimpleNamespace
 
 import pytest
 
+from yieldmon.engine.totals import Totals
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
-from yieldmon.service import commands
+from yieldmon.resources import shipped
+from yieldmon.service import commands, configuration
+from yieldmon.service.assembly import build_monitor
 from yieldmon.service.journal import Journal, Memory
 from yieldmon.service.store import Load, Ticket
 
@@ -79,3 +82,12 @@ def test_the_newest_ticket_of_a_load_counts() -> None:
 def test_a_ticket_that_makes_no_sense_is_refused(request_: dict, problem: str) -> None:
     with pytest.raises(InputError, match=problem):
         ask(Told({1: True, 2: True}), **request_)
+
+
+@pytest.mark.parametrize(("unknown_kg", "dry_kg"), [(0.0, 91.0), (5.0, None)])
+def test_a_load_of_unknown_moisture_has_no_dry_mass(unknown_kg: float, dry_kg: float | None) -> None:
+    known = configuration.load(shipped("config/yieldmon.yaml"))
+    monitor = build_monitor(known.engine, known.machine, known.parameters, known.calibrator)
+    monitor.totals = Totals(load_kg=100.0, load_dry_kg=91.0, load_unknown_moisture_kg=unknown_kg)
+    (load,) = Journal(Memory(), known.parameters).batch(monitor, 1.7e9, {}, "file").loads
+    assert (load.mass_kg, load.dry_mass_kg) == (100.0, dry_kg)

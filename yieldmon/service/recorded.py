@@ -72,7 +72,9 @@ def _tables(path: Path, suffix: str) -> Iterable[Mapping[str, Any]]:
             if suffix == ".csv":
                 return list(csv.DictReader(stream))
             return [json.loads(line) for line in stream]
-    except (UnicodeDecodeError, json.JSONDecodeError, csv.Error) as error:
+    except UnicodeDecodeError as error:
+        raise InputError(str(path), f"byte {error.start} is not UTF-8", "a table that `yieldmon process` wrote") from error
+    except (json.JSONDecodeError, csv.Error) as error:
         raise InputError(str(path), str(error), "a table that `yieldmon process` wrote") from error
 
 
