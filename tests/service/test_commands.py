@@ -7,6 +7,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from yieldmon.cli import ticket
+from yieldmon.cli.main import main
 from yieldmon.engine.totals import Totals
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
@@ -91,3 +93,22 @@ def test_a_load_of_unknown_moisture_has_no_dry_mass(unknown_kg: float, dry_kg: f
     monitor.totals = Totals(load_kg=100.0, load_dry_kg=91.0, load_unknown_moisture_kg=unknown_kg)
     (load,) = Journal(Memory(), known.parameters).batch(monitor, 1.7e9, {}, "file").loads
     assert (load.mass_kg, load.dry_mass_kg) == (100.0, dry_kg)
+
+
+@pytest.mark.parametrize(
+    ("words", "factor", "said", "warned"),
+    [
+        (["7", "9.12t"], 1.02, "load 7: measured", ""),
+        (["7-9", "9.12t"], 0.71, "loads 7 to 9: measured", ""),
+        (["7", "9.12"], 0.001, "load 7: measured", "yieldmon: load 7: -100 % is a lot"),
+        (["7", "9.12t"], 1.31, "load 7: measured", "yieldmon: load 7: +31 % is a lot"),
+    ],
+)
+def test_an_unlikely_mass_is_asked_about(words, factor, said, warned, monkeypatch, capsys):
+    answer = {"factor": factor, "measured_mass_kg": 1.0, "weighed_mass_kg": factor, "anchor": True}
+    monkeypatch.setattr(ticket, "ask_daemon", lambda args, request: answer)
+    assert main(["ticket", *words]) == 0
+    out, err = capsys.readouterr()
+    assert out.startswith(said)
+    assert err.startswith(warned)
+    assert bool(err) == bool(warned)

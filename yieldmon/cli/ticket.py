@@ -13,6 +13,9 @@ import sys
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon, mass
 from yieldmon.errors import InputError
 
+#: A correction beyond this is a wrong unit or load rather than a drifted calibration.
+UNLIKELY_PCT = 30.0
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
@@ -36,15 +39,19 @@ def run(args: argparse.Namespace) -> int:
     if args.std_dev is not None:
         request["std_dev_kg"] = mass(args.std_dev)
     answer = ask_daemon(args, request)
+    which = f"load {first}" if first == last else f"loads {first} to {last}"
+    change_pct = 100.0 * (answer["factor"] - 1.0)
+    if abs(change_pct) > UNLIKELY_PCT:
+        doubt = f"{change_pct:+.0f} % is a lot; if it is a slip, enter the right mass as another ticket"
+        print(f"yieldmon: {which}: {doubt}", file=sys.stderr)
     if args.json:
         json.dump(answer, sys.stdout, indent=2)
         print()
     else:
-        change_pct = 100.0 * (answer["factor"] - 1.0)
         why_not = "no reference: not measured whole since the last start or reload"
         use = "a reference for the calibration" if answer["anchor"] else why_not
         print(
-            f"loads {first} to {last}: measured {answer['measured_mass_kg']:.1f} kg, weighed "
+            f"{which}: measured {answer['measured_mass_kg']:.1f} kg, weighed "
             f"{answer['weighed_mass_kg']:.1f} kg ({change_pct:+.2f} %); {use}"
         )
     return 0
