@@ -112,3 +112,11 @@ def test_an_unlikely_mass_is_asked_about(words, factor, said, warned, monkeypatc
     assert out.startswith(said)
     assert err.startswith(warned)
     assert bool(err) == bool(warned)
+
+
+@pytest.mark.parametrize("mass", ["0kg", "0", "nan", "inf", "-0.5t", "9,12t", "heavy", ""])
+@pytest.mark.parametrize("option", [[], ["--std-dev"]], ids=["mass", "std-dev"])
+def test_a_mass_that_is_none_is_refused_without_asking_the_daemon(mass, option, tmp_path, capsys):
+    words = ["ticket", "1", "5t", f"--std-dev={mass}"] if option else ["ticket", "1", "--", mass]
+    assert main([words[0], "--socket", str(tmp_path / "none.sock"), *words[1:]]) == 2
+    assert "expected kilograms above 0" in capsys.readouterr().err

@@ -6,6 +6,7 @@ import argparse
 import os
 import sys
 from collections.abc import Mapping
+from math import inf, nan
 from pathlib import Path
 from typing import Any
 
@@ -42,13 +43,16 @@ def _socket(args: argparse.Namespace) -> Path:
 
 
 def mass(text: str) -> float:
-    """A mass in kg from the command line: a number, with or without its unit kg or t."""
+    """A mass in kg from the command line: a number above 0, with or without its unit kg or t. Raises InputError."""
     number, scale = text.strip(), 1.0
     for unit, factor in (("kg", 1.0), ("t", 1000.0)):
         if number.endswith(unit):
             number, scale = number.removesuffix(unit).strip(), factor
             break
     try:
-        return float(number) * scale
-    except ValueError as error:
-        raise InputError("mass", repr(text), "kilograms, such as 9120, 9120kg or 9.12t") from error
+        mass_kg = float(number) * scale
+    except ValueError:
+        mass_kg = nan
+    if not 0.0 < mass_kg < inf:
+        raise InputError("mass", repr(text), "kilograms above 0, such as 9120, 9120kg or 9.12t")
+    return mass_kg
