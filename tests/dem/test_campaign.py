@@ -55,7 +55,19 @@ def test_geometry_comes_from_a_machine_file() -> None:
     assert plan.throws[0].machine.sprocket_pitch_radius_m == pytest.approx(0.067)
 
 
-@pytest.mark.parametrize("name", ["reference", "smoke"])
+def test_kernels_bring_their_own_values_and_the_plan_has_the_last_word() -> None:
+    plan = campaign.parse(
+        "{kernel: [clump, sphere], throw: {contact: {rolling_friction: 0.02}}, machine: sprocket-10, "
+        "paddle_mass_kg: [0.2, 0.5], seed: [1, 2]}", "plan",
+    )
+    assert [t.grain.kernel for t in plan.throws] == ["clump", "sphere"] * 4
+    assert {(t.grain.kernel, t.grain.mass_kg, t.time_step_s, t.contact.rolling_friction) for t in plan.throws} == {
+        ("clump", 4.0e-4, 2.0e-5, 0.02), ("sphere", 4.048e-4, 3.0e-5, 0.02),
+    }
+    assert {t.machine.sprocket_pitch_radius_m for t in plan.throws} == {0.067}
+
+
+@pytest.mark.parametrize("name", ["reference", "smoke", "clumps"])
 def test_the_shipped_plans_are_good(name: str) -> None:
     path = shipped(f"config/dem/{name}.yaml")
     plan = campaign.parse(path.read_text(encoding="utf-8"), str(path))
@@ -75,6 +87,7 @@ def test_the_shipped_plans_are_good(name: str) -> None:
         ("{paddle_mass_kg: [0.2], plate_angle_deg: [95]}", "plate_angle_deg holds 95"),
         ("{paddle_mass_kg: [0.2], friction: [-1]}", "contact.friction is -1"),
         ("{paddle_mass_kg: [0.2], throw: {contact: {frixion: 1}}}", "frixion: not a key of Contact"),
+        ("{kernel: cube, paddle_mass_kg: [0.2]}", "kernel is cube, expected sphere or clump"),
         ("{machine: tractor, paddle_mass_kg: [0.2]}", "tractor"),
         ("{paddle_mass_kg: [0.2", "not YAML"),
     ],

@@ -9,14 +9,54 @@ from math import pi, radians
 import pytest
 
 from yieldmon.physics.machine import RPM, Machine
-from yieldmon.plant.dem.job import Contact, Grain, Release, Throw, paddle_mass_kg, throw_from_dict, to_dict
+from yieldmon.plant.dem.job import (
+    Contact,
+    Grain,
+    Release,
+    Throw,
+    kernel_defaults,
+    merged,
+    paddle_mass_kg,
+    throw_from_dict,
+    to_dict,
+)
 
 THROW = Throw(paddle_mass_kg=0.5)
+CLUMPS = throw_from_dict(merged(kernel_defaults("clump"), {"paddle_mass_kg": 0.5}))
 
 
 def test_published_kernel_as_a_sphere() -> None:
     assert Grain().radius_m == pytest.approx(4.1697e-3, rel=1e-4)
     assert Throw(paddle_mass_kg=0.4).grain_count == 988
+
+
+def test_published_clump() -> None:
+    grain = CLUMPS.grain
+    assert (grain.mass_kg, grain.sphere_count, CLUMPS.grain_count) == (4.0e-4, 4, 1250)
+    assert (CLUMPS.contact.rolling_friction, CLUMPS.contact.friction, CLUMPS.contact.restitution) == (0.01, 0.3, 0.75)
+    assert grain.smallest_sphere_m == pytest.approx(2.5e-3, rel=1e-3)
+    # A fifth of the Rayleigh time goes as the smallest sphere's radius.
+    ratio = CLUMPS.critical_time_step_s / THROW.critical_time_step_s
+    assert ratio == pytest.approx(2.5e-3 / Grain().radius_m, rel=1e-3)
+    assert CLUMPS.time_step_s < CLUMPS.critical_time_step_s < THROW.time_step_s
+
+
+def test_spheres_keep_their_keys() -> None:
+    """The shipped campaign's rows are found by digests that know of no kernel."""
+    assert "kernel" not in to_dict(THROW)["grain"]
+    assert to_dict(CLUMPS)["grain"]["kernel"] == "clump"
+    named = throw_from_dict({"paddle_mass_kg": 0.5, "grain": {"kernel": "sphere"}})
+    assert (named, named.throw_key(), named.heap_key()) == (THROW, THROW.throw_key(), THROW.heap_key())
+    assert CLUMPS.throw_key() != replace(CLUMPS, grain=replace(CLUMPS.grain, kernel="sphere")).throw_key()
+    assert throw_from_dict(json.loads(json.dumps(to_dict(CLUMPS)))) == CLUMPS
+
+
+def test_fields_laid_over_a_kernels_own() -> None:
+    throw = throw_from_dict(merged(kernel_defaults("clump"), {"paddle_mass_kg": 0.1, "contact": {"friction": 0.15}}))
+    assert (throw.contact.friction, throw.contact.rolling_friction) == (0.15, 0.01)
+    assert kernel_defaults("sphere") == {}
+    with pytest.raises(ValueError, match="kernel is cube, expected sphere or clump"):
+        kernel_defaults("cube")
 
 
 def test_production_flow_to_paddle_load() -> None:
@@ -74,6 +114,8 @@ def test_limits_name_the_value(change: dict[str, float], text: str) -> None:
         (lambda: Contact(friction=-0.1), "contact.friction is -0.1"),
         (lambda: Grain(mass_kg=0.0), "grain.mass_kg is 0.0"),
         (lambda: Grain(poisson=0.5), "grain.poisson is 0.5"),
+        (lambda: Grain(kernel="cube"), "grain.kernel is cube"),  # type: ignore[arg-type]
+        (lambda: Throw(paddle_mass_kg=0.1, grain=Grain(kernel="clump")), "time_step_s is 3e-05"),
         (lambda: Release("edge", 0.5 * pi), "release.angle_rad"),
         (lambda: Release("drop"), "release.kind is drop"),  # type: ignore[arg-type]
     ],

@@ -65,9 +65,28 @@ def test_light_loads_go_as_the_load_and_total_is_more_than_normal(forces: Path) 
     np.testing.assert_allclose(total.impulse_n_s(*arguments), 1.2 * normal.impulse_n_s(*arguments), rtol=1e-9)
 
 
+def test_kernels_are_kept_apart(forces: Path, tmp_path: Path) -> None:
+    """A table of two kernels: each is read by itself, and rows that name none are of spheres."""
+    with gzip.open(forces, "rt", encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    path = tmp_path / "both.csv"
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.DictWriter(stream, [*FIELDS, "kernel"])
+        writer.writeheader()
+        for kernel, factor in (("sphere", 1.0), ("clump", 0.8)):
+            writer.writerows({**row, "kernel": kernel, "force_total_n": factor * float(row["force_total_n"])} for row in rows)
+    arguments = (0.9, radians(70.0), 400.0 * RPM)
+    alone = float(CampaignPulses.load(forces, 0.3, Machine()).impulse_n_s(*arguments))
+    for kernel, factor in (("sphere", 1.0), ("clump", 0.8)):
+        pulses = CampaignPulses.load(path, 0.3, Machine(), kernel=kernel)
+        assert float(pulses.impulse_n_s(*arguments)) == pytest.approx(factor * alone, rel=1e-9)
+
+
 def test_what_the_campaign_does_not_hold_is_refused(forces: Path) -> None:
     with pytest.raises(InputError, match="no row at"):
         CampaignPulses.load(forces, 0.5, Machine())
+    with pytest.raises(InputError, match=r"no row at 0\.3 of kernel clump"):
+        CampaignPulses.load(forces, 0.3, Machine(), kernel="clump")
     with pytest.raises(ValueError, match="above the campaign"):
         CampaignPulses.load(forces, 0.3, Machine()).impulse_n_s(2.0, 1.2, 41.9)
 

@@ -5,13 +5,16 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from math import degrees, pi, radians
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from yieldmon.plant.dem import script
-from yieldmon.plant.dem.job import Contact, Grain, Throw, Walls
+from yieldmon.plant.dem.job import Contact, Grain, Throw, Walls, kernel_defaults, merged, throw_from_dict
 
 THROW = Throw(paddle_mass_kg=0.5)
+CLUMPS = throw_from_dict(merged(kernel_defaults("clump"), {"paddle_mass_kg": 0.5}))
 
 
 def test_wall_modulus_gives_the_modulus_of_grain_on_wall() -> None:
@@ -50,6 +53,35 @@ def test_settling_ends_with_the_paddle_at_the_start_angle() -> None:
     match = re.fullmatch(r"variable paddle_angle equal (\S+)\+(\S+)\*step", variable)
     assert match is not None
     assert float(match[1]) + float(match[2]) * steps == pytest.approx(radians(162.0))
+
+
+def test_clumps_move_as_bodies_whose_spheres_do_not_meet() -> None:
+    assert "atom_style sphere" in script.world(THROW)
+    assert any(line.startswith("fix move all nve/sphere") for line in script.motion(THROW))
+    assert not any("exclude" in line for line in script.world(THROW))
+    assert any(line.endswith("exclude molecule/intra all") for line in script.neighbours(CLUMPS))
+    assert not any("nve/sphere" in line for line in script.motion(CLUMPS))
+    assert script.bodies(Path("heap.rigid")) == ["fix move all rigid/small molecule infile heap.rigid"]
+
+
+def test_clumps_are_dropped_before_they_reach_the_limits() -> None:
+    """Within the steps between two looks a clump goes less far than the margin less its own size, at twice the tip speed."""
+    region = next(line for line in script.motion(CLUMPS) if line.startswith("region beyond block"))
+    inner = [float(v) for v in region.split()[3:9]]
+    assert inner == pytest.approx([v for low, high in script.BOX_M for v in (low + script.LEAVING_M, high - script.LEAVING_M)])
+    way_m = 2.0 * CLUMPS.elevator_speed_rad_s * CLUMPS.machine.paddle_length_m * script.LEAVING_STEPS * CLUMPS.time_step_s
+    assert way_m + 2.0 * CLUMPS.grain.reach_m < script.LEAVING_M
+
+
+def test_a_bodys_line() -> None:
+    inertia = np.array([[[1.0, 4.0, 5.0], [4.0, 2.0, 6.0], [5.0, 6.0, 3.0]]])
+    text = script.body_lines(
+        np.array([0.1]), np.array([[7.0, 8.0, 9.0]]), np.array([[-1.0, -2.0, -3.0]]), inertia, np.array([[0.01, 0.02, 0.03]])
+    )
+    count, line = text.splitlines()
+    assert count == "1"
+    expected = [1, 0.1, 7, 8, 9, 1, 2, 3, 4, 5, 6, -1, -2, -3, 0.01, 0.02, 0.03, 0, 0, 0]
+    assert [float(word) for word in line.split()] == expected
 
 
 def test_heaps_are_handed_over_well_before_the_edge() -> None:

@@ -31,12 +31,12 @@ from yieldmon.errors import InputError
 from yieldmon.files import machine_file
 from yieldmon.physics.machine import RPM
 from yieldmon.plant.dem import records, runner
-from yieldmon.plant.dem.job import Throw, digest, paddle_mass_kg, throw_from_dict, to_dict
+from yieldmon.plant.dem.job import Throw, digest, kernel_defaults, merged, paddle_mass_kg, throw_from_dict, to_dict
 from yieldmon.resources import shipped
 
 HISTORY_INTERVAL_S = 0.001
 KEYS = (
-    "name", "machine", "throw", "elevator_speed_rpm", "friction", "restitution", "paddle_mass_kg", "mass_flow_kg_s",
+    "name", "machine", "kernel", "throw", "elevator_speed_rpm", "friction", "restitution", "paddle_mass_kg", "mass_flow_kg_s",
     "plate_angle_deg", "seed",
 )
 Row = dict[str, float | int | str]
@@ -78,9 +78,10 @@ def _numbers(where: str, content: Mapping[str, Any], key: str, default: Sequence
 
 
 def parse(text: str, where: str) -> Campaign:
-    """A campaign from YAML text. Seeds vary slowest, then load, speed, friction, restitution.
+    """A campaign from YAML text. Seeds vary slowest, then load, kernel, speed, friction, restitution.
 
-    Keys: name; machine (a file, or a shipped name such as sprocket-8); throw (any field of `job.Throw`, nested); lists
+    Keys: name; machine (a file, or a shipped name such as sprocket-8); kernel (sphere, clump or a list of both, each with
+    `job.kernel_defaults`); throw (any field of `job.Throw`, nested, over those); lists
     elevator_speed_rpm, friction, restitution, paddle_mass_kg or mass_flow_kg_s, plate_angle_deg, seed. Raises InputError naming
     the key.
     """
@@ -100,14 +101,20 @@ def parse(text: str, where: str) -> Campaign:
     loads = _numbers(where, content, "mass_flow_kg_s" if loads_are_flows else "paddle_mass_kg")
     throws = []
     try:
-        base = throw_from_dict({"paddle_mass_kg": 1.0} | fixed)
+        kernels = content.get("kernel", "sphere")
+        bases = [
+            throw_from_dict(merged(kernel_defaults(kernel), {"paddle_mass_kg": 1.0} | fixed))
+            for kernel in (kernels if isinstance(kernels, list) else [kernels])
+        ]
         if "machine" in content:
-            base = replace(base, machine=machine_file.load(_machine_path(str(content["machine"]))))
+            machine = machine_file.load(_machine_path(str(content["machine"])))
+            bases = [replace(base, machine=machine) for base in bases]
+        base = bases[0]
         speeds = _numbers(where, content, "elevator_speed_rpm", [base.elevator_speed_rad_s / RPM])
         frictions = _numbers(where, content, "friction", [base.contact.friction])
         restitutions = _numbers(where, content, "restitution", [base.contact.restitution])
         seeds = _numbers(where, content, "seed", [base.seed])
-        for seed, load, speed, friction, restitution in product(seeds, loads, speeds, frictions, restitutions):
+        for seed, load, base, speed, friction, restitution in product(seeds, loads, bases, speeds, frictions, restitutions):
             spin = speed * RPM
             throws.append(replace(
                 base, seed=int(seed), elevator_speed_rad_s=spin,
@@ -165,7 +172,11 @@ class Ledger:
     def read(self, campaign: Campaign) -> list[Row]:
         """Rows done so far, in the plan's order."""
         files = (self.row_file(t, a) for t in campaign.throws for a in campaign.plate_angles_rad)
-        return [json.loads(f.read_text(encoding="utf-8")) for f in files if f.exists()]
+        rows = [json.loads(f.read_text(encoding="utf-8")) for f in files if f.exists()]
+        for row in rows:
+            # A row that names no kernel is of spheres.
+            row.setdefault("kernel", "sphere")
+        return rows
 
     @contextmanager
     def alone(self) -> Iterator[None]:
@@ -242,7 +253,7 @@ def provenance(campaign: Campaign) -> dict[str, Any]:
 
 
 def _code_digest(folder: Path) -> str:
-    names = ("job.py", "packing.py", "script.py", "worker.py")
+    names = ("clump.py", "job.py", "packing.py", "script.py", "worker.py")
     parts = [hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in names]
     return hashlib.sha256("".join(parts).encode()).hexdigest()
 
@@ -333,7 +344,7 @@ def grain_arrays(campaign: Campaign, ledger: Ledger) -> dict[str, NDArray[Any]]:
 def _head(throw: Throw) -> Row:
     return {
         "paddle_mass_kg": throw.paddle_mass_kg, "elevator_speed_rpm": round(throw.elevator_speed_rad_s / RPM, 6),
-        "friction": throw.contact.friction, "trial": throw.seed,
+        "friction": throw.contact.friction, "trial": throw.seed, "kernel": throw.grain.kernel,
     }
 
 

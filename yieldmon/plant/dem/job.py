@@ -13,6 +13,7 @@ from math import isfinite, pi
 from typing import Any, Literal, get_args, get_type_hints
 
 from yieldmon.physics.machine import RPM, ImpactSensor, Machine
+from yieldmon.plant.dem.clump import Clump, clump_of_volume
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 TOP_RAD = 1.5 * pi
@@ -22,6 +23,7 @@ HEAP_FORMAT = 2
 """Raised when the walls or groups of a settled heap's file change, so that no older file is taken for it."""
 
 ReleaseKind = Literal["edge", "open"]
+KernelKind = Literal["sphere", "clump"]
 
 
 def _require(condition: bool, name: str, value: object, expected: str) -> None:
@@ -31,9 +33,10 @@ def _require(condition: bool, name: str, value: object, expected: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Grain:
-    """A kernel as the sphere of its volume (table 7.1: 4.048e-4 kg, 3.037e-7 m3).
+    """A kernel as the sphere of its volume (table 7.1: 4.048e-4 kg, 3.037e-7 m3), or as a clump of spheres of that volume.
 
     size_spread: radii are uniform within +- this share of the mean, which keeps equal spheres from stacking like a crystal.
+    kernel: "sphere", or "clump" for the shape of `clump.published_clump`, with `kernel_defaults` for what goes with it.
     """
 
     mass_kg: float = 4.048e-4
@@ -41,17 +44,39 @@ class Grain:
     shear_modulus_pa: float = 6.3e6
     poisson: float = 0.4
     size_spread: float = 0.05
+    kernel: KernelKind = "sphere"
 
     def __post_init__(self) -> None:
         for key in ("mass_kg", "volume_m3", "shear_modulus_pa"):
             _require(getattr(self, key) > 0.0, f"grain.{key}", getattr(self, key), "a value above 0")
         _require(0.0 <= self.poisson < 0.5, "grain.poisson", self.poisson, "0 to below 0.5")
         _require(0.0 <= self.size_spread <= 0.3, "grain.size_spread", self.size_spread, "0 to 0.3")
+        _require(self.kernel in get_args(KernelKind), "grain.kernel", self.kernel, "sphere or clump")
 
     @property
     def radius_m(self) -> float:
         """Radius of the sphere of the same volume, m."""
         return float((3.0 * self.volume_m3 / (4.0 * pi)) ** (1.0 / 3.0))
+
+    @property
+    def clump(self) -> Clump | None:
+        """The mean grain's spheres about its centre of mass; None where the grain is one sphere."""
+        return clump_of_volume(self.volume_m3) if self.kernel == "clump" else None
+
+    @property
+    def sphere_count(self) -> int:
+        """Spheres that a grain is made of."""
+        return 1 if self.clump is None else self.clump.count
+
+    @property
+    def smallest_sphere_m(self) -> float:
+        """Radius of the mean grain's smallest sphere, m."""
+        return self.radius_m if self.clump is None else float(self.clump.radius_m.min())
+
+    @property
+    def reach_m(self) -> float:
+        """Distance of the mean grain's farthest point from its centre of mass, m."""
+        return self.radius_m if self.clump is None else self.clump.reach_m
 
     @property
     def youngs_modulus_pa(self) -> float:
@@ -150,10 +175,10 @@ class Throw:
 
     @property
     def critical_time_step_s(self) -> float:
-        """A fifth of the time a Rayleigh wave needs round the smallest grain, s (Ning 1995; Thornton)."""
+        """A fifth of the time a Rayleigh wave needs round the smallest sphere, s (Ning 1995; Thornton)."""
         g = self.grain
         density = g.mass_kg / g.volume_m3
-        radius = g.radius_m * (1.0 - g.size_spread)
+        radius = g.smallest_sphere_m * (1.0 - g.size_spread)
         shear = g.shear_modulus_pa * self.stiffness_factor
         return 0.2 * pi * radius * float((density / shear) ** 0.5) / (0.163 * g.poisson + 0.8766)
 
@@ -173,9 +198,37 @@ def paddle_mass_kg(machine: Machine, mass_flow_kg_s: float, elevator_speed_rad_s
 
 
 def to_dict(value: Any) -> dict[str, Any]:
-    """A dataclass as plain JSON-able values."""
+    """A dataclass as plain JSON-able values. The kernel of a throw's grain is named where it is not the sphere."""
     plain: dict[str, Any] = json.loads(json.dumps(asdict(value)))
+    if isinstance(value, Throw) and value.grain.kernel == "sphere":
+        del plain["grain"]["kernel"]
     return plain
+
+
+def kernel_defaults(kernel: str) -> dict[str, Any]:
+    """Fields of a `Throw` that go with a kernel, nested as for `throw_from_dict`; none for the sphere.
+
+    The clump's are those of the published validation runs (tables 11.8-11.10): mass, volume, rolling friction, plastic walls. The
+    time step is within a fifth of its smallest sphere's Rayleigh time. Raises ValueError for an unknown kernel.
+    """
+    _require(kernel in get_args(KernelKind), "kernel", kernel, "sphere or clump")
+    if kernel == "sphere":
+        return {}
+    return {
+        "grain": {"kernel": "clump", "mass_kg": 4.000e-4, "volume_m3": 3.001e-7},
+        "walls": {"shear_modulus_pa": 5.309e8, "poisson": 0.46},
+        "contact": {"rolling_friction": 0.01},
+        "time_step_s": 2.0e-5,
+    }
+
+
+def merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    """Nested fields of `base`, replaced by those of `over`."""
+    out = dict(base)
+    for key, value in over.items():
+        below = out.get(key)
+        out[key] = merged(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
+    return out
 
 
 def digest(values: object) -> str:
@@ -208,5 +261,5 @@ def throw_from_dict(values: dict[str, Any]) -> Throw:
 
 __all__ = [
     "RPM", "STANDARD_GRAVITY_M_S2", "TOP_RAD", "Contact", "Grain", "ImpactSensor", "Machine", "Release", "Throw", "Walls",
-    "digest", "paddle_mass_kg", "throw_from_dict", "to_dict",
+    "digest", "kernel_defaults", "merged", "paddle_mass_kg", "throw_from_dict", "to_dict",
 ]

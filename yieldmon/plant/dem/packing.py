@@ -7,20 +7,27 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.plant.dem.clump import random_orientations
 from yieldmon.plant.dem.job import Throw
 
 GAP = 1.03
 """Distance of neighbours in the start lattice, in diameters of the largest grain."""
+REACH_AHEAD_RAD = {"sphere": 2.0, "clump": 3.2}
+"""How far ahead of the paddle grains may start; clumps lie at random and need more room."""
 
 
 @dataclass(frozen=True, slots=True)
 class Packing:
-    """Start state of n grains. position_m, velocity_m_s: (n, 3); radius_m, mass_kg: (n,)."""
+    """Start state of n grains. position_m, velocity_m_s: (n, 3) of their centres of mass; radius_m, mass_kg: (n,).
+
+    radius_m is that of the sphere of the grain's volume. orientation: (n, 3, 3) of clumps, None for spheres.
+    """
 
     position_m: NDArray[np.float64]
     velocity_m_s: NDArray[np.float64]
     radius_m: NDArray[np.float64]
     mass_kg: NDArray[np.float64]
+    orientation: NDArray[np.float64] | None = None
 
 
 def start_packing(throw: Throw, paddle_angle_rad: float) -> Packing:
@@ -33,8 +40,8 @@ def start_packing(throw: Throw, paddle_angle_rad: float) -> Packing:
     n = throw.grain_count
     machine, grain = throw.machine, throw.grain
     radius = grain.radius_m * (1.0 + grain.size_spread * rng.uniform(-1.0, 1.0, n))
-    pitch = 2.0 * GAP * grain.radius_m * (1.0 + grain.size_spread)
-    rho, psi, z = _lattice(machine.paddle_length_m, machine.paddle_width_m, pitch)
+    pitch = 2.0 * GAP * grain.reach_m * (1.0 + grain.size_spread)
+    rho, psi, z = _lattice(machine.paddle_length_m, machine.paddle_width_m, pitch, REACH_AHEAD_RAD[grain.kernel])
     if len(rho) < n:
         raise ValueError(f"paddle_mass_kg is {throw.paddle_mass_kg}: {n} grains, but {len(rho)} places ahead of the paddle")
     wedge = (1.0 - rho / machine.paddle_length_m) + psi / throw.start_shape_ratio
@@ -46,11 +53,12 @@ def start_packing(throw: Throw, paddle_angle_rad: float) -> Packing:
     velocity = np.column_stack([-spin * position[:, 1], spin * position[:, 0], np.zeros(n)])
     volume = radius**3
     mass = throw.paddle_mass_kg * volume / volume.sum()
-    return Packing(position, velocity, radius, mass)
+    orientation = None if grain.clump is None else random_orientations(n, rng)
+    return Packing(position, velocity, radius, mass, orientation)
 
 
-def _lattice(length_m: float, width_m: float, pitch_m: float) -> tuple[NDArray[np.float64], ...]:
-    """Places (rho, psi, z) on layers of constant radius, psi from the paddle up to 2 rad ahead."""
+def _lattice(length_m: float, width_m: float, pitch_m: float, ahead_rad: float) -> tuple[NDArray[np.float64], ...]:
+    """Places (rho, psi, z) on layers of constant radius, psi from the paddle up to ahead_rad."""
     across = max(1, int(width_m / pitch_m))
     z = (np.arange(across) - 0.5 * (across - 1)) * pitch_m
     rho_all, psi_all, z_all = [], [], []
@@ -59,7 +67,7 @@ def _lattice(length_m: float, width_m: float, pitch_m: float) -> tuple[NDArray[n
         # Chords, not arcs, keep neighbours apart; the first grain clears the paddle's face by half a pitch.
         first = np.arcsin(0.5 * pitch_m / radius)
         step = 2.0 * np.arcsin(0.5 * pitch_m / radius)
-        psi = np.arange(first, 2.0, step)
+        psi = np.arange(first, ahead_rad, step)
         grid = np.meshgrid(psi, z, indexing="ij")
         psi_all.append(grid[0].ravel())
         z_all.append(grid[1].ravel())

@@ -46,20 +46,23 @@ class CampaignPulses:
         self._turns = RegularGridInterpolator(axes, times * speed[..., None])
 
     @classmethod
-    def load(cls, path: Path, friction: float, machine: Machine, force: str = "total") -> CampaignPulses:
+    def load(
+        cls, path: Path, friction: float, machine: Machine, force: str = "total", kernel: str = "sphere"
+    ) -> CampaignPulses:
         """From a campaign's table of 1 kHz forces (CSV, gzipped or not); force: "normal" or "total".
 
-        Raises InputError when the friction is not in the table or its cells are no full grid of speeds, loads and angles.
+        Rows that name no kernel are of spheres. Raises InputError when the friction is not in the table for that kernel or its
+        cells are no full grid of speeds, loads and angles.
         """
         column = FORCE_COLUMNS[force]
         cells: dict[tuple[float, float, float], dict[str, list[tuple[float, float]]]] = defaultdict(lambda: defaultdict(list))
         with gzip.open(path, "rt", encoding="utf-8") if path.suffix == ".gz" else path.open(encoding="utf-8") as stream:
             for row in csv.DictReader(stream):
-                if float(row["friction"]) == friction:
+                if float(row["friction"]) == friction and row.get("kernel", "sphere") == kernel:
                     key = (float(row["elevator_speed_rpm"]), float(row["paddle_mass_kg"]), float(row["plate_angle_deg"]))
                     cells[key][row["trial"]].append((float(row["time_s"]), float(row[column])))
         if not cells:
-            raise InputError(f"{path}: friction", f"no row at {friction:g}", "one of the campaign's frictions")
+            raise InputError(f"{path}: friction", f"no row at {friction:g} of kernel {kernel}", "one of the campaign's frictions")
         speeds, masses, angles = (np.array(sorted({key[i] for key in cells})) for i in range(3))
         shape = (len(speeds), len(masses), len(angles))
         impulse, times = np.empty(shape), np.empty((*shape, len(QUANTILES)))

@@ -215,6 +215,7 @@ def row(throw: Throw, release: Arrays, plate: Arrays) -> dict[str, float | int |
         "trial": throw.seed,
         "restitution": throw.contact.restitution,
         "rolling_friction": throw.contact.rolling_friction,
+        "kernel": throw.grain.kernel,
         "release": throw.release.kind,
         "release_angle_deg": round(math.degrees(throw.release.angle_rad), 6),
         "grains": n,

@@ -59,14 +59,22 @@ def run_throw(
     _run(job, on_report)
 
 
-def run_stream(throw: Throw, plate_angle_rad: float, position_m: NDArray[Any], velocity_m_s: NDArray[Any]) -> Arrays:
-    """Fires free grains of the mean size at the plate. position_m, velocity_m_s: (n, 3). Raises EngineError."""
+def run_stream(
+    throw: Throw, plate_angle_rad: float, position_m: NDArray[Any], velocity_m_s: NDArray[Any],
+    orientation: NDArray[Any] | None = None,
+) -> Arrays:
+    """Fires free grains of the mean size at the plate. position_m, velocity_m_s: (n, 3); orientation: (n, 3, 3) of clumps.
+
+    Raises EngineError.
+    """
     with TemporaryDirectory(prefix="yieldmon-dem-") as folder:
         out = Path(folder)
         job = {
             "kind": "stream", "throw": to_dict(throw), "plate_angle_rad": plate_angle_rad, "out": folder,
             "position_m": np.asarray(position_m).tolist(), "velocity_m_s": np.asarray(velocity_m_s).tolist(),
         }
+        if orientation is not None:
+            job["orientation"] = np.asarray(orientation).tolist()
         _run(job, lambda report: None)
         return load(plate_file(out, plate_angle_rad))
 

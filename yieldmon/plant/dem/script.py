@@ -9,8 +9,14 @@ since a turned block is dear to ask about grains that are far from it.
 from __future__ import annotations
 
 from math import pi
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from yieldmon.plant.dem.job import Throw
+
+Array = NDArray[np.float64]
 
 PADDLE_THICKNESS_M = 0.004
 PLATE_THICKNESS_M = 0.006
@@ -22,6 +28,9 @@ REACH_RADII = 3.0
 """A grain belongs to a wall's group when its centre is within this many mean radii of it."""
 BOX_M = ((-0.25, 0.75), (-0.35, 0.35), (-0.25, 0.25))
 """Limits in x, y, z; a grain beyond them is dropped and counted as having left."""
+LEAVING_M = 0.03
+"""A clump this near to a limit is dropped whole: half a body is an error to the engine."""
+LEAVING_STEPS = 25
 
 
 def wall_modulus_pa(throw: Throw) -> float:
@@ -50,7 +59,7 @@ def world(throw: Throw) -> list[str]:
     (x0, x1), (y0, y1), (z0, z1) = BOX_M
     return [
         "units si",
-        "atom_style sphere",
+        "atom_style sphere" if throw.grain.clump is None else "atom_style hybrid sphere bond",
         "atom_modify map array",
         "dimension 3",
         "boundary f f f",
@@ -58,7 +67,7 @@ def world(throw: Throw) -> list[str]:
         "comm_modify vel yes",
         f"region box block {x0} {x1} {y0} {y1} {z0} {z1} units box",
         "create_box 1 box",
-        *neighbours(),
+        *neighbours(throw),
         *pair_law(throw),
         *(f"group {name} empty" for name in GROUPS),
     ]
@@ -70,11 +79,12 @@ def pair_law(throw: Throw) -> list[str]:
     return ["pair_style granular", f"pair_coeff * * {contact_model(throw, modulus)}"]
 
 
-def neighbours() -> list[str]:
-    """Neighbour list and output settings, which a restart file does not carry."""
+def neighbours(throw: Throw) -> list[str]:
+    """Neighbour list and output settings, which a restart file does not carry. Spheres of one clump do not meet."""
+    apart = "" if throw.grain.clump is None else " binsize 0.009 exclude molecule/intra all"
     return [
         "neighbor 0.003 bin",
-        "neigh_modify every 1 delay 0 check yes",
+        f"neigh_modify every 1 delay 0 check yes{apart}",
         "thermo_style custom step atoms",
         "thermo_modify lost ignore flush no",
         "thermo 1000000",
@@ -82,12 +92,38 @@ def neighbours() -> list[str]:
 
 
 def motion(throw: Throw) -> list[str]:
-    """Time integration and gravity (down is +y)."""
+    """Time step, gravity (down is +y), and the time integration of spheres; that of clumps is `bodies`."""
+    lines = [f"timestep {throw.time_step_s!r}", f"fix weight all gravity {throw.gravity_m_s2!r} vector 0 1 0"]
+    if throw.grain.clump is None:
+        return [lines[0], "fix move all nve/sphere", lines[1]]
+    inner = " ".join(f"{low + LEAVING_M!r} {high - LEAVING_M!r}" for low, high in BOX_M)
     return [
-        f"timestep {throw.time_step_s!r}",
-        "fix move all nve/sphere",
-        f"fix weight all gravity {throw.gravity_m_s2!r} vector 0 1 0",
+        *lines,
+        f"region beyond block {inner} side out units box",
+        f"fix leave all evaporate {LEAVING_STEPS} 1000000 beyond 1 molecule yes",
     ]
+
+
+def bodies(state_file: Path) -> list[str]:
+    """Time integration of clumps, from the bodies' state in a file.
+
+    The engine's own moments of inertia take the spheres as apart; the file has the union's. A restart file does not carry the
+    bodies; the engine writes them beside it, in a file of the same form.
+    """
+    return [f"fix move all rigid/small molecule infile {state_file}"]
+
+
+def body_lines(
+    mass_kg: Array, position_m: Array, velocity_m_s: Array, inertia_kg_m2: Array, angular_momentum_kg_m2_s: Array
+) -> str:
+    """The bodies' state file: mass (n,), centre of mass and its velocity (n, 3), inertia (n, 3, 3), angular momentum (n, 3)."""
+    i = inertia_kg_m2
+    table = np.column_stack([
+        mass_kg, position_m, i[:, 0, 0], i[:, 1, 1], i[:, 2, 2], i[:, 0, 1], i[:, 0, 2], i[:, 1, 2], velocity_m_s,
+        angular_momentum_kg_m2_s,
+    ])
+    rows = (f"{n} {' '.join(map(repr, map(float, row)))} 0 0 0" for n, row in enumerate(table, start=1))
+    return "\n".join([str(len(table)), *rows, ""])
 
 
 def machine_walls(throw: Throw, start_angle_rad: float) -> list[str]:

@@ -6,7 +6,7 @@
   takes it from the cache), throws it up to the moment before the first grain can reach any plate, keeps that state, and goes on
   from it once per plate angle. Writes ``release.npz`` and one plate file per angle (`runner.plate_file`).
 - ``{"kind": "stream", "throw": {...}, "plate_angle_rad": a, "position_m": [[x, y, z]], "velocity_m_s": ..., "out": DIR}`` fires
-  free grains at the plate. Writes one plate file.
+  free grains at the plate, clumps turned as "orientation" (n, 3, 3) says. Writes one plate file.
 - ``{"kind": "version"}`` answers with the engine's version.
 
 Files appear under their final names only when complete. Exit 0, or 1 with one line on stderr.
@@ -22,14 +22,15 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.plant.dem import script
-from yieldmon.plant.dem.job import RPM, Throw, throw_from_dict
-from yieldmon.plant.dem.packing import start_packing
+from yieldmon.plant.dem import clump, script
+from yieldmon.plant.dem.job import RPM, Grain, Throw, throw_from_dict
+from yieldmon.plant.dem.packing import Packing, start_packing
 from yieldmon.plant.dem.runner import plate_file
 
 Array = NDArray[np.float64]
@@ -63,10 +64,16 @@ def load_engine() -> Any:
 
 
 class Engine:
-    """One LAMMPS instance, read by grain number (0-based) instead of by its own order."""
+    """One LAMMPS instance, read by grain number (0-based) instead of by its own order.
 
-    def __init__(self, module: Any) -> None:
+    A grain is one sphere, or a clump of `grain.sphere_count`; then places below means places of spheres, grains their bodies.
+    """
+
+    def __init__(self, module: Any, grain: Grain | None = None) -> None:
         self._module = module
+        self.clump = None if grain is None else grain.clump
+        self.sphere_count = 1 if self.clump is None else self.clump.count
+        self._places: NDArray[np.int64] | None = None
         self._lmp = module.lammps(cmdargs=["-screen", "none", "-log", "none", "-nocite"])
         self._array = self._lmp.numpy
         self._bits: dict[str, int] = {}
@@ -83,9 +90,11 @@ class Engine:
             self._lmp.command(line)
 
     def step(self, count: int = 1) -> None:
+        self._places = None
         self._lmp.command(f"run {count} pre no post no")
 
     def prepare(self) -> None:
+        self._places = None
         self._lmp.command("run 0 post no")
 
     @property
@@ -100,33 +109,76 @@ class Engine:
 
     @property
     def count(self) -> int:
+        """Spheres in the box."""
         return int(self._lmp.extract_global("nlocal"))
 
+    @property
+    def grain_count(self) -> int:
+        """Grains in the box."""
+        return self.count // self.sphere_count
+
     def atom(self, name: str) -> NDArray[Any]:
-        """A live view of a per-grain quantity in the engine's order."""
+        """A live view of a per-sphere quantity in the engine's order."""
         view: NDArray[Any] = self._array.extract_atom(name)[: self.count]
         return view
 
     def number(self) -> NDArray[np.int64]:
-        """Grain number of each place in the engine's order."""
+        """Sphere number of each place in the engine's order: grain number times sphere_count, plus its number in the grain."""
         return self.atom("id").astype(np.int64).ravel() - 1
 
+    def places(self) -> NDArray[np.int64]:
+        """Places of the spheres of each grain present (n, sphere_count), grains by number."""
+        if self._places is None:
+            self._places = np.argsort(self.number(), kind="stable").reshape(-1, self.sphere_count)
+        return self._places
+
+    def grains(self) -> tuple[NDArray[np.int64], Array, Array]:
+        """Grains present: number (n,), centre of mass (n, 3) and its velocity (n, 3), in one order until the next step."""
+        if self.clump is None:
+            return self.number(), self.atom("x"), self.atom("v")
+        places, share = self.places(), self.clump.mass_share
+        centre, velocity = (np.einsum("k,nkj->nj", share, self.atom(name)[places]) for name in ("x", "v"))
+        return self.number()[places[:, 0]] // self.sphere_count, centre, velocity
+
+    def sizes(self) -> tuple[Array, Array]:
+        """Radius of the sphere of each grain's volume (n,) and mass (n,), in the order of `grains`."""
+        radius, mass = self.atom("radius").ravel(), self.atom("rmass").ravel()
+        if self.clump is None:
+            return radius, mass
+        first = radius[self.places()[:, 0]] / self.clump.radius_m[0]
+        return first * float(np.cbrt(3.0 * self.clump.volume_m3 / (4.0 * np.pi))), mass[self.places()].sum(axis=1)
+
+    def spheres(self, count: int) -> tuple[Array, Array]:
+        """Centres and velocities of the spheres of grains 0 to count - 1, (count, sphere_count, 3); nan where gone."""
+        x, v = np.full((count * self.sphere_count, 3), np.nan), np.full((count * self.sphere_count, 3), np.nan)
+        number = self.number()
+        x[number], v[number] = self.atom("x"), self.atom("v")
+        return x.reshape(count, -1, 3), v.reshape(count, -1, 3)
+
     def contacts(self, fix: str) -> Array:
-        """The contacts array of a wall fix, (count, 8): flag, force on the grain (3), point (3), radius."""
+        """The contacts array of a wall fix, (count, 8): flag, force on the sphere (3), point (3), radius."""
         table: Array = self._array.extract_fix(fix, self._module.LMP_STYLE_ATOM, self._module.LMP_TYPE_ARRAY)[: self.count]
         return table
 
     def bit(self, group: str) -> int:
-        """The bit of a group in a grain's mask."""
+        """The bit of a group in a sphere's mask."""
         if group not in self._bits:
             self._bits[group] = 1 << int(self._lmp.available_ids("group").index(group))
         return self._bits[group]
 
     def assign(self, group: str, members: NDArray[np.bool_]) -> None:
-        """Makes `members` (count,) the group, in the engine's order."""
+        """Makes `members` (n,) the group, in the order of `grains`."""
         bit, mask = self.bit(group), self.atom("mask").reshape(-1)
         mask &= ~bit
-        mask |= members * mask.dtype.type(bit)
+        if self.clump is None:
+            mask |= members * mask.dtype.type(bit)
+        else:
+            mask[self.places()[members]] |= bit
+
+    def drop(self, group: str, members: NDArray[np.bool_]) -> None:
+        """Takes `members` (n,) out of the group, in the order of `grains`."""
+        mask = self.atom("mask").reshape(-1)
+        mask[members if self.clump is None else self.places()[members]] &= ~self.bit(group)
 
 
 def save(path: Path, **arrays: Any) -> None:
@@ -137,16 +189,18 @@ def save(path: Path, **arrays: Any) -> None:
 
 
 def settle(module: Any, throw: Throw, restart: Path) -> None:
-    """Settles the load in the closed housing and writes the state to `restart`."""
+    """Settles the load in the closed housing and writes the state to `restart` (that of clumps' bodies beside it)."""
     start = script.start_angle_rad(throw)
     steps = script.settle_steps(throw)
     first_angle = start - steps * throw.elevator_speed_rad_s * throw.time_step_s
     packing = start_packing(throw, first_angle)
-    engine = Engine(module)
+    engine = Engine(module, throw.grain)
     engine.do(script.world(throw))
-    _create(engine, packing.position_m, packing.velocity_m_s, packing.radius_m, packing.mass_kg)
-    engine.assign(script.HOUSED, np.ones(engine.count, dtype=bool))
-    engine.do(script.motion(throw) + script.machine_walls(throw, first_angle))
+    _create(engine, throw, packing)
+    engine.assign(script.HOUSED, np.ones(engine.grain_count, dtype=bool))
+    engine.do(script.motion(throw))
+    _move(engine, throw, packing)
+    engine.do(script.machine_walls(throw, first_angle))
     engine.prepare()
     done = 0
     while done < steps:
@@ -155,47 +209,87 @@ def settle(module: Any, throw: Throw, restart: Path) -> None:
         chunk = min(SETTLE_CHUNK, steps - done)
         engine.step(chunk)
         done += chunk
-    if engine.count != throw.grain_count:
-        raise RuntimeError(f"{throw.grain_count - engine.count} of {throw.grain_count} grains escaped the closed housing")
+    if engine.grain_count != throw.grain_count:
+        raise RuntimeError(f"{throw.grain_count - engine.grain_count} of {throw.grain_count} grains escaped the closed housing")
     _write_restart(engine, restart)
     engine.close()
 
 
 def _sweep(engine: Engine, throw: Throw, paddle_angle_rad: float) -> None:
     """Puts the grains near the paddle into its group."""
-    x = engine.atom("x")
+    _, x, _ = engine.grains()
     ahead = x[:, 1] * np.cos(paddle_angle_rad) - x[:, 0] * np.sin(paddle_angle_rad)
     engine.assign(script.SWEPT, np.abs(ahead) < script.REACH_RADII * throw.grain.radius_m)
 
 
-def _create(engine: Engine, position: Array, velocity: Array, radius: Array, mass: Array) -> None:
+def _create(engine: Engine, throw: Throw, packing: Packing) -> None:
+    """Puts the grains' spheres in the box."""
+    shape = engine.clump
+    position, velocity, radius, mass = packing.position_m, packing.velocity_m_s, packing.radius_m, packing.mass_kg
+    if shape is not None:
+        scale, orientation = _pose(throw, packing)
+        position = clump.sphere_centres_m(shape, position, orientation, scale).reshape(-1, 3)
+        velocity = np.repeat(velocity, shape.count, axis=0)
+        radius, mass = np.outer(scale, shape.radius_m).ravel(), np.outer(mass, shape.mass_share).ravel()
     n = len(position)
     engine._lmp.create_atoms(
         n, list(range(1, n + 1)), [1] * n, position.ravel().tolist(), velocity.ravel().tolist()
     )
     if engine.count != n:
-        raise RuntimeError(f"{n - engine.count} of {n} grains start outside the box")
+        raise RuntimeError(f"{n - engine.count} of {n} spheres start outside the box")
     order = engine.number()
     engine.atom("radius")[:] = radius[order].reshape(engine.atom("radius").shape)
     engine.atom("rmass")[:] = mass[order].reshape(engine.atom("rmass").shape)
+    if shape is not None:
+        engine.atom("molecule").reshape(-1)[:] = order // shape.count + 1
+
+
+def _pose(throw: Throw, packing: Packing) -> tuple[Array, Array]:
+    """Size relative to the mean clump (n,) and orientation (n, 3, 3)."""
+    assert packing.orientation is not None
+    return packing.radius_m / throw.grain.radius_m, packing.orientation
+
+
+def _move(engine: Engine, throw: Throw, packing: Packing) -> None:
+    """Has clumps move as bodies that do not turn yet."""
+    if engine.clump is None:
+        return
+    scale, orientation = _pose(throw, packing)
+    inertia = clump.inertia_kg_m2(engine.clump, packing.mass_kg, orientation, scale)
+    text = script.body_lines(
+        packing.mass_kg, packing.position_m, packing.velocity_m_s, inertia, np.zeros_like(packing.position_m)
+    )
+    with NamedTemporaryFile("w", prefix="yieldmon-dem-", suffix=".rigid", encoding="utf-8") as stream:
+        stream.write(text)
+        stream.flush()
+        engine.do(script.bodies(Path(stream.name)))
+        engine.prepare()
+
+
+def bodies_file(restart: Path) -> Path:
+    """Where the state of clumps' bodies is kept beside a restart file."""
+    return restart.with_name(f"{restart.name}.rigid")
 
 
 def _write_restart(engine: Engine, path: Path) -> None:
     part = path.with_suffix(f".part{os.getpid()}")
     engine.do([f"write_restart {part}"])
+    if engine.clump is not None:
+        bodies_file(part).replace(bodies_file(path))
     part.replace(path)
 
 
 def resume(module: Any, throw: Throw, restart: Path, plate_angle_rad: float | None = None) -> Engine:
     """An engine that goes on from a restart file, with the plate in place if its angle is given."""
-    engine = Engine(module)
+    engine = Engine(module, throw.grain)
     first_angle = script.start_angle_rad(throw) - script.settle_steps(throw) * throw.elevator_speed_rad_s * throw.time_step_s
-    engine.do([f"read_restart {restart}", *script.pair_law(throw), *script.neighbours(), *script.motion(throw)])
+    engine.do([f"read_restart {restart}", *script.pair_law(throw), *script.neighbours(throw), *script.motion(throw)])
     engine.do(script.machine_walls(throw, first_angle))
     if plate_angle_rad is not None:
         engine.do(script.plate_wall(throw, plate_angle_rad))
     # A turning wall's speed comes from its last two angles, and a restart file keeps one. So the engine is shown the step before,
-    # grains turned back with the paddle so that no contact is lost with its history, and then the kept state.
+    # grains turned back with the paddle so that no contact is lost with its history, and then the kept state. Clumps become
+    # bodies only then: a body takes its shape from where its spheres are when it is first prepared.
     step, number = engine.step_number, engine.number()
     kept = np.empty((engine.count, 3))
     kept[number] = engine.atom("x")
@@ -206,6 +300,8 @@ def resume(module: Any, throw: Throw, restart: Path, plate_angle_rad: float | No
     engine.prepare()
     engine.atom("x")[:] = kept[engine.number()]
     engine.set_step_number(step)
+    if engine.clump is not None:
+        engine.do(script.bodies(bodies_file(restart)))
     engine.prepare()
     return engine
 
@@ -242,8 +338,7 @@ class ReleaseWatch:
     def look(self, engine: Engine) -> None:
         step = engine.step_number
         now = self.time_s(step)
-        x = engine.atom("x")
-        number = engine.number()
+        number, x, v = engine.grains()
         paddle = self.paddle_angle_rad(step)
         held = np.isnan(self.let_go_s[number])
         if held.any():
@@ -252,7 +347,7 @@ class ReleaseWatch:
             else:
                 freed = held & (self._edge[0] * x[:, 1] - self._edge[1] * x[:, 0] > 0.0)
             if freed.any():
-                engine.atom("mask").reshape(-1)[freed] &= ~engine.bit(script.HOUSED)
+                engine.drop(script.HOUSED, freed)
                 who = number[freed]
                 self.let_go_s[who] = now
                 self.let_go_radius_m[who] = np.hypot(x[freed, 0], x[freed, 1])
@@ -269,7 +364,7 @@ class ReleaseWatch:
             who = number[clear]
             self.free_s[who] = now
             self.free_position_m[who] = x[clear]
-            self.free_velocity_m_s[who] = engine.atom("v")[clear]
+            self.free_velocity_m_s[who] = v[clear]
 
     def arrays(self) -> dict[str, Array]:
         return {k: v.copy() for k, v in vars(self).items() if isinstance(v, np.ndarray)}
@@ -283,17 +378,15 @@ def throw_to_branch(module: Any, throw: Throw, heap: Path, branch: Path, watch_f
     heap_velocity = np.empty((throw.grain_count, 3))
     radius = np.empty(throw.grain_count)
     mass = np.empty(throw.grain_count)
-    number = engine.number()
-    heap_position[number] = engine.atom("x")
-    heap_velocity[number] = engine.atom("v")
-    radius[number] = engine.atom("radius").ravel()
-    mass[number] = engine.atom("rmass").ravel()
+    number, x, v = engine.grains()
+    heap_position[number], heap_velocity[number] = x, v
+    radius[number], mass[number] = engine.sizes()
     near = throw.machine.plate_pivot_x_m - 2.0 * throw.grain.radius_m - 0.004
     limit = round(3.0 * np.pi / (throw.elevator_speed_rad_s * throw.time_step_s))
     for _ in range(limit):
         engine.step()
         watch.look(engine)
-        if engine.atom("x")[:, 0].max() > near:
+        if engine.grains()[1][:, 0].max() > near:
             break
     else:
         raise RuntimeError("no grain came near the plate in one and a half turns")
@@ -320,17 +413,25 @@ def plate_phase(module: Any, throw: Throw, angle: float, branch: Path, watch_fil
     return result
 
 
-def stream(module: Any, throw: Throw, angle: float, position: Array, velocity: Array) -> dict[str, Any]:
-    """Free grains of the mean size against the plate."""
-    engine = Engine(module)
+def stream(
+    module: Any, throw: Throw, angle: float, position: Array, velocity: Array, orientation: Array | None = None
+) -> dict[str, Any]:
+    """Free grains of the mean size against the plate. orientation: (n, 3, 3) of clumps, which do not turn at first."""
+    engine = Engine(module, throw.grain)
     n = len(position)
-    radius = np.full(n, throw.grain.radius_m)
-    mass = np.full(n, throw.grain.mass_kg)
+    if engine.clump is not None and orientation is None:
+        orientation = np.tile(np.eye(3), (n, 1, 1))
+    packing = Packing(position, velocity, np.full(n, throw.grain.radius_m), np.full(n, throw.grain.mass_kg), orientation)
     engine.do(script.world(throw))
-    _create(engine, position, velocity, radius, mass)
-    engine.do(script.motion(throw) + script.plate_wall(throw, angle))
+    _create(engine, throw, packing)
+    engine.do(script.motion(throw))
+    _move(engine, throw, packing)
+    engine.do(script.plate_wall(throw, angle))
     engine.prepare()
-    result = _strike(engine, throw, angle, mass, lambda: None, ())
+    start = engine.spheres(n)
+    result = _strike(engine, throw, angle, packing.mass_kg, lambda: None, ())
+    for moment, (x, v) in (("start", start), ("end", engine.spheres(n))):
+        result |= {f"{moment}_sphere_position_m": x, f"{moment}_sphere_velocity_m_s": v}
     result["start_s"] = 0.0
     result.pop("start_step")
     engine.close()
@@ -360,14 +461,15 @@ class PlateWatch:
         self.touch_velocity_m_s = np.full((count, 3), np.nan)
         self.grain_impulse_n_s = np.zeros((count, 2))
         self.velocity_m_s = np.full((count, 3), np.nan)
-        self.velocity_m_s[engine.number()] = engine.atom("v")
+        number, _, velocity = engine.grains()
+        self.velocity_m_s[number] = velocity
         self.start_velocity_m_s = self.velocity_m_s.copy()
         self.start_step = engine.step_number
         self.quiet_steps = 0
 
     def watch_near(self, engine: Engine) -> None:
         """Puts the grains near the plate into its group."""
-        offset = engine.atom("x")[:, :2] - self._pivot
+        offset = engine.grains()[1][:, :2] - self._pivot
         place = offset @ self._along
         distance = offset[:, 1] * self._along[0] - offset[:, 0] * self._along[1]
         near = (np.abs(distance) < self._reach) & (place > -self._reach) & (place < self._length + self._reach)
@@ -376,9 +478,9 @@ class PlateWatch:
     def look(self, engine: Engine) -> None:
         table = engine.contacts("plate")
         hit = np.flatnonzero(table[:, 0] > 0.0)
-        number = engine.number()
+        number, position, velocity = engine.grains()
         self.quiet_steps = 0 if hit.size else self.quiet_steps + 1
-        who = number[hit]
+        who = engine.number()[hit] // engine.sphere_count
         force = -table[hit, 1:4]
         centre = engine.atom("x")[hit]
         arm = table[hit, 4:7] - centre
@@ -387,16 +489,18 @@ class PlateWatch:
         self.normal.append(size @ unit[:, :2])
         self.total.append(force[:, :2].sum(axis=0))
         self.moment.append(float(size @ ((table[hit, 4:6] - self._pivot) @ self._along)))
-        self.grain_impulse_n_s[who, 0] += size * self._dt
-        self.grain_impulse_n_s[who, 1] += force[:, 0] * self._dt
-        new = np.isnan(self.touch_s[who])
-        fresh = who[new]
+        # Several spheres of a clump may touch at once.
+        np.add.at(self.grain_impulse_n_s, who, np.column_stack([size, force[:, 0]]) * self._dt)
+        fresh = who[np.isnan(self.touch_s[who])]
         self.touch_s[fresh] = (engine.step_number - self.start_step) * self._dt
-        self.touch_position_m[fresh] = centre[new]
+        if fresh.size:
+            at = np.empty_like(self.touch_position_m)
+            at[number] = position
+            self.touch_position_m[fresh] = at[fresh]
         self.touch_velocity_m_s[fresh] = self.velocity_m_s[fresh]
         if self._audited:
             self.other_walls.append(np.sum([engine.contacts(fix)[:, 1:3].sum(axis=0) for fix in self._audited], axis=0))
-        self.velocity_m_s[number] = engine.atom("v")
+        self.velocity_m_s[number] = velocity
 
     def only_stragglers(self) -> bool:
         """Whether the last TAIL_S have added less than TAIL_SHARE of the horizontal impulse."""
@@ -420,7 +524,8 @@ def _strike(
         each_step()
         watch.look(engine)
         if i % 50 == 0:
-            waiting = watch.quiet_steps * dt <= QUIET_S or _coming(engine.atom("x"), engine.atom("v"), throw, angle).any()
+            _, x, v = engine.grains()
+            waiting = watch.quiet_steps * dt <= QUIET_S or _coming(x, v, throw, angle).any()
             if not waiting or watch.only_stragglers():
                 break
     return {
@@ -429,7 +534,7 @@ def _strike(
         "normal_moment_n_m": np.array(watch.moment), "other_wall_force_n": np.array(watch.other_walls).reshape(-1, 2),
         "touch_s": watch.touch_s, "touch_position_m": watch.touch_position_m, "touch_velocity_m_s": watch.touch_velocity_m_s,
         "grain_impulse_n_s": watch.grain_impulse_n_s, "start_velocity_m_s": watch.start_velocity_m_s,
-        "end_velocity_m_s": watch.velocity_m_s, "present": np.isin(np.arange(len(mass)), engine.number()),
+        "end_velocity_m_s": watch.velocity_m_s, "present": np.isin(np.arange(len(mass)), engine.grains()[0]),
         "engine_version": engine.version,
     }
 
@@ -469,6 +574,7 @@ def run_throw(module: Any, job: dict[str, Any]) -> None:
         save(plate_file(out, angle), **result)
         report(stage="plate", plate_angle_rad=angle, seconds=time.monotonic() - started)
     branch.unlink()
+    bodies_file(branch).unlink(missing_ok=True)
 
 
 def run_stream(module: Any, job: dict[str, Any]) -> None:
@@ -477,7 +583,8 @@ def run_stream(module: Any, job: dict[str, Any]) -> None:
     out.mkdir(parents=True, exist_ok=True)
     position, velocity = np.array(job["position_m"], dtype=float), np.array(job["velocity_m_s"], dtype=float)
     angle = float(job["plate_angle_rad"])
-    save(plate_file(out, angle), **stream(module, throw, angle, position, velocity))
+    orientation = np.array(job["orientation"], dtype=float) if "orientation" in job else None
+    save(plate_file(out, angle), **stream(module, throw, angle, position, velocity, orientation))
     report(stage="plate", plate_angle_rad=angle)
 
 
