@@ -155,3 +155,14 @@ def test_nothing_is_adopted_without_a_name(make_rows, start) -> None:
     found = diagnosis.diagnose_rows(make_rows(), start, QUICK)
     with pytest.raises(ValueError, match="only a named effect"):
         diagnosis.adopted(found, start, {})
+
+
+def test_what_no_size_would_show_is_said(make_rows, start) -> None:
+    """Slip at one speed is another density and gain; an offset of the zero is seen at once."""
+    found = diagnosis.diagnose_rows(make_rows(speeds_rpm=(400.0,)), start, QUICK)
+    assert "chain_slip" in found.undetectable
+    assert not {"zero_offset", "plate_angle_offset"} & set(found.undetectable)
+    assert set(found.undetectable).isdisjoint(found.minimum_detectable)
+    document = diagnosis.to_document(found)
+    assert document["undetectable"] == list(found.undetectable)
+    assert any("chain_slip" in note for note in document["notes"])

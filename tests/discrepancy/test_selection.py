@@ -120,3 +120,51 @@ def test_a_pair_hidden_behind_each_other_is_named(make_rows, start) -> None:
     assert any("miss_capture" in c for c in classes)
     assert any("residual_radial_speed" in c for c in classes)
     assert choice.best_gap.f < 2.0
+
+
+@pytest.mark.parametrize(("left_f", "gain", "enough"), [(3.0, 90.0, True), (3.0, 30.0, False), (1.0, 90.0, False)])
+def test_beside_a_giant_a_further_effect_must_explain_half_of_what_is_left(published, left_f, gain, enough) -> None:
+    """Next to the excess of a first effect, one that is plainly there may be small."""
+    base, noise = published({"zero_offset": 4.0})
+    current = _scaled(fit(base.frame, ("zero_offset",), base.values), left_f)
+    found = (Candidate("release_angle", current, gain, 0.001, 0.0),)
+    good = selection._admissible(found, current, noise, Policy(), excess=1e6)
+    assert [c.effect for c in good] == (["release_angle"] if enough else [])
+    assert left_f == 1.0 or 0.25 * (current.chi2 - current.dof) < 60.0 < 0.75 * (current.chi2 - current.dof)
+
+
+@pytest.mark.parametrize(("complete_f", "gap_p", "left"), [(2.0, 0.01, ("zero_offset",)), (0.0, 2.0, None)])
+def test_a_further_effect_with_too_many_ties_is_spared_unless_the_data_refute_it(published, complete_f, gap_p, left) -> None:
+    base, noise = published({"zero_offset": 4.0})
+    policy = Policy(tie=1e9, largest_class=2, complete_f=complete_f, gap_p=gap_p, exchanges=3)
+    pair = ("release_angle", "zero_offset")
+    current = fit(base.frame, pair, base.values)
+    rng = np.random.default_rng(8)
+    reduced = fit(base.frame, ("zero_offset",), current.values)
+    library = ("gravity", "lever_arm", "plate_friction", "release_angle")
+    places = {"release_angle": selection._candidates(reduced, noise, library, rng, policy, 4), "zero_offset": ()}
+    found, steps, _ = selection._spared(
+        current, ["zero_offset", "release_angle"], places, (*library, "zero_offset"), noise, rng, policy, 0.0, excess=1e6
+    )
+    assert tuple(sorted(found.effects)) == (left or pair)
+    assert {s.added for s in steps} == set(found.effects)
+
+
+def test_a_bound_that_the_data_do_not_refute_is_no_reason_to_refuse(make_rows, start) -> None:
+    """The law's form takes the share past 1, yet at 1 no gap is left."""
+    options = diagnosis.Options(policy=Policy(most_effects=1), hold_out="none")
+    choice = diagnosis.examine(make_rows({"secondary_impact": 0.95}), start, options).choice
+    (candidate,) = [c for c in choice.looked_at if c.effect == "secondary_impact"]
+    assert "secondary_impact.share" in candidate.fit.at_bound
+    assert candidates.only_at_bound(candidate.fit, "secondary_impact", 4.0)
+    assert candidate.refused == ""
+    assert choice.named == ("secondary_impact",)
+
+
+def test_a_pair_whose_first_step_misleads_is_found_by_screening(make_rows, start) -> None:
+    rows = make_rows({"residual_radial_speed": 0.06, "secondary_impact": 0.8})
+    choice = diagnosis.examine(rows, start, diagnosis.Options(hold_out="none")).choice
+    classes = [{s.added, *s.equivalent} for s in choice.steps]
+    assert choice.verdict == "effect"
+    assert any("residual_radial_speed" in c for c in classes)
+    assert any("secondary_impact" in c for c in classes)

@@ -85,6 +85,8 @@ class Diagnosis:
     remaining: tuple[Region, ...]
     plan: Plan
     minimum_detectable: dict[str, float]
+    undetectable: tuple[str, ...]
+    """Effects that these rows would not show at any size within physical bounds."""
     correction: Correction | None
     notes: tuple[str, ...] = field(default=())
 
@@ -129,6 +131,8 @@ def diagnose_rows(
     remaining = where(best_all, noise, rng) if found.effects else regions
     tell("next experiment", 0.95)
     signatures = [signature(base_all, e) for e in library(whole, options.without)]
+    detectable = minimum_detectable(signatures)
+    undetectable = tuple(s.effect for s in signatures if s.effect not in {*detectable, *found.effects})
     return Diagnosis(
         options=options,
         form=seen.form,
@@ -146,9 +150,10 @@ def diagnose_rows(
         regions=regions if chosen.verdict != "none" else (),
         remaining=remaining,
         plan=plan(chosen.best, _planned_rivals(chosen), noise),
-        minimum_detectable=minimum_detectable(signatures),
+        minimum_detectable=detectable,
+        undetectable=undetectable,
         correction=correction(base_all) if chosen.verdict == "unknown" else None,
-        notes=seen.notes,
+        notes=(*seen.notes, *_undetectable_note(undetectable)),
     )
 
 
@@ -344,6 +349,10 @@ def _noise_notes(noise: Noise, outliers: int) -> list[str]:
     return [f"{how}: {form}"] + ([f"{outliers} outlying rows left out"] if outliers else [])
 
 
+def _undetectable_note(effects: tuple[str, ...]) -> list[str]:
+    return [f"at no physical size would these rows show: {', '.join(effects)}"] if effects else []
+
+
 def _span(values: Array) -> tuple[float, float]:
     return float(values.min()), float(values.max())
 
@@ -395,6 +404,7 @@ def to_document(diagnosis: Diagnosis) -> dict[str, object]:
             "power": diagnosis.plan.power,
         },
         "minimum_detectable": diagnosis.minimum_detectable,
+        "undetectable": list(diagnosis.undetectable),
         "base": {"form": diagnosis.form, "parameters": diagnosis.base.values, "p_any_effect": choice.p_any},
         "candidates": [
             {
