@@ -20,7 +20,7 @@ pytestmark = [pytest.mark.dem, pytest.mark.usefixtures("engine")]
 ROOT = Path(__file__).parents[2]
 
 
-SLOW = {"half_time_step", "clump_half_time_step"}
+SLOW = {"half_time_step", "clump_half_time_step", "clump_thin_stream"}
 
 
 @pytest.mark.parametrize(
