@@ -64,6 +64,14 @@ def test_adopt_plan_report_and_rollback(offset_table: Path, tmp_path: Path, caps
     params, plan, report = tmp_path / "p.yaml", tmp_path / "next.csv", tmp_path / "report"
     params.write_bytes((DATA.parents[1] / "config/parameters/corn.yaml").read_bytes())
     parent = params.read_bytes()
+    written = (plan, plan.with_suffix(".sweep.yaml"), report / "index.html", report / "where.png")
+    report.mkdir()
+    kept = []
+    for path in written:
+        path.write_text("old")
+        # Another name for what is there before: a file that is written over in place changes under both.
+        kept.append(path.with_name(f"kept-{path.name}"))
+        kept[-1].hardlink_to(path)
     code = main(
         [
             "diagnose",
@@ -91,11 +99,24 @@ def test_adopt_plan_report_and_rollback(offset_table: Path, tmp_path: Path, caps
     page = (report / "index.html").read_text()
     assert "zero-load reading" in page
     assert not re.search(r'(src|href)="(?!data:)', page)
-    assert {p.name for p in report.glob("*.png")} == {"where.png", "after.png", "profiles.png", "ranking.png"}
+    assert [path.read_text() for path in kept] == ["old"] * len(kept)
+    assert {p.name for p in report.glob("[!k]*.png")} == {"where.png", "after.png", "profiles.png", "ranking.png"}
 
     assert main(["diagnose", "--rollback", str(params)]) == 0
     assert params.read_bytes() == parent
     assert parameter_file.load(params.with_name("p.v2.rolled-back.yaml")).effects == ("zero_offset",)
+
+
+def test_a_link_to_the_parameters_stays_a_link(offset_table: Path, tmp_path: Path) -> None:
+    params, link = tmp_path / "kept" / "corn.yaml", tmp_path / "corn.yaml"
+    params.parent.mkdir()
+    parameter_file.save(parameter_file.load(DATA.parents[1] / "config/parameters/corn.yaml"), params)
+    parent = params.read_bytes()
+    link.symlink_to(params)
+    assert main(["diagnose", str(offset_table), "--params", str(link), "--adopt", str(link)]) == 0
+    assert main(["diagnose", "--rollback", str(link)]) == 0
+    assert link.is_symlink()
+    assert params.read_bytes() == parent
 
 
 def test_rollback_refuses_an_altered_parent(offset_table: Path, tmp_path: Path, capsys) -> None:
@@ -124,6 +145,7 @@ def test_report_without_matplotlib_says_what_to_install(offset_table: Path, tmp_
         (["no-such.csv"], "no-such.csv"),
         (["{few}"], "has 3 rows"),
         (["--rollback", "{params}"], "names no parent"),
+        (["{table}", "--plan", "no-such-folder/next.csv"], "there is no folder"),
     ],
 )
 def test_bad_input_gets_one_line(arguments: list[str], says: str, offset_table: Path, tmp_path: Path, capsys) -> None:

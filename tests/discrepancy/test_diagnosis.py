@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from yieldmon.discrepancy import diagnosis, experiment
+from yieldmon.cli.diagnose import _print_text
+from yieldmon.discrepancy import diagnosis, experiment, report
 from yieldmon.discrepancy.selection import Policy, form_allowance
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
@@ -166,3 +167,18 @@ def test_what_no_size_would_show_is_said(make_rows, start) -> None:
     document = diagnosis.to_document(found)
     assert document["undetectable"] == list(found.undetectable)
     assert any("chain_slip" in note for note in document["notes"])
+
+
+def test_a_gap_that_is_not_there_is_not_closed_by_nothing(make_rows, start) -> None:
+    assert diagnosis.to_document(diagnosis.diagnose_rows(make_rows(), start, QUICK))["gap"]["closed_pct"] is None
+
+
+def test_held_out_rows_within_their_scatter_do_not_tell(make_rows, start, capsys) -> None:
+    found = diagnosis.diagnose_rows(make_rows({"zero_offset": 4.0}), start, QUICK)
+    assert "% of the gap is gone" in report.summary(found)
+    held = replace(found.held_out, closed_pct=diagnosis._closed(before=1.0, after=0.9, floor=1.1))
+    found = replace(found, held_out=held)
+    assert diagnosis.to_document(found)["gap"]["closed_pct"] is None
+    assert "do not tell" in report.summary(found)
+    _print_text(found)
+    assert "gap closed not known" in capsys.readouterr().out

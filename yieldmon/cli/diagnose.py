@@ -16,6 +16,7 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file, table
 from yieldmon.files.table import Table
+from yieldmon.files.whole_file import check_place, scratch_for
 from yieldmon.physics.effects import registry
 from yieldmon.physics.machine import Machine
 from yieldmon.resources import shipped
@@ -70,6 +71,9 @@ def run(args: argparse.Namespace) -> int:
     unknown = [name for name in args.without if name not in registry()]
     if unknown:
         raise InputError("--without", f"{unknown[0]!r} is no effect", f"one of {', '.join(registry())}")
+    for place in (args.table, args.plan, args.adopt):
+        if place is not None:
+            check_place(place)
     machine = machine_file.load(args.machine)
     source = _from_store(args, machine) if sweep_table.is_store(args.data) else _from_csv(args)
     data, parameters = source.data, source.parameters
@@ -138,7 +142,8 @@ def _from_store(args: argparse.Namespace, machine: Machine) -> _Source:
     parameters = parameter_file.load(path) if path is not None else sweep_table.given_parameters(args.data)
     found = sweep_table.read(args.data, machine, parameters, args.sweeps)
     if args.table is not None:
-        Path(args.table).write_text(found.text, encoding="utf-8")
+        with scratch_for(args.table) as scratch:
+            scratch.write_text(found.text, encoding="utf-8")
     return _Source(found.table, parameters, path, True, found.scale_sd)
 
 
@@ -170,10 +175,10 @@ def _print_text(found: diagnosis.Diagnosis) -> None:
         )
     if found.held_out is not None:
         held = found.held_out
+        closed = "not known" if held.closed_pct is None else f"{held.closed_pct:.0f} %"
         print(
             f"  held out ({held.rows} rows): rms {held.before.rms:.4g} -> {held.after.rms:.4g}, "
-            f"noise {held.noise_floor_rms:.4g}, "
-            f"gap closed {held.closed_pct:.0f} %"
+            f"noise {held.noise_floor_rms:.4g}, gap closed {closed}"
         )
     for region in document["where"]:  # type: ignore[attr-defined]
         print(f"  where: {region}")

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from datetime import datetime
 from pathlib import Path
 
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
+from yieldmon.files.whole_file import scratch_for
 
 from .diagnosis import Diagnosis, adopted
 
@@ -48,7 +48,7 @@ def adopt(
         "gap_after_f": f"{diagnosis.after.lack_of_fit_f:.6g}",
         "seed": str(diagnosis.options.seed),
     }
-    if diagnosis.held_out is not None:
+    if diagnosis.held_out is not None and diagnosis.held_out.closed_pct is not None:
         provenance["held_out_closed_pct"] = f"{diagnosis.held_out.closed_pct:.4g}"
     _replace(copy, text)
     parameter_file.save(adopted(diagnosis, parent, provenance, scale_sd), out)
@@ -78,9 +78,5 @@ def rollback(path: Path) -> int:
 
 
 def _replace(path: Path, content: bytes) -> None:
-    scratch = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    with open(scratch, "wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(scratch, path)
+    with scratch_for(path, durable=True) as scratch:
+        scratch.write_bytes(content)

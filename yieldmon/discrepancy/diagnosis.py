@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import degrees
+from math import degrees, isnan
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,13 +55,14 @@ class Measure:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """The sealed rows, opened once: how many, before and after, the noise floor, and 100 (before - after) / (before - floor)."""
+    """The sealed rows, opened once: how many, before and after, the noise floor, and 100 (before - after) / (before - floor);
+    None where these rows miss no more than they scatter, so that there is no gap to close."""
 
     rows: int
     before: Measure
     after: Measure
     noise_floor_rms: float
-    closed_pct: float
+    closed_pct: float | None
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,7 @@ class Diagnosis:
 
     @property
     def closed_pct(self) -> float | None:
-        """Share of the gap closed on held-out rows; on all rows where none were held out."""
+        """Share of the gap closed on held-out rows; on all rows where none were held out. None: no effect, or no gap there."""
         if self.verdict != "effect":
             return None
         if self.held_out is not None:
@@ -313,8 +314,8 @@ def _open(
     return HeldOut(int(usable.sum()), measures[0], measures[1], floor, _closed(rms[0], rms[1], floor)), odd
 
 
-def _closed(before: float, after: float, floor: float) -> float:
-    return 100.0 * (before - after) / (before - floor) if before > floor else 0.0
+def _closed(before: float, after: float, floor: float) -> float | None:
+    return 100.0 * (before - after) / (before - floor) if before > floor else None
 
 
 def _refit(frame: Frame, effects: tuple[str, ...], start: Fit) -> Fit:
@@ -389,7 +390,7 @@ def to_document(diagnosis: Diagnosis) -> dict[str, object]:
             if held is None
             else {"rows": held.rows, "before": _measure_document(held.before), "after": _measure_document(held.after)},
             "noise_floor_rms": held.noise_floor_rms if held is not None else diagnosis.noise_floor_rms,
-            "closed_pct": diagnosis.closed_pct or 0.0,
+            "closed_pct": diagnosis.closed_pct,
         },
         "next_experiment": {
             "rows": [
@@ -434,7 +435,7 @@ def _measure_document(measure: Measure) -> dict[str, float | None]:
     return {
         "rms": measure.rms,
         "rms_over_max_pct": measure.rms_over_max_pct,
-        "lack_of_fit_f": measure.lack_of_fit_f,
+        "lack_of_fit_f": None if measure.lack_of_fit_f is None or isnan(measure.lack_of_fit_f) else measure.lack_of_fit_f,
         "p_value": measure.p_value,
     }
 

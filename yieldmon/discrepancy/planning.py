@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import degrees
 from pathlib import Path
 
+from yieldmon.files.whole_file import scratch_for
 from yieldmon.physics.machine import RPM
 
 from .experiment import Plan
@@ -19,9 +20,10 @@ def write_plan(plan: Plan, path: Path) -> Path:
         lines.append(
             f"{degrees(row.plate_angle_rad):.6g},{row.mass_flow_kg_s:.6g},{row.elevator_speed_rad_s / RPM:.6g},{REPEATS}"
         )
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     schedule = path.with_suffix(".sweep.yaml")
-    schedule.write_text(sweep_section(plan), encoding="utf-8")
+    for place, text in ((path, "\n".join(lines) + "\n"), (schedule, sweep_section(plan))):
+        with scratch_for(place) as scratch:
+            scratch.write_text(text, encoding="utf-8")
     return schedule
 
 

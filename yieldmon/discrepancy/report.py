@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from yieldmon.errors import InputError
+from yieldmon.files.whole_file import scratch_for
 from yieldmon.physics.effects import registry
 from yieldmon.physics.machine import RPM
 
-from .diagnosis import Diagnosis
+from .diagnosis import Diagnosis, HeldOut
 from .fit import Fit
 from .selection import Step
 
@@ -39,10 +40,12 @@ def write_report(diagnosis: Diagnosis, folder: Path, title: str) -> Path:
         "profiles": _profiles(diagnosis),
         "ranking": _ranking(diagnosis),
     }
-    for name, content in pictures.items():
-        (folder / f"{name}.png").write_bytes(content)
     page = folder / "index.html"
-    page.write_text(_page(diagnosis, title, pictures), encoding="utf-8")
+    files = {folder / f"{name}.png": content for name, content in pictures.items()}
+    files[page] = _page(diagnosis, title, pictures).encode()
+    for path, content in files.items():
+        with scratch_for(path) as scratch:
+            scratch.write_bytes(content)
     return page
 
 
@@ -66,10 +69,16 @@ def summary(diagnosis: Diagnosis) -> str:
         f"With it the error is {diagnosis.after.rms_over_max_pct:.1f} %"
     )
     if diagnosis.held_out is not None:
-        text += f"; on {diagnosis.held_out.rows} rows kept aside, {diagnosis.held_out.closed_pct:.0f} % of the gap is gone"
+        text += f"; {_gone(diagnosis.held_out)}"
     if ties:
         text += f". These measurements alone cannot tell it from: {', '.join(ties)}"
     return text + "."
+
+
+def _gone(held: HeldOut) -> str:
+    if held.closed_pct is None:
+        return f"the {held.rows} rows kept aside were within their scatter before, so they do not tell"
+    return f"on {held.rows} rows kept aside, {held.closed_pct:.0f} % of the gap is gone"
 
 
 def _figure(width: float, height: float):  # type: ignore[no-untyped-def]
