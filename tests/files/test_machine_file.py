@@ -52,6 +52,15 @@ def test_bad_values_are_named(tmp_path, key, value, expected):
     assert str(path) in str(caught.value)
 
 
+@pytest.mark.parametrize(("text", "problem"), [("", "is empty"), ("# later\n", "is empty"), ("[1]", "holds list at the top")])
+def test_a_file_that_is_no_mapping_says_what_it_is(tmp_path, text, problem):
+    path = tmp_path / "machine.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        machine_file.load(path)
+    assert str(caught.value) == f"{path}: {problem}; expected a mapping of keys to values"
+
+
 def test_a_missing_key_is_named(tmp_path):
     document = machine_file.to_document(Machine())
     del document["plate_length_m"]

@@ -79,8 +79,20 @@ def test_values_reach_the_engine(written):
     assert loaded.engine.zero.max_step_mv == 7.0
 
 
-def test_an_empty_file_is_the_default(written):
-    assert configuration.load(written("# nothing\n"), ENVIRONMENT).document == Document()
+@pytest.mark.parametrize("text", ["# nothing\n", "{}"])
+def test_a_file_without_keys_is_the_default_and_says_so(written, capsys, text):
+    path = written(text)
+    assert configuration.load(path, ENVIRONMENT).document == Document()
+    assert cli.main(["check-config", str(path)]) == 0
+    assert "valid, all defaults; machine" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("text", ["", " \n"])
+def test_a_file_cut_off_to_nothing_is_refused(written, capsys, text):
+    path = written(text)
+    for verb in (["check-config"], ["run", "--config"]):
+        assert cli.main([*verb, str(path)]) == 2
+        assert capsys.readouterr().err == f"yieldmon: {path}: is empty; expected keys and values, or {{}} for all defaults\n"
 
 
 FOLDERS = [
@@ -97,7 +109,7 @@ FOLDERS = [
 
 @pytest.mark.parametrize(("environment", "store", "socket"), FOLDERS)
 def test_folders_are_the_service_managers_or_the_users(written, environment, store, socket):
-    loaded = configuration.load(written(""), environment)
+    loaded = configuration.load(written("{}"), environment)
     assert (str(loaded.store_path), str(loaded.socket_path)) == (store, socket)
 
 

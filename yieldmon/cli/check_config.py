@@ -9,6 +9,7 @@ import sys
 from yieldmon.errors import InputError
 from yieldmon.resources import shipped
 from yieldmon.service import configuration
+from yieldmon.service.document import Document
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -46,7 +47,8 @@ def run(args: argparse.Namespace) -> int:
         }
         print(json.dumps(document, indent=2))
     elif loaded is not None:
-        print(f"{path}: valid; machine {loaded.machine_path}, parameters {loaded.parameter_path}")
+        defaults = ", all defaults" if loaded.document == Document() else ""
+        print(f"{path}: valid{defaults}; machine {loaded.machine_path}, parameters {loaded.parameter_path}")
     else:
         for problem in problems:
             print(f"yieldmon: {problem}", file=sys.stderr)

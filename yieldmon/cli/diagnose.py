@@ -66,14 +66,7 @@ def run(args: argparse.Namespace) -> int:
         version = adoption.rollback(Path(args.rollback))
         print(f"{args.rollback}: version {version} again", file=sys.stderr)
         return 0
-    if args.data is None:
-        raise InputError("diagnose", "no table given", "DATA.csv, a store, or --rollback FILE.yaml")
-    unknown = [name for name in args.without if name not in registry()]
-    if unknown:
-        raise InputError("--without", f"{unknown[0]!r} is no effect", f"one of {', '.join(registry())}")
-    for place in (args.table, args.plan, args.adopt):
-        if place is not None:
-            check_place(place)
+    _check(args)
     machine = machine_file.load(args.machine)
     source = _from_store(args, machine) if sweep_table.is_store(args.data) else _from_csv(args)
     data, parameters = source.data, source.parameters
@@ -113,6 +106,18 @@ def run(args: argparse.Namespace) -> int:
         )
         print(f"adopted: {args.adopt} (version {parameters.version + 1}); parent kept as {copy}", file=sys.stderr)
     return 0
+
+
+def _check(args: argparse.Namespace) -> None:
+    """What can be refused before the work. Raises InputError."""
+    if args.data is None:
+        raise InputError("diagnose", "no table given", "DATA.csv, a store, or --rollback FILE.yaml")
+    unknown = [name for name in args.without if name not in registry()]
+    if unknown:
+        raise InputError("--without", f"{unknown[0]!r} is no effect", f"one of {', '.join(registry())}")
+    for place in (args.table, args.plan, args.adopt):
+        if place is not None:
+            check_place(place)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,8 @@ def load_mapping(path: str | Path) -> dict[str, Any]:
     """The mapping in a YAML file. Raises InputError as strict_yaml.load, and where the top is not a mapping."""
     document = strict_yaml.load(path)
     if not isinstance(document, dict):
-        raise InputError(str(path), f"holds {type(document).__name__} at the top", "a mapping of keys to values")
+        problem = "is empty" if document is None else f"holds {type(document).__name__} at the top"
+        raise InputError(str(path), problem, "a mapping of keys to values")
     return document
 
 

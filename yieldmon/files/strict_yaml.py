@@ -100,11 +100,15 @@ def parse(text: str, where: str) -> Any:
 
 
 def load(path: Path | str) -> Any:
-    """The document in the file at `path`. Raises InputError as parse() does, and when the file cannot be read."""
+    """The document in the file at `path`. Raises InputError as parse() and read() do."""
+    return parse(read(path), str(path))
+
+
+def read(path: Path | str) -> str:
+    """The text of the file at `path`, no more of it than parse() refuses. Raises InputError when it cannot be read."""
     try:
         with open(path, "rb") as file:
-            content = file.read(MAX_BYTES + 1)
-        return parse(content.decode("utf-8"), str(path))
+            return file.read(MAX_BYTES + 1).decode("utf-8")
     except OSError as error:
         raise InputError(str(path), error.strerror or str(error), "a readable YAML file") from error
     except UnicodeDecodeError as error:

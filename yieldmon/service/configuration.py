@@ -64,13 +64,17 @@ class Configuration:
 
 
 def load(path: Path | str, environment: Mapping[str, str] = os.environ) -> Configuration:
-    """Configuration from the YAML file at `path`; an empty file is the default configuration.
+    """Configuration from the YAML file at `path`; keys that it leaves out have their defaults.
 
-    `environment` gives the service manager's folders. Raises ConfigurationError, or InputError from the machine, parameter or
+    A file without a single character is refused: a power cut or a full disk leaves such files, and the defaults are another
+    machine's. `environment` gives the service manager's folders. Raises ConfigurationError, or InputError from the machine, parameter or
     moisture map file.
     """
     path = Path(path).absolute()
-    content = strict_yaml.load(path)
+    text = strict_yaml.read(path)
+    if not text.strip():
+        raise ConfigurationError([InputError(str(path), "is empty", "keys and values, or {} for all defaults")])
+    content = strict_yaml.parse(text, str(path))
     return build({} if content is None else content, path, environment)
 
 
