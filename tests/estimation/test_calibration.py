@@ -96,6 +96,28 @@ def test_effect_parameters_by_their_qualified_name() -> None:
     assert result.parameter_set.effects == ("zero_offset",)
 
 
+@pytest.mark.parametrize("scale", [0.01, 200.0])
+@pytest.mark.parametrize(
+    ("name", "value", "power"),
+    [
+        ("cell_nonlinearity.softening_per_n", 0.003, -1.0),
+        ("zero_offset.force_n", 3.0, 1.0),
+        ("plate_buildup.weight_n", 5.0, 1.0),
+        ("resting_grain.time_s", 0.05, 1.0),
+    ],
+)
+def test_effects_in_the_readings_unit_are_found_in_any_unit(name: str, value: float, power: float, scale: float) -> None:
+    model = ForwardModel(MACHINE, (name.partition(".")[0],))
+    values = {"friction": 0.2, "density": 1100.0, "shape_ratio": 2.0, "k1": -0.4, "k2": 1.6, name: value}
+    conditions = Conditions(
+        np.radians(np.tile([40.0, 55.0, 70.0, 90.0], 8)), 400.0 * RPM, mass_flow_kg_s=np.repeat(FLOWS, 4)
+    )
+    rows = Measurements(conditions, scale * generated(conditions, values, model).momentum)
+    free = ("friction", "density", "k1", "k2", name)
+    found = calibrate(model, rows, default_start(model, rows, ("k1", "k2")), free, starts=4, intervals=False)
+    assert found.parameter_set.values[name] == pytest.approx(value * scale**power, rel=1e-3)
+
+
 def test_same_seed_same_bits_other_seed_same_answer() -> None:
     rows = published("dem", 70.0)
     runs = [fit(rows, rng=np.random.default_rng(seed), intervals=False) for seed in (5, 5, 6)]
@@ -212,6 +234,36 @@ def test_given_sigma_is_believed() -> None:
     two = calibrate(MODEL, doubled, START, FREE, starts=1, intervals=False)
     for a, b in zip(one.parameters, two.parameters, strict=True):
         assert b.standard_error / a.standard_error == pytest.approx(2.0, rel=0.15)
+
+
+def test_lack_of_fit_of_rows_of_unlike_sigma_has_its_stated_false_alarm_rate() -> None:
+    conditions = Conditions(np.radians(np.tile([45.0, 60.0, 75.0, 90.0], 16)), 42.0, mass_flow_kg_s=np.repeat(FLOWS, 8))
+    clean = np.real(MODEL.paddle_momentum(conditions, TRUE))
+    sigma = np.where(np.asarray(conditions.mass_flow_kg_s) == FLOWS[3], 0.5, 0.005)
+    p_values = []
+    for seed in range(60):
+        rows = Measurements(conditions, clean + sigma * np.random.default_rng(seed).normal(size=clean.size), sigma)
+        p_values.append(calibrate(MODEL, rows, TRUE, FREE, starts=1, intervals=False).residuals.lack_of_fit_p)
+    # 3 of 60 expected below 0.05; 8 or more would happen once in 90.
+    assert np.count_nonzero(np.array(p_values) < 0.05) <= 7
+
+
+def test_rows_without_replicates_do_not_loosen_the_robust_fit() -> None:
+    rows = noisy(5)
+    number = np.arange(rows.momentum.size) % 8
+    # One row of each condition, and a second of those at 45 deg.
+    chosen = rows.select(number < 5)
+    spoilt = chosen.momentum.copy()
+    spoilt[13] += 20.0 * 0.02
+    shift = {}
+    for robust in (False, True):
+        clean = calibrate(MODEL, chosen, START, FREE, starts=1, robust=robust, intervals=False)
+        dirty = calibrate(
+            MODEL, Measurements(chosen.conditions, spoilt), START, FREE, starts=1, robust=robust, intervals=False
+        )
+        assert dirty.residuals.pure_error_dof == 8
+        shift[robust] = float(np.max(np.abs(dirty.predicted - clean.predicted)))
+    assert shift[True] < 0.2 * shift[False]
 
 
 def test_a_prior_counts_as_one_more_measurement() -> None:

@@ -150,6 +150,8 @@ def test_every_effect_parameter_has_bounds_and_a_start_range_inside_them() -> No
 def test_bounds_of_what_is_in_the_readings_unit_scale_with_it() -> None:
     assert physical_bounds("k1", 200.0) == tuple(200.0 * b for b in physical_bounds("k1"))
     assert physical_bounds("zero_offset.force_n", 200.0) == tuple(200.0 * b for b in physical_bounds("zero_offset.force_n"))
+    softening = "cell_nonlinearity.softening_per_n"
+    assert physical_bounds(softening, 200.0) == pytest.approx([b / 200.0 for b in physical_bounds(softening)])
     assert physical_bounds("friction", 200.0) == physical_bounds("friction")
 
 

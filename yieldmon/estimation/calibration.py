@@ -21,7 +21,7 @@ from yieldmon.physics.numerics import Array
 
 from .batch import BatchSearch, MomentumBatch, levenberg_marquardt
 from .parameters import CalibratedRange, ParameterSet
-from .priors import Bounds, Prior, fitting_bounds, follows_scale, start_ranges
+from .priors import Bounds, Prior, fitting_bounds, follows_scale, start_ranges, stretch
 
 CONFIDENCE = 0.95
 _ROBUST_SCALE = 1.5
@@ -209,16 +209,17 @@ def profile_curves(
 def default_start(
     model: ForwardModel, data: Measurements, impact: Sequence[str], known: Mapping[str, float] | None = None
 ) -> dict[str, float]:
-    """Values to start from: the given ones, else middling grain, effects at their typical size, k1 and k2 in the data's scale."""
+    """Values to start from: the given ones, else middling grain and effects at their typical size, in the data's scale."""
     known = dict(known or {})
     values = {"friction": 0.3, "density": 1100.0, "shape_ratio": 2.0}
+    scale = 1.0
     if "restitution" in impact:
         values["restitution"] = 0.5
     else:
         scale = data_scale(model, data)
         values |= {"k1": 0.5 * scale, "k2": 1.0 * scale}
     for name in model.effect_parameters:
-        values[name] = effect_parameter(name).typical
+        values[name] = effect_parameter(name).typical * stretch(name, scale)
     other = {"restitution"} if "restitution" not in impact else {"k1", "k2"}
     wanted = set(values)
     return values | {k: v for k, v in known.items() if k in wanted and k not in other}
@@ -277,13 +278,20 @@ class _Problem:
         dof = int(np.sum(counts - 1))
         if dof < 1:
             return float("nan"), 0
-        y = self.data.momentum
-        means = np.bincount(self.cell, y) / counts
         if not self.robust:
-            return float(np.sqrt(np.sum((y - means[self.cell]) ** 2) / dof)), dof
+            return self._scatter(), dof
+        y = self.data.momentum
         middle = np.array([np.median(y[self.cell == i]) for i in range(counts.size)])
-        spread = np.abs(y - middle[self.cell]) * np.sqrt(y.size / dof)
-        return float(1.4826 * np.median(spread[counts[self.cell] > 1])), dof
+        repeated = counts[self.cell] > 1
+        spread = np.abs(y - middle[self.cell])[repeated] * np.sqrt(np.count_nonzero(repeated) / dof)
+        return float(1.4826 * np.median(spread)), dof
+
+    def _scatter(self) -> float:
+        """Standard deviation of a row about the mean of its cell, in the momentum's unit; nan without replicates."""
+        y, counts = self.data.momentum, np.bincount(self.cell)
+        dof = int(np.sum(counts - 1))
+        means = np.bincount(self.cell, y) / counts
+        return float(np.sqrt(np.sum((y - means[self.cell]) ** 2) / dof)) if dof > 0 else float("nan")
 
     def _first_noise(self) -> float:
         largest = float(np.max(np.abs(self.data.momentum)))
@@ -472,17 +480,18 @@ class _Problem:
         f_value = p_value = float("nan")
         cells = int(self.cell.max()) + 1
         y = self.data.momentum
-        counts = np.bincount(self.cell)
-        means = np.bincount(self.cell, y) / counts
-        pure_ss = float(np.sum((y - means[self.cell]) ** 2))
+        weight = self.row_sd**-2.0
+        means = np.bincount(self.cell, weight * y) / np.bincount(self.cell, weight)
+        # Weighted as the fit was: rows of unlike sigma are no sample of one variance.
+        pure_ss = float(np.sum(weight * (y - means[self.cell]) ** 2))
         pure_dof = rows - cells
         if pure_dof > 0 and cells > width and pure_ss > 0.0:
-            lack = (float(np.sum(error**2)) - pure_ss) / (cells - width)
+            lack = (float(np.sum(weight * error**2)) - pure_ss) / (cells - width)
             f_value = lack / (pure_ss / pure_dof)
             p_value = float(stats.f.sf(f_value, cells - width, pure_dof))
         return Residuals(
             rows, rms, 100.0 * rms / largest, noise_factor * (1.0 if self.given_sigma else float(self.row_sd[0])),
-            float(np.sqrt(pure_ss / pure_dof)) if pure_dof > 0 else float("nan"), pure_dof, f_value, p_value,
+            self._scatter(), pure_dof, f_value, p_value,
             tuple(int(i) for i in outliers),
         )
 

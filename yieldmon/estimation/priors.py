@@ -39,6 +39,14 @@ def follows_scale(name: str) -> bool:
     return name in ("k1", "k2") or ("." in name and get_effect(name.partition(".")[0]).unit_follows_response)
 
 
+def stretch(name: str, scale: float) -> float:
+    """Factor of a parameter's bounds and sizes where the reading has `scale` units in one kg m/s: 1 unless it follows the scale,
+    1 / scale for one that is stated per reading."""
+    if not follows_scale(name):
+        return 1.0
+    return 1.0 / scale if "." in name and effect_parameter(name).unit.startswith("1/") else scale
+
+
 def physical_bounds(name: str, scale: float = 1.0) -> tuple[float, float]:
     """(lowest, highest) of a parameter; scale: the reading's units in one kg m/s. Raises ValueError for unknown names."""
     if name in PHYSICAL_BOUNDS:
@@ -48,7 +56,8 @@ def physical_bounds(name: str, scale: float = 1.0) -> tuple[float, float]:
         low, high = known.lower, known.upper
     else:
         raise ValueError(f"parameter {name!r}: unknown; expected one of {', '.join(PHYSICAL_BOUNDS)} or effect.parameter")
-    return (low * scale, high * scale) if follows_scale(name) else (low, high)
+    factor = stretch(name, scale)
+    return low * factor, high * factor
 
 
 def fitting_bounds(names: Iterable[str], scale: float = 1.0, given: Bounds | None = None) -> dict[str, tuple[float, float]]:
@@ -67,7 +76,7 @@ def start_ranges(names: Iterable[str], scale: float = 1.0) -> dict[str, tuple[fl
             low, high = sorted((known.null, min(max(far, known.lower), known.upper)))
         else:
             low, high = _START_RANGES[name]
-        factor = scale if follows_scale(name) else 1.0
+        factor = stretch(name, scale)
         out[name] = (low * factor, high * factor)
     return out
 
