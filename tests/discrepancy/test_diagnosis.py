@@ -10,6 +10,8 @@ import pytest
 
 from yieldmon.cli.diagnose import _print_text
 from yieldmon.discrepancy import diagnosis, experiment, report
+from yieldmon.discrepancy.candidates import Signature
+from yieldmon.discrepancy.fit import Parameter
 from yieldmon.discrepancy.selection import Policy, form_allowance
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
@@ -61,6 +63,13 @@ def test_what_no_candidate_describes_stays_unknown(make_rows, start, kind: str) 
     document = diagnosis.to_document(found)
     assert document["effects"] == []
     assert "names no cause" in document["stop_gap"]["kind"]
+
+
+def test_where_nothing_is_named_the_best_candidates_are_told_apart(make_rows, start) -> None:
+    found = diagnosis.diagnose_rows(make_rows(alter=OUTSIDE["bracket that yields in one range of angle"]), start, QUICK)
+    assert found.choice.steps == ()
+    first, second, third = (c.effect for c in found.choice.looked_at[:3])
+    assert set(found.plan.separates) == {(first, second), (first, third)}
 
 
 def test_two_effects_are_both_named(make_rows, start) -> None:
@@ -152,6 +161,30 @@ def test_adopted_parameters_predict_what_was_fitted(make_rows, start) -> None:
     assert abs(adopted.values["zero_offset.force_n"] - 4.0) < 4.0 * sd
 
 
+def test_what_is_adopted_is_as_uncertain_as_what_is_said(make_rows, start) -> None:
+    found = diagnosis.diagnose_rows(make_rows({"zero_offset": 4.0}), start, QUICK)
+    found = replace(found, best=replace(found.best, chi2=3.0 * found.best.dof))
+    said = diagnosis.to_document(found)["effects"][0]["parameters"]["force_n"]["sd"]
+    assert diagnosis.adopted(found, start, {}).standard_deviation("zero_offset.force_n") == pytest.approx(said, rel=1e-12)
+
+
+def test_what_was_known_before_stays_as_uncertain(make_rows, start) -> None:
+    names = ("shape_ratio", "zero_offset.force_n", "friction")
+    before = replace(
+        start,
+        values=dict(start.values) | {"zero_offset.force_n": 4.0},
+        covariance_names=names,
+        covariance=np.array([[0.04, 0.01, 0.0], [0.01, 0.25, 0.0], [0.0, 0.0, 0.01]]),
+    )
+    rows = make_rows({"zero_offset": 4.0, "plate_friction": 0.3})
+    found = diagnosis.diagnose_rows(rows, before, replace(QUICK, keep_effects=True))
+    assert found.choice.named == ("plate_friction",)
+    adopted = diagnosis.adopted(found, before, {})
+    assert adopted.values["zero_offset.force_n"] == 4.0
+    np.testing.assert_array_equal(adopted.covariance_of(names[:2]), before.covariance_of(names[:2]))
+    assert adopted.standard_deviation("plate_friction.coefficient") > 0.0
+
+
 def test_nothing_is_adopted_without_a_name(make_rows, start) -> None:
     found = diagnosis.diagnose_rows(make_rows(), start, QUICK)
     with pytest.raises(ValueError, match="only a named effect"):
@@ -167,6 +200,23 @@ def test_what_no_size_would_show_is_said(make_rows, start) -> None:
     document = diagnosis.to_document(found)
     assert document["undetectable"] == list(found.undetectable)
     assert any("chain_slip" in note for note in document["notes"])
+
+
+def test_what_is_tied_is_not_said_to_be_beyond_showing(make_rows, start) -> None:
+    options = replace(QUICK, policy=replace(QUICK.policy, tie=1e9, largest_class=30, refits=24))
+    found = diagnosis.diagnose_rows(make_rows({"zero_offset": 4.0}, speeds_rpm=(400.0,)), start, options)
+    tied = set(found.choice.steps[0].equivalent)
+    assert "chain_slip" in tied
+    assert tied.isdisjoint(found.undetectable)
+
+
+def test_the_least_size_shown_is_of_the_leading_parameter() -> None:
+    """Two parameters of which the second alone changes anything."""
+    first, second = (Parameter(f"one.{n}", -1.0, 1.0, 0.0, 0.1, typical=0.1) for n in "ab")
+    points, seen = np.array([[0.1, 0.0], [0.0, 0.1]]), np.array([[0.0, 0.0], [3.0, 4.0]])
+    assert diagnosis.minimum_detectable([Signature("one", (first, second), points, seen, np.ones(2))]) == {}
+    found = diagnosis.minimum_detectable([Signature("one", (second, first), points[:, ::-1], seen, np.ones(2))])
+    assert found == {"one": pytest.approx(0.1 * 4.04 / 5.0)}
 
 
 def test_a_gap_that_is_not_there_is_not_closed_by_nothing(make_rows, start) -> None:

@@ -52,6 +52,23 @@ def test_bounds_hold(frame) -> None:
     assert "friction" in fitted.at_bound
 
 
+def test_covariance_is_that_of_the_scatter_and_widens_with_the_misfit(frame) -> None:
+    fitted = fit.fit(frame, ("zero_offset",), tolerance=1e-9)
+    wide = replace(fitted, parameters=tuple(replace(p, lower=-1e9, upper=1e9) for p in fitted.parameters))
+    by_hand = np.linalg.inv(fitted.jacobian.T @ fitted.jacobian)
+    for ratio, wider in ((0.5, 1.0), (4.0, 4.0)):
+        np.testing.assert_allclose(replace(wide, chi2=ratio * fitted.dof).covariance(), wider * by_hand, rtol=1e-5)
+
+
+def test_no_parameter_is_less_certain_than_anywhere_between_its_bounds(frame) -> None:
+    """Slip at these rows is another density and gain; a hundredth of the information leaves nothing determined."""
+    fitted = fit.fit(replace(frame, sd=100.0 * frame.sd), ("chain_slip",))
+    width = np.array([p.upper - p.lower for p in fitted.parameters])
+    sd = np.sqrt(np.diag(fitted.covariance()))
+    assert np.all(sd <= width / np.sqrt(12.0) * (1.0 + 1e-9))
+    assert sd[-1] > 0.8 * width[-1] / np.sqrt(12.0)
+
+
 def test_leaving_a_group_out_in_the_tangent_plane_is_a_refit(frame) -> None:
     fitted = fit.fit(frame, ("zero_offset",), tolerance=1e-9)
     numbers = frame.cells.groups()["plate_angle"]

@@ -8,6 +8,7 @@ from math import degrees, isnan
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
@@ -87,7 +88,7 @@ class Diagnosis:
     plan: Plan
     minimum_detectable: dict[str, float]
     undetectable: tuple[str, ...]
-    """Effects that these rows would not show at any size within physical bounds."""
+    """Effects that these rows would not show at any size within physical bounds; none that is named or tied."""
     correction: Correction | None
     notes: tuple[str, ...] = field(default=())
 
@@ -133,7 +134,12 @@ def diagnose_rows(
     tell("next experiment", 0.95)
     signatures = [signature(base_all, e) for e in library(whole, options.without)]
     detectable = minimum_detectable(signatures)
-    undetectable = tuple(s.effect for s in signatures if s.effect not in {*detectable, *found.effects})
+    spoken_of = {*found.effects, *(e for step in chosen.steps for e in step.equivalent)}
+    undetectable = tuple(
+        s.effect
+        for s in signatures
+        if s.effect not in spoken_of and all(np.isinf(_size_seen(s, i)) for i in range(len(s.parameters)))
+    )
     return Diagnosis(
         options=options,
         form=seen.form,
@@ -150,7 +156,7 @@ def diagnose_rows(
         noise_floor_rms=noise_floor(noise, best_all, every),
         regions=regions if chosen.verdict != "none" else (),
         remaining=remaining,
-        plan=plan(chosen.best, _planned_rivals(chosen), noise),
+        plan=plan(*_to_separate(chosen), noise),
         minimum_detectable=detectable,
         undetectable=undetectable,
         correction=correction(base_all) if chosen.verdict == "unknown" else None,
@@ -203,23 +209,25 @@ def adopted(
     """Parameters with the named effects, fitted to every row, as the next version of `parent`.
 
     scale_sd: relative standard deviation common to all loads of the table, which the fit takes as exact; it widens the covariance
-    along (load, density, impact gain) -> (a, a, 1/a). Raises ValueError unless the verdict names an effect.
+    along (load, density, impact gain) -> (a, a, 1/a). What the fit held (shape ratio, effects known before) is as uncertain as it
+    was. Raises ValueError unless the verdict names an effect.
     """
     if diagnosis.verdict != "effect":
         raise ValueError(f"the verdict is {diagnosis.verdict!r}; only a named effect can be adopted")
     best = diagnosis.best
     names = tuple(p.name for p in best.parameters)
-    covariance = best.covariance() * max(best.chi2 / max(best.dof, 1), 1.0)
+    covariance = best.covariance()
     along = np.array([_along_scale(name, best.values[name]) for name in names])
     covariance = covariance + scale_sd**2 * np.outer(along, along)
+    kept = tuple(name for name in parent.covariance_names if name in best.frame.fixed)
     cells = best.frame.cells
     passes = cells.elevator_speed_rad_s * cells.rows.machine.sprocket_pitch_radius_m / cells.rows.machine.paddle_spacing_m
     flow = cells.load if cells.rows.load_name == "mass_flow_kg_s" else cells.load * passes
     moist = cells.moisture_pct[np.isfinite(cells.moisture_pct)]
     return ParameterSet(
         values=best.values,
-        covariance_names=names,
-        covariance=0.5 * (covariance + covariance.T),
+        covariance_names=(*names, *kept),
+        covariance=block_diag(covariance, parent.covariance_of(kept)) if kept else covariance,
         calibrated=CalibratedRange(
             mass_flow_kg_s=_span(flow),
             plate_angle_rad=_span(cells.plate_angle_rad),
@@ -240,23 +248,27 @@ def _along_scale(name: str, value: float) -> float:
 def minimum_detectable(signatures: list[Signature]) -> dict[str, float]:
     """Size of each effect's leading parameter that this design would show with 80 % power at its global level.
 
-    Linear in size from the smallest signature drawn; infinite (absent) where the design cannot see the effect at all.
+    Linear in size from a signature drawn, the one whose answer is nearest the typical size; absent where that lies beyond the
+    parameter's bounds.
     """
+    sizes = {s.effect: _size_seen(s, 0) for s in signatures}
+    return {effect: size for effect, size in sizes.items() if np.isfinite(size)}
+
+
+def _size_seen(drawn: Signature, number: int) -> float:
+    """The least distance from its null at which one of an effect's parameters shows; inf beyond its bounds."""
     # 3.2 sd: two-sided 0.15 %, about 2 % over the library; 0.84 sd more for 80 % power.
     needed = 3.2 + 0.84
-    out = {}
-    for s in signatures:
-        norm = np.linalg.norm(s.change, axis=1)
-        seen = norm > 1e-6
-        if not np.any(seen):
-            continue
-        first = s.parameters[0]
-        step = np.abs(s.points - np.array([p.start for p in s.parameters]))
-        sizes = [float(step[i].max() * needed / norm[i]) for i in np.flatnonzero(seen)]
-        value = min(sizes, key=lambda v: abs(np.log(v / max(abs(first.typical - first.start), 1e-300))))
-        if value <= max(abs(first.upper - first.start), abs(first.lower - first.start)):
-            out[s.effect] = value
-    return out
+    p = drawn.parameters[number]
+    step = np.abs(drawn.points[:, number] - p.start)
+    norm = np.linalg.norm(drawn.change, axis=1)
+    seen = (step > 0.0) & (norm > 1e-6)
+    if not np.any(seen):
+        return float("inf")
+    sizes = step[seen] * needed / norm[seen]
+    typical = max(abs(p.typical - p.start), 1e-300)
+    size = float(sizes[np.argmin(np.abs(np.log(sizes / typical)))])
+    return size if size <= max(abs(p.upper - p.start), abs(p.lower - p.start)) else float("inf")
 
 
 def _published(
@@ -329,13 +341,16 @@ def _measure(fitted: Fit, rows: obs.Rows, noise: Noise) -> Measure:
     return Measure(rms, 100.0 * rms / float(np.max(np.abs(rows.value))), gap.f, gap.p_value)
 
 
-def _planned_rivals(choice: Choice) -> list[Fit]:
+def _to_separate(choice: Choice) -> tuple[Fit, list[Fit]]:
+    """The leading explanation and those to tell it from: its ties, else the next best in its place."""
     if choice.rivals:
-        return list(choice.rivals)
-    if choice.verdict == "effect":
-        seconds = [c for c in choice.steps[0].candidates if c.effect not in choice.best.effects]
-        return [c.fit for c in seconds[:1]]
-    return [c.fit for c in choice.looked_at[1:3]] if choice.verdict == "unknown" else []
+        return choice.best, list(choice.rivals)
+    if choice.steps:
+        seconds = [c.fit for c in choice.steps[0].candidates if c.effect not in choice.best.effects]
+        return choice.best, seconds[:1]
+    if choice.verdict == "unknown" and choice.looked_at:
+        return choice.looked_at[0].fit, [c.fit for c in choice.looked_at[1:3]]
+    return choice.best, []
 
 
 def _noise_notes(noise: Noise, outliers: int) -> list[str]:

@@ -87,7 +87,7 @@ class Fit:
 
     @property
     def dof(self) -> int:
-        """Cells less parameters that are not held by a bound."""
+        """Cells less parameters, those at a bound included: F then errs on the large side."""
         return len(self.residual) - len(self.parameters)
 
     @property
@@ -100,10 +100,17 @@ class Fit:
         )
 
     def covariance(self) -> Array:
-        """Covariance of the free parameters in the tangent plane, shape (free, free)."""
+        """Covariance of the parameters in the tangent plane, shape (parameters, parameters).
+
+        Where chi-square exceeds its degrees of freedom the cells miss by more than their sd, and it is that much wider (Birge's
+        ratio). No parameter is less certain than anywhere between its bounds.
+        """
         scale = np.array([p.scale for p in self.parameters])
         scaled = self.jacobian * scale
-        return np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True) * np.outer(scale, scale)
+        ratio = max(self.chi2 / max(self.dof, 1), 1.0)
+        between = np.array([p.scale / (p.upper - p.lower) for p in self.parameters])
+        inverse = np.linalg.inv(scaled.T @ scaled / ratio + np.diag(12.0 * between**2))
+        return 0.5 * (inverse + inverse.T) * np.outer(scale, scale)
 
     def tangent(self) -> Array:
         """Orthonormal basis of what small changes of the parameters can do to the whitened prediction, shape (cells, rank)."""
