@@ -20,14 +20,14 @@ from pathlib import Path
 
 STARTED = 0x700
 RELOADED = 0x701
-#: What a configuration holds that check-config refuses.
+#: What a configuration holds that cannot be used.
 WRONG = "wrong"
 
 
 def main() -> int:
     verb, *_, configuration = sys.argv[1:]
-    if verb == "check-config":
-        refused = WRONG in Path(configuration).read_text(encoding="utf-8")
+    refused = WRONG in Path(configuration).read_text(encoding="utf-8")
+    if refused or verb == "check-config":
         print(f"{configuration}: {WRONG}" if refused else "ok", file=sys.stderr)
         return 2 if refused else 0
     report = Path(os.environ["STATE_DIRECTORY"], "sandbox.json")

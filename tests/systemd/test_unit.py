@@ -116,6 +116,20 @@ def test_reload_with_a_bad_configuration_fails_and_leaves_it_running(started: in
     assert int(show("MainPID")) == started
 
 
+def test_a_configuration_refused_at_the_start_is_not_tried_again_until_it_is_mended(started: int) -> None:
+    run("systemctl", "stop", UNIT)
+    good = CONFIGURATION.read_text(encoding="utf-8")
+    CONFIGURATION.write_text(probe.WRONG, encoding="utf-8")
+    try:
+        run("systemctl", "start", UNIT, check=False)
+        eventually(lambda: show("ActiveState") == "failed", "failed, not waiting to be started again")
+        assert (show("ExecMainStatus"), show("NRestarts")) == ("2", "0")
+    finally:
+        CONFIGURATION.write_text(good, encoding="utf-8")
+    run("systemctl", "start", UNIT)
+    assert show("ActiveState") == "active"
+
+
 def test_killed_it_starts_again_without_a_limit(bus: can.BusABC, started: int) -> None:
     pids = [started]
     for _ in range(3):

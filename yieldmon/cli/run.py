@@ -11,6 +11,7 @@ from pathlib import Path
 from yieldmon.resources import shipped
 from yieldmon.service import configuration
 from yieldmon.service.daemon import Daemon
+from yieldmon.service.ownership import OccupiedError
 from yieldmon.service.store import StoreError
 
 
@@ -26,7 +27,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run until a signal ends it."""
+    """Run until a signal ends it. Exit code 2, on which the unit is not started again, is for what only a person can mend."""
     path = Path(args.config) if args.config is not None else shipped("config/yieldmon.yaml")
     loaded = configuration.load(path)
     # Under a service manager the journal has the time and takes the level from the prefix.
@@ -38,6 +39,6 @@ def run(args: argparse.Namespace) -> int:
     signal.signal(signal.SIGHUP, lambda *_: daemon.request_reload())
     try:
         return daemon.run()
-    except StoreError as error:
+    except (StoreError, OccupiedError, OSError) as error:
         print(f"yieldmon: {error}", file=sys.stderr)
         return 1

@@ -66,9 +66,9 @@ class Configuration:
 def load(path: Path | str, environment: Mapping[str, str] = os.environ) -> Configuration:
     """Configuration from the YAML file at `path`; keys that it leaves out have their defaults.
 
-    A file without a single character is refused: a power cut or a full disk leaves such files, and the defaults are another
-    machine's. `environment` gives the service manager's folders. Raises ConfigurationError, or InputError from the machine, parameter or
-    moisture map file.
+    A file without a single character is refused: a power cut or a full disk leaves such files, and the defaults may be another
+    machine's. `environment` gives the service manager's folders. Raises ConfigurationError, or InputError from the machine,
+    parameter or moisture map file.
     """
     path = Path(path).absolute()
     text = strict_yaml.read(path)

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from yieldmon.errors import InputError
+from yieldmon.service.ownership import OccupiedError
 
 _log = logging.getLogger(__name__)
 
@@ -40,13 +41,14 @@ class ControlServer:
         """path: the socket; what is there of an earlier run is replaced. group: may use it too (mode 0660, else 0600).
         answer: called with each request, on any thread; InputError and ControlError become an error answer.
 
-        Raises InputError for a group that does not exist, a path that cannot be bound, or one at which a daemon is running.
+        Raises InputError for a group that does not exist or a path that cannot be bound, OccupiedError for one at which a daemon
+        is running.
         """
         self.path = path
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             if _answers(path):
-                raise InputError("status.socket", f"{path}: a daemon is running there", "a socket for each daemon")
+                raise OccupiedError("status.socket", f"{path}: a daemon is running there", "a socket for each daemon")
             path.unlink(missing_ok=True)
             # The mode must be right from the first moment on, so bind() runs under the umask.
             before = os.umask(0o177)

@@ -131,7 +131,8 @@ class Daemon:
         """Run until told to stop; returns the exit code.
 
         Raises can.CanError or InputError when the bus cannot be opened at the start, StoreError when the store can be
-        neither made nor read, InputError when another daemon uses it or the control socket cannot be made.
+        neither made nor read, OccupiedError when another daemon uses it or the control socket, InputError when that cannot be
+        made.
         """
         with owned(self.configuration.store_path):
             return self._run()

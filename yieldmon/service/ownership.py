@@ -14,12 +14,16 @@ from yieldmon.errors import InputError
 _log = logging.getLogger(__name__)
 
 
+class OccupiedError(InputError):
+    """Another daemon has what this one is configured to use: wrong for as long as that one runs."""
+
+
 @contextmanager
 def owned(store: Path) -> Iterator[None]:
     """Keeps other daemons off the store at this path for as long as the context lasts; a process that dies lets go of it.
 
-    Raises InputError when another daemon has it. Where the lock's file cannot be made, on a medium that takes no writing, there
-    is nothing to keep apart either.
+    Raises OccupiedError when another daemon has it. Where the lock's file cannot be made, on a medium that takes no writing,
+    there is nothing to keep apart either.
     """
     path = store.with_name(f"{store.name}.lock")
     try:
@@ -33,7 +37,7 @@ def owned(store: Path) -> Iterator[None]:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise InputError("store.path", f"{store}: another daemon is using it", "a store for each daemon") from None
+            raise OccupiedError("store.path", f"{store}: another daemon is using it", "a store for each daemon") from None
         yield
     finally:
         os.close(lock)

@@ -1,0 +1,64 @@
+"""`yieldmon run` at its start: what may pass by itself exits with 1 and is tried again, what only a person can mend with 2."""
+
+from __future__ import annotations
+
+import re
+import signal
+import threading
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+import yieldmon
+from tests.service.bench import PATIENCE_S, running
+from yieldmon.cli import main as cli
+
+UNIT = Path(yieldmon.__file__).parents[1] / "systemd" / "yieldmon.service"
+VIRTUAL = "bus: {interface: virtual, channel: start}\n"
+
+
+def another_daemon(folder: Path, stack: ExitStack) -> str:
+    (folder / "first").mkdir()
+    stack.enter_context(running(folder / "first", state=folder))
+    return VIRTUAL
+
+
+def a_store_that_cannot_be_read(folder: Path, stack: ExitStack) -> str:
+    (folder / "yieldmon.sqlite").mkdir()
+    return VIRTUAL
+
+
+STARTS = [
+    (lambda *_: "bus: {channl: can0}", 2, "bus.channl: unknown key"),
+    (lambda *_: "bus: {interface: udp_multicast, channel: 239.74.163.2, options: {port: 70000}}", 2, "udp_multicast channel"),
+    (lambda *_: VIRTUAL + "status: {group: no-such-group}", 2, "status.group: 'no-such-group'"),
+    (lambda *_: VIRTUAL + f"status: {{socket: {'x' * 200}}}", 2, "status.socket: "),
+    (lambda *_: "bus: {interface: socketcan, channel: absent0}", 1, "socketcan channel absent0: "),
+    (another_daemon, 1, "another daemon is using it"),
+    (a_store_that_cannot_be_read, 1, "unable to open database file"),
+]
+
+
+@pytest.mark.parametrize(("prepare", "code", "says"), STARTS)
+def test_a_start_that_fails_says_whether_another_try_can_help(prepare, code, says, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+    handlers = {}
+    monkeypatch.setattr("yieldmon.cli.run.signal.signal", handlers.__setitem__)
+    with ExitStack() as stack:
+        # A daemon that starts all the same ends, and with 0.
+        late = threading.Timer(PATIENCE_S, lambda: handlers.get(signal.SIGTERM, int)())
+        stack.callback(late.cancel)
+        late.start()
+        path = tmp_path / "yieldmon.yaml"
+        path.write_text(prepare(tmp_path, stack))
+        assert cli.main(["run", "--config", str(path)]) == code
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("yieldmon: ")]
+    assert len(lines) == 1
+    assert says in lines[0]
+
+
+def test_the_unit_is_not_started_again_on_bad_input_alone():
+    prevented = re.findall(r"^RestartPreventExitStatus=(.*)$", UNIT.read_text(encoding="utf-8"), re.MULTILINE)
+    assert prevented == [str(cli.EXIT_USAGE)]
