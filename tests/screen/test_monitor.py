@@ -226,6 +226,14 @@ def test_a_number_that_is_none_is_refused(option, value, log, capsys):
     assert f"{option}: is {value}" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("how", [["--once"], ["--once", "--json"], ["--json"]])
+def test_a_log_without_a_frame_is_refused(how, tmp_path, capsys):
+    path = tmp_path / "empty.log"
+    path.write_text("")
+    assert main(["monitor", str(path), *how]) == 2
+    assert capsys.readouterr() == ("", f"yieldmon: {path}: no frame at all; expected a log with frames\n")
+
+
 def test_recording_writes_every_frame(log, tmp_path, capsys):
     copy = tmp_path / "copy.asc"
     assert main(["monitor", str(log), "--once", "--record", str(copy)]) == 0

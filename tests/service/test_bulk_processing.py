@@ -145,6 +145,38 @@ def test_a_log_that_cannot_be_read(tmp_path, reads_ahead):
         rows_of(process_in_bulk, [tmp_path / "gone.log"], reads_ahead=reads_ahead)
 
 
+def not_ours() -> list[can.Message]:
+    return [can.Message(timestamp=float(n), arbitration_id=0x123, is_extended_id=False, data=b"x") for n in range(3)]
+
+
+def of_wrong_length() -> list[can.Message]:
+    return [can.Message(timestamp=m.timestamp, arbitration_id=m.arbitration_id, data=m.data[:3]) for m in messages()[:2]]
+
+
+NOTHING = [
+    (list, "no frame at all"),
+    (not_ours, "none of 3 frames is one that yieldmon takes in"),
+    (of_wrong_length, "none of 2 frames is one that yieldmon takes in, 2 of wrong length"),
+]
+
+
+@pytest.mark.parametrize("ending", [".log", ".blf", ".csv"])
+@pytest.mark.parametrize(("content", "problem"), NOTHING)
+def test_a_log_with_nothing_to_measure_is_refused(content, problem, ending, tmp_path, capsys):
+    path = write(tmp_path / f"nothing{ending}", content())
+    out = tmp_path / "out.csv"
+    assert cli.main(["process", str(path), "--out", str(out)]) == 2
+    assert capsys.readouterr().err == f"yieldmon: {path}: {problem}; expected a log with sensor, speed and plate frames\n"
+    assert not out.exists()
+    with pytest.raises(InputError, match=problem):
+        rows_of(process_logs, [path])
+
+
+def test_an_empty_log_among_others_changes_nothing(log, tmp_path):
+    empty = write(tmp_path / "empty.log", [])
+    assert rows_of(process_in_bulk, [empty, log, empty])[0] == rows_of(process_in_bulk, [log])[0]
+
+
 def test_progress_is_told(log):
     seen = []
     _, summary = rows_of(process_in_bulk, [log], progress=seen.append)

@@ -46,9 +46,13 @@ def test_a_start_that_fails_says_whether_another_try_can_help(prepare, code, say
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
     handlers = {}
     monkeypatch.setattr("yieldmon.cli.run.signal.signal", handlers.__setitem__)
+
+    def end() -> None:
+        """For a daemon that starts all the same: its exit code is 0."""
+        handlers[signal.SIGTERM]()
+
     with ExitStack() as stack:
-        # A daemon that starts all the same ends, and with 0.
-        late = threading.Timer(PATIENCE_S, lambda: handlers.get(signal.SIGTERM, int)())
+        late = threading.Timer(PATIENCE_S, end)
         stack.callback(late.cancel)
         late.start()
         path = tmp_path / "yieldmon.yaml"

@@ -67,12 +67,19 @@ def run(args: argparse.Namespace) -> int:
             view.recording = record.start(args.record)
         if args.once:
             _listen(source, traffic, record, time.monotonic() + (float("inf") if args.log else args.seconds))
+            _refuse_empty(args.log, traffic)
             _print_once(traffic, codec, view, args.json)
         elif args.json:
             _print_lines(source, traffic, codec, record)
         else:
             _show(source, traffic, codec, view, record)
+        _refuse_empty(args.log, traffic)
     return 0
+
+
+def _refuse_empty(log: str | None, traffic: Traffic) -> None:
+    if log is not None and not traffic.frames:
+        raise InputError(log, "no frame at all", "a log with frames")
 
 
 class _Recorder:

@@ -27,9 +27,9 @@ from yieldmon.plant.truth_file import write_csv
 from yieldmon.resources import shipped
 
 NOT_SENT = "not sent"
-#: Latest time stamp, in the year 2286: ten digits, as log formats print them.
-LATEST_S = 9_999_999_999.0
 """Beside the message names in the summary's counts: frames that the bus did not take."""
+LATEST_S = 9_999_999_999.0
+"""Latest time stamp, in the year 2286: ten digits, as log formats print them."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

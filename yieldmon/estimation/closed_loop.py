@@ -594,6 +594,7 @@ class _Problem:
         covariance = 0.5 * (covariance + covariance.T)
         mean = np.where(shrunk, prior.mean + step, prior.mean)
         still = np.outer(~shrunk, ~shrunk)
+        # The search kept theta within the physical bounds; the part of its step that is used may end a little beyond them.
         return np.clip(mean, self.lower, self.upper), np.where(still, prior.covariance, covariance)
 
     def _scale(self, theta: Array, posterior: Array, jacobian: Array, width: int, windows: int) -> ScaleReport:

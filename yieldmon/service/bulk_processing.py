@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
@@ -26,7 +26,7 @@ from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.runs import FrameRun, SignalRun
 from yieldmon.errors import InputError
 from yieldmon.frames import IMPACT_SENSOR_SAMPLES, INPUTS, SAMPLES_PER_FRAME
-from yieldmon.service.processing import Summary
+from yieldmon.service.processing import Summary, refuse_nothing
 from yieldmon.service.rows import SecondRow, second_row
 
 #: Frames of a log fed at a time: windows enough to be closed in groups. Where the recorder's clock steps, the frames of one run
@@ -57,7 +57,7 @@ class EndOfLog:
 
 
 def process_in_bulk(
-    paths: Iterable[Path | str],
+    paths: Sequence[Path | str],
     monitor: Monitor,
     codec: Codec,
     take_row: Callable[[SecondRow], None],
@@ -65,7 +65,7 @@ def process_in_bulk(
     reads_ahead: bool = False,
     progress: Callable[[Stretch | EndOfLog], None] | None = None,
 ) -> Summary:
-    """What processing.process_logs() does, and the same rows and summary. Raises InputError for a log that cannot be read.
+    """What processing.process_logs() does, and the same rows and summary. Raises InputError as that does.
 
     reads_ahead: read and decode in a second process. progress: called with each stretch that is done.
     """
@@ -86,6 +86,7 @@ def process_in_bulk(
                         take_row(second_row(summary.windows, record))
             if progress is not None:
                 progress(stretch)
+    refuse_nothing(names, summary)
     return summary
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from yieldmon.bus.codec import Codec, FrameError
 from yieldmon.bus.logs import LogNotes, read_log
 from yieldmon.engine.monitor import Monitor
+from yieldmon.errors import InputError
 from yieldmon.frames import INPUTS
 from yieldmon.service.rows import SecondRow, second_row
 
@@ -25,12 +26,12 @@ class Summary:
 
 
 def process_logs(
-    paths: Iterable[Path | str], monitor: Monitor, codec: Codec, take_row: Callable[[SecondRow], None]
+    paths: Sequence[Path | str], monitor: Monitor, codec: Codec, take_row: Callable[[SecondRow], None]
 ) -> Summary:
     """Feeds the logs, one after the other, to the monitor and hands over each second's row.
 
     Frames that the monitor sends are not needed here: those in a log were sent by the monitor of that time. Raises
-    InputError for a log that cannot be read.
+    InputError for a log that cannot be read, and as refuse_nothing().
     """
     summary = Summary()
     for path in paths:
@@ -49,7 +50,16 @@ def process_logs(
         summary.frames += notes.frames
         summary.damages += [str(damage) for damage in notes.damages]
     _hand_over(monitor, take_row, summary)
+    refuse_nothing(paths, summary)
     return summary
+
+
+def refuse_nothing(paths: Sequence[Path | str], summary: Summary) -> None:
+    """Raises InputError when there was nothing in all the logs that the engine could take."""
+    if not summary.ours:
+        found = f"none of {summary.frames} frames is one that yieldmon takes in" if summary.frames else "no frame at all"
+        wrong = f", {summary.malformed} of wrong length" if summary.malformed else ""
+        raise InputError(", ".join(map(str, paths)), found + wrong, "a log with sensor, speed and plate frames")
 
 
 def _hand_over(monitor: Monitor, take_row: Callable[[SecondRow], None], summary: Summary) -> None:
