@@ -98,6 +98,7 @@ def test_adopt_plan_report_and_rollback(offset_table: Path, tmp_path: Path, caps
     assert "angles_deg: [" in plan.with_suffix(".sweep.yaml").read_text()
     page = (report / "index.html").read_text()
     assert "zero-load reading" in page
+    assert re.search(r"force_n = -?[0-9.]+ ± [0-9.]+ N", page)
     assert not re.search(r'(src|href)="(?!data:)', page)
     assert [path.read_text() for path in kept] == ["old"] * len(kept)
     assert {p.name for p in report.glob("[!k]*.png")} == {"where.png", "after.png", "profiles.png", "ranking.png"}

@@ -65,6 +65,14 @@ def test_what_no_candidate_describes_stays_unknown(make_rows, start, kind: str) 
     assert "names no cause" in document["stop_gap"]["kind"]
 
 
+def test_the_report_of_a_gap_explained_in_part_has_the_parts_size(make_rows, start, tmp_path) -> None:
+    found = diagnosis.diagnose_rows(make_rows(alter=OUTSIDE["resonance in speed"]), start, QUICK)
+    (step,) = found.choice.steps
+    page = report.write_report(found, tmp_path, "partly").read_text(encoding="utf-8")
+    (parameter,) = (p for p in found.choice.best.parameters if p.name.startswith(f"{step.added}."))
+    assert f"{parameter.name.partition('.')[2]} = {found.choice.best.values[parameter.name]:.4g} ± " in page
+
+
 def test_where_nothing_is_named_the_best_candidates_are_told_apart(make_rows, start) -> None:
     found = diagnosis.diagnose_rows(make_rows(alter=OUTSIDE["bracket that yields in one range of angle"]), start, QUICK)
     assert found.choice.steps == ()

@@ -14,6 +14,7 @@ from yieldmon.errors import InputError
 from yieldmon.files.whole_file import scratch_for
 from yieldmon.physics.effects import registry
 from yieldmon.physics.machine import RPM
+from yieldmon.physics.numerics import Array
 
 from .diagnosis import Diagnosis, HeldOut
 from .fit import Fit
@@ -34,9 +35,12 @@ def write_report(diagnosis: Diagnosis, folder: Path, title: str) -> Path:
         raise InputError("--report", "needs matplotlib, which is not installed", "pip install 'yieldmon[plot]'") from error
     matplotlib.use("Agg")
     folder.mkdir(parents=True, exist_ok=True)
+    limit_pct = max(0.5, *(float(np.max(np.abs(_errors_pct(f)))) for f in (diagnosis.base, diagnosis.best)))
     pictures = {
-        "where": _residual_map(diagnosis.base, "Published model: model minus measurement, % of largest reading"),
-        "after": _residual_map(diagnosis.best, "With the named effects" if diagnosis.choice.named else "Published model"),
+        "where": _residual_map(diagnosis.base, "Published model", limit_pct),
+        "after": _residual_map(
+            diagnosis.best, "With the named effects" if diagnosis.choice.named else "Published model", limit_pct
+        ),
         "profiles": _profiles(diagnosis),
         "ranking": _ranking(diagnosis),
     }
@@ -93,27 +97,35 @@ def _png(figure) -> bytes:  # type: ignore[no-untyped-def]
     return buffer.getvalue()
 
 
-def _residual_map(fitted: Fit, title: str) -> bytes:
+def _errors_pct(fitted: Fit) -> Array:
+    """Model minus measurement of each cell, % of the largest reading."""
+    return 100.0 * fitted.residual * fitted.frame.sd / float(np.max(np.abs(fitted.frame.cells.mean)))
+
+
+def _load_label(fitted: Fit) -> str:
+    return "mass flow, kg/s" if fitted.frame.cells.rows.load_name == "mass_flow_kg_s" else "mass per paddle, kg"
+
+
+def _residual_map(fitted: Fit, title: str, limit_pct: float) -> bytes:
+    """limit_pct: end of the colour scale, the same before and after."""
     cells = fitted.frame.cells
-    error = 100.0 * fitted.residual * fitted.frame.sd / float(np.max(np.abs(cells.mean)))
     figure = _figure(7.5, 4.2)
     axes = figure.subplots()
-    limit = max(float(np.max(np.abs(error))), 0.5)
     spread = 0.6 * (cells.elevator_speed_rad_s / np.median(cells.elevator_speed_rad_s) - 1.0)
     points = axes.scatter(
         np.degrees(cells.plate_angle_rad) + 6.0 * spread,
         cells.load,
-        c=error,
+        c=_errors_pct(fitted),
         cmap="RdBu_r",
-        vmin=-limit,
-        vmax=limit,
+        vmin=-limit_pct,
+        vmax=limit_pct,
         s=110,
         edgecolors="0.4",
     )
     axes.set_xlabel("plate angle, deg")
-    axes.set_ylabel("mass flow, kg/s" if cells.rows.load_name == "mass_flow_kg_s" else "mass per paddle, kg")
+    axes.set_ylabel(_load_label(fitted))
     axes.set_title(title, fontsize=10)
-    figure.colorbar(points, label="model minus measurement, %")
+    figure.colorbar(points, label="model minus measurement,\n% of largest reading")
     return _png(figure)
 
 
@@ -121,13 +133,17 @@ def _profiles(diagnosis: Diagnosis) -> bytes:
     cells = diagnosis.base.frame.cells
     figure = _figure(9.0, 4.0)
     for axes, values, label in zip(
-        figure.subplots(1, 2), (np.degrees(cells.plate_angle_rad), cells.load), ("plate angle, deg", "load"), strict=True
+        figure.subplots(1, 2),
+        (np.degrees(cells.plate_angle_rad), cells.load),
+        ("plate angle, deg", _load_label(diagnosis.base)),
+        strict=True,
     ):
         order = np.unique(np.round(values, 6))
         for fitted, name, mark in ((diagnosis.base, "before", "s--"), (diagnosis.best, "after", "o-")):
             error = 100.0 * fitted.residual * fitted.frame.sd / np.maximum(np.abs(cells.mean), 0.05 * np.max(np.abs(cells.mean)))
             rms = [float(np.sqrt(np.mean(error[np.isclose(values, v, atol=1e-6)] ** 2))) for v in order]
             axes.plot(order, rms, mark, label=name)
+        axes.set_ylim(bottom=0.0)
         axes.set_xlabel(label)
         axes.set_ylabel("rms error, % of reading")
         axes.legend()
@@ -139,9 +155,15 @@ def _ranking(diagnosis: Diagnosis) -> bytes:
     figure = _figure(7.5, 0.6 + 0.32 * max(len(found), 1))
     axes = figure.subplots()
     names = [c.effect + (" (at a bound)" if c.refused else "") for c in found]
-    axes.barh(names[::-1], [c.fit.chi2 / max(c.fit.dof, 1) for c in found][::-1], color="#4a7fa5")
+    chi2, dof = (np.array([getattr(c.fit, name) for c in found][::-1], dtype=float) for name in ("chi2", "dof"))
+    dof = np.maximum(dof, 1.0)
+    # Of a noncentral chi-square: variance 2 (dof + 2 excess).
+    sd = np.sqrt(2.0 * (dof + 2.0 * np.maximum(chi2 - dof, 0.0)))
+    axes.barh(names[::-1], chi2 / dof, xerr=sd / dof, color="#4a7fa5", ecolor="0.2", capsize=2)
     axes.axvline(1.0, color="0.3", linewidth=1)
-    axes.set_xlabel("lack of fit with this one effect added (1: to the noise)")
+    axes.axvline(diagnosis.choice.base_gap.f, color="0.3", linewidth=1, linestyle="--")
+    axes.set_xlim(left=0.0)
+    axes.set_xlabel("lack of fit F with this one effect added, and its standard deviation\n(line: to the noise; dashed: none added)")
     return _png(figure)
 
 
@@ -195,7 +217,7 @@ def _gap_table(diagnosis: Diagnosis) -> str:
 def _where_table(diagnosis: Diagnosis) -> str:
     if not diagnosis.regions:
         return "<p>No region where the error is larger than chance allows.</p>"
-    out = "<table><tr><th>plate angle, deg</th><th>fill</th><th>speed, rpm</th><th>error, %</th><th>p</th></tr>"
+    out = "<table><tr><th>plate angle, deg</th><th>fill</th><th>speed, rpm</th><th>model minus measurement, %</th><th>p</th></tr>"
     for r in diagnosis.regions:
         out += (
             f"<tr><td>{degrees(r.plate_angle_rad[0]):.0f} to {degrees(r.plate_angle_rad[1]):.0f}</td>"
@@ -208,9 +230,10 @@ def _where_table(diagnosis: Diagnosis) -> str:
 
 def _step(step: Step, diagnosis: Diagnosis) -> str:
     effect = registry()[step.added]
+    fitted = diagnosis.best if diagnosis.choice.named else diagnosis.choice.best
     values = ", ".join(
-        f"{p.name.partition('.')[2]} = {diagnosis.best.values.get(p.name, float('nan')):.4g} {html.escape(p.unit)}"
-        for p in diagnosis.best.parameters
+        f"{p.name.partition('.')[2]} = {fitted.values[p.name]:.4g} ± {sd:.2g} {html.escape(p.unit)}".rstrip()
+        for p, sd in zip(fitted.parameters, np.sqrt(np.diag(fitted.covariance())), strict=True)
         if p.name.startswith(f"{step.added}.")
     )
     ties = f" Not distinguishable here from: {', '.join(step.equivalent)}." if step.equivalent else ""
