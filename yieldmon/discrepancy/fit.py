@@ -103,13 +103,13 @@ class Fit:
         """Covariance of the parameters in the tangent plane, shape (parameters, parameters).
 
         Where chi-square exceeds its degrees of freedom the cells miss by more than their sd, and it is that much wider (Birge's
-        ratio). No parameter is less certain than anywhere between its bounds.
+        ratio). No parameter's sd exceeds the width of its bounds; what is at a bound may lie anywhere between them.
         """
         scale = np.array([p.scale for p in self.parameters])
         scaled = self.jacobian * scale
         ratio = max(self.chi2 / max(self.dof, 1), 1.0)
-        between = np.array([p.scale / (p.upper - p.lower) for p in self.parameters])
-        inverse = np.linalg.inv(scaled.T @ scaled / ratio + np.diag(12.0 * between**2))
+        width = np.array([p.upper - p.lower for p in self.parameters])
+        inverse = np.linalg.inv(scaled.T @ scaled / ratio + np.diag((scale / width) ** 2))
         return 0.5 * (inverse + inverse.T) * np.outer(scale, scale)
 
     def tangent(self) -> Array:

@@ -163,7 +163,7 @@ def _ranking(diagnosis: Diagnosis) -> bytes:
     axes.axvline(1.0, color="0.3", linewidth=1)
     axes.axvline(diagnosis.choice.base_gap.f, color="0.3", linewidth=1, linestyle="--")
     axes.set_xlim(left=0.0)
-    axes.set_xlabel("lack of fit F with this one effect added, and its standard deviation\n(line: to the noise; dashed: none added)")
+    axes.set_xlabel("lack of fit F with this one effect added, and its standard deviation\n(line: the noise; dashed: none added)")
     return _png(figure)
 
 
