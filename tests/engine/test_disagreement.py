@@ -64,6 +64,15 @@ def test_the_pattern_goes_when_the_machine_is_mended() -> None:
     assert target.region == ""
 
 
+def test_it_takes_more_to_begin_than_to_go_on() -> None:
+    """The same patterns, at a level that nothing can reach and one that they pass: only what is present already stays."""
+    target = Disagreement(replace(SETTINGS, begin_p=0.0, end_p=0.5), MACHINE)
+    assert not any(harvest(target, STRONG, 8))
+    target.restore(replace(target.state, present=True), SHIPPED)
+    assert target.region != ""
+    assert all(harvest(target, STRONG, 2, seed=1))
+
+
 def test_no_more_sweeps_are_kept_than_asked_for() -> None:
     target = Disagreement(replace(SETTINGS, keep_sweeps=5), MACHINE)
     harvest(target, NONE, 7)

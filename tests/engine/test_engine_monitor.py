@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from engine_bench import (
     MACHINE,
+    N_PER_KG_S,
     Bench,
     ForceProportional,
     feed,
@@ -76,6 +77,17 @@ def test_stated_standard_deviation_covers_the_error() -> None:
     feed(target, bench.frames(300))
     records = target.take_records()[8:]
     scores = np.array([(r.mass_flow_kg_s - 10.0) / r.std_dev_kg_s for r in records])
+    assert np.std(scores) == pytest.approx(1.0, abs=0.35)
+
+
+def test_it_covers_the_error_of_seconds_of_which_most_is_lost() -> None:
+    """Three quarters of each second in one piece: what is left is too short to show its own scatter."""
+    bench = replace(STEADY, scatter=0.07, seed=3, drop=lambda i: i > 2500 and i % 250 >= 62)
+    target = monitor(estimator=ForceProportional(relative_std_dev=0.0))
+    feed(target, bench.frames(150))
+    records = target.take_records()[14:]
+    assert all(r.coverage == pytest.approx(0.25, abs=0.02) for r in records)
+    scores = np.array([(r.force_n - 10.0 * N_PER_KG_S) / r.force_std_dev_n for r in records])
     assert np.std(scores) == pytest.approx(1.0, abs=0.35)
 
 

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
+import re
 import socket
 import sqlite3
+import threading
+import time
 from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
 
 import can
 import pytest
 
-from tests.service.bench import CODEC, START_S, ZERO_MV, running, wait_for
+from tests.service.bench import CODEC, PATIENCE_S, START_S, ZERO_MV, running, wait_for
 from yieldmon import frames
 from yieldmon.cli import main as cli
+from yieldmon.files import parameter_file
 from yieldmon.frames import EstimateQuality, Frame
 from yieldmon.service.daemon import SILENCE_S
 from yieldmon.service.store import Store
@@ -150,6 +157,79 @@ def test_store_failing_is_a_fault_and_measuring_goes_on(tmp_path, monkeypatch):
     assert numbers == list(range(1, len(numbers) + 1))
     assert len(numbers) >= 14
     assert events == [("StoreFailing", True), ("StoreFailing", False)]
+
+
+def test_a_slow_disk_is_a_fault_until_it_has_caught_up(tmp_path, monkeypatch):
+    gate, late_s = threading.Event(), [0.0]
+    gate.set()
+    commit = Store.commit
+
+    def slow(store, batches):
+        assert gate.wait(PATIENCE_S)
+        commit(store, batches)
+
+    monkeypatch.setattr(Store, "commit", slow)
+    monkeypatch.setattr("yieldmon.service.writer.monotonic", lambda: time.monotonic() + late_s[0])
+    with running(tmp_path) as bench:
+        bench.play(3, EMPTY_MV)
+        bench.played()
+        gate.clear()
+        bench.play(3, EMPTY_MV)
+        bench.played()
+        assert "StoreFailing" not in bench.faults
+        late_s[0] = 11.0
+        # Seen between two rounds, shown by the window after.
+        for _ in range(2):
+            bench.play(2, EMPTY_MV)
+            bench.played()
+        assert re.fullmatch(r"the disk is slow, \d+ seconds wait", bench.faults["StoreFailing"])
+        gate.set()
+        wait_for(lambda: bench.daemon._writer.health().pending == 0, "the disk to catch up")
+        bench.play(6, EMPTY_MV)
+        bench.played()
+        assert "StoreFailing" not in bench.faults
+
+
+DAY_S = 86400.0
+
+
+def calibrated(path: Path, days_ago: float) -> None:
+    """The shipped parameters as if they had been found so long ago."""
+    shipped = parameter_file.load()
+    date = datetime.fromtimestamp(time.time() - days_ago * DAY_S, UTC).isoformat()
+    parameter_file.save(dataclasses.replace(shipped, provenance={"date": date}), path)
+
+
+def test_the_age_of_the_calibration_goes_on_over_restarts_and_reloads(tmp_path, monkeypatch):
+    text, played_s = "parameter_file: p.yaml\nbus: {transmit_max_age_s: 60}", 200
+    now, later_s = time.time, [0.0]
+    monkeypatch.setattr("yieldmon.service.daemon.time.time", lambda: now() + later_s[0])
+
+    def age_s(bench) -> float:
+        return bench.status["parameters"]["age_s"]
+
+    calibrated(tmp_path / "p.yaml", days_ago=10)
+    with running(tmp_path, text) as bench:
+        assert age_s(bench) == pytest.approx(10 * DAY_S, abs=PATIENCE_S)
+        bench.play(played_s, EMPTY_MV)
+        bench.played()
+    aged_s = 10 * DAY_S + played_s
+    later_s[0] = DAY_S
+    with running(tmp_path, text) as bench:
+        assert age_s(bench) == pytest.approx(aged_s + DAY_S, abs=PATIENCE_S), "it was off for a day"
+        bench.daemon.request_reload()
+        wait_for(lambda: bench.status["configuration"]["reload"] == "taken", "the reload")
+        assert age_s(bench) == pytest.approx(aged_s + DAY_S, abs=PATIENCE_S), "the same file teaches nothing"
+    later_s[0] = 0.0
+    with running(tmp_path, text) as bench:
+        assert age_s(bench) == pytest.approx(aged_s + DAY_S, abs=PATIENCE_S), "a clock set back makes nothing younger"
+        calibrated(tmp_path / "p.yaml", days_ago=3)
+        bench.daemon.request_reload()
+        wait_for(lambda: bench.status["configuration"]["reload"] == "taken", "the reload")
+        assert age_s(bench) == pytest.approx(3 * DAY_S, abs=PATIENCE_S), "another file has an age of its own"
+    calibrated(tmp_path / "p.yaml", days_ago=5)
+    with running(tmp_path, text) as bench:
+        assert age_s(bench) == pytest.approx(5 * DAY_S, abs=PATIENCE_S), "the same at a start"
 
 
 def test_damaged_store_is_set_aside_and_said(tmp_path):

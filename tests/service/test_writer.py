@@ -125,6 +125,56 @@ def test_a_batch_that_no_store_takes_is_left_out_and_counted(disk):
     assert rows(disk) == [1, 2, 4, 5]
 
 
+@pytest.fixture
+def clock_s(monkeypatch) -> list[float]:
+    """The writer's monotonic clock, to be set."""
+    time_s = [100.0]
+    monkeypatch.setattr("yieldmon.service.writer.monotonic", lambda: time_s[0])
+    return time_s
+
+
+def test_waiting_is_counted_from_the_first_that_waits(disk, clock_s):
+    writer = StoreWriter(disk.open, 100)
+    assert writer.health().waiting_s == 0.0
+    writer.submit(batch(1))
+    clock_s[0] = 103.0
+    writer.submit(batch(2))
+    assert writer.health().waiting_s == 3.0
+    writer.start()
+    assert writer.wait_until_written(PATIENCE_S)
+    assert writer.health().waiting_s == 0.0
+    clock_s[0] = 200.0
+    writer.submit(batch(3))
+    assert writer.health().waiting_s == 0.0
+    writer.stop()
+
+
+def test_a_write_that_ends_begins_the_waiting_anew(disk, clock_s, monkeypatch):
+    """A disk that takes long over each batch, but takes them, is not one that takes none."""
+    gate, at_the_gate = threading.Semaphore(0), threading.Semaphore(0)
+    commit = Store.commit
+
+    def slow(store, batches):
+        at_the_gate.release()
+        assert gate.acquire(timeout=PATIENCE_S)
+        commit(store, batches)
+
+    monkeypatch.setattr(Store, "commit", slow)
+    writer = StoreWriter(disk.open, 100)
+    writer.start()
+    writer.submit(batch(1))
+    assert at_the_gate.acquire(timeout=PATIENCE_S)
+    writer.submit(batch(2))
+    clock_s[0] = 108.0
+    assert writer.health().waiting_s == 8.0
+    gate.release()
+    assert at_the_gate.acquire(timeout=PATIENCE_S)
+    assert writer.health().pending == 1
+    assert writer.health().waiting_s == 0.0
+    gate.release()
+    writer.stop()
+
+
 def test_room_is_made_once_a_minute(disk, monkeypatch):
     rounds = []
     monkeypatch.setattr(Store, "prune", lambda store: rounds.append(store.last_batch()))
