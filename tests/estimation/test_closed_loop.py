@@ -71,6 +71,19 @@ def test_the_scale_is_found_numerically_and_named(flow: float) -> None:
         assert part in scale.words()
 
 
+@pytest.mark.parametrize("k1", [0.5, -0.5])
+def test_the_scale_is_named_and_rests_on_the_prior_with_exchange_coefficients(k1: float) -> None:
+    values = {"friction": 0.2, "density": 1100.0, "shape_ratio": 2.0, "k1": k1, "k2": 1.6}
+    names = ("friction", "density", "k1", "k2")
+    flows = (8.0, 20.0)
+    conditions = Conditions(np.tile(ANGLES, 2), SPEED, mass_flow_kg_s=np.repeat(flows, ANGLES.size))
+    known = ParameterSet(values, names, np.diag([0.04**2, 110.0**2, 0.05**2, 0.16**2]))
+    assert sum(d.is_scale for d in report(MODEL, conditions, known, names, 0.1).unknown_load) == 1
+    outcome = self_calibrate(MODEL, known, [sweep(f, values, 0.01) for f in flows])
+    assert not outcome.scale.observable
+    assert outcome.reason.endswith("rests on the prior")
+
+
 def test_a_thin_stream_that_all_lands_tells_two_numbers_only() -> None:
     # Without misses the force is sin(phi) (A sin(phi) - B cos(phi)): two of four unknowns stay open.
     found = sweep_directions(MODEL, Conditions(ANGLES, SPEED, mass_flow_kg_s=1.0), CENTRE, NAMES, 0.1)

@@ -49,6 +49,29 @@ def test_k1_and_k2_share_restitutions_rate() -> None:
     assert begin(ParameterSet(values, ("k1", "k2"), np.eye(2)), {"restitution": 0.1}).names == ("k1", "k2")
 
 
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("friction", {"restitution": 0.6}),
+        ("density", {"restitution": 0.6}),
+        ("restitution", {"restitution": 0.6}),
+        ("k1", {"k1": -0.3, "k2": 1.5}),
+        ("k2", {"k1": -0.3, "k2": 1.5}),
+    ],
+)
+def test_errors_are_carried_on_as_values_are(name: str, values: dict[str, float]) -> None:
+    grain = {"friction": 0.2, "density": 1100.0, "shape_ratio": 2.0, **values}
+    key = "restitution" if name in ("k1", "k2") else name
+    ends = []
+    for step in (-1e-4, 1e-4):
+        moved = ParameterSet(grain | {name: grain[name] * (1.0 + step)}, (name,), np.eye(1))
+        drifting = replace(begin(moved, {key: 0.1}), rates=np.array([0.2]))
+        later, through = advance(drifting, STILL, 0.0, 1e6)
+        ends.append(later.parameters.values[name])
+    slope = (ends[1] - ends[0]) / (2e-4 * grain[name])
+    assert through.transition[0, 0] == pytest.approx(slope, rel=1e-6)
+
+
 def test_what_is_moved_takes_its_ties_with_the_rates_along() -> None:
     known, _ = advance(begin(KNOWN, {"friction": 0.1}), STILL, 0.0, 1e6)
     tie, spread = known.joint[0, 3], known.joint[3, 3]

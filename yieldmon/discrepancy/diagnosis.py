@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from yieldmon.errors import InputError
+from yieldmon.estimation.identifiability import scale_tangent
 from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
 from yieldmon.files.table import Table
 from yieldmon.physics.effects import registry
@@ -217,7 +218,7 @@ def adopted(
     best = diagnosis.best
     names = tuple(p.name for p in best.parameters)
     covariance = best.covariance()
-    along = np.array([_along_scale(name, best.values[name]) for name in names])
+    along = np.array([scale_tangent(name, best.values[name]) for name in names])
     covariance = covariance + scale_sd**2 * np.outer(along, along)
     kept = tuple(name for name in parent.covariance_names if name in best.frame.fixed)
     cells = best.frame.cells
@@ -238,11 +239,6 @@ def adopted(
         version=parent.version + 1,
         provenance=provenance,
     )
-
-
-def _along_scale(name: str, value: float) -> float:
-    """d(parameter) / d(ln a) along the direction in which loads and density grow alike and no reading changes."""
-    return {"density": value, "restitution": -(1.0 + value), "k1": -value, "k2": -value}.get(name, 0.0)
 
 
 def minimum_detectable(signatures: list[Signature]) -> dict[str, float]:

@@ -28,8 +28,6 @@ class Noise:
     proportional: float
     dof: float
     how: str
-    pooled_sd: float
-    """One number for all rows, as the classical lack-of-fit test uses."""
 
     def sd(self, level: Array) -> Array:
         """Standard deviation of one row at reading `level`."""
@@ -43,7 +41,7 @@ def estimate(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
         level = np.abs(rows.value)
         b2 = max(float(np.polyfit(level**2, rows.sigma**2, 1)[0]) if np.ptp(level) > 0.0 else 0.0, 0.0)
         a2 = max(float(np.mean(rows.sigma**2 - b2 * level**2)), 1e-4 * pooled**2)
-        return Noise(np.sqrt(a2), np.sqrt(b2), 1e6, "stated", pooled), np.zeros(len(rows), dtype=bool)
+        return Noise(float(np.sqrt(a2)), float(np.sqrt(b2)), 1e6, "stated"), np.zeros(len(rows), dtype=bool)
     count = np.bincount(rows.cell)
     if len(rows) - len(count) >= _MIN_REPLICATE_DOF:
         return _from_replicates(rows)
@@ -107,7 +105,7 @@ def _variance_model(grouped: Cells, robust_sd: float) -> Noise:
     if pooled == 0.0:
         pooled = max(robust_sd**2, 1e-12 * float(np.max(np.abs(grouped.mean))) ** 2)
     a2, b2 = fit_variances(variance, dof, level2, pooled)
-    return Noise(float(np.sqrt(a2)), float(np.sqrt(b2)), total, "replicates", float(np.sqrt(pooled)))
+    return Noise(float(np.sqrt(a2)), float(np.sqrt(b2)), total, "replicates")
 
 
 def fit_variances(variance: Array, dof: Array, level2: Array, pooled: float) -> tuple[float, float]:
@@ -136,7 +134,7 @@ def _from_smooth_surface(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
     """Scatter about a polynomial surface over angle, load, speed and moisture, which no model had a say in."""
     keep = np.ones(len(rows), dtype=bool)
     top = float(np.max(np.abs(rows.value)))
-    noise = Noise(0.002 * top, 0.01, 20.0, "stated", 0.01 * top)
+    noise = Noise(0.002 * top, 0.01, 20.0, "stated")
     for _ in range(4):
         basis = _surface(rows, len(np.unique(rows.cell[keep])))
         if basis is None:
@@ -149,7 +147,7 @@ def _from_smooth_surface(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
         variance = residual[keep] ** 2 / spread
         pooled = float(np.mean(variance))
         a2, b2 = fit_variances(variance, np.full(variance.shape, spread), rows.value[keep] ** 2, pooled)
-        noise = Noise(float(np.sqrt(a2)), float(np.sqrt(b2)), float(dof), "smooth", float(np.sqrt(pooled)))
+        noise = Noise(float(np.sqrt(a2)), float(np.sqrt(b2)), float(dof), "smooth")
         robust = 1.4826 * float(np.median(np.abs(residual[keep]) / noise.sd(rows.value[keep]))) / np.sqrt(spread)
         good = np.abs(residual) <= _OUTLIER_SD * max(min(robust, 1.0), 0.3) * noise.sd(rows.value)
         if np.array_equal(good, keep):

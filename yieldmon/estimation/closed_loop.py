@@ -25,7 +25,7 @@ from yieldmon.physics.numerics import Array
 
 from .batch import MomentumBatch, levenberg_marquardt
 from .flow_process import SAME_ANGLE_RAD, correlation, process_sd
-from .identifiability import Direction, directions, flow_names, natural_scale, scaled, share_flow
+from .identifiability import Direction, directions, flow_names, natural_scale, scale_tangent, scaled, share_flow
 from .open_loop import OpenLoop
 from .parameters import ParameterSet
 from .priors import Prior, physical_bounds
@@ -238,10 +238,6 @@ class Outcome:
     p_value: float
     residuals: tuple[Array, ...] = field(repr=False)
     """Of each sweep, N: measured less predicted force, in the order of its windows."""
-    standardized: tuple[Array, ...] = field(repr=False)
-    """The same, whitened."""
-    flow_parameter_covariance: Array = field(repr=False)
-    """(S + n, S + n): logarithms of the flows, then the parameters."""
     prior_widening: float = 1.0
     """What `believe_weights` multiplied the prior's covariance by before it agreed with the weighed masses."""
 
@@ -516,14 +512,13 @@ class _Problem:
     ) -> Outcome:
         inverse = _inverse(jacobian.T @ jacobian, np.concatenate(
             (self.prior.standard_deviation, np.full(count, 0.1), np.full(self.slopes, 0.01))))
-        theta, joint = unknown[:width], inverse[: width + count, : width + count]
-        posterior = joint[:width, :width]
+        theta, posterior = unknown[:width], inverse[:width, :width]
         information = self._data_information(jacobian, width, count)
         chi2 = float(residual @ residual)
         windows = sum(s.force_n.size for s in self.sweeps)
         dof = max(windows + len(self.anchors) + (self.density is not None) - count, 1)
         p_value = float(chdtrc(dof, chi2))
-        kept_theta, kept_cov = self._refuse(theta, posterior, information)
+        kept_theta, kept_cov = self._refuse(theta, information)
         prior_sd = self.prior.standard_deviation
         moved = kept_cov is not None
         consistent = p_value >= self.settings.consistent_p
@@ -550,12 +545,11 @@ class _Problem:
             parameter_set = self.prior_set
         whitened = _split(residual[:windows], self.sweep_rows)
         plain: tuple[Array, ...] = tuple(np.asarray(-np.linalg.solve(w, r)) for w, r in zip(whiteners, whitened, strict=True))
-        scale = self._scale(theta, posterior, jacobian, width, windows)
+        scale = self._scale(theta, posterior, jacobian, width)
         return Outcome(
             parameter_set, updated, consistent, self._reason(updated, consistent, learning, p_value, plain, scale),
             self._worst_angle(plain),
             self._flows(unknown, inverse, residual, jacobian, whiteners, width), learning, scale, chi2, dof, p_value, plain,
-            tuple(-w for w in whitened), _flows_first(joint, width),
         )
 
     def _data_information(self, jacobian: Array, width: int, count: int) -> Array:
@@ -569,7 +563,7 @@ class _Problem:
             info = info - cross @ np.linalg.solve(block, cross.T)
         return 0.5 * (info + info.T)
 
-    def _refuse(self, theta: Array, posterior: Array, information: Array) -> tuple[Array, Array | None]:
+    def _refuse(self, theta: Array, information: Array) -> tuple[Array, Array | None]:
         """Mean and covariance after leaving out what was not learned; covariance None where nothing was."""
         prior = self.prior
         root = np.linalg.inv(self.white)
@@ -597,9 +591,9 @@ class _Problem:
         # The search kept theta within the physical bounds; the part of its step that is used may end a little beyond them.
         return np.clip(mean, self.lower, self.upper), np.where(still, prior.covariance, covariance)
 
-    def _scale(self, theta: Array, posterior: Array, jacobian: Array, width: int, windows: int) -> ScaleReport:
+    def _scale(self, theta: Array, posterior: Array, jacobian: Array, width: int) -> ScaleReport:
         values = {n: float(v) for n, v in zip(self.names, theta, strict=True)} | self.fixed
-        tangent = np.array([_scale_tangent(n, values[n]) for n in self.names])
+        tangent = np.array([scale_tangent(n, values[n]) for n in self.names])
         # ln a along the direction: the component of the change in the metric of the prior.
         metric = self.white.T @ self.white
         size = float(tangent @ metric @ tangent)
@@ -672,15 +666,6 @@ class _Problem:
         return f"{max(sums, key=lambda a: sums[a]):.0f} deg"
 
 
-def _scale_tangent(name: str, value: float) -> float:
-    """d(parameter)/d(ln a) along the scale direction."""
-    if name == "density":
-        return value
-    if name == "restitution":
-        return -(1.0 + value)
-    return -value if name in ("k1", "k2") else 0.0
-
-
 def _inverse(information: Array, unit: Array) -> Array:
     scaled_information = information * unit[:, None] * unit
     return np.asarray(np.linalg.inv(scaled_information)) * unit[:, None] * unit
@@ -693,11 +678,6 @@ def _slices(sizes: Sequence[int], first: int = 0) -> list[slice]:
 
 def _split(values: Array, rows: Sequence[slice]) -> list[Array]:
     return [values[r] for r in rows]
-
-
-def _flows_first(joint: Array, width: int) -> Array:
-    order: NDArray[np.intp] = np.concatenate((np.arange(width, len(joint)), np.arange(width)))
-    return joint[np.ix_(order, order)]
 
 
 __all__ = [

@@ -90,9 +90,11 @@ def shown(name: str) -> str:
 
 
 def natural_scale(name: str, value: float) -> float:
-    """What a parameter's relative change is relative to."""
+    """What a parameter's relative change is relative to; with k1's and k2's own sign, so that a gain changes by one share."""
     if name == "restitution":
         return 1.0 + value
+    if name in ("k1", "k2"):
+        return value if abs(value) > 1e-12 else 1e-12
     if "." in name:
         known = effect_parameter(name)
         return max(abs(value), abs(known.typical - known.null), 1e-12)
@@ -255,6 +257,11 @@ def _scale_component(name: str) -> float:
     if name == "density" or name.startswith(FLOW):
         return 1.0
     return -1.0 if name in ("restitution", "k1", "k2") else 0.0
+
+
+def scale_tangent(name: str, value: float) -> float:
+    """d(parameter) / d(ln a) along (mass flow, density, impact gain) -> (a, a, 1/a), which changes no force."""
+    return _scale_component(name) * natural_scale(name, value)
 
 
 def scaled(parameters: ParameterSet, factor: float) -> ParameterSet:

@@ -67,11 +67,6 @@ class ParameterSet:
         """Names of the effects that the values speak of, in alphabetical order."""
         return tuple(sorted({name.partition(".")[0] for name in self.values if "." in name}))
 
-    @property
-    def impact_form(self) -> tuple[str, ...]:
-        """("restitution",) or ("k1", "k2")."""
-        return ("restitution",) if "restitution" in self.values else ("k1", "k2")
-
     def standard_deviation(self, name: str) -> float:
         """Standard deviation of one parameter, 0 where it counts as exactly known."""
         if name not in self.covariance_names:
