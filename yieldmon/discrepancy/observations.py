@@ -217,9 +217,9 @@ def lay_out(angle: Array, speed: Array, load: Array, moisture: Array) -> Layout:
 def seal(rows: Rows, how: str, seed: int) -> NDArray[np.bool_]:
     """Which rows to seal away before anything is fitted.
 
-    how: "cells" (every fifth condition at random), "trials" (one repetition of each condition), "none", or a column and value
-    such as "plate_angle_deg=70", "elevator_speed_rpm=400", "mass_flow_kg_s=5", "paddle_mass_kg=0.4", "trial=2". Raises InputError
-    for anything else, or when nothing or everything would be sealed.
+    how: "cells" (a fifth of the conditions at random), "trials" (a third of each condition's repetitions), "none", or a column
+    and value such as "plate_angle_deg=70", "elevator_speed_rpm=400", "mass_flow_kg_s=5", "paddle_mass_kg=0.4", "trial=2". Raises
+    InputError for anything else, or when nothing or everything would be sealed.
     """
     rng = np.random.default_rng([seed, 1])
     if how == "none":

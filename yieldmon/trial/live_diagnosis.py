@@ -23,9 +23,10 @@ from yieldmon.plant.combine import VirtualCombine, pulse_table
 from yieldmon.plant.scenario import Scenario
 from yieldmon.service.rows import SecondRow
 
+from .accuracy import RATED_FROM_KG_S
+
 Array = NDArray[np.float64]
 
-RATED_FROM_KG_S = 4.0
 SWEEP_ANGLES_DEG = (40.0, 45.0, 50.0, 55.0, 60.0, 65.0, 75.0, 80.0, 85.0, 90.0)
 FLOWS_KG_S = (8.0, 12.0, 16.0, 6.0, 14.0, 10.0, 18.0, 20.0)
 _EMPTY_S = 25.0

@@ -8,7 +8,7 @@ import numpy as np
 
 from yieldmon.plots import canvas
 
-from .accuracy import Accuracy
+from .accuracy import RATED_FROM_KG_S, Accuracy
 
 
 def draw(accuracy: Accuracy, path: Path) -> None:
@@ -25,11 +25,12 @@ def draw(accuracy: Accuracy, path: Path) -> None:
     flow.set_ylabel("mass flow, kg/s")
     flow.legend(loc="upper right")
     flow.set_title(
-        f"|error| from 4 kg/s: mean {accuracy.mean_abs_pct:.2f} %, 95th percentile {accuracy.p95_abs_pct:.2f} %;"
+        f"|error| from {RATED_FROM_KG_S:g} kg/s: mean {accuracy.mean_abs_pct:.2f} %, "
+        f"95th percentile {accuracy.p95_abs_pct:.2f} %;"
         f" accumulated mass {accuracy.mass_error_pct:+.2f} %"
     )
     with np.errstate(divide="ignore", invalid="ignore"):
-        relative = np.where(true >= 4.0, 100.0 * (measured - true) / true, np.nan)
+        relative = np.where(true >= RATED_FROM_KG_S, 100.0 * (measured - true) / true, np.nan)
     error.axhspan(-5.0, 5.0, color="tab:green", alpha=0.12, lw=0)
     error.axhline(0.0, color="black", lw=0.8)
     error.plot(t, relative, ".", color="tab:orange", ms=4)

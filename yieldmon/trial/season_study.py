@@ -30,6 +30,7 @@ from yieldmon.plant.season import Season, SeasonSettings
 
 Array = NDArray[np.float64]
 
+
 @dataclass(frozen=True, slots=True)
 class Strategy:
     """How the calibration is kept. tickets_per_day: weighed loads told at the end of the day; scale: every load weighed."""
@@ -71,25 +72,21 @@ class StudySettings:
     wandering: DriftRates = field(
         default_factory=lambda: DriftRates({}, {"friction": 0.025, "restitution": 0.0025, "density": 0.005}, {})
     )
-    steady_per_kilotonne: Mapping[str, float] = None  # type: ignore[assignment]
+    steady_per_kilotonne: Mapping[str, float] = field(
+        default_factory=lambda: {"friction": 0.2, "restitution": 0.025, "density": 0.05}
+    )
     learned_information: float = 1e-6
     kept_ratio: float = 1.0 - 1e-6
     day_s: float = 10.0 * 3600.0
-    map_mean: Mapping[str, float] = None  # type: ignore[assignment]
-    map_sd: Mapping[str, float] = None  # type: ignore[assignment]
+    map_mean: Mapping[str, float] = field(
+        default_factory=lambda: {"friction_per_pct": 0.02, "restitution_per_pct": -0.01, "density_per_pct": -0.005}
+    )
+    map_sd: Mapping[str, float] = field(
+        default_factory=lambda: {"friction_per_pct": 0.01, "restitution_per_pct": 0.005, "density_per_pct": 0.0025}
+    )
     ticket_sd_kg: float = 10.0
     scale_sd_kg: float = 10.0
     model_error: float = 0.004
-
-    def __post_init__(self) -> None:
-        defaults = {
-            "steady_per_kilotonne": {"friction": 0.2, "restitution": 0.025, "density": 0.05},
-            "map_mean": {"friction_per_pct": 0.02, "restitution_per_pct": -0.01, "density_per_pct": -0.005},
-            "map_sd": {"friction_per_pct": 0.01, "restitution_per_pct": 0.005, "density_per_pct": 0.0025},
-        }
-        for name, value in defaults.items():
-            if getattr(self, name) is None:
-                object.__setattr__(self, name, value)
 
 
 @dataclass(frozen=True)
