@@ -196,6 +196,9 @@ def test_tables(tmp_path: Path) -> None:
     cell = [h for h in histories if (h["plate_angle_deg"], h["paddle_mass_kg"], h["trial"]) == (70.0, 0.2, 1)][:8]
     assert min(float(h["time_s"]) for h in cell) == pytest.approx(0.004, abs=0.0011)
     assert len(campaign.layer_rows(plan, ledger)) == 16 * 6
+    arrivals = campaign.arrival_rows(plan, ledger)
+    cells = [(float(row["plate_angle_deg"]), int(row["trial"])) for row in rows]
+    assert [(arrival["plate_angle_deg"], arrival["trial"]) for arrival in arrivals] == cells
 
 
 def test_no_rows_is_an_error_not_an_empty_file(tmp_path: Path) -> None:

@@ -55,6 +55,42 @@ def test_aim(position: tuple[float, ...], velocity: tuple[float, ...], gravity: 
     assert (bool(aims[0]), float(arriving[0])) == (hits, pytest.approx(speed))
 
 
+@pytest.mark.parametrize(
+    ("position", "velocity", "place_m", "into_m_s", "along_m_s"),
+    [
+        ((0.0, -0.10), (8.0, 0.0), 0.06 + 0.5 * 9.81 * 0.05**2, 8.0, 9.81 * 0.05),
+        ((0.0, -0.20), (8.0, 0.0), -0.04 + 0.5 * 9.81 * 0.05**2, 8.0, 9.81 * 0.05),
+        ((0.2, -0.10), (2.0, 1.0), 0.06 + 0.1 + 0.5 * 9.81 * 0.1**2, 2.0, 1.0 + 9.81 * 0.1),
+        ((0.0, -0.10), (-8.0, 0.0), np.nan, np.nan, np.nan),
+        ((0.5, -0.10), (8.0, 0.0), np.nan, np.nan, np.nan),
+    ],
+    ids=["on it", "over it", "downwards", "away", "behind"],
+)
+def test_crossing_of_an_upright_plate(position, velocity, place_m: float, into_m_s: float, along_m_s: float) -> None:
+    met = records.crossing(UPRIGHT, np.array([position]), np.array([velocity]), 9.81)
+    assert (met.place_m[0], met.into_m_s[0], met.along_m_s[0]) == pytest.approx((place_m, into_m_s, along_m_s), nan_ok=True)
+
+
+def test_a_grain_too_slow_to_reach_a_leaning_plate_does_not_cross_it() -> None:
+    """At 45 deg it must rise to the plate, and gravity turns it back."""
+    leaning = records.PlateFrame.of(Machine(), radians(45.0))
+    met = records.crossing(leaning, np.array([[0.0, 0.0], [0.0, 0.0]]), np.array([[3.0, 0.0], [8.0, 0.0]]), 9.81)
+    assert np.isfinite(met.place_m).tolist() == [False, True]
+
+
+def test_the_arrival_is_what_crosses_and_what_the_plate_took() -> None:
+    """Three grains of 1, 2 and 4 g at 8 m/s: over the top, onto the plate, below it; one contact on the face, one on the end."""
+    plate = {
+        "plate_angle_rad": np.array(radians(90.0)), "time_step_s": np.array(1e-3), "mass_kg": np.array([1e-3, 2e-3, 4e-3]),
+        "free_position_m": np.array([[0.0, -0.30, 0.0], [0.0, -0.10, 0.0], [0.0, 0.10, 0.0]]),
+        "free_velocity_m_s": np.full((3, 3), [8.0, 0.0, 0.0]), "normal_force_n": np.array([[5.0, 0.0], [0.0, 2.0]]),
+    }  # fmt: skip
+    assert records.arrival(Throw(paddle_mass_kg=0.5), plate) == pytest.approx({
+        "on_plate_kg_m_s": 16e-3, "over_top_kg_m_s": 8e-3, "below_low_kg_m_s": 32e-3, "on_face_kg_m_s": 5e-3,
+        "on_end_kg_m_s": 2e-3,
+    })
+
+
 @pytest.mark.parametrize("angle_deg", [40.0, 55.0, 70.0, 80.0])
 def test_aim_with_gravity_agrees_with_the_flight_stepped_through(angle_deg: float) -> None:
     frame = records.PlateFrame.of(Machine(), radians(angle_deg))

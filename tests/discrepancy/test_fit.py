@@ -9,7 +9,8 @@ import pytest
 from scipy import stats
 from scipy.optimize import least_squares
 
-from yieldmon.discrepancy import crossvalidation, fit, gap, noise, observations
+from yieldmon.discrepancy import candidates, crossvalidation, fit, gap, noise, observations
+from yieldmon.physics.effects import registry
 
 
 @pytest.fixture
@@ -127,3 +128,11 @@ def test_where_is_silent_on_clean_data(make_rows, start) -> None:
         frame = fit.base_frame(cells, found.sd(cells.mean) / np.sqrt(cells.count), start, "restitution")
         alarms += bool(gap.where(fit.fit(frame, ()), found, np.random.default_rng(seed)))
     assert alarms <= 2
+
+
+def test_what_one_measures_is_no_candidate(frame) -> None:
+    """The plate's thickness is told with the parameters; readings are not asked for it."""
+    assert "top_edge" in registry()
+    assert set(candidates.library(frame)) == {
+        name for name, effect in registry().items() if effect.stage != "crop" and name != "top_edge"
+    }

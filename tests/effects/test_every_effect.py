@@ -16,7 +16,7 @@ REQUIRED = {
     "paddle_leakage", "chain_slip", "paddle_wear", "residual_radial_speed", "speed_dependent_shape", "release_angle",
     "gravity", "air_drag", "stream_spread", "miss_capture", "plate_overshoot", "plate_friction", "jet_shielding",
     "speed_dependent_restitution", "secondary_impact", "resting_grain", "zero_offset", "plate_angle_offset", "lever_arm",
-    "cell_nonlinearity", "plate_buildup", "moisture_dependence", "unpushed_layers", "stream_rise",
+    "cell_nonlinearity", "plate_buildup", "moisture_dependence", "unpushed_layers", "stream_rise", "top_edge",
 }  # fmt: skip
 MACHINE = Machine()
 GRAIN = {"friction": 0.3, "density": 1200.0, "shape_ratio": 2.0}

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import special, stats
 
 from yieldmon.physics.effects import registry
 from yieldmon.physics.machine import RPM, Machine
@@ -353,3 +353,63 @@ def test_moisture_must_be_known() -> None:
     dry = {"friction_per_pct": 0.0, "density_per_pct": 0.0, "restitution_per_pct": 0.0}
     with pytest.raises(ValueError, match="moisture is unknown"):
         read("moisture_dependence", at=replace(AT, moisture_pct=None), **dry)
+
+
+RISEN = {
+    "density": 700.0, "shape_ratio": 2.9, "gravity.acceleration_m_s2": 9.81, "stream_rise.ratio": 0.13,
+    "unpushed_layers.rate_per_rad": 1.5,
+}  # fmt: skip
+RISEN_STREAM = ("gravity", "stream_rise", "unpushed_layers")
+
+
+def test_the_plates_end_takes_nothing_of_a_stream_square_to_the_plate() -> None:
+    """Where grain runs up the plate and not down it, a thicker end changes nothing; at low angles it takes more."""
+    low, upright = np.radians([40.0, 95.0])
+    model = ForwardModel(MACHINE, (*RISEN_STREAM, "top_edge"))
+    for angle, grows in ((low, True), (upright, False)):
+        at = Conditions(angle, 400.0 * RPM, paddle_mass_kg=np.array([1.3, 1.8]))
+        thin, thick = (model.paddle_momentum(at, GRAIN | RISEN | {"top_edge.thickness_m": size}) for size in (0.008, 0.012))
+        if grows:
+            assert np.all(thick > 1.01 * thin)
+        else:
+            np.testing.assert_allclose(thick, thin, rtol=3e-3)
+
+
+def test_an_upright_plate_turns_half_of_what_passes_over_it() -> None:
+    """A level stream square to the plate runs up it as much as down it."""
+    model = ForwardModel(MACHINE, ("stream_rise", "top_edge"))
+    throw = model.throw(np.radians(90.0), 400.0 * RPM, GRAIN | {"stream_rise.ratio": 0.13, "top_edge.thickness_m": 0.01})
+    arrival = throw.reading(np.asarray(0.4)).impulse.arrival
+    nodes = arrival.jet.mass_kg.shape[-1] // 2
+    mass, place = arrival.jet.mass_kg.ravel()[:nodes], arrival.from_low_edge_m.ravel()[:nodes]
+    share, into, along = (
+        a.ravel()[:nodes] for a in (arrival.landing_share, arrival.normal_speed_m_s, arrival.tangential_speed_m_s)
+    )
+    above_m = -place - MACHINE.plate_length_m
+    over = 0.5 * (1.0 + special.erf(above_m / 0.01))
+    landed = mass * (1.0 - over)
+    cos = (landed * along).sum() / np.hypot((landed * along).sum(), (landed * into).sum())
+    assert abs(cos) < 0.3
+    rising = (along < 0.0) & (place < 0.0)
+    assert over[rising].max() > 0.3
+    np.testing.assert_allclose((share - (1.0 - over))[rising] / over[rising], 0.5 * (1.0 - cos), rtol=0.02)
+
+
+def test_what_the_plates_end_stops_gives_up_its_speed_along_the_plate() -> None:
+    """Grain on the end acts along the plate: its speed down the plate, turned into the horizontal, times the gain."""
+    angle = np.radians(45.0)
+    model = ForwardModel(MACHINE, (*RISEN_STREAM, "top_edge"))
+    throw = model.throw(angle, 500.0 * RPM, GRAIN | RISEN | {"top_edge.thickness_m": 0.01})
+    reading = throw.reading(np.asarray(1.3))
+    arrival, gain = reading.impulse.arrival, reading.impulse.normal_gain
+    nodes = arrival.jet.mass_kg.shape[-1] // 2
+    mass, share = arrival.jet.mass_kg.ravel(), np.where(arrival.landing_share > 0.0, arrival.landing_share, 0.0).ravel()
+    into, down = arrival.normal_speed_m_s.ravel()[:nodes], arrival.tangential_speed_m_s.ravel()[:nodes]
+    gain = np.broadcast_to(gain, arrival.jet.mass_kg.shape).ravel()[:nodes]
+    face = np.where(share[:nodes] > 0.0, mass[:nodes] * share[:nodes] * into, 0.0) * gain
+    end = np.where(share[nodes:] > 0.0, mass[nodes:] * share[nodes:] * down, 0.0) * gain
+    assert end.sum() > 0.05 * face.sum()
+    expected = (face * np.sin(angle) + end * np.cos(angle)).sum()
+    assert reading.momentum_kg_m_s.item() == pytest.approx(expected, rel=1e-9)
+    whole = mass.reshape(2, nodes)[0].sum()
+    assert (mass * share).sum() < whole

@@ -50,8 +50,8 @@ class Score:
 
 
 def library(frame: Frame, without: Iterable[str] = ()) -> tuple[str, ...]:
-    """Effects that these cells could speak of: all registered but those in `without`, in the model, or without their input."""
-    out = [name for name in registry() if name not in {*without, *frame.known}]
+    """Effects that these cells could speak of: all but those in `without`, in the model, measured, or without their input."""
+    out = [name for name, effect in registry().items() if name not in {*without, *frame.known} and not effect.measured]
     if not np.all(np.isfinite(frame.cells.moisture_pct)):
         out = [name for name in out if registry()[name].stage != "crop"]
     return tuple(out)

@@ -38,3 +38,11 @@ def blur_low_edge(arrival: Arrival, width_m: AnyArray) -> Arrival:
         landing_share=np.where(blurs, np.where(meets, above, 0.0), arrival.landing_share),
         edge_blur_m=np.where(blurs, width, arrival.edge_blur_m),
     )
+
+
+def landing_momentum(arrival: Arrival, towards: AnyArray) -> tuple[AnyArray, AnyArray]:
+    """Momentum of what lands, of the paths that go `towards` the plate: into it and down it, kg m/s, node axis of length 1."""
+    landed = np.where(towards, arrival.landing_share * arrival.jet.mass_kg, 0.0)
+    into: AnyArray = np.sum(landed * np.where(towards, arrival.normal_speed_m_s, 0.0), axis=-1, keepdims=True)
+    along: AnyArray = np.sum(landed * np.where(towards, arrival.tangential_speed_m_s, 0.0), axis=-1, keepdims=True)
+    return into, along

@@ -53,5 +53,7 @@ class Effect:
     """True where the effect cannot be worked out without the grain's moisture."""
     rank: int = 2
     """Effects of a lower rank act first within a stage: 0 and 1 settle which grain passes the low edge, the rest build on it."""
+    measured: bool = False
+    """True where the size is a dimension that one measures: it is given with the parameters and never inferred from readings."""
     unit_follows_response: bool = False
     """True where a parameter is in the reading's own unit, so that it scales with the table's response unit."""

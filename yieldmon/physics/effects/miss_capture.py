@@ -9,14 +9,13 @@ import numpy as np
 from yieldmon.physics.numerics import AnyArray, real
 from yieldmon.physics.stages import Arrival, Setting
 
+from .edges import landing_momentum
 from .effect import Effect, EffectParameter, Values
 
 
 def _towards_low_edge(arrival: Arrival, towards: AnyArray) -> AnyArray:
     """Share of its momentum with which the stream on the plate runs towards the low edge: the cosine of its incidence, or 0."""
-    landed = np.where(towards, arrival.landing_share * arrival.jet.mass_kg, 0.0)
-    into = np.sum(landed * np.where(towards, arrival.normal_speed_m_s, 0.0), axis=-1, keepdims=True)
-    along = np.sum(landed * np.where(towards, arrival.tangential_speed_m_s, 0.0), axis=-1, keepdims=True)
+    into, along = landing_momentum(arrival, towards)
     runs = (real(into) > 0.0) & (real(along) > 0.0)
     share: AnyArray = np.where(runs, along / np.sqrt(np.where(runs, into * into + along * along, 1.0)), 0.0)
     return share

@@ -282,6 +282,18 @@ def layer_rows(campaign: Campaign, ledger: Ledger) -> list[Row]:
     return rows
 
 
+def arrival_rows(campaign: Campaign, ledger: Ledger) -> list[Row]:
+    """How the stream meets the plate, for each row whose records are kept (`records.arrival`)."""
+    rows: list[Row] = []
+    for throw in campaign.throws:
+        for angle in campaign.plate_angles_rad:
+            path = runner.plate_file(ledger.throw_folder(throw), angle)
+            if path.exists():
+                head = {"plate_angle_deg": round(math.degrees(angle), 6), **_head(throw)}
+                rows.append({**head, **records.arrival(throw, runner.load(path))})
+    return rows
+
+
 def heap_rows(campaign: Campaign, ledger: Ledger) -> list[Row]:
     """Shape of the settled heap for each throw that has its records and is large enough to have a surface."""
     rows: list[Row] = []

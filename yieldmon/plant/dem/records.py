@@ -78,6 +78,50 @@ def aim(plate: PlateFrame, position_m: Array, velocity_m_s: Array, gravity_m_s2:
 
 
 @dataclass(frozen=True, slots=True)
+class Crossing:
+    """Grain where it would cross the plate's plane in free fall: nan where it never does.
+
+    place_m: from the top edge along the plate; into_m_s, along_m_s: speed into the plate and down it. All (n,).
+    """
+
+    place_m: Array
+    into_m_s: Array
+    along_m_s: Array
+
+
+def crossing(plate: PlateFrame, position_m: Array, velocity_m_s: Array, gravity_m_s2: float) -> Crossing:
+    """Where and how fast grain crosses the plate's plane in free fall from position_m, velocity_m_s: (n, >= 2)."""
+    offset, velocity = position_m[:, :2] - plate.pivot_m, velocity_m_s[:, :2]
+    gap, into, pull = -(offset @ plate.inward), velocity @ plate.inward, gravity_m_s2 * plate.inward[1]
+    square = into**2 + 2.0 * pull * gap
+    with np.errstate(invalid="ignore"):
+        crosses = (into > 0.0) & (gap > 0.0) & (square > 0.0)
+    # The root of gap = into t + pull t^2 / 2 that stays right as pull goes to 0.
+    time = np.full(len(gap), np.nan)
+    time[crosses] = 2.0 * gap[crosses] / (into[crosses] + np.sqrt(square[crosses]))
+    along, fall = velocity @ plate.along, gravity_m_s2 * plate.along[1]
+    return Crossing(offset @ plate.along + (along + 0.5 * fall * time) * time, into + pull * time, along + fall * time)
+
+
+def arrival(throw: Throw, plate: Arrays) -> dict[str, float]:
+    """Normal momentum with which the free stream crosses the plate's plane, by where, and what the plate took of it, kg m/s.
+
+    on_plate, over_top, below_low: of the grain that crosses there. on_face, on_end: the plate's normal-only impulse into its
+    face, and along it, which only contacts with its end and its edges give.
+    """
+    frame = PlateFrame.of(throw.machine, float(plate["plate_angle_rad"]))
+    met = crossing(frame, plate["free_position_m"], plate["free_velocity_m_s"], throw.gravity_m_s2)
+    momentum = np.where(np.isfinite(met.place_m), plate["mass_kg"] * met.into_m_s, 0.0)
+    over, below = met.place_m < 0.0, met.place_m > frame.length_m
+    normal = impulse_n_s(plate["normal_force_n"], float(plate["time_step_s"]))
+    return {
+        "on_plate_kg_m_s": float(momentum[~over & ~below].sum()), "over_top_kg_m_s": float(momentum[over].sum()),
+        "below_low_kg_m_s": float(momentum[below].sum()), "on_face_kg_m_s": float(normal @ frame.inward),
+        "on_end_kg_m_s": float(normal @ frame.along),
+    }
+
+
+@dataclass(frozen=True, slots=True)
 class HeapShape:
     """The settled load in the paddle's frame.
 
