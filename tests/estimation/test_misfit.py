@@ -44,6 +44,23 @@ def test_noise_above_what_was_stated_raises_no_alarm() -> None:
     assert not any(common_misfit(sweeps(0.0 * ANGLES, 6, seed, scatter=0.05)).disagrees for seed in range(100))
 
 
+def test_scatter_below_what_was_stated_sharpens_nothing() -> None:
+    """The stated noise may be common to the sweeps; that they agree closely does not make a small pattern the model's."""
+    assert not common_misfit(sweeps(0.1 * LOCAL, 6, seed=1, scatter=1e-4)).disagrees
+
+
+def test_what_was_fitted_to_all_sweeps_counts_once() -> None:
+    """p values of noise from which a parabola has been fitted away are uniform: mean 1/2, of 200 within 0.02 (standard error)."""
+    basis, _ = np.linalg.qr(np.vander(ANGLES - ANGLES.mean(), 3))
+    p_values = []
+    for seed in range(200):
+        drawn = [s.relative_residual for s in sweeps(0.0 * ANGLES, 6, seed)]
+        common = basis @ (basis.T @ np.mean(drawn, axis=0))
+        left = [SweepResiduals(ANGLES, r - common, SD, 0) for r in drawn]
+        p_values.append(common_misfit(left, level=0.0, shared=3).p_value)
+    assert np.mean(p_values) == pytest.approx(0.5, abs=0.08)
+
+
 @pytest.mark.parametrize("count", [0, 1, 3])
 def test_few_sweeps_say_nothing(count: int) -> None:
     found = common_misfit(sweeps(LOCAL, count, seed=1))
