@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -15,10 +16,10 @@ from yieldmon.estimation.closed_loop import (
     Sweep,
     self_calibrate,
 )
-from yieldmon.estimation.identifiability import report, scaled, sweep_directions
+from yieldmon.estimation.identifiability import relative_jacobian, report, scaled, sweep_directions
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.physics.machine import Machine
+from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
 
@@ -99,11 +100,29 @@ def test_known_loads_fix_the_scale_and_the_report_says_so() -> None:
     assert found.document()["remedies"]
 
 
-def test_the_best_remedy_does_what_it_says() -> None:
-    conditions = Conditions(np.radians([70.0, 70.0, 70.0]), SPEED, mass_flow_kg_s=np.array([5.0, 12.0, 20.0]))
-    found = report(MODEL, conditions, ParameterSet(CENTRE), NAMES, 0.05)
+def test_the_remedies_do_what_they_say() -> None:
+    angle, flow = np.radians([70.0, 70.0, 70.0]), np.array([5.0, 12.0, 20.0])
+    known = ParameterSet(CENTRE)
+    found = report(MODEL, Conditions(angle, SPEED, mass_flow_kg_s=flow), known, NAMES, 0.05)
     assert found.remedies[0].worst_sd_after < found.known_load[0].relative_sd
     assert found.remedies == tuple(sorted(found.remedies, key=lambda r: r.worst_sd_after))
+    relative, _ = relative_jacobian(MODEL, Conditions(angle, SPEED, mass_flow_kg_s=flow), CENTRE, NAMES, 0.05)
+    kinds = set()
+    for remedy in found.remedies:
+        if told := re.match(r"three more rows at (\S+) deg, (\S+) rpm, (\S+) kg/s", remedy.measurement):
+            at_deg, rpm, load = map(float, told.groups())
+            more = Conditions(
+                np.append(angle, np.full(3, np.radians(at_deg))), np.append(np.full(3, SPEED), np.full(3, rpm * RPM)),
+                mass_flow_kg_s=np.append(flow, np.full(3, load)),
+            )
+            after = report(MODEL, more, known, NAMES, 0.05).known_load[0].relative_sd
+        else:
+            told = re.match(r"know (.+) within 5 %", remedy.measurement)
+            row = np.array([[20.0 if name == told[1].removeprefix("1 + ") else 0.0 for name in NAMES]])
+            after = 1.0 / np.linalg.svd(np.vstack((relative, row)), compute_uv=False)[-1]
+        kinds.add(remedy.measurement[:4])
+        assert remedy.worst_sd_after == pytest.approx(after, rel=1e-3)
+    assert kinds == {"thre", "know"}
 
 
 # What is learned
@@ -213,6 +232,21 @@ def test_a_wandering_flow_is_believed_as_a_process_and_its_mean_found() -> None:
         z.append(np.log(outcome.flows[0].mass_flow_kg_s / flow.mean()) / outcome.flows[0].log_sd)
     assert abs(np.mean(z)) < 0.6
     assert 0.4 < np.std(z) < 1.4
+
+
+def test_the_mean_of_a_wandering_flow_is_as_uncertain_as_the_windows_noise_makes_it() -> None:
+    """Grain known, windows far apart: the flow's own ups and downs are in them, so that their noise alone blurs its mean."""
+    count, noise = 16, 0.04
+    known = prior(widths=(1e-6, 1e-6, 1e-6))
+    angles = np.full(count, np.radians(70.0))
+    steady = sweep(11.0, noise=noise, angles=angles)
+    rows = dataclasses.replace(steady, time_s=1e4 * np.arange(count))
+    outcome = self_calibrate(
+        MODEL, known, [rows], settings=ClosedLoopSettings(flow="process", flow_process_sd=0.05, flow_process_time_s=20.0)
+    )
+    near = Conditions(np.radians(70.0), SPEED, mass_flow_kg_s=11.0 * np.exp([-1e-4, 1e-4]))
+    elasticity = float(np.diff(np.log(np.real(MODEL.force(near, CENTRE))))[0] / 2e-4)
+    assert outcome.flows[0].log_sd == pytest.approx(noise / elasticity / np.sqrt(count), rel=1e-3)
 
 
 # Anchors

@@ -106,6 +106,13 @@ def test_a_sweep_is_brought_to_one_flow() -> None:
     assert apart - apart.mean() == pytest.approx(0.0, abs=0.01)
 
 
+def test_a_reduced_sweep_scatters_by_its_standard_deviation() -> None:
+    drawn = [reduced(NONE, 10.0, seed=seed) for seed in range(40)]
+    scatter = np.std([s.log_force for s in drawn], axis=0, ddof=1)
+    stated = np.sqrt(np.mean([s.sd**2 for s in drawn], axis=0))
+    assert 0.6 < np.mean(scatter / stated) < 1.1
+
+
 @pytest.mark.parametrize(
     "change", [{"friction": 0.35}, {"density": 1400.0}, {"restitution": 0.3}, {"friction": 0.1, "density": 950.0}], ids=str
 )
