@@ -22,6 +22,7 @@ from yieldmon import frames
 from yieldmon.cli import main as cli
 from yieldmon.files import parameter_file
 from yieldmon.frames import EstimateQuality, Frame
+from yieldmon.service.control import ControlError
 from yieldmon.service.daemon import SILENCE_S
 from yieldmon.service.store import Store
 
@@ -159,6 +160,52 @@ def test_store_failing_is_a_fault_and_measuring_goes_on(tmp_path, monkeypatch):
     assert events == [("StoreFailing", True), ("StoreFailing", False)]
 
 
+def test_a_stop_writes_everything_whatever_cannot_be_taken_away(tmp_path, monkeypatch):
+    names = ("yieldmon.sock", "metrics.prom")
+    with running(tmp_path, "bus: {transmit_max_age_s: 60}\nstatus: {prometheus_file: metrics.prom}") as bench:
+        wait_for((tmp_path / names[1]).exists, "metrics")
+        for name in names:
+            (tmp_path / name).unlink()
+            (tmp_path / name).mkdir()
+        bench.play(3, EMPTY_MV)
+        bench.played()
+        last = bench.rows[-1]["number"]
+    with Store(tmp_path / "yieldmon.sqlite") as store:
+        assert store.last_second().number >= last
+        assert store.counters()["starts"] == 1
+
+
+def test_a_command_that_was_not_answered_is_not_carried_out_later(tmp_path, monkeypatch):
+    """The operator who was told so gives it again."""
+    monkeypatch.setattr("yieldmon.service.daemon._COMMAND_PATIENCE_S", 0.3)
+    with running(tmp_path) as bench:
+        bench.play(3, EMPTY_MV)
+        bench.played()
+        gate, held, take = threading.Event(), threading.Event(), bench.daemon._do_commands
+
+        def late() -> None:
+            held.set()
+            assert gate.wait(PATIENCE_S)
+            take()
+
+        monkeypatch.setattr(bench.daemon, "_do_commands", late)
+        assert held.wait(PATIENCE_S)
+        with pytest.raises(ControlError, match="did not answer in time; nothing was done"):
+            bench.daemon._command({"command": "load-start"})
+        gate.set()
+        assert bench.daemon._command({"command": "load-start"})["load"] == 2
+
+
+def test_names_are_shown_as_they_were_given(tmp_path, capsys):
+    name = "[/north] [bold] :corn:"
+    with running(tmp_path) as bench:
+        bench.play(3, EMPTY_MV)
+        bench.played()
+        for words in (["load", "start", "--field", name, "--crop", "oats"], ["status"], ["load", "list"]):
+            assert cli.main([*words, "--socket", str(tmp_path / "yieldmon.sock")]) == 0
+            assert set(name.split()) <= set(capsys.readouterr().out.split())
+
+
 def test_a_slow_disk_is_a_fault_until_it_has_caught_up(tmp_path, monkeypatch):
     gate, late_s = threading.Event(), [0.0]
     gate.set()
@@ -201,7 +248,7 @@ def calibrated(path: Path, days_ago: float) -> None:
 
 
 def test_the_age_of_the_calibration_goes_on_over_restarts_and_reloads(tmp_path, monkeypatch):
-    text, played_s = "parameter_file: p.yaml\nbus: {transmit_max_age_s: 60}", 200
+    text, played_s = "parameter_file: p.yaml\nbus: {transmit_max_age_s: 60}", 45
     now, later_s = time.time, [0.0]
     monkeypatch.setattr("yieldmon.service.daemon.time.time", lambda: now() + later_s[0])
 

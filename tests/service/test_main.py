@@ -114,6 +114,16 @@ def test_only_the_chosen_verb_is_imported(verb_named_probe, capsys):
     assert "Probe the frame. 100% of it" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("words", [["--help"], ["predict", "--nonsense"]])
+def test_help_and_usage_do_not_wait_for_the_bus_library(words):
+    program = (
+        "import sys\nfrom yieldmon.cli import main\n"
+        "try: main.main(sys.argv[1:])\nexcept SystemExit: print('can' in sys.modules, file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", program, *words], capture_output=True, text=True, cwd=ROOT, check=True)
+    assert done.stderr.splitlines()[-1] == "False"
+
+
 def test_version_is_the_packages(capsys):
     declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
     with pytest.raises(SystemExit):

@@ -92,6 +92,19 @@ def test_too_many_waiting_give_up_records_but_not_totals(disk):
         assert store.tickets() == [ticket]
 
 
+def test_a_long_failure_keeps_one_row_of_a_load(disk):
+    """A load that is open for hours is in every second's batch."""
+    writer = StoreWriter(disk.open, 5)
+    for number in range(1, 101):
+        writer.submit(batch(number))
+    assert [len(waiting.loads) for waiting in writer._pending] == [1] * 5
+    assert writer._pending[0].loads == batch(96).loads
+    writer.start()
+    writer.stop()
+    with Store(disk.path) as store:
+        assert store.loads() == list(batch(100).loads)
+
+
 def test_stopping_tries_once_more(disk):
     writer = StoreWriter(disk.open, 100, retry_s=60.0)
     disk.broken.set()

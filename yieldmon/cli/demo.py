@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
         _show(found, result.frames_on_bus, chosen.duration_s)
     if args.picture:
         picture.draw(found, args.picture)
-        console.print(f"picture: {args.picture}", soft_wrap=True)
+        print(f"picture: {args.picture}", file=sys.stderr)
     return 0
 
 

@@ -45,9 +45,10 @@ def run(args: argparse.Namespace) -> int:
             masses = ("mass_kg", "dry_mass_kg", "ticket_mass_kg", "corrected_mass_kg")
             cells = ("-" if load[key] is None else f"{load[key]:.1f}" for key in masses)
             table.add_row(str(load["number"]), load["field"] or "-", load["crop"] or "-", *cells)
-        Console(highlight=False).print(table)
+        Console(highlight=False, markup=False, emoji=False).print(table)
     elif args.action == "start":
-        print(f"load {answer['load']} started" + (f": {answer['field']} {answer['crop']}".rstrip(": ")))
+        names = " ".join(name for name in (answer["field"], answer["crop"]) if name)
+        print(f"load {answer['load']} started" + (f": {names}" if names else ""))
     else:
         print(f"load {answer['load']} complete: {answer['mass_kg']:.1f} kg")
     return 0

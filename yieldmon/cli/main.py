@@ -145,6 +145,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return EXIT_FAILED
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
+    except SystemExit:
+        # Help and usage: what can go wrong outside, below, costs half a second to look up.
+        raise
     except BrokenPipeError:
         # The reader left. Point stdout elsewhere, or the interpreter complains when it flushes at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -10,6 +10,7 @@ from typing import Any
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
 
@@ -34,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
         json.dump(status, sys.stdout, indent=2)
         print()
     else:
-        _show(status, Console(highlight=False))
+        _show(status, Console(highlight=False, markup=False, emoji=False))
     return 0
 
 
@@ -71,7 +72,7 @@ def _show(status: Mapping[str, Any], console: Console) -> None:
         console.print(windows)
     for fault in status["faults"]:
         detail = f" ({fault['detail']})" if fault["detail"] else ""
-        console.print(f"[bold]{fault['code']}[/bold]{detail}: {fault['effect']} {fault['remedy']}")
+        console.print(Text.assemble((fault["code"], "bold"), f"{detail}: {fault['effect']} {fault['remedy']}"))
     if not status["faults"]:
         console.print("no faults")
 

@@ -15,7 +15,7 @@ Answer = Mapping[str, Any]
 
 #: Standard deviation of a scale ticket where the operator names none, as a share of the mass (a certified platform scale).
 TICKET_RELATIVE_STD_DEV = 0.005
-_MAX_TICKET_KG = 1e6
+_MIN_TICKET_KG, _MAX_TICKET_KG = 1e-3, 1e6
 _MAX_NAME = 80
 
 
@@ -58,9 +58,9 @@ def _loads(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s
 def _ticket(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
     first = _whole(request, "first_load")
     last = _whole(request, "last_load") if request.get("last_load") is not None else first
-    weighed_kg = _number(request, "mass_kg", _MAX_TICKET_KG)
+    weighed_kg = _mass_kg(request, "mass_kg")
     given = request.get("std_dev_kg")
-    std_dev_kg = TICKET_RELATIVE_STD_DEV * weighed_kg if given is None else _number(request, "std_dev_kg", _MAX_TICKET_KG)
+    std_dev_kg = TICKET_RELATIVE_STD_DEV * weighed_kg if given is None else _mass_kg(request, "std_dev_kg")
     covered = _covered(journal, first, last)
     measured_kg = sum(load.mass_kg for load in covered)
     if not measured_kg > 0.0:
@@ -145,8 +145,8 @@ def _whole(request: Mapping[str, Any], key: str) -> int:
     return value
 
 
-def _number(request: Mapping[str, Any], key: str, high: float) -> float:
+def _mass_kg(request: Mapping[str, Any], key: str) -> float:
     value = request.get(key)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value <= high:
-        raise InputError(key, repr(value)[:100], f"a mass above 0 and up to {high:g} kg")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not _MIN_TICKET_KG <= value <= _MAX_TICKET_KG:
+        raise InputError(key, repr(value)[:100], f"a mass from {_MIN_TICKET_KG:g} to {_MAX_TICKET_KG:g} kg")
     return float(value)

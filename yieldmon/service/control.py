@@ -14,6 +14,7 @@ import socket
 import socketserver
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +77,9 @@ class ControlServer:
         self._server.shutdown()
         self._thread.join()
         self._server.server_close()
-        self.path.unlink(missing_ok=True)
+        # Left there it is replaced at the next start; what remains to be written at this stop is worth more.
+        with suppress(OSError):
+            self.path.unlink(missing_ok=True)
 
 
 def _answers(path: Path) -> bool:

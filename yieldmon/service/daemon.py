@@ -400,7 +400,10 @@ class Daemon:
         try:
             return job.answer.result(_COMMAND_PATIENCE_S)
         except TimeoutError:
-            raise ControlError("the engine did not answer in time") from None
+            # What was said to have failed must not be done later.
+            if not job.answer.cancel():
+                return job.answer.result()
+            raise ControlError("the engine did not answer in time; nothing was done") from None
 
     def _do_commands(self) -> None:
         done = False

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
-import os
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from yieldmon.engine.faults import FaultCode
+from yieldmon.errors import InputError
+from yieldmon.files.whole_file import scratch_for
 
 _log = logging.getLogger(__name__)
 
@@ -34,7 +35,10 @@ class MetricsFile:
         self._stop.set()
         if self._path is not None:
             self._thread.join()
-            self._path.unlink(missing_ok=True)
+            try:
+                self._path.unlink(missing_ok=True)
+            except OSError as error:
+                _log.warning("metrics: %s", error)
 
     def _run(self) -> None:
         assert self._path is not None
@@ -43,7 +47,7 @@ class MetricsFile:
             try:
                 write(self._path, self._status())
                 failed = False
-            except OSError as error:
+            except (OSError, InputError) as error:
                 if not failed:
                     _log.warning("metrics: %s", error)
                 failed = True
@@ -52,12 +56,14 @@ class MetricsFile:
 
 
 def write(path: Path, status: Mapping[str, Any]) -> None:
-    """Put a new file in the place of the old one, readable by all: the collector is another user. Raises OSError."""
-    scratch = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    """Put a new file in the place of the old one, readable by all: the collector is another user.
+
+    Raises InputError or OSError as `whole_file.scratch_for`.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    scratch.write_text("".join(f"{line}\n" for line in lines(status)), encoding="utf-8")
-    scratch.chmod(0o644)
-    scratch.replace(path)
+    with scratch_for(path) as scratch:
+        scratch.write_text("".join(f"{line}\n" for line in lines(status)), encoding="utf-8")
+        scratch.chmod(0o644)
 
 
 def lines(status: Mapping[str, Any]) -> Iterator[str]:

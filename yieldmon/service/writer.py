@@ -169,9 +169,11 @@ class StoreWriter:
 
 
 def _without_record(oldest: Batch, following: Batch) -> Batch:
+    # A load under way is in every batch: its newest row is the one that counts, and the only one to keep.
+    loads = {load.number: load for load in oldest.loads + following.loads}
     return replace(
         following,
-        loads=oldest.loads + following.loads,
+        loads=tuple(loads.values()),
         sweeps=(oldest.sweeps + following.sweeps)[-_EVENTS_KEPT:],
         parameter_versions=(oldest.parameter_versions + following.parameter_versions)[-_EVENTS_KEPT:],
         faults=(oldest.faults + following.faults)[-_EVENTS_KEPT:],
