@@ -1,10 +1,15 @@
-"""Whether the engine is here."""
+"""Whether the engine is here; the way to the tools' own modules."""
 
 from __future__ import annotations
+
+import sys
+from pathlib import Path
 
 import pytest
 
 from yieldmon.plant.dem import runner
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
 
 @pytest.fixture(scope="session")
