@@ -7,14 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from yieldmon.cli.diagnose import _print_text
 from yieldmon.discrepancy import diagnosis, experiment, report
 from yieldmon.discrepancy.candidates import Signature
-from yieldmon.discrepancy.fit import Parameter
+from yieldmon.discrepancy.fit import Fit, Parameter
+from yieldmon.discrepancy.noise import Noise
 from yieldmon.discrepancy.selection import Policy, form_allowance
-from yieldmon.physics.machine import Machine
-from yieldmon.physics.model import ForwardModel
+from yieldmon.physics.machine import RPM, Machine
+from yieldmon.physics.model import Conditions, ForwardModel
 
 QUICK = diagnosis.Options(policy=Policy(refits=8, exchanges=4, beam=2))
 
@@ -155,6 +157,40 @@ def test_ties_come_with_rows_that_separate_them(make_rows, start) -> None:
     assert pairs & set(found.choice.steps[0].equivalent)
 
 
+def power_to_separate(best: Fit, rival: Fit, noise: Noise, rows: Conditions) -> float:
+    """Of new rows measured three times beside the old cells: by least squares, with derivatives by differences."""
+    truth = best.predict(rows)
+    sd = noise.sd(truth) / np.sqrt(3.0)
+    columns = []
+    for i, parameter in enumerate(rival.parameters):
+        step = 1e-4 * parameter.scale * np.eye(len(rival.x))[i]
+        ends = [replace(rival, x=rival.x + sign * step).predict(rows) for sign in (1.0, -1.0)]
+        columns.append((ends[0] - ends[1]) / (2e-4 * parameter.scale))
+    slopes = np.vstack((rival.jacobian, np.stack(columns, axis=-1) / sd[:, None]))
+    slopes = slopes / np.linalg.norm(slopes, axis=0)
+    apart = np.concatenate((rival.residual - best.residual, (rival.predict(rows) - truth) / sd))
+    left = apart - slopes @ np.linalg.lstsq(slopes, apart, rcond=1e-12)[0]
+    return float(stats.ncx2.sf(stats.chi2.isf(0.05, 1), 1, left @ left))
+
+
+def test_a_plan_has_the_power_that_it_states_and_the_best_row(make_rows, start) -> None:
+    choice = diagnosis.examine(make_rows({"release_angle": -0.06}, speeds_rpm=(400.0,), noise=0.02), start, QUICK).choice
+    rival = next(c.fit for c in choice.looked_at if c.effect == "plate_angle_offset")
+    noise = Noise(1.0, 0.02, 40.0, "replicates")
+    for count in (1, 3):
+        plan = experiment.plan(choice.best, [rival], noise, rows=count)
+        names = ("plate_angle_rad", "elevator_speed_rad_s", "mass_flow_kg_s")
+        stated = Conditions(*(np.array([getattr(r, name) for r in plan.rows]) for name in names))
+        assert plan.power == pytest.approx(power_to_separate(choice.best, rival, noise, stated), abs=2e-3)
+    one = experiment.plan(choice.best, [rival], noise, rows=1)
+    assert 0.06 < one.power < 0.99
+    for angle in np.radians([40.0, 60.0, 90.0]):
+        for flow in (1.0, 9.0, 20.0):
+            for speed in (300.0 * RPM, 400.0 * RPM, 500.0 * RPM):
+                row = Conditions(np.array([angle]), np.array([speed]), mass_flow_kg_s=np.array([flow]))
+                assert power_to_separate(choice.best, rival, noise, row) <= one.power + 2e-3
+
+
 def test_adopted_parameters_predict_what_was_fitted(make_rows, start) -> None:
     found = diagnosis.diagnose_rows(make_rows({"zero_offset": 4.0}), start, QUICK)
     adopted = diagnosis.adopted(found, start, {"parent": "x"})
@@ -174,6 +210,27 @@ def test_what_is_adopted_is_as_uncertain_as_what_is_said(make_rows, start) -> No
     found = replace(found, best=replace(found.best, chi2=3.0 * found.best.dof))
     said = diagnosis.to_document(found)["effects"][0]["parameters"]["force_n"]["sd"]
     assert diagnosis.adopted(found, start, {}).standard_deviation("zero_offset.force_n") == pytest.approx(said, rel=1e-12)
+
+
+def test_loads_that_share_an_error_leave_the_scale_uncertain(make_rows, start) -> None:
+    found = diagnosis.diagnose_rows(make_rows({"zero_offset": 4.0}), start, QUICK)
+    exact, shared = (diagnosis.adopted(found, start, {}, scale_sd=sd) for sd in (0.0, 0.05))
+    values = found.best.values
+    along = {"friction": 0.0, "density": values["density"], "restitution": -(1.0 + values["restitution"])}
+    direction = np.array([along.get(name, 0.0) for name in shared.covariance_names])
+    added = 0.05**2 * np.outer(direction, direction)
+    np.testing.assert_allclose(shared.covariance - exact.covariance, added, rtol=1e-6, atol=1e-12)
+
+
+def test_a_wild_row_among_the_sealed_is_left_out_and_counted(make_rows, start) -> None:
+    rows = make_rows({"zero_offset": 4.0})
+    first = diagnosis.examine(rows, start, QUICK)
+    value = rows.value.copy()
+    value[np.flatnonzero(first.sealed)[4]] += 0.5 * value.max()
+    second = diagnosis.examine(replace(rows, value=value), start, QUICK)
+    assert np.count_nonzero(second.outlier) == np.count_nonzero(first.outlier) + 1
+    assert second.held_out.rows == first.held_out.rows - 1
+    assert second.held_out.closed_pct == pytest.approx(first.held_out.closed_pct, abs=10.0)
 
 
 def test_what_was_known_before_stays_as_uncertain(make_rows, start) -> None:
