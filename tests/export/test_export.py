@@ -7,10 +7,12 @@ import dataclasses
 import json
 import os
 import shutil
+import sqlite3
 import struct
 import subprocess
 import xml.etree.ElementTree as ET
 import zipfile
+from contextlib import closing
 from pathlib import Path
 
 import geopandas
@@ -282,6 +284,37 @@ def test_one_line_for_what_cannot_be_exported(words, line, folder, capsys, monke
     assert line in said
     assert said.count("\n") == 1
     assert not list(folder.glob("x.*"))
+
+
+VERBS = [
+    ["export", "{store}", "--out", "{out}.csv"],
+    ["export", "{store}", "--out", "{out}.csv", "--what", "loads"],
+    ["plot", "flow", "{store}", "--out", "{out}.png"],
+]
+
+
+@pytest.mark.parametrize("words", VERBS, ids=lambda words: " ".join(words[-2:]))
+def test_a_store_that_is_read_stays_as_it_is(words, folder, tmp_path):
+    """Also one of the version before, which a daemon would bring up to date."""
+    store, out = tmp_path / "store" / "r.sqlite", tmp_path / "x"
+    store.parent.mkdir()
+    shutil.copy(folder / "r.sqlite", store)
+    with closing(sqlite3.connect(store)) as database:
+        database.execute("DROP INDEX second_of_sweep")
+        database.execute("PRAGMA user_version = 2")
+    before = store.read_bytes()
+    assert cli.main([word.format(store=store, out=out) for word in words]) == 0
+    assert store.read_bytes() == before
+    assert [entry.name for entry in store.parent.iterdir()] == ["r.sqlite"]
+
+
+@pytest.mark.parametrize("words", VERBS, ids=lambda words: " ".join(words[-2:]))
+def test_an_empty_file_is_no_store_and_becomes_none(words, tmp_path, capsys):
+    empty = tmp_path / "r.sqlite"
+    empty.touch()
+    assert cli.main([word.format(store=empty, out=tmp_path / "x") for word in words]) == 2
+    assert capsys.readouterr().err.startswith(f"yieldmon: {empty}: is ")
+    assert empty.read_bytes() == b""
 
 
 def test_without_pyogrio_one_line(monkeypatch, folder, tmp_path, capsys):

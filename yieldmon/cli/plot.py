@@ -22,7 +22,7 @@ from yieldmon.physics.numerics import Array
 from yieldmon.plots import canvas, curves, errors, flow, parameters, published, residuals, sensitivity, sweeps
 from yieldmon.service import recorded
 from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Load, Store, Ticket
+from yieldmon.service.store import Load, Ticket
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -134,7 +134,7 @@ def _flow(args: argparse.Namespace) -> Figure:
     truth = _beside(_truth(args.truth), rows) if args.truth else None
     weighed = None
     if Path(args.record).suffix == recorded.STORE_SUFFIX:
-        with Store(Path(args.record)) as store:
+        with recorded.opened(Path(args.record)) as store:
             weighed = _weighed(store.loads(), store.tickets())
     names = ("time_s", "mass_flow_kg_s", "std_dev_kg_s", "total_kg")
     time_s, rate, spread, total = (_column(rows, name) for name in names)
@@ -172,8 +172,7 @@ def _sweeps(args: argparse.Namespace) -> Figure:
 
 def _parameters(args: argparse.Namespace) -> Figure:
     path = Path(args.record)
-    recorded.read_loads(path)
-    with Store(path) as store:
+    with recorded.opened(path) as store:
         versions = store.parameter_versions()
     if not versions:
         raise InputError(args.record, "holds no parameters", "the store of a daemon that has run")

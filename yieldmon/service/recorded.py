@@ -7,7 +7,8 @@ import dataclasses
 import json
 import types
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -37,24 +38,25 @@ def read_seconds(path: Path | str) -> list[SecondRow]:
     if not path.is_file():
         raise InputError(str(path), "no such file", "a store, or a table that `yieldmon process` wrote")
     if suffix == STORE_SUFFIX:
-        with _opened(path) as store:
+        with opened(path) as store:
             return store.seconds()
     return [_row(values, f"{path}: row {number}") for number, values in enumerate(_tables(path, suffix), 1)]
 
 
 def read_loads(path: Path | str) -> list[Load]:
     """The loads of a store. Raises InputError."""
-    with _opened(Path(path)) as store:
+    with opened(Path(path)) as store:
         return store.loads()
 
 
-def _opened(path: Path) -> Store:
-    if not path.is_file():
-        raise InputError(str(path), "no such file", "a daemon's store")
+@contextmanager
+def opened(path: Path) -> Iterator[Store]:
+    """A store to read: as it is, and it stays so. Raises InputError, also for what fails while it is open."""
     try:
-        return Store(path)
+        with Store.reading(path) as store:
+            yield store
     except StoreError as error:
-        raise InputError(str(path), str(error), "a daemon's store") from error
+        raise InputError(str(path), str(error).removeprefix(f"{path}: "), "a daemon's store") from error
 
 
 def _tables(path: Path, suffix: str) -> Iterable[Mapping[str, Any]]:

@@ -208,6 +208,13 @@ class Store:
             self._database.close()
             raise
 
+    @classmethod
+    def reading(cls, path: Path) -> Store:
+        """The store at `path` to be read only, whether or not a daemon writes it meanwhile. Raises InputError as `read_only`."""
+        store = cls.__new__(cls)
+        store.path, store.retention, store._database = path, Retention(), read_only(path)
+        return store
+
     def _check_header(self) -> None:
         if self._pragma("application_id") not in (0, schema.APPLICATION_ID):
             raise InputError(str(self.path), "an SQLite file of another program", "a yieldmon store or a new file")
@@ -379,7 +386,10 @@ def read_only(path: Path) -> sqlite3.Connection:
     # Reading beside a writer needs the writer's journal index; without a journal the file alone is the whole store.
     quiet = not path.with_name(f"{path.name}-wal").exists()
     location = f"file:{quote(str(path.absolute()))}?{'immutable=1' if quiet else 'mode=ro'}"
-    database = sqlite3.connect(location, uri=True, isolation_level=None)
+    try:
+        database = sqlite3.connect(location, uri=True, isolation_level=None)
+    except sqlite3.OperationalError as error:
+        raise InputError(str(path), str(error), "a daemon's store that may be read") from error
     try:
         application, version = (
             database.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version")
