@@ -75,6 +75,25 @@ def test_the_report_of_a_gap_explained_in_part_has_the_parts_size(make_rows, sta
     assert f"{parameter.name.partition('.')[2]} = {found.choice.best.values[parameter.name]:.4g} ± " in page
 
 
+def test_the_stop_gap_takes_up_what_it_says_on_cells_left_out(make_rows, start) -> None:
+    found = diagnosis.diagnose_rows(make_rows(alter=OUTSIDE["resonance in speed"]), start, QUICK)
+    base, surface = found.base, found.correction
+    measured, predicted = base.frame.cells.mean, base.predict(base.frame.cells.conditions())
+    cells = diagnosis.to_document(found)["stop_gap"]["cells"]
+    corrected = predicted * (1.0 + 0.01 * np.array([c["correction_pct"] for c in cells]))
+    assert np.std((corrected - measured) / base.frame.sd) < 0.6 * np.std((predicted - measured) / base.frame.sd)
+    distance = np.sum((surface.points[:, None, :] - surface.points) ** 2, axis=-1) / surface.length**2
+    kernel, sd = surface.size**2 * np.exp(-0.5 * distance), base.frame.sd / predicted
+    target = measured / predicted - 1.0
+    left = []
+    for i in range(len(target)):
+        kept = np.arange(len(target)) != i
+        inner = kernel[np.ix_(kept, kept)] + np.diag(sd[kept] ** 2)
+        left.append((target[i] - kernel[i, kept] @ np.linalg.solve(inner, target[kept])) / sd[i])
+    before, after = np.sum((target / sd) ** 2) - len(target), np.sum(np.square(left)) - len(target)
+    assert surface.closed_pct == pytest.approx(100.0 * (1.0 - after / before), rel=1e-3)
+
+
 def test_where_nothing_is_named_the_best_candidates_are_told_apart(make_rows, start) -> None:
     found = diagnosis.diagnose_rows(make_rows(alter=OUTSIDE["bracket that yields in one range of angle"]), start, QUICK)
     assert found.choice.steps == ()

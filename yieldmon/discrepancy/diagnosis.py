@@ -22,7 +22,7 @@ from . import observations as obs
 from .candidates import Signature, library, signature
 from .experiment import Plan, plan
 from .fit import Fit, Frame, base_frame, fit, fit_base
-from .gap import LackOfFit, Region, lack_of_fit, noise_floor, row_rms, where
+from .gap import LackOfFit, Region, fills, lack_of_fit, noise_floor, row_rms, where
 from .noise import Noise, estimate
 from .selection import Choice, Policy, choose
 from .stopgap import Correction, correction
@@ -438,8 +438,26 @@ def to_document(diagnosis: Diagnosis) -> dict[str, object]:
             "kind": "Gaussian process over plate angle and load; holds only where these rows lie; names no cause",
             "axes": list(diagnosis.correction.axes),
             "closed_pct": diagnosis.correction.closed_pct,
+            "cells": _correction_cells(diagnosis.correction, diagnosis.base),
         }
     return document
+
+
+def _correction_cells(found: Correction, base: Fit) -> list[dict[str, float]]:
+    """What to add to the published model's prediction at each cell, % of it."""
+    cells, fill = base.frame.cells, fills(base)
+    correction_pct = 100.0 * found.at(cells.plate_angle_rad, fill, cells.elevator_speed_rad_s)
+    return [
+        {
+            "plate_angle_deg": round(degrees(angle), 3),
+            "fill": round(float(share), 4),
+            "elevator_speed_rpm": round(float(speed) / RPM, 3),
+            "correction_pct": round(float(percent), 3),
+        }
+        for angle, share, speed, percent in zip(
+            cells.plate_angle_rad, fill, cells.elevator_speed_rad_s, correction_pct, strict=True
+        )
+    ]
 
 
 def _measure_document(measure: Measure) -> dict[str, float | None]:
