@@ -14,7 +14,9 @@ from yieldmon.discrepancy import diagnosis, experiment, report
 from yieldmon.discrepancy.candidates import Signature
 from yieldmon.discrepancy.fit import Fit, Parameter
 from yieldmon.discrepancy.noise import Noise
+from yieldmon.discrepancy.observations import with_cells
 from yieldmon.discrepancy.selection import Policy, form_allowance
+from yieldmon.errors import InputError
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 
@@ -250,6 +252,29 @@ def test_a_wild_row_among_the_sealed_is_left_out_and_counted(make_rows, start) -
     assert np.count_nonzero(second.outlier) == np.count_nonzero(first.outlier) + 1
     assert second.held_out.rows == first.held_out.rows - 1
     assert second.held_out.closed_pct == pytest.approx(first.held_out.closed_pct, abs=10.0)
+
+
+def test_sealed_loads_that_overfill_what_was_fitted_without_them_are_told(make_rows, start) -> None:
+    """Short paddles that the lighter loads fill to 0.86 kg of 1.0; the sealed ones hold 1.2 kg."""
+    machine = replace(Machine(), paddle_length_m=0.0615)
+    rows = make_rows(speeds_rpm=(400.0,))
+    light = Conditions(rows.plate_angle_rad, rows.elevator_speed_rad_s, mass_flow_kg_s=np.minimum(rows.load, 10.4))
+    force = ForwardModel(machine).force(light, dict(start.values) | {"density": 1300.0, "restitution": 0.5})
+    load = np.where(rows.load == 18.0, 14.9, rows.load)
+    value = np.real(force) * np.maximum(load / 10.4, 1.0) * (1.0 + 0.01 * np.random.default_rng(1).standard_normal(len(rows)))
+    rows = with_cells(replace(rows, machine=machine, load=load, value=value))
+    found = diagnosis.diagnose_rows(rows, start, replace(QUICK, hold_out="mass_flow_kg_s=14.9"))
+    assert found.held_out is None
+    assert any(note.startswith("18 held-out rows prove nothing") for note in found.notes)
+    assert found.base.values["density"] > 1500.0
+    json.dumps(diagnosis.to_document(found), allow_nan=False)
+
+
+def test_loads_that_no_paddle_holds_are_refused(make_rows, start) -> None:
+    rows = make_rows(speeds_rpm=(400.0,))
+    rows = with_cells(replace(rows, load=np.where(rows.load == 18.0, 160.0, rows.load)))
+    with pytest.raises(InputError, match="overfill the paddles at every admissible density"):
+        diagnosis.diagnose_rows(rows, start, replace(QUICK, hold_out="mass_flow_kg_s=160"), name="heavy.csv")
 
 
 def test_what_was_known_before_stays_as_uncertain(make_rows, start) -> None:

@@ -127,8 +127,8 @@ def diagnose_rows(
     every = rows.take(~seen.outlier)
     grouped = obs.cells(every)
     whole = base.frame.with_cells(grouped, noise.sd(grouped.mean) / np.sqrt(grouped.count))
-    base_all = _refit(whole, (), base)
-    best_all = _refit(whole, found.effects, found) if found.effects else base_all
+    base_all = _refit(whole, (), base, name)
+    best_all = _refit(whole, found.effects, found, name) if found.effects else base_all
     tell("where", 0.9)
     regions = where(base_all, noise, rng)
     remaining = where(best_all, noise, rng) if found.effects else regions
@@ -201,7 +201,8 @@ def examine(
     found = chosen.best if chosen.verdict == "effect" else chosen.base
     held_out, odd_sealed = _open(rows, sealed, chosen.base, found, noise)
     outlier |= odd_sealed
-    return Examination(form, noise, chosen, held_out, sealed, outlier, (*_noise_notes(noise, int(outlier.sum())), *why))
+    notes = (*_noise_notes(noise, int(outlier.sum())), *why, *_overfull_note(sealed & ~outlier, held_out))
+    return Examination(form, noise, chosen, held_out, sealed, outlier, notes)
 
 
 def adopted(
@@ -326,9 +327,16 @@ def _closed(before: float, after: float, floor: float) -> float | None:
     return 100.0 * (before - after) / (before - floor) if before > floor else None
 
 
-def _refit(frame: Frame, effects: tuple[str, ...], start: Fit) -> Fit:
-    again = fit(frame, effects, start.values, tolerance=1e-6)
-    return again if again is not None else start
+def _refit(frame: Frame, effects: tuple[str, ...], start: Fit, name: str) -> Fit:
+    """The model fitted to every row, from the densest grain where the loads overfill the paddles at `start`'s density."""
+    densest = {p.name: p.upper for p in frame.base if p.name == "density"}
+    for values in (start.values, start.values | densest):
+        again = fit(frame, effects, values, tolerance=1e-6)
+        if again is not None:
+            return again
+    raise InputError(
+        name, "has loads that overfill the paddles at every admissible density", "loads that a paddle of this machine can hold"
+    )
 
 
 def _measure(fitted: Fit, rows: obs.Rows, noise: Noise) -> Measure:
@@ -359,6 +367,11 @@ def _noise_notes(noise: Noise, outliers: int) -> list[str]:
         f" + {100.0 * noise.proportional:.2g} % of reading (in quadrature)" if noise.proportional else ""
     )
     return [f"{how}: {form}"] + ([f"{outliers} outlying rows left out"] if outliers else [])
+
+
+def _overfull_note(opened: NDArray[np.bool_], held_out: HeldOut | None) -> list[str]:
+    lost = int(np.count_nonzero(opened)) - (held_out.rows if held_out is not None else 0)
+    return [f"{lost} held-out rows prove nothing: they overfill the paddles of the model fitted without them"] if lost else []
 
 
 def _undetectable_note(effects: tuple[str, ...]) -> list[str]:
