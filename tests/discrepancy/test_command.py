@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -158,3 +159,17 @@ def test_bad_input_gets_one_line(arguments: list[str], says: str, offset_table: 
     assert says in error
     assert error.startswith("yieldmon: ")
     assert len(error.splitlines()) == 1
+
+
+def test_effects_that_are_told_are_kept_and_not_looked_for(offset_table: Path, tmp_path: Path, capsys) -> None:
+    """A zero offset that the parameters already have is found again unless it is kept; then nothing is missing."""
+    shipped_set = parameter_file.load(None)
+    told = tmp_path / "told.yaml"
+    grain = {name: value for name, value in shipped_set.values.items() if "." not in name}
+    parameter_file.save(replace(shipped_set, values={**grain, "zero_offset.force_n": 4.0}), told)
+    command = ["diagnose", str(offset_table), "--params", str(told), "--json"]
+    assert main(command) == 0
+    assert [effect["name"] for effect in json.loads(capsys.readouterr().out)["effects"]] == ["zero_offset"]
+    assert main([*command, "--keep-effects"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["verdict"], found["effects"]) == ("none", [])

@@ -50,6 +50,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="rows sealed before fitting: cells, trials, none, or COLUMN=VALUE such as plate_angle_deg=60 (default: cells)",
     )
     parser.add_argument("--without", action="append", default=[], metavar="EFFECT", help="leave an effect out of the library")
+    parser.add_argument(
+        "--keep-effects", action="store_true",
+        help="of a table: effects that the parameters speak of belong to the model and are not looked for (of a store: always)",
+    )
     parser.add_argument("--seed", type=int, default=1, help="of splits and bootstraps (default: 1)")
     parser.add_argument("--sweeps", type=int, metavar="N", help="of a store, the newest N sweeps (default: all)")
     parser.add_argument("--table", metavar="OUT.csv", help="of a store, write the table that is diagnosed")
@@ -136,7 +140,7 @@ def _from_csv(args: argparse.Namespace) -> _Source:
         if value is not None:
             raise InputError(option, f"{args.data} is no store", f"a name that ends in {', '.join(sweep_table.SUFFIXES)}")
     path = Path(args.params) if args.params is not None else shipped(parameter_file.DEFAULT)
-    return _Source(table.load(args.data), parameter_file.load(path), path)
+    return _Source(table.load(args.data), parameter_file.load(path), path, keep_effects=args.keep_effects)
 
 
 def _from_store(args: argparse.Namespace, machine: Machine) -> _Source:
