@@ -86,6 +86,25 @@ def test_a_long_log_is_written_to_its_last_frame(tmp_path: Path, suffix: str) ->
     assert essence(read(write(tmp_path / f"drive{suffix}", messages))[0]) == essence(messages)
 
 
+def test_a_full_medium_is_told_with_the_logs_name(tmp_path: Path) -> None:
+    path = tmp_path / "full.log"
+    path.symlink_to("/dev/full")
+    with pytest.raises(OSError, match="No space left") as caught, writing(path) as logger:
+        for message in sample_log() * 100:
+            logger.on_message_received(message)
+    assert caught.value.filename == str(path)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_database_that_cannot_be_written_ends_with_an_error(tmp_path: Path) -> None:
+    """Its writer is a thread of its own, which dies by itself."""
+    path = tmp_path / "folder.db"
+    path.mkdir()
+    with pytest.raises(OSError, match="not all frames could be written") as caught, writing(path) as logger:
+        logger.on_message_received(sample_log()[0])
+    assert caught.value.filename == str(path)
+
+
 def test_mf4_without_its_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "asammdf", None)
     (tmp_path / "drive.mf4").write_bytes(b"MDF     4.10    ")

@@ -132,6 +132,20 @@ def test_a_medium_that_takes_no_writing_is_read_and_measuring_goes_on(tmp_path, 
     assert sum(row.mass_kg for row in rows) == pytest.approx(rows[-1].total_kg, rel=1e-12)
 
 
+def test_a_store_that_cannot_be_read_at_all_is_told_by_what_is_wrong_with_it(tmp_path, monkeypatch, caplog):
+    """Not by why the ways around that lead nowhere."""
+
+    def refuse(store: Store) -> None:
+        raise sqlite3.OperationalError("database or disk is full")
+
+    monkeypatch.setattr(Store, "_prepare", refuse)
+    (tmp_path / "yieldmon.sqlite").touch()
+    with pytest.raises(StoreError, match=r"yieldmon\.sqlite: database or disk is full$"):
+        daemon_on(tmp_path, "{}").run()
+    said = [record.getMessage() for record in caplog.records]
+    assert len(said) == len(set(said))
+
+
 def test_a_store_with_a_journal_is_not_read_past_it(tmp_path):
     """The journal holds the last seconds; without them the total would run back."""
     path = tmp_path / "yieldmon.sqlite"

@@ -202,16 +202,19 @@ class Daemon:
             lambda: Store(path, retention, immutable=True),
         )
         try:
-            for way in ways[:-1]:
+            failures: list[StoreError] = []
+            for way in ways:
                 try:
                     with way() as store:
                         return recall(store)
                 except StoreDamagedError:
                     raise
                 except StoreError as error:
-                    _log.error("%s", error)
-            with ways[-1]() as store:
-                return recall(store)
+                    if str(error) not in map(str, failures):
+                        _log.error("%s", error)
+                    failures.append(error)
+            # The first says what is wrong with the medium, the others why there is no way around that.
+            raise failures[0]
         except StoreDamagedError as error:
             _log.error("%s", error)
             try:
