@@ -89,9 +89,8 @@ def test_a_long_log_is_written_to_its_last_frame(tmp_path: Path, suffix: str) ->
 def test_a_full_medium_is_told_with_the_logs_name(tmp_path: Path) -> None:
     path = tmp_path / "full.log"
     path.symlink_to("/dev/full")
-    with pytest.raises(OSError, match="No space left") as caught, writing(path) as logger:
-        for message in sample_log() * 100:
-            logger.on_message_received(message)
+    with pytest.raises(OSError, match="No space left") as caught:
+        write(path, sample_log() * 100)
     assert caught.value.filename == str(path)
 
 

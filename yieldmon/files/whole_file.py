@@ -41,7 +41,8 @@ def scratch_for(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
                 _sync(scratch)
             scratch.replace(target)
     except OSError as error:
-        if error.filename == str(scratch) or (error.filename is None and error.errno in _NO_ROOM):
+        # A file opened through its Path is named by that.
+        if str(error.filename) == str(scratch) or (error.filename is None and error.errno in _NO_ROOM):
             error.filename = str(path)
         raise
     finally:
