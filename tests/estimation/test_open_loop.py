@@ -81,6 +81,19 @@ def test_status(force: float, angle: float, speed: float, moisture: float, statu
     assert np.isfinite(found.std_dev_kg_s) == known
 
 
+@pytest.mark.parametrize("force", [-5.0, -1e-9, 0.0, 1e-9, 1e-3])
+@pytest.mark.parametrize("effects", [(), ("zero_offset",), ("paddle_leakage",)], ids=str)
+def test_no_flow_is_as_uncertain_as_next_to_none(force: float, effects: tuple[str, ...]) -> None:
+    """0.5 N of noise on what thin loads make of a force, on either side of the empty reading."""
+    values = GRAIN | {name: effect_parameter(name).typical for name in ForwardModel(MACHINE, effects).effect_parameters}
+    model = ForwardModel(MACHINE, effects)
+    thin = model.force(Conditions(ANGLE, SPEED, mass_flow_kg_s=np.array([0.0, 1e-4])), values)
+    slope = float(np.diff(np.real(thin))[0] / 1e-4)
+    found = OpenLoop(model, ParameterSet(values)).estimate(float(np.real(thin[0])) + force, ANGLE, SPEED, 0.5)
+    assert found.std_dev_kg_s == pytest.approx(0.5 / slope, rel=2e-3)
+    assert found.noise_std_dev_kg_s == pytest.approx(0.5 / slope, rel=2e-3)
+
+
 def test_one_bad_row_does_not_spoil_the_others() -> None:
     force = np.array([50.0, np.nan, 1e5, 100.0])
     together = loop().estimate(force, ANGLE, SPEED, 1.0)

@@ -17,6 +17,8 @@ _GRID = chebyshev_points(24)
 _STENCIL = np.array([-1.0, 0.0, 1.0])
 _NEAR = np.arange(4)
 _LEAST_STEP = 1e-9
+_THIN = 1e-4
+"""Heap thickness, 1 - h0/l, at which momentum is in proportion to load."""
 _DIAGONAL = np.eye(4, dtype=bool)
 
 
@@ -51,8 +53,9 @@ def invert_force(throw: Throw, force_n: Array, *, tolerance: float = 1e-13) -> t
     """Mass flow at which `throw` gives `force_n`, and d(force)/d(mass flow) there, by a bracketed solver.
 
     throw and force have shapes that broadcast to S; returns two arrays of shape S. The bracket is an empty to a full paddle; of
-    several solutions the lowest is taken. Below the empty reading the flow is 0, above the highest reading it is nan. Inside the
-    bracket: inverse interpolation over a grid in heap thickness, then Halley steps that may not leave their interval.
+    several solutions the lowest is taken. At or below the empty reading the flow is 0 and the slope that of thin loads; above the
+    highest reading both are nan. Inside the bracket: inverse interpolation over a grid in heap thickness, then Halley steps that
+    may not leave their interval.
     """
     passes = np.asarray(throw.passes_per_s)
     shape = np.broadcast_shapes(passes.shape[:-1], force_n.shape)
@@ -74,6 +77,9 @@ def invert_force(throw: Throw, force_n: Array, *, tolerance: float = 1e-13) -> t
     q = np.minimum(np.maximum(start, low), high).reshape(*shape, 1)
     low, high = low.reshape(q.shape), high.reshape(q.shape)
     q = np.minimum(np.maximum(q, 2.0 * _LEAST_STEP), 1.0 - 2.0 * _LEAST_STEP)
+    # Where there is no grain only the slope of the thinnest heaps is wanted; nearer to none its differences drown in rounding.
+    no_grain = below.reshape(q.shape)
+    q = np.where(no_grain, _THIN, q)
     gain = np.full(q.shape, np.nan)
     settled = ~found.reshape(q.shape)
     for _ in range(60):
@@ -90,7 +96,7 @@ def invert_force(throw: Throw, force_n: Array, *, tolerance: float = 1e-13) -> t
             # The masses per pass cancel: d(force)/d(flow) = d(momentum)/d(mass).
             here = (after - before) / (mass[..., 2:] - mass[..., :1])
         trial = np.where((trial >= low) & (trial <= high), trial, 0.5 * (low + high))
-        near_enough = (np.abs(trial - q) <= 1e-4 * q) | (np.abs(error) <= tolerance * np.abs(target))
+        near_enough = (np.abs(trial - q) <= 1e-4 * q) | (np.abs(error) <= tolerance * np.abs(target)) | no_grain
         # A row that has settled stays as it is, so that its result does not depend on the rows beside it.
         q, gain = np.where(settled, q, trial), np.where(settled, gain, here)
         settled = settled | near_enough
