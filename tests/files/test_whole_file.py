@@ -77,12 +77,16 @@ def test_a_full_medium_is_told_with_the_path(tmp_path: Path) -> None:
 @pytest.mark.parametrize("opened", [Path, str], ids=["as a path", "as text"])
 def test_a_scratch_file_that_cannot_be_made_is_told_by_the_files_own_name(tmp_path: Path, opened: type) -> None:
     path = tmp_path / "x.csv"
-    with pytest.raises(IsADirectoryError) as caught, scratch_for(path) as scratch:
-        scratch.mkdir()
-        try:
-            open(opened(scratch), "w")  # noqa: SIM115 - it does not open
-        finally:
-            scratch.rmdir()
+    def write() -> None:
+        with scratch_for(path) as scratch:
+            scratch.mkdir()
+            try:
+                open(opened(scratch), "w")  # noqa: SIM115 - it does not open
+            finally:
+                scratch.rmdir()
+
+    with pytest.raises(IsADirectoryError) as caught:
+        write()
     assert caught.value.filename == str(path)
 
 
