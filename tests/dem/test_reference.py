@@ -120,7 +120,7 @@ def test_the_verbs_read_it() -> None:
 
 def test_the_page_can_be_made_again(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
-    names = ("heap", "release", "landing", "impact", "plate-friction")
+    names = ("heap", "release", "landing", "impact", "plate-friction", "plate-end")
     page.write_text("\n".join(f"<!-- {n} -->\n<!-- /{n} -->" for n in names), encoding="utf-8")
     command = [sys.executable, str(ROOT / "tools" / "dem-report"), "heap", "release", "landing", "impact"]
     subprocess.run([*command, "--page", str(page), "--pictures", str(tmp_path)], check=True)
