@@ -17,6 +17,7 @@ from yieldmon.discrepancy.noise import Noise
 from yieldmon.discrepancy.observations import with_cells
 from yieldmon.discrepancy.selection import Policy, form_allowance
 from yieldmon.errors import InputError
+from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 
@@ -292,6 +293,16 @@ def test_what_was_known_before_stays_as_uncertain(make_rows, start) -> None:
     assert adopted.values["zero_offset.force_n"] == 4.0
     np.testing.assert_array_equal(adopted.covariance_of(names[:2]), before.covariance_of(names[:2]))
     assert adopted.standard_deviation("plate_friction.coefficient") > 0.0
+
+
+@pytest.mark.parametrize(("si", "unit"), [(True, "N"), (False, "response")])
+def test_the_unit_is_that_of_the_table_whatever_the_parents(make_rows, start, si: bool, unit: str) -> None:
+    gain = {"k1": 3.0, "k2": 64.0} if si else {"restitution": 0.6}
+    values = {name: start.values[name] for name in ("friction", "density", "shape_ratio")} | gain
+    parent = ParameterSet(values, response_unit="response" if si else "N")
+    rows = make_rows({"plate_angle_offset": 0.06})
+    found = diagnosis.diagnose_rows(replace(rows, si=si), parent, replace(QUICK, form="exchange"))
+    assert diagnosis.adopted(found, parent, {}).response_unit == unit
 
 
 def test_nothing_is_adopted_without_a_name(make_rows, start) -> None:

@@ -236,7 +236,7 @@ def adopted(
             elevator_speed_rad_s=_span(cells.elevator_speed_rad_s),
             moisture_pct=_span(moist) if moist.size else None,
         ),
-        response_unit=parent.response_unit if cells.rows.si else "response",
+        response_unit="N" if cells.rows.si else "response",
         version=parent.version + 1,
         provenance=provenance,
     )
