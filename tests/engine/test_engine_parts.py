@@ -133,6 +133,17 @@ def test_fault_hysteresis(code: FaultCode) -> None:
     assert book.take_events() == []
 
 
+def test_a_season_of_coming_and_going_is_not_kept_for_ever() -> None:
+    """Where nobody asks for the events: the service sees for itself what changed."""
+    book, code = FaultBook(), FaultCode.FRAMES_LOST
+    for second in range(40_000):
+        book.observe(code, second % 20 < 10, float(second))
+    assert book.occurrences(code) == 2000
+    events = book.take_events()
+    assert len(events) == 1000
+    assert events[-1].time_s > 39_980.0
+
+
 @pytest.mark.parametrize("code", FAULTS)
 def test_what_the_service_reports_is_shown_on_the_bus(code: FaultCode) -> None:
     target = monitor()

@@ -6,6 +6,7 @@ J1939 leaves to manufacturers (520192 - 524287), failure modes of J1939-73.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum, StrEnum
@@ -204,13 +205,16 @@ class _Entry:
     detail: str = ""
 
 
+_KEPT_EVENTS = 1000
+
+
 class FaultBook:
     """Which faults are shown. `observe` is called once a window for every code that the engine judges."""
 
     def __init__(self) -> None:
         self._entries = {code: _Entry() for code in FAULTS}
         self._reported: dict[FaultCode, str] = {}
-        self._events: list[FaultEvent] = []
+        self._events: deque[FaultEvent] = deque(maxlen=_KEPT_EVENTS)
 
     def observe(self, code: FaultCode, present: bool, time_s: float, detail: str = "") -> None:
         """One window's verdict on a condition; shown or withdrawn once it has lasted as long as the table says."""
@@ -267,6 +271,7 @@ class FaultBook:
         return self._entries[code].occurrences
 
     def take_events(self) -> list[FaultEvent]:
-        """Faults shown and withdrawn since the last call."""
-        events, self._events = self._events, []
+        """Faults shown and withdrawn since the last call, at most the last thousand."""
+        events = list(self._events)
+        self._events.clear()
         return events

@@ -18,7 +18,6 @@ from yieldmon.physics.numerics import Array
 
 LOADS = ("mass_flow_kg_s", "paddle_mass_kg")
 READINGS = ("force_n", "momentum_kg_m_s", "response")
-OPTIONAL = ("elevator_speed_rpm", "moisture_pct", "trial", "group", "sigma")
 _GZIP = b"\x1f\x8b"
 _UNKNOWN = ("", "-", "nan", "NaN", "NAN")
 _LIMITS = {
