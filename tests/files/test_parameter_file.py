@@ -49,6 +49,14 @@ def test_round_trip_is_exact(tmp_path_factory, friction, density, impact, offset
     assert same(parameter_file.load(path), parameters)
 
 
+@pytest.mark.parametrize("end", ["\x85", "\u2028", "\u2029", "\r", "\n", "\t"], ids=ascii)
+def test_a_note_with_any_line_end_comes_back(end: str, tmp_path) -> None:
+    note = f"0{end}0: ä {end}{end}#"
+    values = {"friction": 0.2, "density": 1e3, "shape_ratio": 2.0, "restitution": 0.5}
+    parameter_file.save(ParameterSet(values, provenance={"note": note}), tmp_path / "p.yaml")
+    assert parameter_file.load(tmp_path / "p.yaml").provenance["note"] == note
+
+
 def test_the_range_survives_in_the_units_people_use(tmp_path):
     calibrated = CalibratedRange((0.5, 25.0), tuple(np.radians([40.0, 90.0])), (31.0, 52.0), (12.0, 26.0))
     parameters = ParameterSet({"friction": 0.2, "density": 1e3, "shape_ratio": 2.0, "k1": 1.0, "k2": 0.5}, calibrated=calibrated)

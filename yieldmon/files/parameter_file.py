@@ -125,7 +125,14 @@ def _represent_float(dumper: _ExactDumper, value: float) -> yaml.ScalarNode:
     return dumper.represent_scalar("tag:yaml.org,2002:float", text)
 
 
+def _represent_text(dumper: _ExactDumper, value: str) -> yaml.ScalarNode:
+    # Line ends that YAML would fold into spaces, unless they are escaped.
+    style = '"' if any(end in value for end in "\x85\u2028\u2029") else None
+    return dumper.represent_scalar("tag:yaml.org,2002:str", value, style=style)
+
+
 _ExactDumper.add_representer(float, _represent_float)
+_ExactDumper.add_representer(str, _represent_text)
 
 
 def _outward(value: float, scale: float) -> float:
