@@ -224,6 +224,29 @@ def test_calibrate_by_moisture_writes_a_map(capsys: pytest.CaptureFixture[str], 
     assert moisture_file.load(tmp_path / "fits" / "moisture-map.yaml").at("friction", 20.0) == pytest.approx(0.2, rel=1e-4)
 
 
+@pytest.mark.parametrize("words", [[], ["--plate-angle", "60"], ["--by-moisture"]], ids=["all", "one angle", "by moisture"])
+def test_an_outlier_is_named_by_its_row_in_the_file(capsys: pytest.CaptureFixture[str], tmp_path: Path, words: list[str]) -> None:
+    """Rows before it are left out: some without a reading, some at another angle or moisture."""
+    lines = ["plate_angle_deg,mass_flow_kg_s,force_n,moisture_pct"]
+    for moisture in (14, 26):
+        rows = document(capsys, "predict", "--mass-flow", "2:20:2", "--plate-angle", "45,60,75,90", *PUBLISHED)["rows"]
+        scatter = np.random.default_rng(3).normal(1.0, 0.002, len(rows))
+        lines += [
+            f"{r['plate_angle_deg']},{r['mass_flow_kg_s']},{'-' if i < 3 else r['force_n'] * s},{moisture}"
+            for i, (r, s) in enumerate(zip(rows, scatter, strict=True))
+        ]
+    number = 40 + 26
+    cells = lines[number].split(",")
+    assert (cells[0], cells[3]) == ("60.0", "26")
+    lines[number] = f"{cells[0]},{cells[1]},{1.5 * float(cells[2])},{cells[3]}"
+    path = tmp_path / "t.csv"
+    path.write_text("\n".join(lines) + "\n")
+    found = document(capsys, "calibrate", path, "--starts", "1", "--robust", "--free", "friction", *words)
+    found = found["by_moisture"][-1] if "by_moisture" in found else found
+    assert found["residual"]["outlier_rows"] == [number]
+    assert any(f"rows {number} lie" in note for note in found["notes"])
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

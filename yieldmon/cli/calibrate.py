@@ -255,8 +255,9 @@ def _by_moisture(args: argparse.Namespace, machine: Machine, data: table.Table, 
         raise InputError(data.path, "has rows without moisture_pct", "a moisture for each row")
     documents, sets = [], []
     for value in np.unique(moisture):
-        result = _fit(args, machine, data, rows.select(moisture == value))
-        document = report(result, data, rows) | {"moisture_pct": float(value)}
+        part = rows.select(moisture == value)
+        result = _fit(args, machine, data, part)
+        document = report(result, data, part) | {"moisture_pct": float(value)}
         if args.out is not None:
             folder = Path(args.out)
             folder.mkdir(parents=True, exist_ok=True)

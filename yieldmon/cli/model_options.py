@@ -194,7 +194,7 @@ def measurements(data: Table, machine: Machine, response_scale: float | None = N
         for name in ("plate_angle_rad", "elevator_speed_rad_s", "mass_flow_kg_s", "paddle_mass_kg", "moisture_pct")
         if getattr(conditions, name) is not None
     }
-    return Measurements(Conditions(**chosen), values[usable], sigma[usable] if np.all(known) else None)
+    return Measurements(Conditions(**chosen), values[usable], sigma[usable] if np.all(known) else None, np.flatnonzero(usable))
 
 
 def check_unit(known: ParameterSet, data: Table) -> None:

@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _refuse_empty(log: str | None, traffic: Traffic) -> None:
-    if log is not None and not traffic.frames:
+    if log is not None and traffic.first_s is None:
         raise InputError(log, "no frame at all", "a log with frames")
 
 

@@ -36,13 +36,15 @@ _SAME_BASIN = 1e-3
 class Measurements:
     """Rows of known load: conditions (1-D arrays), momentum (n,) per paddle in kg m/s or a response's own unit.
 
-    sigma: (n,) standard deviation of each momentum, None where unknown; then it is estimated from the rows. Rows with a momentum
-    or load that is nan do not belong here. Raises ValueError for them.
+    sigma: (n,) standard deviation of each momentum, None where unknown; then it is estimated from the rows. places: (n,) index of
+    each row in the table that it comes from, None where these are all of its rows. Rows with a momentum or load that is nan do not
+    belong here. Raises ValueError for them.
     """
 
     conditions: Conditions
     momentum: Array
     sigma: Array | None = None
+    places: NDArray[np.intp] | None = None
 
     def __post_init__(self) -> None:
         if self.momentum.ndim != 1 or not np.all(np.isfinite(self.momentum)):
@@ -62,8 +64,9 @@ class Measurements:
 
     def select(self, rows: NDArray[np.bool_]) -> Measurements:
         """Those rows alone."""
+        places = np.flatnonzero(rows) if self.places is None else self.places[rows]
         return Measurements(self._conditions(self.columns()[:, rows]), self.momentum[rows],
-                            None if self.sigma is None else self.sigma[rows])
+                            None if self.sigma is None else self.sigma[rows], places)
 
     def cells(self) -> tuple[Conditions, NDArray[np.intp]]:
         """The distinct conditions, and for each row the index of its own."""
@@ -122,6 +125,7 @@ class Residuals:
     lack_of_fit_f: float
     lack_of_fit_p: float
     outlier_rows: tuple[int, ...]
+    """Indices in the table."""
 
 
 @dataclass(frozen=True)
@@ -492,7 +496,7 @@ class _Problem:
         return Residuals(
             rows, rms, 100.0 * rms / largest, noise_factor * (1.0 if self.given_sigma else float(self.row_sd[0])),
             self._scatter(), pure_dof, f_value, p_value,
-            tuple(int(i) for i in outliers),
+            tuple(int(i) for i in (outliers if self.data.places is None else self.data.places[outliers])),
         )
 
     def _wald(self, theta: Array, errors: Array, dof: int) -> Array:
