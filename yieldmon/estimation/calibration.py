@@ -37,8 +37,8 @@ class Measurements:
     """Rows of known load: conditions (1-D arrays), momentum (n,) per paddle in kg m/s or a response's own unit.
 
     sigma: (n,) standard deviation of each momentum, None where unknown; then it is estimated from the rows. places: (n,) index of
-    each row in the table that it comes from, None where these are all of its rows. Rows with a momentum or load that is nan do not
-    belong here. Raises ValueError for them.
+    each row in the table that it comes from, None where these are all of its rows. Rows with a momentum or load that is nan do
+    not belong here. Raises ValueError for them.
     """
 
     conditions: Conditions
