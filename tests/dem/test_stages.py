@@ -145,3 +145,15 @@ def test_the_open_loop_reaches_its_goal(report: ModuleType, judged: float, learn
     assert mean < 3.0
     assert largest < 8.0
     assert unestimated == 0
+
+
+@pytest.mark.slow
+def test_diagnosis_that_is_told_the_plates_end_names_what_the_records_show(report: ModuleType) -> None:
+    """Normal-only readings at the engine's accuracy: the two effects on release, near what the stream's own records give."""
+    found = report.diagnosed(0.3, "momentum_kg_m_s", report.ENGINE_ACCURACY, told=True)
+    assert found.verdict == "effect"
+    assert set(found.choice.named) == {"stream_rise", "unpushed_layers"}
+    assert found.held_out is not None
+    assert found.held_out.closed_pct > 90.0
+    rise = report.recorded_sizes(0.3)["stream_rise.ratio"]
+    assert found.choice.best.values["stream_rise.ratio"] == pytest.approx(rise, rel=0.15)
