@@ -193,6 +193,13 @@ def test_a_missing_file_that_the_configuration_names_is_one_line(written, key, t
         configuration.load(written(f"{key}: absent.yaml"), {})
 
 
+def test_parameters_in_a_unit_of_the_reading_give_no_flow_and_are_refused(written, tmp_path):
+    text = (ROOT / "config" / "parameters" / "corn.yaml").read_text(encoding="utf-8")
+    (tmp_path / "bench.yaml").write_text(text.replace("response_unit: N", "response_unit: response"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"bench\.yaml: response_unit: is 'response'; expected 'N'"):
+        configuration.load(written(f"parameter_file: {tmp_path / 'bench.yaml'}"), {})
+
+
 def test_moisture_map_and_drift_reach_the_self_calibration(written, tmp_path):
     (tmp_path / "map.yaml").write_text("moisture_pct: [14, 20]\nvalues: {friction: [0.2, 0.3]}\n", encoding="utf-8")
     text = f"moisture_map_file: {tmp_path / 'map.yaml'}\ndrift_per_root_hour: {{friction: 0.07}}\ndrift_limit: {{density: 0.3}}"

@@ -100,13 +100,24 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
         calibrator=calibrator_settings(document, moisture_map) if document.learning.enabled else None,
         machine=machine,
         machine_path=machine_path,
-        parameters=parameter_file.load(parameter_path),
+        parameters=_in_newtons(parameter_path),
         parameter_path=parameter_path,
         store_path=state_folder(environment) / document.store.path,
         retention=Retention(document.store.record_hours, document.store.size_mb, document.store.event_rows),
         socket_path=runtime_folder(environment) / document.status.socket,
         prometheus_path=runtime_folder(environment) / prometheus if prometheus is not None else None,
     )
+
+
+def _in_newtons(path: Path) -> ParameterSet:
+    """The parameters of a file. Raises InputError where they were fitted to a reading in a unit of its own."""
+    parameters = parameter_file.load(path)
+    if parameters.response_unit != "N":
+        raise InputError(
+            f"{path}: response_unit", f"is {parameters.response_unit!r}",
+            "'N' (calibrated on forces or momenta); these give no flow from a force",
+        )
+    return parameters
 
 
 def engine_settings(document: Document) -> EngineSettings:
