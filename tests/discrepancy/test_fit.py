@@ -18,7 +18,7 @@ def frame(make_rows, start) -> fit.Frame:
     rows = make_rows({"zero_offset": 3.0})
     cells = observations.cells(rows)
     found, _ = noise.estimate(rows)
-    return fit.base_frame(cells, found.sd(cells.mean) / np.sqrt(cells.count), start, "restitution")
+    return fit.base_frame(cells, found.of_cells(cells), start, "restitution")
 
 
 def test_it_is_the_minimum_that_scipy_finds(frame) -> None:
@@ -76,7 +76,7 @@ def test_hidden_values_lie_within_their_standard_deviations(make_rows, start, na
         rows = make_rows({name: size}, seed=seed, speeds_rpm=(400.0,), noise=0.02)
         found, odd = noise.estimate(rows)
         cells = observations.cells(rows.take(~odd))
-        frame = fit.base_frame(cells, found.sd(cells.mean) / np.sqrt(cells.count), start, "restitution")
+        frame = fit.base_frame(cells, found.of_cells(cells), start, "restitution")
         fitted = fit.fit(frame, (name,))
         errors.append((fitted.x[-1] - size) / np.sqrt(fitted.covariance()[-1, -1]))
     # Chi-square of 8: 0.5 % on either side.
@@ -95,6 +95,21 @@ def test_leaving_a_group_out_in_the_tangent_plane_is_a_refit(frame) -> None:
     np.testing.assert_allclose(quick[out], true, atol=0.05 + 0.02 * np.max(np.abs(true)))
 
 
+def test_the_f_ratio_has_its_distribution_where_the_rows_state_unlike_sigmas(make_rows, start) -> None:
+    """40 tables (seeds 0 to 39) whose rows scatter as they say, by 0.5 to 5 times the middle one."""
+    exact = make_rows(noise=0.0, speeds_rpm=(400.0,))
+    p_values = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        sigma = 0.01 * exact.value.max() * rng.choice([0.5, 1.0, 5.0], len(exact))
+        rows = replace(exact, value=exact.value + sigma * rng.standard_normal(len(exact)), sigma=sigma)
+        found, _ = noise.estimate(rows)
+        cells = observations.cells(rows)
+        frame = fit.base_frame(cells, found.of_cells(cells), start, "restitution")
+        p_values.append(gap.lack_of_fit(fit.fit(frame, ()), found).p_value)
+    assert stats.kstest(p_values, "uniform").pvalue > 0.01
+
+
 def test_the_f_ratio_has_its_distribution_under_a_full_bootstrap(make_rows, start) -> None:
     """60 tables of the published model itself, each with its own noise estimate and nonlinear refit (seeds 0 to 59)."""
     p_values = []
@@ -102,7 +117,7 @@ def test_the_f_ratio_has_its_distribution_under_a_full_bootstrap(make_rows, star
         rows = make_rows(seed=seed, speeds_rpm=(400.0,))
         found, odd = noise.estimate(rows)
         cells = observations.cells(rows.take(~odd))
-        frame = fit.base_frame(cells, found.sd(cells.mean) / np.sqrt(cells.count), start, "restitution")
+        frame = fit.base_frame(cells, found.of_cells(cells), start, "restitution")
         p_values.append(gap.lack_of_fit(fit.fit(frame, ()), found).p_value)
     assert stats.kstest(p_values, "uniform").pvalue > 0.01
     assert np.mean(np.array(p_values) < 0.05) <= 0.15
@@ -112,7 +127,7 @@ def test_where_finds_the_region_and_its_sign(make_rows, start) -> None:
     rows = make_rows(alter=lambda f, angle, speed, flow: f * np.where((angle > 1.1) & (angle < 1.3) & (flow > 4.0), 0.9, 1.0))
     found, _ = noise.estimate(rows)
     cells = observations.cells(rows)
-    frame = fit.base_frame(cells, found.sd(cells.mean) / np.sqrt(cells.count), start, "restitution")
+    frame = fit.base_frame(cells, found.of_cells(cells), start, "restitution")
     regions = gap.where(fit.fit_base(frame), found, np.random.default_rng(0))
     assert regions[0].p_value < 0.01
     assert np.degrees(regions[0].plate_angle_rad) == pytest.approx([70.0, 70.0])
@@ -125,7 +140,7 @@ def test_where_is_silent_on_clean_data(make_rows, start) -> None:
         rows = make_rows(seed=100 + seed, speeds_rpm=(400.0,))
         found, _ = noise.estimate(rows)
         cells = observations.cells(rows)
-        frame = fit.base_frame(cells, found.sd(cells.mean) / np.sqrt(cells.count), start, "restitution")
+        frame = fit.base_frame(cells, found.of_cells(cells), start, "restitution")
         alarms += bool(gap.where(fit.fit(frame, ()), found, np.random.default_rng(seed)))
     assert alarms <= 2
 

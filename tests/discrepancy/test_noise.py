@@ -82,6 +82,21 @@ def test_stated_sigma_is_taken_at_its_word(make_rows) -> None:
     assert (found.how, found.sd(50.0)) == ("stated", pytest.approx(0.7))
 
 
+def test_each_row_weighs_by_its_own_sigma(make_rows) -> None:
+    rows = make_rows(repeats=3)
+    sigma = np.random.default_rng(2).choice([0.2, 1.0, 5.0], len(rows))
+    stated = replace(rows, sigma=sigma)
+    found, _ = noise.estimate(stated)
+    grouped = observations.cells(stated)
+    for number in (0, 7, 40):
+        inside = rows.cell == number
+        weight = sigma[inside] ** -2.0
+        assert grouped.mean[number] == pytest.approx(np.average(rows.value[inside], weights=weight), rel=1e-12)
+        assert found.of_cells(grouped)[number] == pytest.approx(weight.sum() ** -0.5, rel=1e-12)
+    np.testing.assert_array_equal(found.of_rows(stated, rows.value), sigma)
+    np.testing.assert_array_equal(found.of_rows(rows, rows.value), found.sd(rows.value))
+
+
 def test_rows_that_repeat_a_condition_share_a_cell(make_rows) -> None:
     rows = make_rows(repeats=3)
     jittered = observations.with_cells(replace(rows, load=rows.load * np.random.default_rng(1).uniform(0.995, 1.005, len(rows))))

@@ -75,6 +75,15 @@ def test_rows_are_the_plants_forces_at_the_flows_named(clean: Path) -> None:
     assert 0.8 < float(np.sqrt(np.mean(off**2))) < 1.25
 
 
+def test_a_visits_sigma_is_that_of_its_force(clean: Path) -> None:
+    """sigma^2 is linear in force^2 to rounding: two constants for all visits."""
+    columns = sweep_table.read(clean, MACHINE, SHIPPED).table.columns
+    square, variance = columns["force_n"] ** 2, columns["sigma"] ** 2
+    slope, constant = np.polyfit(square, variance, 1)
+    np.testing.assert_allclose(variance, constant + slope * square, rtol=1e-9)
+    assert slope > 0.0
+
+
 def test_flows_come_in_steps_that_rows_can_share(clean: Path) -> None:
     flows = np.unique(sweep_table.read(clean, MACHINE, SHIPPED).table.columns["mass_flow_kg_s"])
     assert np.diff(np.log(flows)).min() > 0.09

@@ -126,7 +126,7 @@ def diagnose_rows(
     found = chosen.best if chosen.verdict == "effect" else chosen.base
     every = rows.take(~seen.outlier)
     grouped = obs.cells(every)
-    whole = base.frame.with_cells(grouped, noise.sd(grouped.mean) / np.sqrt(grouped.count))
+    whole = base.frame.with_cells(grouped, noise.of_cells(grouped))
     base_all = _refit(whole, (), base, name)
     best_all = _refit(whole, found.effects, found, name) if found.effects else base_all
     tell("where", 0.9)
@@ -272,7 +272,7 @@ def _published(
     training: obs.Rows, noise: Noise, parameters: ParameterSet, wanted: str, name: str, keep_effects: bool
 ) -> tuple[str, Frame, Fit, list[str]]:
     grouped = obs.cells(training)
-    sd = noise.sd(grouped.mean) / np.sqrt(grouped.count)
+    sd = noise.of_cells(grouped)
     form = wanted
     notes: list[str] = []
     if wanted == "auto":
@@ -305,7 +305,7 @@ def _open(
         return None, odd
     kept = rows.take(sealed)
     before, after = base.predict(kept), best.predict(kept)
-    sd = noise.sd(after)
+    sd = noise.of_rows(kept, after)
     # A row that both models miss by as much, and by far, is the sensor's doing, not the model's.
     with np.errstate(invalid="ignore"):
         nearest = np.minimum(np.abs(before - kept.value), np.abs(after - kept.value))

@@ -59,7 +59,7 @@ def row_rms(fit: Fit, rows: Rows) -> float:
 
 def noise_floor(noise: Noise, fit: Fit, rows: Rows) -> float:
     """Root mean square that a perfect model would leave on those rows."""
-    return float(np.sqrt(np.mean(noise.sd(fit.predict(rows)) ** 2)))
+    return float(np.sqrt(np.mean(noise.of_rows(rows, fit.predict(rows)) ** 2)))
 
 
 def fills(fit: Fit) -> Array:

@@ -1,7 +1,7 @@
 """What the measurement itself scatters: replicates where there are any, else a stated model.
 
 Standard deviation of one row as sqrt(a^2 + (b y)^2) of its level y; b is kept only where the data ask for it (likelihood ratio on
-the cells' variances, 5 %).
+the cells' variances, 5 %). Rows that state their own standard deviation keep it; the law of the level is then for rows to come.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.estimation.scatter_law import scatter_law
 from yieldmon.physics.numerics import Array
 
 from .observations import Cells, Rows, cells
@@ -33,15 +34,21 @@ class Noise:
         """Standard deviation of one row at reading `level`."""
         return np.sqrt(self.constant**2 + (self.proportional * level) ** 2)
 
+    def of_rows(self, rows: Rows, level: Array) -> Array:
+        """Standard deviation of each row, shape (rows,): its own where the rows state it, else that of its `level`."""
+        return rows.sigma if rows.stated else self.sd(level)
+
+    def of_cells(self, grouped: Cells) -> Array:
+        """Standard deviation of each cell's mean, shape (cells,)."""
+        if grouped.rows.stated:
+            return np.asarray(np.bincount(grouped.rows.cell, grouped.rows.sigma**-2.0) ** -0.5)
+        return self.sd(grouped.mean) / np.sqrt(grouped.count)
+
 
 def estimate(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
     """Noise, and which rows are outliers: beyond 5 sd of their cell's median (or of the smooth surface), never to be fitted."""
-    if np.all(np.isfinite(rows.sigma)) and np.all(rows.sigma > 0.0):
-        pooled = float(np.sqrt(np.mean(rows.sigma**2)))
-        level = np.abs(rows.value)
-        b2 = max(float(np.polyfit(level**2, rows.sigma**2, 1)[0]) if np.ptp(level) > 0.0 else 0.0, 0.0)
-        a2 = max(float(np.mean(rows.sigma**2 - b2 * level**2)), 1e-4 * pooled**2)
-        return Noise(float(np.sqrt(a2)), float(np.sqrt(b2)), 1e6, "stated"), np.zeros(len(rows), dtype=bool)
+    if rows.stated:
+        return Noise(*scatter_law(rows.value, rows.sigma), 1e6, "stated"), np.zeros(len(rows), dtype=bool)
     count = np.bincount(rows.cell)
     if len(rows) - len(count) >= _MIN_REPLICATE_DOF:
         return _from_replicates(rows)

@@ -45,6 +45,11 @@ class Rows:
     def __len__(self) -> int:
         return len(self.value)
 
+    @property
+    def stated(self) -> bool:
+        """Whether each row comes with its standard deviation."""
+        return bool(np.all(np.isfinite(self.sigma) & (self.sigma > 0.0)))
+
     def take(self, chosen: NDArray[np.bool_]) -> Rows:
         """The rows where `chosen` is true, with cells numbered anew."""
         _, cell = np.unique(self.cell[chosen], return_inverse=True)
@@ -184,11 +189,13 @@ def with_cells(rows: Rows) -> Rows:
 
 
 def cells(rows: Rows) -> Cells:
-    """Means and scatter of the rows that repeat one condition."""
+    """Means, by the rows' stated variances where they have them, and scatter of the rows that repeat one condition."""
     count: Array = np.bincount(rows.cell).astype(np.float64)
+    weight = rows.sigma**-2.0 if rows.stated else np.ones(len(rows))
+    total = np.bincount(rows.cell, weight)
 
     def mean(values: Array) -> Array:
-        return np.asarray(np.bincount(rows.cell, values) / count)
+        return np.asarray(np.bincount(rows.cell, weight * values) / total)
 
     average = mean(rows.value)
     angle, speed, load, moisture = (

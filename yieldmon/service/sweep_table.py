@@ -27,6 +27,7 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.home_flow import Visits, bracketed, wander_per_s
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.scatter_law import scatter_law
 from yieldmon.files import parameter_file
 from yieldmon.files.table import Table
 from yieldmon.physics.machine import RPM, Machine
@@ -132,7 +133,9 @@ def read(path: Path | str, machine: Machine, parameters: ParameterSet, last: int
             str(path), f"has sweeps with a known flow at {angles.size} plate angles ({found} deg)", f"at least {LEAST_ANGLES}"
         )
     columns = _standardised(visits, angle_deg, model, parameters)
-    columns["sigma"] = columns["sigma"] * _scatter_over_stated(columns)
+    # A visit's few windows say little of their own scatter: weights made of it would favour what happens to agree.
+    constant, proportional = scatter_law(columns["force_n"], columns["sigma"] * _scatter_over_stated(columns))
+    columns["sigma"] = np.hypot(constant, proportional * columns["force_n"])
     trial = tuple(str(v.sweep_id) for v in visits)
     text = _csv(columns, trial)
     used = len(set(trial))
