@@ -186,6 +186,14 @@ def test_agleader_text_has_the_manuals_columns(exported):
             assert [kind(word) for word in line] == [kind(word) for word in manual]
 
 
+def test_a_field_named_with_quotes_stays_one_column(exported):
+    words = [*WORDS[: WORDS.index("--field")], "--field", 'the "long"\nhill, west']
+    with exported("q.txt", *words).open(encoding="ascii", newline="") as stream:
+        lines = list(csv.reader(stream))
+    assert lines
+    assert {(len(line), line[11]) for line in lines} == {(17, "F1:the 'long' hill, west")}
+
+
 def test_task_data_by_the_standards_layout(exported):
     """Parsed from the layout of ISO 11783-10, byte by byte."""
     with zipfile.ZipFile(exported("t.zip", *WORDS)) as archive:

@@ -15,7 +15,8 @@ from .fit import Fit
 from .noise import Noise
 
 _FLOWS_KG_S = (1.0, 2.0, 5.0, 9.0, 14.0, 20.0)
-_REPEATS = 3
+REPEATS = 3
+"""Times that each planned row is to be measured."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class PlannedRow:
 
 @dataclass(frozen=True)
 class Plan:
-    """Rows to run (each three times), the pairs of effects they separate, and the power to do so at the 5 % level."""
+    """Rows to run (each `REPEATS` times), the pairs of effects they separate, and the power to do so at the 5 % level."""
 
     rows: tuple[PlannedRow, ...]
     separates: tuple[tuple[str, str], ...]
@@ -54,7 +55,7 @@ def plan(best: Fit, rivals: Sequence[Fit], noise: Noise, *, rows: int = 8) -> Pl
         forms.append((rival, prediction, jacobian))
     if not np.any(usable):
         return Plan((), (), 0.0)
-    sd = noise.sd(truth) / np.sqrt(_REPEATS)
+    sd = noise.sd(truth) / np.sqrt(REPEATS)
     states = []
     for rival, prediction, jacobian in forms:
         scale = np.array([p.scale for p in rival.parameters])

@@ -8,13 +8,11 @@ from pathlib import Path
 from yieldmon.files.whole_file import scratch_for
 from yieldmon.physics.machine import RPM
 
-from .experiment import Plan
-
-REPEATS = 3
+from .experiment import REPEATS, Plan
 
 
 def write_plan(plan: Plan, path: Path) -> Path:
-    """Write the rows as CSV (each to be measured three times) and, beside it, the sweep section; returns the latter's path."""
+    """Write the rows as CSV (each to be measured `REPEATS` times) and, beside it, the sweep section; returns the latter's path."""
     lines = ["plate_angle_deg,mass_flow_kg_s,elevator_speed_rpm,repeats"]
     for row in plan.rows:
         lines.append(

@@ -24,7 +24,10 @@ _DIFFERENTIAL_FIX, _PDOP, _ALTITUDE_FT = 1, 0.0, 0.0
 
 
 def line(point: YieldPoint, field: str, grain: str) -> str:
-    """One point. A moisture that is not known is 0, as these tools expect; position quality is not known to yieldmon either."""
+    """One point. A moisture that is not known is 0, as these tools expect; position quality is not known to yieldmon either.
+
+    The format knows no way to write a double quote within a name: it becomes a single one.
+    """
     values = (
         f"{point.longitude_deg:.7f}",
         f"{point.latitude_deg:.7f}",
@@ -37,14 +40,18 @@ def line(point: YieldPoint, field: str, grain: str) -> str:
         f"{HEADER_DOWN}",
         f"{point.pass_number}",
         "0",
-        f'"F1:{field}"',
+        f'"F1:{_quotable(field)}"',
         f'"L{point.load_number}:<1>"',
-        f'"{grain}"',
+        f'"{_quotable(grain)}"',
         f"{_DIFFERENTIAL_FIX}",
         f"{_PDOP:.1f}",
         f"{_ALTITUDE_FT:.1f}",
     )
     return ",".join(values)
+
+
+def _quotable(name: str) -> str:
+    return " ".join(name.replace('"', "'").split())
 
 
 def write(path: Path, points: Sequence[YieldPoint], field: str, grain: str) -> None:
