@@ -12,7 +12,7 @@ from .experiment import REPEATS, Plan
 
 
 def write_plan(plan: Plan, path: Path) -> Path:
-    """Write the rows as CSV (each to be measured `REPEATS` times) and, beside it, the sweep section; returns the latter's path."""
+    """Write the rows as CSV, each to be measured `REPEATS` times, and beside it the sweep section; returns the latter's path."""
     lines = ["plate_angle_deg,mass_flow_kg_s,elevator_speed_rpm,repeats"]
     for row in plan.rows:
         lines.append(
