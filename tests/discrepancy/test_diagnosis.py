@@ -195,6 +195,16 @@ def power_to_separate(best: Fit, rival: Fit, noise: Noise, rows: Conditions) -> 
     return float(stats.ncx2.sf(stats.chi2.isf(0.05, 1), 1, left @ left))
 
 
+def test_separation_with_a_row_more_is_that_of_a_refit() -> None:
+    rng = np.random.default_rng(4)
+    old, new = rng.standard_normal((12, 3)), rng.standard_normal((5, 3)) * [[0.1], [0.5], [1.0], [3.0], [10.0]]
+    old_d, new_d = rng.standard_normal(12), 2.0 * rng.standard_normal(5)
+    quick = experiment.separation_with(old.T @ old, old.T @ old_d, float(old_d @ old_d), new, new_d)
+    for row, difference, found in zip(new, new_d, quick, strict=True):
+        left = np.linalg.lstsq(np.vstack((old, row)), np.append(old_d, difference), rcond=None)[1]
+        assert found == pytest.approx(left[0], rel=1e-10)
+
+
 def test_a_plan_has_the_power_that_it_states_and_the_best_row(make_rows, start) -> None:
     choice = diagnosis.examine(make_rows({"release_angle": -0.06}, speeds_rpm=(400.0,), noise=0.02), start, QUICK).choice
     rival = next(c.fit for c in choice.looked_at if c.effect == "plate_angle_offset")

@@ -66,7 +66,7 @@ def plan(best: Fit, rivals: Sequence[Fit], noise: Noise, *, rows: int = 8) -> Pl
         states.append([old_j.T @ old_j + ridge, old_j.T @ old_d, float(old_d @ old_d), new_j, new_d])
     chosen: list[int] = []
     for _ in range(rows):
-        gains = np.stack([_separation_with(*state) for state in states])
+        gains = np.stack([separation_with(*state) for state in states])
         worst = np.where(usable, np.min(np.minimum(gains, 60.0), axis=0) + 1e-3 * np.mean(gains, axis=0), -np.inf)
         i = int(np.argmax(worst))
         if not np.isfinite(worst[i]):
@@ -92,8 +92,12 @@ def _different(best: Fit, rival: Fit) -> tuple[str, str]:
     return "+".join(ours), "+".join(theirs)
 
 
-def _separation_with(information: Array, moment: Array, square: float, jacobian: Array, difference: Array) -> Array:
-    """Separation after one more row, for every row of the grid, shape (rows,): a rank-one update in closed form."""
+def separation_with(information: Array, moment: Array, square: float, jacobian: Array, difference: Array) -> Array:
+    """Separation after one more row, for every row of the grid, shape (rows,): a rank-one update in closed form.
+
+    information J'J, moment J'd and square d'd of the old rows, whitened, J the rival's derivatives and d its difference from the
+    best model; jacobian (rows, parameters) and difference (rows,) of the new ones.
+    """
     inverse = np.linalg.inv(information)
     now = square - float(moment @ inverse @ moment)
     leverage = np.einsum("ij,jk,ik->i", jacobian, inverse, jacobian)
