@@ -33,6 +33,7 @@ LOWEST_ANGLE_DEG = 40.0
 
 
 def conditions(rows: Rows) -> Conditions:
+    """Settings and loads of a campaign's rows, SI."""
     return Conditions(
         np.radians(rows["plate_angle_deg"]), rows["elevator_speed_rpm"] * RPM, paddle_mass_kg=rows["paddle_mass_kg"]
     )
@@ -66,6 +67,7 @@ def _learn(names: tuple[str, ...], start: Sizes, residual: Callable[[Sizes], np.
 
 
 def typical(names: tuple[str, ...]) -> Sizes:
+    """Sizes at which the effects matter, for a search to start from."""
     return {name: effect_parameter(name).typical for name in names}
 
 

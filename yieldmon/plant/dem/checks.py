@@ -134,19 +134,24 @@ def bounce_working_step() -> CheckResult:
     return CheckResult("bounce_working_step", value, 0.002, "error of the mean e over 40 bounces at the working step")
 
 
-def thin_stream() -> CheckResult:
-    """Twelve kernels, thrown, give (1 + e) times the normal momentum with which they arrive."""
-    throw = replace(LIGHT, paddle_mass_kg=12 * LIGHT.grain.mass_kg, settle_revolutions=0.25)
+def _gain_of_touch(throw: Throw, seeds: int) -> float:
+    """Impulse on an upright plate over the normal momentum with which grain touches it, of `seeds` throws together."""
     angle = 0.5 * pi
     frame = records.PlateFrame.of(throw.machine, angle)
     arrived = struck = 0.0
-    for seed in range(3):
+    for seed in range(seeds):
         with TemporaryDirectory() as folder:
             _, plate = throw_files(replace(throw, seed=seed), angle, Path(folder))
         touched = np.isfinite(plate["touch_s"])
         arrived += float(plate["mass_kg"][touched] @ (plate["touch_velocity_m_s"][touched, :2] @ frame.inward))
         struck += float(records.impulse_n_s(plate["normal_force_n"], float(plate["time_step_s"])) @ frame.inward)
-    value = abs(struck / arrived / (1.0 + throw.contact.restitution) - 1.0)
+    return struck / arrived
+
+
+def thin_stream() -> CheckResult:
+    """Twelve kernels, thrown, give (1 + e) times the normal momentum with which they arrive."""
+    throw = replace(LIGHT, paddle_mass_kg=12 * LIGHT.grain.mass_kg, settle_revolutions=0.25)
+    value = abs(_gain_of_touch(throw, 3) / (1.0 + throw.contact.restitution) - 1.0)
     return CheckResult("thin_stream", value, 0.03, "error of impulse / ((1 + e) arriving momentum), 3 throws of 12 kernels")
 
 
@@ -214,17 +219,8 @@ def clump_bounce_impulse() -> CheckResult:
 def clump_thin_stream() -> CheckResult:
     """Twelve clumps, thrown, give the normal momentum with which they arrive times what single bounces at random give."""
     throw = replace(LIGHT_CLUMPS, paddle_mass_kg=12 * LIGHT_CLUMPS.grain.mass_kg)
-    angle = 0.5 * pi
-    frame = records.PlateFrame.of(throw.machine, angle)
-    arrived = struck = 0.0
-    for seed in range(4):
-        with TemporaryDirectory() as folder:
-            _, plate = throw_files(replace(throw, seed=seed), angle, Path(folder))
-        touched = np.isfinite(plate["touch_s"])
-        arrived += float(plate["mass_kg"][touched] @ (plate["touch_velocity_m_s"][touched, :2] @ frame.inward))
-        struck += float(records.impulse_n_s(plate["normal_force_n"], float(plate["time_step_s"])) @ frame.inward)
     gain = 1.0 + float(_restitution(clump_bounces(at_random(80), throw.time_step_s, throw.contact.friction)).mean())
-    value = abs(struck / arrived / gain - 1.0)
+    value = abs(_gain_of_touch(throw, 4) / gain - 1.0)
     return CheckResult("clump_thin_stream", value, 0.05, "error of impulse / (arriving momentum * gain of single bounces)")
 
 

@@ -58,25 +58,6 @@ class PlateFrame:
         return cls(pivot, np.array([c, s]), np.array([s, -c]), machine.plate_length_m)
 
 
-def aim(plate: PlateFrame, position_m: Array, velocity_m_s: Array, gravity_m_s2: float = 0.0) -> tuple[NDArray[np.bool_], Array]:
-    """Which grains would meet the plate in free flight, and with what speed along its inward normal.
-
-    position_m, velocity_m_s: (n, >= 2); rows with nan aim at nothing. Returns (n,) bool and (n,) m/s (0 where not aiming). With
-    gravity 0 the path is the straight line of the published model (thesis 8.17-8.20).
-    """
-    offset = position_m[:, :2] - plate.pivot_m
-    distance = -(offset @ plate.inward)
-    speed = velocity_m_s[:, :2] @ plate.inward
-    pull = gravity_m_s2 * plate.inward[1]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        # The root of distance = speed t + pull t^2 / 2 that stays right as pull goes to 0.
-        time = 2.0 * distance / (speed + np.sqrt(speed**2 + 2.0 * pull * distance))
-        place = offset @ plate.along + velocity_m_s[:, :2] @ plate.along * time + 0.5 * gravity_m_s2 * plate.along[1] * time**2
-        hits = (distance > 0.0) & (time > 0.0) & (place >= 0.0) & (place <= plate.length_m)
-    arriving = speed + pull * np.where(hits, time, 0.0)
-    return hits, np.where(hits, arriving, 0.0)
-
-
 @dataclass(frozen=True, slots=True)
 class Crossing:
     """Grain where it would cross the plate's plane in free fall: nan where it never does.
@@ -95,12 +76,24 @@ def crossing(plate: PlateFrame, position_m: Array, velocity_m_s: Array, gravity_
     gap, into, pull = -(offset @ plate.inward), velocity @ plate.inward, gravity_m_s2 * plate.inward[1]
     square = into**2 + 2.0 * pull * gap
     with np.errstate(invalid="ignore"):
-        crosses = (into > 0.0) & (gap > 0.0) & (square > 0.0)
+        crosses = (gap > 0.0) & (square > 0.0) & (into + np.sqrt(square) > 0.0)
     # The root of gap = into t + pull t^2 / 2 that stays right as pull goes to 0.
     time = np.full(len(gap), np.nan)
     time[crosses] = 2.0 * gap[crosses] / (into[crosses] + np.sqrt(square[crosses]))
     along, fall = velocity @ plate.along, gravity_m_s2 * plate.along[1]
     return Crossing(offset @ plate.along + (along + 0.5 * fall * time) * time, into + pull * time, along + fall * time)
+
+
+def aim(plate: PlateFrame, position_m: Array, velocity_m_s: Array, gravity_m_s2: float = 0.0) -> tuple[NDArray[np.bool_], Array]:
+    """Which grains would meet the plate in free flight, and with what speed along its inward normal.
+
+    position_m, velocity_m_s: (n, >= 2); rows with nan aim at nothing. Returns (n,) bool and (n,) m/s (0 where not aiming). With
+    gravity 0 the path is the straight line of the published model (thesis 8.17-8.20).
+    """
+    met = crossing(plate, position_m, velocity_m_s, gravity_m_s2)
+    with np.errstate(invalid="ignore"):
+        hits = (met.place_m >= 0.0) & (met.place_m <= plate.length_m)
+    return hits, np.where(hits, met.into_m_s, 0.0)
 
 
 def arrival(throw: Throw, plate: Arrays) -> dict[str, float]:
