@@ -8,7 +8,6 @@ import json
 import subprocess
 import sys
 from collections import defaultdict
-from math import radians, tan
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +17,8 @@ from yieldmon.files import table
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.plant.dem import campaign
 from yieldmon.resources import shipped
+
+from .mechanics import assert_obeyed
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "tests" / "data"
@@ -78,16 +79,7 @@ def test_the_outer_grain_of_a_deeper_heap_leaves_higher() -> None:
 
 def test_the_rows_obey_mechanics(rows: list[dict[str, str]]) -> None:
     for row in rows:
-        angle, mass = radians(float(row["plate_angle_deg"])), float(row["paddle_mass_kg"])
-        normal, total = float(row["momentum_kg_m_s"]), float(row["momentum_total_kg_m_s"])
-        assert 0.0 < normal <= total * (1.0 + 1e-3)
-        # Friction adds at most mu cot(phi) of the normal part to the horizontal; the edges' contacts a little more.
-        assert total - normal <= (float(row["friction"]) / tan(angle) + 5e-3) * normal
-        assert normal < 1.75 * float(row["release_speed_m_s"]) * mass
-        assert float(row["fraction_released"]) == 1.0
-        shares = [float(row[f"fraction_{name}"]) for name in ("touch", "deflected", "miss")]
-        assert shares[0] <= shares[1] + 0.02
-        assert shares[1] + shares[2] <= 1.0 + 1e-6
+        assert_obeyed(row)
 
 
 def test_more_grain_more_momentum(rows: list[dict[str, str]]) -> None:

@@ -8,7 +8,6 @@ import json
 import subprocess
 import sys
 from collections import defaultdict
-from math import radians, tan
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,8 @@ import pytest
 
 from yieldmon.plant.dem import campaign
 from yieldmon.resources import shipped
+
+from .mechanics import assert_obeyed
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "tests" / "data"
@@ -56,13 +57,7 @@ def test_grains_are_counted_as_clumps(rows: list[dict[str, str]]) -> None:
 
 def test_the_rows_obey_mechanics(rows: list[dict[str, str]]) -> None:
     for row in rows:
-        angle, mass = radians(float(row["plate_angle_deg"])), float(row["paddle_mass_kg"])
-        normal, total = float(row["momentum_kg_m_s"]), float(row["momentum_total_kg_m_s"])
-        assert 0.0 < normal <= total * (1.0 + 1e-3)
-        assert total - normal <= (float(row["friction"]) / tan(angle) + 5e-3) * normal
-        assert normal < 1.75 * float(row["release_speed_m_s"]) * mass
-        assert float(row["fraction_released"]) == 1.0
-        assert float(row["fraction_touch"]) <= float(row["fraction_deflected"]) + 0.02
+        assert_obeyed(row)
 
 
 def test_a_thin_stream_of_clumps_gives_less_and_turns_more_along_the_plate(rows: list[dict[str, str]]) -> None:
