@@ -1,0 +1,82 @@
+"""The kept outputs: where they lie and how an output is compared with the kept one."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import json
+import platform
+import re
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from tests.golden.cases import TESTS
+
+FOLDER = Path(__file__).resolve().parent / "outputs"
+HASHES = FOLDER / "sha256-0.1.0.json"
+DIFFERENCES = FOLDER / "differences.yaml"
+#: Between machines whose floating point differs in the last digits, numbers are compared instead of bytes.
+RELATIVE_TOLERANCE = 1e-6
+ABSOLUTE_TOLERANCE = 1e-9
+
+_NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+
+
+def normalized(text: str) -> str:
+    """The text without the place of this checkout."""
+    return text.replace(str(TESTS), "tests")
+
+
+def sha256(text: str) -> str:
+    """Hash of an output."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def machine() -> str:
+    """What decides about the last digits of floating-point results here."""
+    show = np.show_config(mode="dicts")
+    found = show.get("SIMD Extensions", {}).get("found", []) if isinstance(show, dict) else []
+    return f"{platform.machine()} numpy {np.__version__} {' '.join(found)}"
+
+
+def load(name: str) -> str:
+    """The kept output of a case."""
+    return gzip.decompress((FOLDER / f"{name}.gz").read_bytes()).decode()
+
+
+def save(name: str, text: str) -> None:
+    """Keep an output."""
+    FOLDER.mkdir(exist_ok=True)
+    (FOLDER / f"{name}.gz").write_bytes(gzip.compress(text.encode(), 9, mtime=0))
+
+
+def hashes() -> dict[str, str]:
+    """Hashes of version 0.1.0's outputs by case, and the machine they come from under `machine`."""
+    found: dict[str, str] = json.loads(HASHES.read_text())
+    return found
+
+
+def differences() -> dict[str, str]:
+    """Reasons of the outputs that differ from version 0.1.0's on purpose, by case."""
+    found: dict[str, str] = yaml.safe_load(DIFFERENCES.read_text()) or {}
+    return found
+
+
+def first_difference(text: str, expected: str) -> str:
+    """Where two outputs differ by more than the tolerances; empty where they do not.
+
+    Text between numbers is compared exactly, numbers by RELATIVE_TOLERANCE and ABSOLUTE_TOLERANCE.
+    """
+    ours, kept = text.splitlines(), expected.splitlines()
+    if len(ours) != len(kept):
+        return f"{len(ours)} lines, expected {len(kept)}"
+    for number, (line, other) in enumerate(zip(ours, kept, strict=True), 1):
+        if line == other:
+            continue
+        same_text = _NUMBER.sub("#", line) == _NUMBER.sub("#", other)
+        values = [[float(part) for part in _NUMBER.findall(part)] for part in (line, other)]
+        if not same_text or not np.allclose(*values, rtol=RELATIVE_TOLERANCE, atol=ABSOLUTE_TOLERANCE):
+            return f"line {number}: {line[:200]!r}, expected {other[:200]!r}"
+    return ""

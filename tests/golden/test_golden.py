@@ -1,0 +1,60 @@
+"""Every command's output is the kept one, and the kept one is version 0.1.0's or has a reason not to be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.golden import kept
+from tests.golden.cases import CASES, PARAMETERS, STORE, Case, Runner
+from yieldmon.cli.main import main
+from yieldmon.files import parameter_file
+
+
+@pytest.fixture(scope="module")
+def runner(tmp_path_factory: pytest.TempPathFactory) -> Runner:
+    return Runner(tmp_path_factory.mktemp("golden"), main)
+
+
+@pytest.mark.parametrize("case", [pytest.param(c, id=c.name, marks=[pytest.mark.slow] if c.slow else []) for c in CASES])
+def test_output_is_the_kept_one(runner: Runner, case: Case) -> None:
+    text, expected = kept.normalized(runner.output(case)), kept.load(case.name)
+    if kept.machine() == kept.hashes()["machine"]:
+        assert kept.sha256(text) == kept.sha256(expected), kept.first_difference(text, expected) or "last digits"
+    else:
+        assert kept.first_difference(text, expected) == ""
+
+
+@pytest.mark.parametrize("name", [case.name for case in CASES])
+def test_kept_output_is_that_of_0_1_0_or_has_a_reason(name: str) -> None:
+    if kept.sha256(kept.load(name)) != kept.hashes()[name]:
+        assert kept.differences().get(name), f"{name} differs from version 0.1.0 without a reason"
+    else:
+        assert name not in kept.differences()
+
+
+def test_a_difference_in_the_seventh_digit_is_seen() -> None:
+    assert kept.first_difference("a,1.00001\n", "a,1.00002\n") != ""
+    assert kept.first_difference("a,1.0000000001\n", "a,1.0\n") == ""
+    assert kept.first_difference("b,1\n", "a,1\n") != ""
+    assert kept.first_difference("a,1\nb,2\n", "a,1\n") != ""
+
+
+def test_store_of_0_1_0_opens_with_its_totals(tmp_path: Path) -> None:
+    from yieldmon.service.store import Store
+
+    copy = tmp_path / "yieldmon.sqlite"
+    copy.write_bytes(STORE.read_bytes())
+    with Store(copy) as store:
+        loads = [(load.number, load.field, load.mass_kg) for load in store.loads()]
+        seconds = store.seconds()
+        tickets = store.tickets()
+    assert loads == [(1, "", 1209.9549439610464), (2, "south", 1089.7455306614156)]
+    assert len(seconds) == 179
+    assert [ticket.weighed_mass_kg for ticket in tickets] == [1200.0]
+
+
+def test_parameter_file_of_0_1_0_loads() -> None:
+    parameters = parameter_file.load(PARAMETERS)
+    assert parameters.values["friction"] == pytest.approx(0.196, abs=0.02)
