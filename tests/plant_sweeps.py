@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from studies.facility.mean_force import shown_force_n
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.settings import SweepSettings
 from yieldmon.engine.sweep import sweep_sequence
@@ -15,7 +16,6 @@ from yieldmon.frames import EstimateQuality, OperatingState
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.plant import scenario
 from yieldmon.plant.combine import pulse_table
-from yieldmon.plant.mean_force import shown_force_n
 
 Array = NDArray[np.float64]
 Force = Callable[[Array, Array], Array]

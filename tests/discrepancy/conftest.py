@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
-from hidden_effects import generator
-
+from studies.hidden_effects import generator
 from yieldmon.discrepancy.observations import Rows, with_cells
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import Machine

@@ -22,7 +22,7 @@ DATA = Path(__file__).resolve().parents[1] / "data"
 @pytest.fixture(scope="module")
 def offset_table(tmp_path_factory) -> Path:
     """A table with a zero offset of 4 N, from the generator."""
-    from hidden_effects import generator
+    from studies.hidden_effects import generator
 
     speed, flow, _, angle = (
         a.ravel()

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hidden_effects import cases, generator
 
+from studies.hidden_effects import cases, generator
 from yieldmon.physics.effects import registry
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions, ForwardModel

@@ -17,7 +17,7 @@ from yieldmon.engine.settings import WindowSettings
 from yieldmon.engine.windows import Window, WindowBuilder
 from yieldmon.physics.machine import RPM
 
-TOOL = Path(__file__).resolve().parents[2] / "tools" / "aliasing"
+ROOT = Path(__file__).resolve().parents[2]
 NAN = float("nan")
 
 
@@ -41,7 +41,8 @@ def close_seconds(builder: WindowBuilder, table: np.ndarray, rpm: np.ndarray, ex
 
 
 def test_constant_flow_gives_constant_results_at_every_speed() -> None:
-    done = subprocess.run([sys.executable, str(TOOL), "--json"], capture_output=True, text=True, check=True)
+    command = [sys.executable, "-m", "studies.aliasing", "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
     found = json.loads(done.stdout)
     assert [row["rpm"] for row in found["rows"]] == [float(rpm) for rpm in range(300, 501)]
     assert found["worst"]["windows_pct"] < 0.5

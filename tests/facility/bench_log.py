@@ -1,4 +1,4 @@
-"""What the log of tools/make-bench-log holds, and the masses that a table of seconds tells of it."""
+"""What the log of python -m studies.published.bench_log holds, and the masses that a table of seconds tells of it."""
 
 from __future__ import annotations
 

@@ -69,12 +69,13 @@ def test_masses_as_published(tmp_path):
 
 def test_the_log_is_what_its_tool_makes(tmp_path):
     again = tmp_path / "again.log.gz"
-    subprocess.run([sys.executable, ROOT / "tools" / "make-bench-log", "--out", again], check=True, capture_output=True)
+    command = [sys.executable, "-m", "studies.published.bench_log", "--out", again]
+    subprocess.run(command, check=True, capture_output=True, cwd=ROOT)
     assert load_frames(again).payload.tolist() == load_frames(LOG).payload.tolist()
 
 
 def test_an_angle_without_trials(tmp_path: Path):
-    words = [sys.executable, ROOT / "tools" / "make-bench-log", "--plate-angle", "41", "--out", tmp_path / "x.log.gz"]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    words = [sys.executable, "-m", "studies.published.bench_log", "--plate-angle", "41", "--out", tmp_path / "x.log.gz"]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert done.stderr.startswith("tools/make-bench-log: no trials at 41 deg in ")
+    assert done.stderr.startswith("python -m studies.published.bench_log: no trials at 41 deg in ")

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from studies.facility.mean_force import shown_force_n
 from yieldmon import frames
 from yieldmon.bus.codec import Codec
 from yieldmon.frames import ActuatorState, CommandMode, Frame, SensorStatus
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.plant.combine import TRUTH_COLUMNS, VirtualCombine
-from yieldmon.plant.mean_force import shown_force_n
 from yieldmon.plant.scenario import from_mapping
 
 MACHINE = Machine()

@@ -217,7 +217,7 @@ def test_plate_range_of_the_machine_is_taken_exactly(written):
 
 def test_mutated_files_give_a_line_or_a_configuration():
     finished = subprocess.run(
-        [sys.executable, str(ROOT / "tools" / "fuzz-config"), "--count", "150", "--seed", "1", "--json"],
+        [sys.executable, "-m", "tests.robustness", "fuzz-config", "--count", "150", "--seed", "1", "--json"],
         capture_output=True, text=True, cwd=ROOT, check=False,
     )  # fmt: skip
     assert finished.returncode == 0, finished.stderr

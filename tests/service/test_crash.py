@@ -1,4 +1,4 @@
-"""Power cuts, the quick version of tools/crash-test."""
+"""Power cuts, the quick version of python -m tests.robustness crash-test."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def run(*options: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(ROOT / "tools" / "crash-test"), "--seed", "20261121", *options]
+    command = [sys.executable, "-m", "tests.robustness", "crash-test", "--seed", "20261121", *options]
     return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
 
 

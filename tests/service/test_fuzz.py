@@ -1,18 +1,16 @@
-"""The quick version of tools/fuzz-frames (tools/fuzz-config has its own beside the configuration's tests)."""
+"""The quick version of tests.robustness fuzz-frames (fuzz-config has its own beside the configuration's tests)."""
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import random
 import subprocess
 import sys
-from importlib.machinery import SourceFileLoader
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
+from tests.robustness import fuzz_frames as tool
 from yieldmon import frames
 from yieldmon.bus.codec import Codec
 from yieldmon.engine.monitor import Monitor
@@ -20,12 +18,12 @@ from yieldmon.engine.plate_commands import PlateCommander
 from yieldmon.engine.totals import Totals
 from yieldmon.service import configuration
 
-TOOL = Path(__file__).parents[2] / "tools" / "fuzz-frames"
+ROOT = Path(__file__).parents[2]
 
 
 def test_nothing_escapes():
-    command = [sys.executable, str(TOOL), "--count", "60000", "--seed", "20261121", "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    command = [sys.executable, "-m", "tests.robustness", "fuzz-frames", "--count", "60000", "--seed", "20261121", "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
     assert done.returncode == 0, done.stderr
     counts = json.loads(done.stdout)
     assert counts["escapes"] == 0
@@ -33,14 +31,6 @@ def test_nothing_escapes():
     assert counts["malformed"] > 20
     assert counts["windows"] > 150
     assert counts["sweeps"] > 0
-
-
-@pytest.fixture(scope="module")
-def tool() -> ModuleType:
-    loader = SourceFileLoader("fuzz_frames", str(TOOL))
-    module = importlib.util.module_from_spec(importlib.util.spec_from_loader(loader.name, loader))
-    loader.exec_module(module)
-    return module
 
 
 def runs_back(self: Totals, mass_kg: float, dry_kg: float | None) -> Totals:
@@ -64,7 +54,7 @@ def negative(self: Monitor, *_: object) -> float:
     ],
     ids=["total", "plate", "mass"],
 )
-def test_an_engine_that_is_wrong_is_found_out(tool, monkeypatch, owner, name, fault, finding):
+def test_an_engine_that_is_wrong_is_found_out(monkeypatch, owner, name, fault, finding):
     monkeypatch.setattr(owner, name, fault)
     loaded = configuration.build(tool.SETTINGS, Path("fuzz.yaml"), {})
     rng = random.Random(3)  # brings grain and a sweep

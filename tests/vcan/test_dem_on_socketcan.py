@@ -53,8 +53,9 @@ def recorded(folder: Path) -> Path:
     duration_s = EMPTY_S + sum(span_s for span_s, _ in FLOWS)
     scenario, log = folder / "flow.yaml", folder / "combine.log"
     scenario.write_text(yaml.safe_dump({"duration_s": duration_s, "flow": {"variation_pct": 0, "pieces": pieces}}))
-    words = [str(ROOT / "tools" / "dem"), "combine", str(DATA / "dem_campaign_forces.csv.gz"), "--friction", str(FRICTION)]
-    subprocess.run([sys.executable, *words, "--scenario", str(scenario), "--log", str(log)], check=True, capture_output=True)
+    words = ["-m", "studies.dem", "combine", str(DATA / "dem_campaign_forces.csv.gz"), "--friction", str(FRICTION)]
+    command = [sys.executable, *words, "--scenario", str(scenario), "--log", str(log)]
+    subprocess.run(command, check=True, capture_output=True, cwd=ROOT)
     return log
 
 

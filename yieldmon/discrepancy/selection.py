@@ -19,7 +19,7 @@ from .pairs import screen
 
 @dataclass(frozen=True)
 class Policy:
-    """Thresholds of the decision; defaults checked by tools/hidden-effects on cases with a known answer."""
+    """Thresholds of the decision; defaults checked by studies/hidden_effects on cases with a known answer."""
 
     most_effects: int = 3
     first_p: float = 0.02

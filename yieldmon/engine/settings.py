@@ -144,7 +144,7 @@ class SweepSettings:
     first_after_s: float = 600.0
     """Time from the start to the first sweep."""
     angles_deg: tuple[float, ...] = (40.0, 40.0, 40.0, 40.0, 50.0, 60.0, 80.0, 90.0, 90.0, 90.0)
-    """Most of the time at the ends, where the information is; the middle shows whether the model holds (tools/sweep-design)."""
+    """Most of the time at the ends, where the information is; the middle shows whether the model holds (studies/sweep_design)."""
     home_every: int = 2
     """The plate returns home after this many angles, so that home windows bracket the flow."""
     windows_per_step: int = 2

@@ -34,7 +34,7 @@ EFFECT = Effect(
     summary="Grain on paths below the plate's low edge is turned by the stream that runs down the plate.",
     signature="more at low plate angles, where the stream runs down the plate, and at large loads; nothing at normal incidence",
     source="dense granular jets deflect as a whole: Cheng et al., Physical Review Letters 99, 188001 (2007); by the cosine of "
-    "incidence: the project's own discrete-element records (docs/dem.md, flight)",
+    "incidence: the project's own discrete-element records (studies/dem, flight)",
     parameters=(EffectParameter("share", "", 0.0, 0.0, 1.0, 0.3, "share of missing grain that hits, at grazing incidence", 0.4),),
     arrival=_arrival,
     needs_misses=True,

@@ -48,7 +48,7 @@ EFFECT = Effect(
     "the plate's top edge.",
     signature="loss over the top edge that grows with load and, beside gravity, with speed; less at low plate angles, where what "
     "rises clears the low edge",
-    source="the project's own discrete-element records (docs/dem.md, release): rise of ratio Omega (rho_0 - h0); pressure in a "
+    source="the project's own discrete-element records (studies/dem, release): rise of ratio Omega (rho_0 - h0); pressure in a "
     "rotating granular heap, eta Omega^2 (rho_0^2 - h0^2) / 2",
     parameters=(
         EffectParameter("ratio", "", 0.0, 0.0, 0.4, 0.1, "upward speed over Omega times the depth of grain inside", 0.15),

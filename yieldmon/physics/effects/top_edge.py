@@ -84,7 +84,7 @@ EFFECT = Effect(
     summary="Grain that flies over the plate's top edge strikes the plate's end, or is turned by the stream that runs up it.",
     signature="gain at low plate angles, where the plate's end stands in the stream; grows with what rises over it, so with "
     "load and speed; a small loss for a light stream at steep angles",
-    source="the project's own discrete-element records (docs/dem.md, impact); by its momentum along the plate an oblique "
+    source="the project's own discrete-element records (studies/dem, impact); by its momentum along the plate an oblique "
     "plane jet sends (1 - cos) / 2 of itself up it",
     parameters=(
         EffectParameter("thickness_m", "m", 0.0, 0.0, 0.03, 0.01, "thickness of the plate's end, grain's radius included", 0.01),

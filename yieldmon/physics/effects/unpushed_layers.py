@@ -62,7 +62,7 @@ EFFECT = Effect(
     summary="Layers ahead of the paddle are not pushed by it: they fly on level from the housing's edge.",
     signature="the jet leaves higher and slower, the more the further the heap reaches ahead: more at large loads, most at low "
     "plate angles, whose edge it clears; the same at every speed",
-    source="the project's own discrete-element records (docs/dem.md, release): level, half way from Omega rho_0 to "
+    source="the project's own discrete-element records (studies/dem, release): level, half way from Omega rho_0 to "
     "the tip's speed; share 1 - exp(-rate psi)",
     parameters=(
         EffectParameter(

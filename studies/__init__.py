@@ -1,0 +1,1 @@
+"""Laboratory records: one package a study, run as ``python -m studies.NAME``. Not part of the wheel."""

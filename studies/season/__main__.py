@@ -1,0 +1,127 @@
+"""A season under several ways of keeping the calibration: load error and 1 Hz error, table and picture.
+
+    python -m studies.season                                  # 60 h, seed 20261121; season.json and season.png here
+    python -m studies.season --hours 12 --out /tmp/season     # shorter, elsewhere
+
+Windows of one second from the virtual combine: moisture 14 to 26 to 16 %, friction, restitution and paddle wear drifting, flow
+2-22 kg/s, loads of 4-9 t. Runs on two processes; `--json` prints the document.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+FOLDER = Path(__file__).resolve().parent
+SEED = 20261121
+
+
+def one(job: tuple[int, float, int, float]):  # type: ignore[no-untyped-def]
+    """One strategy by its index, season of `hours`, `seed` and drift exponent."""
+    from studies.season import season as seasons
+    from studies.season import study
+    from yieldmon.physics.machine import Machine
+    from yieldmon.plant.scenario import Scenario
+
+    index, hours, seed, exponent = job
+    settings = seasons.SeasonSettings(hours=hours, drift_exponent=exponent)
+    machine = Machine()
+    # The season applies its own moisture dependence; the scenario's would count it twice.
+    scenario = study.scenario_of(settings).model_copy(update={"effects": Scenario().effects})
+    season = seasons.simulate(settings, machine, scenario, seed)
+    first = study.first_calibration(settings, machine, seed)
+    return study.run(season, first, study.STRATEGIES[index], study.StudySettings())
+
+
+def document(outcomes, hours: float, seed: int, took_s: float) -> dict:  # type: ignore[no-untyped-def]
+    """The table as plain values."""
+    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False).stdout.strip()
+    rows = [
+        {
+            "strategy": o.strategy.name,
+            "loads": len(o.load_error_pct),
+            "mean_abs_load_error_pct": round(o.mean_abs_load_error_pct, 3),
+            "loads_within_1_pct": round(o.loads_within_1_pct, 3),
+            "posted_within_1_pct": round(o.posted_within_1_pct, 3),
+            "by_thirds": [round(share, 2) for share in o.within_1_pct_by_third],
+            "flow_mean_abs_pct": round(o.window_mean_abs_pct, 3),
+            "flow_p95_abs_pct": round(o.window_p95_abs_pct, 3),
+            "sweeps": o.sweeps,
+            "updates": o.updates,
+        }
+        for o in outcomes
+    ]
+    return {"hours": hours, "seed": seed, "commit": commit, "took_s": round(took_s, 1), "strategies": rows}
+
+
+def draw(outcomes, path: Path) -> None:  # type: ignore[no-untyped-def]
+    """Load error over the season, and what each strategy believed of friction and restitution."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 9), layout="constrained")
+    loads, friction, restitution = figure.subplots(3, 1, height_ratios=(2, 1, 1))
+    for outcome in outcomes:
+        loads.plot(outcome.load_error_pct, lw=1.2, label=outcome.strategy.name)
+        hours = outcome.history["time_h"]
+        for axes, name in ((friction, "friction"), (restitution, "restitution")):
+            (line,) = axes.plot(hours, outcome.history[name], drawstyle="steps-post", lw=1.0)
+            sd = outcome.history[f"{name}_sd"]
+            low, high = outcome.history[name] - 1.645 * sd, outcome.history[name] + 1.645 * sd
+            axes.fill_between(hours, low, high, step="post", color=line.get_color(), alpha=0.1, lw=0)
+            axes.set_ylabel(f"{name} at the\nreference moisture")
+    loads.axhspan(-1.0, 1.0, color="tab:green", alpha=0.15, lw=0)
+    loads.set_ylabel("error of the load, %")
+    loads.set_xlabel("load")
+    loads.legend(loc="lower left")
+    restitution.set_xlabel("hours harvested (bands: 90 %)")
+    for axes in (loads, friction, restitution):
+        axes.grid(alpha=0.3)
+    figure.savefig(path, dpi=110)
+
+
+def main() -> int:
+    from rich.console import Console
+    from rich.table import Table
+
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--hours", type=float, default=60.0, help="of harvest (default: 60)")
+    parser.add_argument("--seed", type=int, default=SEED)
+    parser.add_argument("--drift-exponent", type=float, default=1.0, help="power of the season's progress (default: 1, steady)")
+    parser.add_argument("--out", type=Path, default=FOLDER, help="folder for season.json and season.png")
+    parser.add_argument("--json", action="store_true")
+    args = parser.parse_args()
+    begun = time.monotonic()
+    console = Console(stderr=True)
+    outcomes = {}
+    # The longest first, so that both processes end together.
+    jobs = [(i, args.hours, args.seed, args.drift_exponent) for i in (4, 3, 2, 1, 0)]
+    with ProcessPoolExecutor(2) as pool, console.status("harvesting") as status:
+        for (index, *_), outcome in zip(jobs, pool.map(one, jobs), strict=True):
+            outcomes[index] = outcome
+            status.update(f"harvesting: {outcome.strategy.name} done after {time.monotonic() - begun:.0f} s")
+    ordered = [outcomes[i] for i in sorted(outcomes)]
+    found = document(ordered, args.hours, args.seed, time.monotonic() - begun)
+    args.out.mkdir(parents=True, exist_ok=True)
+    (args.out / "season.json").write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+    draw(ordered, args.out / "season.png")
+    if args.json:
+        print(json.dumps(found, indent=2))
+        return 0
+    table = Table(title=f"{args.hours:g} h, seed {args.seed}, {found['took_s']} s")
+    heads = ["strategy", "loads", "mean |load error|, %", "within 1 %", "posted", "by thirds"]
+    heads += ["1 Hz mean, %", "1 Hz 95 %", "sweeps", "updates"]
+    for head in heads:
+        table.add_column(head, justify="left" if head == "strategy" else "right")
+    for row in found["strategies"]:
+        table.add_row(*(str(value) for value in row.values()))
+    Console().print(table)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

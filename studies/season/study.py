@@ -1,0 +1,390 @@
+"""What self-calibration is worth over a season: the same season under several ways of keeping the calibration.
+
+Every strategy sees the same windows of the virtual combine's season (plant.season, which shares no code with the estimator's
+model) and only what its sensors would tell it; a load is judged by the parameters that held while it was harvested.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import RectBivariateSpline
+
+from studies.facility import facility
+from studies.season.season import Season, SeasonSettings
+from yieldmon.engine.settings import SweepSettings
+from yieldmon.estimation.calibration import Measurements, calibrate
+from yieldmon.estimation.closed_loop import ClosedLoopSettings, MassAnchor, SelfCalibrator, Sweep, believe_weights
+from yieldmon.estimation.closed_loop import Outcome as Lesson
+from yieldmon.estimation.drift import DriftRates
+from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.steady_drift import Advance, advance, begin, learn, smoothed
+from yieldmon.physics.machine import RPM, Machine
+from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.plant.effects import MoistureDependence
+from yieldmon.plant.scenario import Crop, Scenario
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Strategy:
+    """How the calibration is kept. tickets_per_day: weighed loads told at the end of the day; scale: every load weighed."""
+
+    name: str
+    moisture_map: bool = False
+    sweeps: bool = False
+    tickets_per_day: int = 0
+    tank_scale: bool = False
+
+
+STRATEGIES = (
+    Strategy("(a) one calibration"),
+    Strategy("(a+) and a moisture map", moisture_map=True),
+    Strategy("(b) and sweeps", moisture_map=True, sweeps=True),
+    Strategy("(c) and one ticket a day", moisture_map=True, sweeps=True, tickets_per_day=1),
+    Strategy("(d) and tank scale", moisture_map=True, sweeps=True, tank_scale=True),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class StudySettings:
+    """Standard deviations of what is not known beforehand, and the sweep's schedule.
+
+    wandering: the parameters' random walks. steady_per_kilotonne: of their steady rates, which begin at 0 and are learnt; empty:
+    no rates. map_sd: of the moisture map's slopes, 1/%. learned_information, kept_ratio: as in ClosedLoopSettings; scraps may add
+    up here, because the virtual combine keeps to the model.
+    """
+
+    sweep_interval_s: float = 600.0
+    sweep_angles_deg: tuple[float, ...] = SweepSettings().angles_deg
+    windows_per_angle: int = SweepSettings().windows_per_step
+    home_every: int = SweepSettings().home_every
+    plate_rate_deg_s: float = 20.0
+    settle_s: float = SweepSettings().settle_s
+    steady_windows: int = 8
+    steady_cv: float = 0.08
+    min_flow_kg_s: float = 4.0
+    wandering: DriftRates = field(
+        default_factory=lambda: DriftRates({}, {"friction": 0.025, "restitution": 0.0025, "density": 0.005}, {})
+    )
+    steady_per_kilotonne: Mapping[str, float] = field(
+        default_factory=lambda: {"friction": 0.2, "restitution": 0.025, "density": 0.05}
+    )
+    learned_information: float = 1e-6
+    kept_ratio: float = 1.0 - 1e-6
+    day_s: float = 10.0 * 3600.0
+    map_mean: Mapping[str, float] = field(
+        default_factory=lambda: {"friction_per_pct": 0.02, "restitution_per_pct": -0.01, "density_per_pct": -0.005}
+    )
+    map_sd: Mapping[str, float] = field(
+        default_factory=lambda: {"friction_per_pct": 0.01, "restitution_per_pct": 0.005, "density_per_pct": 0.0025}
+    )
+    ticket_sd_kg: float = 10.0
+    scale_sd_kg: float = 10.0
+    model_error: float = 0.004
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One strategy over the season. load_error_pct: signed, by load, with the parameters that held then. posted_error_pct: the
+    same after each day's ticket was used to correct the day's loads (`steady_drift.smoothed`); equal where there are none.
+    sweeps, updates: done, and that moved a parameter. history: columns time_h and, for each parameter, value and standard
+    deviation.
+    """
+
+    strategy: Strategy
+    load_error_pct: Array
+    posted_error_pct: Array
+    window_mean_abs_pct: float
+    window_p95_abs_pct: float
+    sweeps: int
+    updates: int
+    history: Mapping[str, Array]
+
+    @property
+    def mean_abs_load_error_pct(self) -> float:
+        """Mean of the loads' absolute errors."""
+        return float(np.mean(np.abs(self.load_error_pct)))
+
+    @property
+    def loads_within_1_pct(self) -> float:
+        """Share of the loads within 1 %, 0 to 1."""
+        return float(np.mean(np.abs(self.load_error_pct) <= 1.0))
+
+    @property
+    def within_1_pct_by_third(self) -> tuple[float, ...]:
+        """The same of the first, second and last third of the season's loads."""
+        return tuple(float(np.mean(np.abs(part) <= 1.0)) for part in np.array_split(self.load_error_pct, 3))
+
+    @property
+    def posted_within_1_pct(self) -> float:
+        """Share of the loads within 1 % after each day was posted, 0 to 1."""
+        return float(np.mean(np.abs(self.posted_error_pct) <= 1.0))
+
+
+def scenario_of(settings: SeasonSettings) -> Scenario:
+    """The scenario whose crop begins the season: moisture of the first day, and its dependence on moisture switched on."""
+    base = Scenario()
+    effects = base.effects.model_copy(update={"moisture_dependence": MoistureDependence()})
+    crop: Crop = base.crop.model_copy(update={"moisture_pct": settings.moisture_pct[0]})
+    return base.model_copy(update={"effects": effects, "crop": crop})
+
+
+def first_calibration(settings: SeasonSettings, machine: Machine, seed: int) -> ParameterSet:
+    """The season's one manual calibration: ten flows, five angles, two speeds on the virtual facility, before the first load."""
+    rows = facility.measure(
+        scenario_of(settings), machine, (2, 4, 6, 8, 10, 12, 15, 18, 20, 22), (50, 60, 70, 80, 90), (380, 400),
+        averaging_s=20.0, seed=seed,
+    )  # fmt: skip
+    speed = rows["elevator_speed_rpm"] * RPM
+    passes = speed * machine.sprocket_pitch_radius_m / machine.paddle_spacing_m
+    conditions = Conditions(np.radians(rows["plate_angle_deg"]), speed, mass_flow_kg_s=rows["mass_flow_kg_s"])
+    model = ForwardModel(machine, ("gravity",))
+    start = {"friction": 0.3, "density": 1000.0, "shape_ratio": 2.0, "restitution": 0.5, "gravity.acceleration_m_s2": 9.81}
+    data = Measurements(conditions, rows["force_n"] / passes, rows["sigma"] / passes)
+    found = calibrate(model, data, start, ("friction", "restitution", "density"), intervals=False)
+    return found.parameter_set
+
+
+def run(
+    season: Season,
+    first: ParameterSet,
+    strategy: Strategy,
+    settings: StudySettings,
+    progress: Callable[[float], None] | None = None,
+) -> Outcome:
+    """Harvest the season under one strategy. first: as `first_calibration` gives it."""
+    keeper = _Keeper(season, first, strategy, settings)
+    for number in range(len(season.loads.start)):
+        keeper.harvest(number)
+        if progress is not None:
+            progress((number + 1) / len(season.loads.start))
+    return keeper.outcome()
+
+
+class _Keeper:
+    """The monitor's side of a season: measures windows, keeps the parameters."""
+
+    def __init__(self, season: Season, first: ParameterSet, strategy: Strategy, settings: StudySettings) -> None:
+        self.season, self.strategy, self.settings = season, strategy, settings
+        self.machine = season.machine
+        self.home_deg = float(np.degrees(self.machine.home_plate_angle_rad))
+        effects = ("gravity", "moisture_dependence") if strategy.moisture_map else ("gravity",)
+        self.model = ForwardModel(self.machine, effects)
+        self.parameters = _with_map(first, settings, float(season.moisture_reading_pct[0])) if strategy.moisture_map else first
+        self.drifting = begin(self.parameters, settings.steady_per_kilotonne)
+        self.steps: list[Advance] = []
+        loop = ClosedLoopSettings(
+            flow="process", flow_process_sd=0.12, flow_process_time_s=30.0, model_error=settings.model_error,
+            learned_information=settings.learned_information, kept_ratio=settings.kept_ratio,
+        )  # fmt: skip
+        self.calibrator = SelfCalibrator(self.model, loop)
+        self.flow = np.full(season.time_s.size, np.nan)
+        self.angle_deg = np.full(season.time_s.size, self.home_deg)
+        self.force, self.force_sd = season.measure(np.arange(season.time_s.size), self.home_deg)
+        self.next_sweep_s = settings.sweep_interval_s
+        self.grown_to = (0.0, 0)
+        self.step_h: list[float] = []
+        self.sweeps = self.updates = 0
+        self.told_day = 0
+        self.posted_kg = np.full(season.loads.mass_kg.size, np.nan)
+        self.ticketed = 0
+        self.load_of_day: list[int] = []
+        self.rows: list[tuple[float, ...]] = []
+        self.kept = ("friction", "restitution", "density")
+        self._remember(0.0)
+
+    def harvest(self, number: int) -> None:
+        """One load: windows with the parameters as they stand, sweeps when due, then what the load's weight teaches."""
+        start, end = int(self.season.loads.start[number]), int(self.season.loads.end[number])
+        place = start
+        while place < end:
+            stop = end
+            if self.strategy.sweeps:
+                stop = min(end, max(place, int(self.next_sweep_s)))
+            if stop > place:
+                self._measure(place, stop)
+                place = stop
+            if place < end and self.strategy.sweeps and place >= int(self.next_sweep_s):
+                place = self._try_sweep(place, end)
+        hour = float(self.season.time_s[end - 1]) / 3600.0
+        self.load_of_day.append(number)
+        if self.strategy.tank_scale:
+            self._weigh(number, float(self.season.loads.scale_mass_kg[number]), self.settings.scale_sd_kg, hour)
+        day = int(self.season.time_s[end - 1] // self.settings.day_s)
+        if day > self.told_day:
+            if self.strategy.tickets_per_day:
+                for ticket in self.load_of_day[-self.strategy.tickets_per_day :]:
+                    self._weigh(ticket, float(self.season.loads.mass_kg[ticket]), self.settings.ticket_sd_kg, hour)
+                self._post(number + 1)
+            self.told_day, self.load_of_day = day, []
+
+    def outcome(self) -> Outcome:
+        season = self.season
+        measured = np.add.reduceat(np.nan_to_num(self.flow), season.loads.start)
+        posted = np.where(np.isfinite(self.posted_kg), self.posted_kg, measured)
+        rated = season.mass_flow_kg_s >= 4.0
+        relative = 100.0 * np.abs(self.flow[rated] / season.mass_flow_kg_s[rated] - 1.0)
+        columns = np.array(self.rows).T
+        names = ["time_h", *(f"{n}{suffix}" for n in self.kept for suffix in ("", "_sd"))]
+        return Outcome(
+            self.strategy,
+            100.0 * (measured / season.loads.mass_kg - 1.0),
+            100.0 * (posted / season.loads.mass_kg - 1.0),
+            float(np.nanmean(relative)),
+            float(np.nanpercentile(relative, 95.0)),
+            self.sweeps,
+            self.updates,
+            dict(zip(names, columns, strict=True)),
+        )
+
+    def _post(self, end: int) -> None:
+        """Measure the loads since the last ticket again, with the parameters as the day's lessons together have them."""
+        known = smoothed(self.steps, self.drifting)
+        hours = np.array([*self.step_h, float(self.season.time_s[self.season.loads.end[end - 1] - 1]) / 3600.0])
+        names = self.parameters.covariance_names
+        rows = np.array([[values[name] for name in names] for values in known])
+        for number in range(self.ticketed, end):
+            windows = slice(int(self.season.loads.start[number]), int(self.season.loads.end[number]))
+            hour = float(np.mean(self.season.time_s[windows])) / 3600.0
+            here = {n: float(np.interp(hour, hours, rows[:, i])) for i, n in enumerate(names)}
+            parameters = replace(self.parameters, values={**self.parameters.values, **here})
+            self.posted_kg[number] = float(np.sum(self._flow(windows, parameters)))
+        self.ticketed = end
+
+    def _moisture(self, windows: Array | slice) -> Array | None:
+        return self.season.moisture_reading_pct[windows] if self.strategy.moisture_map else None
+
+    def _measure(self, start: int, stop: int) -> None:
+        """Flow of the windows [start, stop); a window without grain has none."""
+        self.flow[start:stop] = self._flow(slice(start, stop), self.parameters)
+
+    def _flow(self, windows: slice, parameters: ParameterSet) -> Array:
+        force, speed = self.force[windows], self.season.elevator_speed_rpm[windows] * RPM
+        moisture = self._moisture(windows)
+        loop = OpenLoop(self.model, parameters)
+        flow = np.empty(force.size)
+        for angle in np.unique(self.angle_deg[windows]):
+            here = self.angle_deg[windows] == angle
+            level = None if moisture is None else float(np.mean(moisture))
+            flow[here] = _inverted(loop, force[here], float(np.radians(angle)), speed[here], level)
+        return np.where(force > 1.0, flow, 0.0)
+
+    def _try_sweep(self, place: int, end: int) -> int:
+        """A sweep from window `place` if the flow has been steady; returns the first window after it."""
+        settings = self.settings
+        before = self.flow[place - settings.steady_windows : place]
+        steady = before.size == settings.steady_windows and np.min(before) >= settings.min_flow_kg_s
+        if not steady or np.std(before) > settings.steady_cv * np.mean(before):
+            self.next_sweep_s = place + 5.0
+            return place
+        plan = [self.home_deg]
+        for i, angle in enumerate(settings.sweep_angles_deg):
+            plan.append(angle)
+            if (i + 1) % settings.home_every == 0:
+                plan.append(self.home_deg)
+        travel_s = np.abs(np.diff([self.home_deg, *plan])) / settings.plate_rate_deg_s + settings.settle_s
+        lost = np.ceil(travel_s).astype(int)
+        strides = lost + settings.windows_per_angle
+        length = int(strides.sum())
+        if place + length >= end or np.min(self.season.mass_flow_kg_s[place : place + length]) <= 0.0:
+            self.next_sweep_s = place + 30.0
+            return place
+        windows = np.arange(place, place + length)
+        self.angle_deg[windows] = np.repeat(plan, strides)
+        self.force[windows], self.force_sd[windows] = self.season.measure(windows, self.angle_deg[windows])
+        self._measure(place, place + length)
+        used = windows[np.concatenate([np.arange(n) >= k for n, k in zip(strides, lost, strict=True)])]
+        hour = float(self.season.time_s[place + length - 1]) / 3600.0
+        self._grow(place + length)
+        moisture = self._moisture(slice(place, place + length))
+        sweep = Sweep(
+            self.season.time_s[used],
+            np.radians(self.angle_deg[used]),
+            self.season.elevator_speed_rpm[used] * RPM,
+            self.force[used],
+            np.hypot(self.force_sd[used], 0.1),
+            None if moisture is None else np.full(used.size, float(np.mean(moisture))),
+        )
+        self._take(self.calibrator.update(self.parameters, [sweep]), hour)
+        self.sweeps += 1
+        self.next_sweep_s = place + length + settings.sweep_interval_s
+        return place + length
+
+    def _weigh(self, number: int, mass_kg: float, sd_kg: float, hour: float) -> None:
+        start, end = int(self.season.loads.start[number]), int(self.season.loads.end[number])
+        used = np.flatnonzero(self.flow[start:end] > 0.0) + start
+        anchor = MassAnchor.from_windows(
+            mass_kg,
+            float(np.hypot(sd_kg, 0.002 * mass_kg)),
+            np.ones(used.size),
+            self.force[used],
+            np.radians(self.angle_deg[used]),
+            self.season.elevator_speed_rpm[used] * RPM,
+        )
+        if self.strategy.moisture_map:
+            moisture = float(np.mean(self.season.moisture_reading_pct[used]))
+            anchor = replace(anchor, moisture_pct=np.full(anchor.force_n.shape, moisture))
+        self._grow(end)
+        self._take(believe_weights(self.model, self.parameters, [anchor], settings=self.calibrator.settings), hour)
+
+    def _take(self, lesson: Lesson, hour: float) -> None:
+        if lesson.updated:
+            self.drifting = learn(self.drifting, lesson.parameter_set, widening=lesson.prior_widening)
+            self.parameters = self.drifting.parameters
+            self.updates += 1
+        self._remember(hour)
+
+    def _grow(self, stop: int) -> None:
+        """What is known at the end of window `stop` - 1."""
+        hour_before, window_before = self.grown_to
+        hour = float(self.season.time_s[stop - 1]) / 3600.0
+        harvested_kg = float(np.nansum(self.flow[window_before:stop]))
+        self.step_h.append(hour_before)
+        self.drifting, step = advance(self.drifting, self.settings.wandering, hour - hour_before, harvested_kg)
+        self.steps.append(step)
+        self.parameters = self.drifting.parameters
+        self.grown_to = (hour, stop)
+
+    def _remember(self, hour: float) -> None:
+        row = [hour]
+        for name in self.kept:
+            row += [self.parameters.values[name], self.parameters.standard_deviation(name)]
+        self.rows.append(tuple(row))
+
+
+def _inverted(loop: OpenLoop, force_n: Array, angle_rad: float, speed_rad_s: Array, moisture_pct: float | None) -> Array:
+    """Open loop of many windows at one angle, by interpolation between exact inversions (good to 1e-4 of the flow)."""
+    if force_n.size <= 100:
+        moisture = None if moisture_pct is None else np.full(force_n.shape, moisture_pct)
+        return loop.invert(np.maximum(force_n, 0.0), np.full(force_n.shape, angle_rad), speed_rad_s, moisture)
+    top = float(np.max(force_n)) * 1.001 + 1.0
+    forces = top * np.linspace(0.0, 1.0, 33) ** 1.5
+    speeds = np.linspace(float(np.min(speed_rad_s)), float(np.max(speed_rad_s)) * (1.0 + 1e-9), 3)
+    grid = np.broadcast_to(forces[:, None], (33, 3))
+    moistures = None if moisture_pct is None else np.full(grid.shape, moisture_pct)
+    flows = loop.invert(grid, np.full(grid.shape, angle_rad), np.broadcast_to(speeds, grid.shape), moistures)
+    spline = RectBivariateSpline(forces, speeds, flows, kx=3, ky=2, s=0)
+    return np.asarray(spline.ev(np.maximum(force_n, 0.0), speed_rad_s))
+
+
+def _with_map(first: ParameterSet, settings: StudySettings, moisture_pct: float) -> ParameterSet:
+    """The set with a moisture map's slopes and their variances; the grain's own values moved to the map's reference moisture."""
+    from yieldmon.physics.effects.moisture_dependence import REFERENCE_PCT
+
+    values = dict(first.values)
+    for name in ("friction", "restitution", "density"):
+        values[name] *= float(np.exp(-settings.map_mean[f"{name}_per_pct"] * (moisture_pct - REFERENCE_PCT)))
+    values |= {f"moisture_dependence.{name}": mean for name, mean in settings.map_mean.items()}
+    slopes = tuple(f"moisture_dependence.{name}" for name in settings.map_sd)
+    count = len(first.covariance_names)
+    covariance = np.zeros((count + len(slopes),) * 2)
+    covariance[:count, :count] = first.covariance
+    for i, sd in enumerate(settings.map_sd.values()):
+        covariance[count + i, count + i] = sd**2
+    return replace(first, values=values, covariance_names=(*first.covariance_names, *slopes), covariance=covariance)

@@ -1,0 +1,1 @@
+"""Long and hard runs of the service: ``python -m tests.robustness NAME``."""

@@ -1,0 +1,34 @@
+"""Long and hard runs of the service, one runner for all.
+
+    python -m tests.robustness NAME [options]      --help after a name tells its options
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+RUNS = {
+    "crash-test": "kill the daemon and cut the power at random instants; the store must add up",
+    "daemon-cost": "share of a core and latency of the result",
+    "fuzz-config": "mutated configuration, machine and parameter files",
+    "fuzz-frames": "random and mutated frames through codec and engine",
+    "monitor-load": "the live monitor on a saturated bus",
+    "replay-timing": "how well a replay keeps time",
+    "soak": "a day of traffic with faults: neither growth nor drift",
+}
+
+
+def main() -> int:
+    """Exit code of the named run; 2 without a name."""
+    name, *arguments = sys.argv[1:] or [""]
+    if name not in RUNS:
+        asked = name in ("-h", "--help")
+        lines = [(__doc__ or "").rstrip(), "", *(f"  {key:14} {what}" for key, what in RUNS.items())]
+        print("\n".join(lines), file=sys.stdout if asked else sys.stderr)
+        return 0 if asked else 2
+    return int(importlib.import_module(f"tests.robustness.{name.replace('-', '_')}").main(arguments))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
