@@ -243,11 +243,9 @@ def _one(ledger: Ledger, throw: Throw, angles: list[float]) -> None:
 
 def provenance(campaign: Campaign) -> dict[str, Any]:
     """What a stranger needs to repeat the campaign."""
-    from yieldmon import plant
-
     return {
         "campaign": campaign.name, "source_sha256": campaign.source_sha256, "engine": "LAMMPS",
-        "engine_version": runner.engine_version(), "code_sha256": _code_digest(Path(plant.__file__).parent / "dem"),
+        "engine_version": runner.engine_version(), "code_sha256": _code_digest(Path(__file__).parent),
         "python": platform.python_version(), "numpy": np.__version__, "platform": platform.platform(), "command": sys.argv,
     }
 

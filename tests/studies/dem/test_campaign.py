@@ -123,9 +123,9 @@ def test_only_what_is_missing_is_done(tmp_path: Path, monkeypatch: pytest.Monkey
 def test_kill_9_loses_no_row_and_repeats_none(tmp_path: Path) -> None:
     plan_file = tmp_path / "plan.yaml"
     plan_file.write_text(PLAN, encoding="utf-8")
-    command = [sys.executable, "-m", "tests.dem.fake_engine", str(plan_file), str(tmp_path / "out")]
+    command = [sys.executable, "-m", "tests.studies.dem.fake_engine", str(plan_file), str(tmp_path / "out")]
     done: list[str] = []
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2]) as process:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[3]) as process:
         assert process.stdout is not None
         for line in process.stdout:
             done.append(line.strip())
@@ -137,7 +137,7 @@ def test_kill_9_loses_no_row_and_repeats_none(tmp_path: Path) -> None:
     kept = {p.name for p in (tmp_path / "out" / "rows").glob("*.json")}
     assert set(done) <= kept
     assert len(kept) < 48
-    again = subprocess.run(command, capture_output=True, text=True, cwd=Path(__file__).parents[2], check=True).stdout.split()
+    again = subprocess.run(command, capture_output=True, text=True, cwd=Path(__file__).parents[3], check=True).stdout.split()
     assert not set(again) & kept
     assert set(again) | kept == {f"{campaign.row_key(t, a)}.json" for t, a in _cells()}
     assert max(Counter(again).values()) == 1
