@@ -1,0 +1,304 @@
+"""One node on the network: address claim, requests, diagnostics and transport in both directions, composed.
+
+Nothing of ours but address claims leaves before the claim stands, and nothing after it is lost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+from . import diagnostics, identification
+from .addresses import AddressTable
+from .claim import AddressClaim, ClaimState
+from .diagnostics import TroubleCode, TroubleMemory
+from .fast_packet import FAST_PACKET_GROUPS, FastPacketReceiver
+from .identifier import (
+    ADDRESS_CLAIMED,
+    COMMANDED_ADDRESS,
+    DEFAULT_PRIORITY,
+    GLOBAL_ADDRESS,
+    NULL_ADDRESS,
+    REQUEST,
+    TRANSPORT_CONNECTION,
+    TRANSPORT_DATA,
+    Identifier,
+    Payload,
+    RawFrame,
+    frame,
+    is_broadcast,
+)
+from .name import Name
+from .rates import Budget
+from .receiving import TransportReceiver
+from .requests import NEGATIVE, POSITIVE, Request, acknowledgement, request_in
+from .sending import TransportSender
+
+_REQUESTS_PER_S, _REQUESTS_AT_ONCE = 50.0, 50.0
+_CLAIMS_PER_S, _CLAIMS_AT_ONCE = 5.0, 20.0
+_SESSIONS_PER_S, _SESSIONS_AT_ONCE = 1.0, 5.0
+_VIOLATIONS_PER_S, _VIOLATIONS_AT_ONCE = 0.1, 1.0
+_COMMAND_BYTES = 9
+_NOT_WANTED = frozenset({diagnostics.DM3, diagnostics.DM11})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NodeSettings:
+    """What a node is.
+
+    Parameters
+    ----------
+    name : Name
+    preferred_address : int
+        0 to 253; another one is taken when it is lost and the NAME is arbitrary address capable.
+    obeys_commanded_address : bool
+        Whether others may give us another address.
+    software : tuple of str
+        Fields of the software identification.
+    make, model, serial_number : str
+        Component identification.
+    """
+
+    name: Name
+    preferred_address: int = 131
+    obeys_commanded_address: bool = False
+    software: tuple[str, ...] = ()
+    make: str = ""
+    model: str = ""
+    serial_number: str = ""
+
+
+@dataclass(slots=True)
+class Heard:
+    """What a frame led to: frames to send now, and parameter groups of several frames that it completed."""
+
+    frames: list[RawFrame] = field(default_factory=list)
+    payloads: list[Payload] = field(default_factory=list)
+
+
+class Node:
+    """The node that a NAME names.
+
+    Call `start` once the bus is open and again when it has come back, `feed` for every frame with a 29-bit identifier that
+    another node sent (echoes of our own are not for here), `poll` when `due_s` has come; send what they return, in order.
+    Times are seconds of one clock that does not step back.
+
+    Examples
+    --------
+    >>> node = Node(NodeSettings(name=Name(identity_number=1)))
+    >>> node.start(0.0)[0].identifier == 0x18EAFFFE
+    True
+    >>> [hex(f.identifier) for f in node.poll(0.25)], node.address
+    (['0x18eeff83'], None)
+    >>> node.poll(0.5), node.address
+    ([], 131)
+    """
+
+    def __init__(self, settings: NodeSettings) -> None:
+        self.settings = settings
+        self.addresses = AddressTable()
+        """What the other nodes hold."""
+        self._claim = AddressClaim(settings.name, settings.preferred_address, self.addresses)
+        self._receiver = TransportReceiver()
+        self._sender = TransportSender()
+        self._fast = FastPacketReceiver()
+        self._memory = TroubleMemory()
+        self._answers: dict[int, bytes] = {
+            identification.SOFTWARE_IDENTIFICATION: identification.software_identification(settings.software),
+            identification.COMPONENT_IDENTIFICATION: identification.component_identification(
+                settings.make, settings.model, settings.serial_number
+            ),
+        }
+        self._requests = Budget(_REQUESTS_PER_S, _REQUESTS_AT_ONCE)
+        self._claims = Budget(_CLAIMS_PER_S, _CLAIMS_AT_ONCE)
+        self._sessions = Budget(_SESSIONS_PER_S, _SESSIONS_AT_ONCE)
+        self._violations = Budget(_VIOLATIONS_PER_S, _VIOLATIONS_AT_ONCE)
+        self._duplicate_s = float("-inf")
+        self._address_before: int | None = None
+
+    @property
+    def address(self) -> int | None:
+        """Our address; None while nothing of ours may be sent."""
+        return self._claim.address
+
+    @property
+    def claim_state(self) -> ClaimState:
+        """Where our address claim stands."""
+        return self._claim.state
+
+    @property
+    def due_s(self) -> float:
+        """When poll() has something to do, infinite while it has not."""
+        return min(self._claim.due_s, self._receiver.due_s, self._sender.due_s)
+
+    @property
+    def held(self) -> int:
+        """Sessions and messages in memory, in both directions; bounded."""
+        return len(self._receiver) + len(self._sender) + len(self._fast)
+
+    @property
+    def trouble_codes(self) -> tuple[TroubleCode, ...]:
+        """Active codes as DM1 carries them."""
+        return self._memory.active
+
+    def start(self, now_s: float) -> list[RawFrame]:
+        """Begin to claim an address, anew where we had one."""
+        out = self._claim.start(now_s)
+        self._follow_address()
+        return out
+
+    def poll(self, now_s: float) -> list[RawFrame]:
+        """What has fallen due by now."""
+        out = self._claim.poll(now_s)
+        self._follow_address()
+        before = self._receiver.abandoned
+        aborts = self._receiver.poll(now_s)
+        for _ in range(self._receiver.abandoned - before):
+            self._sessions.take(now_s)
+        address = self.address
+        if address is None:
+            return out
+        return out + aborts + self._sender.poll(address, now_s)
+
+    def feed(self, identifier: int, data: bytes, now_s: float) -> Heard:
+        """Take a frame of another node."""
+        heard = Heard(self.poll(now_s) if now_s >= self.due_s else [])
+        parts = Identifier.of(identifier)
+        group = parts.group
+        if group == ADDRESS_CLAIMED:
+            self._hear_claim(identifier, data, now_s, heard)
+            return heard
+        if parts.source == self.address:
+            self._violations.take(now_s)
+            heard.frames += self._claim.hear_from_our_address(now_s)
+            return heard
+        if group == REQUEST:
+            self._hear_request(parts, data, now_s, heard)
+        elif group in (TRANSPORT_CONNECTION, TRANSPORT_DATA):
+            self._hear_transport(parts, data, now_s, heard)
+        elif group in FAST_PACKET_GROUPS:
+            payload = self._fast.feed(parts, data, now_s)
+            if payload is not None:
+                heard.payloads.append(payload)
+        return heard
+
+    def send(
+        self, group: int, data: bytes, now_s: float, destination: int = GLOBAL_ADDRESS, priority: int = DEFAULT_PRIORITY
+    ) -> list[RawFrame]:
+        """Frames that carry a parameter group of ours, by the transport protocol above eight bytes.
+
+        [] while we have no address, or where too much waits already.
+        """
+        address = self.address
+        if address is None:
+            return []
+        if len(data) <= 8:
+            return [frame(group, data, address, destination, priority)]
+        to = GLOBAL_ADDRESS if destination >= NULL_ADDRESS else destination
+        return self._sender.submit(group, data, address, to, now_s)
+
+    def answer_with(self, answers: Mapping[int, bytes]) -> None:
+        """Contents of parameter groups that are asked for: what we last sent of each."""
+        self._answers.update(answers)
+
+    def tell_trouble(self, codes: Iterable[TroubleCode], now_s: float) -> list[RawFrame]:
+        """The conditions that hold now; the DM1 that says so, unless the last one is still on its way."""
+        self._memory.update(codes)
+        if self._sender.busy_with(diagnostics.DM1):
+            return []
+        return self.send(diagnostics.DM1, diagnostics.message(self._memory.active), now_s)
+
+    def troubles(self, now_s: float) -> tuple[str, ...]:
+        """What is wrong with the network at now_s, a sentence each."""
+        counters = self._claim.counters()
+        found = {
+            "no address: every one that could be ours is held by a lower NAME": self._claim.state is ClaimState.CANNOT_CLAIM,
+            f"our address is contested without end ({counters.contested} claims)": self._claims.exceeded(now_s),
+            f"another node sends from our address ({counters.violations} frames)": self._violations.exceeded(now_s),
+            f"another node uses our NAME {self.settings.name}": now_s - self._duplicate_s < 3.0,
+            f"more requests than we answer ({self._requests.refused} left)": self._requests.exceeded(now_s),
+            f"transport sessions that never end ({self._receiver.abandoned + self._receiver.refused})":
+                self._sessions.exceeded(now_s),
+        }
+        return tuple(sentence for sentence, holds in found.items() if holds)
+
+    def _hear_claim(self, identifier: int, data: bytes, now_s: float, heard: Heard) -> None:
+        if len(data) != 8:
+            return
+        address, name = identifier & 0xFF, Name.of_bytes(data)
+        before = self._claim.counters()
+        if int(name) != int(self.settings.name):
+            self.addresses.claimed(address, name)
+        heard.frames += self._claim.hear_claim(address, name, now_s)
+        after = self._claim.counters()
+        if after.contested > before.contested:
+            self._claims.take(now_s)
+        if after.duplicates > before.duplicates:
+            self._duplicate_s = now_s
+        self._follow_address()
+
+    def _follow_address(self) -> None:
+        """Sessions end with the address that they were opened under."""
+        if self.address != self._address_before:
+            self._address_before = self.address
+            self._sender.clear()
+            self._receiver.forget_ours()
+
+    def _hear_request(self, parts: Identifier, data: bytes, now_s: float, heard: Heard) -> None:
+        request = request_in(parts, data, self.address)
+        if request is None:
+            return
+        if request.group == ADDRESS_CLAIMED:
+            heard.frames += self._claim.hear_request(now_s)
+            return
+        address = self.address
+        if address is None or not (request.directed or self._can_answer(request.group)):
+            return
+        if self._requests.take(now_s):
+            heard.frames += self._answer(request, address, now_s)
+
+    def _can_answer(self, group: int) -> bool:
+        return group in self._answers or group in (diagnostics.DM1, diagnostics.DM2) or group in _NOT_WANTED
+
+    def _answer(self, request: Request, address: int, now_s: float) -> list[RawFrame]:
+        if request.group in _NOT_WANTED:
+            if request.group == diagnostics.DM3:
+                self._memory.clear_previous()
+            else:
+                self._memory.clear_active()
+            return [acknowledgement(request, POSITIVE, address)] if request.directed else []
+        data = self._content(request.group)
+        if data is None:
+            return [acknowledgement(request, NEGATIVE, address)] if request.directed else []
+        # A group without destination goes to all, however it was asked for; long ones to whoever asked.
+        to = request.requester if request.directed and not (is_broadcast(request.group) and len(data) <= 8) else GLOBAL_ADDRESS
+        if len(data) > 8 and self._sender.busy_with(request.group, to):
+            return []
+        return self.send(request.group, data, now_s, to)
+
+    def _content(self, group: int) -> bytes | None:
+        if group == diagnostics.DM1:
+            return diagnostics.message(self._memory.active)
+        if group == diagnostics.DM2:
+            return diagnostics.message(self._memory.previous)
+        return self._answers.get(group)
+
+    def _hear_transport(self, parts: Identifier, data: bytes, now_s: float, heard: Heard) -> None:
+        address, refused = self.address, self._receiver.refused
+        received = self._receiver.feed(parts, data, now_s, address)
+        heard.frames += received.frames
+        if self._receiver.refused > refused:
+            self._sessions.take(now_s)
+        if address is not None:
+            heard.frames += self._sender.feed(parts, data, address, now_s)
+        payload = received.payload
+        if payload is None:
+            return
+        heard.payloads.append(payload)
+        if payload.group == COMMANDED_ADDRESS and len(payload.data) == _COMMAND_BYTES:
+            self._obey(payload.data, now_s, heard)
+
+    def _obey(self, data: bytes, now_s: float, heard: Heard) -> None:
+        if self.settings.obeys_commanded_address and data[:8] == self.settings.name.data:
+            heard.frames += self._claim.command(data[8], now_s)
+            self._follow_address()
