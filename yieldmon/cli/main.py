@@ -80,10 +80,9 @@ def build_parser(verbs: dict[str, Verb], chosen: Verb | None) -> tuple[argparse.
 
 
 def _operational_errors() -> tuple[type[BaseException], ...]:
-    """What can go wrong outside the program; evaluated only when something did."""
-    from can import CanError
-
-    return OSError, CanError
+    """What can go wrong outside the program; a bus only where python-can has been imported."""
+    can = sys.modules.get("can")
+    return (OSError, can.CanError) if can is not None else (OSError,)
 
 
 def _tell(error: object) -> None:

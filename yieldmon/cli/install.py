@@ -1,0 +1,54 @@
+"""Install yieldmon as a service of this machine, or take it away again."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+from yieldmon.errors import InputError
+from yieldmon.service.installation import Installer, install, package_source, uninstall
+
+_TEXT = """
+The command goes into a virtual environment of its own, /opt/yieldmon, installed from the checkout that this program runs in, or
+from where it was itself installed; --command names one that is there already (the service cannot see home folders). Written are
+the unit, the interface's bit rate, the receive buffer's size and the configuration; an existing configuration is kept.
+--uninstall keeps /etc/yieldmon and /var/lib/yieldmon.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """The verb's arguments."""
+    parser = subparsers.add_parser(
+        "install", help="install as a service of this machine",
+        description=f"{__doc__}\n{_TEXT}",
+        epilog="example: yieldmon install --interface can1",
+    )
+    parser.add_argument("--uninstall", action="store_true", help="take everything away, except configuration and records")
+    parser.add_argument("--purge", action="store_true", help="with --uninstall: configuration and records, too")
+    parser.add_argument("--interface", default="can0", help="CAN interface of the combine (default can0)")
+    parser.add_argument("--command", type=Path, help="an installed yieldmon command, absolute; default: makes /opt/yieldmon")
+    parser.add_argument("--from", dest="source", metavar="PACKAGE", help="a wheel or folder for pip to install there")
+    parser.add_argument("--python", default=sys.executable, help="Python of /opt/yieldmon (default: this one)")
+    parser.add_argument("--root", type=Path, default=Path("/"), help="install below this folder instead; runs no systemctl")
+    parser.add_argument("--dry-run", action="store_true", help="print what would be done")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit code 0 when everything is in its place."""
+    if args.command is not None and not args.command.is_absolute():
+        raise InputError("--command", f"{args.command} is relative", "an absolute path")
+    if args.purge and not args.uninstall:
+        raise InputError("--purge", "without --uninstall", "both")
+    root = args.root.resolve()
+    if root == Path("/") and os.geteuid() != 0 and not args.dry_run:
+        raise InputError("install", "a service needs root", "sudo yieldmon install")
+    installer = Installer(root, args.dry_run)
+    if args.uninstall:
+        uninstall(installer, args.interface, purge=args.purge)
+    else:
+        install(installer, args.interface, args.command, args.python, args.source or package_source())
+    for failure in installer.failures:
+        print(f"yieldmon install: {failure}", file=sys.stderr)
+    return 1 if installer.failures else 0
