@@ -1,9 +1,8 @@
-"""The checkout's own virtual environment, made once: what tools/demo and tools/test run in."""
+"""The checkout's own virtual environment, made once: what the tools run in."""
 
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import os
 import shutil
 import subprocess
@@ -37,13 +36,10 @@ def ensure(extra: str) -> Path:
     return python
 
 
-def enter(module: str, extra: str = "dev") -> None:
-    """Go on in the environment where this Python lacks a module that a tool imports; for tools that import at their top.
-
-    Replaces the process. extra: what the environment is to hold. Raises SystemExit as `ensure`.
-    """
-    if importlib.util.find_spec(module) is None and Path(sys.prefix) != FOLDER:
-        python = ensure(extra)
+def enter_always(extra: str) -> None:
+    """Go on in the checkout's environment, whatever this Python has. Replaces the process unless it is there already."""
+    python = ensure(extra)
+    if Path(sys.prefix) != FOLDER:
         os.execve(str(python), [str(python), *sys.argv], activated())
 
 

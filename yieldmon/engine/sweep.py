@@ -1,4 +1,4 @@
-"""The plate sweep as a state machine: it sees ticks and windows and says what it wants of the plate (docs/sweep.md).
+"""The plate sweep as a state machine: it sees ticks and windows and says what it wants of the plate (docs/internals/sweep.md).
 
     IDLE, ABORTED, UPDATED, NOT_LEARNED    at rest, the plate is nobody's
     WAITING                                due; conditions do not hold yet

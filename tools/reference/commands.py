@@ -1,32 +1,31 @@
-"""docs/commands.md from the verbs' own parsers: ``python -m yieldmon.cli.reference > docs/commands.md``."""
+"""Help of every verb, from the verbs' own parsers."""
 
 from __future__ import annotations
 
 import argparse
 import os
-import sys
 from collections.abc import Iterator
 from typing import Any
 
 from yieldmon.cli.main import build_parser, find_verbs
 
-_HEAD = """# Commands
 
-Made by `python -m yieldmon.cli.reference > docs/commands.md` from the parsers themselves.
+def markdown() -> str:
+    """A list of the verbs, then the help of each as a terminal of 110 columns shows it."""
+    width = os.environ.get("COLUMNS")
+    os.environ["COLUMNS"] = "110"
+    try:
+        return _markdown()
+    finally:
+        if width is None:
+            del os.environ["COLUMNS"]
+        else:
+            os.environ["COLUMNS"] = width
 
-Data go to standard output, everything else to standard error. Exit codes: 0 done, 1 failed, 2 bad usage or input, 130 interrupted
-with Ctrl-C (what was open is closed first: a table under way leaves no half file, a replay or a recording ends cleanly). With
-`NO_COLOR` set nothing is coloured.
 
-Completion of verbs, options and file names, by argcomplete: `eval "$(register-python-argcomplete yieldmon)"` in `~/.bashrc`
-(bash, zsh), or `register-python-argcomplete --shell fish yieldmon | source`.
-"""
-
-
-def commands() -> str:
-    """The page."""
+def _markdown() -> str:
     verbs = find_verbs()
-    parts = [_HEAD, *(f"- [`{verb.name}`](#{verb.name}): {verb.summary}" for verb in verbs.values()), ""]
+    parts = [*(f"- [`{verb.name}`](#{verb.name}): {verb.summary}" for verb in verbs.values()), ""]
     for verb in verbs.values():
         parser, _ = build_parser(verbs, verb)
         for name, described in _with_children(verb.name, _children(parser)[verb.name]):
@@ -48,9 +47,3 @@ def _children(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentPar
 def _help(parser: argparse.ArgumentParser) -> str:
     lines = parser.format_help().rstrip().splitlines()
     return "\n".join(line.rstrip() for line in lines)
-
-
-if __name__ == "__main__":
-    # The same page whatever the terminal.
-    os.environ["COLUMNS"] = "110"
-    sys.stdout.write(commands())

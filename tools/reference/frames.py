@@ -1,12 +1,7 @@
-"""The table of frames in docs/frames.md, made from the DBC.
-
-python -m yieldmon.bus.frame_table               # print it
-python -m yieldmon.bus.frame_table docs/frames.md    # put it between the marks in the page
-"""
+"""Tables of the frames, from the DBC."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,12 +11,8 @@ from cantools.database.can import Message as DbcMessage
 from cantools.database.can import Signal as DbcSignal
 
 from yieldmon.bus.codec import Codec
-from yieldmon.errors import InputError
 from yieldmon.frames import INPUTS
 from yieldmon.resources import shipped
-
-BEGIN = "<!-- made by python -m yieldmon.bus.frame_table docs/frames.md -->"
-END = "<!-- end of what is made -->"
 
 _BITRATE = 250_000
 #: 29-bit identifier, 8 bytes of data, worst-case stuffing and interframe space (ISO 11898-1: 8n + 67 + (53 + 8n) / 4).
@@ -37,15 +28,6 @@ def markdown(dbc_path: Path | str | None = None) -> str:
     parts = [_overview(database.messages), _load(database.messages)]
     parts += [_section(message, message.name in any_source) for message in database.messages]
     return "\n".join(parts)
-
-
-def insert(page: str, table: str, where: str) -> str:
-    """The page with the table between its marks. Raises InputError when it has none."""
-    before, begin, rest = page.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not (begin and end):
-        raise InputError(where, "no place for the table", f"{BEGIN} and {END}")
-    return f"{before}{BEGIN}\n\n{table}\n{END}{after}"
 
 
 def _overview(messages: Sequence[DbcMessage]) -> str:
@@ -99,17 +81,3 @@ def _row(signal: DbcSignal) -> str:
 def _group(message: DbcMessage) -> str:
     group = message.frame_id >> 8 & 0x3FFFF
     return f"{group} (0x{group:04X})"
-
-
-def main(arguments: Sequence[str]) -> None:
-    """Prints the table, or puts it into the pages named."""
-    table = markdown()
-    if not arguments:
-        print(table)
-    for name in arguments:
-        page = Path(name)
-        page.write_text(insert(page.read_text(encoding="utf-8"), table, name), encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

@@ -1,32 +1,15 @@
-#!/usr/bin/env python3
-"""The screen of `yieldmon monitor` as a picture, from the virtual combine with the monitor listening.
-
-    tools/monitor-picture [FILE.svg]        default: docs/img/monitor.svg
-"""
+"""The screen of `yieldmon monitor` as a picture, from the virtual combine with the monitor listening."""
 
 from __future__ import annotations
 
-import argparse
 import io
-import os
-import sys
 from pathlib import Path
-
-ROOT = Path(__file__).resolve().parent.parent
-sys.path[:0] = [str(ROOT), str(ROOT / "tools")]
-import environment
 
 WATCHED_S = 75.0
 
 
-def main() -> int:
-    python = environment.ensure("dev")
-    if Path(sys.prefix) != python.parent.parent:
-        os.execv(python, [str(python), *sys.argv])
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("file", nargs="?", type=Path, default=ROOT / "docs" / "img" / "monitor.svg", metavar="FILE.svg")
-    target = parser.parse_args().file
-
+def write(target: Path) -> None:
+    """Write the picture, SVG, to `target`."""
     from rich.console import Console
     from rich.terminal_theme import MONOKAI
 
@@ -54,9 +37,3 @@ def main() -> int:
     console = Console(record=True, width=80, height=24, file=io.StringIO(), force_terminal=True, color_system="truecolor")
     console.print(Screen(traffic, codec, View(source="socketcan can0")), height=24)
     target.write_text(console.export_svg(title="yieldmon monitor -i socketcan -c can0", theme=MONOKAI), encoding="utf-8")
-    print(target)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,0 +1,65 @@
+"""Pages with generated parts. A part stands between ``<!-- made by tools/docs: NAME -->`` and ``<!-- end of NAME -->``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from tools.reference import commands, configuration, faults, frames
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+
+#: Name of a part -> what makes its Markdown.
+BLOCKS: dict[str, Callable[[], str]] = {
+    "commands": commands.markdown,
+    "configuration": configuration.markdown,
+    "faults": faults.markdown,
+    "frames": frames.markdown,
+}
+
+_PART = re.compile(r"(<!-- made by tools/docs: (\S+) -->\n).*?(<!-- end of \2 -->)", re.S)
+_BEGIN = re.compile(r"<!-- made by tools/docs: (\S+) -->")
+
+
+def parts_of(page: str) -> list[str]:
+    """Names of the parts that a page has a place for."""
+    return _BEGIN.findall(page)
+
+
+def fill(page: str, where: str = "page") -> str:
+    """The page with every part made anew.
+
+    Raises
+    ------
+    ValueError
+        For a part without its end, or that nothing makes.
+    """
+    whole = [match[2] for match in _PART.finditer(page)]
+    for name in parts_of(page):
+        if name not in BLOCKS:
+            raise ValueError(f"{where}: nothing makes {name}; expected one of {', '.join(BLOCKS)}")
+        if name not in whole:
+            raise ValueError(f"{where}: {name} has no end; expected <!-- end of {name} -->")
+    return _PART.sub(lambda match: f"{match[1]}\n{BLOCKS[match[2]]().rstrip()}\n\n{match[3]}", page)
+
+
+def pages() -> Iterator[Path]:
+    """Pages with generated parts."""
+    for path in sorted(DOCS.rglob("*.md")):
+        if parts_of(path.read_text(encoding="utf-8")):
+            yield path
+
+
+def stale() -> list[Path]:
+    """Pages that are not what the code says."""
+    return [path for path in pages() if (text := path.read_text(encoding="utf-8")) != fill(text, path.name)]
+
+
+def write() -> list[Path]:
+    """Make every page anew; returns those that changed."""
+    changed = stale()
+    for path in changed:
+        path.write_text(fill(path.read_text(encoding="utf-8"), path.name), encoding="utf-8")
+    return changed
