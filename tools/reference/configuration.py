@@ -31,7 +31,8 @@ def _row(key: str, default: Any, field: FieldInfo) -> str:
     extent = f"{limits['ge']:.12g} to {limits['le']:.12g}" if {"ge", "le"} <= limits.keys() else ""
     unit = str(extra.get("unit", ""))
     shown = f"{extent} {unit if unit != '1' else ''}".strip()
-    return f"|`{key}`|{_value(default)}|{shown}|{(field.description or '').replace("|", chr(92) + "|")}|"
+    meaning = (field.description or "").replace("|", "\\|")
+    return f"|`{key}`|{_value(default)}|{shown}|{meaning}|"
 
 
 def _value(value: Any) -> str:

@@ -86,7 +86,7 @@ def assess(
     """Compare MassFlow and AccumulatedMass frames with the truth.
 
     delivered_kg: true mass past the plate by each of an array of times (s), kg. delay_s: how long before a MassFlow frame the
-    second that it speaks of has ended (half a paddle pattern: docs/reference/frames.md). end_s: end of the run; mass is compared at its
+    second that it speaks of has ended (half a paddle pattern: frames.md). end_s: end of the run; mass is compared at its
     last MassFlow frame. A window in which the monitor says that nothing is harvested counts as a flow of 0 only where the
     true flow is below the first band's end;
     elsewhere as missing. Raises ValueError when no MassFlow frame lies in the run.
