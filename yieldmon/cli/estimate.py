@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     for note in data.notes:
         print(f"yieldmon: {note}", file=sys.stderr)
     speed = data.speed_rad_s(machine)
-    passes = speed * machine.sprocket_pitch_radius_m / machine.paddle_spacing_m
+    passes = machine.passes_per_s(speed)
     to_force = 1.0 if data.reading == "force_n" else passes
     noise = data.columns.get("sigma", np.full(len(data), np.nan))
     noise = np.where(np.isnan(noise), args.sigma, noise) * to_force

@@ -17,6 +17,7 @@ from yieldmon.files import machine_file, parameter_file
 from yieldmon.files.parameter_file import GRAIN_LIMITS
 from yieldmon.files.table import Table
 from yieldmon.physics.effects import effect_parameter, get_effect
+from yieldmon.physics.grain import GRAIN
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions
 from yieldmon.physics.numerics import Array
@@ -104,10 +105,9 @@ def with_values(known: ParameterSet, changes: Mapping[str, float], where: str = 
     values = dict(known.values)
     for name, value in changes.items():
         check_parameter(name, value, where)
-        if name == "restitution":
-            values = {k: v for k, v in values.items() if k not in ("k1", "k2")}
-        elif name in ("k1", "k2"):
-            values.pop("restitution", None)
+        form = GRAIN[name].form if name in GRAIN else ""
+        if form:
+            values = {k: v for k, v in values.items() if k not in GRAIN or GRAIN[k].form in ("", form)}
         elif "." in name:
             effect = name.partition(".")[0]
             for parameter in get_effect(effect).parameters:
@@ -174,7 +174,7 @@ def momentum(data: Table, machine: Machine, response_scale: float | None = None)
     values = data.momentum(machine) / scale
     sigma = data.columns.get("sigma", np.full(len(data), np.nan)) / scale
     if data.reading == "force_n":
-        sigma = sigma * machine.paddle_spacing_m / (data.speed_rad_s(machine) * machine.sprocket_pitch_radius_m)
+        sigma = machine.per_paddle(sigma, data.speed_rad_s(machine))
     return values, sigma
 
 

@@ -210,7 +210,7 @@ def _readings(args: argparse.Namespace, model: ForwardModel, known: ParameterSet
     model_options.check_unit(known, data)
     rows = model_options.measurements(data, model.machine)
     angle, speed, load, _ = rows.columns()
-    passes = speed * model.machine.sprocket_pitch_radius_m / model.machine.paddle_spacing_m
+    passes = model.machine.passes_per_s(speed)
     at_speed = np.isclose(speed, speed_rad_s, rtol=1e-3)
     if not at_speed.any():
         raise InputError(args.data, f"has no row at {speed_rad_s / RPM:g} rpm", "--elevator-speed as in the table")

@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
         momentum = model.paddle_momentum(conditions, known.values)
     except ValueError as error:
         raise InputError("predict", str(error)) from error
-    passes = speed * RPM * machine.sprocket_pitch_radius_m / machine.paddle_spacing_m
+    passes = machine.passes_per_s(speed * RPM)
     table = np.stack((flow, angle, speed, flow / passes, momentum, momentum * passes), axis=-1).tolist()
     if args.json:
         rows = [dict(zip(COLUMNS, row, strict=True)) for row in table]

@@ -104,7 +104,7 @@ def _sweeps(
     args: argparse.Namespace, data: table.Table, machine: Machine, labels: np.ndarray, names: list[str]
 ) -> tuple[list[Sweep], list[float]]:
     speed = data.speed_rad_s(machine)
-    passes = speed * machine.sprocket_pitch_radius_m / machine.paddle_spacing_m
+    passes = machine.passes_per_s(speed)
     to_force: Array = np.ones(len(data)) if data.reading == "force_n" else passes
     force, angle = data.columns[data.reading] * to_force, np.radians(data.columns["plate_angle_deg"])
     sigma = _sigma(args, data, labels) * to_force
@@ -169,7 +169,7 @@ def _document(
     flows = [flow for outcome in outcomes for flow in outcome.flows]
     groups = []
     for name, flow, known, sweep in zip(names, flows, true, sweeps, strict=True):
-        passes = float(sweep.elevator_speed_rad_s.mean()) * machine.sprocket_pitch_radius_m / machine.paddle_spacing_m
+        passes = machine.passes_per_s(float(sweep.elevator_speed_rad_s.mean()))
         row: dict[str, Any] = {
             "group": name,
             "mass_flow_kg_s": flow.mass_flow_kg_s,

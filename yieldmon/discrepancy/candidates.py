@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from yieldmon.physics.effects import registry
+from yieldmon.physics.grain import evenly
 from yieldmon.physics.numerics import Array, real
 
 from .fit import Fit, Frame, Parameter, effect_parameters, fit, predictions
@@ -139,7 +140,7 @@ def again(found: Fit) -> Fit:
     """
     names = [leading(e, found.frame.unit) for e in found.effects]
     null = {p.name: p.start for p in found.parameters}
-    points = [{"friction": mu, "density": rho} for mu in (0.15, 0.45, 0.8) for rho in (900.0, 1500.0)]
+    points = [{"friction": mu, "density": rho} for mu in evenly("friction", 3) for rho in evenly("density", 2)]
     points += [{name: null[name] + share * (found.values[name] - null[name])} for name in names for share in (0.4, 2.0)]
     best = found
     for point in points:

@@ -13,6 +13,7 @@ from scipy.linalg import block_diag
 from yieldmon.errors import InputError
 from yieldmon.estimation.identifiability import scale_tangent
 from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
+from yieldmon.estimation.priors import at_bound_sentence
 from yieldmon.files.table import Table
 from yieldmon.physics.effects import registry
 from yieldmon.physics.machine import RPM, Machine
@@ -223,7 +224,7 @@ def adopted(
     covariance = covariance + scale_sd**2 * np.outer(along, along)
     kept = tuple(name for name in parent.covariance_names if name in best.frame.fixed)
     cells = best.frame.cells
-    passes = cells.elevator_speed_rad_s * cells.rows.machine.sprocket_pitch_radius_m / cells.rows.machine.paddle_spacing_m
+    passes = cells.rows.machine.passes_per_s(cells.elevator_speed_rad_s)
     flow = cells.load if cells.rows.load_name == "mass_flow_kg_s" else cells.load * passes
     moist = cells.moisture_pct[np.isfinite(cells.moisture_pct)]
     return ParameterSet(
@@ -291,9 +292,10 @@ def _published(
             base = fit_base(frame)
     except ValueError as error:
         raise InputError(name, str(error), "loads that a paddle of this machine can hold") from error
-    held = base.at_bound
-    if held:
-        notes.append(f"the published model's best fit has {', '.join(held)} at a physical bound")
+    for p in base.parameters:
+        if p.name in base.at_bound:
+            value = base.values[p.name]
+            notes.append(at_bound_sentence(p.name, "lower" if value < 0.5 * (p.lower + p.upper) else "upper", value))
     return form, frame, base, notes
 
 

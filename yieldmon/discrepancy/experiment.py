@@ -121,7 +121,7 @@ def _grid(best: Fit, rivals: Sequence[Fit]) -> _Grid:
     speeds = np.array([low, 0.5 * (low + nominal), nominal, 0.5 * (nominal + high), high])
     smallest = min(f.values["density"] * f.values["shape_ratio"] for f in (best, *rivals))
     full_kg = 0.5 * smallest * machine.paddle_width_m * (0.8 * machine.paddle_length_m) ** 2
-    most = 0.95 * full_kg * low * machine.sprocket_pitch_radius_m / machine.paddle_spacing_m
+    most = 0.95 * full_kg * machine.passes_per_s(low)
     flows = np.array([f for f in _FLOWS_KG_S if f <= most] or [0.5 * most])
     a, f, s = np.meshgrid(angles, flows, speeds, indexing="ij")
     return _Grid(a.ravel(), f.ravel(), s.ravel())

@@ -1,7 +1,7 @@
 """Bounded least squares of the forward model on whitened cell means, for many candidate effects in a row.
 
-Levenberg-Marquardt with an active set at the bounds and exact complex-step derivatives; a fit keeps its whitened residuals and
-Jacobian, from which screening, cross-validation and bootstraps work in the tangent plane.
+With exact complex-step derivatives; a fit keeps its whitened residuals and Jacobian, from which screening, cross-validation and
+bootstraps work in the tangent plane.
 """
 
 from __future__ import annotations
@@ -10,18 +10,18 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from yieldmon.estimation.least_squares import levenberg_marquardt
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.effects import registry
+from yieldmon.physics.grain import GRAIN, GrainParameter, evenly, fitted
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import COMPLEX_STEP, Array, real
 
 from .observations import Cells, Rows
 
 SEARCH_NODES = 12
-#: Physical bounds of the published model's parameters (ranges of the source thesis); k1 and k2 in the reading's unit.
-BOUNDS = {"friction": (0.0, 1.0), "density": (750.0, 2000.0), "restitution": (0.0, 1.0)}
 _REFERENCE_FORCE_N = 60.0
 """Largest force of a table in N for which the effects' own bounds in N are meant."""
 
@@ -177,7 +177,7 @@ def fit(
     effects: Iterable[str],
     start: Mapping[str, float] | None = None,
     *,
-    iterations: int = 40,
+    iterations: int = 60,
     tolerance: float = 1e-3,
     held: Mapping[str, float] | None = None,
 ) -> Fit | None:
@@ -195,85 +195,42 @@ def fit(
     movable = np.array([name not in (held or {}) for name in names])
     x = np.clip(np.array([given.get(p.name, p.start) for p in parameters]), lower, upper)
 
-    def residual(point: Array) -> Array:
-        return (real(predictions(frame, effects, dict(zip(names, point, strict=True)))) - frame.cells.mean) / frame.sd
-
-    def with_jacobian(point: Array) -> tuple[Array, Array]:
-        count = len(names)
-        moved = point[:, None] + 1j * COMPLEX_STEP * np.eye(count)
+    def whitened(points: Array, _: NDArray[np.intp]) -> tuple[Array, Array]:
+        moved = points[0][:, None] + 1j * COMPLEX_STEP * np.eye(len(names))
         values = predictions(frame, effects, {n: moved[i][:, None] for i, n in enumerate(names)})
-        values = np.broadcast_to(values, (count, len(frame.cells)))
-        jacobian = np.nan_to_num(np.imag(values).T / COMPLEX_STEP, nan=0.0, posinf=0.0, neginf=0.0) / frame.sd[:, None]
-        return (real(values[0]) - frame.cells.mean) / frame.sd, jacobian
+        values = np.broadcast_to(values, (len(names), len(frame.cells)))
+        slopes = np.nan_to_num(np.imag(values).T / COMPLEX_STEP, nan=0.0, posinf=0.0, neginf=0.0) / frame.sd[:, None]
+        return ((real(values[0]) - frame.cells.mean) / frame.sd)[None], slopes[None]
 
-    r, jacobian = with_jacobian(x)
-    chi2 = float(r @ r)
+    found = levenberg_marquardt(
+        whitened, x[None], lower, upper, held=~movable[None], scale=scale, iterations=iterations, least_gain=tolerance
+    )
+    chi2 = 2.0 * float(found.cost[0])
     if not np.isfinite(chi2):
         return None
-    damping = 1e-3
-    enough = tolerance
-    for _ in range(iterations):
-        gradient = jacobian.T @ r * scale
-        free = movable & ~(((x <= lower) & (gradient > 0.0)) | ((x >= upper) & (gradient < 0.0)))
-        if not np.any(free):
-            break
-        scaled = jacobian[:, free] * scale[free]
-        normal = scaled.T @ scaled
-        diagonal = np.diag(normal).copy()
-        diagonal = np.maximum(diagonal, 1e-12 * max(float(diagonal.max()), 1e-300))
-        improved = False
-        for _ in range(8):
-            step = np.zeros_like(x)
-            step[free] = -np.linalg.solve(normal + damping * np.diag(diagonal), gradient[free]) * scale[free]
-            trial = np.clip(x + step, lower, upper)
-            moved = residual(trial)
-            value = float(moved @ moved)
-            if np.isfinite(value) and value < chi2:
-                improved = True
-                break
-            damping *= 8.0
-        if not improved:
-            break
-        gained, x = chi2 - value, trial
-        damping = max(damping * 0.2, 1e-9)
-        r, jacobian = with_jacobian(x)
-        chi2 = float(r @ r)
-        if gained < enough * (1.0 + chi2 / max(len(r), 1)):
-            break
-    return Fit(effects, parameters, x, chi2, r, jacobian, frame)
+    return Fit(effects, parameters, found.theta[0], chi2, found.residual[0], found.jacobian[0], frame)
 
 
 def base_frame(cells: Cells, sd: Array, parameters: ParameterSet, form: str, *, keep_effects: bool = False) -> Frame:
     """Frame for the published model in `form` ("restitution" or "exchange"); friction and density free, the shape ratio fixed.
 
-    keep_effects: effects that the parameters speak of belong to the model, at their values. Bounds are physical, widened where
-    the given parameters already lie outside.
+    keep_effects: effects that the parameters speak of belong to the model, at their values. Bounds and starts are the registry's.
     """
     top = float(np.max(np.abs(cells.mean)))
     force = top if cells.rows.of == "force" else top * float(np.median(_passes(cells)))
     unit = 1.0 if cells.rows.si else force / _REFERENCE_FORCE_N
     given = parameters.values
-    base = [_base("friction", given, 0.2), _base("density", given, 500.0)]
-    if form == "restitution":
-        base.append(_base("restitution", {"restitution": 0.6} | dict(given), 0.3))
-    else:
-        for name, lower, value, size in (("k1", -60.0, 0.0, 1.0), ("k2", 0.0, 1.6, 1.0)):
-            start = float(given.get(name, value * unit))
-            base.append(Parameter(name, lower * unit, 60.0 * unit, start, size * unit))
+    base = tuple(_base(GRAIN[name], unit) for name in fitted(form))
+    held = {p.name: float(given[p.name]) for p in GRAIN.values() if not p.form and not p.fitted and p.name in given}
     kept = {name: float(value) for name, value in given.items() if keep_effects and "." in name}
-    return Frame(cells, sd, tuple(base), {"shape_ratio": float(given["shape_ratio"])} | kept, unit)
+    return Frame(cells, sd, base, held | kept, unit)
 
 
 def fit_base(frame: Frame, effects: tuple[str, ...] = ()) -> Fit:
     """Best of several starts over friction and density; raises ValueError when the loads overfill every admissible paddle."""
-    names = [p.name for p in frame.base]
-    starts = [{p.name: p.start for p in frame.base}]
-    gain_names = [n for n in names if n in ("restitution", "k1", "k2")]
-    for friction in (0.1, 0.45, 0.85):
-        for density in (800.0, 1200.0, 1800.0):
-            starts.append(
-                {"friction": friction, "density": density} | {p.name: p.start for p in frame.base if p.name in gain_names}
-            )
+    first = {p.name: p.start for p in frame.base}
+    densities = (*evenly("density", 3), GRAIN["density"].search[1])
+    starts = [first] + [first | {"friction": f, "density": d} for f in evenly("friction", 3) for d in densities]
     found = []
     for start in starts:
         linear = _solve_gain(frame, effects, start)
@@ -306,12 +263,13 @@ def _solve_gain(frame: Frame, effects: tuple[str, ...], start: dict[str, float])
     return float(np.sum((columns @ gains - y) ** 2)), start | {"k1": float(gains[0]), "k2": float(gains[1])}
 
 
-def _base(name: str, given: Mapping[str, float], scale: float) -> Parameter:
-    lower, upper = BOUNDS[name]
-    value = float(given[name])
-    return Parameter(name, min(lower, value), max(upper, value), value, scale)
+def _base(known: GrainParameter, unit: float) -> Parameter:
+    """Where it starts is the registry's matter, so that no verdict depends on the parameters that one begins with."""
+    stretch = unit if known.follows_response else 1.0
+    low, high = known.search
+    return Parameter(known.name, low * stretch, high * stretch, known.typical * stretch, known.step * stretch)
 
 
 def _passes(cells: Cells) -> Array:
     machine = cells.rows.machine
-    return cells.elevator_speed_rad_s * machine.sprocket_pitch_radius_m / machine.paddle_spacing_m
+    return machine.passes_per_s(cells.elevator_speed_rad_s)

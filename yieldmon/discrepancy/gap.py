@@ -67,10 +67,10 @@ def fills(fit: Fit) -> Array:
     cells = fit.frame.cells
     machine = cells.rows.machine
     values = fit.values
-    full = 0.5 * values["shape_ratio"] * values["density"] * machine.paddle_width_m * machine.paddle_length_m**2
+    full = machine.full_paddle_mass_kg(values["density"], values["shape_ratio"])
     if cells.rows.load_name == "paddle_mass_kg":
         return cells.load / full
-    passes = cells.elevator_speed_rad_s * machine.sprocket_pitch_radius_m / machine.paddle_spacing_m
+    passes = machine.passes_per_s(cells.elevator_speed_rad_s)
     return cells.load / passes / full
 
 

@@ -23,7 +23,7 @@ from yieldmon.estimation.closed_loop import (
     believe_weights,
     self_calibrate,
 )
-from yieldmon.estimation.drift import DriftRates
+from yieldmon.estimation.drift import DriftRates, steady_defaults
 from yieldmon.estimation.moisture import MoistureMap
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
@@ -45,9 +45,7 @@ class CalibratorSettings:
         default_factory=lambda: ClosedLoopSettings(flow="process", model_error=0.01)
     )
     drift: DriftRates = field(default_factory=DriftRates)
-    steady_per_kilotonne: Mapping[str, float] = field(
-        default_factory=lambda: {"friction": 0.0, "restitution": 0.0, "density": 0.0}
-    )
+    steady_per_kilotonne: Mapping[str, float] = field(default_factory=steady_defaults)
     anchor_error: float = 0.005
     density_ratio: float | None = None
     density_ratio_std_dev: float = 0.1

@@ -1,17 +1,12 @@
-"""Momentum and its derivatives for many parameter vectors at once, and a batched Levenberg-Marquardt search over them.
-
-The search is for finding basins fast: every iteration evaluates all unfinished starts in one vectorised pass. Method:
-Marquardt (1963) scaling; bounds by projection with an active set (Bertsekas, SIAM J. Control Optim. 20, 1982).
-"""
+"""Momentum and its derivatives for many parameter vectors at once."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from yieldmon.physics.grain import OPTIONAL
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import COMPLEX_STEP, Array
 
@@ -45,7 +40,7 @@ class MomentumBatch:
                 conditions.moisture_pct if self._knows_moisture else np.nan,
             ))
         )
-        self.passes_per_s = self.speed * model.machine.sprocket_pitch_radius_m / model.machine.paddle_spacing_m
+        self.passes_per_s = model.machine.passes_per_s(self.speed)
 
     @property
     def rows(self) -> int:
@@ -67,7 +62,7 @@ class MomentumBatch:
         values: dict[str, Array] = {name: np.asarray(value) for name, value in self.fixed.items()}
         for j, name in enumerate(self.names):
             values[name] = theta[:, j, None]
-        if self.model.effects:
+        if self.model.effects or any(name in values for name in OPTIONAL):
             return self._stepped(values, load, by, len(theta))
         return self._by_gain(values, load, by, len(theta))
 
@@ -110,7 +105,7 @@ class MomentumBatch:
             by_base[saved] = (base - load * by_base[LOAD]) / values["density"]
         machine = self.model.machine
         per_load = 1.0 / self.passes_per_s if self._by_flow else np.ones(self.rows)
-        full = 0.5 * values["shape_ratio"] * values["density"] * machine.paddle_width_m * machine.paddle_length_m**2
+        full = machine.full_paddle_mass_kg(values["density"], values["shape_ratio"])
         fill = load * per_load / full
         by_gain: dict[str, Array]
         if "restitution" in values:
@@ -129,100 +124,3 @@ class MomentumBatch:
             if name in by_gain:
                 jacobian[..., j] += by_gain[name] * base
         return gain * base, jacobian
-
-
-Residuals = Callable[[Array, NDArray[np.intp]], tuple[Array, Array]]
-"""(theta (B, n), indices of the starts (B,)) -> residuals (B, m) and their derivatives (B, m, n); nan where impossible."""
-
-
-@dataclass(frozen=True, slots=True)
-class BatchSearch:
-    """theta: (B, n); cost: (B,) half the sum of squares; converged: (B,); residuals and derivatives there."""
-
-    theta: Array
-    cost: Array
-    converged: NDArray[np.bool_]
-    residual: Array
-    jacobian: Array
-
-
-def levenberg_marquardt(
-    residuals: Residuals,
-    start: Array,
-    lower: Array,
-    upper: Array,
-    *,
-    held: NDArray[np.bool_] | None = None,
-    scale: Array | None = None,
-    iterations: int = 120,
-    tolerance: float = 1e-9,
-    progress: Callable[[float], None] | None = None,
-) -> BatchSearch:
-    """Minimise half the sum of squares from every start at once, within bounds.
-
-    start: (B, n); lower, upper: (n,) or (B, n); held: (B, n), parameters that keep their start value; scale: (n,), the size in
-    which steps count as small (tolerance), default upper - lower. A start where residuals are nan has cost inf and does not
-    move. progress is called with the share of starts that are done.
-    """
-    theta = np.array(start, dtype=float)
-    count = len(theta)
-    low, high = np.broadcast_to(lower, theta.shape), np.broadcast_to(upper, theta.shape)
-    unit = np.broadcast_to(high - low if scale is None else scale, theta.shape)
-    fixed = np.zeros(theta.shape, dtype=bool) if held is None else held
-    residual, jacobian = (np.array(part) for part in residuals(theta, np.arange(count)))
-    cost = _cost(residual)
-    damping = np.full(count, 1e-3)
-    done = ~np.isfinite(cost)
-    converged = np.zeros(count, dtype=bool)
-    for _ in range(iterations):
-        at = np.flatnonzero(~done)
-        if progress is not None:
-            progress(1.0 - at.size / count)
-        if not at.size:
-            break
-        gradient = np.einsum("bmn,bm->bn", jacobian[at], residual[at]) * unit[at]
-        normal = np.einsum("bmi,bmj->bij", jacobian[at], jacobian[at]) * unit[at, :, None] * unit[at, None, :]
-        frozen = (
-            fixed[at]
-            | ((theta[at] <= low[at]) & (gradient > 0.0))
-            | ((theta[at] >= high[at]) & (gradient < 0.0))
-        )
-        step = _damped_step(normal, gradient, frozen, damping[at])
-        trial = np.clip(theta[at] + step * unit[at], low[at], high[at])
-        trial_residual, trial_jacobian = residuals(trial, at)
-        trial_cost = _cost(trial_residual)
-        moved = np.max(np.abs(trial - theta[at]) / unit[at], axis=-1, initial=0.0)
-        better = trial_cost <= cost[at]
-        stalled = moved <= tolerance
-        accepted = at[better]
-        theta[accepted] = trial[better]
-        residual[accepted], jacobian[accepted] = trial_residual[better], trial_jacobian[better]
-        cost[accepted] = trial_cost[better]
-        damping[at] = np.where(better, np.maximum(damping[at] * 0.1, 1e-12), damping[at] * 8.0)
-        # A short step by heavy damping is a stall; one nearly undamped has arrived.
-        arrived = stalled & (better | (damping[at] > 1e8))
-        converged[at] |= arrived
-        done[at] |= arrived | (damping[at] > 1e12)
-    return BatchSearch(theta, cost, converged, residual, jacobian)
-
-
-def _cost(residual: Array) -> Array:
-    with np.errstate(over="ignore"):
-        total = 0.5 * np.sum(residual * residual, axis=-1)
-    return np.where(np.isfinite(total), total, np.inf)
-
-
-def _damped_step(normal: Array, gradient: Array, frozen: NDArray[np.bool_], damping: Array) -> Array:
-    width = gradient.shape[-1]
-    eye = np.eye(width, dtype=bool)
-    free = ~frozen
-    matrix = np.where(free[:, :, None] & free[:, None, :], normal, 0.0)
-    diagonal = np.einsum("bii->bi", matrix)
-    floor = 1e-15 * np.max(diagonal, axis=-1, keepdims=True, initial=0.0) + 1e-300
-    added = np.where(free, damping[:, None] * np.maximum(diagonal, floor), 1.0)
-    matrix = matrix + np.where(eye, added[:, :, None], 0.0)
-    # Scaled to a unit diagonal: densities beside frictions leave the solver nothing to lose.
-    size = np.sqrt(np.einsum("bii->bi", matrix))
-    matrix = matrix / (size[:, :, None] * size[:, None, :])
-    step: Array = -np.linalg.solve(matrix, (np.where(free, gradient, 0.0) / size)[..., None])[..., 0] / size
-    return step

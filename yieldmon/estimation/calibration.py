@@ -16,12 +16,14 @@ from numpy.typing import NDArray
 from scipy import optimize, stats
 
 from yieldmon.physics.effects import effect_parameter
+from yieldmon.physics.grain import GRAIN
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
 
-from .batch import BatchSearch, MomentumBatch, levenberg_marquardt
+from .batch import MomentumBatch
+from .least_squares import BatchSearch, levenberg_marquardt
 from .parameters import CalibratedRange, ParameterSet
-from .priors import Bounds, Prior, fitting_bounds, follows_scale, start_ranges, stretch
+from .priors import Bounds, Prior, at_bound_sentence, fitting_bounds, follows_scale, start_ranges, stretch
 
 CONFIDENCE = 0.95
 _ROBUST_SCALE = 1.5
@@ -215,23 +217,18 @@ def default_start(
 ) -> dict[str, float]:
     """Values to start from: the given ones, else middling grain and effects at their typical size, in the data's scale."""
     known = dict(known or {})
-    values = {"friction": 0.3, "density": 1100.0, "shape_ratio": 2.0}
-    scale = 1.0
-    if "restitution" in impact:
-        values["restitution"] = 0.5
-    else:
-        scale = data_scale(model, data)
-        values |= {"k1": 0.5 * scale, "k2": 1.0 * scale}
+    scale = data_scale(model, data) if any(GRAIN[name].follows_response for name in impact) else 1.0
+    chosen = (*(p.name for p in GRAIN.values() if not p.form), *impact)
+    values = {name: GRAIN[name].typical * stretch(name, scale) for name in chosen}
     for name in model.effect_parameters:
         values[name] = effect_parameter(name).typical * stretch(name, scale)
-    other = {"restitution"} if "restitution" not in impact else {"k1", "k2"}
-    wanted = set(values)
-    return values | {k: v for k, v in known.items() if k in wanted and k not in other}
+    return values | {k: v for k, v in known.items() if k in values}
 
 
 def data_scale(model: ForwardModel, data: Measurements) -> float:
     """Units of the data in one kg m/s, roughly: their median over that of a middling grain (impact gain 1.5)."""
-    values = {"friction": 0.3, "density": 1500.0, "shape_ratio": 2.0, "restitution": 0.5}
+    # Dense enough that heavy loads fit on the paddles.
+    values = {p.name: p.typical for p in GRAIN.values() if p.form in ("", "restitution")} | {"density": 1500.0}
     plain = model.with_effects(()).paddle_momentum(data.cells()[0], values, overfull="nan")
     middle = float(np.nanmedian(np.real(plain)))
     return float(np.median(data.momentum)) / middle if middle > 0.0 and np.median(data.momentum) > 0.0 else 1.0
@@ -458,8 +455,7 @@ class _Problem:
         columns = self.data.columns()
         flow = columns[2]
         if self.data.conditions.paddle_mass_kg is not None:
-            machine = self.model.machine
-            flow = flow * columns[1] * machine.sprocket_pitch_radius_m / machine.paddle_spacing_m
+            flow = flow * self.model.machine.passes_per_s(columns[1])
         values = self.start | {n: float(v) for n, v in zip(self.names, theta, strict=True)}
         parameter_set = ParameterSet(
             values, self.names, covariance,
@@ -637,10 +633,7 @@ def _sentences(
         if p.open_below and p.open_above:
             yield f"{p.name} is not determined: every value from {low:.6g} to {high:.6g} fits these data within their noise."
         elif p.at_bound:
-            yield (
-                f"{p.name} sits on its {p.at_bound} bound {p.value:.6g}: the data would take it further, so the value is the "
-                "bound's and not the data's."
-            )
+            yield at_bound_sentence(p.name, p.at_bound, p.value)
         elif p.open_below or p.open_above:
             side = f"at or below {high:.6g}" if p.open_below else f"at or above {low:.6g}"
             yield f"{p.name} is determined on one side only: the data say it is {side}."

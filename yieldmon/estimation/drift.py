@@ -10,6 +10,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from yieldmon.physics.grain import DRIFTING, GRAIN, drift_key
+
 from .identifiability import natural_scale
 from .parameters import ParameterSet
 
@@ -24,17 +26,24 @@ class DriftRates:
     ends. Raises ValueError for a negative rate.
     """
 
-    per_root_hour: Mapping[str, float] = field(default_factory=lambda: {"friction": 0.02, "restitution": 0.002, "density": 0.005})
-    per_root_kilotonne: Mapping[str, float] = field(
-        default_factory=lambda: {"friction": 0.05, "restitution": 0.01, "density": 0.01}
-    )
-    limit: Mapping[str, float] = field(default_factory=lambda: {"friction": 0.5, "restitution": 0.1, "density": 0.2})
+    per_root_hour: Mapping[str, float] = field(default_factory=lambda: _defaults("per_root_hour"))
+    per_root_kilotonne: Mapping[str, float] = field(default_factory=lambda: _defaults("per_root_kilotonne"))
+    limit: Mapping[str, float] = field(default_factory=lambda: _defaults("limit"))
 
     def __post_init__(self) -> None:
         for rates in (self.per_root_hour, self.per_root_kilotonne, self.limit):
             for name, rate in rates.items():
                 if not rate >= 0.0:
                     raise ValueError(f"drift rate of {name} is {rate}; expected 0 or more")
+
+
+def _defaults(rate: str) -> dict[str, float]:
+    return {name: getattr(GRAIN[name].drift, rate) for name in DRIFTING}
+
+
+def steady_defaults() -> dict[str, float]:
+    """Likely sizes of steady drift per kilotonne; 0: none is looked for."""
+    return _defaults("steady_per_kilotonne")
 
 
 def grow(parameters: ParameterSet, rates: DriftRates, hours: float, harvested_kg: float) -> ParameterSet:
@@ -47,7 +56,7 @@ def grow(parameters: ParameterSet, rates: DriftRates, hours: float, harvested_kg
     names = parameters.covariance_names
     added = np.zeros(len(names))
     for i, name in enumerate(names):
-        key = "restitution" if name in ("k1", "k2") else name
+        key = drift_key(name)
         size = natural_scale(name, parameters.values[name]) ** 2
         growth = size * (
             rates.per_root_hour.get(key, 0.0) ** 2 * hours

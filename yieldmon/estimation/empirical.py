@@ -124,7 +124,7 @@ class Physical:
     def load_kg(self, columns: Array, momentum: Array) -> Array:
         """See LoadModel."""
         machine = self.model.machine
-        passes = columns[1] * machine.sprocket_pitch_radius_m / machine.paddle_spacing_m
+        passes = machine.passes_per_s(columns[1])
         moisture = None if np.all(np.isnan(columns[3])) else columns[3]
         flow = OpenLoop(self.model, self.parameters).invert(momentum * passes, columns[0], columns[1], moisture)
         return np.asarray(flow / passes)
@@ -146,7 +146,7 @@ def paddle_mass(data: Measurements, machine: Machine) -> Array:
     columns = data.columns()
     if data.conditions.paddle_mass_kg is not None:
         return np.asarray(columns[2])
-    return np.asarray(columns[2] * machine.paddle_spacing_m / (columns[1] * machine.sprocket_pitch_radius_m))
+    return np.asarray(machine.per_paddle(columns[2], columns[1]))
 
 
 def compare(

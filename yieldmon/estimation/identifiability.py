@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from yieldmon.physics import grain
 from yieldmon.physics.effects import effect_parameter
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
@@ -91,14 +92,10 @@ def shown(name: str) -> str:
 
 def natural_scale(name: str, value: float) -> float:
     """What a parameter's relative change is relative to; with k1's and k2's own sign, so that a gain changes by one share."""
-    if name == "restitution":
-        return 1.0 + value
-    if name in ("k1", "k2"):
-        return value if abs(value) > 1e-12 else 1e-12
     if "." in name:
         known = effect_parameter(name)
         return max(abs(value), abs(known.typical - known.null), 1e-12)
-    return max(abs(value), 0.05) if name == "friction" else max(abs(value), 1e-12)
+    return grain.natural_scale(grain.GRAIN[name], value)
 
 
 def directions(jacobian: Array, names: Sequence[str]) -> tuple[Direction, ...]:
@@ -254,9 +251,9 @@ def _sentences(known: Sequence[Direction], unknown: Sequence[Direction], remedie
 
 def _scale_component(name: str) -> float:
     """Relative change of a parameter in the scale direction."""
-    if name == "density" or name.startswith(FLOW):
+    if name.startswith(FLOW):
         return 1.0
-    return -1.0 if name in ("restitution", "k1", "k2") else 0.0
+    return grain.GRAIN[name].along_scale if name in grain.GRAIN else 0.0
 
 
 def scale_tangent(name: str, value: float) -> float:

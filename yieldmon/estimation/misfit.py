@@ -17,15 +17,17 @@ from scipy.special import fdtrc
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array, real
 
-from .batch import levenberg_marquardt
 from .home_flow import Visits, bracketed, wander_per_s
+from .least_squares import levenberg_marquardt
 from .open_loop import OpenLoop
 from .parameters import ParameterSet
+from .priors import search_bounds
 
 _HOME_RAD = np.radians(1.0)
 _SAME_ANGLE_RAD = np.radians(2.0)
-_LEAST, _MOST = np.array([0.0, 750.0, -2.0]), np.array([1.0, 2000.0, 2.0])
-"""Bounds of friction, of density, kg/m3 (ranges of the source thesis), and of the logarithm of a change of gain."""
+_FREE = ("friction", "density")
+_MOST_LOG_GAIN = 2.0
+"""Largest change of the logarithm of the impact gain."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,13 +135,14 @@ def pooled_residuals(
     conditions = Conditions(
         np.concatenate([s.plate_angle_rad for s in sweeps]), speed, mass_flow_kg_s=flow, moisture_pct=moisture
     )
-    start = np.array([parameters.values["friction"], parameters.values["density"], 0.0])
-    low, high = np.minimum(_LEAST, start), np.maximum(_MOST, start)
+    start = np.array([*(parameters.values[name] for name in _FREE), 0.0])
+    least, most = zip(*(search_bounds(name) for name in _FREE), strict=True)
+    low, high = np.minimum([*least, -_MOST_LOG_GAIN], start), np.maximum([*most, _MOST_LOG_GAIN], start)
 
     def difference(theta: Array) -> tuple[Array, Array]:
         """ln(model) - ln(measurement), and its derivatives; nan beyond a full paddle."""
-        values = dict(parameters.values) | {"friction": float(theta[0]), "density": float(theta[1])}
-        force, slopes = model.derivatives(conditions, values, ("friction", "density"), of="force")
+        values = dict(parameters.values) | dict(zip(_FREE, theta[:-1].tolist(), strict=True))
+        force, slopes = model.derivatives(conditions, values, _FREE, of="force")
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.log(force) + theta[2] - measured, np.column_stack((slopes / force[:, None], np.ones(len(force))))
 

@@ -9,6 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from yieldmon.physics.effects import get_effect
+from yieldmon.physics.grain import REQUIRED
 from yieldmon.physics.numerics import Array
 
 
@@ -54,7 +55,7 @@ class ParameterSet:
             raise ValueError("covariance is not symmetric")
         if count and np.any(np.diag(covariance) < 0.0):
             raise ValueError("covariance has a negative variance")
-        for name in ("friction", "density", "shape_ratio"):
+        for name in REQUIRED:
             if name not in self.values:
                 raise ValueError(f"parameter {name} is missing; given are {list(self.values)}")
         if ("restitution" in self.values) == ("k1" in self.values or "k2" in self.values):

@@ -8,35 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from yieldmon.physics.effects import effect_parameter, get_effect
+from yieldmon.physics.grain import GRAIN, GrainParameter
 from yieldmon.physics.numerics import Array
 
 from .parameters import ParameterSet
 
 Bounds = Mapping[str, tuple[float, float]]
 
-PUBLISHED_BOUNDS: Bounds = {"friction": (0.0, 1.0), "restitution": (0.0, 1.0), "density": (750.0, 2000.0)}
-"""Search ranges of the source thesis, section 9.1; starts are drawn from them."""
-
-CALIBRATION_BOUNDS: Bounds = {"friction": (0.0, 2.0), "restitution": (0.0, 1.0), "density": (300.0, 3000.0)}
-"""Default limits of a fit. Wider than the published ones, in which fits of the published measurements run into the walls:
-friction over the range of the thesis's sensitivity study (chapter 12), density from loose chaff to twice that of a kernel."""
-
-PHYSICAL_BOUNDS: Bounds = {
-    "friction": (0.0, 3.0),
-    "restitution": (0.0, 1.0),
-    "density": (50.0, 20000.0),
-    "shape_ratio": (0.2, 6.0),
-    "k1": (-50.0, 50.0),
-    "k2": (-50.0, 50.0),
-}
-"""No tighter than the physics; k1 and k2 per unit of scale."""
-
-_START_RANGES: Bounds = {**PUBLISHED_BOUNDS, "shape_ratio": (1.0, 3.0), "k1": (-1.0, 4.0), "k2": (0.0, 2.0)}
-
-
 def follows_scale(name: str) -> bool:
     """Whether a parameter is in the reading's own unit, so that it scales with it."""
-    return name in ("k1", "k2") or ("." in name and get_effect(name.partition(".")[0]).unit_follows_response)
+    if "." in name:
+        return get_effect(name.partition(".")[0]).unit_follows_response
+    return _grain(name).follows_response
 
 
 def stretch(name: str, scale: float) -> float:
@@ -48,22 +31,46 @@ def stretch(name: str, scale: float) -> float:
 
 
 def physical_bounds(name: str, scale: float = 1.0) -> tuple[float, float]:
-    """(lowest, highest) of a parameter; scale: the reading's units in one kg m/s. Raises ValueError for unknown names."""
-    if name in PHYSICAL_BOUNDS:
-        low, high = PHYSICAL_BOUNDS[name]
-    elif "." in name:
+    """(lowest, highest) that a parameter can be at all; scale: the reading's units in one kg m/s.
+
+    Raises ValueError for unknown names.
+    """
+    if "." in name:
         known = effect_parameter(name)
         low, high = known.lower, known.upper
     else:
-        raise ValueError(f"parameter {name!r}: unknown; expected one of {', '.join(PHYSICAL_BOUNDS)} or effect.parameter")
+        low, high = _grain(name).limits
+    factor = stretch(name, scale)
+    return low * factor, high * factor
+
+
+def search_bounds(name: str, scale: float = 1.0) -> tuple[float, float]:
+    """(lowest, highest) in which fits look for a parameter: the physical prior, the same in calibration and diagnosis."""
+    if "." in name:
+        return physical_bounds(name, scale)
+    low, high = _grain(name).search
     factor = stretch(name, scale)
     return low * factor, high * factor
 
 
 def fitting_bounds(names: Iterable[str], scale: float = 1.0, given: Bounds | None = None) -> dict[str, tuple[float, float]]:
-    """Bounds for a calibration: those given, else CALIBRATION_BOUNDS, else the physical ones."""
+    """Bounds for a calibration: those given, else `search_bounds`."""
     given = given or {}
-    return {n: given.get(n) or CALIBRATION_BOUNDS.get(n) or physical_bounds(n, scale) for n in names}
+    return {n: given.get(n) or search_bounds(n, scale) for n in names}
+
+
+def at_bound_sentence(name: str, side: str, value: float) -> str:
+    """What calibration and diagnosis say of a parameter whose best value lies on a bound; side: "lower" or "upper"."""
+    return (
+        f"{name} sits on its {side} bound {value:.6g}: the data would take it further, so the value is the bound's and not the data's."
+    )
+
+
+def _grain(name: str) -> GrainParameter:
+    try:
+        return GRAIN[name]
+    except KeyError:
+        raise ValueError(f"parameter {name!r}: unknown; expected one of {', '.join(GRAIN)} or effect.parameter") from None
 
 
 def start_ranges(names: Iterable[str], scale: float = 1.0) -> dict[str, tuple[float, float]]:
@@ -75,7 +82,7 @@ def start_ranges(names: Iterable[str], scale: float = 1.0) -> dict[str, tuple[fl
             far = known.null + 2.0 * (known.typical - known.null)
             low, high = sorted((known.null, min(max(far, known.lower), known.upper)))
         else:
-            low, high = _START_RANGES[name]
+            low, high = _grain(name).start
         factor = stretch(name, scale)
         out[name] = (low * factor, high * factor)
     return out

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from yieldmon.physics.grain import drift_key
 from yieldmon.physics.numerics import Array
 
 from .drift import DriftRates, grow
@@ -76,17 +77,13 @@ def begin(parameters: ParameterSet, per_kilotonne: Mapping[str, float]) -> Drift
     unsure = tuple(n for n in parameters.covariance_names if parameters.standard_deviation(n) > 0.0)
     if unsure != parameters.covariance_names:
         parameters = replace(parameters, covariance_names=unsure, covariance=parameters.covariance_of(unsure))
-    names = tuple(n for n in unsure if per_kilotonne.get(_key(n), 0.0) > 0.0)
+    names = tuple(n for n in unsure if per_kilotonne.get(drift_key(n), 0.0) > 0.0)
     count = len(parameters.covariance_names)
     joint = np.zeros((count + len(names),) * 2)
     joint[:count, :count] = parameters.covariance
     for i, name in enumerate(names):
-        joint[count + i, count + i] = per_kilotonne[_key(name)] ** 2
+        joint[count + i, count + i] = per_kilotonne[drift_key(name)] ** 2
     return DriftingParameters(parameters, names, np.zeros(len(names)), joint)
-
-
-def _key(name: str) -> str:
-    return "restitution" if name in ("k1", "k2") else name
 
 
 def advance(

@@ -16,6 +16,7 @@ import yaml
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
 from yieldmon.physics.effects import effect_parameter
+from yieldmon.physics.grain import GRAIN
 from yieldmon.physics.machine import RPM
 from yieldmon.resources import shipped
 
@@ -25,14 +26,9 @@ from .whole_file import scratch_for
 DEFAULT = "config/parameters/corn.yaml"
 FORMAT = 1
 
-#: Physical limits: unit, lowest, highest. k1 and k2 carry the response's own unit and are only finite.
+#: Physical limits: unit, lowest, highest. Parameters in the response's own unit are only finite.
 GRAIN_LIMITS: Mapping[str, tuple[str, float, float]] = {
-    "friction": ("", 0.0, 5.0),
-    "density": ("kg/m3", 1.0, 20000.0),
-    "shape_ratio": ("", 0.05, 6.0),
-    "restitution": ("", 0.0, 1.0),
-    "k1": ("", -1e9, 1e9),
-    "k2": ("", -1e9, 1e9),
+    p.name: (p.unit, -1e9, 1e9) if p.follows_response else (p.unit, *p.limits) for p in GRAIN.values()
 }
 _RANGES = {
     "mass_flow_kg_s": ("mass_flow_kg_s", "kg/s", 1.0),

@@ -68,8 +68,7 @@ class Table:
         """The reading as momentum per paddle, kg m/s (for `response`, in its own unit)."""
         values = self.columns[self.reading]
         if self.reading == "force_n":
-            passes = self.speed_rad_s(machine) * machine.sprocket_pitch_radius_m / machine.paddle_spacing_m
-            return values / passes
+            return values / machine.passes_per_s(self.speed_rad_s(machine))
         return values
 
 

@@ -8,6 +8,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import pi
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Speed = TypeVar("Speed", float, NDArray[np.float64], NDArray[np.float64] | NDArray[np.complex128])
+"""A number or an array."""
+
+SAME_ANGLE_RAD = 0.75 * pi / 180.0
+"""Plate angles within this of each other count as one angle, in tables and in sweeps."""
 
 RPM = 2.0 * pi / 60.0
 """rad/s in one revolution per minute."""
@@ -64,6 +74,18 @@ class Machine:
         """Chain travel after which the paddle pattern repeats, m."""
         return sum(self.paddle_spacings_m)
 
-    def paddle_speed_m_s(self, elevator_speed_rad_s: float) -> float:
+    def paddle_speed_m_s(self, elevator_speed_rad_s: Speed) -> Speed:
         """Chain speed at a sprocket speed, m/s."""
         return elevator_speed_rad_s * self.sprocket_pitch_radius_m
+
+    def passes_per_s(self, elevator_speed_rad_s: Speed) -> Speed:
+        """Paddles that pass in a second at a sprocket speed, on average."""
+        return elevator_speed_rad_s * self.sprocket_pitch_radius_m / self.paddle_spacing_m
+
+    def per_paddle(self, rate_per_s: Speed, elevator_speed_rad_s: Speed) -> Speed:
+        """What each paddle has of a rate: kg of a mass flow in kg/s, kg m/s of a force in N."""
+        return rate_per_s * self.paddle_spacing_m / (elevator_speed_rad_s * self.sprocket_pitch_radius_m)
+
+    def full_paddle_mass_kg(self, density_kg_m3: Speed, shape_ratio: Speed) -> Speed:
+        """Mass of a heap that reaches from the sprocket's centre to the tip [8.9]."""
+        return 0.5 * shape_ratio * density_kg_m3 * self.paddle_width_m * self.paddle_length_m**2

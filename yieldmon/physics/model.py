@@ -15,13 +15,11 @@ from numpy.typing import ArrayLike
 
 from . import flight, impact, release, settling
 from .effects import Effect, get_effect
+from .grain import EXCHANGE_FORM, GRAIN, OPTIONAL, RESTITUTION_FORM
 from .machine import Machine
 from .numerics import COMPLEX_STEP, AnyArray, Array, first_root, gauss_legendre, minimum, real
 from .stages import STAGES, Arrival, Jet, Load, Reading, Setting
 
-GRAIN_PARAMETERS = ("friction", "density", "shape_ratio")
-RESTITUTION_FORM = ("restitution",)
-EXCHANGE_FORM = ("k1", "k2")
 LATEST_ROTATION_RAD = 2.0 * np.pi
 
 Parameters = Mapping[str, ArrayLike]
@@ -189,6 +187,7 @@ class Throw:
             restitution=_parameter(parameters, "restitution") if "restitution" in parameters else None,
             k1=_parameter(parameters, "k1") if "k1" in parameters else None,
             k2=_parameter(parameters, "k2") if "k2" in parameters else None,
+            grain={name: _with_nodes(parameters.get(name, GRAIN[name].default or 0.0)) for name in OPTIONAL},
         )
         for effect in model._effects:
             if effect.setting is not None:
@@ -340,4 +339,4 @@ def _effect_values(effects: Sequence[Effect], parameters: Parameters) -> dict[st
     }
 
 
-__all__ = ["EXCHANGE_FORM", "GRAIN_PARAMETERS", "RESTITUTION_FORM", "STAGES", "Conditions", "ForwardModel", "Throw"]
+__all__ = ["EXCHANGE_FORM", "RESTITUTION_FORM", "STAGES", "Conditions", "ForwardModel", "Throw"]

@@ -6,7 +6,8 @@ anything broadcasts with anything. SI units and radians.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -35,6 +36,8 @@ class Setting:
     restitution: AnyArray | None
     k1: AnyArray | None
     k2: AnyArray | None
+    grain: Mapping[str, AnyArray] = field(default_factory=dict)
+    """The grain's further parameters by name (`grain.OPTIONAL`)."""
     gravity_m_s2: AnyArray | None = None
     """None in the published model, which drops gravity."""
     release_angle_rad: AnyArray | None = None
@@ -50,7 +53,7 @@ class Setting:
     @property
     def passes_per_s(self) -> AnyArray:
         """Mean number of paddles that pass in a second."""
-        return self.paddle_speed_m_s / self.machine.paddle_spacing_m
+        return self.machine.passes_per_s(self.elevator_speed_rad_s)
 
     @property
     def full_paddle_mass_kg(self) -> AnyArray:

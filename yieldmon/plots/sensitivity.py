@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from yieldmon.physics.grain import GRAIN
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 
@@ -22,10 +23,6 @@ if TYPE_CHECKING:
 TYPICAL: Mapping[str, float] = {"friction": 0.5, "restitution": 0.5, "density": 1500.0, "shape_ratio": 2.0}
 RANGES: Mapping[str, tuple[float, float]] = {
     "friction": (0.1, 2.0), "restitution": (0.1, 1.0), "density": (750.0, 2000.0), "shape_ratio": (1.5, 2.5)
-}
-LABELS: Mapping[str, str] = {
-    "friction": "friction μ", "restitution": "restitution e", "density": "bulk density η, kg/m³",
-    "shape_ratio": "shape ratio h_f",
 }
 FLOWS_KG_S: Array = np.arange(2.0, 26.1, 4.0)
 
@@ -49,7 +46,7 @@ def draw(machine: Machine, plate_angle_rad: float) -> Figure:
             colour = colormaps["viridis"](0.9 * k / (len(FLOWS_KG_S) - 1))
             axes.plot(values, force, color=colour, label=f"{FLOWS_KG_S[k]:g} kg/s")
         axes.axvline(TYPICAL[name], color="black", lw=0.8, ls=":")
-        axes.set_xlabel(LABELS[name])
+        axes.set_xlabel(GRAIN[name].axis_label)
     for axes in grid[:, 0]:
         axes.set_ylabel("horizontal force, N")
     grid[0, 1].legend(fontsize=8)

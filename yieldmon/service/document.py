@@ -6,12 +6,14 @@ for the comments of the shipped file.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from yieldmon.engine.closed_loop_calibrator import CalibratorSettings
 from yieldmon.engine.settings import EngineSettings
+from yieldmon.physics.grain import GRAIN
 
 _ENGINE = EngineSettings()
 
@@ -391,36 +393,46 @@ class Learning(Section):
 _R = _L.drift
 
 
-class DriftPerRootHour(Section):
-    """Growth of what is not known: relative standard deviation after one hour without a lesson."""
-
-    friction: float = quantity(_R.per_root_hour["friction"], 0.0, 1.0, "1", "friction")
-    restitution: float = quantity(_R.per_root_hour["restitution"], 0.0, 1.0, "1", "impact gain (1 + restitution, k1, k2)")
-    density: float = quantity(_R.per_root_hour["density"], 0.0, 1.0, "1", "density")
-
-
-class DriftPerRootKilotonne(Section):
-    """The same by wear: relative standard deviation after 1000 t of grain."""
-
-    friction: float = quantity(_R.per_root_kilotonne["friction"], 0.0, 1.0, "1", "friction")
-    restitution: float = quantity(_R.per_root_kilotonne["restitution"], 0.0, 1.0, "1", "impact gain")
-    density: float = quantity(_R.per_root_kilotonne["density"], 0.0, 1.0, "1", "density")
+def _by_parameter(name: str, meaning: str, defaults: Mapping[str, float], most: float) -> type[Section]:
+    """A section with one key for each grain parameter that drifts."""
+    shown = {"restitution": "impact gain (1 + restitution, k1, k2)"}
+    keys: dict[str, Any] = {
+        key: (float, quantity(value, 0.0, most, "1", shown.get(key, GRAIN[key].label))) for key, value in defaults.items()
+    }
+    return create_model(name, __base__=Section, __doc__=meaning, **keys)
 
 
-class SteadyDriftPerKilotonne(Section):
-    """Steady drift, whose rate is learnt: its likely size before that, relative, per 1000 t of grain; 0: not looked for."""
+if TYPE_CHECKING:
 
-    friction: float = quantity(_L.steady_per_kilotonne["friction"], 0.0, 2.0, "1", "friction")
-    restitution: float = quantity(_L.steady_per_kilotonne["restitution"], 0.0, 2.0, "1", "impact gain")
-    density: float = quantity(_L.steady_per_kilotonne["density"], 0.0, 2.0, "1", "density")
+    class DriftPerRootHour(Section): ...
 
+    class DriftPerRootKilotonne(Section): ...
 
-class DriftLimit(Section):
-    """Relative standard deviation beyond which nothing grows: what is known without any calibration."""
+    class SteadyDriftPerKilotonne(Section): ...
 
-    friction: float = quantity(_R.limit["friction"], 0.0, 2.0, "1", "friction")
-    restitution: float = quantity(_R.limit["restitution"], 0.0, 2.0, "1", "impact gain")
-    density: float = quantity(_R.limit["density"], 0.0, 2.0, "1", "density")
+    class DriftLimit(Section): ...
+
+else:
+    DriftPerRootHour = _by_parameter(
+        "DriftPerRootHour",
+        "Growth of what is not known: relative standard deviation after one hour without a lesson.",
+        _R.per_root_hour, 1.0,
+    )  # fmt: skip
+    DriftPerRootKilotonne = _by_parameter(
+        "DriftPerRootKilotonne",
+        "The same by wear: relative standard deviation after 1000 t of grain.",
+        _R.per_root_kilotonne, 1.0,
+    )  # fmt: skip
+    SteadyDriftPerKilotonne = _by_parameter(
+        "SteadyDriftPerKilotonne",
+        "Steady drift, whose rate is learnt: its likely size before that, relative, per 1000 t of grain; 0: not looked for.",
+        _L.steady_per_kilotonne, 2.0,
+    )  # fmt: skip
+    DriftLimit = _by_parameter(
+        "DriftLimit",
+        "Relative standard deviation beyond which nothing grows: what is known without any calibration.",
+        _R.limit, 2.0,
+    )  # fmt: skip
 
 
 class Document(Section):
