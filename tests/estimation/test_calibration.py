@@ -302,7 +302,7 @@ def test_density_of_thin_loads_is_not_determined() -> None:
     assert density.open_below
     assert density.open_above
     assert "density is not determined: every value from 750 to 2000" in " ".join(result.sentences)
-    anywhere = (3000.0 - 300.0) / np.sqrt(12.0)
+    anywhere = (2000.0 - 750.0) / np.sqrt(12.0)
     assert 0.9 * anywhere < result.parameter_set.standard_deviation("density") <= anywhere
 
 

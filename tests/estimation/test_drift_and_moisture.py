@@ -14,6 +14,7 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import Prior, fitting_bounds, physical_bounds, start_ranges
 from yieldmon.files import moisture_file
 from yieldmon.physics.effects import registry
+from yieldmon.physics.grain import GRAIN
 
 VALUES = {"friction": 0.2, "restitution": 0.6, "density": 1100.0, "shape_ratio": 2.0}
 NAMES = ("friction", "restitution", "density")

@@ -62,7 +62,8 @@ def fitting_bounds(names: Iterable[str], scale: float = 1.0, given: Bounds | Non
 def at_bound_sentence(name: str, side: str, value: float) -> str:
     """What calibration and diagnosis say of a parameter whose best value lies on a bound; side: "lower" or "upper"."""
     return (
-        f"{name} sits on its {side} bound {value:.6g}: the data would take it further, so the value is the bound's and not the data's."
+        f"{name} sits on its {side} bound {value:.6g}: the data would take it further, so the value is the bound's and not the "
+        "data's."
     )
 
 
