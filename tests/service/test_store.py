@@ -24,8 +24,8 @@ from yieldmon.service.store import (
     StoreError,
     SweepRecord,
     Ticket,
-    set_aside,
 )
+from yieldmon.service.store_file import set_aside
 
 DATA = Path(__file__).parent / "data"
 

@@ -25,6 +25,7 @@ from .whole_file import scratch_for
 
 DEFAULT = "config/parameters/corn.yaml"
 FORMAT = 1
+_LARGEST_VERSION = 10**15
 
 #: Physical limits: unit, lowest, highest. Parameters in the response's own unit are only finite.
 GRAIN_LIMITS: Mapping[str, tuple[str, float, float]] = {
@@ -62,8 +63,8 @@ def from_document(document: Mapping[str, Any], where: str) -> ParameterSet:
     version = document.get("version", 1)
     if not isinstance(unit, str):
         raise InputError(f"{where}: response_unit", f"is {unit!r}", "a text such as N")
-    if not isinstance(version, int) or isinstance(version, bool) or version < 1:
-        raise InputError(f"{where}: version", f"is {version!r}", "a whole number from 1")
+    if not isinstance(version, int) or isinstance(version, bool) or not 1 <= version <= _LARGEST_VERSION:
+        raise InputError(f"{where}: version", f"is {version!r}", f"a whole number from 1 to {_LARGEST_VERSION}")
     try:
         return ParameterSet(
             values=values,

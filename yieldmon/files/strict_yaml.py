@@ -18,6 +18,8 @@ from yieldmon.errors import InputError
 
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 20
+_WHOLE = 2**63
+"""Whole numbers are smaller than this: databases and tables have room for no larger ones."""
 
 
 class _Refused(yaml.MarkedYAMLError):
@@ -57,9 +59,12 @@ class _StrictLoader(yaml.SafeLoader):
     def construct_number(self, node: yaml.ScalarNode) -> int | float:
         text = node.value
         try:
-            return int(text) if node.tag.endswith(":int") else float(text.replace(".inf", "inf").replace(".nan", "nan"))
+            value = int(text) if node.tag.endswith(":int") else float(text.replace(".inf", "inf").replace(".nan", "nan"))
         except ValueError as error:
             raise _Refused(f"{text[:40]!r} has too many digits", node) from error
+        if isinstance(value, int) and not -_WHOLE < value < _WHOLE:
+            raise _Refused(f"{text[:40]!r} has too many digits", node)
+        return value
 
 
 def _resolvers() -> dict[str, list[tuple[str, re.Pattern[str]]]]:

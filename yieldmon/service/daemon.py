@@ -36,13 +36,14 @@ from yieldmon.service.assembly import build_monitor, calibration_age_s
 from yieldmon.service.conditions import Conditions
 from yieldmon.service.configuration import Configuration
 from yieldmon.service.control import Answer, ControlError, ControlServer
-from yieldmon.service.journal import Journal, Memory, choose_parameters, recall
+from yieldmon.service.journal import Journal, Memory, choose_parameters
 from yieldmon.service.metrics import MetricsFile
 from yieldmon.service.notify import ServiceManager
 from yieldmon.service.ownership import owned
+from yieldmon.service.recovery import recover
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.snapshot import Rates, snapshot
-from yieldmon.service.store import Store, StoreDamagedError, StoreError, set_aside
+from yieldmon.service.store import Store
 from yieldmon.service.transmit import Transmitter
 from yieldmon.service.writer import StoreWriter
 
@@ -116,7 +117,9 @@ class Daemon:
         self._transmitter = Transmitter(
             self._receiver.send, settings.transmit_queue_frames, settings.transmit_max_age_s
         )
-        self._writer = StoreWriter(self._open_store, configuration.document.store.pending_seconds)
+        self._writer = StoreWriter(
+            self._open_store, configuration.document.store.pending_seconds, path=configuration.store_path
+        )
         self._rates = Rates()
 
     def request_stop(self) -> None:
@@ -138,7 +141,8 @@ class Daemon:
             return self._run()
 
     def _run(self) -> int:
-        memory = self._recall()
+        recovery = recover(self.configuration.store_path, self.configuration.retention, self._open_store)
+        memory, self._store_note = recovery.memory, recovery.note
         parameters, self._origin = choose_parameters(memory, self.configuration.parameters)
         self._journal = Journal(memory, self.configuration.parameters)
         self._monitor = _monitor_for(self.configuration, parameters)
@@ -189,41 +193,6 @@ class Daemon:
 
     def _open_store(self) -> Store:
         return Store(self.configuration.store_path, self.configuration.retention)
-
-    def _recall(self) -> Memory:
-        """What the store remembers; a damaged one is set aside, and the fault says so.
-
-        A medium that is full, or takes no writing, need not stop the measuring: what it holds can be read all the same.
-        """
-        path, retention = self.configuration.store_path, self.configuration.retention
-        ways: tuple[Callable[[], Store], ...] = (
-            self._open_store,
-            lambda: Store(path, retention, exclusive=True),
-            lambda: Store(path, retention, immutable=True),
-        )
-        try:
-            failures: list[StoreError] = []
-            for way in ways:
-                try:
-                    with way() as store:
-                        return recall(store)
-                except StoreDamagedError:
-                    raise
-                except StoreError as error:
-                    if str(error) not in map(str, failures):
-                        _log.error("%s", error)
-                    failures.append(error)
-            # The first says what is wrong with the medium, the others why there is no way around that.
-            raise failures[0]
-        except StoreDamagedError as error:
-            _log.error("%s", error)
-            try:
-                aside = set_aside(path, f"damaged-{int(time.time())}")
-            except OSError as failure:
-                raise StoreError(f"{error}, and cannot be set aside: {failure.strerror}") from failure
-            self._store_note = f"damaged, set aside as {aside.name}; totals began anew"
-            _log.error("%s: %s", path, self._store_note)
-            return Memory()
 
     def _resume(self, memory: Memory) -> None:
         now_s = time.time()
@@ -377,7 +346,7 @@ class Daemon:
         elif health.batches_refused:
             store = f"{health.batches_refused} records could not be stored"
         else:
-            store = self._store_note
+            store = "; ".join(note for note in (self._store_note, health.replaced_because) if note)
         found = {
             FaultCode.BUS_ERROR: self._details(now_s, "interface", "bus-off", "errors", "transmit"),
             FaultCode.FRAMES_LOST: self._details(now_s, "dropped"),

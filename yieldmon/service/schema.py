@@ -114,5 +114,60 @@ _VERSION_3 = """
 CREATE INDEX second_of_sweep ON second (number) WHERE usable_for_calibration = 1;
 """
 
-MIGRATIONS: tuple[str, ...] = (_VERSION_1, _VERSION_2, _VERSION_3)
+# Each row carries a checksum (checksums.row_checksum), and the state is kept twice, turn about, so that a damaged page takes one
+# second. Seconds may be millions: those from before stay as they are, and `mark` says up to which number.
+_VERSION_4 = """
+ALTER TABLE second ADD COLUMN checksum INTEGER NOT NULL DEFAULT -1;
+ALTER TABLE load ADD COLUMN checksum INTEGER NOT NULL DEFAULT -1;
+ALTER TABLE sweep ADD COLUMN checksum INTEGER NOT NULL DEFAULT -1;
+ALTER TABLE parameter_set ADD COLUMN checksum INTEGER NOT NULL DEFAULT -1;
+ALTER TABLE fault ADD COLUMN checksum INTEGER NOT NULL DEFAULT -1;
+ALTER TABLE ticket ADD COLUMN checksum INTEGER NOT NULL DEFAULT -1;
+ALTER TABLE counter ADD COLUMN checksum INTEGER NOT NULL DEFAULT -1;
+UPDATE load SET checksum = row_checksum('load', number, field, crop, started_s, ended_s, mass_kg, dry_mass_kg);
+UPDATE sweep SET checksum = row_checksum('sweep', time_s, outcome, reason, document);
+UPDATE parameter_set SET checksum = row_checksum('parameter_set', version, time_s, origin, document);
+UPDATE fault SET checksum = row_checksum('fault', time_s, code, active, detail);
+UPDATE ticket SET checksum =
+    row_checksum('ticket', time_s, first_load, last_load, weighed_mass_kg, measured_mass_kg, note);
+UPDATE counter SET checksum = row_checksum('counter', name, value);
+ALTER TABLE state RENAME TO state_before;
+CREATE TABLE state (
+    slot INTEGER PRIMARY KEY CHECK (slot IN (0, 1)),  -- batch modulo 2
+    batch INTEGER NOT NULL,
+    time_s REAL NOT NULL,
+    document TEXT NOT NULL,
+    checksum INTEGER NOT NULL
+) STRICT;
+INSERT INTO state SELECT batch % 2, batch, time_s, document, row_checksum('state', batch % 2, batch, time_s, document)
+    FROM state_before;
+DROP TABLE state_before;
+CREATE TABLE mark (                -- what the store says of itself
+    name TEXT PRIMARY KEY,         -- schema: its version; unchecked_seconds: number of the last second without a checksum
+    value INTEGER NOT NULL,
+    checksum INTEGER NOT NULL
+) STRICT, WITHOUT ROWID;
+INSERT INTO mark SELECT 'unchecked_seconds', coalesce(max(number), 0),
+    row_checksum('mark', 'unchecked_seconds', coalesce(max(number), 0)) FROM second;
+"""
+
+MIGRATIONS: tuple[str, ...] = (_VERSION_1, _VERSION_2, _VERSION_3, _VERSION_4)
 VERSION = len(MIGRATIONS)
+
+#: From this version on rows carry checksums.
+CHECKED_FROM = 4
+#: Columns of each table whose rows carry a checksum, in the order in which it is taken, and the key that orders them.
+COLUMNS: dict[str, tuple[str, ...]] = {
+    "state": ("slot", "batch", "time_s", "document"),
+    "mark": ("name", "value"),
+    "parameter_set": ("version", "time_s", "origin", "document"),
+    "load": ("number", "field", "crop", "started_s", "ended_s", "mass_kg", "dry_mass_kg"),
+    "ticket": ("time_s", "first_load", "last_load", "weighed_mass_kg", "measured_mass_kg", "note"),
+    "counter": ("name", "value"),
+    "sweep": ("time_s", "outcome", "reason", "document"),
+    "fault": ("time_s", "code", "active", "detail"),
+}
+KEYS: dict[str, str] = {
+    "state": "slot", "mark": "name", "parameter_set": "version", "load": "number", "ticket": "id", "counter": "name",
+    "sweep": "id", "fault": "id", "second": "number",
+}  # fmt: skip

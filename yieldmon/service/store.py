@@ -5,23 +5,28 @@ transaction that is on the medium (WAL, synchronous=FULL) when `commit` returns,
 whole number of batches: totals that fit the records, never one without the other. Batches are numbered and a number is
 committed once only, so a commit whose outcome was unclear can be repeated.
 
+Each row carries a checksum, and what is read is held against it; the state is kept twice, turn about. What cannot be read as it
+was written raises StoreDamagedError; `rescue` makes a new store of what is left.
+
 One `Store` belongs to one thread.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import sqlite3
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import astuple, dataclass, field, fields
+from dataclasses import asdict, astuple, dataclass, field, fields
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 from yieldmon.errors import InputError
 from yieldmon.service import schema
+from yieldmon.service.checksums import UNCHECKED, row_checksum
 from yieldmon.service.rows import SecondRow
+from yieldmon.service.store_file import header_problem, looks_like_a_store, parts, prepared, read_only, witness
 
 
 @dataclass(frozen=True)
@@ -121,6 +126,10 @@ class StoreDamagedError(StoreError):
     """The file's content is broken, or no store at all; another medium or more room would not help."""
 
 
+class StoreDetachedError(StoreError):
+    """The file that is open is not the one under its name any more: somebody removed or replaced it."""
+
+
 class BatchRefusedError(StoreError):
     """A batch that no store can take, because a value breaks the schema; trying again cannot help."""
 
@@ -137,17 +146,38 @@ def _json(document: Mapping[str, Any]) -> str:
     return json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
-_INSERT_SECOND = f"INSERT INTO second ({_columns(SecondRow)}) VALUES ({_marks(SecondRow)})"
-_UPSERT_LOAD = f"INSERT OR REPLACE INTO load ({_columns(Load)}) VALUES ({_marks(Load)})"
-_INSERT_SWEEP = f"INSERT INTO sweep ({_columns(SweepRecord)}) VALUES (?, ?, ?, ?)"
-_UPSERT_PARAMETERS = f"INSERT OR REPLACE INTO parameter_set ({_columns(ParameterVersion)}) VALUES (?, ?, ?, ?)"
-_INSERT_FAULT = f"INSERT INTO fault ({_columns(FaultEvent)}) VALUES (?, ?, ?, ?)"
-_INSERT_TICKET = f"INSERT INTO ticket ({_columns(Ticket)}) VALUES ({_marks(Ticket)})"
-_UPSERT_COUNTER = "INSERT OR REPLACE INTO counter (name, value) VALUES (?, ?)"
-_UPSERT_STATE = "INSERT OR REPLACE INTO state (id, batch, time_s, document) VALUES (1, ?, ?, ?)"
+_COLUMNS: Mapping[str, tuple[str, ...]] = {**schema.COLUMNS, "second": tuple(f.name for f in fields(SecondRow))}
+#: Tables whose rows a start depends on: read, and held against their checksums, at opening.
+_NEEDED = ("mark", "state", "counter", "load", "parameter_set", "ticket")
+_EVENTS = ("sweep", "fault")
+
+
+def _put(table: str, verb: str = "INSERT") -> str:
+    columns = _COLUMNS[table]
+    return f"{verb} INTO {table} ({', '.join(columns)}, checksum) VALUES ({', '.join('?' * len(columns))}, ?)"
+
+
+_INSERT_SECOND, _INSERT_SWEEP, _INSERT_FAULT = (_put(table) for table in ("second", "sweep", "fault"))
+_UPSERT_LOAD, _UPSERT_PARAMETERS, _UPSERT_COUNTER, _UPSERT_STATE, _UPSERT_MARK = (
+    _put(table, "INSERT OR REPLACE") for table in ("load", "parameter_set", "counter", "state", "mark")
+)
+# A batch that is told again, to a store made anew, does not enter a ticket twice.
+_INSERT_TICKET = (
+    f"INSERT INTO ticket ({', '.join(_COLUMNS['ticket'])}, checksum) SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7 WHERE NOT EXISTS "
+    "(SELECT 1 FROM ticket WHERE time_s = ?1 AND first_load = ?2 AND last_load = ?3 AND weighed_mass_kg = ?4 AND note = ?6)"
+)
 
 #: Rows taken away at a time, so that making room never holds up a second's commit for long.
 _PRUNE_ROWS = 2000
+
+
+#: Results of SQLite that speak of the file's content. A schema that lacks what the version has is SQLITE_ERROR.
+_DAMAGE = tuple(
+    f"SQLITE_{name}"
+    for name in (
+        "CORRUPT", "NOTADB", "ERROR", "SCHEMA", "FORMAT", "INTERNAL", "TOOBIG", "NOMEM", "IOERR_SHORT_READ", "IOERR_CORRUPTFS",
+    )
+)
 
 
 @contextmanager
@@ -156,11 +186,25 @@ def _failures_of(path: Path) -> Iterator[None]:
         yield
     except (InputError, StoreError):
         raise
-    except (sqlite3.IntegrityError, ValueError) as error:
-        raise BatchRefusedError(f"{path}: {error}") from error
     except (sqlite3.DatabaseError, OSError) as error:
-        damaged = getattr(error, "sqlite_errorname", "").startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB"))
+        if isinstance(error, sqlite3.IntegrityError):
+            raise BatchRefusedError(f"{path}: {error}") from error
+        damaged = getattr(error, "sqlite_errorname", "").startswith(_DAMAGE)
         raise (StoreDamagedError if damaged else StoreError)(f"{path}: {error}") from error
+    except (MemoryError, UnicodeDecodeError, sqlite3.Error) as error:
+        # SQLite's own message about a damaged schema may be no text.
+        raise StoreDamagedError(f"{path}: {error or 'a value too large to read'}") from error
+
+
+@contextmanager
+def _refusals(path: Path) -> Iterator[None]:
+    """For what is written: numbers and texts that SQLite or JSON has no room for."""
+    try:
+        yield
+    except UnicodeDecodeError:
+        raise
+    except (ValueError, OverflowError) as error:
+        raise BatchRefusedError(f"{path}: {error}") from error
 
 
 class Store:
@@ -196,8 +240,12 @@ class Store:
             else:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 self._database = sqlite3.connect(path, timeout=timeout_s, isolation_level=None)
+        self._identities: dict[Path, tuple[int, int]] = {}
+        self._unchecked_to: int | None = 0
+        """Seconds up to this number may lack a checksum; None: the store is of a version without any."""
         try:
             with _failures_of(path):
+                prepared(self._database)
                 if exclusive:
                     self._database.execute("PRAGMA locking_mode = EXCLUSIVE")
                 self._check_header()
@@ -212,33 +260,52 @@ class Store:
     def reading(cls, path: Path) -> Store:
         """The store at `path` to be read only, whether or not a daemon writes it meanwhile. Raises InputError as `read_only`."""
         store = cls.__new__(cls)
-        store.path, store.retention, store._database = path, Retention(), read_only(path)
+        store.path, store.retention, store._database, store._identities = path, Retention(), read_only(path), {}
+        try:
+            with _failures_of(path):
+                checked = store._version() >= schema.CHECKED_FROM
+                store._unchecked_to = store._mark("unchecked_seconds") if checked else None
+        except BaseException:
+            store.close()
+            raise
         return store
 
     def _check_header(self) -> None:
-        if self._pragma("application_id") not in (0, schema.APPLICATION_ID):
+        problem = header_problem(self.path)
+        if problem is not None:
+            raise StoreDamagedError(f"{self.path}: {problem}")
+        application, version = self._pragma("application_id"), self._version()
+        if application not in (0, schema.APPLICATION_ID) and not looks_like_a_store(self._database):
             raise InputError(str(self.path), "an SQLite file of another program", "a yieldmon store or a new file")
-        version = self._pragma("user_version")
-        if version > schema.VERSION:
+        readable = 0 <= version <= schema.VERSION
+        if not readable and not looks_like_a_store(self._database, schema.VERSION):
             raise InputError(str(self.path), f"store of schema version {version}", f"{schema.VERSION} at most")
+        if application not in (0, schema.APPLICATION_ID) or not readable:
+            raise StoreDamagedError(f"{self.path}: its header is damaged")
 
     def _prepare(self) -> None:
         self._database.execute("PRAGMA journal_mode = WAL")
         self._database.execute("PRAGMA synchronous = FULL")
         self._database.execute("PRAGMA wal_autocheckpoint = 256")
         self._database.execute("PRAGMA journal_size_limit = 4194304")
-        for step in range(self._pragma("user_version"), schema.VERSION):
+        for step in range(self._version(), schema.VERSION):
             self._migrate(step)
 
     def _check_content(self) -> None:
-        version = self._pragma("user_version")
+        version = self._version()
         if version != schema.VERSION:
             raise StoreError(f"{self.path}: schema version {version}, which cannot be brought up to {schema.VERSION} here")
         # The one-second records may be hundreds of megabytes; what a start depends on is small.
-        for table in ("state", "counter", "load", "parameter_set"):
+        for table in _NEEDED + _EVENTS:
             finding = self._pragma(f"quick_check({table})")
             if finding != "ok":
                 raise StoreDamagedError(f"{self.path}: damaged: {finding}")
+        for table in _NEEDED:
+            self._checked(table)
+        if self._mark("schema") != version:
+            raise StoreDamagedError(f"{self.path}: its header is damaged")
+        self._unchecked_to = self._mark("unchecked_seconds")
+        self.last_second()
 
     def _migrate(self, step: int) -> None:
         with self._transaction():
@@ -246,6 +313,17 @@ class Store:
                 self._database.execute(statement)
             self._database.execute(f"PRAGMA application_id = {schema.APPLICATION_ID}")
             self._database.execute(f"PRAGMA user_version = {step + 1}")
+            if step + 1 >= schema.CHECKED_FROM:
+                self._database.execute(_UPSERT_MARK, _summed("mark", ("schema", step + 1)))
+
+    def _version(self) -> int:
+        return int(self._pragma("user_version"))
+
+    def _mark(self, name: str) -> int:
+        found = [value for mark, value in self._checked("mark") if mark == name]
+        if not found:
+            raise StoreDamagedError(f"{self.path}: has no mark {name!r}")
+        return int(found[0])
 
     def _pragma(self, name: str) -> Any:
         return self._database.execute(f"PRAGMA {name}").fetchone()[0]
@@ -273,25 +351,55 @@ class Store:
 
     def commit(self, batches: Sequence[Batch]) -> None:
         """Write `batches`, in order, in one transaction; those whose number the store already has are left out."""
-        with _failures_of(self.path), self._transaction():
+        with _failures_of(self.path), _refusals(self.path), self._transaction():
             last = self.last_batch()
             for batch in batches:
                 if batch.number > last:
                     self._write(batch)
                     last = batch.number
+        witness(self.path, last)
 
     def _write(self, batch: Batch) -> None:
         execute, executemany = self._database.execute, self._database.executemany
-        executemany(_INSERT_SECOND, map(astuple, batch.seconds))
-        executemany(_UPSERT_LOAD, map(astuple, batch.loads))
-        executemany(_INSERT_SWEEP, ((s.time_s, s.outcome, s.reason, _json(s.document)) for s in batch.sweeps))
+        executemany(_INSERT_SECOND, (_summed("second", astuple(row)) for row in batch.seconds))
+        executemany(_UPSERT_LOAD, (_summed("load", astuple(load)) for load in batch.loads))
         executemany(
-            _UPSERT_PARAMETERS, ((p.version, p.time_s, p.origin, _json(p.document)) for p in batch.parameter_versions)
+            _INSERT_SWEEP, (_summed("sweep", (s.time_s, s.outcome, s.reason, _json(s.document))) for s in batch.sweeps)
         )
-        executemany(_INSERT_FAULT, map(astuple, batch.faults))
-        executemany(_INSERT_TICKET, map(astuple, batch.tickets))
-        executemany(_UPSERT_COUNTER, batch.counters.items())
-        execute(_UPSERT_STATE, (batch.number, batch.time_s, _json(batch.state)))
+        executemany(
+            _UPSERT_PARAMETERS,
+            (_summed("parameter_set", (p.version, p.time_s, p.origin, _json(p.document))) for p in batch.parameter_versions),
+        )
+        executemany(_INSERT_FAULT, (_summed("fault", astuple(fault)) for fault in batch.faults))
+        executemany(_INSERT_TICKET, (_summed("ticket", astuple(ticket)) for ticket in batch.tickets))
+        executemany(_UPSERT_COUNTER, (_summed("counter", item) for item in batch.counters.items()))
+        execute(_UPSERT_STATE, _summed("state", (batch.number % 2, batch.number, batch.time_s, _json(batch.state))))
+
+    def require_attached(self) -> None:
+        """Raises StoreDetachedError when a file that is open has been removed or replaced under its name, so that what is
+        committed would be lost with the process."""
+        for part in parts(self.path):
+            try:
+                found = os.stat(part)
+            except FileNotFoundError:
+                if part in self._identities or part == self.path:
+                    raise StoreDetachedError(f"{part}: removed while in use") from None
+                continue
+            except OSError:
+                # A medium that fails is told by the commit.
+                continue
+            identity = (found.st_dev, found.st_ino)
+            if self._identities.setdefault(part, identity) != identity or not found.st_nlink:
+                raise StoreDetachedError(f"{part}: replaced while in use")
+
+    def copy_to(self, target: Path) -> None:
+        """Write all that this connection sees into a new file at `target`. Raises StoreError."""
+        with _failures_of(target):
+            copy = sqlite3.connect(target, isolation_level=None)
+            try:
+                self._database.backup(copy)
+            finally:
+                copy.close()
 
     def prune(self) -> int:
         """Take away the oldest rows that retention no longer keeps, a few thousand at most; returns how many went."""
@@ -317,101 +425,136 @@ class Store:
 
     def last_batch(self) -> int:
         """Number of the last batch committed, 0 in a new store."""
-        row = self._database.execute("SELECT batch FROM state").fetchone()
-        return 0 if row is None else int(row[0])
+        row = self._database.execute("SELECT max(batch) FROM state").fetchone()
+        return int(row[0] or 0)
 
     def state(self) -> dict[str, Any] | None:
         """The monitor's state of the last batch, None in a new store."""
-        with _failures_of(self.path):
-            row = self._database.execute("SELECT document FROM state").fetchone()
-            return None if row is None else json.loads(row[0])
+        if self._unchecked_to is None:
+            with _failures_of(self.path):
+                rows = self._database.execute("SELECT batch, document FROM state").fetchall()
+        else:
+            rows = [(batch, document) for _, batch, _, document in self._checked("state")]
+        return self._document(max(rows)[1]) if rows else None
 
-    def seconds(self, first_number: int = 0) -> list[SecondRow]:
-        """One-second records from `first_number` on, in order."""
-        return self._rows(SecondRow, "second WHERE number >= ? ORDER BY number", (first_number,))
+    def _document(self, text: Any) -> Any:
+        try:
+            return json.loads(text)
+        except (ValueError, TypeError, RecursionError) as error:
+            raise StoreDamagedError(f"{self.path}: a document is no JSON: {error}") from error
+
+    def seconds(self, first_number: int = 0, on_damage: Callable[[int], None] | None = None) -> list[SecondRow]:
+        """One-second records from `first_number` on, in order.
+
+        on_damage: called with the number of each row that is not as it was written, which is then left out; without it such a
+        row raises StoreDamagedError.
+        """
+        return self._seconds("WHERE number >= ? ORDER BY number", (first_number,), on_damage)
 
     def last_second(self) -> SecondRow | None:
         """The newest one-second record."""
-        rows: list[SecondRow] = self._rows(SecondRow, "second ORDER BY number DESC LIMIT 1")
+        rows = self._seconds("ORDER BY number DESC LIMIT 1")
         return rows[0] if rows else None
+
+    def _seconds(
+        self, source: str, values: tuple[Any, ...] = (), on_damage: Callable[[int], None] | None = None
+    ) -> list[SecondRow]:
+        columns = _columns(SecondRow)
+        if self._unchecked_to is None:
+            return self._rows(SecondRow, f"second {source}", values)
+        rows = []
+        with _failures_of(self.path):
+            for *found, checksum in self._database.execute(f"SELECT {columns}, checksum FROM second {source}", values):
+                if second_is_sound(found, checksum, self._unchecked_to):
+                    rows.append(SecondRow(*found))
+                elif on_damage is None:
+                    raise StoreDamagedError(f"{self.path}: second {found[0]} is damaged")
+                else:
+                    on_damage(found[0])
+        return rows
+
+    def _checked(self, table: str, source: str = "", values: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+        """Rows of a table without their checksums, which are held against them."""
+        columns = _COLUMNS[table]
+        order = source or f"ORDER BY {schema.KEYS[table]}"
+        with _failures_of(self.path):
+            if self._database_is_older():
+                return self._database.execute(f"SELECT {', '.join(columns)} FROM {table} {order}", values).fetchall()
+            rows = self._database.execute(f"SELECT {', '.join(columns)}, checksum FROM {table} {order}", values).fetchall()
+        for *found, checksum in rows:
+            if row_checksum(table, *found) != checksum:
+                raise StoreDamagedError(f"{self.path}: {table} {str(found[0])[:40]!r} is damaged")
+        return [tuple(row[:-1]) for row in rows]
+
+    def _database_is_older(self) -> bool:
+        return self._version() < schema.CHECKED_FROM
 
     def loads(self) -> list[Load]:
         """All loads as measured, in order."""
-        return self._rows(Load, "load ORDER BY number")
+        if self._version() < 2:
+            columns = ", ".join(_COLUMNS["load"][:-1])
+            return self._of_kind(Load, ((*row, None) for row in self._rows_of(columns, "load ORDER BY number")))
+        return self._of_kind(Load, self._checked("load"))
 
     def corrected_loads(self) -> list[dict[str, Any]]:
         """All loads with the mass measured and the mass corrected by the newest ticket that covers each."""
-        with _failures_of(self.path):
-            cursor = self._database.execute("SELECT * FROM load_corrected ORDER BY number")
-            names = [column[0] for column in cursor.description]
-            return [dict(zip(names, row, strict=True)) for row in cursor]
+        tickets = list(enumerate(self.tickets(), 1))
+        table = []
+        for load in self.loads():
+            covering = [(number, t) for number, t in tickets if t.first_load <= load.number <= t.last_load]
+            number, factor = (covering[-1][0], covering[-1][1].factor) if covering else (None, 1.0)
+            corrected = {
+                "corrected_mass_kg": load.mass_kg * factor,
+                "corrected_dry_mass_kg": None if load.dry_mass_kg is None else load.dry_mass_kg * factor,
+                "ticket_id": number,
+            }
+            table.append(asdict(load) | corrected)
+        return table
 
     def tickets(self) -> list[Ticket]:
         """All tickets in the order they were entered."""
-        return self._rows(Ticket, "ticket ORDER BY id")
+        return [] if self._version() < 2 else self._of_kind(Ticket, self._checked("ticket"))
 
     def faults(self, limit: int = 100) -> list[FaultEvent]:
         """The newest `limit` fault events, oldest first."""
-        rows: list[FaultEvent] = self._rows(FaultEvent, "fault ORDER BY id DESC LIMIT ?", (limit,))
-        return [FaultEvent(r.time_s, r.code, bool(r.active), r.detail) for r in reversed(rows)]
+        rows = self._checked("fault", "ORDER BY id DESC LIMIT ?", (limit,))
+        return [FaultEvent(time_s, code, bool(active), detail) for time_s, code, active, detail in reversed(rows)]
 
     def sweeps(self, limit: int = 100) -> list[SweepRecord]:
         """The newest `limit` sweeps, oldest first."""
-        rows: list[SweepRecord] = self._rows(SweepRecord, "sweep ORDER BY id DESC LIMIT ?", (limit,))
-        return [SweepRecord(r.time_s, r.outcome, r.reason, json.loads(str(r.document))) for r in reversed(rows)]
+        rows = self._checked("sweep", "ORDER BY id DESC LIMIT ?", (limit,))
+        return self._of_kind(SweepRecord, ((*rest, self._document(document)) for *rest, document in reversed(rows)))
 
     def parameter_versions(self) -> list[ParameterVersion]:
         """All parameter versions, in order."""
-        rows: list[ParameterVersion] = self._rows(ParameterVersion, "parameter_set ORDER BY version")
-        return [ParameterVersion(r.version, r.time_s, r.origin, json.loads(str(r.document))) for r in rows]
+        rows = self._checked("parameter_set")
+        return self._of_kind(ParameterVersion, ((*rest, self._document(document)) for *rest, document in rows))
 
     def counters(self) -> dict[str, int]:
         """Counters by name."""
-        with _failures_of(self.path):
-            return dict(self._database.execute("SELECT name, value FROM counter").fetchall())
+        return dict(self._checked("counter"))
+
+    @staticmethod
+    def _of_kind(row_type: type, rows: Iterable[Sequence[Any]]) -> list[Any]:
+        return [row_type(*row) for row in rows]
 
     def _rows(self, row_type: type, source: str, values: Iterable[Any] = ()) -> list[Any]:
+        return [row_type(*row) for row in self._rows_of(_columns(row_type), source, values)]
+
+    def _rows_of(self, columns: str, source: str, values: Iterable[Any] = ()) -> list[tuple[Any, ...]]:
         with _failures_of(self.path):
-            cursor = self._database.execute(f"SELECT {_columns(row_type)} FROM {source}", tuple(values))
-            return [row_type(*row) for row in cursor]
+            return self._database.execute(f"SELECT {columns} FROM {source}", tuple(values)).fetchall()
 
 
-def read_only(path: Path) -> sqlite3.Connection:
-    """A connection that only reads a store, whether or not a daemon writes it meanwhile; to be closed by the caller.
-
-    Raises InputError when there is no such file, it is no yieldmon store, is damaged, or is of a newer version than this one.
-    """
-    if not path.is_file():
-        raise InputError(str(path), "no such file", "a daemon's store")
-    # Reading beside a writer needs the writer's journal index; without a journal the file alone is the whole store.
-    quiet = not path.with_name(f"{path.name}-wal").exists()
-    location = f"file:{quote(str(path.absolute()))}?{'immutable=1' if quiet else 'mode=ro'}"
-    try:
-        database = sqlite3.connect(location, uri=True, isolation_level=None)
-    except sqlite3.OperationalError as error:
-        raise InputError(str(path), str(error), "a daemon's store that may be read") from error
-    try:
-        application, version = (
-            database.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version")
-        )
-    except sqlite3.DatabaseError as error:
-        database.close()
-        raise InputError(str(path), str(error), "a daemon's store") from error
-    problem = ""
-    if application != schema.APPLICATION_ID:
-        problem = "is an SQLite file of another program"
-    elif version > schema.VERSION:
-        problem = f"is a store of schema version {version}; this yieldmon knows {schema.VERSION}"
-    if problem:
-        database.close()
-        raise InputError(str(path), problem, "a store of this version or an older one")
-    return database
+def second_is_sound(row: Sequence[Any], checksum: Any, unchecked_to: int) -> bool:
+    """Whether a row of `second` is as it was written; rows up to number `unchecked_to` may have no checksum."""
+    if checksum == UNCHECKED:
+        return isinstance(row[0], int) and row[0] <= unchecked_to
+    return bool(row_checksum("second", *row) == checksum)
 
 
-def _refuse_journal(path: Path) -> None:
-    journal = path.with_name(f"{path.name}-wal")
-    if journal.exists() and journal.stat().st_size:
-        raise StoreError(f"{path}: its journal cannot be read on a medium that takes no writing")
+def _summed(table: str, row: Sequence[Any]) -> tuple[Any, ...]:
+    return (*row, row_checksum(table, *row))
 
 
 def _statements(script: str) -> Iterator[str]:
@@ -424,11 +567,7 @@ def _statements(script: str) -> Iterator[str]:
             statement = ""
 
 
-def set_aside(path: Path, label: str) -> Path:
-    """Rename a damaged store and its journal out of the way, as ``<name>.<label>``; returns the new path."""
-    aside = path.with_name(f"{path.name}.{label}")
-    for suffix in ("", "-wal", "-shm"):
-        part = path.with_name(path.name + suffix)
-        if part.exists():
-            part.rename(aside.with_name(aside.name + suffix))
-    return aside
+def _refuse_journal(path: Path) -> None:
+    journal = path.with_name(f"{path.name}-wal")
+    if journal.exists() and journal.stat().st_size:
+        raise StoreError(f"{path}: its journal cannot be read on a medium that takes no writing")

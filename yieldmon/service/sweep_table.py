@@ -33,7 +33,7 @@ from yieldmon.files.table import Table
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array, real
-from yieldmon.service.store import read_only
+from yieldmon.service.store_file import read_only
 
 SUFFIXES = (".sqlite", ".sqlite3", ".db")
 LEAST_ANGLES = 4

@@ -7,13 +7,17 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from time import monotonic
 
-from yieldmon.service.store import Batch, BatchRefusedError, Store, StoreError
+from yieldmon.service.rescue import mend
+from yieldmon.service.store import Batch, BatchRefusedError, Store, StoreDamagedError, StoreDetachedError, StoreError
 
 _log = logging.getLogger(__name__)
 
 _RETRY_S = 2.0
+#: A medium that damages what is written to it would be filled with stores set aside.
+_MEND_EVERY_S = 60.0
 #: Commits between two rounds of making room.
 _PRUNE_EVERY = 60
 #: Events carried along from a batch whose record had to be given up.
@@ -24,7 +28,8 @@ _EVENTS_KEPT = 1000
 class StoreHealth:
     """`failing` says what is wrong, None while all is well. `pending` batches wait, the first of them for
     `waiting_s`; `records_given_up` one-second records were dropped because too many waited (their mass is in the totals);
-    `batches_refused` broke the schema."""
+    `batches_refused` broke the schema. `replacements`: how often a store that was damaged, removed or replaced while in
+    use was put in order, and why the last time."""
 
     failing: str | None = None
     pending: int = 0
@@ -32,14 +37,19 @@ class StoreHealth:
     committed: int = 0
     records_given_up: int = 0
     batches_refused: int = 0
+    replacements: int = 0
+    replaced_because: str = ""
 
 
 class StoreWriter:
     """Writes batches in order on its own thread; a batch is written once, whatever fails in between."""
 
-    def __init__(self, open_store: Callable[[], Store], capacity: int, retry_s: float = _RETRY_S) -> None:
+    def __init__(
+        self, open_store: Callable[[], Store], capacity: int, retry_s: float = _RETRY_S, path: Path | None = None
+    ) -> None:
         """open_store: opens the store anew each time it is called. capacity: batches that may wait with their records;
-        beyond it the oldest gives up its record and hands its totals and events to the next."""
+        beyond it the oldest gives up its record and hands its totals and events to the next. path: where the store is, for one
+        that cannot be opened to be set aside."""
         self._open_store = open_store
         self._capacity = capacity
         self._retry_s = retry_s
@@ -49,6 +59,8 @@ class StoreWriter:
         self._health = StoreHealth()
         self._waiting_since_s = 0.0
         self._in_flight = 0
+        self._path = path
+        self._mended_s = float("-inf")
         self._thread = threading.Thread(target=self._run, name="store-writer")
 
     def start(self) -> None:
@@ -101,6 +113,9 @@ class StoreWriter:
                 store = store or self._open_store()
                 self._write(store)
             except StoreError as error:
+                if self._mended(store, error):
+                    store = None
+                    continue
                 self._failed(str(error))
                 if store is not None:
                     store.close()
@@ -111,6 +126,25 @@ class StoreWriter:
                 last_try = self._wait_before_retry()
         if store is not None:
             store.close()
+
+    def _mended(self, store: Store | None, error: StoreError) -> bool:
+        """Whether a store that was found damaged, removed or replaced is in order again."""
+        path = self._path if store is None else store.path
+        if path is None or not isinstance(error, StoreDamagedError | StoreDetachedError):
+            return False
+        if monotonic() - self._mended_s < _MEND_EVERY_S:
+            return False
+        self._mended_s = monotonic()
+        try:
+            note = mend(store, path, error)
+        except (StoreError, OSError) as failure:
+            _log.error("%s: %s", path, failure)
+            return False
+        _log.error("%s: %s", path, note)
+        with self._changed:
+            count = self._health.replacements + 1
+            self._health = replace(self._health, replacements=count, replaced_because=note)
+        return True
 
     def _wait_for_work(self) -> bool:
         with self._changed:
@@ -128,6 +162,7 @@ class StoreWriter:
             self._in_flight = len(batches)
         done = refused = 0
         try:
+            store.require_attached()
             done = self._commit(store, batches)
             refused = int(done < len(batches))
         finally:

@@ -1,0 +1,299 @@
+"""Damage to a store: found at opening or at first touch, set aside, what can be saved saved, and said."""
+
+from __future__ import annotations
+
+import random
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from tests.robustness.store_damage import KINDS, attempt, original
+from tests.service.test_store import DATA, batch, second
+from yieldmon.engine.state import EngineState
+from yieldmon.engine.totals import Totals
+from yieldmon.files import parameter_file
+from yieldmon.service import rescue, schema
+from yieldmon.service.checksums import row_checksum
+from yieldmon.service.recovery import recover
+from yieldmon.service.store import (
+    FaultEvent,
+    Load,
+    ParameterVersion,
+    Retention,
+    Store,
+    StoreDamagedError,
+    StoreDetachedError,
+    Ticket,
+)
+from yieldmon.service.store_file import read_only
+from yieldmon.service.writer import StoreWriter
+
+PATIENCE_S = 10.0
+
+
+def state(n: int) -> dict[str, object]:
+    """As the daemon leaves it after second n."""
+    totals = Totals(total_kg=10.0 * n, load_kg=10.0 * n)
+    named = {"saved_s": 1.0, "last_second": n, "parameter_digest": "", "field": "north", "crop": "corn", "faults": []}
+    return {"engine": EngineState(totals=totals).as_dict(), **named}
+
+
+def total_kg(store: Store) -> float | None:
+    document = store.state()
+    return None if document is None else document["engine"]["totals"]["total_kg"]
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """A store of 40 seconds, closed."""
+    path = tmp_path / "s.sqlite"
+    parameters = parameter_file.to_document(parameter_file.load())
+    with Store(path) as store:
+        for n in range(1, 41):
+            versions = (ParameterVersion(n // 10 + 1, 1.0, "file", {**parameters, "version": n // 10 + 1}),)
+            events = (FaultEvent(1.0, "X", True, "d"),)
+            store.commit([batch(n, state=state(n), parameter_versions=versions, faults=events, counters={"a": n})])
+    return path
+
+
+def damage(path: Path, table: str) -> None:
+    """Random bytes where a table begins."""
+    database = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
+    (root,) = database.execute("SELECT rootpage FROM sqlite_schema WHERE name = ?", (table,)).fetchone()
+    database.close()
+    with path.open("r+b") as file:
+        file.seek((root - 1) * 4096)
+        file.write(random.Random(1).randbytes(4096))
+
+
+def change(path: Path, sql: str, *values: object) -> None:
+    """Alters a store behind its back."""
+    database = sqlite3.connect(path)
+    database.execute(sql, values)
+    database.commit()
+    database.close()
+
+
+CHANGES = [
+    ("state", "UPDATE state SET document = replace(document, ':', ';')"),
+    ("state", "UPDATE state SET document = CAST(x'7bff7d' AS TEXT)"),
+    ("state", "UPDATE state SET document = replace(document, '400.0', '900.0') WHERE slot = 0"),
+    ("parameter_set", "UPDATE parameter_set SET document = CAST(x'7b22fffe' AS TEXT) WHERE version = 2"),
+    ("parameter_set", "UPDATE parameter_set SET document = replace(document, 'friction', 'frictiom') WHERE version = 5"),
+    ("load", "UPDATE load SET mass_kg = 9999.0"),
+    ("counter", "UPDATE counter SET value = 77"),
+    ("second", "UPDATE second SET total_kg = 1e9 WHERE number = 40"),
+]
+
+
+@pytest.mark.parametrize(("table", "sql"), CHANGES)
+def test_a_row_that_is_not_as_it_was_written_is_found_at_opening_and_left_out(path, table, sql):
+    change(path, sql)
+    with pytest.raises(StoreDamagedError, match=table):
+        Store(path)
+    rescued = rescue.rescue(path, "damaged-1")
+    assert set(rescued.damaged) == {table}
+    assert rescued.aside.exists()
+    with Store(path) as store:
+        assert len(store.seconds()) == 40 - (table == "second")
+        expected = 390.0 if "slot = 0" in sql else 400.0
+        assert total_kg(store) == (None if table == "state" and "slot" not in sql else expected)
+        assert [load.mass_kg for load in store.loads()] == ([] if table == "load" else [400.0])
+
+
+def test_totals_follow_the_last_second_where_the_state_is_lost(path):
+    change(path, "UPDATE state SET document = replace(document, ':', ';')")
+    recovery = recover(path, Retention(), lambda: Store(path))
+    assert recovery.memory.engine is not None
+    assert recovery.memory.engine.totals.total_kg == second(40).total_kg
+    assert recovery.memory.engine.totals.load_kg == second(40).load_kg
+    assert "totals are those of the last second saved" in recovery.note
+
+
+@pytest.mark.parametrize("table", ["fault", "sweep"])
+def test_damage_in_an_event_table_is_found_at_opening(path, table):
+    damage(path, table)
+    recovery = recover(path, Retention(), lambda: Store(path))
+    assert f"part of {table}" in recovery.note
+    with Store(path) as store:
+        assert store.last_batch() == 40
+
+
+def test_damage_found_in_use_is_mended_and_nothing_that_waits_is_lost(path):
+    """The table of seconds is not looked at as a whole: the first batch that touches the damage finds it."""
+    opened = []
+
+    def open_store() -> Store:
+        store = Store(path)
+        if not opened:
+            damage(path, "fault")
+            store._database.execute("PRAGMA shrink_memory")
+        opened.append(store)
+        return store
+
+    writer = StoreWriter(open_store, 100, path=path)
+    writer.start()
+    writer.submit(batch(41))
+    writer.submit(batch(42, faults=(FaultEvent(1.0, "X", False, ""),)))
+    assert writer.wait_until_written(PATIENCE_S)
+    assert writer.health().replacements == 1
+    assert "set aside as" in writer.health().replaced_because
+    writer.stop()
+    with Store(path) as after:
+        assert [row.number for row in after.seconds()] == list(range(1, 43))
+        assert after.loads()[0].mass_kg == 420.0
+
+
+@pytest.mark.parametrize("gone", ["", "-wal", "both", "replaced"])
+def test_files_removed_while_in_use_are_told_and_written_anew(path, gone):
+    writer = StoreWriter(lambda: Store(path), 100, path=path)
+    writer.start()
+    writer.submit(batch(41))
+    writer.submit(batch(42))
+    assert writer.wait_until_written(PATIENCE_S)
+    if gone in ("", "both", "replaced"):
+        path.unlink()
+    if gone in ("-wal", "both"):
+        path.with_name("s.sqlite-wal").unlink()
+    if gone == "replaced":
+        path.write_bytes(b"something else")
+    writer.submit(batch(43))
+    assert writer.wait_until_written(PATIENCE_S)
+    assert "while in use" in writer.health().replaced_because
+    writer.stop()
+    with Store(path) as store:
+        assert [row.number for row in store.seconds()] == list(range(1, 44))
+        assert store.loads()[0].mass_kg == 430.0
+    if gone == "replaced":
+        kept = [file.read_bytes() for file in path.parent.iterdir() if ".replaced-" in file.name]
+        assert b"something else" in kept
+
+
+def test_an_open_store_says_that_its_file_is_not_there(path):
+    with Store(path) as store:
+        store.require_attached()
+        path.rename(path.with_name("elsewhere"))
+        with pytest.raises(StoreDetachedError, match="removed while in use"):
+            store.require_attached()
+
+
+def test_a_store_put_back_from_a_copy_is_told(path):
+    copy = path.read_bytes()
+    with Store(path) as store:
+        store.commit([batch(n, state=state(n)) for n in (41, 42)])
+    path.write_bytes(copy)
+    assert recover(path, Retention(), lambda: Store(path)).note == "its last 2 commits are missing"
+
+
+def test_a_replacement_that_was_interrupted_is_ended_at_the_next_start(path):
+    path.rename(path.with_name("s.sqlite.ready"))
+    assert recover(path, Retention(), lambda: Store(path)).note == ""
+    with Store(path) as store:
+        assert store.last_batch() == 40
+
+
+@pytest.mark.parametrize(("offset", "value"), [(18, 3), (52, 1), (60, 255), (68, 0xF9), (0, 0)])
+def test_a_damaged_header_costs_nothing_but_itself(path, offset, value):
+    content = bytearray(path.read_bytes())
+    content[offset] = value
+    path.write_bytes(content)
+    recovery = recover(path, Retention(), lambda: Store(path))
+    assert "set aside" in recovery.note
+    with Store(path) as store:
+        assert total_kg(store) == 400.0
+        assert len(store.seconds()) == 40
+
+
+def test_a_store_from_before_checksums_is_read_grows_up_and_is_rescued(tmp_path):
+    path = tmp_path / "old"
+    old = sqlite3.connect(path)
+    old.executescript((DATA / "store-v1.sql").read_text())
+    old.close()
+    copy = tmp_path / "copy"
+    copy.write_bytes(path.read_bytes())
+    with Store.reading(path) as store:
+        assert [load.mass_kg for load in store.loads()] == [9.5, 10.25]
+        assert store.state() == {"total_mass_kg": 19.75}
+    with Store(path) as store:
+        assert store.state() == {"total_mass_kg": 19.75}
+        assert [row.total_kg for row in store.seconds()] == [9.5, 9.5, 19.75]
+    change(path, "UPDATE load SET mass_kg = 1.0 WHERE number = 1")
+    with pytest.raises(StoreDamagedError):
+        Store(path)
+    assert rescue.rescue(copy, "x").saved["second"] == 3
+    with Store(copy) as store:
+        assert store.loads()[1] == Load(2, "north", "corn", 1700000002.0, None, 10.25, None)
+
+
+def test_damaged_seconds_are_left_out_of_an_export_and_told(path, tmp_path):
+    change(path, "UPDATE second SET mass_kg = 1e6 WHERE number IN (7, 9)")
+    bad: list[int] = []
+    with Store.reading(path) as store:
+        assert len(store.seconds(on_damage=bad.append)) == 38
+        with pytest.raises(StoreDamagedError, match="second 7"):
+            store.seconds()
+    assert bad == [7, 9]
+
+
+@pytest.mark.parametrize("value", [10**20, -(10**30)])
+def test_numbers_too_large_for_the_store_are_refused_and_block_nothing(path, value):
+    writer = StoreWriter(lambda: Store(path), 100, path=path)
+    writer.start()
+    writer.submit(batch(41, counters={"huge": value}))
+    writer.submit(batch(42))
+    assert writer.wait_until_written(PATIENCE_S)
+    assert writer.health().batches_refused == 1
+    writer.stop()
+    with Store(path) as store:
+        assert store.last_batch() == 42
+
+
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "CREATE VIEW second AS WITH RECURSIVE c(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM c) SELECT n FROM c",
+        "CREATE TABLE second (number INTEGER PRIMARY KEY, time_s REAL GENERATED ALWAYS AS (length(zeroblob(1000000000))))",
+    ],
+)
+def test_a_crafted_store_is_refused(tmp_path, sql):
+    path = tmp_path / "crafted.sqlite"
+    database = sqlite3.connect(path)
+    database.execute(sql)
+    database.execute(f"PRAGMA application_id = {schema.APPLICATION_ID}")
+    database.execute("PRAGMA user_version = 3")
+    database.commit()
+    database.close()
+    with pytest.raises(Exception, match="where a store has a plain table"):
+        read_only(path)
+
+
+def test_a_ticket_told_twice_is_entered_once(path):
+    ticket = Ticket(1.0, 1, 1, 9.0, 10.0)
+    with Store(path) as store:
+        store.commit([batch(41, tickets=(ticket,)), batch(42, tickets=(ticket,))])
+        assert store.tickets() == [ticket]
+
+
+@pytest.mark.parametrize(
+    ("one", "other"), [((1, "a"), (1, "b")), ((1.0,), (1.0 + 1e-12,)), ((None,), ("",)), (("a", "b"), ("ab", ""))]
+)
+def test_a_checksum_tells_rows_apart(one, other):
+    assert row_checksum("load", *one) != row_checksum("load", *other)
+    assert row_checksum("load", *one) != row_checksum("sweep", *one)
+
+
+@pytest.mark.parametrize(("written", "read"), [((30,), (30.0,)), ((-0.0,), (0.0,)), ((True,), (1,)), ((float("nan"),), (None,))])
+def test_a_checksum_is_of_what_the_store_gives_back(written, read):
+    assert row_checksum("load", *written) == row_checksum("load", *read)
+
+
+def test_random_damage_is_survived_and_never_silent(tmp_path):
+    """A sample of ``python -m tests.robustness.store_damage``."""
+    made, place = tmp_path / "made", tmp_path / "place"
+    made.mkdir()
+    place.mkdir()
+    true, rng = original(made, seconds=18), random.Random(20)
+    findings = [attempt(place, true, KINDS[n % len(KINDS)], rng) for n in range(60)]
+    assert [f.problem for f in findings if f.problem] == []
+    assert len({f.outcome for f in findings}) > 1

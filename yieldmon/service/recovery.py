@@ -1,0 +1,133 @@
+"""What a start goes on from, whatever became of the store since."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from yieldmon.engine.state import EngineState
+from yieldmon.engine.totals import Totals
+from yieldmon.service import rescue
+from yieldmon.service.journal import Memory, recall
+from yieldmon.service.rows import SecondRow
+from yieldmon.service.store import Retention, Store, StoreDamagedError, StoreError
+from yieldmon.service.store_file import witnessed
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """What the store remembers, and what is to be said of it; empty when all is well."""
+
+    memory: Memory
+    note: str = ""
+
+
+def recover(path: Path, retention: Retention, open_store: Callable[[], Store]) -> Recovery:
+    """What the store at `path` remembers. A damaged one is set aside and a new one made of what is left of it.
+
+    A medium that is full, or takes no writing, need not stop the measuring: what it holds can be read all the same. Raises
+    StoreError when the store can be neither made nor read.
+    """
+    notes: list[str] = []
+    try:
+        rescue.finish(path)
+    except OSError as error:
+        _log.error("%s: %s", path, error)
+    for without in rescue.GIVEN_UP:
+        try:
+            memory = _read(path, retention, open_store)
+        except StoreDamagedError as error:
+            _log.error("%s", error)
+            notes.append(_rescued(path, error, without))
+            continue
+        missing = witnessed(path) - memory.last_batch
+        if missing > 0:
+            notes.append(f"its last {missing} commits are missing")
+        for note in notes:
+            _log.error("%s: %s", path, note)
+        return Recovery(memory, "; ".join(notes))
+    raise StoreError(f"{path}: cannot be used, nor can a new one in its place")
+
+
+def _rescued(path: Path, error: StoreDamagedError, without: tuple[str, ...]) -> str:
+    try:
+        rescued = rescue.rescue(path, f"damaged-{int(time.time())}", without=without)
+    except (OSError, StoreError) as failure:
+        raise StoreError(f"{error}, and cannot be set aside: {getattr(failure, 'strerror', None) or failure}") from failure
+    if rescued.saved.get("state"):
+        return f"damaged, {rescued}"
+    origin = "the last second saved" if rescued.saved.get("second") else "a new store"
+    return f"damaged, {rescued}; totals are those of {origin}"
+
+
+def _read(path: Path, retention: Retention, open_store: Callable[[], Store]) -> Memory:
+    ways: tuple[Callable[[], Store], ...] = (
+        open_store,
+        lambda: Store(path, retention, exclusive=True),
+        lambda: Store(path, retention, immutable=True),
+    )
+    failures: list[StoreError] = []
+    for way in ways:
+        try:
+            with way() as store:
+                return remembered(store)
+        except StoreDamagedError:
+            raise
+        except StoreError as error:
+            if str(error) not in map(str, failures):
+                _log.error("%s", error)
+            failures.append(error)
+    # The first says what is wrong with the medium, the others why there is no way around that.
+    raise failures[0]
+
+
+def remembered(store: Store) -> Memory:
+    """What a store remembers, its totals being those of its last second where its state is older or lost.
+
+    Raises StoreDamagedError when it makes no sense.
+    """
+    memory, last = recall(store), store.last_second()
+    if last is None:
+        return memory
+    if memory.engine is None:
+        return _without_state(store, last)
+    if memory.last_second <= int((store.state() or {}).get("last_second", 0)):
+        return memory
+    return replace(memory, engine=replace(memory.engine, totals=_caught_up(memory.engine.totals, last)))
+
+
+def _without_state(store: Store, last: SecondRow) -> Memory:
+    versions, loads = store.parameter_versions(), store.loads()
+    totals = Totals(load_number=last.load_number)
+    open_load = next((load for load in loads if load.number == last.load_number), None)
+    return Memory(
+        engine=EngineState(totals=_caught_up(totals, last)),
+        saved_s=last.time_s,
+        last_second=last.number,
+        last_version=max((version.version for version in versions), default=0),
+        loads=tuple(loads),
+        tickets=tuple(store.tickets()),
+        field=open_load.field if open_load is not None else "",
+        crop=open_load.crop if open_load is not None else "",
+        counters=store.counters(),
+    )
+
+
+def _caught_up(totals: Totals, last: SecondRow) -> Totals:
+    """Totals that are not behind a second's; mass that only the second knows has no known moisture."""
+    missing_kg = max(0.0, last.total_kg - totals.total_kg)
+    same = totals.load_number == last.load_number
+    load_kg = max(totals.load_kg, last.load_kg) if same else last.load_kg
+    return replace(
+        totals,
+        total_kg=totals.total_kg + missing_kg,
+        total_unknown_moisture_kg=totals.total_unknown_moisture_kg + missing_kg,
+        load_number=max(totals.load_number, last.load_number),
+        load_kg=load_kg,
+        load_unknown_moisture_kg=totals.load_unknown_moisture_kg + max(0.0, load_kg - totals.load_kg),
+    )

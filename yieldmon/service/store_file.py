@@ -1,0 +1,164 @@
+"""The files of a store: what they are called, what can be told of them before they are opened, and opening one that anybody may
+have made."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+import time
+from contextlib import suppress
+from pathlib import Path
+from urllib.parse import quote
+
+from yieldmon.errors import InputError
+from yieldmon.service import schema
+from yieldmon.service.checksums import row_checksum
+
+_LARGEST_VALUE_BYTES = 16 * 1024 * 1024
+_LIMIT_LENGTH = 0
+"""sqlite3.SQLITE_LIMIT_LENGTH"""
+_DEFENSIVE = 1010
+"""sqlite3.SQLITE_DBCONFIG_DEFENSIVE, from Python 3.12 on"""
+#: Processor time that reading a store which somebody else made may take, s: a part, and so much for each megabyte of it.
+_READING_S, _READING_S_PER_MB = 10.0, 1.0
+_STEPS_BETWEEN_LOOKS = 100_000
+_WITNESS_BYTES = 64
+
+def _tolerant(text: bytes) -> str:
+    return text.decode("utf-8", "surrogateescape")
+
+
+def prepared(database: sqlite3.Connection) -> sqlite3.Connection:
+    """A connection to a store: any bytes can be read as text, and SQL knows `row_checksum`."""
+    database.text_factory = _tolerant
+    database.create_function("row_checksum", -1, row_checksum, deterministic=True)
+    return database
+
+
+def parts(path: Path) -> tuple[Path, Path, Path]:
+    """The files of a store: itself, its journal and the journal's index."""
+    return path, path.with_name(f"{path.name}-wal"), path.with_name(f"{path.name}-shm")
+
+
+def header_problem(path: Path) -> str | None:
+    """What is wrong with the first bytes of a store that SQLite would take: it would refuse to write, or rearrange the file."""
+    try:
+        with path.open("rb") as file:
+            header = file.read(100)
+    except OSError:
+        return None
+    if len(header) < 100 or not header.startswith(b"SQLite format 3\0"):
+        return None
+    if header[18] not in (1, 2) or header[19] not in (1, 2):
+        return "its header asks for another version of the file format"
+    if any(header[52:56]) or any(header[64:68]) or any(header[72:92]):
+        return "its header is damaged"
+    return None
+
+
+def witness(path: Path, batch: int) -> None:
+    """Note beside the store that a batch was committed. A journal that is cut short, or a store put back from a copy, looks like
+    a sound one: this tells how far it had come. What cannot be noted is not."""
+    line = f"{batch} {row_checksum('witness', batch)}\n".encode()
+    with suppress(OSError):
+        descriptor = os.open(_witness(path), os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+        try:
+            os.pwrite(descriptor, line.ljust(_WITNESS_BYTES), 0)
+        finally:
+            os.close(descriptor)
+
+
+def witnessed(path: Path) -> int:
+    """The last batch that `witness` noted, 0 where there is no such note or it is damaged."""
+    try:
+        words = _witness(path).read_bytes()[:_WITNESS_BYTES].split()
+        batch, checksum = (int(word) for word in words)
+    except (OSError, ValueError):
+        return 0
+    return batch if row_checksum("witness", batch) == checksum else 0
+
+
+def _witness(path: Path) -> Path:
+    return path.with_name(f"{path.name}.last")
+
+
+def looks_like_a_store(database: sqlite3.Connection, version: int | None = None) -> bool:
+    """Whether the tables are those of a store; with `version`, whether of that version or an older one, whatever
+    the header says."""
+    tables = {str(name) for (name,) in database.execute("SELECT name FROM sqlite_schema WHERE type = 'table'")}
+    if not {"second", "load", "state", "parameter_set"} <= tables:
+        return False
+    if version is None or "mark" not in tables:
+        return True
+    row = database.execute("SELECT value FROM mark WHERE name = 'schema'").fetchone()
+    return row is not None and isinstance(row[0], int) and int(row[0]) <= version
+
+
+def read_only(path: Path) -> sqlite3.Connection:
+    """A connection that only reads a store, whether or not a daemon writes it meanwhile; to be closed by the caller.
+
+    Raises InputError when there is no such file, it is no yieldmon store, is damaged, or is of a newer version than this one.
+    """
+    if not path.is_file():
+        raise InputError(str(path), "no such file", "a daemon's store")
+    # Reading beside a writer needs the writer's journal index; without a journal the file alone is the whole store.
+    quiet = not path.with_name(f"{path.name}-wal").exists()
+    location = f"file:{quote(str(path.absolute()))}?{'immutable=1' if quiet else 'mode=ro'}"
+    try:
+        database = sqlite3.connect(location, uri=True, isolation_level=None)
+    except sqlite3.OperationalError as error:
+        raise InputError(str(path), str(error), "a daemon's store that may be read") from error
+    prepared(database)
+    _distrust(database, path)
+    try:
+        application, version = (
+            database.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version")
+        )
+        strange = database.execute(_STRANGE).fetchall()
+    except sqlite3.DatabaseError as error:
+        database.close()
+        raise InputError(str(path), str(error), "a daemon's store") from error
+    problem = ""
+    if strange:
+        problem = f"has a {strange[0][0]} {strange[0][1]!r} where a store has a plain table"
+    elif application != schema.APPLICATION_ID:
+        problem = "is an SQLite file of another program"
+    elif not 0 <= version <= schema.VERSION:
+        problem = f"is a store of schema version {version}; this yieldmon knows {schema.VERSION}"
+    if problem:
+        database.close()
+        raise InputError(str(path), problem, "a store of this version or an older one")
+    return database
+
+
+#: Tables are plain data. The one view that stores have had is not read; triggers run nowhere, since nothing is written.
+_STRANGE = f"""
+SELECT type, name FROM sqlite_schema
+WHERE name IN ({", ".join(repr(name) for name in schema.KEYS)})
+  AND (type <> 'table' OR sql LIKE '%GENERATED%' OR sql LIKE 'CREATE VIRTUAL%')
+"""
+
+
+def _distrust(database: sqlite3.Connection, path: Path) -> None:
+    """For a file that anybody may have made: nothing in it runs, no value is larger than any store has, and all reading together
+    takes processor time in proportion to its size at most."""
+    database.execute("PRAGMA trusted_schema = OFF")
+    database.execute("PRAGMA cell_size_check = ON")
+    database.setlimit(_LIMIT_LENGTH, _LARGEST_VALUE_BYTES)
+    if hasattr(database, "setconfig"):
+        database.setconfig(_DEFENSIVE, True)
+    end_s = time.thread_time() + _READING_S + _READING_S_PER_MB * path.stat().st_size / 1e6
+    database.set_progress_handler(lambda: time.thread_time() > end_s, _STEPS_BETWEEN_LOOKS)
+
+
+def set_aside(path: Path, label: str) -> Path:
+    """Rename a damaged store and its journal out of the way, as ``<name>.<label>``, with a number behind where that name is
+    taken; returns the new path."""
+    aside, count = path.with_name(f"{path.name}.{label}"), 1
+    while any(part.exists() for part in parts(aside)):
+        count += 1
+        aside = path.with_name(f"{path.name}.{label}-{count}")
+    for part, target in zip(parts(path), parts(aside), strict=True):
+        if part.exists():
+            part.rename(target)
+    return aside
