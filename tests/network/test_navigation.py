@@ -1,0 +1,101 @@
+"""Standard position, speed, course and time: vectors from PySOBUS (FarmLogs) and worked out by hand from the standards."""
+
+from __future__ import annotations
+
+import math
+import struct
+from datetime import UTC, datetime
+
+import pytest
+
+from yieldmon.network.identifier import Identifier, Payload
+from yieldmon.network.navigation import Navigation, Quantity, read
+from yieldmon.network.reassembly import Reassembler
+
+#: PySOBUS 0.0.3, parser.py: the frames of one 129029 in the order in which its test feeds them, and position that it reads.
+PYSOBUS_129029 = (
+    "61F8051C86FF015F08BC0201", "61F8051C840000000023000B", "61F8051C812B801401279131", "61F8051C802FCC923F73E755",
+    "61F8051C85510087006BF2FF", "61F8051C83736BF4926E420B", "61F8051C82090600A1A1478C",
+)
+PYSOBUS_POSITION = (43.493333851236464, -83.44462596127045)
+
+
+def payload(group: int, data: bytes, time_s: float = 0.0, source: int = 0x1C) -> Payload:
+    return Payload(time_s, group, source, 255, 6, data)
+
+
+def values(group: int, data: bytes) -> dict[str, float]:
+    return {r.quantity.value: r.value for r in read(payload(group, data))}
+
+
+def test_pysobus_vehicle_position() -> None:
+    listener = Reassembler()
+    (got,) = listener.feed(0x60FEF31C, bytes.fromhex("D1EE2397FA7C744B"), 0.0)
+    assert (got.group, got.source) == (65267, 28)
+    # PySOBUS: 1e-7 deg a bit, -210 deg.
+    expected = (0x9723EED1 * 1e-7 - 210, 0x4B747CFA * 1e-7 - 210)
+    found = {r.quantity: r.value for r in read(got)}
+    assert (found[Quantity.LATITUDE], found[Quantity.LONGITUDE]) == pytest.approx(expected, abs=1e-9)
+    assert 40 < expected[0] < 45
+
+
+def test_pysobus_gnss_position() -> None:
+    listener, got = Reassembler(), []
+    for text in sorted(PYSOBUS_129029, key=lambda t: int(t[8:10], 16)):
+        got += listener.feed(int(text[:8], 16), bytes.fromhex(text[8:]), 0.0)
+    (whole,) = got
+    found = {r.quantity: r.value for r in read(whole)}
+    assert (found[Quantity.LATITUDE], found[Quantity.LONGITUDE]) == pytest.approx(PYSOBUS_POSITION, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("group", "data", "expected"),
+    [
+        (65256, struct.pack("<HHHH", 128 * 90, 256 * 18, 0xFFFF, 0xFFFF), {"course_deg": 90.0, "ground_speed_m_s": 5.0}),
+        (65256, b"\xff" * 8, {}),
+        (65265, b"\xff" + struct.pack("<H", 256 * 9) + b"\xff" * 5, {"ground_speed_m_s": 2.5}),
+        (65096, struct.pack("<HIBB", 2500, 0, 0, 1), {"ground_speed_m_s": 2.5}),
+        (65097, struct.pack("<HIBB", 0xFE00, 0, 0, 1), {}),
+        (65097, struct.pack("<HIBB", 1234, 0, 0, 0), {"ground_speed_m_s": 1.234}),
+        (129025, struct.pack("<ii", 475000000, -85000000), {"latitude_deg": 47.5, "longitude_deg": -8.5}),
+        (129025, struct.pack("<ii", 0x7FFFFFFF, 5), {}),
+        (129025, struct.pack("<ii", 910000000, 5), {}),
+        (
+            129026, struct.pack("<BBHHH", 0, 0xFC, 15708, 250, 0xFFFF),
+            {"course_deg": math.degrees(1.5708), "ground_speed_m_s": 2.5},
+        ),
+        (129026, struct.pack("<BBHHH", 0, 0xFD, 15708, 250, 0xFFFF), {"ground_speed_m_s": 2.5}),
+        (129026, struct.pack("<BBHHH", 0, 0xFC, 0xFFFF, 0xFFFF, 0xFFFF), {}),
+        (126992, struct.pack("<BBHI", 0, 0xF0, 20000, 432000000), {"time_s": 20000 * 86400 + 43200.0}),
+        (126992, struct.pack("<BBHI", 0, 0xF0, 0xFFFF, 0xFFFFFFFF), {}),
+        (65254, bytes([40, 30, 12, 7, 60, 40, 125, 125]), {"time_s": datetime(2025, 7, 15, 12, 30, 10, tzinfo=UTC).timestamp()}),
+        (65254, bytes([40, 30, 12, 13, 60, 40, 125, 125]), {}),
+        (65254, bytes(5), {}),
+        (60000, bytes(8), {}),
+    ],
+)
+def test_reading(group: int, data: bytes, expected: dict[str, float]) -> None:
+    assert values(group, data) == pytest.approx(expected)
+
+
+def test_best_source_and_the_next_one() -> None:
+    navigation = Navigation(timeout_s=2.0)
+    wheel = struct.pack("<HIBB", 2500, 0, 0, 1)
+    gnss = struct.pack("<BBHHH", 0, 0xFC, 0, 240, 0xFFFF)
+    for time_s, group, data, expected in (
+        (0.0, 65096, wheel, 65096),
+        (0.5, 129026, gnss, 129026),
+        (1.5, 65096, wheel, 129026),
+        (2.6, 65096, wheel, 65096),
+        (2.7, 129026, gnss, 129026),
+    ):
+        navigation.feed(payload(group, data, time_s))
+        best = navigation.best(Quantity.SPEED, time_s)
+        assert best is not None
+        assert best.group == expected
+    assert navigation.best(Quantity.SPEED, 10.0) is None
+    assert navigation.best(Quantity.LATITUDE, 2.7) is None
+
+
+def test_identifier_of_pysobus_has_more_than_29_bits() -> None:
+    assert Identifier.of(0x61F8051C).group == 129029

@@ -1,0 +1,1 @@
+"""Client of an ISO 11783-10 task controller, sans I/O."""

@@ -1,0 +1,122 @@
+"""The device description of a combine with this monitor, and the raw values of its variables."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from yieldmon.network.name import Name
+
+from .pool import Device, Element, ElementType, Presentation, Property, Trigger, Variable
+
+YIELD_ELEMENT = 2
+"""Number of the element that carries flow, yield and totals."""
+DEFAULTS_DDI = 57343
+"""Request for default process data, on the device element."""
+
+YIELD, FLOW, TOTAL, MOISTURE = 84, 87, 90, 99
+DRY_YIELD, DRY_FLOW, DRY_TOTAL = 181, 182, 183
+HOLD, AREA, EFFECTIVE_TIME, WIDTH = 239, 116, 119, 67
+LATENCY, OFFSET_X, OFFSET_Y, CONNECTOR = 143, 134, 135, 157
+TOTALS = (TOTAL, DRY_TOTAL, AREA, EFFECTIVE_TIME)
+
+_TONNES_PER_HECTARE = Presentation("t/ha", 1e-5, 2)
+_KG_PER_S = Presentation("kg/s", 1e-6, 2)
+_KG = Presentation("kg", 1.0, 0)
+_PERCENT = Presentation("%", 1e-4, 1)
+_HECTARES = Presentation("ha", 1e-4, 2)
+_HOURS = Presentation("h", 1 / 3600, 2)
+_METRES = Presentation("m", 1e-3, 2)
+_SECONDS = Presentation("s", 1e-3, 1)
+_TOTAL_TRIGGERS = Trigger.TOTAL | Trigger.TIME | Trigger.CHANGE
+
+
+@dataclass(frozen=True, slots=True)
+class Implement:
+    """What the machine file says of the combine around the elevator; None: not known, and left out.
+
+    Attributes
+    ----------
+    working_width_m : float or None
+        Width of the header.
+    header_offset_m : float or None
+        How far the header's cutting edge lies ahead of the connector.
+    connector_type : int
+        ISO 11783-11 DDI 157; 0 is unknown.
+    grain_delay_s : float or None
+        From the cutting edge to the impact plate.
+    """
+
+    working_width_m: float | None = None
+    header_offset_m: float | None = None
+    connector_type: int = 0
+    grain_delay_s: float | None = None
+
+
+def combine(implement: Implement, name: Name, *, designator: str, software_version: str, serial_number: str) -> Device:
+    """The device: itself, a connector, and the header that harvests."""
+    properties = []
+    if implement.header_offset_m is not None:
+        properties.append(Property(OFFSET_X, "Offset ahead", round(implement.header_offset_m * 1000), _METRES))
+        properties.append(Property(OFFSET_Y, "Offset right", 0, _METRES))
+    if implement.working_width_m is not None:
+        properties.append(Property(WIDTH, "Working width", round(implement.working_width_m * 1000), _METRES))
+    if implement.grain_delay_s is not None:
+        # The value was true this long before it is told.
+        properties.append(Property(LATENCY, "Grain delay", -round(implement.grain_delay_s * 1000), _SECONDS))
+    measured = [
+        Variable(FLOW, "Mass flow", _KG_PER_S),
+        Variable(DRY_FLOW, "Dry mass flow", _KG_PER_S),
+        Variable(MOISTURE, "Moisture", _PERCENT),
+        Variable(HOLD, "Yield hold"),
+        Variable(TOTAL, "Mass", _KG, _TOTAL_TRIGGERS, settable=True),
+        Variable(DRY_TOTAL, "Dry mass", _KG, _TOTAL_TRIGGERS, settable=True),
+        Variable(EFFECTIVE_TIME, "Harvesting time", _HOURS, _TOTAL_TRIGGERS, settable=True),
+    ]
+    if implement.working_width_m is not None:
+        measured += [
+            Variable(YIELD, "Yield", _TONNES_PER_HECTARE),
+            Variable(DRY_YIELD, "Dry yield", _TONNES_PER_HECTARE),
+            Variable(AREA, "Area", _HECTARES, _TOTAL_TRIGGERS, settable=True),
+        ]
+    defaults = Variable(DEFAULTS_DDI, "Default data", None, Trigger.TOTAL, default=False)
+    connector = Property(CONNECTOR, "Connector", implement.connector_type)
+    elements = (
+        Element(ElementType.DEVICE, designator, variables=(defaults,)),
+        Element(ElementType.CONNECTOR, "Connector", properties=(connector,)),
+        Element(ElementType.FUNCTION, "Header", variables=tuple(measured), properties=tuple(properties)),
+    )
+    return Device(designator, software_version, name, serial_number, elements)
+
+
+@dataclass(frozen=True, slots=True)
+class Second:
+    """What the monitor has to tell of one second; None: not known. Totals are its own, ever growing."""
+
+    flow_kg_s: float | None
+    total_kg: float
+    harvesting: bool
+    dry_flow_kg_s: float | None = None
+    dry_total_kg: float | None = None
+    moisture_pct: float | None = None
+    ground_speed_m_s: float | None = None
+
+
+def raw_values(second: Second, working_width_m: float | None, min_speed_m_s: float = 0.3) -> dict[int, int]:
+    """DDI -> raw value of what is known; totals that this second does not carry (area, time) are the client's to count."""
+    speed_m_s = second.ground_speed_m_s
+    rate_m2_s = None
+    if working_width_m is not None and speed_m_s is not None and speed_m_s >= min_speed_m_s:
+        rate_m2_s = working_width_m * speed_m_s
+    flow, dry = second.flow_kg_s, second.dry_flow_kg_s
+    known: dict[int, float | None] = {
+        FLOW: None if flow is None else flow * 1e6,
+        DRY_FLOW: None if dry is None else dry * 1e6,
+        YIELD: None if flow is None or rate_m2_s is None else flow / rate_m2_s * 1e6,
+        DRY_YIELD: None if dry is None or rate_m2_s is None else dry / rate_m2_s * 1e6,
+        MOISTURE: None if second.moisture_pct is None else second.moisture_pct * 1e4,
+        TOTAL: second.total_kg,
+        DRY_TOTAL: second.dry_total_kg,
+        HOLD: float(not second.harvesting or flow is None),
+    }
+    largest = 2**31 - 1
+    return {ddi: min(max(0, round(value)), largest) for ddi, value in known.items() if value is not None}
