@@ -1,0 +1,512 @@
+"""Volume flow of grain from the shape of the paddles' pulses.
+
+The mean force tells flow only together with density and impact gain: (flow, density, 1 + e) -> (a, a, 1/a) changes no sample. But
+how deep a heap is, and with it when its grain arrives, depends on flow / density alone. This module fits the forward model's
+pulses (`yieldmon.physics.pulse`) to the harmonics of the paddle pattern and gives that quotient, the volume flow, with its
+covariance; the pulses' size is left free. Source: Gauss-Newton with Gaussian priors; Kennedy and O'Hagan, J. R. Statist. Soc. B 63
+(2001), for the term of the model's own error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from yieldmon.physics.machine import Machine
+from yieldmon.physics.model import ForwardModel
+from yieldmon.physics.numerics import AnyArray, Array
+from yieldmon.physics.pulse import arrivals, spectrum
+
+SHAPE_NAMES = ("log_volume_flow", "log_friction", "log_shape_ratio", "log_stretch", "log_tail")
+"""Parameters that move the pulse before the cell; natural logarithms, so that a change is a relative one."""
+
+COMMON_NAMES = (*SHAPE_NAMES, "log_cell", "shift_s", "log_gain")
+"""All parameters but the paddles' own scatter, which follow as scatter_1, scatter_2, ... in the order of the pattern."""
+
+_FLOW, _STRETCH, _TAIL, _CELL, _SHIFT, _GAIN = 0, 3, 4, 5, 6, 7
+_SHAPES = len(SHAPE_NAMES)
+_TYPICAL_LOG_TAIL = float(np.log(0.004))
+_STEP = 1e-4
+_LARGEST_STEP = 0.4
+_SCAN = np.geomspace(0.06, 0.9, 16)
+"""Fills (load over a full paddle) at which a start is looked for."""
+_SHIFTS = 256
+
+
+@dataclass(frozen=True, slots=True)
+class ArrivalLaw:
+    """How a dense stream's arrival differs from that of straight paths, as a calibration found it.
+
+    ln stretch and ln tail are each c0 + c1 cos(phi) + c2 ln(fill) + c3 cos(phi) ln(fill); fill: load over a full paddle, phi: plate
+    angle. Stretch: time over which the stream arrives over that of straight paths, for grain that strikes grain. Tail: mean time
+    (s) for which grain goes on pushing once its path has met the plate, exponentially distributed.
+
+    Attributes
+    ----------
+    stretch : tuple of 4 float
+    tail : tuple of 4 float or None
+        None: no tail.
+    covariance : tuple of 3 float
+        Of ln stretch and ln tail about the laws: variance, variance, covariance.
+    """
+
+    stretch: tuple[float, ...] = (0.0,) * 6
+    tail: tuple[float, ...] | None = None
+    covariance: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def log_stretch(self, fill: AnyArray, plate_angle_rad: float) -> Array:
+        """ln stretch at fills."""
+        return _features(fill, plate_angle_rad) @ np.asarray(self.stretch)
+
+    def tail_s(self, fill: AnyArray, plate_angle_rad: float) -> Array:
+        """Tail at fills, s."""
+        if self.tail is None:
+            return np.zeros(np.shape(fill))
+        return np.asarray(np.exp(_features(fill, plate_angle_rad) @ np.asarray(self.tail)))
+
+
+def _features(fill: AnyArray, plate_angle_rad: float) -> Array:
+    log_fill = np.log(np.clip(fill, 0.02, 1.0))
+    cos = np.full(log_fill.shape, np.cos(plate_angle_rad))
+    return np.stack((np.ones_like(cos), log_fill, cos, cos * log_fill, cos * cos, log_fill * log_fill), axis=-1)
+
+
+@dataclass(frozen=True, slots=True)
+class PulseSettings:
+    """What is known of machine and cell before a pulse is seen.
+
+    Attributes
+    ----------
+    harmonics : int
+        Harmonics of the paddle pattern that are fitted.
+    model_error : float
+        Standard deviation of the model's own error, relative, at each harmonic; it does not average out over windows.
+    edge_release : float
+        1: the housing ends at the release angle; 0: it lets the whole heap go at once.
+    cell_response_s : float
+        Time constant of plate and cell, critically damped; 0 for none.
+    scatter : float
+        Relative standard deviation of one pulse's impulse about what its load gives.
+    vibration_n : float
+        Amplitude of vibration at paddle passing that is not known, N.
+    arrival : ArrivalLaw
+        From a calibration (`calibrate_arrival`); straight paths where none was made.
+    sd : mapping
+        Prior standard deviations of the parameters by name (relative for log_*, s for shift_s); 0 holds one fixed.
+    """
+
+    harmonics: int = 24
+    model_error: float = 0.05
+    edge_release: float = 1.0
+    cell_response_s: float = 0.008
+    scatter: float = 0.07
+    vibration_n: float = 3.0
+    arrival: ArrivalLaw = field(default_factory=ArrivalLaw)
+    sd: Mapping[str, float] = field(
+        default_factory=lambda: {
+            "log_volume_flow": 1.5, "log_friction": 0.3, "log_shape_ratio": 0.02, "log_cell": 0.2, "shift_s": 0.05, "log_gain": 3.0,
+        }
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class PatternWave:
+    """Harmonics of the force over the paddle pattern.
+
+    Attributes
+    ----------
+    amplitudes_n : ndarray (k,)
+        Complex: mean of F(t) exp(-i w_k t) for the harmonics 1 .. k, N.
+    noise_n : ndarray (k,)
+        Standard deviation of real and imaginary part each, from noise that averages out over time, N.
+    patterns : float
+        Repeats of the pattern that were averaged.
+    elevator_speed_rad_s, plate_angle_rad : float
+    """
+
+    amplitudes_n: AnyArray
+    noise_n: Array
+    patterns: float
+    elevator_speed_rad_s: float
+    plate_angle_rad: float
+
+
+@dataclass(frozen=True)
+class PulseEstimate:
+    """Parameters of a window's pulses.
+
+    Attributes
+    ----------
+    volume_flow_m3_s : float
+        Mass flow over bulk density on the paddle.
+    relative_sd, random_sd : float
+        Standard deviation of its logarithm: whole, and the part that averages out over windows.
+    values : dict
+        All parameters by name.
+    names, covariance :
+        Order and posterior covariance (n, n).
+    misfit : float
+        Mean square of the residuals in their own standard deviations, model error included; about 1 where the model holds.
+    relative_residual : float
+        Root of the summed squares of the residual harmonics over that of the harmonics.
+    converged : bool
+    """
+
+    volume_flow_m3_s: float
+    relative_sd: float
+    random_sd: float
+    values: dict[str, float]
+    names: tuple[str, ...]
+    covariance: Array
+    misfit: float
+    relative_residual: float
+    converged: bool
+
+    def standard_deviation(self, name: str) -> float:
+        """Posterior standard deviation of a parameter."""
+        i = self.names.index(name)
+        return float(np.sqrt(self.covariance[i, i]))
+
+
+@dataclass(frozen=True, slots=True)
+class _Linear:
+    """Model at a point: harmonics (k,), derivatives (k, n), and the size (k,) to which the model's error is relative."""
+
+    waves: AnyArray
+    jacobian: AnyArray
+    envelope: Array
+
+
+class PulseModel:
+    """Harmonics of the paddle pattern as a function of volume flow, friction, heap shape, cell and time shift.
+
+    Parameters
+    ----------
+    model : ForwardModel
+        Machine and named effects.
+    parameters : mapping
+        Grain and effects by name; friction and shape_ratio are the priors' means. density only sets what mass a volume has for
+        effects that act on mass, and the gain is free.
+    settings : PulseSettings
+    """
+
+    def __init__(self, model: ForwardModel, parameters: Mapping[str, float], settings: PulseSettings | None = None) -> None:
+        self.model = model
+        self.machine: Machine = model.machine
+        self.parameters = dict(parameters)
+        self.settings = settings or PulseSettings()
+        self._gaps = np.asarray(self.machine.paddle_spacings_m)
+        self.names = (*COMMON_NAMES, *(f"scatter_{i + 1}" for i in range(len(self._gaps))))
+        self._places = np.cumsum(self._gaps)
+        size = self.machine.paddle_width_m * self.machine.paddle_length_m**2
+        self.full_paddle_kg = 0.5 * self.parameters["shape_ratio"] * self.parameters["density"] * size
+
+    def fundamental_rad_s(self, elevator_speed_rad_s: float) -> float:
+        """Angular frequency of the paddle pattern."""
+        return 2.0 * np.pi * self.machine.paddle_speed_m_s(elevator_speed_rad_s) / self.machine.pattern_length_m
+
+    def start(self, volume_flow_m3_s: float, *, shift_s: float = 0.0, log_gain: float = 0.0) -> Array:
+        """Parameter vector of the priors' means at a volume flow."""
+        s, p = self.settings, self.parameters
+        cell = np.log(s.cell_response_s) if s.cell_response_s > 0.0 else -np.inf
+        head = [np.log(volume_flow_m3_s), np.log(p["friction"]), np.log(p["shape_ratio"]), 0.0, 0.0, cell, shift_s, log_gain]
+        return np.array([*head, *np.zeros(len(self._gaps))])
+
+    def prior_sd(self, patterns: float) -> Array:
+        """Prior standard deviations (n,); the paddles' scatter shrinks with the patterns averaged."""
+        own = self.settings.scatter / np.sqrt(max(patterns, 1.0))
+        sd, law = dict(self.settings.sd), self.settings.arrival.covariance
+        sd |= {"log_stretch": np.sqrt(law[0]), "log_tail": np.sqrt(law[1])}
+        if self.settings.cell_response_s <= 0.0:
+            sd["log_cell"] = 0.0
+        return np.array([*(float(sd[name]) for name in COMMON_NAMES), *np.full(len(self._gaps), own)])
+
+    def prior_precision(self, patterns: float) -> Array:
+        """Inverse prior covariance (n, n); zero rows for what is held."""
+        sd = self.prior_sd(patterns)
+        free = sd > 0.0
+        precision = np.diag(np.where(free, np.where(free, sd, 1.0) ** -2.0, 0.0))
+        first, second, both = self.settings.arrival.covariance
+        if first > 0.0 and second > 0.0:
+            block = np.linalg.inv(np.array([[first, both], [both, second]]))
+            precision[_STRETCH : _TAIL + 1, _STRETCH : _TAIL + 1] = block
+        return precision
+
+    def shapes(self, theta: Array, elevator_speed_rad_s: float, plate_angle_rad: float) -> AnyArray:
+        """Spectra (batch, paddles, k) of pulses before the cell for shape parameters theta (batch, 5)."""
+        flow, friction, ratio, stretch, tail = (np.exp(theta[:, i])[:, None] for i in range(_SHAPES))
+        values: dict[str, object] = dict(self.parameters)
+        values["friction"], values["shape_ratio"] = friction, ratio
+        throw = self.model.throw(plate_angle_rad, elevator_speed_rad_s, values)  # type: ignore[arg-type]
+        speed = self.machine.paddle_speed_m_s(elevator_speed_rad_s)
+        mass = flow * self.parameters["density"] * self._gaps / speed
+        parts = arrivals(throw, mass, edge_release=self.settings.edge_release)
+        omega = self.fundamental_rad_s(elevator_speed_rad_s) * np.arange(1.0, self.settings.harmonics + 1.0)
+        fill, law = mass / self.full_paddle_kg, self.settings.arrival
+        waves = spectrum(parts, omega, stretch * np.exp(law.log_stretch(fill, plate_angle_rad)))
+        late = (tail * law.tail_s(fill, plate_angle_rad))[..., None]
+        return np.asarray(waves / (1.0 + 1j * omega * late))
+
+    def _joined(self, shapes: AnyArray, theta: Array, elevator_speed_rad_s: float) -> tuple[AnyArray, AnyArray]:
+        """Each paddle's part (batch, paddles, k) of the pattern's harmonics behind the cell, and 1 + scatter applied."""
+        base = self.fundamental_rad_s(elevator_speed_rad_s)
+        omega = base * np.arange(1.0, shapes.shape[-1] + 1.0)
+        place_s = self._places / self.machine.paddle_speed_m_s(elevator_speed_rad_s)
+        turn = np.exp(-1j * omega * (place_s[:, None] + theta[_SHIFT])) * np.exp(theta[_GAIN]) * base / (2.0 * np.pi)
+        parts = shapes * turn * self._cell(omega, theta[_CELL])
+        return parts, parts * (1.0 + theta[len(COMMON_NAMES) :])[:, None]
+
+    def _cell(self, omega: Array, log_cell: float) -> AnyArray:
+        return np.asarray(1.0 / (1.0 + 1j * omega * np.exp(log_cell)) ** 2)
+
+    def waves(self, theta: Array, elevator_speed_rad_s: float, plate_angle_rad: float) -> AnyArray:
+        """Harmonics (k,) of the pattern, N."""
+        shapes = self.shapes(theta[None, :_SHAPES], elevator_speed_rad_s, plate_angle_rad)
+        return np.asarray(self._joined(shapes, theta, elevator_speed_rad_s)[1][0].sum(axis=0))
+
+    def linearised(self, theta: Array, elevator_speed_rad_s: float, plate_angle_rad: float) -> _Linear:
+        """Harmonics and their derivatives; the shape's by central differences in one batch, the rest in closed form."""
+        free = np.flatnonzero(self.prior_sd(1.0)[:_SHAPES] > 0.0).tolist()
+        batch = np.repeat(theta[None, :_SHAPES], 1 + 2 * len(free), axis=0)
+        for row, i in enumerate(free):
+            batch[1 + 2 * row, i] += _STEP
+            batch[2 + 2 * row, i] -= _STEP
+        shapes = self.shapes(batch, elevator_speed_rad_s, plate_angle_rad)
+        plain, scattered = self._joined(shapes, theta, elevator_speed_rad_s)
+        sums = scattered.sum(axis=1)
+        waves = sums[0]
+        omega = self.fundamental_rad_s(elevator_speed_rad_s) * np.arange(1.0, waves.size + 1.0)
+        jacobian = np.zeros((waves.size, len(self.names)), dtype=complex)
+        for row, i in enumerate(free):
+            jacobian[:, i] = (sums[1 + 2 * row] - sums[2 + 2 * row]) / (2.0 * _STEP)
+        lag = 1j * omega * np.exp(theta[_CELL])
+        jacobian[:, _CELL] = -2.0 * lag / (1.0 + lag) * waves
+        jacobian[:, _SHIFT] = -1j * omega * waves
+        jacobian[:, _GAIN] = waves
+        jacobian[:, len(COMMON_NAMES) :] = plain[0].T
+        return _Linear(waves, jacobian, self._envelope(plain[0], theta, omega))
+
+    def _envelope(self, parts: AnyArray, theta: Array, omega: Array) -> Array:
+        """Size (k,) to which the model's error is relative: that of pulses without width, behind the cell."""
+        felt = np.abs(self._cell(omega, theta[_CELL]))
+        return np.asarray(np.abs(parts[:, 0]).sum() / felt[0] * felt)
+
+    def random_variance(self, wave: PatternWave) -> Array:
+        """Variance (k,) of real and imaginary part each, of what averages out over time, N^2."""
+        return np.asarray(wave.noise_n**2)
+
+    def lasting_variance(self, envelope: Array) -> Array:
+        """Variance (k,) of real and imaginary part each, of what stays the same from window to window, N^2."""
+        variance = 0.5 * (self.settings.model_error * envelope) ** 2
+        paddles = len(self._gaps)
+        if variance.size >= paddles:
+            variance[paddles - 1] += 0.25 * self.settings.vibration_n**2
+        return np.asarray(variance)
+
+
+def estimate(
+    pulses: PulseModel, wave: PatternWave, *, start: Array | None = None, centre: Array | None = None, iterations: int = 15
+) -> PulseEstimate:
+    """Fit the pulses to one wave.
+
+    Parameters
+    ----------
+    pulses : PulseModel
+    wave : PatternWave
+        With `harmonics` amplitudes.
+    start : ndarray (n,), optional
+        Where to begin, e.g. the window before; default: looked for over all fills and shifts.
+    centre : ndarray (n,), optional
+        Means of the priors; default: the settings' own, at the start's flow, shift and gain.
+
+    Returns
+    -------
+    PulseEstimate
+        converged is False where no step settled; its values are then the last ones.
+    """
+    theta = look_for_start(pulses, wave) if start is None else np.array(start, dtype=float)
+    mean = pulses.start(float(np.exp(theta[_FLOW])), shift_s=float(theta[_SHIFT]), log_gain=float(theta[_GAIN])) if centre is None else centre
+    sd, precision = pulses.prior_sd(wave.patterns), pulses.prior_precision(wave.patterns)
+    free = sd > 0.0
+    prior = precision[np.ix_(free, free)]
+    theta[~free] = mean[~free]
+    speed, angle = wave.elevator_speed_rad_s, wave.plate_angle_rad
+    limits = np.minimum(_LARGEST_STEP, 3.0 * np.where(free, sd, 1.0))
+    limits[_SHIFT] = np.pi / (8.0 * pulses.fundamental_rad_s(speed))
+    converged = False
+    for _ in range(iterations):
+        at = pulses.linearised(theta, speed, angle)
+        if not np.all(np.isfinite(at.waves)):
+            theta[_FLOW] -= 0.1
+            continue
+        variance = pulses.random_variance(wave) + pulses.lasting_variance(at.envelope)
+        white, residual = _whitened(at, wave, variance)
+        normal = white[:, free].T @ white[:, free] + prior
+        step = np.zeros_like(theta)
+        step[free] = np.linalg.solve(normal, white[:, free].T @ residual - prior @ (theta - mean)[free])
+        theta = theta + np.clip(step, -limits, limits)
+        if np.all(np.abs(step[free]) < 1e-3 * np.minimum(sd[free], 1.0)):
+            converged = True
+            break
+    return _result(pulses, wave, theta, converged)
+
+
+def _whitened(at: _Linear, wave: PatternWave, variance: Array) -> tuple[Array, Array]:
+    """Derivatives (2 k, n) and residuals (2 k,), real parts first, in standard deviations."""
+    weight = 1.0 / np.sqrt(variance)
+    residual = (wave.amplitudes_n - at.waves) * weight
+    jacobian = at.jacobian * weight[:, None]
+    return np.concatenate((jacobian.real, jacobian.imag)), np.concatenate((residual.real, residual.imag))
+
+
+def _covariances(
+    pulses: PulseModel, at: _Linear, wave: PatternWave
+) -> tuple[Array, Array]:
+    """Posterior covariance (n, n), zero for fixed parameters, and the part of it that comes from what averages out."""
+    sd = pulses.prior_sd(wave.patterns)
+    free = sd > 0.0
+    random = pulses.random_variance(wave)
+    variance = random + pulses.lasting_variance(at.envelope)
+    white, _ = _whitened(at, wave, variance)
+    jacobian = white[:, free]
+    small = np.linalg.inv(jacobian.T @ jacobian + pulses.prior_precision(wave.patterns)[np.ix_(free, free)])
+    share = np.tile(random / variance, 2)
+    own = np.array([name.startswith("scatter_") for name in pulses.names])[free]
+    # The paddles' scatter is drawn anew in every window, as noise is.
+    part = small @ (jacobian.T @ (share[:, None] * jacobian) + np.diag(np.where(own, sd[free] ** -2.0, 0.0))) @ small
+    full, averaging = (np.zeros((sd.size, sd.size)) for _ in range(2))
+    full[np.ix_(free, free)], averaging[np.ix_(free, free)] = small, part
+    return full, averaging
+
+
+def _result(pulses: PulseModel, wave: PatternWave, theta: Array, converged: bool) -> PulseEstimate:
+    at = pulses.linearised(theta, wave.elevator_speed_rad_s, wave.plate_angle_rad)
+    if not np.all(np.isfinite(at.waves)):
+        n = theta.size
+        return PulseEstimate(
+            float("nan"), float("nan"), float("nan"), dict(zip(pulses.names, theta.tolist(), strict=True)), pulses.names,
+            np.full((n, n), np.nan), float("nan"), float("nan"), False,
+        )
+    covariance, averaging = _covariances(pulses, at, wave)
+    variance = pulses.random_variance(wave) + pulses.lasting_variance(at.envelope)
+    _, residual = _whitened(at, wave, variance)
+    size = float(np.linalg.norm(wave.amplitudes_n))
+    misfit = float(np.mean(residual**2))
+    return PulseEstimate(
+        volume_flow_m3_s=float(np.exp(theta[_FLOW])),
+        relative_sd=float(np.sqrt(covariance[_FLOW, _FLOW] * max(1.0, misfit))),
+        random_sd=float(np.sqrt(averaging[_FLOW, _FLOW])),
+        values=dict(zip(pulses.names, theta.tolist(), strict=True)),
+        names=pulses.names,
+        covariance=covariance,
+        misfit=misfit,
+        relative_residual=float(np.linalg.norm(wave.amplitudes_n - at.waves)) / size if size > 0.0 else float("nan"),
+        converged=converged,
+    )
+
+
+def information(
+    pulses: PulseModel, theta: Array, *, elevator_speed_rad_s: float, plate_angle_rad: float, noise_n: Array, patterns: float
+) -> tuple[Array, Array]:
+    """What a window can tell before it is measured: posterior covariance and its part that averages out, both (n, n).
+
+    Parameters
+    ----------
+    theta : ndarray (n,)
+        Parameters at which, in the order of `pulses.names`.
+    noise_n : ndarray (k,)
+        As in `PatternWave`.
+    """
+    at = pulses.linearised(theta, elevator_speed_rad_s, plate_angle_rad)
+    return _covariances(pulses, at, PatternWave(at.waves, noise_n, patterns, elevator_speed_rad_s, plate_angle_rad))
+
+
+def sample_noise_n(pulses: PulseModel, *, sample_sd_n: float, samples: float, shot_n2_s: float = 0.0, duration_s: float = 1.0) -> Array:
+    """noise_n of a wave averaged from `samples` samples of white noise, and of shot noise of a given density over duration_s."""
+    variance = 0.5 * sample_sd_n**2 / samples + 0.5 * shot_n2_s / duration_s
+    return np.full(pulses.settings.harmonics, np.sqrt(variance))
+
+
+def look_for_start(pulses: PulseModel, wave: PatternWave) -> Array:
+    """Fill, shift and gain that come nearest, over all fills and all shifts of the pattern."""
+    speed, angle = wave.elevator_speed_rad_s, wave.plate_angle_rad
+    p, machine = pulses.parameters, pulses.machine
+    flows = _SCAN * pulses.full_paddle_kg / p["density"] * machine.paddle_speed_m_s(speed) / machine.paddle_spacing_m
+    batch = np.repeat(pulses.start(1.0)[None, :_SHAPES], flows.size, axis=0)
+    batch[:, 0] = np.log(flows)
+    waves = pulses._joined(pulses.shapes(batch, speed, angle), pulses.start(1.0), speed)[0].sum(axis=1)
+    known = np.all(np.isfinite(waves), axis=1)
+    waves = np.where(known[:, None], waves, 0.0)
+    envelope = np.abs(waves).sum(axis=0).max() * 0.0 + np.abs(wave.amplitudes_n)
+    weight = 1.0 / (pulses.random_variance(wave) + pulses.lasting_variance(envelope) + 1e-6 * envelope.max() ** 2)
+    shift = np.arange(_SHIFTS) * (2.0 * np.pi / pulses.fundamental_rad_s(speed) / _SHIFTS)
+    omega = pulses.fundamental_rad_s(speed) * np.arange(1.0, wave.amplitudes_n.size + 1.0)
+    product = (weight * np.conj(waves) * wave.amplitudes_n) @ np.exp(1j * np.outer(omega, shift))
+    size = (weight * np.abs(waves) ** 2).sum(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gain = np.where(known[:, None] & (product.real > 0.0), product.real / size[:, None], np.nan)
+        fitted = np.where(np.isfinite(gain), gain * product.real, -np.inf)
+    row, column = np.unravel_index(int(np.argmax(fitted)), fitted.shape)
+    return pulses.start(float(flows[row]), shift_s=float(shift[column]), log_gain=float(np.log(gain[row, column])))
+
+
+def calibrate_arrival(
+    pulses: PulseModel, waves: Sequence[PatternWave], volume_flows_m3_s: Sequence[float], *, terms: int = 4
+) -> ArrivalLaw:
+    """The arrival law that waves at known volume flows follow.
+
+    Parameters
+    ----------
+    pulses : PulseModel
+        Its own arrival law is not used; friction, shape_ratio and cell are held at their means.
+    waves, volume_flows_m3_s : sequences
+        More than terms.
+    terms : int
+        How many coefficients of each law are free, in the order of `ArrivalLaw`; 1 to 4. Calibrations at one plate angle
+        can tell two: give the fill's by terms=3 with the angle's held.
+
+    Returns
+    -------
+    ArrivalLaw
+        covariance from the residuals.
+
+    Raises
+    ------
+    ValueError
+        For too few waves.
+    """
+    if len(waves) <= terms:
+        raise ValueError(f"{len(waves)} waves, expected more than {terms}, the terms of the law")
+    sd = {**pulses.settings.sd, "log_volume_flow": 0.0, "log_friction": 0.0, "log_shape_ratio": 0.0, "log_cell": 0.0}
+    wide = ArrivalLaw((0.0,) * 6, (_TYPICAL_LOG_TAIL, *(0.0,) * 5), (0.3**2, 0.7**2, 0.0))
+    free = PulseModel(pulses.model, pulses.parameters, replace(pulses.settings, arrival=wide, sd=sd))
+    fits = [_at_flow(free, wave, flow) for wave, flow in zip(waves, volume_flows_m3_s, strict=True)]
+    fills = [
+        flow * free.parameters["density"] / free.full_paddle_kg / (
+            free.machine.paddle_speed_m_s(wave.elevator_speed_rad_s) / free.machine.paddle_spacing_m
+        )
+        for wave, flow in zip(waves, volume_flows_m3_s, strict=True)
+    ]
+    table = np.array([_features(np.asarray(f), wave.plate_angle_rad) for f, wave in zip(fills, waves, strict=True)])[:, :terms]
+    target = np.array([[fit.values["log_stretch"], fit.values["log_tail"] + _TYPICAL_LOG_TAIL] for fit in fits])
+    coefficients = np.linalg.lstsq(table, target, rcond=None)[0]
+    left = target - table @ coefficients
+    spread = left.T @ left / (len(left) - terms)
+    pad = (0.0,) * (6 - terms)
+    first, second = (tuple(float(c) for c in column) + pad for column in coefficients.T)
+    return ArrivalLaw(first, second, (float(spread[0, 0]), float(spread[1, 1]), float(spread[0, 1])))
+
+
+def _at_flow(pulses: PulseModel, wave: PatternWave, volume_flow_m3_s: float) -> PulseEstimate:
+    """The fit with the flow held."""
+    near = look_for_start(pulses, wave)
+    begin = pulses.start(volume_flow_m3_s, shift_s=float(near[_SHIFT]), log_gain=float(near[_GAIN]))
+    return estimate(pulses, wave, start=begin, centre=begin.copy())
+
+
+def select(names: Sequence[str], covariance: Array, chosen: Sequence[str]) -> Array:
+    """The covariance of some parameters."""
+    index = [names.index(name) for name in chosen]
+    return np.asarray(covariance[np.ix_(index, index)])
