@@ -1,0 +1,90 @@
+"""Kernel noise: Poisson impulses of known size are found again, and a cell too slow is named as such."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from yieldmon.estimation import kernel_noise
+from yieldmon.estimation.kernel_noise import KernelNoiseSettings, density, kernel_flow, kernel_impulse
+
+FORCE_N, IMPULSE_N_S, KERNEL_KG = 73.0, 3.6e-3, 4.0e-4
+FINE = 20
+
+
+def felt(duration_s: float, cell_s: float, interval_s: float, seed: int, noise_n: float = 1.3) -> np.ndarray:
+    """Samples of a Poisson stream of kernels through a cell whose response is convolved on a fine grid."""
+    rng = np.random.default_rng(seed)
+    step = interval_s / FINE
+    count = round(duration_s / step)
+    force = rng.poisson(FORCE_N / IMPULSE_N_S * step, count) * IMPULSE_N_S / step
+    if cell_s > 0.0:
+        frequency = np.fft.rfftfreq(count, step)
+        force = np.fft.irfft(np.fft.rfft(force) / (1.0 + 2j * np.pi * frequency * cell_s) ** 2, count)
+    return force.reshape(-1, FINE).mean(axis=1) + noise_n * rng.standard_normal(count // FINE)
+
+
+def quiet(count: int, seed: int, noise_n: float = 1.3) -> np.ndarray:
+    return noise_n * np.random.default_rng(seed).standard_normal(count)
+
+
+@pytest.mark.parametrize(("cell_s", "rate_hz"), [(0.0, 1000.0), (0.0002, 1000.0), (0.001, 1000.0), (0.001, 5000.0)])
+def test_finds_the_impulse_of_a_kernel_within_its_deviation(cell_s: float, rate_hz: float) -> None:
+    interval = 1.0 / rate_hz
+    samples = felt(20.0, cell_s, interval, 11)
+    found = kernel_impulse(
+        density(samples, interval), density(quiet(samples.size, 12), interval), FORCE_N, cell_response_s=cell_s,
+        sample_interval_s=interval, settings=KernelNoiseSettings(response_error=0.0),
+    )
+    assert found.usable
+    assert found.impulse_n_s == pytest.approx(IMPULSE_N_S, rel=4.0 * found.relative_sd)
+    assert found.random_sd < 0.03
+
+
+def test_random_deviation_is_the_scatter_over_seeds() -> None:
+    values = []
+    for seed in range(40):
+        samples = felt(2.0, 0.001, 1e-3, 100 + seed)
+        found = kernel_impulse(
+            density(samples, 1e-3), density(quiet(20000, 500 + seed), 1e-3), FORCE_N, cell_response_s=0.001, sample_interval_s=1e-3
+        )
+        values.append(found.impulse_n_s)
+    assert np.std(values) / np.mean(values) == pytest.approx(found.random_sd, rel=0.35)
+
+
+def test_says_by_itself_that_a_cell_is_too_slow() -> None:
+    samples = felt(20.0, 0.008, 1e-3, 5)
+    found = kernel_impulse(
+        density(samples, 1e-3), density(quiet(samples.size, 6), 1e-3), FORCE_N, cell_response_s=0.008, sample_interval_s=1e-3
+    )
+    assert not found.usable
+    assert found.reason
+
+
+@pytest.mark.parametrize(
+    ("force_n", "low_hz", "reason"), [(0.0, 200.0, "no force of grain"), (50.0, 600.0, "no frequency of the samples")]
+)
+def test_names_what_is_missing(force_n: float, low_hz: float, reason: str) -> None:
+    still = density(quiet(4000, 1), 1e-3)
+    found = kernel_impulse(
+        still, still, force_n, cell_response_s=0.0, sample_interval_s=1e-3, settings=KernelNoiseSettings(low_hz=low_hz)
+    )
+    assert not found.usable
+    assert reason in found.reason
+
+
+def test_flow_follows_the_kernel_s_mass_and_not_the_scale_of_force() -> None:
+    settings = KernelNoiseSettings(bias=1.0, bias_sd=0.05)
+    found = kernel_noise.KernelImpulse(IMPULSE_N_S, 0.02, 0.01, True, "")
+    twice = kernel_noise.KernelImpulse(2.0 * IMPULSE_N_S, 0.02, 0.01, True, "")
+    flow = kernel_flow(found, FORCE_N, KERNEL_KG, kernel_mass_sd=0.03, settings=settings)
+    assert flow.mass_flow_kg_s == pytest.approx(FORCE_N * KERNEL_KG / IMPULSE_N_S)
+    assert flow.relative_sd == pytest.approx(np.sqrt(0.02**2 + 0.01**2 + 0.05**2 + 0.03**2))
+    assert kernel_flow(twice, 2.0 * FORCE_N, KERNEL_KG, settings=settings).mass_flow_kg_s == pytest.approx(flow.mass_flow_kg_s)
+
+
+def test_density_of_white_noise_is_its_variance_times_the_interval() -> None:
+    found = density(quiet(200_000, 3, 2.0), 1e-3)
+    assert found.density.mean() == pytest.approx(4.0e-3, rel=0.02)
+    with pytest.raises(ValueError, match="at least one segment of 256"):
+        density(quiet(100, 3), 1e-3)

@@ -1,0 +1,170 @@
+"""Volume flow from pulse shape: symmetry, agreement with the virtual combine's own throws, Fisher against Monte Carlo."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from yieldmon.estimation import pulse_shape
+from yieldmon.estimation.load_contrast import contrast, expected_exponent, flow_of
+from yieldmon.estimation.pattern_fold import fold, harmonics_of, residual
+from yieldmon.estimation.pulse_shape import PatternWave, PulseModel, PulseSettings
+from yieldmon.physics import pulse
+from yieldmon.physics.machine import RPM, Machine
+from yieldmon.physics.model import ForwardModel
+from yieldmon.plant.effects import Effects
+from yieldmon.plant.grain import Grain
+from yieldmon.plant.throw import throw
+
+MACHINE = Machine()
+GRAIN = {"friction": 0.2, "density": 1100.0, "shape_ratio": 2.0, "restitution": 0.55, "gravity.acceleration_m_s2": 9.81}
+MODEL = ForwardModel(MACHINE, ("gravity",))
+SPEED = 400.0 * RPM
+HOME = np.deg2rad(70.0)
+
+
+def pulses(**changes: object) -> PulseModel:
+    return PulseModel(MODEL, GRAIN, PulseSettings(**changes))  # type: ignore[arg-type]
+
+
+def noise(model: PulseModel) -> np.ndarray:
+    return pulse_shape.sample_noise_n(model, sample_sd_n=1.33, samples=1000.0)
+
+
+def plant_wave(flow_kg_s: float, harmonics: int, cell_s: float) -> np.ndarray:
+    """Harmonics of the pattern from the virtual combine's parcels, which share no code with the estimator's model."""
+    speed = MACHINE.paddle_speed_m_s(SPEED)
+    base = 2.0 * np.pi * speed / MACHINE.pattern_length_m
+    omega = base * np.arange(1, harmonics + 1)
+    total = np.zeros(harmonics, dtype=complex)
+    for place, gap in zip(np.cumsum(MACHINE.paddle_spacings_m), MACHINE.paddle_spacings_m, strict=True):
+        parcels = throw(MACHINE, Grain(), Effects(), flow_kg_s * gap / speed, HOME, SPEED)
+        struck = parcels.impulse_n_s > 0.0
+        when = parcels.arrival_s[struck] + place / speed
+        total += (parcels.impulse_n_s[struck] * np.exp(-1j * np.outer(omega, when))).sum(axis=1)
+    return total * base / (2.0 * np.pi) / (1.0 + 1j * omega * cell_s) ** 2
+
+
+@pytest.mark.parametrize("mass_kg", [0.2, 0.5, 0.9, 1.5])
+@pytest.mark.parametrize("angle_deg", [50.0, 70.0, 90.0])
+def test_arrival_agrees_with_the_virtual_combine_s_parcels(mass_kg: float, angle_deg: float) -> None:
+    found = pulse.arrivals(MODEL.throw(np.deg2rad(angle_deg), SPEED, GRAIN), mass_kg)
+    parcels = throw(MACHINE, Grain(), Effects(), mass_kg, np.deg2rad(angle_deg), SPEED)
+    weight, when = parcels.impulse_n_s.ravel(), parcels.arrival_s.ravel()
+    weight, when = weight[weight > 0.0], when[weight > 0.0]
+    mean = (weight * when).sum() / weight.sum()
+    sd = np.sqrt((weight * (when - mean) ** 2).sum() / weight.sum())
+    assert float(found.mean_s) == pytest.approx(mean, abs=2e-4)
+    # The combine spreads grain over seven layers; the model evenly.
+    assert float(found.sd_s) == pytest.approx(sd, rel=0.02)
+    assert float(found.total_n_s) == pytest.approx(weight.sum(), rel=0.01)
+
+
+def test_spectrum_at_low_frequency_is_the_impulse() -> None:
+    parts = pulse.arrivals(MODEL.throw(HOME, SPEED, GRAIN), 0.5)
+    assert abs(pulse.spectrum(parts, np.array([1e-6]))[0]) == pytest.approx(float(parts.total_n_s))
+
+
+@pytest.mark.parametrize("flow_kg_s", [4.0, 8.0, 18.0])
+def test_finds_the_volume_flow_of_the_virtual_combine(flow_kg_s: float) -> None:
+    model = pulses(model_error=0.01)
+    wave = PatternWave(plant_wave(flow_kg_s, 24, 0.008), noise(model), 6.0, SPEED, HOME)
+    found = pulse_shape.estimate(model, wave)
+    assert found.converged
+    assert found.volume_flow_m3_s == pytest.approx(flow_kg_s / 1100.0, rel=0.04)
+    assert abs(np.log(found.volume_flow_m3_s * 1100.0 / flow_kg_s)) < 3.0 * found.relative_sd
+
+
+def test_size_and_shift_of_the_pulses_do_not_matter() -> None:
+    """(flow, density, 1 + e) -> (a, a, 1/a) and the phase of the chain leave the volume flow as it is."""
+    model = pulses()
+    plain = plant_wave(8.0, 24, 0.008)
+    turned = 1.7 * plain * np.exp(-2j * np.pi * 0.31 * np.arange(1, 25))
+    # Noise in the same proportion, for else the louder wave is weighed differently.
+    model_louder = pulses(vibration_n=1.7 * 3.0)
+    first = pulse_shape.estimate(model, PatternWave(plain, noise(model), 6.0, SPEED, HOME))
+    second = pulse_shape.estimate(model_louder, PatternWave(turned, 1.7 * noise(model), 6.0, SPEED, HOME))
+    assert second.volume_flow_m3_s == pytest.approx(first.volume_flow_m3_s, rel=2e-3)
+
+
+@pytest.mark.parametrize(("flow_kg_s", "angle_deg", "rpm"), [(8.0, 70.0, 400.0), (18.0, 90.0, 450.0)])
+def test_scatter_of_the_estimate_is_what_fisher_information_says(flow_kg_s: float, angle_deg: float, rpm: float) -> None:
+    model = pulses()
+    rng = np.random.default_rng(20261122)
+    where = (rpm * RPM, np.deg2rad(angle_deg))
+    centre = model.start(flow_kg_s / 1100.0, shift_s=0.03)
+    expected, _ = pulse_shape.information(
+        model, centre, elevator_speed_rad_s=where[0], plate_angle_rad=where[1], noise_n=noise(model), patterns=6.0
+    )
+    drawn = model.prior_sd(6.0)
+    drawn[[0, 6, 7]] = 0.0
+    errors = []
+    for _ in range(90):
+        theta = centre + drawn * rng.standard_normal(drawn.size)
+        at = model.linearised(theta, *where)
+        sd = np.sqrt(noise(model) ** 2 + model.lasting_variance(at.envelope))
+        shown = at.waves + sd * (rng.standard_normal(sd.size) + 1j * rng.standard_normal(sd.size))
+        found = pulse_shape.estimate(model, PatternWave(shown, noise(model), 6.0, *where))
+        errors.append(np.log(found.volume_flow_m3_s) - theta[0])
+    assert np.std(errors) == pytest.approx(np.sqrt(expected[0, 0]), rel=0.2)
+
+
+def test_more_of_the_same_window_does_not_wear_down_the_model_s_error() -> None:
+    model = pulses()
+    theta = model.start(8.0 / 1100.0)
+    one, part = pulse_shape.information(
+        model, theta, elevator_speed_rad_s=SPEED, plate_angle_rad=HOME, noise_n=noise(model), patterns=6.0
+    )
+    many, rest = pulse_shape.information(
+        model, theta, elevator_speed_rad_s=SPEED, plate_angle_rad=HOME, noise_n=noise(model) / 10.0, patterns=600.0
+    )
+    assert rest[0, 0] < 0.1 * part[0, 0]
+    assert many[0, 0] > 0.3 * one[0, 0]
+
+
+def test_a_calibrated_arrival_law_is_found_again() -> None:
+    true = pulse_shape.ArrivalLaw((0.2, 0.05, 0.0, 0.0, 0.0, 0.0), (np.log(0.005), 0.3, 0.0, 0.0, 0.0, 0.0), (1e-4, 1e-2, 0.0))
+    truth = pulses(arrival=true, model_error=0.005)
+    flows = np.array([3.0, 6.0, 10.0, 14.0, 18.0]) / 1100.0
+    waves = [
+        PatternWave(truth.waves(truth.start(flow, shift_s=0.02), SPEED, HOME), 1e-3 * np.ones(24), 1e4, SPEED, HOME) for flow in flows
+    ]
+    law = pulse_shape.calibrate_arrival(pulses(model_error=0.005), waves, flows.tolist(), terms=2)
+    fills = np.array([0.2, 0.5])
+    assert law.log_stretch(fills, HOME) == pytest.approx(true.log_stretch(fills, HOME), abs=0.02)
+    assert law.tail_s(fills, HOME) == pytest.approx(true.tail_s(fills, HOME), rel=0.05)
+    with pytest.raises(ValueError, match="2 waves, expected more than 2"):
+        pulse_shape.calibrate_arrival(pulses(), waves[:2], flows[:2].tolist(), terms=2)
+
+
+def test_folding_keeps_the_harmonics_and_leaves_the_noise() -> None:
+    rng = np.random.default_rng(7)
+    phase = np.arange(6000) * 6.083e-3 + 0.2
+    wave = 40.0 + 30.0 * np.cos(2.0 * np.pi * 2.0 * phase - 0.5) + 5.0 * np.cos(2.0 * np.pi * 9.0 * phase + 1.0)
+    shown = wave + 1.5 * rng.standard_normal(phase.size)
+    folded = fold(shown, phase)
+    found = harmonics_of(folded, 12, elevator_speed_rad_s=SPEED, plate_angle_rad=HOME)
+    assert found.amplitudes_n[1] == pytest.approx(15.0 * np.exp(-0.5j), abs=0.1)
+    assert found.amplitudes_n[8] == pytest.approx(2.5 * np.exp(1.0j), abs=0.1)
+    assert np.abs(found.amplitudes_n[4]) < 5.0 * found.noise_n[4]
+    assert np.std(residual(shown, phase, folded)) == pytest.approx(1.5, rel=0.1)
+    assert [p.size for p in folded.pulses_n(np.array(MACHINE.paddle_spacings_m))] == [28, 36]
+    with pytest.raises(ValueError, match="bins without samples"):
+        harmonics_of(fold(shown[:20], phase[:20]), 12, elevator_speed_rad_s=SPEED, plate_angle_rad=HOME)
+
+
+@pytest.mark.parametrize("flow_kg_s", [6.0, 10.0, 16.0])
+def test_the_contrast_of_two_loads_gives_the_volume_flow(flow_kg_s: float) -> None:
+    where = {"plate_angle_rad": HOME, "elevator_speed_rad_s": SPEED}
+    gaps = np.array(MACHINE.paddle_spacings_m)
+    speed = MACHINE.paddle_speed_m_s(SPEED)
+    impulses = np.array([throw(MACHINE, Grain(), Effects(), flow_kg_s * g / speed, HOME, SPEED).impulse_n_s.sum() for g in gaps])
+    found = contrast(impulses, gaps, impulse_sd=np.array([1e-3, 1e-3]))
+    assert found.exponent == pytest.approx(
+        expected_exponent(MODEL, GRAIN, np.array([flow_kg_s / 1100.0]), **where)[0], abs=0.01
+    )
+    flow = flow_of(found, MODEL, GRAIN, **where)
+    assert flow.volume_flow_m3_s == pytest.approx(flow_kg_s / 1100.0, rel=0.06)
+    assert 0.0 < flow.relative_sd < 0.2
+    with pytest.raises(ValueError, match="expected two that differ"):
+        contrast(impulses, np.array([0.18, 0.18]), impulse_sd=np.array([1e-3, 1e-3]))

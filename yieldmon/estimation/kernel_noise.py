@@ -1,0 +1,262 @@
+"""Mass flow from the noise of kernels.
+
+Grain is discrete: kernels that strike one by one, each with an impulse J, make the force's spectral density F J (two-sided, F the mean
+force), flat up to the duration of a contact (Campbell's theorem; Rice, Bell Syst. Tech. J. 23, 1944; Schottky's shot noise). J over
+the impulse per kilogram F / flow is a kernel's mass. So flow = bias F m / J with the mass m of a kernel from a thousand-kernel weight: an
+absolute scale, which no mean force holds. What the sensor passes on at these frequencies decides whether there is anything to see.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from yieldmon.physics.numerics import Array
+
+_ALIASES = 64
+_ITERATIONS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class KernelNoiseSettings:
+    """Band, what is not known of the background, and what calibrations found.
+
+    Attributes
+    ----------
+    low_hz, high_hz : float
+        Band: above the pulses, below the inverse of a contact's duration.
+    quiet_error : float
+        Relative standard deviation of the background's density between empty and harvesting; it does not average out.
+    response_error : float
+        Relative standard deviation of the cell's time constant.
+    bias, bias_sd : float
+        J over (kernel mass times impulse per kilogram), and its standard deviation between crops, loads and restitutions
+        (studies/waveform, discrete-element forces).
+    largest_sd : float
+        Relative standard deviation of J above which the channel says nothing.
+    """
+
+    low_hz: float = 200.0
+    high_hz: float = 800.0
+    quiet_error: float = 0.1
+    response_error: float = 0.05
+    bias: float = 0.9
+    bias_sd: float = 0.1
+    largest_sd: float = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class Density:
+    """Spectral density of a signal.
+
+    Attributes
+    ----------
+    frequency_hz : ndarray (k,)
+    density : ndarray (k,)
+        Two-sided, N^2/Hz, so that the sum over positive and negative frequencies times their spacing is the mean square.
+    averages : float
+        Independent segments that were averaged.
+    """
+
+    frequency_hz: Array
+    density: Array
+    averages: float
+
+
+@dataclass(frozen=True, slots=True)
+class KernelImpulse:
+    """Impulse of one kernel.
+
+    Attributes
+    ----------
+    impulse_n_s : float
+        nan where nothing can be said.
+    random_sd, lasting_sd : float
+        Relative standard deviations: of what averages out, and of background and cell.
+    usable : bool
+    reason : str
+        Why not; empty where usable.
+    """
+
+    impulse_n_s: float
+    random_sd: float
+    lasting_sd: float
+    usable: bool
+    reason: str
+
+    @property
+    def relative_sd(self) -> float:
+        """Both together."""
+        return float(np.hypot(self.random_sd, self.lasting_sd))
+
+
+@dataclass(frozen=True, slots=True)
+class KernelFlow:
+    """Mass flow from kernel noise; relative_sd holds the kernel's mass and the bias too."""
+
+    mass_flow_kg_s: float
+    relative_sd: float
+    random_sd: float
+
+
+def density(samples_n: Array, sample_interval_s: float, *, segment: int = 256) -> Density:
+    """Averaged spectral density of a stretch of samples (Welch, Hann window, half overlapped).
+
+    Parameters
+    ----------
+    samples_n : ndarray (n,)
+        Evenly spaced, none missing.
+    sample_interval_s : float
+    segment : int
+        Samples in a segment; n must hold at least one.
+
+    Returns
+    -------
+    Density
+        Frequencies above 0 and below Nyquist.
+
+    Raises
+    ------
+    ValueError
+        For fewer samples than one segment.
+    """
+    count = (len(samples_n) - segment) // (segment // 2) + 1
+    if count < 1:
+        raise ValueError(f"{len(samples_n)} samples, expected at least one segment of {segment}")
+    places = np.arange(count)[:, None] * (segment // 2) + np.arange(segment)
+    window = np.hanning(segment + 1)[:-1]
+    parts = np.asarray(samples_n, dtype=float)[places]
+    waves = np.fft.rfft((parts - parts.mean(axis=1, keepdims=True)) * window, axis=1)
+    power = (np.abs(waves) ** 2).mean(axis=0) * sample_interval_s / (window**2).sum()
+    frequency = np.fft.rfftfreq(segment, sample_interval_s)
+    # Hann segments that overlap by half: 1 / (1 + 2 (1/6)^2) of their number are independent (Welch, 1967).
+    independent = count if count == 1 else count / (1.0 + 2.0 * (1.0 - 1.0 / count) / 36.0)
+    return Density(frequency[1:-1], power[1:-1], independent)
+
+
+def pooled(parts: list[Density]) -> Density:
+    """Mean of densities on the same frequencies, weighted by their averages."""
+    weights = np.array([p.averages for p in parts])
+    mean = (weights[:, None] * np.stack([p.density for p in parts])).sum(axis=0) / weights.sum()
+    return Density(parts[0].frequency_hz, mean, float(weights.sum()))
+
+
+def power_gain(frequency_hz: Array, cell_response_s: float, sample_interval_s: float) -> Array:
+    """Share (k,) of a white density of force that samples show: critically damped cell, mean over each sample interval, aliases.
+
+    Parameters
+    ----------
+    frequency_hz : ndarray (k,)
+    cell_response_s : float
+        Time constant; 0 for none.
+    sample_interval_s : float
+    """
+    order = np.arange(-_ALIASES, _ALIASES + 1)[:, None]
+    frequency = np.asarray(frequency_hz) + order / sample_interval_s
+    cell = 1.0 / (1.0 + (2.0 * np.pi * frequency * cell_response_s) ** 2) ** 2
+    gain = (cell * np.sinc(frequency * sample_interval_s) ** 2).sum(axis=0)
+    return np.asarray(gain)
+
+
+def kernel_impulse(
+    loaded: Density,
+    quiet: Density,
+    mean_force_n: float,
+    *,
+    cell_response_s: float,
+    sample_interval_s: float,
+    settings: KernelNoiseSettings | None = None,
+) -> KernelImpulse:
+    """Impulse of one kernel from densities measured while harvesting and while empty.
+
+    Parameters
+    ----------
+    loaded, quiet : Density
+        On the same frequencies; `loaded` of what is left once the mean pulse has been taken off.
+    mean_force_n : float
+        Of the grain.
+    cell_response_s, sample_interval_s : float
+        As in `power_gain`.
+
+    Returns
+    -------
+    KernelImpulse
+        By weighted least squares over the band; usable is False, with the reason, where the band is empty, the force small, or the
+        deviation above `settings.largest_sd`.
+    """
+    s = settings or KernelNoiseSettings()
+    band = (loaded.frequency_hz >= s.low_hz) & (loaded.frequency_hz <= s.high_hz)
+    if not band.any():
+        return _unusable(f"no frequency of the samples lies in {s.low_hz:g} to {s.high_hz:g} Hz")
+    if not mean_force_n > 0.0:
+        return _unusable("no force of grain")
+    frequency = loaded.frequency_hz[band]
+    gain = mean_force_n * power_gain(frequency, cell_response_s, sample_interval_s)
+    shown, ground = loaded.density[band], quiet.density[band]
+    impulse = max(float(np.median((shown - ground) / gain)), 0.0)
+    variance = np.ones_like(gain)
+    for _ in range(_ITERATIONS):
+        expected = ground + impulse * gain
+        variance = expected**2 / loaded.averages + ground**2 / quiet.averages
+        # A background wrong by one share everywhere is taken as wrong in each place, which is what lines of vibration are.
+        weight = gain / (variance + (s.quiet_error * ground) ** 2)
+        impulse = max(float((weight * (shown - ground)).sum() / (weight * gain).sum()), 0.0)
+    if impulse <= 0.0:
+        return _unusable("no noise above that of the empty machine")
+    slope = float((weight * gain).sum()) * impulse
+    random = float(np.sqrt((weight**2 * variance).sum())) / slope
+    background = s.quiet_error * float((weight * ground).sum()) / slope
+    turned = (2.0 * np.pi * frequency * cell_response_s) ** 2
+    cell = s.response_error * float((weight * gain * 4.0 * turned / (1.0 + turned)).sum() / (weight * gain).sum())
+    lasting = float(np.hypot(background, cell))
+    total = float(np.hypot(random, lasting))
+    reason = ""
+    if total > s.largest_sd:
+        why = "random" if random > lasting else ("background" if background > cell else "cell")
+        reason = f"deviation {100.0 * total:.0f} %, mostly {why}; the limit is {100.0 * s.largest_sd:.0f} %"
+    return KernelImpulse(impulse, random, lasting, not reason, reason)
+
+
+def _unusable(reason: str) -> KernelImpulse:
+    return KernelImpulse(float("nan"), float("inf"), float("inf"), False, reason)
+
+
+def kernel_flow(
+    found: KernelImpulse, mean_force_n: float, kernel_mass_kg: float, *, kernel_mass_sd: float = 0.0,
+    settings: KernelNoiseSettings | None = None,
+) -> KernelFlow:
+    """Mass flow = bias F m / J.
+
+    Parameters
+    ----------
+    kernel_mass_kg : float
+        Mean mass of a kernel, weighted by mass where kernels differ; a thousand-kernel weight / 1000.
+    kernel_mass_sd : float
+        Relative.
+    """
+    s = settings or KernelNoiseSettings()
+    flow = s.bias * mean_force_n * kernel_mass_kg / found.impulse_n_s
+    whole = float(np.sqrt(found.relative_sd**2 + (s.bias_sd / s.bias) ** 2 + kernel_mass_sd**2))
+    return KernelFlow(flow, whole, found.random_sd)
+
+
+def expected_sd(
+    *, mean_force_n: float, impulse_n_s: float, quiet_n2_hz: float, cell_response_s: float, sample_interval_s: float, duration_s: float,
+    settings: KernelNoiseSettings | None = None, segment: int = 256,
+) -> KernelImpulse:
+    """What a sensor would reach: `kernel_impulse` on the densities that are to be expected, with a white background."""
+    frequency = np.fft.rfftfreq(segment, sample_interval_s)[1:-1]
+    averages = duration_s / (segment * sample_interval_s) * 2.0 / (1.0 + 2.0 / 36.0)
+    ground = np.full(frequency.size, quiet_n2_hz)
+    shown = ground + mean_force_n * impulse_n_s * power_gain(frequency, cell_response_s, sample_interval_s)
+    return kernel_impulse(
+        Density(frequency, shown, averages), Density(frequency, ground, averages), mean_force_n,
+        cell_response_s=cell_response_s, sample_interval_s=sample_interval_s, settings=settings,
+    )
+
+
+__all__ = [
+    "Density", "KernelFlow", "KernelImpulse", "KernelNoiseSettings", "density", "expected_sd", "kernel_flow", "kernel_impulse", "pooled",
+    "power_gain",
+]

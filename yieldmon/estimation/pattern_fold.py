@@ -1,0 +1,87 @@
+"""Samples folded on the paddle pattern: mean pulse, its scatter, and its harmonics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from yieldmon.physics.numerics import Array
+
+from .pulse_shape import PatternWave
+
+
+@dataclass(frozen=True, slots=True)
+class FoldedPattern:
+    """Mean of the samples over the phase of the paddle pattern.
+
+    Attributes
+    ----------
+    mean_n : ndarray (b,)
+        In b equal bins of phase; nan in a bin without samples.
+    variance_n2 : ndarray (b,)
+        Of a sample about its bin's mean: noise, and the scatter of pulses.
+    counts : ndarray (b,)
+        Samples.
+    patterns : float
+        Turns of the pattern that the samples cover.
+    """
+
+    mean_n: Array
+    variance_n2: Array
+    counts: Array
+    patterns: float
+
+    @property
+    def complete(self) -> bool:
+        """Whether every bin has a sample and at least two patterns were covered."""
+        return bool((self.counts > 0).all() and self.patterns >= 2.0)
+
+    def pulses_n(self, spacings_m: Array) -> list[Array]:
+        """The mean pattern cut into one stretch for each paddle of the pattern, in bins of the same width."""
+        edges = np.rint(np.cumsum(np.concatenate(([0.0], spacings_m))) / np.sum(spacings_m) * self.mean_n.size).astype(int)
+        return [self.mean_n[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)]
+
+
+def fold(samples_n: Array, phase: Array, *, bins: int = 64) -> FoldedPattern:
+    """Fold samples (n,) by their phase (n,), in turns of the pattern along the chain."""
+    place = np.floor((phase % 1.0) * bins).astype(np.intp) % bins
+    counts = np.bincount(place, minlength=bins).astype(float)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.bincount(place, weights=samples_n, minlength=bins) / counts
+        square = np.bincount(place, weights=(samples_n - mean[place]) ** 2, minlength=bins) / np.maximum(counts - 1.0, 1.0)
+    turns = float(np.ptp(phase)) if len(phase) else 0.0
+    return FoldedPattern(mean, square, counts, turns)
+
+
+def harmonics_of(
+    folded: FoldedPattern, harmonics: int, *, elevator_speed_rad_s: float, plate_angle_rad: float
+) -> PatternWave:
+    """Harmonics 1 .. `harmonics` of a complete pattern, with the noise that the scatter within the bins shows.
+
+    Raises
+    ------
+    ValueError
+        For an incomplete pattern, or more harmonics than a third of the bins.
+    """
+    bins = folded.mean_n.size
+    if not folded.complete:
+        raise ValueError(f"{int((folded.counts == 0).sum())} of {bins} bins without samples, {folded.patterns:.2f} patterns")
+    if 3 * harmonics > bins:
+        raise ValueError(f"{harmonics} harmonics from {bins} bins, expected at most a third")
+    order = np.arange(1, harmonics + 1)
+    # The mean over a bin is that at its middle, low-passed by the bin's width.
+    turned = np.exp(-1j * np.pi * order / bins) / np.sinc(order / bins)
+    waves = np.fft.fft(folded.mean_n)[1 : harmonics + 1] / bins * turned
+    of_means = float((folded.variance_n2 / folded.counts).sum()) / bins**2
+    return PatternWave(
+        waves, np.full(harmonics, np.sqrt(0.5 * of_means)) / np.sinc(order / bins), folded.patterns, elevator_speed_rad_s, plate_angle_rad
+    )
+
+
+def residual(samples_n: Array, phase: Array, folded: FoldedPattern) -> Array:
+    """Samples less the mean pattern, straight between the bins' middles."""
+    bins = folded.mean_n.size
+    middles = (np.arange(-1, bins + 1) + 0.5) / bins
+    around = np.concatenate((folded.mean_n[-1:], folded.mean_n, folded.mean_n[:1]))
+    return np.asarray(samples_n - np.interp(phase % 1.0, middles, around))
