@@ -33,8 +33,12 @@ def test_finds_the_impulse_of_a_kernel_within_its_deviation(cell_s: float, rate_
     interval = 1.0 / rate_hz
     samples = felt(20.0, cell_s, interval, 11)
     found = kernel_impulse(
-        density(samples, interval), density(quiet(samples.size, 12), interval), FORCE_N, cell_response_s=cell_s,
-        sample_interval_s=interval, settings=KernelNoiseSettings(response_error=0.0),
+        density(samples, interval),
+        density(quiet(samples.size, 12), interval),
+        FORCE_N,
+        cell_response_s=cell_s,
+        sample_interval_s=interval,
+        settings=KernelNoiseSettings(response_error=0.0),
     )
     assert found.usable
     assert found.impulse_n_s == pytest.approx(IMPULSE_N_S, rel=4.0 * found.relative_sd)
@@ -46,7 +50,11 @@ def test_random_deviation_is_the_scatter_over_seeds() -> None:
     for seed in range(40):
         samples = felt(2.0, 0.001, 1e-3, 100 + seed)
         found = kernel_impulse(
-            density(samples, 1e-3), density(quiet(20000, 500 + seed), 1e-3), FORCE_N, cell_response_s=0.001, sample_interval_s=1e-3
+            density(samples, 1e-3),
+            density(quiet(20000, 500 + seed), 1e-3),
+            FORCE_N,
+            cell_response_s=0.001,
+            sample_interval_s=1e-3,
         )
         values.append(found.impulse_n_s)
     assert np.std(values) / np.mean(values) == pytest.approx(found.random_sd, rel=0.35)

@@ -127,7 +127,8 @@ def test_a_calibrated_arrival_law_is_found_again() -> None:
     truth = pulses(arrival=true, model_error=0.005)
     flows = np.array([3.0, 6.0, 10.0, 14.0, 18.0]) / 1100.0
     waves = [
-        PatternWave(truth.waves(truth.start(flow, shift_s=0.02), SPEED, HOME), 1e-3 * np.ones(24), 1e4, SPEED, HOME) for flow in flows
+        PatternWave(truth.waves(truth.start(flow, shift_s=0.02), SPEED, HOME), 1e-3 * np.ones(24), 1e4, SPEED, HOME)
+        for flow in flows
     ]
     law = pulse_shape.calibrate_arrival(pulses(model_error=0.005), waves, flows.tolist(), terms=2)
     fills = np.array([0.2, 0.5])
@@ -160,9 +161,7 @@ def test_the_contrast_of_two_loads_gives_the_volume_flow(flow_kg_s: float) -> No
     speed = MACHINE.paddle_speed_m_s(SPEED)
     impulses = np.array([throw(MACHINE, Grain(), Effects(), flow_kg_s * g / speed, HOME, SPEED).impulse_n_s.sum() for g in gaps])
     found = contrast(impulses, gaps, impulse_sd=np.array([1e-3, 1e-3]))
-    assert found.exponent == pytest.approx(
-        expected_exponent(MODEL, GRAIN, np.array([flow_kg_s / 1100.0]), **where)[0], abs=0.01
-    )
+    assert found.exponent == pytest.approx(expected_exponent(MODEL, GRAIN, np.array([flow_kg_s / 1100.0]), **where)[0], abs=0.01)
     flow = flow_of(found, MODEL, GRAIN, **where)
     assert flow.volume_flow_m3_s == pytest.approx(flow_kg_s / 1100.0, rel=0.06)
     assert 0.0 < flow.relative_sd < 0.2

@@ -1,9 +1,10 @@
 """Mass flow from the noise of kernels.
 
-Grain is discrete: kernels that strike one by one, each with an impulse J, make the force's spectral density F J (two-sided, F the mean
-force), flat up to the duration of a contact (Campbell's theorem; Rice, Bell Syst. Tech. J. 23, 1944; Schottky's shot noise). J over
-the impulse per kilogram F / flow is a kernel's mass. So flow = bias F m / J with the mass m of a kernel from a thousand-kernel weight: an
-absolute scale, which no mean force holds. What the sensor passes on at these frequencies decides whether there is anything to see.
+Grain is discrete: kernels that strike one by one, each with an impulse J, make the force's spectral density F J (two-sided, F the
+mean force), flat up to the duration of a contact (Campbell's theorem; Rice, Bell Syst. Tech. J. 23, 1944; Schottky's shot noise).
+J over the impulse per kilogram F / flow is a kernel's mass. So flow = bias F m / J with the mass m of a kernel from a
+thousand-kernel weight: an absolute scale, which no mean force holds. What the sensor passes on at these frequencies decides
+whether there is anything to see.
 """
 
 from __future__ import annotations
@@ -129,7 +130,7 @@ def density(samples_n: Array, sample_interval_s: float, *, segment: int = 256) -
     parts = np.asarray(samples_n, dtype=float)[places]
     waves = np.fft.rfft((parts - parts.mean(axis=1, keepdims=True)) * window, axis=1)
     power = (np.abs(waves) ** 2).mean(axis=0) * sample_interval_s / (window**2).sum()
-    frequency = np.fft.rfftfreq(segment, sample_interval_s)
+    frequency: Array = np.asarray(np.fft.rfftfreq(segment, sample_interval_s), dtype=np.float64)
     # Hann segments that overlap by half: 1 / (1 + 2 (1/6)^2) of their number are independent (Welch, 1967).
     independent = count if count == 1 else count / (1.0 + 2.0 * (1.0 - 1.0 / count) / 36.0)
     return Density(frequency[1:-1], power[1:-1], independent)
@@ -182,8 +183,8 @@ def kernel_impulse(
     Returns
     -------
     KernelImpulse
-        By weighted least squares over the band; usable is False, with the reason, where the band is empty, the force small, or the
-        deviation above `settings.largest_sd`.
+        By weighted least squares over the band; usable is False, with the reason, where the band is empty, the force small, or
+        the deviation above `settings.largest_sd`.
     """
     s = settings or KernelNoiseSettings()
     band = (loaded.frequency_hz >= s.low_hz) & (loaded.frequency_hz <= s.high_hz)
@@ -223,7 +224,11 @@ def _unusable(reason: str) -> KernelImpulse:
 
 
 def kernel_flow(
-    found: KernelImpulse, mean_force_n: float, kernel_mass_kg: float, *, kernel_mass_sd: float = 0.0,
+    found: KernelImpulse,
+    mean_force_n: float,
+    kernel_mass_kg: float,
+    *,
+    kernel_mass_sd: float = 0.0,
     settings: KernelNoiseSettings | None = None,
 ) -> KernelFlow:
     """Mass flow = bias F m / J.
@@ -242,21 +247,40 @@ def kernel_flow(
 
 
 def expected_sd(
-    *, mean_force_n: float, impulse_n_s: float, quiet_n2_hz: float, cell_response_s: float, sample_interval_s: float, duration_s: float,
-    settings: KernelNoiseSettings | None = None, segment: int = 256,
+    *,
+    mean_force_n: float,
+    impulse_n_s: float,
+    quiet_n2_hz: float,
+    cell_response_s: float,
+    sample_interval_s: float,
+    duration_s: float,
+    settings: KernelNoiseSettings | None = None,
+    segment: int = 256,
 ) -> KernelImpulse:
     """What a sensor would reach: `kernel_impulse` on the densities that are to be expected, with a white background."""
-    frequency = np.fft.rfftfreq(segment, sample_interval_s)[1:-1]
+    frequency: Array = np.asarray(np.fft.rfftfreq(segment, sample_interval_s), dtype=np.float64)[1:-1]
     averages = duration_s / (segment * sample_interval_s) * 2.0 / (1.0 + 2.0 / 36.0)
     ground = np.full(frequency.size, quiet_n2_hz)
     shown = ground + mean_force_n * impulse_n_s * power_gain(frequency, cell_response_s, sample_interval_s)
     return kernel_impulse(
-        Density(frequency, shown, averages), Density(frequency, ground, averages), mean_force_n,
-        cell_response_s=cell_response_s, sample_interval_s=sample_interval_s, settings=settings,
+        Density(frequency, shown, averages),
+        Density(frequency, ground, averages),
+        mean_force_n,
+        cell_response_s=cell_response_s,
+        sample_interval_s=sample_interval_s,
+        settings=settings,
     )
 
 
 __all__ = [
-    "Density", "KernelFlow", "KernelImpulse", "KernelNoiseSettings", "density", "expected_sd", "kernel_flow", "kernel_impulse", "pooled",
+    "Density",
+    "KernelFlow",
+    "KernelImpulse",
+    "KernelNoiseSettings",
+    "density",
+    "expected_sd",
+    "kernel_flow",
+    "kernel_impulse",
+    "pooled",
     "power_gain",
 ]

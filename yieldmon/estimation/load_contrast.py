@@ -1,7 +1,7 @@
 """Fill from the two loads that alternating paddle spacings throw from one flow.
 
-A paddle behind a longer gap carries more. The impulses' ratio over the loads' ratio is the local exponent of impulse over load, which
-falls as the paddle fills; the scale of force drops out.
+A paddle behind a longer gap carries more. The impulses' ratio over the loads' ratio is the local exponent of impulse over load,
+which falls as the paddle fills; the scale of force drops out.
 """
 
 from __future__ import annotations
@@ -58,7 +58,11 @@ def contrast(impulses_n_s: Array, spacings_m: Array, *, impulse_sd: Array) -> Lo
 
 
 def expected_exponent(
-    model: ForwardModel, parameters: Mapping[str, float], volume_flow_m3_s: Array, *, plate_angle_rad: float,
+    model: ForwardModel,
+    parameters: Mapping[str, float],
+    volume_flow_m3_s: Array,
+    *,
+    plate_angle_rad: float,
     elevator_speed_rad_s: float,
 ) -> Array:
     """The model's exponent at volume flows (n,); nan where a load would not fit its paddle."""
@@ -74,7 +78,12 @@ def expected_exponent(
 
 
 def flow_of(
-    found: LoadContrast, model: ForwardModel, parameters: Mapping[str, float], *, plate_angle_rad: float, elevator_speed_rad_s: float
+    found: LoadContrast,
+    model: ForwardModel,
+    parameters: Mapping[str, float],
+    *,
+    plate_angle_rad: float,
+    elevator_speed_rad_s: float,
 ) -> ContrastFlow:
     """The volume flow at which the model has this exponent, with the parameters held."""
     full = 0.5 * parameters["shape_ratio"] * model.machine.paddle_width_m * model.machine.paddle_length_m**2

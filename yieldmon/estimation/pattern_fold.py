@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -40,7 +41,7 @@ class FoldedPattern:
     def pulses_n(self, spacings_m: Array) -> list[Array]:
         """The mean pattern cut into one stretch for each paddle of the pattern, in bins of the same width."""
         edges = np.rint(np.cumsum(np.concatenate(([0.0], spacings_m))) / np.sum(spacings_m) * self.mean_n.size).astype(int)
-        return [self.mean_n[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        return [self.mean_n[a:b] for a, b in pairwise(edges)]
 
 
 def fold(samples_n: Array, phase: Array, *, bins: int = 64) -> FoldedPattern:
@@ -54,9 +55,7 @@ def fold(samples_n: Array, phase: Array, *, bins: int = 64) -> FoldedPattern:
     return FoldedPattern(mean, square, counts, turns)
 
 
-def harmonics_of(
-    folded: FoldedPattern, harmonics: int, *, elevator_speed_rad_s: float, plate_angle_rad: float
-) -> PatternWave:
+def harmonics_of(folded: FoldedPattern, harmonics: int, *, elevator_speed_rad_s: float, plate_angle_rad: float) -> PatternWave:
     """Harmonics 1 .. `harmonics` of a complete pattern, with the noise that the scatter within the bins shows.
 
     Raises
@@ -75,7 +74,11 @@ def harmonics_of(
     waves = np.fft.fft(folded.mean_n)[1 : harmonics + 1] / bins * turned
     of_means = float((folded.variance_n2 / folded.counts).sum()) / bins**2
     return PatternWave(
-        waves, np.full(harmonics, np.sqrt(0.5 * of_means)) / np.sinc(order / bins), folded.patterns, elevator_speed_rad_s, plate_angle_rad
+        waves,
+        np.full(harmonics, np.sqrt(0.5 * of_means)) / np.sinc(order / bins),
+        folded.patterns,
+        elevator_speed_rad_s,
+        plate_angle_rad,
     )
 
 

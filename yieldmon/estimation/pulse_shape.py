@@ -3,8 +3,8 @@
 The mean force tells flow only together with density and impact gain: (flow, density, 1 + e) -> (a, a, 1/a) changes no sample. But
 how deep a heap is, and with it when its grain arrives, depends on flow / density alone. This module fits the forward model's
 pulses (`yieldmon.physics.pulse`) to the harmonics of the paddle pattern and gives that quotient, the volume flow, with its
-covariance; the pulses' size is left free. Source: Gauss-Newton with Gaussian priors; Kennedy and O'Hagan, J. R. Statist. Soc. B 63
-(2001), for the term of the model's own error.
+covariance; the pulses' size is left free. Source: Gauss-Newton with Gaussian priors; for the term of the model's own
+error Kennedy and O'Hagan, J. R. Statist. Soc. B 63 (2001).
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ _SHIFTS = 256
 class ArrivalLaw:
     """How a dense stream's arrival differs from that of straight paths, as a calibration found it.
 
-    ln stretch and ln tail are each c0 + c1 cos(phi) + c2 ln(fill) + c3 cos(phi) ln(fill); fill: load over a full paddle, phi: plate
-    angle. Stretch: time over which the stream arrives over that of straight paths, for grain that strikes grain. Tail: mean time
-    (s) for which grain goes on pushing once its path has met the plate, exponentially distributed.
+    ln stretch and ln tail are each a sum of coefficients times 1, ln f, cos phi, cos phi ln f, cos^2 phi, ln^2 f; f: load over a
+    full paddle, phi: plate angle. Stretch: time over which the stream arrives over that of straight paths, for grain that strikes
+    grain. Tail: mean time (s) for which grain goes on pushing once its path has met the plate, exponentially distributed.
 
     Attributes
     ----------
-    stretch : tuple of 4 float
-    tail : tuple of 4 float or None
+    stretch : tuple of 6 float
+    tail : tuple of 6 float or None
         None: no tail.
     covariance : tuple of 3 float
         Of ln stretch and ln tail about the laws: variance, variance, covariance.
@@ -58,7 +58,7 @@ class ArrivalLaw:
 
     def log_stretch(self, fill: AnyArray, plate_angle_rad: float) -> Array:
         """ln stretch at fills."""
-        return _features(fill, plate_angle_rad) @ np.asarray(self.stretch)
+        return np.asarray(_features(fill, plate_angle_rad) @ np.asarray(self.stretch))
 
     def tail_s(self, fill: AnyArray, plate_angle_rad: float) -> Array:
         """Tail at fills, s."""
@@ -106,7 +106,12 @@ class PulseSettings:
     arrival: ArrivalLaw = field(default_factory=ArrivalLaw)
     sd: Mapping[str, float] = field(
         default_factory=lambda: {
-            "log_volume_flow": 1.5, "log_friction": 0.3, "log_shape_ratio": 0.02, "log_cell": 0.2, "shift_s": 0.05, "log_gain": 3.0,
+            "log_volume_flow": 1.5,
+            "log_friction": 0.3,
+            "log_shape_ratio": 0.02,
+            "log_cell": 0.2,
+            "shift_s": 0.05,
+            "log_gain": 3.0,
         }
     )
 
@@ -327,7 +332,11 @@ def estimate(
         converged is False where no step settled; its values are then the last ones.
     """
     theta = look_for_start(pulses, wave) if start is None else np.array(start, dtype=float)
-    mean = pulses.start(float(np.exp(theta[_FLOW])), shift_s=float(theta[_SHIFT]), log_gain=float(theta[_GAIN])) if centre is None else centre
+    mean = (
+        pulses.start(float(np.exp(theta[_FLOW])), shift_s=float(theta[_SHIFT]), log_gain=float(theta[_GAIN]))
+        if centre is None
+        else centre
+    )
     sd, precision = pulses.prior_sd(wave.patterns), pulses.prior_precision(wave.patterns)
     free = sd > 0.0
     prior = precision[np.ix_(free, free)]
@@ -361,9 +370,7 @@ def _whitened(at: _Linear, wave: PatternWave, variance: Array) -> tuple[Array, A
     return np.concatenate((jacobian.real, jacobian.imag)), np.concatenate((residual.real, residual.imag))
 
 
-def _covariances(
-    pulses: PulseModel, at: _Linear, wave: PatternWave
-) -> tuple[Array, Array]:
+def _covariances(pulses: PulseModel, at: _Linear, wave: PatternWave) -> tuple[Array, Array]:
     """Posterior covariance (n, n), zero for fixed parameters, and the part of it that comes from what averages out."""
     sd = pulses.prior_sd(wave.patterns)
     free = sd > 0.0
@@ -386,8 +393,15 @@ def _result(pulses: PulseModel, wave: PatternWave, theta: Array, converged: bool
     if not np.all(np.isfinite(at.waves)):
         n = theta.size
         return PulseEstimate(
-            float("nan"), float("nan"), float("nan"), dict(zip(pulses.names, theta.tolist(), strict=True)), pulses.names,
-            np.full((n, n), np.nan), float("nan"), float("nan"), False,
+            float("nan"),
+            float("nan"),
+            float("nan"),
+            dict(zip(pulses.names, theta.tolist(), strict=True)),
+            pulses.names,
+            np.full((n, n), np.nan),
+            float("nan"),
+            float("nan"),
+            False,
         )
     covariance, averaging = _covariances(pulses, at, wave)
     variance = pulses.random_variance(wave) + pulses.lasting_variance(at.envelope)
@@ -423,7 +437,9 @@ def information(
     return _covariances(pulses, at, PatternWave(at.waves, noise_n, patterns, elevator_speed_rad_s, plate_angle_rad))
 
 
-def sample_noise_n(pulses: PulseModel, *, sample_sd_n: float, samples: float, shot_n2_s: float = 0.0, duration_s: float = 1.0) -> Array:
+def sample_noise_n(
+    pulses: PulseModel, *, sample_sd_n: float, samples: float, shot_n2_s: float = 0.0, duration_s: float = 1.0
+) -> Array:
     """noise_n of a wave averaged from `samples` samples of white noise, and of shot noise of a given density over duration_s."""
     variance = 0.5 * sample_sd_n**2 / samples + 0.5 * shot_n2_s / duration_s
     return np.full(pulses.settings.harmonics, np.sqrt(variance))
@@ -453,7 +469,7 @@ def look_for_start(pulses: PulseModel, wave: PatternWave) -> Array:
 
 
 def calibrate_arrival(
-    pulses: PulseModel, waves: Sequence[PatternWave], volume_flows_m3_s: Sequence[float], *, terms: int = 4
+    pulses: PulseModel, waves: Sequence[PatternWave], volume_flows_m3_s: Sequence[float], *, terms: int = 2
 ) -> ArrivalLaw:
     """The arrival law that waves at known volume flows follow.
 
@@ -464,8 +480,7 @@ def calibrate_arrival(
     waves, volume_flows_m3_s : sequences
         More than terms.
     terms : int
-        How many coefficients of each law are free, in the order of `ArrivalLaw`; 1 to 4. Calibrations at one plate angle
-        can tell two: give the fill's by terms=3 with the angle's held.
+        How many coefficients of each law are free, in the order of `ArrivalLaw`; 1 to 6. One plate angle tells two.
 
     Returns
     -------
@@ -484,9 +499,10 @@ def calibrate_arrival(
     free = PulseModel(pulses.model, pulses.parameters, replace(pulses.settings, arrival=wide, sd=sd))
     fits = [_at_flow(free, wave, flow) for wave, flow in zip(waves, volume_flows_m3_s, strict=True)]
     fills = [
-        flow * free.parameters["density"] / free.full_paddle_kg / (
-            free.machine.paddle_speed_m_s(wave.elevator_speed_rad_s) / free.machine.paddle_spacing_m
-        )
+        flow
+        * free.parameters["density"]
+        / free.full_paddle_kg
+        / (free.machine.paddle_speed_m_s(wave.elevator_speed_rad_s) / free.machine.paddle_spacing_m)
         for wave, flow in zip(waves, volume_flows_m3_s, strict=True)
     ]
     table = np.array([_features(np.asarray(f), wave.plate_angle_rad) for f, wave in zip(fills, waves, strict=True)])[:, :terms]
