@@ -14,11 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from yieldmon.estimation.clusters import cluster
+from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.numerics import Array
 
 from .fit import Fit
 from .noise import Noise
-from .observations import SAME_ANGLE_RAD, SAME_LOAD, SAME_SPEED, Rows, cluster
+from .observations import SAME_LOAD, SAME_SPEED, Rows
 
 DRAWS = 2000
 

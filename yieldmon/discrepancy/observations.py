@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
+from yieldmon.estimation.clusters import cluster
 from yieldmon.files.table import Table
-from yieldmon.physics.machine import RPM, Machine
+from yieldmon.physics.machine import RPM, SAME_ANGLE_RAD, Machine
 from yieldmon.physics.model import Conditions
 from yieldmon.physics.numerics import Array
 
 #: Two rows repeat one condition when they differ by less than this.
-SAME_ANGLE_RAD = np.radians(0.25)
 SAME_LOAD = 0.03
 SAME_SPEED = 0.01
 SAME_MOISTURE_PCT = 0.5
@@ -128,15 +128,6 @@ class Cells:
             if numbers.max() > 0:
                 out[name] = numbers
         return out
-
-
-def cluster(values: Array, width: float) -> NDArray[np.int64]:
-    """Number of the cluster of each value; a gap above `width` between neighbours begins a new one."""
-    order = np.argsort(values, kind="stable")
-    steps = np.concatenate(([0], np.cumsum(np.diff(values[order]) > width)))
-    out = np.empty(len(values), dtype=np.int64)
-    out[order] = steps
-    return out
 
 
 def from_table(table: Table, machine: Machine) -> Rows:

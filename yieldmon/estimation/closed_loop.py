@@ -20,11 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, ndtri
 
+from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
 
 from .batch import MomentumBatch
-from .flow_process import SAME_ANGLE_RAD, correlation, process_sd
+from .flow_process import correlation, process_sd
 from .identifiability import Direction, directions, flow_names, natural_scale, scale_tangent, scaled, share_flow
 from .least_squares import levenberg_marquardt
 from .open_loop import OpenLoop

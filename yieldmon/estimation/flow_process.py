@@ -10,10 +10,11 @@ from __future__ import annotations
 import numpy as np
 from scipy import linalg
 
+from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.numerics import Array
 
-SAME_ANGLE_RAD = np.radians(0.75)
-"""Angles closer than this are visits to one angle."""
+from .clusters import cluster
+
 _LOG_PRIOR_SD = 1.0
 _GRID = np.exp(np.linspace(-3.0, 3.0, 121))
 
@@ -50,7 +51,7 @@ def process_sd(
 def _contrasts(plate_angle_rad: Array) -> Array:
     """Orthonormal rows that each weigh windows of one angle against each other, shape (n - angles, n)."""
     order = np.argsort(plate_angle_rad, kind="stable")
-    starts = np.flatnonzero(np.diff(plate_angle_rad[order]) > SAME_ANGLE_RAD) + 1
+    starts = np.flatnonzero(np.diff(cluster(plate_angle_rad, SAME_ANGLE_RAD)[order])) + 1
     rows = []
     for group in np.split(order, starts):
         for k in range(1, group.size):

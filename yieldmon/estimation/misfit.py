@@ -14,17 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
+from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array, real
 
+from .clusters import cluster
 from .home_flow import Visits, bracketed, wander_per_s
 from .least_squares import levenberg_marquardt
 from .open_loop import OpenLoop
 from .parameters import ParameterSet
 from .priors import search_bounds
 
-_HOME_RAD = np.radians(1.0)
-_SAME_ANGLE_RAD = np.radians(2.0)
 _FREE = ("friction", "density")
 _MOST_LOG_GAIN = 2.0
 """Largest change of the logarithm of the impact gain."""
@@ -92,7 +92,7 @@ def reduce_sweep(
         return None
     with np.errstate(invalid="ignore"):
         usable = np.isfinite(plate_angle_rad) & (elevator_speed_rad_s > 0.0) & (force_n > 0.0) & (force_std_dev_n > 0.0)
-        home = usable & (np.abs(plate_angle_rad - model.machine.home_plate_angle_rad) <= _HOME_RAD)
+        home = usable & (np.abs(plate_angle_rad - model.machine.home_plate_angle_rad) <= SAME_ANGLE_RAD)
     if not np.any(home):
         return None
     relative_sd = np.divide(force_std_dev_n, force_n, out=np.full(force_n.shape, np.nan), where=usable)
@@ -171,7 +171,7 @@ def _force(
 
 def _by_angle(angle: Array, values: Array, noise: Array, bracket: Array) -> tuple[Array, Array, Array]:
     """Angle, mean value and sd at each angle; the error of the bracketing flow is common to the windows there."""
-    numbers = _clusters(angle, _SAME_ANGLE_RAD)
+    numbers = cluster(angle, SAME_ANGLE_RAD)
     weight = 1.0 / (noise**2 + bracket**2)
     total = np.bincount(numbers, weight)
 
@@ -182,20 +182,12 @@ def _by_angle(angle: Array, values: Array, noise: Array, bracket: Array) -> tupl
     return mean(angle), mean(values), np.sqrt(own + mean(bracket) ** 2)
 
 
-def _clusters(angle: Array, width_rad: float) -> NDArray[np.int64]:
-    """Number of the angle that each value belongs to; a gap above width_rad begins a new one."""
-    order = np.argsort(angle, kind="stable")
-    numbers = np.empty(angle.size, dtype=np.int64)
-    numbers[order] = np.concatenate(([0], np.cumsum(np.diff(angle[order]) > width_rad)))
-    return numbers
-
-
 def common_misfit(
     sweeps: Sequence[SweepResiduals],
     *,
     least_sweeps: int = 4,
     level: float = 0.001,
-    width_rad: float = _SAME_ANGLE_RAD,
+    width_rad: float = SAME_ANGLE_RAD,
     tolerance: float = 0.0,
     shared: int = 0,
 ) -> Misfit:
@@ -216,7 +208,7 @@ def common_misfit(
     angle, residual, sd = angle[good], residual[good], sd[good]
     if angle.size == 0:
         return NO_MISFIT
-    numbers = _clusters(angle, width_rad)
+    numbers = cluster(angle, width_rad)
     count = int(numbers.max()) + 1
     weight = np.bincount(numbers, 1.0 / sd**2, count)
     mean = np.bincount(numbers, residual / sd**2, count) / weight

@@ -24,21 +24,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
+from yieldmon.estimation.clusters import cluster
 from yieldmon.estimation.home_flow import Visits, bracketed, wander_per_s
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.scatter_law import scatter_law
 from yieldmon.files import parameter_file
 from yieldmon.files.table import Table
-from yieldmon.physics.machine import RPM, Machine
+from yieldmon.physics.machine import RPM, SAME_ANGLE_RAD, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array, real
 from yieldmon.service.store_file import read_only
 
 SUFFIXES = (".sqlite", ".sqlite3", ".db")
 LEAST_ANGLES = 4
-_HOME_RAD = np.radians(1.0)
-_SAME_ANGLE_DEG = 1.0
 _SPEED_STEP = np.log(1.02)
 _FLOW_STEP = np.log(1.1)
 _MOISTURE_STEP_PCT = 2.0
@@ -125,7 +124,7 @@ def read(path: Path | str, machine: Machine, parameters: ParameterSet, last: int
         raise InputError(str(path), "holds no sweep", "a store in which a sweep of the plate was measured")
     model = ForwardModel(machine, parameters.effects)
     visits = _visits(sweeps, model, parameters)
-    angle_deg = _same(np.degrees([v.angle_rad for v in visits]), _SAME_ANGLE_DEG)
+    angle_deg = _same(np.degrees([v.angle_rad for v in visits]), np.degrees(SAME_ANGLE_RAD))
     angles = np.unique(angle_deg)
     if angles.size < LEAST_ANGLES:
         found = ", ".join(f"{a:g}" for a in angles) or "none"
@@ -189,7 +188,7 @@ def _visits(sweeps: Sequence[_Windows], model: ForwardModel, parameters: Paramet
     """Visits whose flow is known from visits home before and after."""
     loop = OpenLoop(model, parameters)
     home_rad = model.machine.home_plate_angle_rad
-    at_home = [np.abs(w.angle_rad - home_rad) <= _HOME_RAD for w in sweeps]
+    at_home = [np.abs(w.angle_rad - home_rad) <= SAME_ANGLE_RAD for w in sweeps]
     brackets = []
     for w, home in zip(sweeps, at_home, strict=True):
         moisture = np.full(np.count_nonzero(home), w.moisture_pct)
@@ -277,10 +276,8 @@ def _scale_sd(visits: Sequence[_Visit], model: ForwardModel, parameters: Paramet
 
 
 def _same(values: Array, width: float) -> Array:
-    """Each value replaced by the mean of its cluster, to a tenth; a gap above width begins a new cluster."""
-    order = np.argsort(values, kind="stable")
-    number = np.empty(values.size, dtype=np.int64)
-    number[order] = np.concatenate(([0], np.cumsum(np.diff(values[order]) > width)))[: values.size]
+    """Each value replaced by the mean of its cluster, to a tenth."""
+    number = cluster(values, width)
     return np.asarray(np.round(np.bincount(number, values) / np.bincount(number), 1)[number])
 
 
