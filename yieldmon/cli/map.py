@@ -1,0 +1,167 @@
+"""Make a map of a harvest: delay, ground, cleaning, loads, products and a report."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from datetime import date
+from math import isfinite
+from pathlib import Path
+
+from yieldmon.errors import InputError
+from yieldmon.field import harvest, loads, sources, summary
+from yieldmon.field.cleaning import NAMES, NEEDED
+from yieldmon.field.products import FORMATS, write_products
+from yieldmon.field.sources.options import ReadOptions
+from yieldmon.field.swath import HeaderPlace
+from yieldmon.field.table import HarvestTable, joined
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """The verb's arguments."""
+    parser = subparsers.add_parser(
+        "map",
+        help="a yield map of a harvest, with a report",
+        description=f"{__doc__} A SOURCE is a daemon's store, Ag Leader text, ISO 11783-10 task data (folder or zip), a zip "
+        "of the John Deere Operations Center, a GeoPackage, GeoJSON or shapefile of points, or CSV.",
+        epilog="example: yieldmon map north_field.txt --out north; yieldmon map today.sqlite --width 9.1 --out today",
+    )
+    parser.add_argument("sources", metavar="SOURCE", nargs="+", help="harvests; several make one map")
+    parser.add_argument("--out", metavar="DIR", required=True, help="folder to write to; it is made, and its files are replaced")
+    parser.add_argument("--json", action="store_true", help="print the numbers as one JSON document")
+    parser.add_argument(
+        "--products", metavar="LIST", default="all", help=f"which files, with commas: {', '.join(FORMATS)}; all (default) or none"
+    )
+    parser.add_argument("--tickets", metavar="F", help="CSV of weighed loads: load,weighed_kg[,sd_kg]")
+    parser.add_argument(
+        "--without",
+        metavar="REASON",
+        action="append",
+        default=[],
+        help=f"switch a cleaning rule off, again for more: {', '.join(n for n in NAMES if n not in NEEDED)}",
+    )
+    parser.add_argument("--grid", type=float, default=10.0, metavar="M", help="size of the grid's blocks (default: 10)")
+    what = parser.add_argument_group("what the data do not say")
+    what.add_argument("--flow-delay", type=float, metavar="S", help="instead of the estimate")
+    what.add_argument("--moisture-delay", type=float, metavar="S", help="instead of the estimate")
+    what.add_argument("--width", type=float, metavar="M", help="working width, for sources that have none (or instead of theirs)")
+    what.add_argument("--crop", default="", metavar="NAME", help="crop, for bushels")
+    what.add_argument("--field", default="", metavar="NAME", help="name of the field")
+    what.add_argument("--date", metavar="YYYY-MM-DD", help="date of the first point, for clocks without one")
+    what.add_argument("--crs", default="", metavar="EPSG:CODE", help="coordinate system, for files that name none")
+    what.add_argument(
+        "--header-ahead", type=float, default=0.0, metavar="M", help="from the antenna forward to the header (default: 0)"
+    )
+    what.add_argument(
+        "--header-right", type=float, default=0.0, metavar="M", help="from the antenna right to its middle (default: 0)"
+    )
+    what.add_argument(
+        "--column",
+        metavar="QUANTITY=NAME[:UNIT]",
+        action="append",
+        default=[],
+        help="a file's column, e.g. yield=Yld_Mass:lb/ac; again for more",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit code 0 when all files are written."""
+    started = time.monotonic()
+    out = Path(args.out)
+    formats = _formats(args.products)
+    read_options, map_options = _read_options(args), _map_options(args)
+    if out.exists() and not out.is_dir():
+        raise InputError("--out", f"{out} is a file", "a folder")
+
+    def progress(text: str) -> None:
+        print(f"{time.monotonic() - started:6.1f} s  {text}", file=sys.stderr, flush=True)
+
+    table = _read([Path(name) for name in args.sources], read_options, progress)
+    result = harvest.make_map(table, map_options, progress)
+    out.mkdir(parents=True, exist_ok=True)
+    written = write_products(out, result, formats, args.grid, progress)
+    document = summary.document(result) | {"files": [str(path) for path in written]}
+    _tell(document, result)
+    if args.json:
+        print(json.dumps(document, indent=1, allow_nan=False))
+    return 0
+
+
+def _read(paths: list[Path], options: ReadOptions, progress: sources.Progress) -> HarvestTable:
+    tables = []
+    for path in paths:
+        progress(f"reading {path}")
+        table = sources.read(path, options)
+        tables.append(table)
+        for source in table.sources:
+            for one in source.skipped:
+                print(f"yieldmon: {source.path}: {one.part}: {one.why}; left out", file=sys.stderr)
+            for note in source.notes:
+                print(f"yieldmon: {source.path}: {note}", file=sys.stderr)
+    return joined(tables)
+
+
+def _tell(document: dict[str, object], result: harvest.HarvestMap) -> None:
+    totals = result.totals
+    lines = [summary.delay_line(result.flow_delay, "flow"), summary.delay_line(result.moisture_delay, "moisture")]
+    lines.append(
+        f"{len(result.table)} points, {int(result.cleaned.kept.sum())} kept; {totals.corrected_kg:.0f} kg measured, "
+        f"{totals.by_reason.get('kept', 0.0):.0f} kg kept; {totals.area_m2 / 1e4:.2f} ha cut; "
+        f"{totals.yield_kg_m2 * 10:.2f} t/ha ({totals.low_kg_m2 * 10:.2f} to {totals.high_kg_m2 * 10:.2f})"
+    )
+    for line in lines:
+        print(f"yieldmon: {line}", file=sys.stderr)
+
+
+def _formats(text: str) -> tuple[str, ...]:
+    if text == "all":
+        return tuple(FORMATS)
+    if text == "none":
+        return ()
+    chosen = tuple(name.strip() for name in text.split(",") if name.strip())
+    for name in chosen:
+        if name not in FORMATS:
+            raise InputError("--products", f"names {name!r}", f"all, none or some of {', '.join(FORMATS)}")
+    return chosen
+
+
+def _number(name: str, value: float | None, low: float, high: float) -> float | None:
+    if value is not None and not (isfinite(value) and low <= value <= high):
+        raise InputError(name, f"is {value:g}", f"{low:g} to {high:g}")
+    return value
+
+
+def _read_options(args: argparse.Namespace) -> ReadOptions:
+    columns = {}
+    for text in args.column:
+        quantity, _, rest = text.partition("=")
+        name, _, unit = rest.rpartition(":") if ":" in rest else (rest, "", "")
+        if not quantity or not name:
+            raise InputError("--column", f"is {text!r}", "QUANTITY=NAME[:UNIT]")
+        columns[quantity] = (name, unit)
+    first = None
+    if args.date:
+        try:
+            first = date.fromisoformat(args.date)
+        except ValueError:
+            raise InputError("--date", f"is {args.date!r}", "YYYY-MM-DD") from None
+    return ReadOptions(columns, _number("--width", args.width, 0.1, 60.0), args.crop, args.field, first, args.crs)
+
+
+def _map_options(args: argparse.Namespace) -> harvest.MapOptions:
+    for name in args.without:
+        if name not in NAMES or name in NEEDED:
+            raise InputError("--without", f"names {name!r}", f"one of {', '.join(n for n in NAMES if n not in NEEDED)}")
+    _number("--grid", args.grid, 1.0, 1000.0)
+    return harvest.MapOptions(
+        _number("--flow-delay", args.flow_delay, -60.0, 120.0),
+        _number("--moisture-delay", args.moisture_delay, -60.0, 120.0),
+        HeaderPlace(
+            _number("--header-ahead", args.header_ahead, -20.0, 20.0) or 0.0,
+            _number("--header-right", args.header_right, -20.0, 20.0) or 0.0,
+        ),
+        tuple(args.without),
+        tuple(loads.read_tickets(Path(args.tickets))) if args.tickets else (),
+    )

@@ -1,0 +1,1 @@
+"""Harvest tables to yield maps: readers, delay, transport, swath geometry, cleaning, loads, products and a report."""

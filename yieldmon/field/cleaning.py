@@ -1,0 +1,344 @@
+"""Which points are kept, and for each of the others why not. Nothing is deleted: a point has one reason, the first that holds.
+
+A rule is a function from a context to flags; its thresholds come from the field's own data. To add one, write it and list it in
+RULES; each can be switched off by its name.
+
+Sources: Sudduth, Drummond and Myers, "Yield Editor 2.0", ASABE paper 121338243 (2012); Spekken, Anselmi and Molin, "A simple
+method for filtering spatial data" (2013); Vega et al., "Protocol for automating error removal from yield maps", Precision
+Agriculture 20 (2019), for local outliers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from .placed import Placed
+from .swath import Swaths
+from .table import Array, HarvestTable
+from .tracks import MIN_SPEED_M_S, Flags, Tracks
+
+KEPT = "kept"
+NO_PLACE = "no place"
+"""Mass measured at a time whose place, one delay before, is not in the record."""
+_MAX_RAMP_S = 20.0
+_RAMP_LEVEL = 0.95
+_TURN_DEG = 30.0
+_SPEED_STEP = 0.25
+_SHORT_PASS_WIDTHS = 3.0
+_FENCE = 3.0
+_LOCAL_NEIGHBOURS = 24
+_LOCAL_SD = 4.0
+_MIN_NEW_SHARE = 0.5
+_JUMP_TIMES = 3.0
+_FAR_M = 50_000.0
+_CHUNK = 100_000
+
+
+@dataclass(frozen=True)
+class Context:
+    """What rules look at; rows of the table."""
+
+    table: HarvestTable
+    steps: Tracks
+    placed: Placed
+    ground: Swaths
+
+    def of_step(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
+        """A step's value in each of its rows."""
+        return values[self.steps.step_of_row]
+
+    @cached_property
+    def yield_kg_m2(self) -> Array:
+        """Mass over new ground; NaN without either."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(self.ground.area_m2 > 0, self.placed.mass_kg / self.ground.area_m2, np.nan)
+
+    @cached_property
+    def gross_yield_kg_m2(self) -> Array:
+        """Mass over the whole swath."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(self.ground.gross_m2 > 0, self.placed.mass_kg / self.ground.gross_m2, np.nan)
+
+    @cached_property
+    def along(self) -> tuple[Array, Array]:
+        """Seconds since the start of the pass and to its end, of each step."""
+        number, time = self.steps.pass_number, self.steps.time_s
+        since, till = np.full(len(time), np.inf), np.full(len(time), np.inf)
+        inside = np.flatnonzero(number >= 0)
+        if len(inside):
+            edge = np.flatnonzero(np.diff(number[inside], prepend=-2))
+            first = time[inside][edge][np.searchsorted(edge, np.arange(len(inside)), side="right") - 1]
+            ends = np.append(edge[1:], len(inside)) - 1
+            last = time[inside][ends][np.searchsorted(edge, np.arange(len(inside)), side="right") - 1]
+            since[inside], till[inside] = time[inside] - first, last - time[inside]
+        return since, till
+
+
+def _no_position(at: Context) -> Flags:
+    return ~np.isfinite(at.table["longitude_deg"]) | ~np.isfinite(at.table["time_s"])
+
+
+def _far(at: Context) -> Flags:
+    return np.hypot(at.steps.row_x_m, at.steps.row_y_m) > _FAR_M
+
+
+def _no_flow(at: Context) -> Flags:
+    return ~np.isfinite(at.placed.mass_kg)
+
+
+def _header_up(at: Context) -> Flags:
+    return np.asarray(~np.asarray(at.of_step(at.steps.down), bool) | (at.table["header_down"] == 0))
+
+
+def _duplicate(at: Context) -> Flags:
+    """The same time again, or the same place at another time, of one section."""
+    section = np.nan_to_num(at.table["section"])
+    stream = at.of_step(at.steps.stream)
+    again = np.zeros(len(at.table), bool)
+    place = np.round(at.steps.row_x_m * 100), np.round(at.steps.row_y_m * 100)
+    for keys in ((at.table["time_s"], section, stream), (*place, section)):
+        order = np.lexsort((np.arange(len(section)), *keys))
+        same = np.ones(len(order) - 1 if len(order) else 0, bool)
+        for key in keys:
+            same &= np.diff(np.asarray(key, float)[order]) == 0
+        again[order[1:]] |= same
+    return again
+
+
+def _jump(at: Context) -> Flags:
+    """A step that is further than the speeds of this field allow, and the one after it."""
+    steps = at.steps
+    way = np.hypot(np.diff(steps.x_m, prepend=np.nan), np.diff(steps.y_m, prepend=np.nan))
+    time = np.diff(steps.time_s, prepend=np.nan)
+    joined = np.diff(steps.run, prepend=-1) == 0
+    with np.errstate(invalid="ignore", divide="ignore"):
+        speed = np.where(joined & (time > 0), way / time, np.nan)
+    usual = speed[np.isfinite(speed) & steps.down & (speed > MIN_SPEED_M_S)]
+    if not usual.size:
+        return np.zeros(len(at.table), bool)
+    limit = _JUMP_TIMES * float(np.percentile(usual, 90))
+    jumped = np.nan_to_num(speed) > limit
+    return np.asarray(at.of_step(jumped), bool)
+
+
+def _stopped(at: Context) -> Flags:
+    speed = at.steps.speed_m_s
+    usual = np.median(speed[at.steps.down & (np.nan_to_num(speed) > MIN_SPEED_M_S)]) if at.steps.down.any() else 0.0
+    slow = np.nan_to_num(speed) < max(MIN_SPEED_M_S, 0.2 * float(np.nan_to_num(usual)))
+    return np.asarray(at.of_step(slow), bool)
+
+
+def _speed_step(at: Context) -> Flags:
+    steps = at.steps
+    speed = steps.speed_m_s
+    change = np.abs(np.diff(speed, prepend=np.nan))
+    joined = np.diff(steps.run, prepend=-1) == 0
+    usual = change[joined & steps.down & np.isfinite(change)]
+    if not usual.size:
+        return np.zeros(len(at.table), bool)
+    level = np.nanmedian(speed[steps.down])
+    limit = max(_SPEED_STEP * level, 8.0 * float(np.median(usual)), float(np.percentile(usual, 98)))
+    return np.asarray(at.of_step(joined & (np.nan_to_num(change) > limit)), bool)
+
+
+def _turn(at: Context) -> Flags:
+    """The heading two steps on and two steps back differ."""
+    heading = at.steps.heading_rad
+    count = len(heading)
+    if count < 5:
+        return np.zeros(len(at.table), bool)
+    index = np.arange(count)
+    before, after = np.maximum(index - 2, 0), np.minimum(index + 2, count - 1)
+    same = (at.steps.run[before] == at.steps.run) & (at.steps.run[after] == at.steps.run)
+    with np.errstate(invalid="ignore"):
+        turned = np.cos(heading[after] - heading[before]) < np.cos(np.radians(_TURN_DEG))
+    return np.asarray(at.of_step(same & turned), bool)
+
+
+def _short_pass(at: Context) -> Flags:
+    steps = at.steps
+    inside = steps.pass_number >= 0
+    if not inside.any():
+        return np.zeros(len(at.table), bool)
+    count = int(steps.pass_number.max()) + 1
+    way = np.bincount(steps.pass_number[inside], np.nan_to_num(steps.speed_m_s * steps.interval_s)[inside], count)
+    short = way < _SHORT_PASS_WIDTHS * float(np.median(steps.width_m[inside]))
+    return np.asarray(at.of_step(inside & short[np.maximum(steps.pass_number, 0)]), bool)
+
+
+def ramp_s(distance_s: Array, level: Array) -> float:
+    """How long yields stay below RAMP_LEVEL of the inner passes', s from an end: the median yield each second decides.
+
+    >>> ramp_s(np.repeat(np.arange(40.0), 20), np.repeat(np.minimum(np.arange(40.0) / 4.0, 1.0), 20))
+    4.0
+    """
+    known = np.isfinite(level) & np.isfinite(distance_s)
+    inner = level[known & (distance_s > _MAX_RAMP_S)]
+    if inner.size < 100:
+        return 0.0
+    target = _RAMP_LEVEL * float(np.median(inner))
+    for second in range(int(_MAX_RAMP_S)):
+        here = level[known & (distance_s >= second) & (distance_s < second + 1)]
+        if here.size < 5 or float(np.median(here)) >= target:
+            return float(second)
+    return _MAX_RAMP_S
+
+
+def _pass_start(at: Context) -> Flags:
+    since = at.along[0][at.steps.step_of_row]
+    return since < ramp_s(since, at.gross_yield_kg_m2)
+
+
+def _pass_end(at: Context) -> Flags:
+    till = at.along[1][at.steps.step_of_row]
+    return till < ramp_s(till, at.gross_yield_kg_m2)
+
+
+def fences(values: Array) -> tuple[float, float]:
+    """Tukey's outer fences; all is inside where less than 20 values are known."""
+    known = values[np.isfinite(values)]
+    if known.size < 20:
+        return -np.inf, np.inf
+    low, high = np.percentile(known, [25, 75])
+    return float(low - _FENCE * (high - low)), float(high + _FENCE * (high - low))
+
+
+def _flow(at: Context) -> Flags:
+    mass = at.placed.mass_kg
+    usable = np.asarray(at.of_step(at.steps.down), bool) & (np.nan_to_num(mass) > 0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rate = np.where(usable & (at.table["interval_s"] > 0), mass / at.table["interval_s"] / at.table["width_m"], np.nan)
+    return ~usable | (rate > fences(rate)[1])
+
+
+def _moisture(at: Context) -> Flags:
+    moisture = at.placed.moisture_pct
+    inside = np.where(np.asarray(at.of_step(at.steps.down), bool), moisture, np.nan)
+    low, high = fences(inside)
+    known = np.isfinite(moisture)
+    spread = 1e-9 if not np.isfinite(high) else 0.5
+    return known & ((moisture < low - spread) | (moisture > high + spread))
+
+
+def _overlap(at: Context) -> Flags:
+    return (at.ground.gross_m2 > 0) & (at.ground.area_m2 < _MIN_NEW_SHARE * at.ground.gross_m2)
+
+
+def _yield(at: Context) -> Flags:
+    low, high = fences(np.where(_overlap(at), np.nan, at.yield_kg_m2))
+    amount = at.yield_kg_m2
+    return ~np.isfinite(amount) | (amount < low) | (amount > high)
+
+
+@dataclass(frozen=True)
+class Rule:
+    """name: as in the reason column. about: one line for people. flags: the rule."""
+
+    name: str
+    about: str
+    flags: Callable[[Context], Flags]
+
+
+RULES: tuple[Rule, ...] = (
+    Rule("no position", "no position or time", _no_position),
+    Rule("far away", f"over {_FAR_M / 1000:.0f} km from the others", _far),
+    Rule("no flow", "no flow was measured for the place", _no_flow),
+    Rule("header up", "not harvesting", _header_up),
+    Rule("duplicate", "time or place of another point", _duplicate),
+    Rule("position jump", f"over {_JUMP_TIMES:g} times the speed of the field", _jump),
+    Rule("stopped", "slower than a fifth of the usual speed", _stopped),
+    Rule("short pass", f"pass shorter than {_SHORT_PASS_WIDTHS:g} widths", _short_pass),
+    Rule("turn", f"heading changes by over {_TURN_DEG:g} deg within four points", _turn),
+    Rule("speed step", f"speed changes by over {100 * _SPEED_STEP:g} % and far more than usual from point to point", _speed_step),
+    Rule("pass start", f"yield not yet at {100 * _RAMP_LEVEL:g} % (length from all passes)", _pass_start),
+    Rule("pass end", f"yield no longer at {100 * _RAMP_LEVEL:g} %", _pass_end),
+    Rule("overlap", "over half of the swath was cut before", _overlap),
+    Rule("flow", "no flow, or above the outer fence of flow by width", _flow),
+    Rule("moisture", "beyond the outer fences", _moisture),
+    Rule("yield", "beyond the outer fences", _yield),
+)
+LOCAL = "local outlier"
+NAMES = (*tuple(rule.name for rule in RULES), LOCAL)
+#: Rules without which a point has no yield at a place; they cannot be switched off.
+NEEDED = ("no position", "no flow", "header up")
+
+
+@dataclass(frozen=True)
+class Cleaned:
+    """reason: index into `names` of each row's first reason, 0 for kept. all_reasons: bit k for NAMES[k]."""
+
+    reason: NDArray[np.int8]
+    all_reasons: NDArray[np.int32]
+    names: tuple[str, ...]
+
+    @property
+    def kept(self) -> Flags:
+        """Rows without a reason."""
+        return np.asarray(self.reason == 0)
+
+    def points_by_reason(self) -> dict[str, int]:
+        """Rows of each reason that has some; `kept` first."""
+        counts = np.bincount(self.reason, minlength=len(self.names))
+        return {name: int(counts[k]) for k, name in enumerate(self.names) if counts[k] or k == 0}
+
+
+def clean(at: Context, without: Collection[str] = ()) -> Cleaned:
+    """Reasons of all rows.
+
+    Parameters
+    ----------
+    at : Context
+        A harvest with mass at its places.
+    without : collection of str
+        Names of rules that are off.
+    """
+    reason = np.zeros(len(at.table), np.int8)
+    bits = np.zeros(len(at.table), np.int32)
+    for k, rule in enumerate(RULES):
+        if rule.name in without and rule.name not in NEEDED:
+            continue
+        flags = rule.flags(at)
+        bits |= np.where(flags, 1 << k, 0).astype(np.int32)
+        reason = np.where((reason == 0) & flags, k + 1, reason).astype(np.int8)
+    if LOCAL not in without:
+        flags = local_outliers(at.steps.row_x_m, at.steps.row_y_m, at.yield_kg_m2, reason == 0)
+        bits |= np.where(flags, 1 << len(RULES), 0).astype(np.int32)
+        reason = np.where((reason == 0) & flags, len(RULES) + 1, reason).astype(np.int8)
+    return Cleaned(reason, bits, (KEPT, *NAMES))
+
+
+def local_outliers(x_m: Array, y_m: Array, amount: Array, among: Flags) -> Flags:
+    """Rows whose value is over LOCAL_SD robust standard deviations off the median of their neighbours."""
+    out = np.zeros(len(x_m), bool)
+    rows = np.flatnonzero(among)
+    if len(rows) < 4 * _LOCAL_NEIGHBOURS:
+        return out
+    places = np.column_stack((x_m[rows], y_m[rows]))
+    tree = cKDTree(places)
+    values = amount[rows].astype(np.float32)
+    middle = np.empty(len(rows))
+    for first in range(0, len(rows), _CHUNK):
+        near = np.asarray(tree.query(places[first : first + _CHUNK], k=_LOCAL_NEIGHBOURS + 1)[1])
+        half = _LOCAL_NEIGHBOURS // 2
+        middle[first : first + _CHUNK] = np.partition(values[near[:, 1:]], half, axis=1)[:, half]
+    off = amount[rows] - middle
+    spread = 1.4826 * float(np.median(np.abs(off - np.median(off))))
+    if spread > 0:
+        out[rows] = np.abs(off) > _LOCAL_SD * spread
+    return out
+
+
+def mass_by_reason(cleaned: Cleaned, placed: Placed) -> Mapping[str, float]:
+    """Kept mass and, by reason, the mass left out, kg: together all that was measured."""
+    mass = np.nan_to_num(placed.mass_kg)
+    sums = np.bincount(cleaned.reason, mass, len(cleaned.names))
+    out = {name: float(sums[k]) for k, name in enumerate(cleaned.names) if sums[k] or k == 0}
+    if placed.lost_kg:
+        out[NO_PLACE] = placed.lost_kg
+    return out

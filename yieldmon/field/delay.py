@@ -1,0 +1,273 @@
+"""The delay from cutting to the sensor, learnt from the harvest itself, with an interval, or not at all.
+
+For each shift the flow is put back by it, and the yields of neighbouring passes driven the opposite way are correlated. The curve
+over the shifts peaks at the delay. Blocks of pairs (passes) are drawn again with replacement for the interval. No answer is given
+where the peak is not clear of the rest of the curve, moves about from draw to draw, or lies at the end of the range.
+
+Sources: Chung, Sudduth and Drummond, "Determining yield monitoring system delay time with geostatistical and data segmentation
+approaches", Transactions of the ASAE 45 (2002); Efron and Tibshirani, "An introduction to the bootstrap" (1993), chapter 8.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .pairs import Pairs
+from .table import Array
+from .tracks import MIN_SPEED_M_S, Tracks
+
+SHIFTS_S = np.arange(-45.0, 76.0)
+DRAWS = 200
+MIN_PAIRS, MIN_BLOCKS = 200, 8
+CLEAR_OF_S = 10.0
+"""How far from the peak the rest of the curve begins."""
+MIN_CONTRAST_SD = 3.0
+MIN_STEADY_SHARE = 0.9
+STEADY_WITHIN_S = 4.0
+FLOOR_S = 0.75
+"""Half-width that an interval has at least: yields by area and flows alone do not peak at quite the same shift."""
+EDGE_S = 2.0
+_WINSOR = (1.0, 99.0)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Correlation of opposing pairs, a value a shift."""
+
+    shift_s: Array
+    correlation: Array
+
+
+@dataclass(frozen=True)
+class Delay:
+    """A delay.
+
+    Parameters
+    ----------
+    value_s : float
+        What is used.
+    low_s, high_s : float or None
+        95 % interval, None unless `decision` is "estimated".
+    decision : str
+        "estimated", "cannot tell" (the default is kept) or "declared" (given by the user).
+    declared_s : float or None
+        What the machine itself declares.
+    why : str
+        One sentence.
+    curve : Curve
+        Empty where there are no pairs.
+    no_shift, shifted, held_out : float
+        Correlation of the pairs as they are, at the value, and on pairs that the value was not learnt from; NaN if unknown.
+    pairs : int
+        Number of pairs.
+    """
+
+    value_s: float
+    low_s: float | None
+    high_s: float | None
+    decision: str
+    declared_s: float | None
+    why: str
+    curve: Curve
+    no_shift: float
+    shifted: float
+    held_out: float
+    pairs: int
+
+    def document(self) -> dict[str, object]:
+        """As JSON takes it."""
+        return {
+            "value": round(self.value_s, 3),
+            "low": _rounded(self.low_s),
+            "high": _rounded(self.high_s),
+            "decision": self.decision,
+            "declared": self.declared_s,
+            "why": self.why,
+        }
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 3)
+
+
+def estimate_delay(
+    steps: Tracks, pairs: Pairs, quantity: str, *, default_s: float, declared_s: float | None, generator: np.random.Generator
+) -> Delay:
+    """The delay of `quantity`: "flow" (yields of pairs agree) or "moisture" (moistures agree).
+
+    Parameters
+    ----------
+    steps : Tracks
+        Of the harvest.
+    pairs : Pairs
+        Of opposing passes.
+    quantity : str
+        "flow" or "moisture".
+    default_s : float
+        What is kept when the data cannot tell, s.
+    declared_s : float or None
+        The machine's own.
+    generator : numpy.random.Generator
+        Draws the blocks.
+    """
+    empty = Curve(SHIFTS_S[:0], SHIFTS_S[:0])
+    nan = float("nan")
+
+    def refused(why: str, curve: Curve = empty, no_shift: float = nan, at_default: float = nan) -> Delay:
+        return Delay(default_s, None, None, "cannot tell", declared_s, why, curve, no_shift, at_default, nan, len(pairs))
+
+    if len(pairs) < MIN_PAIRS or pairs.blocks < MIN_BLOCKS:
+        return refused(f"{len(pairs)} pairs of opposing passes in {pairs.blocks} blocks; {MIN_PAIRS} in {MIN_BLOCKS} are needed")
+    sums = _block_sums(steps, pairs, quantity)
+    everything = _correlation(sums.sum(axis=1))
+    if not np.isfinite(everything).any():
+        return refused(f"the {quantity} is the same everywhere")
+    curve = Curve(SHIFTS_S, everything)
+    no_shift, at_default = (float(np.interp(s, SHIFTS_S, everything)) for s in (0.0, default_s))
+    peak = _peak(everything)
+    weights = generator.multinomial(pairs.blocks, np.full(pairs.blocks, 1.0 / pairs.blocks), size=DRAWS)
+    drawn = _correlation(np.einsum("db,qbs->qds", weights.astype(float), sums, optimize=True))
+    why = _objection(everything, drawn, peak)
+    if why:
+        return refused(why, curve, no_shift, at_default)
+    peaks = np.array([_peak(one, about=peak) for one in drawn])
+    low, high = (float(value) for value in np.percentile(peaks, [2.5, 97.5]))
+    floor = max(FLOOR_S, 0.5 * steps.interval)
+    return Delay(
+        peak,
+        min(low, peak - floor),
+        max(high, peak + floor),
+        "estimated",
+        declared_s,
+        "one clear peak",
+        curve,
+        no_shift,
+        float(np.interp(peak, SHIFTS_S, everything)),
+        _held_out(sums),
+        len(pairs),
+    )
+
+
+def given_delay(value_s: float, declared_s: float | None, estimated: Delay) -> Delay:
+    """The user's own value, with what the data say about it."""
+    at = estimated.curve
+    agreement = float(np.interp(value_s, at.shift_s, at.correlation)) if len(at.shift_s) else float("nan")
+    return Delay(
+        value_s,
+        None,
+        None,
+        "declared",
+        declared_s,
+        "given on the command line",
+        at,
+        estimated.no_shift,
+        agreement,
+        agreement,
+        estimated.pairs,
+    )
+
+
+def _series(steps: Tracks, quantity: str) -> tuple[Array, Array]:
+    """What is shifted, and what divides it at the place (NaN where no yield is defined)."""
+    if quantity == "moisture":
+        value = np.where(steps.moisture_pct > 0, steps.moisture_pct, np.nan)
+        return value, np.ones(len(steps))
+    speed = np.where(np.nan_to_num(steps.speed_m_s) > MIN_SPEED_M_S, steps.speed_m_s, np.nan)
+    with np.errstate(invalid="ignore"):
+        return steps.flow_kg_s, np.where(steps.width_m > 0, speed * steps.width_m, np.nan)
+
+
+def shifted(steps: Tracks, values: Array, rows: Array, shift_s: float) -> Array:
+    """`values` a time `shift_s` after the steps `rows`, linear between steps, NaN across a gap."""
+    span = float(np.nanmax(steps.time_s) - np.nanmin(steps.time_s)) + 10_000.0
+    base = np.nanmin(steps.time_s)
+    keys = steps.stream * span + (steps.time_s - base)
+    wanted = keys[rows] + shift_s
+    right = np.clip(np.searchsorted(keys, wanted), 1, len(keys) - 1)
+    left = right - 1
+    gap = keys[right] - keys[left]
+    within = (wanted >= keys[left]) & (wanted <= keys[right]) & (steps.run[left] == steps.run[right])
+    share = np.where(gap > 0, (wanted - keys[left]) / np.where(gap > 0, gap, 1.0), 0.0)
+    value = values[left] * (1.0 - share) + values[right] * share
+    # At a step itself the neighbour may be unknown.
+    value = np.where(share >= 1.0, values[right], np.where(share <= 0.0, values[left], value))
+    return np.where(within, value, np.nan)
+
+
+def _block_sums(steps: Tracks, pairs: Pairs, quantity: str) -> Array:
+    """Sums that a correlation needs: shape (6, blocks, shifts)."""
+    values, divisor = _series(steps, quantity)
+    members, place = np.unique(np.concatenate((pairs.first, pairs.second)), return_inverse=True)
+    a, b = place[: len(pairs)], place[len(pairs) :]
+    by = divisor[members]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        plain = values[members] / by
+    known = plain[np.isfinite(plain)]
+    low, high = np.percentile(known, _WINSOR) if known.size else (0.0, 1.0)
+    # Centred and scaled, or sums of squares lose the correlation of large numbers.
+    middle, scale = 0.5 * (low + high), max(high - low, 1e-12)
+    out = np.zeros((6, pairs.blocks, len(SHIFTS_S)))
+    for k, shift in enumerate(SHIFTS_S):
+        one = (np.clip(shifted(steps, values, members, float(shift)) / by, low, high) - middle) / scale
+        p, q = one[a], one[b]
+        both = np.isfinite(p) & np.isfinite(q)
+        p, q, block = p[both], q[both], pairs.block[both]
+        for j, term in enumerate((np.ones(len(p)), p, q, p * p, q * q, p * q)):
+            out[j, :, k] = np.bincount(block, term, pairs.blocks)
+    return out
+
+
+def _correlation(sums: Array) -> Array:
+    """From sums over pairs, either order of a pair counting the same; NaN with less than a quarter of the pairs."""
+    count, p, q, pp, qq, pq = sums
+    enough = count >= 0.25 * np.max(count, axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = 0.5 * (p + q) / count
+        variance = 0.5 * (pp + qq) / count - mean**2
+        return np.where(enough & (variance > 1e-12), (pq / count - mean**2) / variance, np.nan)
+
+
+def _peak(correlation: Array, about: float | None = None) -> float:
+    """Shift of the highest value, between shifts by a parabola; `about`: the highest within STEADY_WITHIN_S of it."""
+    seen = np.nan_to_num(correlation, nan=-2.0)
+    if about is not None:
+        seen = np.where(np.abs(SHIFTS_S - about) <= STEADY_WITHIN_S, seen, -2.0)
+    k = int(np.argmax(seen))
+    if 0 < k < len(seen) - 1 and min(seen[k - 1], seen[k + 1]) > -2.0:
+        left, here, right = seen[k - 1], seen[k], seen[k + 1]
+        bend = left - 2 * here + right
+        if bend < 0:
+            return float(SHIFTS_S[k] + 0.5 * (left - right) / bend)
+    return float(SHIFTS_S[k])
+
+
+def _objection(curve: Array, drawn: Array, peak: float) -> str:
+    """Why the curve is not to be believed; empty if it is."""
+    known = SHIFTS_S[np.isfinite(curve)]
+    if peak <= known[0] + EDGE_S or peak >= known[-1] - EDGE_S:
+        return f"the curve is highest at the end of its range, {peak:.0f} s"
+    at = int(np.argmin(np.abs(SHIFTS_S - peak)))
+    rest = np.flatnonzero((np.abs(SHIFTS_S - peak) > CLEAR_OF_S) & np.isfinite(curve))
+    if not len(rest):
+        return "the curve has no shifts beside its peak"
+    rival = rest[int(np.argmax(curve[rest]))]
+    contrast = drawn[:, at] - drawn[:, rival]
+    spread = float(np.nanstd(contrast))
+    if curve[at] - curve[rival] < MIN_CONTRAST_SD * spread:
+        return (
+            f"no single clear peak: {curve[at]:.2f} at {SHIFTS_S[at]:.0f} s, {curve[rival]:.2f} at {SHIFTS_S[rival]:.0f} s, "
+            f"sd {spread:.2f}"
+        )
+    highest = np.array([SHIFTS_S[int(np.argmax(np.nan_to_num(one, nan=-2.0)))] for one in drawn])
+    steady = float(np.mean(np.abs(highest - peak) <= STEADY_WITHIN_S))
+    if steady < MIN_STEADY_SHARE:
+        return f"the peak moves: {100 * steady:.0f} % of {DRAWS} draws within {STEADY_WITHIN_S:.0f} s of {peak:.1f} s"
+    return ""
+
+
+def _held_out(sums: Array) -> float:
+    """Correlation on blocks that the peak was not learnt from, the mean of both ways."""
+    halves = [_correlation(sums[:, k::2].sum(axis=1)) for k in (0, 1)]
+    return float(np.mean([np.interp(_peak(halves[k]), SHIFTS_S, halves[1 - k]) for k in (0, 1)]))

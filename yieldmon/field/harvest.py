@@ -1,0 +1,248 @@
+"""From a table of points to a map: delays, places, ground, reasons, loads, totals. Pure: no file is read or written here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .cleaning import Cleaned, Context, clean, mass_by_reason
+from .delay import Delay, estimate_delay, given_delay
+from .loads import LoadResult, Ticket, correct
+from .pairs import Pairs, opposing_pairs
+from .placed import Placed, place
+from .swath import HeaderPlace, Swaths, swaths
+from .table import Array, HarvestTable
+from .tracks import Tracks, tracks
+from .units import KG_PER_LB, M2_PER_ACRE, crop
+
+KG_M2_TO_T_HA = 10.0
+SEED = 1
+DRAWS = 400
+
+
+@dataclass(frozen=True)
+class MapOptions:
+    """Parameters
+    ----------
+    flow_delay_s, moisture_delay_s : float or None
+        Given instead of estimated.
+    header : HeaderPlace
+        Offset of the header from the antenna.
+    without : collection of str
+        Cleaning rules that are off.
+    tickets : sequence of Ticket
+        Weighed loads.
+    seed : int
+        Of the draws for intervals.
+    """
+
+    flow_delay_s: float | None = None
+    moisture_delay_s: float | None = None
+    header: HeaderPlace = field(default_factory=HeaderPlace)
+    without: Collection[str] = ()
+    tickets: Sequence[Ticket] = ()
+    seed: int = SEED
+
+
+@dataclass(frozen=True)
+class Totals:
+    """Masses in kg, areas in m2.
+
+    Parameters
+    ----------
+    machine_kg : float or None
+        Of all sources, where each has its own.
+    measured_kg : float
+        Flow times interval over all rows, as measured.
+    corrected_kg : float
+        The same by the weighed loads; `low_kg`, `high_kg` its 95 % interval where loads are weighed.
+    by_reason : dict
+        `kept` and each reason -> kg (corrected), together corrected_kg.
+    area_m2 : float
+        Ground newly cut.
+    kept_area_m2 : float
+        Of the points kept.
+    yield_kg_m2, low_kg_m2, high_kg_m2 : float
+        Kept mass over kept area, and its 95 % interval from passes drawn again.
+    """
+
+    machine_kg: float | None
+    measured_kg: float
+    corrected_kg: float
+    low_kg: float | None
+    high_kg: float | None
+    by_reason: dict[str, float]
+    area_m2: float
+    kept_area_m2: float
+    yield_kg_m2: float
+    low_kg_m2: float
+    high_kg_m2: float
+
+
+@dataclass(frozen=True)
+class HarvestMap:
+    """All of it, row by row of `table`."""
+
+    table: HarvestTable
+    steps: Tracks
+    pairs: Pairs
+    flow_delay: Delay
+    moisture_delay: Delay
+    placed: Placed
+    ground: Swaths
+    cleaned: Cleaned
+    loads: tuple[LoadResult, ...]
+    totals: Totals
+    yield_kg_m2: Array
+    raw_yield_kg_m2: Array
+    crop: str
+    bushel_kg: float | None
+    notes: tuple[str, ...] = field(default=())
+
+    def bushels_per_acre(self, yield_kg_m2: float) -> float | None:
+        """None where the crop's bushel is not known."""
+        return None if self.bushel_kg is None else yield_kg_m2 * M2_PER_ACRE / self.bushel_kg
+
+
+def _silent(_: str) -> None:
+    return None
+
+
+def make_map(table: HarvestTable, options: MapOptions, progress: Callable[[str], None] = _silent) -> HarvestMap:
+    """The map of a table.
+
+    Parameters
+    ----------
+    table : HarvestTable
+        One or several harvests.
+    options : MapOptions
+        What a person says.
+    progress : callable
+        Told each step.
+
+    Raises
+    ------
+    InputError
+        For tickets that do not fit.
+    """
+    progress("passes")
+    steps = tracks(table)
+    pairs = opposing_pairs(steps)
+    progress("delay")
+    flow_delay, moisture_delay = delays(table, steps, pairs, options)
+    factor, loads = correct(table, options.tickets)
+    progress("ground")
+    placed = place(table, steps, flow_delay.value_s, moisture_delay.value_s, factor if options.tickets else None)
+    ground = swaths(table, steps, options.header)
+    progress("cleaning")
+    at = Context(table, steps, placed, ground)
+    cleaned = clean(at, options.without)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        raw = np.where(ground.gross_m2 > 0, np.nan_to_num(table["flow_kg_s"] * table["interval_s"]) / ground.gross_m2, np.nan)
+    name = _crop_name(table)
+    facts = crop(name)
+    totals = _totals(table, steps, placed, ground, cleaned, loads, bool(options.tickets), np.random.default_rng(options.seed))
+    return HarvestMap(
+        table,
+        steps,
+        pairs,
+        flow_delay,
+        moisture_delay,
+        placed,
+        ground,
+        cleaned,
+        loads,
+        totals,
+        at.yield_kg_m2,
+        raw,
+        name,
+        None if facts is None else facts.bushel_lb * KG_PER_LB,
+        ()
+        if flow_delay.decision != "cannot tell"
+        else (f"the flow delay cannot be told from these data ({flow_delay.why}); {flow_delay.value_s:g} s is used",),
+    )
+
+
+def delays(table: HarvestTable, steps: Tracks, pairs: Pairs, options: MapOptions) -> tuple[Delay, Delay]:
+    """Of flow and of moisture; a moisture delay that cannot be told is taken as that of the flow."""
+    out: list[Delay] = []
+    default_s = table.default_flow_s if table.declared_flow_s is None else table.declared_flow_s
+    for quantity, given, declared in (
+        ("flow", options.flow_delay_s, table.declared_flow_s),
+        ("moisture", options.moisture_delay_s, table.declared_moisture_s),
+    ):
+        generator = np.random.default_rng([options.seed, len(out)])
+        one = estimate_delay(
+            steps,
+            pairs,
+            quantity,
+            default_s=default_s if declared is None else declared,
+            declared_s=declared,
+            generator=generator,
+        )
+        out.append(one if given is None else given_delay(given, declared, one))
+        default_s = out[0].value_s
+    return out[0], out[1]
+
+
+def _crop_name(table: HarvestTable) -> str:
+    label = table.labels["crop"]
+    if not len(table):
+        return ""
+    return label.names[int(np.argmax(np.bincount(label.codes, minlength=len(label.names))))]
+
+
+def _totals(
+    table: HarvestTable,
+    steps: Tracks,
+    placed: Placed,
+    ground: Swaths,
+    cleaned: Cleaned,
+    loads: Sequence[LoadResult],
+    weighed: bool,
+    generator: np.random.Generator,
+) -> Totals:
+    machine = [source.mass_kg for source in table.sources]
+    kept = cleaned.kept
+    mass = np.nan_to_num(placed.mass_kg)
+    kept_kg, kept_m2 = float(mass[kept].sum()), float(ground.area_m2[kept].sum())
+    measured = float(np.nan_to_num(table["flow_kg_s"] * table["interval_s"]).sum())
+    corrected = float(placed.measured_kg.sum())
+    low, high = _yield_interval(steps.pass_number[steps.step_of_row][kept], mass[kept], ground.area_m2[kept], generator)
+    sd = _mass_sd(loads) if weighed else None
+    return Totals(
+        None if None in machine else float(sum(one for one in machine if one is not None)),
+        measured,
+        corrected,
+        None if sd is None else corrected - 1.96 * sd,
+        None if sd is None else corrected + 1.96 * sd,
+        dict(mass_by_reason(cleaned, placed)),
+        float(ground.area_m2.sum()),
+        kept_m2,
+        kept_kg / kept_m2 if kept_m2 > 0 else float("nan"),
+        low,
+        high,
+    )
+
+
+def _mass_sd(loads: Sequence[LoadResult]) -> float:
+    own = [one.measured_kg * (one.factor_sd or 0.0) for one in loads if one.weighed_kg is not None]
+    # The factor of loads that were not weighed is one and the same, so their errors go together.
+    others = sum(one.measured_kg * (one.factor_sd or 0.0) for one in loads if one.weighed_kg is None)
+    return float(np.sqrt(sum(value**2 for value in own) + others**2))
+
+
+def _yield_interval(passes: Array, mass: Array, area: Array, generator: np.random.Generator) -> tuple[float, float]:
+    if not len(passes):
+        return float("nan"), float("nan")
+    _, inverse = np.unique(passes, return_inverse=True)
+    by_pass = np.stack((np.bincount(inverse, mass), np.bincount(inverse, area)))
+    count = by_pass.shape[1]
+    if count < 2:
+        return float("nan"), float("nan")
+    drawn = by_pass @ generator.multinomial(count, np.full(count, 1.0 / count), size=DRAWS).T
+    with np.errstate(invalid="ignore", divide="ignore"):
+        low, high = np.nanpercentile(drawn[0] / drawn[1], [2.5, 97.5])
+    return float(low), float(high)

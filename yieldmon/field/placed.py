@@ -1,0 +1,101 @@
+"""Grain put back where it was cut: each row's mass moves, whole, to the row of its machine one delay before."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .table import Array, HarvestTable
+from .tracks import Index, Tracks
+
+_TOLERANCE_INTERVALS = 0.75
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Parameters
+    ----------
+    measured_kg : array, shape (n,)
+        Mass that each row measured; 0 where flow is not known.
+    mass_kg : array, shape (n,)
+        Mass cut at each row; NaN where none was measured for it.
+    moisture_pct : array, shape (n,)
+        Of that grain.
+    flow_sd_kg_s : array, shape (n,)
+        Standard deviation of that flow.
+    from_row : array of int, shape (n,)
+        A row that measured it, -1 for none.
+    lost_kg : float
+        Mass measured at times whose place is not in the record.
+    """
+
+    measured_kg: Array
+    mass_kg: Array
+    moisture_pct: Array
+    flow_sd_kg_s: Array
+    from_row: Index
+    lost_kg: float
+
+
+def measured_mass_kg(table: HarvestTable) -> Array:
+    """Flow times interval; 0 where either is not known."""
+    mass: Array = np.nan_to_num(table["flow_kg_s"] * table["interval_s"])
+    return mass
+
+
+def place(
+    table: HarvestTable, steps: Tracks, flow_delay_s: float, moisture_delay_s: float, factor: Array | None = None
+) -> Placed:
+    """Mass and moisture at the places.
+
+    Parameters
+    ----------
+    table, steps
+        A harvest and its tracks.
+    flow_delay_s, moisture_delay_s : float
+        From cutting to the sensors.
+    factor : array, shape (n,), optional
+        What each row's mass is multiplied by (of its load).
+    """
+    mass = measured_mass_kg(table)
+    if factor is not None:
+        mass = mass * factor
+    target = _targets(table, steps, flow_delay_s)
+    going = target >= 0
+    count = len(table)
+    known = going & np.isfinite(table["flow_kg_s"])
+    at_place = np.bincount(target[going], mass[going], count)
+    arrived = np.bincount(target[known], minlength=count)
+    from_row = np.full(count, -1, np.intp)
+    from_row[target[known]] = np.flatnonzero(known)
+    moisture_target = _targets(table, steps, moisture_delay_s)
+    moist = (moisture_target >= 0) & np.isfinite(table["moisture_pct"])
+    moisture = np.full(count, np.nan)
+    moisture[moisture_target[moist]] = table["moisture_pct"][moist]
+    sd = np.full(count, np.nan)
+    has = from_row >= 0
+    sd[has] = table["flow_sd_kg_s"][from_row[has]]
+    return Placed(mass, np.where(arrived > 0, at_place, np.nan), moisture, sd, from_row, float(mass[~going].sum()))
+
+
+def _targets(table: HarvestTable, steps: Tracks, delay_s: float) -> Index:
+    """The row where the grain of each row was cut, -1 for none."""
+    count = len(table)
+    step = steps.step_of_row
+    tolerance = _TOLERANCE_INTERVALS * max(steps.interval, 1e-6)
+    if abs(delay_s) < 0.5 * steps.interval:
+        return np.arange(count)
+    # Steps do not merge: to the same nearest number of intervals as all others of an even clock.
+    found = steps.nearest(steps.time_s - delay_s, steps.stream, tolerance)[step]
+    if len(steps) == count:
+        row_of_step = np.empty(count, np.intp)
+        row_of_step[step] = np.arange(count)
+        return np.where(found >= 0, row_of_step[np.maximum(found, 0)], -1)
+    sections, code = np.unique(np.nan_to_num(table["section"]), return_inverse=True)
+    keys = step * len(sections) + code
+    order = np.argsort(keys, kind="stable")
+    wanted = found * len(sections) + code
+    place_in = np.clip(np.searchsorted(keys[order], wanted), 0, count - 1)
+    hit = (found >= 0) & (keys[order][place_in] == wanted)
+    return np.where(hit, order[place_in], -1)

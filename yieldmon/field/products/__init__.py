@@ -1,0 +1,36 @@
+"""What a map is written as, a module a format: `write(folder, result, grid) -> the files it wrote`."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from yieldmon.field.grid import block_means
+from yieldmon.field.harvest import HarvestMap
+
+#: Name -> what it holds. The module of that name writes it; the report is last, for it names the others.
+FORMATS = {
+    "csv": "points with reasons",
+    "geopackage": "points, swaths and grid",
+    "shapefile": "points kept",
+    "agleader": "text raw, for Yield Editor, and cleaned",
+    "taskdata": "ISO 11783-10, as measured, with working width and lag",
+    "geotiff": "grid of block means with standard error",
+}
+
+
+def write_products(
+    folder: Path, result: HarvestMap, formats: Sequence[str], grid_m: float, progress: Callable[[str], None]
+) -> list[Path]:
+    """Write the formats into a folder that exists, and return the files."""
+    mass = result.placed.mass_kg
+    grid = block_means(
+        result.table["longitude_deg"], result.table["latitude_deg"], mass, result.ground.area_m2, result.cleaned.kept, grid_m
+    )
+    written: list[Path] = []
+    for name in FORMATS:
+        if name in formats:
+            progress(f"writing {name}")
+            written += importlib.import_module(f"{__name__}.{name}").write(folder, result, grid)
+    return written

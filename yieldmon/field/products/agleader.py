@@ -1,0 +1,86 @@
+"""Ag Leader advanced text, twice: `agleader_raw.txt` as measured, with no delay taken out, for Yield Editor and the like, and
+`agleader_clean.txt`, the points kept with their grain at its place.
+
+Columns and units as in the reader of this format.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from yieldmon.field.grid import Grid
+from yieldmon.field.harvest import HarvestMap
+from yieldmon.field.table import Array
+from yieldmon.field.tracks import Index
+from yieldmon.field.units import KG_PER_LB, M_PER_FT, M_PER_IN
+from yieldmon.files.whole_file import scratch_for
+
+CHUNK = 50_000
+DOWN, UP = 33, 32
+
+
+def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
+    """Both files."""
+    table, steps = result.table, result.steps
+    everything = np.flatnonzero(np.isfinite(table["longitude_deg"]) & np.isfinite(table["time_s"]))
+    down = steps.down[steps.step_of_row]
+    raw, clean = folder / "agleader_raw.txt", folder / "agleader_clean.txt"
+    _write(raw, result, everything, table["flow_kg_s"], table["moisture_pct"], down)
+    kept = np.flatnonzero(result.cleaned.kept)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        flow = result.placed.mass_kg / table["interval_s"]
+        # Readers take the yield from flow, way and swath: the swath is the width newly cut.
+        width = np.where(
+            result.ground.gross_m2 > 0, table["width_m"] * result.ground.area_m2 / result.ground.gross_m2, table["width_m"]
+        )
+    _write(clean, result, kept, flow, result.placed.moisture_pct, down, width)
+    return [raw, clean]
+
+
+def _write(
+    path: Path, result: HarvestMap, rows: Index, flow: Array, moisture: Array, down: np.ndarray, width: Array | None = None
+) -> None:
+    table = result.table
+    swath = table["width_m"] if width is None else width
+    names = {name: [_quotable(text) for text in table.labels[name].names] for name in ("field", "load", "crop", "product")}
+    serial = [_serial(text) for text in table.labels["machine"].names]
+    passes = result.steps.pass_number[result.steps.step_of_row]
+    # With the header up a row belongs to the pass before it.
+    passes = np.maximum.accumulate(passes) + 1 if len(passes) else passes
+    with scratch_for(path) as scratch, scratch.open("w", encoding="ascii", errors="replace", newline="") as stream:
+        for first in range(0, len(rows), CHUNK):
+            part = rows[first : first + CHUNK]
+            fields = zip(
+                table["longitude_deg"][part].tolist(),
+                table["latitude_deg"][part].tolist(),
+                (np.nan_to_num(flow[part]) / KG_PER_LB).tolist(),
+                np.round(table["time_s"][part]).astype(np.int64).tolist(),
+                np.nan_to_num(table["interval_s"][part]).tolist(),
+                (np.nan_to_num(table["distance_m"][part]) / M_PER_IN).tolist(),
+                (np.nan_to_num(swath[part]) / M_PER_IN).tolist(),
+                np.nan_to_num(moisture[part]).tolist(),
+                np.where(down[part], DOWN, UP).tolist(),
+                passes[part].tolist(),
+                table.labels["machine"].codes[part].tolist(),
+                table.labels["field"].codes[part].tolist(),
+                table.labels["load"].codes[part].tolist(),
+                table.labels["crop"].codes[part].tolist(),
+                (np.nan_to_num(table["elevation_m"][part]) / M_PER_FT).tolist(),
+                strict=True,
+            )
+            stream.writelines(
+                f"{x:.8f},{y:.8f},{f:.3f},{t},{i:.3g},{d:.2f},{w:.1f},{m:.2f},{h},{p},{serial[s]},"
+                f'"F{a + 1}:{names["field"][a]}","L{b + 1}:{names["load"][b]}","{names["crop"][c]}",1,0.0,{e:.1f}\r\n'
+                for x, y, f, t, i, d, w, m, h, p, s, a, b, c, e in fields
+            )
+
+
+def _serial(text: str) -> str:
+    return text if text.isascii() and text.isdigit() else "0"
+
+
+def _quotable(name: str) -> str:
+    plain = name.split(":", 1)[1] if name[:1] in "FL" and name[1:2].isdigit() and ":" in name else name
+    return " ".join(plain.replace('"', "'").split())

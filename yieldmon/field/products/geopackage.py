@@ -1,0 +1,70 @@
+"""One GeoPackage: layer `points` (all, with reasons), `swaths` (the ground newly cut by each), `grid` (block means)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import shapely
+
+from yieldmon.field.grid import Grid
+from yieldmon.field.harvest import KG_M2_TO_T_HA, HarvestMap
+from yieldmon.files.whole_file import scratch_for
+
+from . import vectors
+from .columns import point_columns
+
+NAME = "harvest.gpkg"
+_SWATH_COLUMNS = (
+    "point",
+    "time_utc",
+    "mass_kg",
+    "area_m2",
+    "gross_area_m2",
+    "moisture_pct",
+    "yield_t_ha",
+    "yield_bu_ac",
+    "kept",
+    "reason",
+)
+
+
+def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
+    """`harvest.gpkg`."""
+    path = folder / NAME
+    count = len(result.table)
+    with scratch_for(path) as scratch:
+        for first in range(0, count, vectors.CHUNK):
+            rows = np.arange(first, min(first + vectors.CHUNK, count))
+            columns = point_columns(result, rows)
+            places = vectors.points(result.table["longitude_deg"][rows], result.table["latitude_deg"][rows])
+            vectors.write_layer(scratch, "points", "GPKG", "Point", places, columns, append=first > 0)
+        started = False
+        for first in range(0, count, vectors.CHUNK):
+            rows = np.arange(first, min(first + vectors.CHUNK, count))
+            rows = rows[result.ground.area_m2[rows] > 0]
+            if len(rows):
+                columns = point_columns(result, rows)
+                chosen = {name: columns[name] for name in _SWATH_COLUMNS if name in columns}
+                vectors.write_layer(
+                    scratch, "swaths", "GPKG", "MultiPolygon", vectors.ground(result, rows), chosen, append=started
+                )
+                started = True
+        if len(grid.row):
+            _write_grid(scratch, result, grid)
+    return [path]
+
+
+def _write_grid(path: Path, result: HarvestMap, grid: Grid) -> None:
+    west = grid.west_deg + grid.column * grid.width_deg
+    north = grid.north_deg - grid.row * grid.height_deg
+    blocks = shapely.multipolygons(
+        shapely.box(west, north - grid.height_deg, west + grid.width_deg, north), indices=np.arange(len(west))
+    )
+    columns = {
+        "yield_t_ha": grid.yield_kg_m2 * KG_M2_TO_T_HA,
+        "standard_error_t_ha": grid.standard_error_kg_m2 * KG_M2_TO_T_HA,
+        "points": grid.points,
+        "left_out_share": grid.left_out,
+    }
+    vectors.write_layer(path, "grid", "GPKG", "MultiPolygon", blocks, columns, append=False)

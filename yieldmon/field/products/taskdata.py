@@ -1,0 +1,219 @@
+"""ISO 11783-10 task data as measured: a task and a binary time log for each machine, zipped.
+
+No delay is taken out; it stands in the log and the device description as the lag. The last total of a log is its measured mass.
+Layout: ISO 11783-10:2015; values by the data dictionary of ISO 11783-11.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+import zipfile
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+
+from yieldmon import __version__
+from yieldmon.field.grid import Grid
+from yieldmon.field.harvest import HarvestMap
+from yieldmon.field.table import Array
+from yieldmon.files.whole_file import scratch_for
+
+EPOCH = datetime(1980, 1, 1, tzinfo=UTC)
+DAY_S = 86_400.0
+_DEVICE, _ELEMENT = "DVC-1", "DET-1"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A data dictionary entry: identifier, designator, unit of the raw integer, and whether it counts up."""
+
+    ddi: int
+    designator: str
+    unit: str
+    total: bool = False
+
+
+ENTRIES = (
+    Entry(67, "Actual working width", "mm"),
+    Entry(84, "Mass per area yield", "mg/m2"),
+    Entry(87, "Mass per time yield", "mg/s"),
+    Entry(90, "Yield total mass", "kg", True),
+    Entry(99, "Crop moisture", "ppm"),
+    Entry(116, "Total area", "m2", True),
+    Entry(141, "Actual work state", ""),
+    Entry(259, "Yield lag ignore time", "ms"),
+)
+_LAG = 259
+
+
+@dataclass(frozen=True)
+class _Log:
+    name: str
+    field: str
+    content: bytes
+    first_s: float
+    last_s: float
+    totals: dict[int, int]
+
+
+def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
+    """`taskdata.zip` with the folder TASKDATA in it."""
+    logs = [
+        log for log in (_log(result, stream, number + 1) for number, stream in enumerate(np.unique(result.steps.stream))) if log
+    ]
+    if not logs:
+        return []
+    content = {"TASKDATA/TASKDATA.XML": _document(_tasks(result, logs))}
+    for log in logs:
+        content |= {f"TASKDATA/{log.name}.xml": _document(_header()), f"TASKDATA/{log.name}.bin": log.content}
+    path = folder / "taskdata.zip"
+    with scratch_for(path) as scratch, zipfile.ZipFile(scratch, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, data in content.items():
+            archive.writestr(zipfile.ZipInfo(name), data, zipfile.ZIP_DEFLATED)
+    return [path]
+
+
+def _log(result: HarvestMap, stream: int, number: int) -> _Log | None:
+    steps = result.steps
+    rows = np.flatnonzero((steps.stream == stream) & np.isfinite(steps.x_m) & np.isfinite(steps.time_s))
+    if not len(rows):
+        return None
+    longitude, latitude = steps.plane.to_deg(steps.x_m[rows], steps.y_m[rows])
+    flow = np.nan_to_num(steps.flow_kg_s[rows])
+    # Each row of a step has the step's time; what the rows without a position measured goes with the next that has one.
+    mass = np.bincount(steps.step_of_row, np.nan_to_num(result.table["flow_kg_s"] * result.table["interval_s"]), len(steps))
+    mine = np.flatnonzero(steps.stream == stream)
+    running = np.cumsum(mass[mine])
+    total = running[np.searchsorted(mine, rows)]
+    total[-1] = running[-1]
+    area = np.cumsum(np.bincount(steps.step_of_row, result.ground.area_m2, len(steps))[rows])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        per_area = flow / (steps.speed_m_s[rows] * steps.width_m[rows])
+    lag_ms = max(result.flow_delay.value_s, 0.0) * 1000.0
+    values: dict[int, Array] = {
+        67: steps.width_m[rows] * 1000,
+        84: np.where(np.isfinite(per_area), per_area, 0.0) * 1e6,
+        87: flow * 1e6,
+        90: total,
+        99: np.nan_to_num(steps.moisture_pct[rows]) * 1e4,
+        116: area,
+        141: steps.down[rows].astype(float),
+        _LAG: np.full(len(rows), lag_ms),
+    }
+    raw = {ddi: np.clip(np.round(one), -(2**31) + 1, 2**31 - 1).astype(np.int32) for ddi, one in values.items()}
+    time = _since_epoch(steps.time_s[rows], result.table.unix_time)
+    label = result.table.labels["field"]
+    first_row = int(np.flatnonzero(steps.step_of_row == rows[0])[0])
+    return _Log(
+        f"TLG{number:05d}",
+        label.names[label.codes[first_row]] or "field",
+        _records(time, longitude, latitude, raw),
+        float(time[0]),
+        float(time[-1]),
+        {entry.ddi: int(raw[entry.ddi][-1]) for entry in ENTRIES if entry.total},
+    )
+
+
+def _since_epoch(time_s: Array, unix: bool) -> Array:
+    """Seconds since 1980; a clock without a date keeps its time of the day, from the first day on."""
+    seconds = time_s - EPOCH.timestamp() if unix else time_s - np.floor(time_s.min() / DAY_S) * DAY_S
+    return np.asarray(np.clip(np.round(seconds, 3), 0.0, 65_535 * DAY_S))
+
+
+def _records(time: Array, longitude: Array, latitude: Array, raw: dict[int, np.ndarray]) -> bytes:
+    kind = np.dtype(
+        [
+            ("ms", "<u4"),
+            ("day", "<u2"),
+            ("north", "<i4"),
+            ("east", "<i4"),
+            ("status", "u1"),
+            ("number", "u1"),
+            *((f"{part}{entry.ddi}", form) for entry in ENTRIES for part, form in (("i", "u1"), ("v", "<i4"))),
+        ]
+    )
+    out = np.zeros(len(time), kind)
+    milliseconds = np.round(time * 1000).astype(np.int64)
+    out["day"], out["ms"] = milliseconds // 86_400_000, milliseconds % 86_400_000
+    out["north"], out["east"] = np.round(latitude * 1e7), np.round(longitude * 1e7)
+    out["status"], out["number"] = 1, len(ENTRIES)
+    for index, entry in enumerate(ENTRIES):
+        out[f"i{entry.ddi}"], out[f"v{entry.ddi}"] = index, raw[entry.ddi]
+    return out.tobytes()
+
+
+def _header() -> ET.Element:
+    time = ET.Element("TIM", A="", D="4")
+    ET.SubElement(time, "PTN", A="", B="", D="")
+    for entry in ENTRIES:
+        ET.SubElement(time, "DLV", A=f"{entry.ddi:04X}", B="", C=_ELEMENT)
+    return time
+
+
+def _tasks(result: HarvestMap, logs: list[_Log]) -> ET.Element:
+    root = ET.Element(
+        "ISO11783_TaskData",
+        VersionMajor="4",
+        VersionMinor="3",
+        ManagementSoftwareManufacturer="yieldmon",
+        ManagementSoftwareVersion=__version__,
+        TaskControllerManufacturer="yieldmon",
+        TaskControllerVersion=__version__,
+        DataTransferOrigin="2",
+    )
+    if result.crop:
+        ET.SubElement(root, "CTP", A="CTP1", B=result.crop[:32])
+    device = ET.SubElement(
+        root,
+        "DVC",
+        A=_DEVICE,
+        B="yieldmon",
+        C=__version__[:32],
+        D="A000840000000000",
+        E="1",
+        F="31000000000000",
+        G="000000000000FF",
+    )
+    combine = ET.SubElement(device, "DET", A=_ELEMENT, B="1", C="1", D="combine", E="0", F="0")
+    for index in range(len(ENTRIES)):
+        ET.SubElement(combine, "DOR", A=str(10 + index))
+    for index, entry in enumerate(ENTRIES):
+        attributes = {
+            "A": str(10 + index),
+            "B": f"{entry.ddi:04X}",
+            "C": "0",
+            "D": "16" if entry.total else "1",
+            "E": entry.designator,
+        }
+        ET.SubElement(device, "DPD", attributes | ({"F": str(50 + index)} if entry.unit else {}))
+    for index, entry in enumerate(ENTRIES):
+        if entry.unit:
+            ET.SubElement(device, "DVP", A=str(50 + index), B="0", C="1", D="0", E=entry.unit)
+    fields = {name: f"PFD{number + 1}" for number, name in enumerate(dict.fromkeys(log.field for log in logs))}
+    area = round(result.totals.area_m2 / len(fields))
+    for name, key in fields.items():
+        ET.SubElement(root, "PFD", {"A": key, "C": _clean(name), "D": str(area)} | ({"G": "CTP1"} if result.crop else {}))
+    for number, log in enumerate(logs, 1):
+        task = ET.SubElement(root, "TSK", A=f"TSK{number}", B=f"Harvest {_clean(log.field)}"[:32], E=fields[log.field], G="4")
+        time = ET.SubElement(task, "TIM", A=_iso(log.first_s), B=_iso(log.last_s), C=str(round(log.last_s - log.first_s)), D="4")
+        for ddi, value in log.totals.items():
+            ET.SubElement(time, "DLV", A=f"{ddi:04X}", B=str(value), C=_ELEMENT)
+        ET.SubElement(task, "DAN", A=device.attrib["D"], C=_DEVICE)
+        ET.SubElement(task, "TLG", A=log.name, B=str(len(log.content)), C="1")
+    return root
+
+
+def _clean(name: str) -> str:
+    return "".join(letter for letter in name if letter.isprintable())[:32] or "field"
+
+
+def _iso(since_s: float) -> str:
+    return (EPOCH + timedelta(seconds=since_s)).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def _document(root: ET.Element) -> bytes:
+    ET.indent(root)
+    text: str = ET.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()

@@ -1,0 +1,197 @@
+"""A harvest table from named columns of any file: units, clocks, flow from yield by area, the way from positions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from yieldmon.errors import InputError
+from yieldmon.field.plane import Plane
+from yieldmon.field.table import Array, HarvestTable, Label, Skipped, Source, build
+from yieldmon.field.units import factor
+
+from . import clocks
+from .naming import Column
+from .options import ReadOptions
+from .positions import plausible
+
+_TABLE_NAMES = {
+    "longitude": "longitude_deg",
+    "latitude": "latitude_deg",
+    "flow": "flow_kg_s",
+    "flow_sd": "flow_sd_kg_s",
+    "moisture": "moisture_pct",
+    "interval": "interval_s",
+    "distance": "distance_m",
+    "width": "width_m",
+    "heading": "heading_deg",
+    "elevation": "elevation_m",
+    "position_sd": "position_sd_m",
+    "header": "header_down",
+    "pass": "pass_number",
+    "section": "section",
+}
+_KINDS = {
+    "longitude": "angle",
+    "latitude": "angle",
+    "flow": "mass_flow",
+    "flow_sd": "mass_flow",
+    "moisture": "percent",
+    "interval": "time",
+    "distance": "length",
+    "width": "length",
+    "heading": "angle",
+    "elevation": "length",
+    "position_sd": "length",
+    "yield": "mass_per_area",
+    "speed": "speed",
+    "header": "none",
+    "pass": "none",
+    "section": "none",
+}
+_GAP_INTERVALS = 3.0
+
+
+@dataclass(frozen=True)
+class Raw:
+    """What a file holds.
+
+    Parameters
+    ----------
+    columns : mapping of str to Column
+        By quantity.
+    numbers, texts : mapping of str to array or Label
+        By the file's own name.
+    count : int
+        Rows.
+    skipped, notes
+        As in Source.
+    default_flow_s : float
+        See HarvestTable.
+    """
+
+    columns: Mapping[str, Column]
+    numbers: Mapping[str, Array]
+    texts: Mapping[str, Label]
+    count: int
+    skipped: tuple[Skipped, ...] = ()
+    notes: tuple[str, ...] = ()
+    default_flow_s: float = 0.0
+
+
+def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTable:
+    """The table. Raises InputError where a quantity that every map needs can neither be read nor follows."""
+    crop = options.crop or _crop_name(raw)
+    values: dict[str, Array] = {}
+    for quantity, column in raw.columns.items():
+        if quantity in _KINDS and column.name in raw.numbers:
+            unit = column.unit if _KINDS[quantity] not in ("none",) else ""
+            scale = 1.0 if not unit else factor(unit, _KINDS[quantity], f"{where}: {column.name}", crop)
+            values[quantity] = raw.numbers[column.name] * scale
+    time, unix_time, notes = _time(raw, options, where)
+    if "longitude" not in values or "latitude" not in values:
+        raise InputError(where, "has no longitude and latitude", "--column longitude=NAME --column latitude=NAME")
+    if options.width_m is not None:
+        values["width"] = np.full(raw.count, options.width_m)
+    if "width" not in values:
+        raise InputError(where, "has no working width", "--width M")
+    _derive(values, time, values.get("section"), where)
+    columns, limits = plausible({"time_s": time} | {_TABLE_NAMES[q]: v for q, v in values.items() if q in _TABLE_NAMES})
+    if "header_down" in columns:
+        columns["header_down"] = np.where(np.isfinite(columns["header_down"]), (columns["header_down"] > 0).astype(float), np.nan)
+    labels = {
+        name: raw.texts[raw.columns[name].name]
+        for name in ("field", "load", "crop", "machine", "product")
+        if name in raw.columns and raw.columns[name].name in raw.texts
+    }
+    for name, text in (("crop", options.crop), ("field", options.field)):
+        if text:
+            labels[name] = Label.constant(text, raw.count)
+    source = Source(where, kind, raw.count, raw.skipped, notes=(*raw.notes, *notes, *_backwards(time), *limits))
+    return build(columns, labels, source, unix_time=unix_time, default_flow_s=raw.default_flow_s)
+
+
+def _crop_name(raw: Raw) -> str:
+    column = raw.columns.get("crop")
+    label = None if column is None else raw.texts.get(column.name)
+    return label.names[0] if label is not None and len(label.names) == 1 else ""
+
+
+def _time(raw: Raw, options: ReadOptions, where: str) -> tuple[Array, bool, list[str]]:
+    column = raw.columns.get("time")
+    if column is None:
+        return (
+            np.arange(raw.count, dtype=float),
+            False,
+            ["has no time: rows are taken as one second apart, in the order of the file"],
+        )
+    if column.name in raw.texts:
+        label = raw.texts[column.name]
+        times, note = clocks.parsed(label.names)
+        if np.isfinite(times).any():
+            return times[label.codes], True, [note] if note else []
+        numbers = _as_numbers(label)
+        if not np.isfinite(numbers).any():
+            raise InputError(f"{where}: {column.name}", f"is {label.names[0][:40]!r}", "ISO 8601 times, or seconds")
+    else:
+        numbers = raw.numbers[column.name]
+    if column.unit in ("", "s", "sec", "ms", "min", "h"):
+        numbers = numbers * (factor(column.unit, "time", where) if column.unit else 1.0)
+    unix = "unix" in column.name.lower()
+    out, notes = clocks.unwrapped(numbers)
+    if options.first_date is not None and not unix:
+        return clocks.dated(out, options.first_date), True, list(notes)
+    return out, unix, [*notes] if column.unit else [*notes, f"{column.name} is taken as seconds"]
+
+
+def _as_numbers(label: Label) -> Array:
+    out = []
+    for name in label.names:
+        try:
+            out.append(float(name))
+        except ValueError:
+            out.append(float("nan"))
+    return np.array(out)[label.codes]
+
+
+def _backwards(time: Array) -> tuple[str, ...]:
+    number = int((np.diff(time[np.isfinite(time)]) < 0).sum())
+    return (f"time runs backwards {number} times",) if number else ()
+
+
+def _derive(values: dict[str, Array], time: Array, section: Array | None, where: str) -> None:
+    """Interval, way and flow from what is there."""
+    count = len(time)
+    lane = np.zeros(count) if section is None else np.nan_to_num(section)
+    order = np.lexsort((np.arange(count), time, lane))
+    before = np.full(count, -1)
+    before[order[1:]] = order[:-1]
+    joined = (before >= 0) & (lane == lane[before])
+    step = np.where(joined, time - time[before], np.nan)
+    usual = float(np.median(step[step > 0])) if (step > 0).any() else 1.0
+    steady = (step >= 0) & (step <= _GAP_INTERVALS * usual)
+    if "interval" not in values:
+        values["interval"] = np.where(steady, step, usual)
+    if "distance" not in values:
+        if "speed" in values:
+            values["distance"] = values["speed"] * values["interval"]
+        else:
+            plane = Plane.about(values["longitude"], values["latitude"])
+            x, y = plane.to_m(values["longitude"], values["latitude"])
+            way = np.where(steady, np.hypot(x - x[before], y - y[before]), np.nan)
+            after = np.full(count, np.nan)
+            after[order[:-1]] = way[order[1:]]
+            values["distance"] = np.where(np.isfinite(way), way, after)
+    if "flow" not in values:
+        if "yield" not in values:
+            raise InputError(where, "has neither flow nor yield", "--column flow=NAME:UNIT or yield=NAME:UNIT")
+        with np.errstate(invalid="ignore", divide="ignore"):
+            area = values["distance"] * values["width"]
+            values["flow"] = np.where(values["interval"] > 0, values["yield"] * area / values["interval"], np.nan)
+
+
+def labels_from(texts: Sequence[object]) -> Label:
+    """From any objects; None as an empty text."""
+    return Label.of(["" if text is None else " ".join(str(text).split()) for text in texts])

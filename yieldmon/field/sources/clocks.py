@@ -1,0 +1,100 @@
+"""Clocks of sources: seconds that start again at midnight or with the GPS week, texts with dates, clocks without a date."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, date, datetime
+
+import numpy as np
+
+from yieldmon.field.table import Array
+
+DAY_S, WEEK_S = 86_400.0, 604_800.0
+
+
+def unwrapped(time_s: Array) -> tuple[Array, tuple[str, ...]]:
+    """A clock of the day or the GPS week that goes on over midnight or the week's end, and a note for each time it did.
+
+    A step back by more than half the clock's round is the round's end; any other step stays.
+
+    >>> unwrapped(np.array([86398.0, 86399.0, 0.0, 1.0]))[0]
+    array([86398., 86399., 86400., 86401.])
+    """
+    known = np.isfinite(time_s)
+    if known.sum() < 2 or time_s[known].min() < 0:
+        return time_s, ()
+    highest = float(time_s[known].max())
+    if highest >= WEEK_S:
+        return time_s, ()
+    out = time_s.copy()
+    values = out[known]
+    notes = []
+    steps = np.diff(values)
+    for round_s, name in ((DAY_S, "midnight"), (WEEK_S, "the end of the GPS week")):
+        back = steps < -0.5 * round_s
+        if highest >= round_s or not back.any():
+            continue
+        values = values + np.concatenate(([0.0], np.cumsum(np.where(back, round_s, 0.0))))
+        notes.append(f"the clock starts again at {name}, {int(back.sum())} times")
+        break
+    out[known] = values
+    return out, tuple(notes)
+
+
+def dated(time_s: Array, first: date) -> Array:
+    """Unix time of a clock whose first point is on the day `first` (UTC); the clock's time of the day stays."""
+    known = np.flatnonzero(np.isfinite(time_s))
+    if not len(known):
+        return time_s
+    midnight = datetime(first.year, first.month, first.day, tzinfo=UTC).timestamp()
+    unix: Array = time_s + midnight - np.floor(time_s[known[0]] / DAY_S) * DAY_S
+    return unix
+
+
+_FORMATS = (
+    "%m/%d/%Y %I:%M:%S %p",
+    "%m/%d/%Y %H:%M:%S",
+    "%Y/%m/%d %H:%M:%S",
+    "%d.%m.%Y %H:%M:%S",
+    "%Y%m%d%H%M%S",
+    "%m/%d/%Y %H:%M",
+)
+
+
+def parsed(texts: Sequence[str]) -> tuple[Array, str]:
+    """Unix times of ISO 8601 or other dated texts, NaN where one cannot be read; and a note on what was taken for granted."""
+    count = len(texts)
+    out = np.full(count, np.nan)
+    seen: dict[str, float] = {}
+    zone_missing = False
+    chosen: str | None = None
+    for row, text in enumerate(texts):
+        if text not in seen:
+            moment, chosen = _moment(text, chosen)
+            if moment is not None and moment.tzinfo is None:
+                zone_missing, moment = True, moment.replace(tzinfo=UTC)
+            try:
+                seen[text] = np.nan if moment is None else moment.timestamp()
+            except (OverflowError, ValueError, OSError):
+                seen[text] = np.nan
+        out[row] = seen[text]
+    notes = []
+    if zone_missing:
+        notes.append("times without a zone are taken as UTC")
+    if chosen is not None and chosen.startswith("%m/"):
+        notes.append("dates are read as month/day/year")
+    return out, "; ".join(notes)
+
+
+def _moment(text: str, chosen: str | None) -> tuple[datetime | None, str | None]:
+    plain = text.strip()
+    try:
+        return datetime.fromisoformat(plain), chosen
+    except ValueError:
+        pass
+    for pattern in (chosen, *_FORMATS) if chosen else _FORMATS:
+        try:
+            return datetime.strptime(plain, str(pattern)), str(pattern)
+        except ValueError:
+            continue
+    return None, chosen

@@ -1,0 +1,59 @@
+"""CSV with a header, columns found by names that say their unit or by a column map."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+from yieldmon.errors import InputError
+from yieldmon.field.table import HarvestTable
+
+from .assembled import Raw, assemble
+from .delimited import delimiter_of, encoding_of, read_rows, rows_of
+from .naming import QUANTITIES, columns_of
+from .options import ReadOptions
+
+KIND = "CSV with a header"
+ORDER = 60
+_SUFFIXES = (".csv", ".txt", ".tsv")
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """By its suffix, where it is text with a first line of several names."""
+    if path.is_dir() or path.suffix.lower() not in _SUFFIXES or (b"\0" in head and encoding_of(head) != "utf-16"):
+        return False
+    first = head.decode(encoding_of(head), "replace").splitlines()[:1]
+    return bool(first) and first[0].count(delimiter_of(first[0])) >= 1
+
+
+def read(path: Path, options: ReadOptions) -> HarvestTable:
+    """All rows. Raises InputError."""
+    with path.open("rb") as stream:
+        head = stream.read(1 << 16)
+    encoding = encoding_of(head)
+    lines = head.decode(encoding, "replace").splitlines()
+    delimiter = delimiter_of(lines[0])
+    names = [name.strip() for name in next(csv.reader([lines[0]], delimiter=delimiter, skipinitialspace=True))]
+    if len(set(names)) != len(names):
+        twice = sorted({name for name in names if names.count(name) > 1})
+        raise InputError(f"{path}: header", f"has {', '.join(twice)} more than once", "each column once")
+    columns, notes = columns_of(names, options.columns, {}, str(path))
+    place = {name: number for number, name in enumerate(names)}
+    text_kinds = ("text", "date")
+    numbers = [place[c.name] for c in columns.values() if QUANTITIES[c.quantity].kind not in text_kinds]
+    texts = [place[c.name] for c in columns.values() if QUANTITIES[c.quantity].kind in text_kinds]
+    rows = rows_of(path, encoding, delimiter)
+    next(rows, None)
+    # With semicolons between fields, commas are within numbers.
+    read = read_rows(rows, numbers, texts, max([*numbers, *texts]) + 1, decimal_comma=delimiter == ";")
+    if not read.count:
+        raise InputError(str(path), "has a header and no row that can be read", "at least one row")
+    raw = Raw(
+        columns,
+        {names[n]: v for n, v in read.numbers.items()},
+        {names[n]: v for n, v in read.texts.items()},
+        read.count,
+        read.skipped,
+        notes,
+    )
+    return assemble(raw, str(path), KIND, options)

@@ -1,0 +1,175 @@
+"""Rows of delimited text in blocks: numbers as arrays, texts as labels, rows that cannot be read counted and named."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from yieldmon.errors import InputError
+from yieldmon.field.table import Array, Label, Skipped
+
+BLOCK_ROWS = 50_000
+_UNKNOWN = frozenset({"", "-", "na", "n/a", "nan", "null", "none", "?"})
+_NAMED = 5
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Columns by number, and what could not be read."""
+
+    numbers: Mapping[int, Array]
+    texts: Mapping[int, Label]
+    count: int
+    skipped: tuple[Skipped, ...]
+
+
+@dataclass
+class _Bad:
+    count: int = 0
+    first: list[int] = field(default_factory=list)
+
+    def add(self, row: int) -> None:
+        self.count += 1
+        if len(self.first) < _NAMED:
+            self.first.append(row)
+
+    def skipped(self, why: str) -> tuple[Skipped, ...]:
+        if not self.count:
+            return ()
+        more = f" and {self.count - len(self.first)} more" if self.count > len(self.first) else ""
+        plural = "rows" if self.count > 1 else "row"
+        return (Skipped(f"{plural} {', '.join(map(str, self.first))}{more}", why),)
+
+
+def encoding_of(head: bytes) -> str:
+    """By the byte order mark; UTF-8 without one."""
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    return "utf-8-sig"
+
+
+def delimiter_of(line: str) -> str:
+    """The most frequent of comma, semicolon and tab outside quotes."""
+    plain = "".join(part for number, part in enumerate(line.split('"')) if number % 2 == 0)
+    return max(",;\t", key=plain.count)
+
+
+def rows_of(path: Path, encoding: str, delimiter: str) -> Iterator[tuple[int, list[str]]]:
+    """Number (from 1) and fields of each row that is not empty. Raises InputError for what no row can be told in."""
+    csv.field_size_limit(1 << 20)
+    with path.open(encoding=encoding, errors="replace", newline="") as stream:
+        reader = csv.reader(stream, delimiter=delimiter, skipinitialspace=True)
+        while True:
+            try:
+                row = next(reader)
+            except StopIteration:
+                return
+            except csv.Error:
+                yield reader.line_num, []
+                continue
+            except UnicodeError as error:
+                raise InputError(str(path), f"is no text: {error}", "a delimited text file") from error
+            if row and (len(row) > 1 or row[0].strip()):
+                yield reader.line_num, row
+
+
+def number(text: str) -> float:
+    """A number, NaN for unknown. Raises ValueError."""
+    plain = text.strip()
+    if plain.lower() in _UNKNOWN:
+        return float("nan")
+    if "_" in plain:
+        raise ValueError(plain)
+    return float(plain)
+
+
+def read_rows(
+    source: Iterator[tuple[int, list[str]]],
+    numbers: Sequence[int],
+    texts: Sequence[int],
+    fields: int,
+    decimal_comma: bool = False,
+) -> Rows:
+    """The rows as columns.
+
+    Parameters
+    ----------
+    source : iterator of (int, list of str)
+        From rows_of.
+    numbers, texts : sequence of int
+        Columns wanted, from 0.
+    fields : int
+        Fewest fields that a row must have.
+    decimal_comma : bool
+        Whether numbers are written with a comma.
+    """
+    arrays: dict[int, list[Array]] = {column: [] for column in numbers}
+    codes: dict[int, list[Array]] = {column: [] for column in texts}
+    names: dict[int, dict[str, int]] = {column: {} for column in texts}
+    short, wrong = _Bad(), _Bad()
+    count = 0
+    while True:
+        block: list[list[str]] = []
+        lines: list[int] = []
+        taken = 0
+        for line, row in islice(source, BLOCK_ROWS):
+            taken += 1
+            if len(row) < fields:
+                short.add(line)
+            else:
+                block.append(row)
+                lines.append(line)
+        if not taken:
+            break
+        block, values = _block_numbers(block, lines, numbers, wrong, decimal_comma)
+        count += len(block)
+        for column in numbers:
+            arrays[column].append(values[column])
+        for column in texts:
+            known = names[column]
+            codes[column].append(
+                np.fromiter(
+                    (known.setdefault(" ".join(row[column].split()) if column < len(row) else "", len(known)) for row in block),
+                    np.int32,
+                    len(block),
+                )
+            )
+    return Rows(
+        {column: np.concatenate(parts) if parts else np.zeros(0) for column, parts in arrays.items()},
+        {
+            column: Label(
+                np.concatenate(parts).astype(np.int32) if parts else np.zeros(0, np.int32), tuple(names[column]) or ("",)
+            )
+            for column, parts in codes.items()
+        },
+        count,
+        short.skipped(f"fewer than {fields} fields") + wrong.skipped("a field that is no number"),
+    )
+
+
+def _block_numbers(
+    block: list[list[str]], lines: list[int], numbers: Sequence[int], wrong: _Bad, decimal_comma: bool
+) -> tuple[list[list[str]], dict[int, Array]]:
+    def cell(row: list[str], column: int) -> str:
+        text = row[column] if column < len(row) else ""
+        return text.replace(",", ".") if decimal_comma else text
+
+    try:
+        return block, {column: np.array([cell(row, column) for row in block], dtype=float) for column in numbers}
+    except ValueError:
+        pass
+    good, values = [], []
+    for line, row in zip(lines, block, strict=True):
+        try:
+            values.append([number(cell(row, column)) for column in numbers])
+            good.append(row)
+        except ValueError:
+            wrong.add(line)
+    table = np.array(values, dtype=float).reshape(len(values), len(numbers))
+    return good, {column: table[:, place] for place, column in enumerate(numbers)}

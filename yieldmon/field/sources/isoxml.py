@@ -1,0 +1,350 @@
+"""ISO 11783-10 task data: TASKDATA.XML with its binary time logs, as a folder, the file itself, or zipped.
+
+Values by the data dictionary of ISO 11783-11. A log that is missing or damaged is named and left out; identifiers that the
+dictionary leaves to makers are kept as they are.
+"""
+
+from __future__ import annotations
+
+import re
+import zipfile
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from yieldmon.errors import InputError
+from yieldmon.field.plane import Plane
+from yieldmon.field.table import DEFAULT_FLOW_S, Array, HarvestTable, Label, Skipped, Source, build, joined
+
+from . import timelog
+from .options import ReadOptions
+from .positions import plausible
+
+KIND = "ISO 11783-10 task data"
+ORDER = 10
+TASK_FILE = "TASKDATA.XML"
+MAX_MEMBER_BYTES = 1 << 30
+
+WIDTH, DEFAULT_WIDTH, MAX_WIDTH = 67, 68, 70
+MASS_PER_AREA, MASS_PER_TIME, TOTAL_MASS, MOISTURE = 84, 87, 90, 99
+TOTAL_AREA, WORK_STATE, LAG, LEAD = 116, 141, 259, 260
+CONDENSED_STATES = range(161, 177)
+_KNOWN = {WIDTH, MASS_PER_AREA, MASS_PER_TIME, TOTAL_MASS, MOISTURE, TOTAL_AREA, WORK_STATE, LAG, LEAD, *CONDENSED_STATES}
+_LOG_NAME = re.compile(r"^TLG\d+$", re.IGNORECASE)
+_LONGEST_INTERVAL_S = 10.0
+_SECTION = "4"
+_DAMAGE = (OSError, zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError)
+
+
+@dataclass(frozen=True)
+class Folder:
+    """Files by name in capitals, and a way to read them."""
+
+    where: str
+    names: Mapping[str, str]
+    get: Callable[[str], bytes]
+
+    def bytes_of(self, name: str) -> bytes:
+        """Content. Raises InputError where it is missing or cannot be read."""
+        real = self.names.get(name.upper())
+        if real is None:
+            raise InputError(f"{self.where}: {name}", "is missing", "")
+        try:
+            return self.get(real)
+        except _DAMAGE as error:
+            raise InputError(f"{self.where}: {name}", f"cannot be read: {error}", "") from error
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """A folder or zip with TASKDATA.XML or logs in it, or that file."""
+    if path.is_dir():
+        return _task_folder(path) is not None
+    if zipfile.is_zipfile(path):
+        try:
+            with zipfile.ZipFile(path) as archive:
+                return any(_is_task_member(name) for name in archive.namelist())
+        except _DAMAGE:
+            return False
+    return path.name.upper() == TASK_FILE or b"<ISO11783_TaskData" in head
+
+
+def _is_task_member(name: str) -> bool:
+    base = name.replace("\\", "/").rsplit("/", 1)[-1].upper()
+    return base == TASK_FILE or (base.endswith(".BIN") and bool(_LOG_NAME.match(base[:-4])))
+
+
+def _task_folder(path: Path) -> Path | None:
+    for folder in (path, *sorted(child for child in path.iterdir() if child.is_dir() and child.name.upper() == "TASKDATA")):
+        if any(_is_task_member(child.name) for child in folder.iterdir() if child.is_file()):
+            return folder
+    return None
+
+
+def _open(path: Path) -> Folder:
+    if path.is_dir() or path.name.upper() == TASK_FILE:
+        folder = (_task_folder(path) or path) if path.is_dir() else path.parent
+        return Folder(
+            str(path),
+            {child.name.upper(): child.name for child in folder.iterdir() if child.is_file()},
+            lambda name: (folder / name).read_bytes(),
+        )
+    if not zipfile.is_zipfile(path):
+        return Folder(
+            str(path),
+            {child.name.upper(): child.name for child in path.parent.iterdir() if child.is_file()} | {TASK_FILE: path.name},
+            lambda name: (path.parent / name).read_bytes(),
+        )
+    with zipfile.ZipFile(path) as archive:
+        members = [info for info in archive.infolist() if not info.is_dir()]
+    tasks = [m.filename for m in members if _is_task_member(m.filename)]
+    home = tasks[0].replace("\\", "/").rpartition("/")[0]
+    here = {
+        m.filename.replace("\\", "/").rpartition("/")[2].upper(): m.filename
+        for m in members
+        if m.filename.replace("\\", "/").rpartition("/")[0] == home
+    }
+
+    def get(name: str) -> bytes:
+        with zipfile.ZipFile(path) as archive:
+            if archive.getinfo(name).file_size > MAX_MEMBER_BYTES:
+                raise OSError(f"larger than {MAX_MEMBER_BYTES} bytes")
+            return archive.read(name)
+
+    return Folder(str(path), here, get)
+
+
+@dataclass(frozen=True)
+class _Device:
+    """Constants of the device description: (DDI, element) -> raw value; elements that are sections."""
+
+    constants: Mapping[int, float] = field(default_factory=dict)
+    sections: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True)
+class _Task:
+    """A log's task: names for its rows."""
+
+    log: str
+    task: str = ""
+    field: str = ""
+    crop: str = ""
+
+
+def read(path: Path, options: ReadOptions) -> HarvestTable:
+    """All logs that can be read. Raises InputError where there is none with a yield and positions."""
+    folder = _open(path)
+    skipped: list[Skipped] = []
+    try:
+        root = timelog.xml_root(folder.bytes_of(TASK_FILE), TASK_FILE)
+    except InputError as error:
+        skipped.append(Skipped(TASK_FILE, _reason(error)))
+        root = ET.Element("ISO11783_TaskData")
+    device, tasks = _device(root), _tasks(root)
+    listed = {task.log.upper() for task in tasks}
+    tasks += [
+        _Task(name[:-4])
+        for name in sorted(folder.names)
+        if name.endswith(".BIN") and _LOG_NAME.match(name[:-4]) and name[:-4] not in listed
+    ]
+    parts = []
+    for task in tasks:
+        try:
+            part, problem = _log(folder, task, device, options)
+            if problem:
+                skipped.append(Skipped(task.log, problem))
+            parts.append(part)
+        except InputError as error:
+            skipped.append(Skipped(task.log, _reason(error)))
+    if not parts:
+        told = "; ".join(f"{one.part}: {one.why}" for one in skipped[:3])
+        raise InputError(
+            str(path), f"has no log that can be read ({told or 'none is named'})", "a time log with yield and position"
+        )
+    whole = joined(parts)
+    masses = [source.mass_kg for source in whole.sources]
+    areas = [source.area_m2 for source in whole.sources]
+    notes = dict.fromkeys(note for source in whole.sources for note in source.notes)
+    source = Source(
+        str(path),
+        KIND,
+        len(whole),
+        tuple(skipped),
+        None if None in masses else float(sum(m for m in masses if m is not None)),
+        None if None in areas else float(sum(a for a in areas if a is not None)),
+        tuple(notes),
+    )
+    return replace(whole, sources=(source,), source_of_row=np.zeros(len(whole), np.int32))
+
+
+def _reason(error: InputError) -> str:
+    return error.problem
+
+
+def _tasks(root: ET.Element) -> list[_Task]:
+    fields = {element.get("A", ""): element for element in root.iter("PFD")}
+    crops = {element.get("A", ""): element.get("B", "") for element in root.iter("CTP")}
+    products = {element.get("A", ""): element.get("B", "") for element in root.iter("PDT")}
+    out = []
+    for task in root.iter("TSK"):
+        place = fields.get(task.get("E", ""))
+        name = "" if place is None else place.get("C", "")
+        crop = "" if place is None else crops.get(place.get("G", ""), "")
+        product = next((products.get(pan.get("A", ""), "") for pan in task.iter("PAN")), "")
+        for log in task.iter("TLG"):
+            out.append(_Task(log.get("A", ""), task.get("B", "") or task.get("A", ""), name, crop or product))
+    return out
+
+
+def _device(root: ET.Element) -> _Device:
+    constants = {}
+    for element in root.iter("DPT"):
+        try:
+            constants[int(element.get("B", ""), 16)] = float(int(element.get("C", "")))
+        except ValueError:
+            continue
+    sections = frozenset(element.get("A", "") for element in root.iter("DET") if element.get("C") == _SECTION)
+    return _Device(constants, sections)
+
+
+def _log(folder: Folder, task: _Task, device: _Device, options: ReadOptions) -> tuple[HarvestTable, str]:
+    head = timelog.header(folder.bytes_of(f"{task.log}.XML"), f"{task.log}.xml")
+    log = timelog.read(folder.bytes_of(f"{task.log}.BIN"), head)
+    count = len(log.time_s)
+    where = f"{folder.where}: {task.log}"
+    if not count:
+        raise InputError(where, log.problem, "")
+    if not np.isfinite(log.longitude_deg).any():
+        raise InputError(where, "has no positions", "")
+    of = _Values(log.values, device)
+    interval = np.diff(log.time_s, prepend=log.time_s[0])
+    usual = np.median(interval[interval > 0]) if (interval > 0).any() else 1.0
+    longest = max(_LONGEST_INTERVAL_S, 3.0 * usual)
+    # After a pause the machine cut for one usual interval, not for the pause.
+    interval = np.where((interval < 0) | (interval > longest), usual, interval)
+    interval[0] = usual
+    plane = Plane.about(log.longitude_deg, log.latitude_deg)
+    x, y = plane.to_m(log.longitude_deg, log.latitude_deg)
+    way = np.hypot(np.diff(x, prepend=x[0]), np.diff(y, prepend=y[0]))
+    way[0] = way[1] if count > 1 else 0.0
+    notes = []
+    width = of.width_m()
+    if options.width_m is not None:
+        width = np.full(count, options.width_m)
+    elif width is None:
+        raise InputError(where, f"has no working width (DDI {WIDTH}, {DEFAULT_WIDTH} or {MAX_WIDTH})", "--width M")
+    flow = of.one(MASS_PER_TIME, 1e-6)
+    total = of.one(TOTAL_MASS, 1.0)
+    if flow is None:
+        per_area = of.one(MASS_PER_AREA, 1e-6)
+        if per_area is None:
+            raise InputError(where, f"has no yield (DDI {MASS_PER_TIME} or {MASS_PER_AREA})", "")
+        with np.errstate(invalid="ignore", divide="ignore"):
+            flow = np.where(interval > 0, per_area * way * width / interval, np.nan)
+        notes.append(f"flow is yield by area (DDI {MASS_PER_AREA}) times way and width")
+    moisture = of.one(MOISTURE, 1e-4)
+    columns, limits = plausible(
+        {
+            "time_s": log.time_s,
+            "longitude_deg": log.longitude_deg,
+            "latitude_deg": log.latitude_deg,
+            "flow_kg_s": flow,
+            "interval_s": interval,
+            "distance_m": way,
+            "width_m": width,
+            "elevation_m": log.elevation_m,
+            "moisture_pct": np.full(count, np.nan) if moisture is None else np.where(moisture > 0, moisture, np.nan),
+            "header_down": of.header_down(count),
+        }
+    )
+    area = of.one(TOTAL_AREA, 1.0)
+    source = Source(
+        where,
+        KIND,
+        count,
+        (),
+        None if total is None else _risen(total),
+        None if area is None else _risen(area),
+        (*notes, *limits),
+    )
+    labels = {
+        "field": Label.constant(options.field or task.field, count),
+        "load": Label.constant(task.task, count),
+        "crop": Label.constant(options.crop or task.crop, count),
+    }
+    lag = of.single(LAG) or of.single(LEAD)
+    extra = {f"DDI {ddi:04X} {element}".strip(): values for (ddi, element), values in log.values.items() if ddi not in _KNOWN}
+    table = build(
+        columns,
+        labels,
+        source,
+        unix_time=True,
+        declared_flow_s=None if lag is None else lag * 1e-3,
+        default_flow_s=DEFAULT_FLOW_S,
+        extra=extra,
+    )
+    return table, log.problem
+
+
+def _risen(counter: Array) -> float:
+    """What a counter counted; where it falls it began again."""
+    known = counter[np.isfinite(counter)]
+    steps = np.diff(known)
+    return float(np.where(steps >= 0, steps, known[1:]).sum())
+
+
+@dataclass(frozen=True)
+class _Values:
+    """Values of a log by DDI."""
+
+    values: Mapping[tuple[int, str], Array]
+    device: _Device
+
+    def of(self, ddi: int) -> list[tuple[str, Array]]:
+        return [(element, values) for (key, element), values in self.values.items() if key == ddi]
+
+    def one(self, ddi: int, scale: float) -> Array | None:
+        """The values of the element that has most of them, or the sum of sections."""
+        found = self.of(ddi)
+        if not found:
+            return None
+        whole = [values for element, values in found if element not in self.device.sections]
+        if whole:
+            return scale * max(whole, key=lambda values: int(np.isfinite(values).sum()))
+        together: Array = scale * np.nansum([values for _, values in found], axis=0)
+        return together
+
+    def single(self, ddi: int) -> float | None:
+        """A value that stays: from the log's last record or the device description."""
+        found = self.one(ddi, 1.0)
+        if found is not None and np.isfinite(found).any():
+            return float(found[np.isfinite(found)][-1])
+        return self.device.constants.get(ddi)
+
+    def width_m(self) -> Array | None:
+        width = self.one(WIDTH, 1e-3)
+        fallback = next((self.single(ddi) for ddi in (DEFAULT_WIDTH, MAX_WIDTH) if self.single(ddi)), None)
+        if width is None:
+            count = len(next(iter(self.values.values()), np.zeros(0)))
+            return None if fallback is None else np.full(count, fallback * 1e-3)
+        return width if fallback is None else np.where(np.isfinite(width), width, fallback * 1e-3)
+
+    def header_down(self, count: int) -> Array:
+        state = self.one(WORK_STATE, 1.0)
+        if state is not None:
+            return np.where(np.isfinite(state), (state == 1).astype(float), np.nan)
+        any_on = np.full(count, np.nan)
+        for ddi in CONDENSED_STATES:
+            condensed = self.one(ddi, 1.0)
+            if condensed is None:
+                continue
+            bits = np.nan_to_num(condensed).astype(np.int64)
+            on = np.zeros(count, bool)
+            for section in range(16):
+                on |= (bits >> (2 * section)) & 3 == 1
+            any_on = np.where(np.isfinite(condensed), np.fmax(any_on, on.astype(float)), any_on)
+        return any_on

@@ -1,0 +1,178 @@
+"""Which column of a file is which quantity, and in which unit.
+
+From a map that a person gives, from the file's own metadata, or from a name that says its unit, such as `Flow(lb/s)` or
+`mass_flow_kg_s`. A known name without a unit is an error that asks for one.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from yieldmon.errors import InputError
+from yieldmon.field.units import FACTORS, plain_unit
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """kind: of units (see FACTORS), "date" or "text". names: how files call it, in small letters and digits only."""
+
+    kind: str
+    names: tuple[str, ...]
+
+
+QUANTITIES: Mapping[str, Quantity] = {
+    "longitude": Quantity("angle", ("longitude", "lon", "long", "x", "xcoord", "longitud")),
+    "latitude": Quantity("angle", ("latitude", "lat", "y", "ycoord", "latitud")),
+    "time": Quantity("date", ("isotime", "timeutc", "utctime", "time", "timestamp", "datetime", "gpstime", "date", "unixtime")),
+    "flow": Quantity(
+        "mass_flow", ("flow", "massflow", "grainflow", "cropflow", "cropflowm", "flowrate", "massflowrate", "flowmass")
+    ),
+    "flow_sd": Quantity("mass_flow", ("flowsd", "massflowsd", "stddev", "flowstddev")),
+    "yield": Quantity(
+        "mass_per_area",
+        (
+            "yield",
+            "yldmasswet",
+            "yieldmasswet",
+            "wetmass",
+            "massyield",
+            "wetyield",
+            "yieldmass",
+            "yldmass",
+            "yieldwet",
+            "vryieldmas",
+            "yldvolwet",
+            "yieldvolwet",
+            "vryieldvol",
+            "dryyield",
+            "yldvoldry",
+            "yldmassdry",
+            "yieldvol",
+            "drymatter",
+        ),
+    ),
+    "moisture": Quantity("percent", ("moisture", "moist", "grainmoisture", "moisturepercent", "humidity")),
+    "interval": Quantity("time", ("interval", "duration", "loginterval", "cycles", "cycle", "logint", "dt")),
+    "distance": Quantity("length", ("distance", "dist", "distancetravelled", "distancetraveled")),
+    "speed": Quantity("speed", ("speed", "vehiclespeed", "groundspeed", "vehiclspeed")),
+    "width": Quantity(
+        "length", ("width", "swath", "swathwidth", "swthwdth", "swthwidth", "workingwidth", "headerwidth", "swthwdthm")
+    ),
+    "heading": Quantity("angle", ("heading", "course", "track", "trackdeg", "bearing")),
+    "elevation": Quantity("length", ("elevation", "altitude", "elev", "height", "z")),
+    "position_sd": Quantity("length", ("positionsd",)),
+    "header": Quantity("none", ("headerdown", "header", "headerstatus", "harvesting", "inwork", "workstate")),
+    "pass": Quantity("none", ("pass", "passnumber", "passnum")),
+    "section": Quantity("none", ("section", "sectionid")),
+    "field": Quantity("text", ("field", "fieldname")),
+    "load": Quantity("text", ("load", "loadname", "loadnumber")),
+    "crop": Quantity("text", ("crop", "grain", "cropname")),
+    "machine": Quantity("text", ("machine", "serial", "serialnumber", "machineid", "combine")),
+    "product": Quantity("text", ("product", "variety", "hybrid")),
+}
+_NEEDS_NO_UNIT = ("longitude", "latitude", "time", "moisture", "heading")
+_BRACKETS = re.compile(r"[(\[]([^()\[\]]*)[)\]]\s*$")
+_UNIT_WORDS = [
+    *sorted(
+        {
+            unit.replace("/", "_"): unit
+            for kind in FACTORS.values()
+            for unit in kind
+            if unit and unit.isascii() and "%" not in unit
+        }.items(),
+        key=lambda item: -len(item[0]),
+    ),
+    ("bu_ac", "bu/ac"),
+    ("km_h", "km/h"),
+]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A file's column: its name there, the quantity, its unit ("" where none is needed)."""
+
+    name: str
+    quantity: str
+    unit: str
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """A name without its unit, and the unit.
+
+    >>> split_unit("Flow(lb/s)"), split_unit("mass_flow_kg_s"), split_unit("Yld Mass(Wet)(lb/ac)")
+    (('Flow', 'lb/s'), ('mass_flow', 'kg/s'), ('Yld Mass(Wet)', 'lb/ac'))
+    """
+    found = _BRACKETS.search(name)
+    if found and any(plain_unit(found[1]) in kind for kind in (*FACTORS.values(), ("bu/ac", "bu/ha", "bu/acre"))):
+        return name[: found.start()].strip(), plain_unit(found[1])
+    lower = name.lower()
+    for word, unit in _UNIT_WORDS:
+        if lower.endswith("_" + word):
+            return name[: -len(word) - 1], unit
+    return name, ""
+
+
+def plain_name(name: str) -> str:
+    """Small letters and digits only."""
+    return re.sub(r"[^a-z0-9]", "", name.lower())
+
+
+def columns_of(
+    names: Sequence[str], given: Mapping[str, tuple[str, str]], units: Mapping[str, str], where: str
+) -> tuple[dict[str, Column], tuple[str, ...]]:
+    """Quantity -> column, and notes.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of the file.
+    given : mapping of str to (str, str)
+        A person's map: quantity -> name and unit.
+    units : mapping of str to str
+        The file's own metadata: name -> unit.
+    where : str
+        Place for errors.
+
+    Raises
+    ------
+    InputError
+        For a quantity or name that does not exist, or a column whose unit nobody says.
+    """
+    out: dict[str, Column] = {}
+    notes = []
+    for quantity, (name, unit) in given.items():
+        if quantity not in QUANTITIES:
+            raise InputError("--column", f"names the quantity {quantity!r}", f"one of {', '.join(QUANTITIES)}")
+        if name not in names:
+            raise InputError(where, f"has no column {name!r}", f"one of {', '.join(names[:30])}")
+        out[quantity] = Column(name, quantity, unit or units.get(name, "") or split_unit(name)[1])
+    lacking = []
+    found = [(name, *split_unit(name)) for name in names]
+    for quantity, facts in QUANTITIES.items():
+        if quantity in out:
+            continue
+        for wanted in facts.names:
+            named = next(((name, unit) for name, bare, unit in found if wanted in (plain_name(bare), plain_name(name))), None)
+            if named is None:
+                continue
+            unit = units.get(named[0], "") or named[1]
+            if facts.kind not in ("text", "date", "none") and not unit and quantity not in _NEEDS_NO_UNIT:
+                lacking.append(named[0])
+                continue
+            if quantity == "moisture" and not unit:
+                unit = "%"
+                notes.append(f"{named[0]} is taken as %")
+            out[quantity] = Column(named[0], quantity, unit)
+            break
+    if ("flow" not in out and "yield" not in out) or (
+        "width" not in out and any(plain_name(n) in QUANTITIES["width"].names for n in lacking)
+    ):
+        if lacking:
+            raise InputError(
+                where, f"does not say the unit of {', '.join(lacking)}", f"--column flow={lacking[0]}:UNIT and so on"
+            )
+        raise InputError(where, f"has no column of flow or yield among {', '.join(names[:20])}", "--column flow=NAME:UNIT")
+    notes += [f"{name} has no unit and is not used" for name in lacking if name not in {column.name for column in out.values()}]
+    return out, tuple(notes)

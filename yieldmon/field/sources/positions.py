@@ -1,0 +1,44 @@
+"""Positions and numbers that no harvest has, taken as not known and said so."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from yieldmon.field.table import Array
+
+#: Column -> lowest and highest value that is taken as one.
+LIMITS: Mapping[str, tuple[float, float]] = {
+    "longitude_deg": (-180.0, 180.0),
+    "latitude_deg": (-90.0, 90.0),
+    "flow_kg_s": (0.0, 1000.0),
+    "moisture_pct": (0.0, 100.0),
+    "interval_s": (0.0, 3600.0),
+    "distance_m": (0.0, 10_000.0),
+    "width_m": (0.0, 100.0),
+    "flow_sd_kg_s": (0.0, 1000.0),
+    "position_sd_m": (0.0, 1000.0),
+    "time_s": (-1e11, 1e11),
+    "elevation_m": (-1000.0, 10_000.0),
+}
+
+
+def plausible(columns: Mapping[str, Array]) -> tuple[dict[str, Array], tuple[str, ...]]:
+    """The columns with impossible values unknown, and a note on each column that had some. (0, 0) is a receiver without a fix."""
+    out, notes = {}, []
+    for name, given in columns.items():
+        values = np.asarray(given, float)
+        low, high = LIMITS.get(name, (-np.inf, np.inf))
+        with np.errstate(invalid="ignore"):
+            wrong = np.isinf(values) | (values < low) | (values > high)
+        if wrong.any():
+            notes.append(f"{int(wrong.sum())} values of {name} outside {low:g} to {high:g} are taken as unknown")
+            values = np.where(wrong, np.nan, values)
+        out[name] = values
+    no_fix = (out["longitude_deg"] == 0) & (out["latitude_deg"] == 0)
+    if no_fix.any():
+        notes.append(f"{int(no_fix.sum())} positions at 0, 0 are taken as unknown")
+    lost = no_fix | np.isnan(out["longitude_deg"]) | np.isnan(out["latitude_deg"])
+    out["longitude_deg"], out["latitude_deg"] = (np.where(lost, np.nan, out[n]) for n in ("longitude_deg", "latitude_deg"))
+    return out, tuple(notes)

@@ -1,0 +1,78 @@
+"""A daemon's store: its one-second records, also while the daemon writes it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from yieldmon.errors import InputError
+from yieldmon.field.table import DEFAULT_FLOW_S, Array, HarvestTable, Label, Source, build
+from yieldmon.frames import EstimateQuality
+from yieldmon.service import recorded
+from yieldmon.service.rows import SecondRow
+
+from .options import ReadOptions
+from .positions import plausible
+
+KIND = "yieldmon store"
+ORDER = 20
+_MAGIC = b"SQLite format 3\0"
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """An SQLite file that is no GeoPackage."""
+    return path.is_file() and head.startswith(_MAGIC) and path.suffix.lower() not in (".gpkg",)
+
+
+def read(path: Path, options: ReadOptions) -> HarvestTable:
+    """All seconds with their loads. Raises InputError where it has none, or no width is given."""
+    with recorded.opened(path) as store:
+        rows = store.seconds()
+        loads = {load.number: load for load in store.loads()}
+    if not rows:
+        raise InputError(str(path), "has no seconds", "a store with records")
+    if options.width_m is None:
+        raise InputError(str(path), "has no working width", "--width M")
+    count = len(rows)
+    harvesting = np.array([row.quality != EstimateQuality.NOT_HARVESTING for row in rows])
+    flow = _column(rows, "mass_flow_kg_s")
+    duration = _column(rows, "duration_s")
+    mass = _column(rows, "mass_kg")
+    with np.errstate(invalid="ignore", divide="ignore"):
+        flow = np.where(duration > 0, mass / duration, flow)
+    speed = _column(rows, "ground_speed_m_s")
+    columns, notes = plausible(
+        {
+            "time_s": _column(rows, "time_s"),
+            "longitude_deg": _column(rows, "longitude_deg"),
+            "latitude_deg": _column(rows, "latitude_deg"),
+            "flow_kg_s": flow,
+            "flow_sd_kg_s": _column(rows, "std_dev_kg_s"),
+            "moisture_pct": _column(rows, "moisture_pct"),
+            "interval_s": duration,
+            "distance_m": speed * duration,
+            "width_m": np.full(count, options.width_m),
+            "heading_deg": _column(rows, "course_deg"),
+        }
+    )
+    fields = [loads[row.load_number].field if row.load_number in loads else "" for row in rows]
+    crops = [loads[row.load_number].crop if row.load_number in loads else "" for row in rows]
+    labels = {
+        "load": Label.of([str(row.load_number) for row in rows]),
+        "field": Label.constant(options.field, count) if options.field else Label.of(fields),
+        "crop": Label.constant(options.crop, count) if options.crop else Label.of(crops),
+    }
+    total = rows[-1].total_kg - rows[0].total_kg + rows[0].mass_kg
+    source = Source(
+        str(path),
+        KIND,
+        count,
+        mass_kg=total if total > 0 else None,
+        notes=(*notes, *([] if harvesting.any() else ["no second of harvest"])),
+    )
+    return build(columns, labels, source, unix_time=True, default_flow_s=DEFAULT_FLOW_S)
+
+
+def _column(rows: list[SecondRow], name: str) -> Array:
+    return np.array([getattr(row, name) for row in rows], dtype=float)

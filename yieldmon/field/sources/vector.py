@@ -1,0 +1,217 @@
+"""Points in any vector file of GDAL's: GeoPackage, GeoJSON, shapefile, zipped or not; and the zips of the John Deere Operations
+Center, whose metadata say the units."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from yieldmon.errors import InputError
+from yieldmon.field.table import Array, HarvestTable, Label, Skipped, joined
+
+from .assembled import Raw, assemble, labels_from
+from .naming import QUANTITIES, Column, columns_of
+from .options import ReadOptions
+
+KIND = "GeoPackage, GeoJSON or shapefile"
+ORDER = 30
+_SUFFIXES = (".gpkg", ".geojson", ".json", ".shp", ".gml", ".fgb", ".kml")
+_WGS84 = "EPSG:4326"
+_DAMAGE = (OSError, zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, UnicodeError)
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """By suffix, or a zip with such a file in it."""
+    if path.is_dir():
+        return any(child.suffix.lower() == ".shp" for child in path.iterdir())
+    if path.suffix.lower() in _SUFFIXES:
+        return bool(head)
+    return bool(_members(path))
+
+
+def _members(path: Path) -> list[str]:
+    if not zipfile.is_zipfile(path):
+        return []
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return sorted(
+                name
+                for name in archive.namelist()
+                if name.lower().endswith((".shp", ".geojson", ".gpkg")) and not name.startswith("__MACOSX")
+            )
+    except _DAMAGE:
+        return []
+
+
+def read(path: Path, options: ReadOptions) -> HarvestTable:
+    """All layers of points that can be read. Raises InputError where there is none."""
+    if path.is_dir():
+        files = [(str(child), child.name) for child in sorted(path.iterdir()) if child.suffix.lower() == ".shp"]
+    elif path.suffix.lower() in _SUFFIXES:
+        files = [(str(path), path.name)]
+    else:
+        files = [(f"/vsizip/{path.absolute()}/{name}", name) for name in _members(path)]
+    parts, skipped = [], []
+    last: InputError | None = None
+    for address, name in files:
+        try:
+            parts.append(_layer(path, address, name, options))
+        except InputError as error:
+            last = error
+            skipped.append(Skipped(name, error.problem))
+    if not parts:
+        raise last or InputError(str(path), "has no layer of points", "a vector file")
+    table = joined(parts)
+    if len(parts) == 1 and not skipped:
+        return table
+    first = table.sources[0]
+    source = replace(
+        first,
+        path=str(path),
+        points=len(table),
+        skipped=(*first.skipped, *skipped),
+        notes=tuple(dict.fromkeys(note for one in table.sources for note in one.notes)),
+    )
+    return replace(table, sources=(source,), source_of_row=np.zeros(len(table), np.int32))
+
+
+@dataclass(frozen=True)
+class _Metadata:
+    """What a sidecar of the Operations Center says."""
+
+    units: Mapping[str, str]
+    crop: str = ""
+    field: str = ""
+
+
+def _layer(path: Path, address: str, name: str, options: ReadOptions) -> HarvestTable:
+    import pyogrio.errors
+    import pyogrio.raw
+
+    where = f"{path}: {name}" if name != path.name else str(path)
+    try:
+        meta, _, geometry, fields = pyogrio.raw.read(address)
+    except (
+        pyogrio.errors.DataSourceError,
+        pyogrio.errors.DataLayerError,
+        pyogrio.errors.GeometryError,
+        pyogrio.errors.FeatureError,
+        pyogrio.errors.FieldError,
+        ValueError,
+        RuntimeError,
+        UnicodeError,
+        OverflowError,
+    ) as error:
+        raise InputError(where, f"cannot be read: {str(error)[:120]}", "a vector file that GDAL reads") from error
+    names = [str(one) for one in meta["fields"]]
+    if geometry is None or not len(geometry):
+        raise InputError(where, "has no points", "a layer of points")
+    x, y = _points(geometry)
+    if not np.isfinite(x).any():
+        raise InputError(where, f"holds {meta.get('geometry_type')}", "points")
+    sidecar = _metadata(path, name)
+    x, y, notes = _degrees(x, y, meta.get("crs"), options, where)
+    usable = [one for one in names if one not in ("longitude", "latitude")]
+    found, more = columns_of(
+        usable, {q: c for q, c in options.columns.items() if q not in ("longitude", "latitude")}, sidecar.units, where
+    )
+    columns = {**found, "longitude": Column(" x", "longitude", "deg"), "latitude": Column(" y", "latitude", "deg")}
+    numbers: dict[str, Array] = {" x": x, " y": y}
+    texts: dict[str, Label] = {}
+    for quantity, column in found.items():
+        values = fields[names.index(column.name)]
+        if np.issubdtype(values.dtype, np.datetime64):
+            numbers[column.name] = _unix(values)
+            columns[quantity] = Column(column.name, quantity, "s")
+        elif values.dtype == object or QUANTITIES[quantity].kind == "text":
+            texts[column.name] = labels_from(list(values))
+            if QUANTITIES[quantity].kind not in ("text", "date"):
+                numbers[column.name] = _numbers(texts.pop(column.name))
+        else:
+            numbers[column.name] = values.astype(float)
+    dated = any(np.issubdtype(fields[names.index(c.name)].dtype, np.datetime64) for c in found.values())
+    if dated and columns["time"].name in numbers:
+        renamed = columns["time"].name
+        numbers["unix time"] = numbers.pop(renamed)
+        columns["time"] = Column("unix time", "time", "s")
+    if sidecar.crop:
+        texts[" crop"] = Label.constant(sidecar.crop, len(x))
+        columns["crop"] = Column(" crop", "crop", "")
+    if sidecar.field:
+        texts[" field"] = Label.constant(sidecar.field, len(x))
+        columns["field"] = Column(" field", "field", "")
+    kind = "John Deere Operations Center" if sidecar.units else KIND
+    return assemble(Raw(columns, numbers, texts, len(x), notes=(*notes, *more)), where, kind, options)
+
+
+def _unix(values: np.ndarray) -> Array:
+    out = values.astype("datetime64[ms]").astype(np.int64) * 1e-3
+    return np.where(np.isnat(values), np.nan, out)
+
+
+def _numbers(label: Label) -> Array:
+    out = np.full(len(label.names), np.nan)
+    for place, name in enumerate(label.names):
+        try:
+            out[place] = float(name)
+        except ValueError:
+            continue
+    return out[label.codes]
+
+
+def _points(geometry: np.ndarray) -> tuple[Array, Array]:
+    """x and y of well-known binary points, of other shapes their middle; NaN for none."""
+    import shapely
+
+    shapes = shapely.from_wkb(geometry, on_invalid="ignore")
+    flat = shapely.get_type_id(shapes) != 0
+    if flat.any():
+        shapes[flat] = shapely.centroid(shapes[flat])
+    return shapely.get_x(shapes), shapely.get_y(shapes)
+
+
+def _degrees(x: Array, y: Array, crs: str | None, options: ReadOptions, where: str) -> tuple[Array, Array, tuple[str, ...]]:
+    named = crs or options.crs
+    known = np.isfinite(x) & np.isfinite(y)
+    if not named:
+        if (np.abs(x[known]) <= 180).all() and (np.abs(y[known]) <= 90).all():
+            return x, y, ("names no coordinate system; its coordinates are taken as WGS 84 degrees",)
+        raise InputError(where, "names no coordinate system and is not in degrees", "--crs EPSG:CODE")
+    if named.upper() in (_WGS84, "OGC:CRS84"):
+        return x, y, ()
+    import pyproj
+    import pyproj.exceptions
+
+    try:
+        change = pyproj.Transformer.from_crs(named, _WGS84, always_xy=True)
+    except pyproj.exceptions.CRSError as error:
+        raise InputError(where, f"has a coordinate system that is not known: {str(error)[:80]}", "--crs EPSG:CODE") from error
+    longitude, latitude = change.transform(x, y)
+    lost = ~(np.isfinite(longitude) & np.isfinite(latitude))
+    return np.where(lost, np.nan, longitude), np.where(lost, np.nan, latitude), ()
+
+
+def _metadata(path: Path, member: str) -> _Metadata:
+    """Units from the JSON beside the shapefile, in the zip or in the folder."""
+    stem = member.rsplit("/", 1)[-1].rsplit(".", 1)[0]
+    try:
+        if zipfile.is_zipfile(path):
+            with zipfile.ZipFile(path) as archive:
+                names = [n for n in archive.namelist() if n.lower().endswith("metadata.json")]
+                chosen = [n for n in names if n.rsplit("/", 1)[-1].startswith(stem)] or (names if len(names) == 1 else [])
+                text = archive.read(chosen[0]) if chosen else b""
+        else:
+            folder = path if path.is_dir() else path.parent
+            beside = [c for c in sorted(folder.iterdir()) if c.name.startswith(stem) and c.name.lower().endswith("metadata.json")]
+            text = beside[0].read_bytes() if beside else b""
+        document = json.loads(text) if text else {}
+        units = {str(one["Name"]): str(one.get("Unit", "")) for one in document.get("DataAttributes", [])}
+        return _Metadata(units, str(document.get("CropToken", "")), str(document.get("FieldName", "")))
+    except (*_DAMAGE, ValueError, KeyError, TypeError, AttributeError):
+        return _Metadata({})

@@ -1,0 +1,72 @@
+"""A map in numbers, as one JSON document."""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import Any
+
+from .cleaning import KEPT
+from .delay import Delay
+from .harvest import KG_M2_TO_T_HA, HarvestMap
+from .units import M2_PER_HA
+
+
+def document(result: HarvestMap) -> dict[str, Any]:
+    """The map's numbers by the names that other programs use; None for what is not known."""
+    totals, flow = result.totals, result.flow_delay
+    left_out = {name: round(mass, 3) for name, mass in totals.by_reason.items() if name != KEPT}
+    weighed = any(load.weighed_kg is not None for load in result.loads)
+    bushels = [result.bushels_per_acre(value) for value in (totals.yield_kg_m2, totals.low_kg_m2, totals.high_kg_m2)]
+    return {
+        "sources": [
+            {
+                "path": source.path,
+                "kind": source.kind,
+                "points": source.points,
+                "skipped": [{"part": one.part, "why": one.why} for one in source.skipped],
+                "notes": list(source.notes),
+                "machine_total_kg": source.mass_kg,
+                "machine_area_ha": None if source.area_m2 is None else source.area_m2 / M2_PER_HA,
+            }
+            for source in result.table.sources
+        ],
+        "delay": {"flow_s": flow.document(), "moisture_s": result.moisture_delay.document()},
+        "agreement": {name: _known(getattr(flow, name)) for name in ("no_shift", "shifted", "held_out")} | {"pairs": flow.pairs},
+        "mass_kg": {
+            "machine_total": totals.machine_kg,
+            "integrated": round(totals.measured_kg, 3),
+            "corrected": round(totals.corrected_kg, 3),
+            "low": totals.low_kg,
+            "high": totals.high_kg,
+            "kept": round(totals.by_reason.get(KEPT, 0.0), 3),
+            "left_out_by_reason": left_out,
+        },
+        "area_ha": totals.area_m2 / M2_PER_HA,
+        "kept_area_ha": totals.kept_area_m2 / M2_PER_HA,
+        "yield_t_ha": _scaled(totals.yield_kg_m2),
+        "yield_t_ha_low": _scaled(totals.low_kg_m2),
+        "yield_t_ha_high": _scaled(totals.high_kg_m2),
+        "yield_bu_ac": _known(bushels[0]),
+        "crop": result.crop,
+        "points_by_reason": result.cleaned.points_by_reason(),
+        "loads": [load.document() for load in result.loads] if weighed or len(result.loads) > 1 else [],
+        "notes": list(result.notes),
+    }
+
+
+def delay_line(delay: Delay, name: str) -> str:
+    """One line for people."""
+    declared = "" if delay.declared_s is None else f"; the machine declares {delay.declared_s:g} s"
+    if delay.decision == "estimated":
+        return f"{name} delay {delay.value_s:.1f} s ({delay.low_s:.1f} to {delay.high_s:.1f}){declared}"
+    if delay.decision == "declared":
+        return f"{name} delay {delay.value_s:.1f} s, as given{declared}"
+    return f"{name} delay: cannot tell ({delay.why}); {delay.value_s:.1f} s is used{declared}"
+
+
+def _known(value: float | None) -> float | None:
+    return round(value, 6) if value is not None and isfinite(value) else None
+
+
+def _scaled(value: float) -> float | None:
+    return _known(value * KG_M2_TO_T_HA)

@@ -1,0 +1,220 @@
+"""Ground newly cut by each point: the swath between the point before and this one, less what was cut earlier.
+
+A swath is the quadrilateral between the header's edges at two points. Neighbouring swaths of a pass share an edge, so a pass has
+neither gaps nor overlaps of its own. What swaths before it in time cover is taken off exactly, as polygons.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from .table import Array, HarvestTable
+from .tracks import Flags, Index, Tracks
+
+CHUNK = 20_000
+MIN_OVERLAP = 1e-4
+"""Share of a swath below which an overlap is a rounding error of positions."""
+_MAX_EDGE_TURN = np.cos(np.radians(60.0))
+Shapes = NDArray[np.object_]
+
+
+@dataclass(frozen=True)
+class HeaderPlace:
+    """Where the header's middle is, seen from the antenna: m ahead of it and m to the right of it."""
+
+    ahead_m: float = 0.0
+    right_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class Swaths:
+    """Parameters
+    ----------
+    corners_m : array, shape (n, 4, 2)
+        Back left, back right, front right, front left; NaN where nothing was cut.
+    cut : array of bool, shape (n,)
+        Rows that have a swath.
+    gross_m2, area_m2 : array, shape (n,)
+        Area of the swath and of the ground newly cut in it; 0 where nothing was cut.
+    overlapped : array of int
+        Rows that lost ground to earlier ones, and `shapes`, what is left of each of them.
+    """
+
+    corners_m: Array
+    cut: Flags
+    gross_m2: Array
+    area_m2: Array
+    overlapped: Index
+    shapes: Shapes
+
+    def polygons(self, rows: Index) -> Shapes:
+        """New ground of some rows as polygons on the plane; empty ones where nothing is left."""
+        out = _polygons(self.corners_m[rows])
+        place = np.full(len(self.cut), -1, np.intp)
+        place[self.overlapped] = np.arange(len(self.overlapped))
+        changed = place[rows] >= 0
+        out[changed] = self.shapes[place[rows][changed]]
+        out[~self.cut[rows]] = shapely.Polygon()
+        return out
+
+
+def swaths(table: HarvestTable, steps: Tracks, header: HeaderPlace = HeaderPlace()) -> Swaths:
+    """The ground of each row, in order of time.
+
+    Parameters
+    ----------
+    table, steps
+        A harvest and its tracks.
+    header : HeaderPlace
+        Offset of the header's middle from the recorded positions.
+    """
+    corners, cut, order = _corners(table, steps, header)
+    gross = np.zeros(len(table))
+    area = np.zeros(len(table))
+    rows = order[cut[order]]
+    shapes = _polygons(corners[rows])
+    gross[rows] = area[rows] = shapely.area(shapes)
+    later, earlier = _overlaps(shapes, corners[rows], area[rows])
+    changed, left = _remaining(shapes, later, earlier)
+    area[rows[changed]] = shapely.area(left)
+    return Swaths(corners, cut, gross, area, rows[changed], left)
+
+
+def _corners(table: HarvestTable, steps: Tracks, header: HeaderPlace) -> tuple[Array, Flags, Index]:
+    """Corners of each row, whether it cut, and the rows in order of time."""
+    count = len(table)
+    step = steps.step_of_row
+    section = np.nan_to_num(table["section"])
+    time = table["time_s"] if table.unix_time else steps.time_s[step] + 0.0
+    order = np.lexsort((np.arange(count), time, np.zeros(count) if table.unix_time else table.source_of_row))
+    lanes = np.lexsort((time, section, steps.stream[step]))
+    heading = _filled(steps.heading_rad, steps.run)[step]
+    heading = np.where(np.isfinite(heading), heading, np.radians(table["heading_deg"]))
+    sin, cos = np.sin(heading), np.cos(heading)
+    x = steps.row_x_m + header.ahead_m * sin + header.right_m * cos
+    y = steps.row_y_m + header.ahead_m * cos - header.right_m * sin
+    before = np.full(count, -1, np.intp)
+    before[lanes[1:]] = lanes[:-1]
+    same = before >= 0
+    same[same] = (
+        (section[same] == section[before[same]])
+        & (steps.run[step[same]] == steps.run[step[before[same]]])
+        & (step[same] != step[before[same]])
+    )
+    distance = np.nan_to_num(table["distance_m"])
+    reach = np.hypot(x - x[before], y - y[before])
+    with np.errstate(invalid="ignore"):
+        joined = same & (reach <= 3.0 * np.maximum(distance, 0.5)) & (np.cos(heading - heading[before]) > _MAX_EDGE_TURN)
+    back_x = np.where(joined, x[before], x - distance * sin)
+    back_y = np.where(joined, y[before], y - distance * cos)
+    back_sin, back_cos = np.where(joined, sin[before], sin), np.where(joined, cos[before], cos)
+    half = 0.5 * table["width_m"]
+    corners = np.stack(
+        [
+            np.column_stack((back_x - half * back_cos, back_y + half * back_sin)),
+            np.column_stack((back_x + half * back_cos, back_y - half * back_sin)),
+            np.column_stack((x + half * cos, y - half * sin)),
+            np.column_stack((x - half * cos, y + half * sin)),
+        ],
+        axis=1,
+    )
+    cut = steps.down[step] & np.isfinite(corners).all(axis=(1, 2)) & (half > 0) & (np.hypot(x - back_x, y - back_y) > 1e-6)
+    header_up = table["header_down"] == 0
+    return corners, cut & ~header_up, order
+
+
+def _filled(heading: Array, run: Index) -> Array:
+    """The last heading known within a run goes on while the machine stands; before the first, the first."""
+    out = heading.copy()
+    for way in (1, -1):
+        values, runs = out[::way], run[::way]
+        place = np.where(np.isfinite(values), np.arange(len(values)), -1)
+        last = np.maximum.accumulate(place) if len(place) else place
+        usable = (last >= 0) & (runs[np.maximum(last, 0)] == runs)
+        out = np.where(usable, values[np.maximum(last, 0)], values)[::way]
+    return out
+
+
+def _polygons(corners: Array) -> Shapes:
+    """Quadrilaterals; one whose edges cross (a turn on the spot) as its convex hull."""
+    ring = np.concatenate((corners, corners[:, :1]), axis=1)
+    bad = ~np.isfinite(ring).all(axis=(1, 2))
+    ring[bad] = 0.0
+    shapes: Shapes = shapely.polygons(ring)
+    crossing = ~bad & ~_convex(corners)
+    shapes[crossing] = shapely.convex_hull(shapely.multipoints(corners[crossing]))
+    thin = crossing & (shapely.get_type_id(shapes) != 3)
+    shapes[bad | thin] = shapely.Polygon()
+    return shapes
+
+
+def _cross(a: Array, b: Array) -> Array:
+    product: Array = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return product
+
+
+def _convex(corners: Array) -> Flags:
+    edges = np.roll(corners, -1, axis=1) - corners
+    turns = _cross(edges, np.roll(edges, -1, axis=1))
+    return np.asarray((turns > 0).all(axis=1) | (turns < 0).all(axis=1))
+
+
+def _overlaps(shapes: Shapes, corners: Array, area: Array) -> tuple[Index, Index]:
+    """Pairs (later, earlier) of swaths that share ground worth taking off."""
+    if not len(shapes):
+        return np.zeros(0, np.intp), np.zeros(0, np.intp)
+    tree = shapely.STRtree(shapes)
+    later, earlier = [], []
+    for first in range(0, len(shapes), CHUNK):
+        asked, found = tree.query(shapes[first : first + CHUNK])
+        asked = asked + first
+        before = found < asked
+        asked, found = asked[before], found[before]
+        apart = _separated(corners[asked], corners[found], area[asked])
+        later.append(asked[~apart])
+        earlier.append(found[~apart])
+    return np.concatenate(later), np.concatenate(earlier)
+
+
+def _separated(a: Array, b: Array, area: Array) -> Flags:
+    """Whether an edge of either quadrilateral parts them, but for a strip that is no more than a rounding error."""
+    apart = np.zeros(len(a), bool)
+    for one, other in ((a, b), (b, a)):
+        middle = one.mean(axis=1)
+        for k in range(4):
+            start, end = one[:, k], one[:, (k + 1) % 4]
+            edge = end - start
+            length = np.hypot(edge[:, 0], edge[:, 1])
+            side = np.sign(_cross(edge, middle - start))
+            into = (_cross(edge[:, None, :], other - start[:, None, :]) * side[:, None]).max(axis=1)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                depth = np.where(length > 0, into / length, np.inf)
+            extent = np.hypot(*(other.max(axis=1) - other.min(axis=1)).T)
+            apart |= depth * extent <= MIN_OVERLAP * area
+    return apart
+
+
+def _remaining(shapes: Shapes, later: Index, earlier: Index) -> tuple[Index, Shapes]:
+    """Which swaths lost ground, and what is left of each."""
+    if not len(later):
+        return np.zeros(0, np.intp), np.zeros(0, object)
+    order = np.argsort(later, kind="stable")
+    later, earlier = later[order], earlier[order]
+    changed, first, number = np.unique(later, return_index=True, return_counts=True)
+    left: Shapes = shapes[changed].copy()
+    width = np.maximum(1, 2 ** np.ceil(np.log2(number)).astype(int))
+    for size in np.unique(width):
+        for group in np.array_split(np.flatnonzero(width == size), max(1, int((width == size).sum() * size // (4 * CHUNK)))):
+            if not len(group):
+                continue
+            slots = np.arange(size)[None, :]
+            place = np.minimum(first[group][:, None] + slots, len(earlier) - 1)
+            others: Shapes = shapes[earlier[place]]
+            others[slots >= number[group][:, None]] = None
+            taken = others[:, 0] if size == 1 else shapely.union_all(others, axis=1)
+            left[group] = shapely.difference(shapes[changed[group]], taken)
+    return changed, left

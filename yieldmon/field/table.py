@@ -1,0 +1,244 @@
+"""The harvest table: one row a point, columns in SI with their unit in the name, NaN for what is not known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.errors import InputError
+
+Array = NDArray[Any]
+"""Numbers, float64 where nothing else is said."""
+
+#: Column -> what it is. All are float64; a flag is 0 or 1.
+COLUMNS: Mapping[str, str] = {
+    "time_s": "seconds on the source's clock (see Clock)",
+    "longitude_deg": "WGS 84",
+    "latitude_deg": "WGS 84",
+    "position_sd_m": "standard deviation of the position",
+    "flow_kg_s": "mass flow at the sensor, wet",
+    "flow_sd_kg_s": "its standard deviation",
+    "moisture_pct": "moisture of the grain, wet basis",
+    "interval_s": "time that the row stands for",
+    "distance_m": "way driven in the interval",
+    "width_m": "working width in use",
+    "header_down": "1 harvesting, 0 header up",
+    "heading_deg": "clockwise from north",
+    "pass_number": "as the source counts passes",
+    "section": "number of the header's section, 0 for the whole header",
+    "elevation_m": "above the ellipsoid or the sea, as the source has it",
+}
+REQUIRED = ("time_s", "longitude_deg", "latitude_deg", "flow_kg_s", "interval_s", "distance_m", "width_m")
+DEFAULT_FLOW_S = 12.0
+"""Delay of a combine of which nothing is known, between the 8 and 18 s of the makes (Yield Editor's manual)."""
+LABELS = ("field", "load", "crop", "machine", "product")
+
+
+@dataclass(frozen=True)
+class Label:
+    """A text column: `codes` (int32, one a row) into `names`."""
+
+    codes: NDArray[np.int32]
+    names: tuple[str, ...]
+
+    @classmethod
+    def constant(cls, name: str, count: int) -> Label:
+        """The same name in every row."""
+        return cls(np.zeros(count, np.int32), (name,))
+
+    @classmethod
+    def of(cls, values: Sequence[str]) -> Label:
+        """From one text a row; names in the order of their first row."""
+        names: dict[str, int] = {}
+        codes = np.fromiter((names.setdefault(value, len(names)) for value in values), np.int32, len(values))
+        return cls(codes, tuple(names))
+
+    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Label:
+        """Some rows."""
+        return Label(self.codes[rows], self.names)
+
+    def text(self) -> NDArray[np.object_]:
+        """The names row by row."""
+        return np.array(self.names or ("",), dtype=object)[self.codes]
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """A part of a source that was not read, and why."""
+
+    part: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where rows came from.
+
+    Parameters
+    ----------
+    path : str
+        File.
+    kind : str
+        Name of the reader.
+    points : int
+        Rows read.
+    skipped : tuple of Skipped
+        What was not.
+    mass_kg : float or None
+        The machine's own total, where the source has one.
+    area_m2 : float or None
+        The machine's own harvested area.
+    notes : tuple of str
+        What the reader had to take for granted; a line each.
+    """
+
+    path: str
+    kind: str
+    points: int
+    skipped: tuple[Skipped, ...] = ()
+    mass_kg: float | None = None
+    area_m2: float | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class HarvestTable:
+    """Points of one or several sources, in the order of the files.
+
+    Parameters
+    ----------
+    columns : mapping of str to array, shape (n,)
+        Names of COLUMNS.
+    labels : mapping of str to Label
+        Names of LABELS.
+    sources : tuple of Source
+        In order.
+    source_of_row : array of int32, shape (n,)
+        Index into `sources`.
+    unix_time : bool
+        Whether `time_s` is Unix time (UTC); else it is a clock of the source's own, without a date.
+    declared_flow_s, declared_moisture_s : float or None
+        Delays that the machine says it has (and has not taken out of the rows).
+    default_flow_s : float
+        Delay that such sources usually still have in them; kept where neither the data nor the machine tell.
+    extra : mapping of str to array
+        Columns that the source has and this table does not know (proprietary DDIs), raw.
+    """
+
+    columns: Mapping[str, Array]
+    labels: Mapping[str, Label]
+    sources: tuple[Source, ...]
+    source_of_row: NDArray[np.int32]
+    unix_time: bool = False
+    declared_flow_s: float | None = None
+    declared_moisture_s: float | None = None
+    default_flow_s: float = 0.0
+    extra: Mapping[str, Array] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.source_of_row)
+
+    def __getitem__(self, name: str) -> Array:
+        return self.columns[name]
+
+    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> HarvestTable:
+        """Some rows, in the given order."""
+        return replace(
+            self,
+            columns={name: values[rows] for name, values in self.columns.items()},
+            labels={name: label.take(rows) for name, label in self.labels.items()},
+            source_of_row=self.source_of_row[rows],
+            extra={name: values[rows] for name, values in self.extra.items()},
+        )
+
+    def with_columns(self, **columns: Array) -> HarvestTable:
+        """The same with these columns new."""
+        return replace(self, columns={**self.columns, **columns})
+
+
+def build(
+    columns: Mapping[str, Array],
+    labels: Mapping[str, Label],
+    source: Source,
+    *,
+    unix_time: bool,
+    declared_flow_s: float | None = None,
+    declared_moisture_s: float | None = None,
+    default_flow_s: float = 0.0,
+    extra: Mapping[str, Array] | None = None,
+) -> HarvestTable:
+    """A table of one source; columns that are missing are filled with NaN.
+
+    Raises
+    ------
+    InputError
+        Where a column that every table needs is missing or never known.
+    """
+    count = len(next(iter(columns.values())))
+    unknown = set(columns) - set(COLUMNS)
+    assert not unknown, f"columns that the table does not have: {unknown}"
+    for name in REQUIRED:
+        if name not in columns or (count and not np.isfinite(columns[name]).any()):
+            raise InputError(source.path, f"has no {name}", COLUMNS[name])
+    full = {name: np.asarray(columns.get(name, np.full(count, np.nan)), float) for name in COLUMNS}
+    texts = {name: labels.get(name, Label.constant("", count)) for name in LABELS}
+    return HarvestTable(
+        full,
+        texts,
+        (source,),
+        np.zeros(count, np.int32),
+        unix_time,
+        declared_flow_s,
+        declared_moisture_s,
+        default_flow_s,
+        extra or {},
+    )
+
+
+def joined(tables: Sequence[HarvestTable]) -> HarvestTable:
+    """Several tables one after another. Each source's clock stays its own; sources without a date are kept apart in time.
+
+    Raises
+    ------
+    InputError
+        Without tables.
+    """
+    if not tables:
+        raise InputError("sources", "hold no point", "at least one harvest")
+    if len(tables) == 1:
+        return tables[0]
+    labels = {}
+    for name in LABELS:
+        names: dict[str, int] = {}
+        codes = []
+        for table in tables:
+            label = table.labels[name]
+            places = np.array([names.setdefault(text, len(names)) for text in label.names] or [0], np.int32)
+            codes.append(places[label.codes])
+        labels[name] = Label(np.concatenate(codes), tuple(names))
+    extra_names = sorted({name for table in tables for name in table.extra})
+    first, offset = [], 0
+    for table in tables:
+        first.append(table.source_of_row + offset)
+        offset += len(table.sources)
+    return HarvestTable(
+        columns={name: np.concatenate([table[name] for table in tables]) for name in COLUMNS},
+        labels=labels,
+        sources=tuple(source for table in tables for source in table.sources),
+        source_of_row=np.concatenate(first).astype(np.int32),
+        unix_time=all(table.unix_time for table in tables),
+        declared_flow_s=_common([table.declared_flow_s for table in tables]),
+        declared_moisture_s=_common([table.declared_moisture_s for table in tables]),
+        default_flow_s=max(table.default_flow_s for table in tables),
+        extra={
+            name: np.concatenate([table.extra.get(name, np.full(len(table), np.nan)) for table in tables]) for name in extra_names
+        },
+    )
+
+
+def _common(values: Sequence[float | None]) -> float | None:
+    return values[0] if len(set(values)) == 1 else None

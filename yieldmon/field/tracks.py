@@ -1,0 +1,185 @@
+"""What the machine did, from the rows: steps in time, headings, stretches with the header down.
+
+A step is one time of one machine. Where a source has a row for each section of the header, a step takes them together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .plane import Plane
+from .table import Array, HarvestTable
+
+Index = NDArray[Any]
+Flags = NDArray[Any]
+
+MIN_SPEED_M_S = 0.3
+"""Below it a yield is not defined and a heading is noise."""
+_HEADING_SPAN = 2
+_GAP_INTERVALS = 3.0
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Steps in order of stream and time; `step_of_row` leads from a table's rows to them.
+
+    Parameters
+    ----------
+    stream : array of int, shape (k,)
+        One machine of one source; time is continuous within a stream only.
+    time_s, x_m, y_m, speed_m_s, width_m, flow_kg_s, moisture_pct, interval_s : array, shape (k,)
+        Of a step; flow and width are the sum of the sections, position and moisture their mean.
+    heading_rad : array, shape (k,)
+        Clockwise from north, from positions; NaN while standing.
+    down : array of bool, shape (k,)
+        Harvesting: header down, or flow while driving where the source does not say.
+    run : array of int, shape (k,)
+        Number of the stretch without a gap in time.
+    pass_number : array of int, shape (k,)
+        Number of the stretch with the header down, -1 with it up.
+    interval : float
+        Median time between steps, s.
+    """
+
+    plane: Plane
+    step_of_row: Index
+    row_x_m: Array
+    row_y_m: Array
+    stream: Index
+    time_s: Array
+    x_m: Array
+    y_m: Array
+    heading_rad: Array
+    speed_m_s: Array
+    width_m: Array
+    flow_kg_s: Array
+    moisture_pct: Array
+    interval_s: Array
+    down: Flags
+    run: Index
+    pass_number: Index
+    interval: float
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def nearest(self, time_s: Array, stream: Index, tolerance_s: float) -> Index:
+        """The step of a stream next to each time, -1 where none is within the tolerance."""
+        if not len(self):
+            return np.zeros(len(time_s), np.intp)
+        span = float(self.time_s.max() - self.time_s.min()) + 10_000.0
+        keys = self.stream * span + (self.time_s - self.time_s.min())
+        wanted = stream * span + (time_s - self.time_s.min())
+        right = np.clip(np.searchsorted(keys, wanted), 1, max(len(keys) - 1, 1)) if len(keys) > 1 else np.ones(len(wanted), int)
+        if len(keys) == 1:
+            return np.where(np.abs(wanted - keys[0]) <= tolerance_s, 0, -1)
+        left = right - 1
+        chosen = np.where(wanted - keys[left] <= keys[right] - wanted, left, right)
+        return np.where(np.abs(keys[chosen] - wanted) <= tolerance_s, chosen, -1)
+
+
+def tracks(table: HarvestTable) -> Tracks:
+    """The steps of a table. Rows without time or position are steps of no place."""
+    plane = Plane.about(table["longitude_deg"], table["latitude_deg"])
+    x, y = plane.to_m(table["longitude_deg"], table["latitude_deg"])
+    stream = table.source_of_row.astype(np.intp) * len(table.labels["machine"].names) + table.labels["machine"].codes
+    sections = np.nan_to_num(table["section"])
+    time = table["time_s"]
+    order = np.lexsort((np.arange(len(table)), time, stream))
+    if not sections.any():
+        step_of_sorted = np.arange(len(table))
+    else:
+        new = np.r_[True, (np.diff(time[order]) != 0) | (np.diff(stream[order]) != 0)][: len(table)]
+        step_of_sorted = np.cumsum(new) - 1
+    step_of_row = np.empty(len(table), np.intp)
+    step_of_row[order] = step_of_sorted
+    count = int(step_of_sorted[-1]) + 1 if len(table) else 0
+    first = np.searchsorted(step_of_sorted, np.arange(count))
+    mean: _Pick = _Mean(step_of_row, count)
+    total: _Pick = _Total(step_of_row, count)
+    if count == len(table):
+        mean = total = _Pick(order)
+    width = total(np.nan_to_num(table["width_m"]))
+    step_time, step_stream = time[order][first], stream[order][first]
+    interval_s = np.nan_to_num(mean(table["interval_s"]))
+    gap = np.diff(step_time)
+    positive = gap[(gap > 0) & (np.diff(step_stream) == 0)]
+    interval = float(np.median(positive)) if positive.size else 1.0
+    step_x, step_y = mean(x), mean(y)
+    breaks = (np.diff(step_stream) != 0) | (gap > _GAP_INTERVALS * max(interval, 1e-3)) | ~np.isfinite(gap)
+    run = np.cumsum(np.r_[False, breaks])[:count]
+    distance = mean(table["distance_m"])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        speed = np.where(interval_s > 0, distance / interval_s, np.nan)
+    flow = total(np.nan_to_num(table["flow_kg_s"]))
+    flow[np.isnan(mean(table["flow_kg_s"]))] = np.nan
+    header = mean(table["header_down"])
+    driving = np.nan_to_num(speed) > MIN_SPEED_M_S
+    down = np.where(np.isfinite(header), header > 0, driving & (np.nan_to_num(flow) > 0)) & np.isfinite(step_x)
+    started = down & np.r_[True, ~down[:-1] | (np.diff(run) != 0)][:count]
+    pass_number = np.where(down, np.cumsum(started) - 1, -1)
+    return Tracks(
+        plane=plane,
+        step_of_row=step_of_row,
+        row_x_m=x,
+        row_y_m=y,
+        stream=step_stream,
+        time_s=step_time,
+        x_m=step_x,
+        y_m=step_y,
+        heading_rad=_headings(step_x, step_y, run, driving),
+        speed_m_s=speed,
+        width_m=width,
+        flow_kg_s=flow,
+        moisture_pct=mean(table["moisture_pct"]),
+        interval_s=interval_s,
+        down=down,
+        run=run,
+        pass_number=pass_number,
+        interval=interval,
+    )
+
+
+class _Pick:
+    """One row a step: only the order changes."""
+
+    def __init__(self, order: Index) -> None:
+        self.order = order
+
+    def __call__(self, values: Array) -> Array:
+        return values[self.order].copy()
+
+
+class _Total(_Pick):
+    def __init__(self, step_of_row: Index, count: int) -> None:
+        super().__init__(step_of_row)
+        self.count = count
+
+    def __call__(self, values: Array) -> Array:
+        return np.bincount(self.order, values, self.count)
+
+
+class _Mean(_Total):
+    def __call__(self, values: Array) -> Array:
+        known = np.isfinite(values)
+        number = np.bincount(self.order, known, self.count)
+        with np.errstate(invalid="ignore"):
+            return np.bincount(self.order, np.where(known, values, 0.0), self.count) / np.where(number > 0, number, np.nan)
+
+
+def _headings(x: Array, y: Array, run: Index, driving: Flags) -> Array:
+    """From the way over a few steps to either side, within a run."""
+    count = len(x)
+    index = np.arange(count)
+    if not count:
+        return np.zeros(0)
+    starts = np.searchsorted(run, run)
+    ends = np.searchsorted(run, run, side="right") - 1
+    before, after = np.maximum(index - _HEADING_SPAN, starts), np.minimum(index + _HEADING_SPAN, ends)
+    dx, dy = x[after] - x[before], y[after] - y[before]
+    heading = np.arctan2(dx, dy)
+    return np.where(driving & (np.hypot(dx, dy) > 0), heading, np.nan)
