@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from yieldmon import frames
 from yieldmon.frames import Frame
 from yieldmon.physics.machine import RPM, Machine
-from yieldmon.plant import elevator, profiles, sensor
+from yieldmon.plant import elevator, kernels, profiles, sensor
 from yieldmon.plant.actuator import ActuatorFault, PlateActuator
 from yieldmon.plant.field import Track
 from yieldmon.plant.pulse_table import QUANTILES, Condition, Detail, PulseTable
@@ -29,6 +29,9 @@ _BLOCK_SAMPLES = 20
 _CHUNK_SAMPLES = 1000
 _PULSE_ROOM = 400
 """Samples ahead of a block into which its paddles' pulses may reach."""
+
+_KERNEL_STEPS = 20
+"""Steps of a sample in which kernels strike, so that a fast cell's response is followed."""
 
 _MOISTURE_NODES = 5
 _CHANGING = Detail(masses=26, angles_deg=(36.0, 94.0, 12), speeds_rpm=(240.0, 620.0, 8), cells=96)
@@ -96,8 +99,8 @@ class VirtualCombine:
     ) -> None:
         self.scenario = scenario
         self.machine = machine or Machine()
-        seeds = np.random.SeedSequence(seed).spawn(7)
-        flow_rng, speed_rng, scatter_rng, self._noise_rng, zero_rng, actuator_rng, self._other_rng = (
+        seeds = np.random.SeedSequence(seed).spawn(8)
+        flow_rng, speed_rng, scatter_rng, self._noise_rng, zero_rng, actuator_rng, self._other_rng, self._kernel_rng = (
             np.random.default_rng(s) for s in seeds
         )
         self._table = table or pulse_table(scenario, self.machine)
@@ -114,9 +117,9 @@ class VirtualCombine:
         self._scatter = np.maximum(1.0 + scatter, 0.0)
         self._slip = slip
         self._speed_low, self._speed_high = self._table.speed_range_rad_s
-        self._cell = ImpactCell(
-            scenario.sensor, self.machine.sensor, effects.cell_nonlinearity.share if effects.cell_nonlinearity else 0.0
-        )
+        self._steps = _KERNEL_STEPS if scenario.kernels else 1
+        share = effects.cell_nonlinearity.share if effects.cell_nonlinearity else 0.0
+        self._cell = ImpactCell(scenario.sensor, self.machine.sensor, share, self._steps)
         self._actuator = PlateActuator(scenario.actuator, self.machine, actuator_rng)
         self._angle_offset = effects.plate_angle_offset.angle_deg if effects.plate_angle_offset else 0.0
         self._tank = Tank(scenario.tank)
@@ -128,7 +131,7 @@ class VirtualCombine:
         self._block = 0
         self._blocks = floor(scenario.duration_s / BLOCK_S + 1e-9)
         self._next_paddle = 0
-        self._ahead = np.zeros(_BLOCK_SAMPLES + _PULSE_ROOM)
+        self._ahead = np.zeros((_BLOCK_SAMPLES + _PULSE_ROOM) * self._steps)
         self._background = np.zeros(0)
         self._rows: list[tuple[float, ...]] = []
         self._second: list[tuple[Array, Array]] = []
@@ -197,9 +200,10 @@ class VirtualCombine:
         angle_deg = self._actuator.step(end_s, BLOCK_S) + self._angle_offset
         self._drop_paddles(end_s, angle_deg)
 
-        force = self._ahead[:_BLOCK_SAMPLES].copy()
-        self._ahead[:-_BLOCK_SAMPLES] = self._ahead[_BLOCK_SAMPLES:]
-        self._ahead[-_BLOCK_SAMPLES:] = 0.0
+        block = _BLOCK_SAMPLES * self._steps
+        force = self._ahead[:block].copy()
+        self._ahead[:-block] = self._ahead[block:]
+        self._ahead[-block:] = 0.0
         if len(self._background) == 0:
             self._background, self._speeds = self._next_chunk()
         background, self._background = np.split(self._background, [_BLOCK_SAMPLES])
@@ -223,9 +227,18 @@ class VirtualCombine:
             if mass > 0.0:
                 impulse, arrivals = self._pulse(mass, np.deg2rad(angle_deg), float(self._paddles.speed_rad_s[i]), time)
                 impulse *= float(self._scatter[i])
-                edges = start_s + np.arange(len(self._ahead) + 1) * frames.SAMPLE_INTERVAL_S
-                arrived = np.interp(edges, time + arrivals, QUANTILES, left=0.0, right=1.0)
-                self._ahead += impulse / frames.SAMPLE_INTERVAL_S * np.diff(arrived)
+                step_s = frames.SAMPLE_INTERVAL_S / self._steps
+                if self.scenario.kernels is None:
+                    edges = start_s + np.arange(len(self._ahead) + 1) * step_s
+                    arrived = np.interp(edges, time + arrivals, QUANTILES, left=0.0, right=1.0)
+                    self._ahead += impulse / step_s * np.diff(arrived)
+                else:
+                    grain, begin = self.scenario.kernels, time - start_s
+                    struck = kernels.strike(
+                        grain, mass, impulse, begin + arrivals, step_s, len(self._ahead), self._kernel_rng
+                    )
+                    self._ahead += struck / step_s
+                    impulse = float(struck.sum())
             self._impulses.append((impulse, angle_deg))
 
     def _pulse(self, mass_kg: float, angle_rad: float, speed_rad_s: float, time_s: float) -> tuple[float, Array]:

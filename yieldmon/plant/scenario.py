@@ -58,6 +58,16 @@ class Channel(StrEnum):
     TANK_SCALE = "tank_scale"
 
 
+class Kernels(_Section):
+    """Grain that strikes kernel by kernel instead of as a smooth stream."""
+
+    thousand_kernel_weight_g: Annotated[float, Field(gt=1, le=2000)] = 350.0
+    mass_spread_pct: Annotated[float, Field(ge=0, le=60)] = 12.0
+    """Standard deviation of a kernel's impulse about the mean."""
+    noise_ratio: Annotated[float, Field(ge=0.2, le=3)] = 1.0
+    """Variance over that of kernels that strike independently of each other (studies/waveform: 0.6 to 1.1)."""
+
+
 class _Timed(_Section):
     start_s: Annotated[float, Field(ge=0)]
     end_s: Annotated[float, Field(gt=0)]
@@ -124,6 +134,8 @@ class Scenario(_Section):
     field: FieldSettings = FieldSettings()
     frames: Frames = Frames()
     faults: Faults = Faults()
+    kernels: Kernels | None = None
+    """None: smooth pulses."""
     paddle_scatter_pct: Annotated[float, Field(ge=0, le=50)] = 7.0
     """Standard deviation of a pulse's impulse about what its load should give; the load itself is true."""
 

@@ -49,20 +49,25 @@ class SensorSettings(BaseModel):
 class ImpactCell:
     """Turns force on the plate into samples, 1 ms each; keeps the state of the response between blocks."""
 
-    def __init__(self, settings: SensorSettings, sensor: ImpactSensor, nonlinearity: float) -> None:
+    def __init__(self, settings: SensorSettings, sensor: ImpactSensor, nonlinearity: float, steps_per_sample: int = 1) -> None:
+        """steps_per_sample: steps in which the force is given and the response followed; a sample is their mean."""
         self._settings = settings
         self._sensor = sensor
         self._nonlinearity = nonlinearity
         self._full_scale_n = sensor.full_scale_mv * sensor.gain_n_per_mv
-        self._keep = float(np.exp(-SAMPLE_INTERVAL_S / settings.response_s)) if settings.response_s > 0.0 else 0.0
+        step_s = SAMPLE_INTERVAL_S / steps_per_sample
+        self._keep = float(np.exp(-step_s / settings.response_s)) if settings.response_s > 0.0 else 0.0
+        self._steps = steps_per_sample
         self._state = np.zeros(2)
         self._stuck_mv: float | None = None
 
     def samples_mv(self, force_n: Array, background_mv: Array, fault: SensorFault | None) -> Array:
-        """Voltages for the mean force in each millisecond; background_mv: zero, noise and vibration in the same samples."""
+        """Voltages for the mean force in each step; background_mv: zero, noise and vibration in each sample."""
         felt, self._state = lfilter(
             [(1.0 - self._keep) ** 2], [1.0, -2.0 * self._keep, self._keep**2], force_n, zi=self._state
         )
+        if self._steps > 1:
+            felt = felt.reshape(-1, self._steps).mean(axis=1)
         felt = felt * (1.0 - self._nonlinearity * felt / self._full_scale_n)
         voltage = np.clip(background_mv + felt / self._sensor.gain_n_per_mv, 0.0, self._sensor.full_scale_mv)
         if fault is SensorFault.STUCK:

@@ -1,0 +1,44 @@
+"""A pulse as the sum of its kernels' impacts."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.plant.pulse_table import QUANTILES
+from yieldmon.plant.scenario import Kernels
+
+Array = NDArray[np.float64]
+
+
+def strike(
+    settings: Kernels, mass_kg: float, impulse_n_s: float, arrivals_s: Array, step_s: float, steps: int, rng: np.random.Generator
+) -> Array:
+    """Impulse in each step of time, N s (steps,), of kernels that strike independently at times drawn from the pulse's shape.
+
+    Parameters
+    ----------
+    settings : Kernels
+    mass_kg, impulse_n_s : float
+        Of the load; the impulse is what all its kernels give in the mean.
+    arrivals_s : ndarray
+        Times, from the first step's start, at which the shares QUANTILES of the impulse have arrived.
+    step_s : float
+    steps : int
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    ndarray
+        Kernels that arrive before the first or after the last step are counted in that step.
+    """
+    if not impulse_n_s > 0.0:
+        return np.zeros(steps)
+    spread = settings.mass_spread_pct / 100.0
+    # Packets of kernels, or parts of one, give the variance that is asked for.
+    packet_kg = 1e-6 * settings.thousand_kernel_weight_g * settings.noise_ratio
+    count = rng.poisson(mass_kg / packet_kg)
+    time_s = np.interp(rng.random(count), QUANTILES, arrivals_s)
+    size = impulse_n_s * packet_kg / mass_kg * np.maximum(1.0 + spread * rng.standard_normal(count), 0.0)
+    place = np.clip(np.floor(time_s / step_s).astype(np.intp), 0, steps - 1)
+    return np.asarray(np.bincount(place, weights=size, minlength=steps), dtype=np.float64)
