@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import pytest
 import yaml
 
 from yieldmon.errors import InputError
 from yieldmon.files import machine_file
-from yieldmon.physics.machine import Machine
+from yieldmon.physics.machine import Implement, Machine
 from yieldmon.resources import shipped
 
 
@@ -67,4 +70,27 @@ def test_a_missing_key_is_named(tmp_path):
     path = tmp_path / "machine.yaml"
     path.write_text(yaml.safe_dump(document), encoding="utf-8")
     with pytest.raises(InputError, match="plate_length_m: missing"):
+        machine_file.load(path)
+
+
+def test_what_a_task_controller_is_told_makes_the_round_trip(tmp_path):
+    machine = replace(Machine(), implement=Implement(working_width_m=9.1, connector_type=2, grain_delay_s=12.0))
+    path = tmp_path / "machine.yaml"
+    path.write_text(yaml.safe_dump(machine_file.to_document(machine)), encoding="utf-8")
+    assert machine_file.load(path) == machine
+
+
+@pytest.mark.parametrize(
+    ("implement", "expected"),
+    [
+        (5, "implement: is 5; expected a mapping with any of working_width_m"),
+        ({"width": 9}, "implement.width: unknown key; expected one of working_width_m"),
+        ({"working_width_m": 0}, "implement.working_width_m: is 0; expected a number from 0.1 to 30 m"),
+        ({"connector_type": 1.5}, "implement.connector_type: is 1.5; expected a whole number"),
+    ],
+)
+def test_wrong_implements(tmp_path, implement, expected):
+    path = tmp_path / "machine.yaml"
+    path.write_text(yaml.safe_dump(machine_file.to_document(Machine()) | {"implement": implement}), encoding="utf-8")
+    with pytest.raises(InputError, match=re.escape(expected)):
         machine_file.load(path)

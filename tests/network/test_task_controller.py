@@ -12,8 +12,9 @@ from tests.network.task_server import TaskServer, parse_pool
 from yieldmon.network.name import Name
 from yieldmon.network.process_data import Command, ProcessData, read
 from yieldmon.network.task_controller.client import ClientState, TaskControllerClient
-from yieldmon.network.task_controller.combine import Implement, Second, combine, raw_values
+from yieldmon.network.task_controller.combine import Second, combine, raw_values
 from yieldmon.network.task_controller.pool import Device
+from yieldmon.physics.machine import Implement
 
 SERVER = 0xF7
 NAME = Name(identity_number=5, industry_group=2)

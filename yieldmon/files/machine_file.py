@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from yieldmon.errors import InputError
-from yieldmon.physics.machine import RPM, ImpactSensor, Machine
+from yieldmon.physics.machine import RPM, ImpactSensor, Implement, Machine
 from yieldmon.resources import shipped
 
 from .checked import load_mapping, number
@@ -26,6 +26,14 @@ _ANGLES = ("home_plate_angle_deg", "min_plate_angle_deg", "max_plate_angle_deg")
 _SPEEDS = ("nominal_elevator_speed_rpm", "min_elevator_speed_rpm", "max_elevator_speed_rpm")
 _SENSOR = {"gain_n_per_mv": ("N/mV", 1e-4, 1e3), "full_scale_mv": ("mV", 1.0, 1e5)}
 
+#: Of the optional section: unit and range.
+_IMPLEMENT = {
+    "working_width_m": ("m", 0.1, 30.0),
+    "header_offset_m": ("m", -20.0, 20.0),
+    "connector_type": ("", 0, 10),
+    "grain_delay_s": ("s", 0.0, 60.0),
+}
+
 
 def load(path: str | Path | None = None) -> Machine:
     """The machine in a YAML file, or the shipped 8-tooth machine. Raises InputError naming file, key, value and range."""
@@ -33,8 +41,8 @@ def load(path: str | Path | None = None) -> Machine:
     document = load_mapping(path)
     known = {"name", "paddle_spacings_m", "sensor", *_LENGTHS, *_ANGLES, *_SPEEDS}
     for key in document:
-        if key not in known:
-            raise InputError(f"{path}: {key}", "unknown key", f"one of {', '.join(sorted(known))}")
+        if key not in known | {"implement"}:
+            raise InputError(f"{path}: {key}", "unknown key", f"one of {', '.join(sorted(known | {'implement'}))}")
     for key in sorted(known):
         if key not in document:
             raise InputError(f"{path}: {key}", "missing")
@@ -50,6 +58,7 @@ def load(path: str | Path | None = None) -> Machine:
         number(d, f"{path}: paddle_spacings_m[{i}]", "m", 0.01, 2.0) for i, d in enumerate(spacings)
     )
     values["sensor"] = _sensor(document["sensor"], path)
+    values["implement"] = _implement(document.get("implement", {}), path)
     if not isinstance(document["name"], str):
         raise InputError(f"{path}: name", f"is {document['name']!r}", "a text")
     try:
@@ -65,7 +74,24 @@ def to_document(machine: Machine) -> dict[str, Any]:
     document |= {key: degrees(getattr(machine, key.replace("_deg", "_rad"))) for key in _ANGLES}
     document |= {key: getattr(machine, key.replace("_rpm", "_rad_s")) / RPM for key in _SPEEDS}
     document["sensor"] = {key: getattr(machine.sensor, key) for key in _SENSOR}
+    implement = {key: getattr(machine.implement, key) for key in _IMPLEMENT}
+    if machine.implement != Implement():
+        document["implement"] = {key: value for key, value in implement.items() if value is not None}
     return document
+
+
+def _implement(document: Any, path: str | Path) -> Implement:
+    where = f"{path}: implement"
+    if not isinstance(document, dict):
+        raise InputError(where, f"is {document!r}", f"a mapping with any of {', '.join(_IMPLEMENT)}")
+    values: dict[str, Any] = {}
+    for key, value in document.items():
+        if key not in _IMPLEMENT:
+            raise InputError(f"{where}.{key}", "unknown key", f"one of {', '.join(_IMPLEMENT)}")
+        values[key] = number(value, f"{where}.{key}", *_IMPLEMENT[key])
+    if values.get("connector_type", 0) % 1:
+        raise InputError(f"{where}.connector_type", f"is {values['connector_type']:g}", "a whole number from 0 to 10")
+    return Implement(**{**values, "connector_type": int(values.get("connector_type", 0))})
 
 
 def _sensor(document: Any, path: str | Path) -> ImpactSensor:

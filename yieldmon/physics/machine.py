@@ -32,6 +32,20 @@ class ImpactSensor:
 
 
 @dataclass(frozen=True, slots=True)
+class Implement:
+    """The combine around the elevator, as a task controller is told of it; None: not known.
+
+    working_width_m: of the header. header_offset_m: its cutting edge ahead of the connector. connector_type: ISO 11783-11
+    DDI 157, 0 is unknown. grain_delay_s: from the cutting edge to the impact plate.
+    """
+
+    working_width_m: float | None = None
+    header_offset_m: float | None = None
+    connector_type: int = 0
+    grain_delay_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Machine:
     """Clean-grain elevator head and impact plate. Lengths in m, angles in rad, speeds in rad/s.
 
@@ -54,6 +68,7 @@ class Machine:
     min_elevator_speed_rad_s: float = 250.0 * RPM
     max_elevator_speed_rad_s: float = 599.0 * RPM
     sensor: ImpactSensor = ImpactSensor()
+    implement: Implement = Implement()
 
     def __post_init__(self) -> None:
         for key in ("sprocket_pitch_radius_m", "paddle_length_m", "paddle_width_m", "plate_length_m"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from yieldmon.network.name import Name
+from yieldmon.physics.machine import Implement
 
 from .pool import Device, Element, ElementType, Presentation, Property, Trigger, Variable
 
@@ -28,28 +29,6 @@ _HOURS = Presentation("h", 1 / 3600, 2)
 _METRES = Presentation("m", 1e-3, 2)
 _SECONDS = Presentation("s", 1e-3, 1)
 _TOTAL_TRIGGERS = Trigger.TOTAL | Trigger.TIME | Trigger.CHANGE
-
-
-@dataclass(frozen=True, slots=True)
-class Implement:
-    """What the machine file says of the combine around the elevator; None: not known, and left out.
-
-    Attributes
-    ----------
-    working_width_m : float or None
-        Width of the header.
-    header_offset_m : float or None
-        How far the header's cutting edge lies ahead of the connector.
-    connector_type : int
-        ISO 11783-11 DDI 157; 0 is unknown.
-    grain_delay_s : float or None
-        From the cutting edge to the impact plate.
-    """
-
-    working_width_m: float | None = None
-    header_offset_m: float | None = None
-    connector_type: int = 0
-    grain_delay_s: float | None = None
 
 
 def combine(implement: Implement, name: Name, *, designator: str, software_version: str, serial_number: str) -> Device:
