@@ -10,6 +10,8 @@ from pathlib import Path
 
 import can
 
+from yieldmon.bus import mf4
+
 _POLL_S = 0.01
 _NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """A write's error does not name its file."""
@@ -21,6 +23,8 @@ def writing(path: Path | str) -> Iterator[can.Listener]:
 
     Raises ValueError for an ending that python-can does not know, OSError, which names the file, where it cannot be written.
     """
+    if ".mf4" in Path(path).suffixes:
+        mf4.provide()
     try:
         with can.Logger(path) as logger:
             yield logger

@@ -7,7 +7,6 @@ its place, and reading stops there. A file in which nothing at all can be read r
 
 from __future__ import annotations
 
-import importlib
 import io
 import logging
 import re
@@ -29,6 +28,7 @@ from can.io.blf import (
     ZLIB_DEFLATE,
 )
 
+from yieldmon.bus import mf4
 from yieldmon.bus.candump import dropped_frames, parse_line
 from yieldmon.bus.gunzip import Gunzip
 from yieldmon.errors import InputError
@@ -281,7 +281,7 @@ def _impossible(message: can.Message) -> str | None:
 
 def _read_binary(path: Path, suffix: str, compressed: bool, notes: LogNotes) -> Iterator[can.Message]:
     if suffix == ".mf4":
-        importlib.import_module("asammdf")
+        mf4.provide()
     with ExitStack() as stack:
         plain = stack.enter_context(_decompressed(path, suffix, notes)) if compressed else path
         plain.stat()  # SQLite would make a missing file

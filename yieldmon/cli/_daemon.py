@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from yieldmon.errors import InputError
-from yieldmon.service import configuration
 from yieldmon.service.control import ControlError, ask
+from yieldmon.service.folders import runtime_folder
 
 SYSTEM_SOCKET = Path("/run/yieldmon/yieldmon.sock")
 
@@ -37,8 +37,11 @@ def _socket(args: argparse.Namespace) -> Path:
     if args.socket is not None:
         return Path(args.socket)
     if args.config is not None:
+        # A third of a second, which the other ways do without.
+        from yieldmon.service import configuration
+
         return configuration.load(args.config).socket_path
-    user = configuration.runtime_folder(os.environ) / SYSTEM_SOCKET.name
+    user = runtime_folder(os.environ) / SYSTEM_SOCKET.name
     return SYSTEM_SOCKET if SYSTEM_SOCKET.exists() or not user.exists() else user
 
 

@@ -18,7 +18,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, ndtri
 
 from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.model import Conditions, ForwardModel
@@ -173,6 +172,8 @@ class FlowPosterior:
 
     def interval(self, level: float = 0.9) -> tuple[float, float]:
         """Central interval, kg/s."""
+        from scipy.special import ndtri
+
         reach = float(ndtri(0.5 + 0.5 * level)) * self.log_sd
         return self.mass_flow_kg_s * float(np.exp(-reach)), self.mass_flow_kg_s * float(np.exp(reach))
 
@@ -195,6 +196,8 @@ class Learning:
 
     def interval(self, level: float = 0.9) -> tuple[float, float]:
         """Central interval."""
+        from scipy.special import ndtri
+
         reach = float(ndtri(0.5 + 0.5 * level)) * self.sd
         return self.value - reach, self.value + reach
 
@@ -512,6 +515,8 @@ class _Problem:
     def _outcome(
         self, unknown: Array, residual: Array, jacobian: Array, whiteners: Sequence[Array], width: int, count: int
     ) -> Outcome:
+        from scipy.special import chdtrc
+
         inverse = _inverse(jacobian.T @ jacobian, np.concatenate(
             (self.prior.standard_deviation, np.full(count, 0.1), np.full(self.slopes, 0.01))))
         theta, posterior = unknown[:width], inverse[:width, :width]

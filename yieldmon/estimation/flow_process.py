@@ -8,7 +8,6 @@ size comes from the restricted likelihood (Patterson and Thompson, Biometrika 58
 from __future__ import annotations
 
 import numpy as np
-from scipy import linalg
 
 from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.numerics import Array
@@ -39,6 +38,8 @@ def process_sd(
     noise = (contrasts * log_flow_sd**2) @ contrasts.T
     wander = contrasts @ correlation(time_s, time_constant_s) @ contrasts.T
     # noise = V^-T V^-1 and wander = V^-T diag(share) V^-1: both diagonal in the same coordinates.
+    from scipy import linalg
+
     share, vectors = linalg.eigh(wander, noise)
     squares = (vectors.T @ (contrasts @ log_flow)) ** 2
     candidates = prior_sd * _GRID

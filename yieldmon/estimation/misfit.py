@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import fdtrc
 
 from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.model import Conditions, ForwardModel
@@ -220,6 +219,8 @@ def common_misfit(
     scatter = max(float(np.sum(((residual - mean[numbers]) / sd) ** 2)) / within_dof, 1.0)
     weight = 1.0 / (scatter / weight + tolerance**2)
     between = float(np.sum(mean**2 * weight)) / free
+    from scipy.special import fdtrc
+
     p_value = float(fdtrc(free, within_dof, between))
     if p_value >= level:
         return Misfit(False, p_value, (np.nan, np.nan), np.nan)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import erf
 
 from yieldmon.physics.numerics import AnyArray, real
 from yieldmon.physics.stages import Arrival
@@ -19,6 +18,8 @@ def share_beyond(distance_m: AnyArray, width_m: AnyArray) -> AnyArray:
     z = distance_m / width_m
     # erf is 1 to rounding from 6 on, and its complex continuation overflows far out.
     z = np.where(real(z) > 6.0, 6.0, np.where(real(z) < -6.0, -6.0, z))
+    from scipy.special import erf
+
     share: AnyArray = 0.5 * (1.0 + erf(z))
     return share
 

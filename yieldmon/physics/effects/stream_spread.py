@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import erf
 
 from yieldmon.physics.numerics import maximum, real
 from yieldmon.physics.stages import Arrival, Setting
@@ -31,6 +30,8 @@ def _arrival(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
     width = np.where(fans_out, spread, 1.0)
     z = edge / width
     z = np.where(real(z) > _FAR, _FAR, np.where(real(z) < -_FAR, -_FAR, z))
+    from scipy.special import erf
+
     lands = 0.5 * (1.0 + erf(z / np.sqrt(2.0)))
     # Mean and variance of a normal variable below z: what lands is turned towards the top.
     hazard = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi) / lands

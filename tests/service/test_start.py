@@ -1,0 +1,66 @@
+"""What the verbs that are called often import: the rest costs more than they do."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from yieldmon.bus import log_writing, logs
+
+HEAVY = {"asammdf", "can", "cantools", "matplotlib", "numpy", "pandas", "pyarrow", "pydantic", "rich", "scipy", "yaml"}
+
+
+def imported(*arguments: str) -> set[str]:
+    """Packages among the heavy ones that a run of the command imports."""
+    program = (
+        "import sys\nfrom yieldmon.cli.main import main\n"
+        "try:\n    main(sys.argv[1:])\nexcept SystemExit:\n    pass\n"
+        "print(*{name.partition('.')[0] for name, module in sys.modules.items() if module}, file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=True)
+    return set(done.stderr.splitlines()[-1].split()) & HEAVY
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("log") / "empty.log"
+    path.write_text("(1.0) can0 18FF10A0#0000000000000000\n", encoding="ascii")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("line", "allowed"),
+    [
+        ("--help", set()),
+        ("status --socket /nonexistent", {"rich"}),
+        ("check-config", {"numpy", "pydantic", "yaml"}),
+        ("monitor LOG --once --speed 0", {"can", "cantools", "numpy", "rich"}),
+    ],
+    ids=["help", "status", "check-config", "monitor"],
+)
+def test_no_more_than_it_needs(line: str, allowed: set[str], log: Path) -> None:
+    assert imported(*line.replace("LOG", str(log)).split()) <= allowed
+
+
+@pytest.mark.mf4
+def test_mf4_logs_work_although_their_reader_waits(tmp_path: Path) -> None:
+    """Written and read by a process in which the import was held back."""
+    pytest.importorskip("asammdf")
+    program = f"""
+import sys
+from yieldmon.bus import mf4
+mf4.defer()
+import can
+assert sys.modules["asammdf"] is None
+from {log_writing.__name__} import writing
+from {logs.__name__} import read_log
+path = sys.argv[1]
+with writing(path) as listener:
+    listener(can.Message(timestamp=1.0, arbitration_id=0x18FF10A0, data=[1, 2, 3]))
+assert [bytes(message.data) for message in read_log(path)] == [bytes([1, 2, 3])]
+"""
+    done = subprocess.run([sys.executable, "-c", program, str(tmp_path / "x.mf4")], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
