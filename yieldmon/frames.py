@@ -70,29 +70,6 @@ OUTPUTS = (
     ACTIVE_DIAGNOSTICS,
 )
 
-#: YieldMonitorStatus: signals that hold a FaultState each, in the order of their bits.
-FAULTS = (
-    "SensorMissing",
-    "SensorStuck",
-    "SensorSaturated",
-    "ZeroDrifted",
-    "SpeedMissing",
-    "SpeedOutOfRange",
-    "PlateNotFollowing",
-    "PlateFeedbackStale",
-    "SweepAborted",
-    "CalibrationOld",
-    "FlowOutsideCalibration",
-    "NotIdentifiable",
-    "ModelDisagrees",
-    "StoreFailing",
-    "FramesLost",
-    "ClockJumped",
-    "BusError",
-    "OutputConflict",
-    "ScaleFault",
-)
-
 #: Samples in one ImpactSensorSamples frame (Sample0 .. Sample3), 1 ms apart, the last one at the frame's time.
 SAMPLES_PER_FRAME = 4
 SAMPLE_INTERVAL_S = 0.001

@@ -7,6 +7,7 @@ import pytest
 
 from yieldmon import frames
 from yieldmon.bus.layout import error_raw, largest_valid_raw, load_layouts, smallest_not_available_raw
+from yieldmon.engine.faults import FaultCode
 from yieldmon.errors import InputError
 from yieldmon.resources import shipped
 
@@ -29,7 +30,7 @@ SIGNALS = {
         "ImpactGain": None,
         "CalibrationAge": "min",
     },
-    "YieldMonitorStatus": {"OperatingState": None, **dict.fromkeys(frames.FAULTS)},
+    "YieldMonitorStatus": {"OperatingState": None, **dict.fromkeys(code.value for code in FaultCode)},
     "HarvestState": {"HeaderDown": None, "WorkState": None},
     "VehiclePosition": {"Latitude": "deg", "Longitude": "deg"},
     "VehicleDirectionSpeed": {"CompassBearing": "deg", "NavigationSpeed": "km/h"},
@@ -58,7 +59,7 @@ CODES = {
     ("YieldMonitorStatus", "OperatingState"): frames.OperatingState,
     ("HarvestState", "HeaderDown"): frames.HeaderDown,
     ("HarvestState", "WorkState"): frames.WorkState,
-    **{("YieldMonitorStatus", fault): frames.FaultState for fault in frames.FAULTS},
+    **{("YieldMonitorStatus", fault): frames.FaultState for fault in (code.value for code in FaultCode)},
 }
 
 #: Physical ranges that a machine needs: (message, signal, smallest, largest, coarsest step).

@@ -13,7 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from yieldmon import frames as bus
+from yieldmon.engine.health import FaultEvent
 from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.records import WindowRecord
+from yieldmon.engine.results import Result, events_in, frames_in, records_in
+from yieldmon.engine.runs import FrameRun
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.estimation.open_loop import FlowEstimate, FlowStatus
 from yieldmon.estimation.parameters import ParameterSet
@@ -226,7 +230,7 @@ def run_with_actuator(
             feedback = actuator.feedback(time_s)
             frames += [feedback] if feedback else []
         for frame in frames:
-            for sent in target.feed(frame):
+            for sent in frames_in(target.feed(frame)):
                 out.append(sent)
                 if sent.message == bus.PLATE_ACTUATOR_COMMAND:
                     actuator.handle(sent)
@@ -241,14 +245,53 @@ def sample_frame(time_s: float, millivolts: list[float], counter: float, status:
     return Frame(time_s, bus.IMPACT_SENSOR_SAMPLES, signals)
 
 
-def monitor(settings: EngineSettings | None = None, **options: Any) -> Monitor:
+class Kept(Monitor):
+    """A monitor that keeps all that it has handed back."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.results: list[Result] = []
+
+    def feed(self, frame: Frame) -> list[Result]:
+        return self._kept(super().feed(frame))
+
+    def tick(self, time_s: float) -> list[Result]:
+        return self._kept(super().tick(time_s))
+
+    def feed_run(self, run: FrameRun, *, reports: bool = True) -> list[Result]:
+        before = len(self.results)
+        found = super().feed_run(run, reports=reports)
+        del self.results[before:]  # what came frame by frame is in there
+        return self._kept(found)
+
+    @property
+    def records(self) -> list[WindowRecord]:
+        """Of all windows."""
+        return records_in(self.results)
+
+    @property
+    def fault_events(self) -> list[FaultEvent]:
+        """Faults shown and withdrawn."""
+        return [event for event in events_in(self.results) if isinstance(event, FaultEvent)]
+
+    def _kept(self, found: list[Result]) -> list[Result]:
+        self.results += found
+        return found
+
+
+def monitor(settings: EngineSettings | None = None, **options: Any) -> Kept:
     """A monitor with the proportional estimator."""
-    return Monitor(settings or EngineSettings(), MACHINE, options.pop("estimator", ForceProportional()), **options)
+    return Kept(settings or EngineSettings(), MACHINE, options.pop("estimator", ForceProportional()), **options)
 
 
 def feed(target: Monitor, frames: list[Frame]) -> list[Frame]:
     """Feed frames one by one; returns all output."""
-    return [sent for frame in frames for sent in target.feed(frame)]
+    return frames_in(results(target, frames))
+
+
+def results(target: Monitor, frames: list[Frame]) -> list[Result]:
+    """Feed frames one by one; returns all that happened."""
+    return [result for frame in frames for result in target.feed(frame)]
 
 
 def only(frames: list[Frame], message: str) -> list[Frame]:

@@ -19,6 +19,7 @@ from engine_bench import (
     monitor,
     only,
     qualities,
+    results,
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -28,6 +29,7 @@ from yieldmon.engine.anchors import ReferenceMass
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import CalibrationOutcome
+from yieldmon.engine.results import frames_in
 from yieldmon.engine.runs import run_of
 from yieldmon.engine.settings import AnchorSettings, EngineSettings
 from yieldmon.engine.state import EngineState
@@ -75,7 +77,7 @@ def test_stated_standard_deviation_covers_the_error() -> None:
     bench = replace(STEADY, scatter=0.07, seed=3)
     target = monitor(estimator=ForceProportional(relative_std_dev=0.0))
     feed(target, bench.frames(300))
-    records = target.take_records()[8:]
+    records = target.records[8:]
     scores = np.array([(r.mass_flow_kg_s - 10.0) / r.std_dev_kg_s for r in records])
     assert np.std(scores) == pytest.approx(1.0, abs=0.35)
 
@@ -85,7 +87,7 @@ def test_it_covers_the_error_of_seconds_of_which_most_is_lost() -> None:
     bench = replace(STEADY, scatter=0.07, seed=3, drop=lambda i: i > 2500 and i % 250 >= 62)
     target = monitor(estimator=ForceProportional(relative_std_dev=0.0))
     feed(target, bench.frames(150))
-    records = target.take_records()[14:]
+    records = target.records[14:]
     assert all(r.coverage == pytest.approx(0.25, abs=0.02) for r in records)
     scores = np.array([(r.force_n - 10.0 * N_PER_KG_S) / r.force_std_dev_n for r in records])
     assert np.std(scores) == pytest.approx(1.0, abs=0.35)
@@ -101,15 +103,15 @@ def test_runs_of_any_length_give_the_same_bytes(seed: int) -> None:
     first = 0
     while first < len(frames):
         last = first + int(np.exp(generator.uniform(0.0, np.log(9000))))
-        out += target.feed_run(run_of(frames[first:last]))
+        out += frames_in(target.feed_run(run_of(frames[first:last])))
         first = last
     assert repr(out) == repr(expected)
-    assert repr(target.take_records()) == repr(one_by_one.take_records())
+    assert repr(target.records) == repr(one_by_one.records)
 
 
 def test_a_run_with_a_clock_jump_inside_gives_the_same_bytes() -> None:
     frames = [f if f.time_s < 1006.0 else f._replace(time_s=f.time_s - 3600.0) for f in STEADY.frames(10)]
-    assert repr(monitor().feed_run(run_of(frames))) == repr(feed(monitor(), frames))
+    assert repr(monitor().feed_run(run_of(frames))) == repr(results(monitor(), frames))
 
 
 JUMPS = [-7 * 3600.0, -1.0, 3600.0, 1e6]
@@ -132,7 +134,7 @@ def test_silence_is_not_available_and_totals_keep_what_was_measured() -> None:
     target = monitor()
     out = feed(target, STEADY_FRAMES)
     before = target.totals.total_kg
-    out = [sent for second in range(1, 9) for sent in target.tick(1030.0 + second)]
+    out = [sent for second in range(1, 9) for sent in frames_in(target.tick(1030.0 + second))]
     assert set(qualities(out)[2:]) == {Q.NOT_AVAILABLE}
     assert all(math.isnan(rate) for rate in flows(out)[2:])
     # 0.9 s measured in a window that counts whole, and half a pattern left over.
@@ -171,14 +173,14 @@ def test_missing_speed() -> None:
     out = feed(target, without(bus.ELEVATOR_SPEED, 1015.0, 1020.0))
     assert Q.NOT_AVAILABLE in qualities(out)[15:20]
     assert qualities(out)[-1] is Q.OK
-    assert any(e.code is FaultCode.SPEED_MISSING for e in target.faults.take_events())
+    assert any(e.code is FaultCode.SPEED_MISSING for e in target.fault_events)
     assert FaultCode.SPEED_MISSING not in target.faults.active
 
 
 def test_stale_feedback_of_a_plate_at_rest_degrades() -> None:
     target = monitor()
     out = feed(target, without(bus.PLATE_ACTUATOR_FEEDBACK, 1015.0, 1020.0))
-    seen = target.take_records()
+    seen = target.records
     assert qualities(out)[15:19] == [Q.DEGRADED] * 4
     assert seen[17].std_dev_kg_s > seen[12].std_dev_kg_s
     assert qualities(out)[-1] is Q.OK
@@ -304,8 +306,7 @@ def test_dry_mass_follows_moisture() -> None:
     totals = target.totals
     assert totals.total_dry_kg == pytest.approx(totals.total_kg * (100 - 20) / (100 - 15.5), rel=1e-9)
     assert totals.total_unknown_moisture_kg == 0.0
-    assert target.last_record is not None
-    assert target.last_record.test_weight_kg_m3 == 720.0
+    assert target.records[-1].test_weight_kg_m3 == 720.0
 
 
 def test_tank_scale_gives_reference_masses() -> None:
@@ -493,8 +494,7 @@ def test_away_from_home_the_standard_deviation_is_widened() -> None:
     for factor in (1.0, 3.0):
         target = monitor(replace(EngineSettings(), sweep=replace(EngineSettings().sweep, max_std_dev_factor=factor)))
         feed(target, replace(STEADY, angle=lambda t: 70.0 if t < 1008.0 else 60.0).frames(15))
-        record = target.last_record
-        assert record is not None
+        record = target.records[-1]
         assert record.quality is Q.SWEEPING
         found[factor] = record.std_dev_kg_s
     assert found[3.0] == pytest.approx(3.0 * found[1.0])

@@ -14,8 +14,10 @@ from hypothesis import strategies as st
 from yieldmon import frames as bus
 from yieldmon.engine.anchors import TankScale
 from yieldmon.engine.clock import BusClock
-from yieldmon.engine.faults import FAULTS, FaultBook, FaultCode
+from yieldmon.engine.faults import FAULTS, FaultCode
 from yieldmon.engine.gates import GateInputs, HarvestGate
+from yieldmon.engine.health import FaultBook
+from yieldmon.engine.results import frames_in
 from yieldmon.engine.settings import AnchorSettings, ClockSettings, GateSettings, TotalsSettings
 from yieldmon.engine.state import EngineState
 from yieldmon.engine.totals import Totals, dry_mass
@@ -102,7 +104,6 @@ def test_dry_mass(moisture: float, credit: bool, expected: float | None) -> None
 
 
 def test_the_table_of_faults_is_the_bus_s() -> None:
-    assert tuple(code.value for code in FAULTS) == bus.FAULTS
     assert set(FAULTS) == set(FaultCode)
     text = Path(shipped("dbc/yieldmon.dbc")).read_text()
     for definition in FAULTS.values():
@@ -118,28 +119,28 @@ def test_the_table_of_faults_is_the_bus_s() -> None:
 @pytest.mark.parametrize("code", FAULTS)
 def test_fault_hysteresis(code: FaultCode) -> None:
     definition, book = FAULTS[code], FaultBook()
+    events = []
     for second in range(definition.set_after):
         assert not book.is_active(code)
-        book.observe(code, True, float(second), "why")
+        events.append(book.observe(code, True, float(second), "why"))
     assert book.is_active(code)
     assert (book.detail(code), book.since(code), book.occurrences(code)) == ("why", definition.set_after - 1.0, 1)
     for second in range(definition.clear_after):
         assert book.is_active(code)
-        book.observe(code, False, 100.0 + second)
+        events.append(book.observe(code, False, 100.0 + second))
     assert book.active == ()
-    assert [(event.code, event.active) for event in book.take_events()] == [(code, True), (code, False)]
-    assert book.take_events() == []
+    assert [(event.code, event.active) for event in events if event is not None] == [(code, True), (code, False)]
 
 
-def test_a_season_of_coming_and_going_is_not_kept_for_ever() -> None:
-    """Where nobody asks for the events: the service sees for itself what changed."""
-    book, code = FaultBook(), FaultCode.FRAMES_LOST
-    for second in range(40_000):
-        book.observe(code, second % 20 < 10, float(second))
-    assert book.occurrences(code) == 2000
-    events = book.take_events()
-    assert len(events) == 1000
-    assert events[-1].time_s > 39_980.0
+def test_what_changed_with_a_window_is_handed_back_withdrawn_first() -> None:
+    book = FaultBook()
+    note, other, third = FaultCode.SWEEP_ABORTED, FaultCode.SENSOR_MISSING, FaultCode.CALIBRATION_OLD
+    assert [event.code for event in book.observe_all({note: "a", other: "b"}, 1.0)] == [other, note]
+    assert book.observe_all({note: "a", other: "b"}, 2.0) == ()
+    assert [(event.code, event.active) for event in book.observe_all({other: "b", third: ""}, 3.0)] == [
+        (note, False),
+        (third, True),
+    ]
 
 
 @pytest.mark.parametrize("code", FAULTS)
@@ -147,13 +148,13 @@ def test_what_the_service_reports_is_shown_on_the_bus(code: FaultCode) -> None:
     target = monitor()
     target.tick(100.0)
     target.report_fault(code, True, "seen by the service")
-    out = [frame for second in range(1, 6) for frame in target.tick(100.0 + second)]
+    out = [frame for second in range(1, 6) for frame in frames_in(target.tick(100.0 + second))]
     status = [f.signals[code.value] for f in out if f.message == bus.YIELD_MONITOR_STATUS]
     assert status[-1] == 1
     dm1 = [f.signals for f in out if f.message == bus.ACTIVE_DIAGNOSTICS]
     wanted = (FAULTS[code].spn, FAULTS[code].fmi)
     for _ in range(30):
-        out = target.tick(106.0 + _)
+        out = frames_in(target.tick(106.0 + _))
         dm1 += [f.signals for f in out if f.message == bus.ACTIVE_DIAGNOSTICS]
     sent = {(int(s["SuspectParameterHigh"]) * 65536 + int(s["SuspectParameterLow"]), s["FailureMode"]) for s in dm1}  # type: ignore[arg-type]
     assert wanted in sent

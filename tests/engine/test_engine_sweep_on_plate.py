@@ -64,7 +64,7 @@ def test_a_whole_sweep_teaches_and_measuring_goes_on() -> None:
     teacher = Teacher(CalibrationOutcome(better, "learnt"))
     target, actuator = monitor(SETTINGS, calibrator=teacher), Actuator()
     out = run_with_actuator(target, BENCH, actuator, SWEEP_S)
-    records = target.take_records()
+    records = target.records
 
     (given,) = teacher.given
     angles = {}
@@ -133,11 +133,11 @@ def test_a_failing_actuator_ends_the_sweep_and_the_plate_goes_home(
 ) -> None:
     target = monitor(SETTINGS)
     out = run_with_actuator(target, BENCH, replace(actuator, modes=[], targets=[]), 62.0)
-    events = target.faults.take_events()
+    events = target.fault_events
     aborted = next(event for event in events if event.code is FaultCode.SWEEP_ABORTED)
     assert aborted.detail == reason.value
     assert {event.code for event in events if event.active} >= faults
-    angles = [r.plate_angle_rad * 57.29577951308232 for r in target.take_records()]
+    angles = [r.plate_angle_rad * 57.29577951308232 for r in target.records]
     assert angles[-1] == pytest.approx(HOME_DEG, abs=0.6)
     assert set(qualities(out)[-3:]) == {EstimateQuality.OK}
 

@@ -20,7 +20,7 @@ def zeros(bench: Bench, seconds: float) -> np.ndarray:
     """Zero after each window, mV; nan while there is none."""
     target = monitor()
     feed(target, bench.frames(seconds))
-    return np.array([record.zero_mv for record in target.take_records()])
+    return np.array([record.zero_mv for record in target.records])
 
 
 def after(start_s: float, rate: float):
@@ -66,7 +66,7 @@ def test_no_zero_is_learnt_while_cutting() -> None:
     header = [Frame(1000.0 + 0.5 * i, bus.HARVEST_STATE, {"HeaderDown": 1, "WorkState": 1}) for i in range(60)]
     target = monitor()
     feed(target, sorted([*Bench(flow=lambda t: 0.5).frames(30), *header], key=lambda f: f.time_s))
-    assert all(np.isnan(r.zero_mv) for r in target.take_records())
+    assert all(np.isnan(r.zero_mv) for r in target.records)
 
 
 def test_no_zero_is_learnt_from_a_full_flow() -> None:
@@ -74,21 +74,21 @@ def test_no_zero_is_learnt_from_a_full_flow() -> None:
     out = feed(target, Bench(flow=lambda t: 8.0).frames(20))
     states = {f.signals["OperatingState"] for f in only(out, bus.YIELD_MONITOR_STATUS)}
     assert states == {OperatingState.ZEROING}
-    assert {r.quality for r in target.take_records()} == {EstimateQuality.NOT_AVAILABLE}
+    assert {r.quality for r in target.records} == {EstimateQuality.NOT_AVAILABLE}
 
 
 def test_far_drift_raises_the_fault() -> None:
     target = monitor()
     feed(target, Bench(zero=lambda t: 150.0 + 0.15 * (t - 1000.0)).frames(320))
     assert FaultCode.ZERO_DRIFTED in target.faults.active
-    assert target.last_record.quality is not EstimateQuality.OK  # type: ignore[union-attr]
+    assert target.records[-1].quality is not EstimateQuality.OK
 
 
 def test_a_level_that_jumps_without_pulses_is_no_grain_and_raises_the_fault() -> None:
     target = monitor()
     feed(target, Bench(zero=lambda t: 150.0 if t < 1030 else 175.0).frames(60))
     assert FaultCode.ZERO_DRIFTED in target.faults.active
-    assert target.last_record.quality is EstimateQuality.NOT_HARVESTING  # type: ignore[union-attr]
+    assert target.records[-1].quality is EstimateQuality.NOT_HARVESTING
 
 
 def test_operators_zero_calibration_learns_any_vibration() -> None:
@@ -96,11 +96,11 @@ def test_operators_zero_calibration_learns_any_vibration() -> None:
     target = monitor()
     frames = bench.frames(40)
     feed(target, [f for f in frames if f.time_s < 1010.5])
-    assert np.isnan(target.last_record.zero_mv)  # type: ignore[union-attr]
+    assert np.isnan(target.records[-1].zero_mv)
     target.calibrate_zero()
     feed(target, [f for f in frames if f.time_s >= 1010.5])
-    assert target.last_record.zero_mv == pytest.approx(150.0, abs=0.5)  # type: ignore[union-attr]
-    assert target.last_record.operating_state is OperatingState.NOT_HARVESTING  # type: ignore[union-attr]
+    assert target.records[-1].zero_mv == pytest.approx(150.0, abs=0.5)
+    assert target.records[-1].operating_state is OperatingState.NOT_HARVESTING
 
 
 def test_the_zero_moves_no_faster_than_its_rate() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import pytest
@@ -92,8 +92,9 @@ def test_a_ticket_that_makes_no_sense_is_refused(request_: dict, problem: str) -
 def test_a_load_of_unknown_moisture_has_no_dry_mass(unknown_kg: float, dry_kg: float | None) -> None:
     known = configuration.load(shipped("config/yieldmon.yaml"))
     monitor = build_monitor(known.engine, known.machine, known.parameters, known.calibrator)
-    monitor.totals = Totals(load_kg=100.0, load_dry_kg=91.0, load_unknown_moisture_kg=unknown_kg)
-    (load,) = Journal(Memory(), known.parameters).batch(monitor, 1.7e9, {}, "file").loads
+    totals = Totals(load_kg=100.0, load_dry_kg=91.0, load_unknown_moisture_kg=unknown_kg)
+    monitor.restore(replace(monitor.snapshot(), totals=totals))
+    (load,) = Journal(Memory(), known.parameters).batch(monitor, 1.7e9, {}).loads
     assert (load.mass_kg, load.dry_mass_kg) == (100.0, dry_kg)
 
 

@@ -284,7 +284,6 @@ CASES = [pytest.param(code, case, id=f"{code.value}-{n}") for code, cases in PRO
 def test_no_fault_is_left_out():
     """A new code needs a provocation here, and a row in the table."""
     assert set(PROVOKED) == set(FaultCode) == set(FAULTS)
-    assert tuple(frames.FAULTS) == tuple(code.value for code in FAULTS)
 
 
 @pytest.fixture

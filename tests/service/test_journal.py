@@ -6,26 +6,50 @@ from dataclasses import replace
 
 import pytest
 
-from yieldmon.engine.records import CalibrationOutcome
+from yieldmon.engine.learning import ParametersChanged
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.files import parameter_file
 from yieldmon.physics.machine import Machine
-from yieldmon.service.assembly import build_estimator, build_monitor
+from yieldmon.service.assembly import build_monitor
 from yieldmon.service.journal import Journal, Memory
 
 SHIPPED = parameter_file.load()
 
 
-@pytest.mark.parametrize(
-    ("given", "weighed", "origin"), [("sweep", False, "sweep"), ("sweep", True, "ticket"), ("file", True, "file")]
-)
-def test_new_parameters_say_where_they_came_from(given: str, weighed: bool, origin: str) -> None:
-    """A lesson of the engine's own is a sweep's or a weighed mass's; a file is a file, whatever taught before it."""
+@pytest.mark.parametrize("origin", ["sweep", "ticket"])
+def test_new_parameters_say_where_they_came_from(origin: str) -> None:
     monitor, journal = build_monitor(EngineSettings(), Machine(), SHIPPED), Journal(Memory(), SHIPPED)
-    assert [version.origin for version in journal.batch(monitor, 0.0, {}, "file").parameter_versions] == ["file"]
-    assert journal.batch(monitor, 1.0, {}, "sweep").parameter_versions == ()
-    learnt = build_estimator(Machine(), replace(SHIPPED, version=SHIPPED.version + 1))
-    monitor.set_estimator(learnt, 0.0)
-    monitor._outcome = CalibrationOutcome(learnt, "", weighed=weighed)
-    (version,) = journal.batch(monitor, 2.0, {}, given).parameter_versions
+    journal.new_monitor(SHIPPED, "file")
+    assert [version.origin for version in journal.batch(monitor, 0.0, {}).parameter_versions] == ["file"]
+    assert journal.batch(monitor, 1.0, {}).parameter_versions == ()
+    learnt = replace(SHIPPED, version=SHIPPED.version + 1)
+    journal.happened([ParametersChanged(learnt, origin, "")])
+    (version,) = journal.batch(monitor, 2.0, {}).parameter_versions
     assert (version.version, version.origin) == (SHIPPED.version + 1, origin)
+    journal.new_monitor(learnt, "file")
+    assert journal.batch(monitor, 3.0, {}).parameter_versions == ()
+
+
+def test_faults_that_a_new_monitor_does_not_show_are_gone() -> None:
+    """The store showed two faults when the power went; one is still there."""
+    memory = Memory(faults=("SensorMissing", "CalibrationOld"))
+    monitor, journal = build_monitor(EngineSettings(), Machine(), SHIPPED), Journal(memory, SHIPPED)
+    journal.new_monitor(SHIPPED, "file")
+    monitor.tick(1000.0)
+    journal.take([result for second in range(1, 3) for result in monitor.tick(1000.0 + second)])
+    faults = [(fault.code, fault.active) for fault in journal.batch(monitor, 1.0, {}).faults]
+    assert ("CalibrationOld", False) in faults
+    assert ("SpeedMissing", True) in faults
+    assert not [fault for fault in faults if fault[0] == "SensorMissing"]
+
+
+def test_a_load_is_written_when_it_begins_when_it_grows_and_when_it_ends() -> None:
+    monitor, journal = build_monitor(EngineSettings(), Machine(), SHIPPED), Journal(Memory(), SHIPPED)
+    assert [load.number for load in journal.batch(monitor, 0.0, {}).loads] == [1]
+    assert journal.batch(monitor, 1.0, {}).loads == ()
+    monitor.tick(1000.0)
+    journal.happened(monitor.start_load())
+    loads = journal.batch(monitor, 2.0, {}).loads
+    assert [(load.number, load.ended_s) for load in loads] == [(1, 1000.0), (2, None)]
+    journal.happened(monitor.stop_load())
+    assert [(load.number, load.ended_s) for load in journal.batch(monitor, 3.0, {}).loads] == [(2, 1000.0)]

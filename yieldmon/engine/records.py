@@ -1,10 +1,15 @@
-"""What the engine hands on about each window, and the seam to the self-calibration."""
+"""What the engine hands on about each window, and the seam to the self-calibration.
+
+`WindowRecord` is the one declaration of the columns of a second: each of its fields says where its value comes from, under which
+name and unit a row carries it, and which signal publishes it. Store, tables, exports, `status` and frames follow from it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields
+from math import degrees, isfinite
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from numpy.typing import ArrayLike
 
@@ -13,6 +18,94 @@ from yieldmon.engine.faults import FaultCode
 from yieldmon.estimation.open_loop import FlowEstimate
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.frames import EstimateQuality, OperatingState
+from yieldmon.physics.machine import RPM
+
+if TYPE_CHECKING:
+    from yieldmon.engine.flow import Flow
+    from yieldmon.engine.measurement import Reading
+    from yieldmon.engine.totals import Totals
+
+
+class Second(NamedTuple):
+    """All that is known of a window when its record is made. flow: as published; mass_kg: as measured; totals: after it."""
+
+    bus_s: float
+    number: int
+    reading: Reading
+    flow: Flow
+    mass_kg: float
+    totals: Totals
+    operating_state: OperatingState
+    faults: tuple[FaultCode, ...]
+    sweep_id: int
+    sweep_step: int
+    usable_for_calibration: bool
+    parameter_version: int
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column of a second's row.
+
+    name, kind (float, int, str), optional (None for "not available"): as rows have them. attribute: of the WindowRecord. convert:
+    from the record's value to the row's. since: schema version of the store that brought it. published: message and signal that
+    carry it, None for none.
+    """
+
+    name: str
+    kind: type
+    optional: bool
+    attribute: str
+    convert: Callable[[Any], Any]
+    since: int
+    published: tuple[str, str] | None
+
+
+class _Declared(NamedTuple):
+    take: Callable[[Second], Any]
+    row: str | None
+    kind: type
+    optional: bool
+    convert: Callable[[Any], Any]
+    since: int
+    published: tuple[str, str] | None
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if isfinite(value) else None
+
+
+def _codes(value: tuple[FaultCode, ...]) -> str:
+    return " ".join(code.value for code in value)
+
+
+_SAME = ""
+_CONVERSIONS: dict[str, tuple[type, bool, Callable[[Any], Any]]] = {
+    "number": (float, False, float),
+    "known": (float, True, _finite),
+    "deg": (float, True, lambda value: _finite(degrees(value))),
+    "rpm": (float, True, lambda value: _finite(value / RPM)),
+    "whole": (int, False, int),
+    "codes": (str, False, _codes),
+}
+
+
+def second_field(
+    take: Callable[[Second], Any],
+    conversion: str,
+    *,
+    row: str | None = _SAME,
+    since: int = 1,
+    published: tuple[str, str] | None = None,
+) -> Any:
+    """A field of the record.
+
+    take: its value of a Second. conversion: "number", "known" (nan becomes None), "deg" and "rpm" (known, from rad and rad/s),
+    "whole" (counts, codes and flags), "codes" (faults). row: name in rows where it is another, None where rows do not have it.
+    since: schema version of the store from which on there is such a column. published: message and signal that carry it.
+    """
+    kind, optional, convert = _CONVERSIONS[conversion]
+    return field(metadata={"declared": _Declared(take, row, kind, optional, convert, since, published)})
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,40 +118,64 @@ class WindowRecord:
     usable_for_calibration: the window counts for its sweep step.
     """
 
-    time_s: float
-    window: int
-    duration_s: float
-    coverage: float
-    force_n: float
-    force_std_dev_n: float
-    elevator_speed_rad_s: float
-    plate_angle_rad: float
-    plate_still: bool
-    moisture_pct: float
-    test_weight_kg_m3: float
-    mass_flow_kg_s: float
-    std_dev_kg_s: float
-    quality: EstimateQuality
-    operating_state: OperatingState
-    mass_kg: float
-    load_kg: float
-    total_kg: float
-    load_number: int
-    zero_mv: float
-    pulse_mv: float
-    saturated_share: float
-    lost_frames: int
-    surplus_frames: int
-    repeated_frames: int
-    sweep_id: int
-    sweep_step: int
-    usable_for_calibration: bool
-    parameter_version: int
-    faults: tuple[FaultCode, ...]
-    latitude_deg: float
-    longitude_deg: float
-    ground_speed_m_s: float
-    course_deg: float
+    window: int = second_field(lambda s: s.number, "whole", row=None)
+    time_s: float = second_field(lambda s: s.bus_s, "number")
+    duration_s: float = second_field(lambda s: s.reading.window.weight_s, "number")
+    mass_flow_kg_s: float = second_field(lambda s: s.flow.rate_kg_s, "known")
+    std_dev_kg_s: float = second_field(lambda s: s.flow.std_dev_kg_s, "known")
+    quality: EstimateQuality = second_field(lambda s: s.flow.quality, "whole")  # noqa: RUF009
+    operating_state: OperatingState = second_field(lambda s: s.operating_state, "whole")  # noqa: RUF009
+    mass_kg: float = second_field(lambda s: s.mass_kg, "number")
+    load_number: int = second_field(lambda s: s.totals.load_number, "whole")
+    load_kg: float = second_field(lambda s: s.totals.load_kg, "number", published=("AccumulatedMass", "LoadMass"))
+    total_kg: float = second_field(lambda s: s.totals.total_kg, "number", published=("AccumulatedMass", "TotalMass"))
+    coverage: float = second_field(lambda s: s.reading.window.coverage, "number")
+    force_n: float = second_field(lambda s: s.flow.force_n, "known")
+    force_std_dev_n: float = second_field(lambda s: s.flow.force_std_dev_n, "known")
+    elevator_speed_rad_s: float = second_field(lambda s: s.reading.window.speed_rad_s, "rpm", row="elevator_speed_rpm")
+    plate_angle_rad: float = second_field(lambda s: s.reading.window.plate_angle_rad, "deg", row="plate_angle_deg")
+    plate_still: bool = second_field(lambda s: s.reading.still, "whole")
+    moisture_pct: float = second_field(lambda s: s.reading.inputs.fresh["moisture"], "known")
+    test_weight_kg_m3: float = second_field(lambda s: s.reading.inputs.fresh["test_weight"], "known")
+    zero_mv: float = second_field(lambda s: s.reading.zero.zero_mv if s.reading.zero else float("nan"), "known")
+    pulse_mv: float = second_field(lambda s: s.reading.window.pulse_mv, "known")
+    saturated_share: float = second_field(lambda s: s.reading.window.saturated_share, "known")
+    lost_frames: int = second_field(lambda s: s.reading.window.lost_frames, "whole")
+    surplus_frames: int = second_field(lambda s: s.reading.window.surplus_frames, "whole")
+    repeated_frames: int = second_field(lambda s: s.reading.window.repeated_frames, "whole")
+    sweep_id: int = second_field(lambda s: s.sweep_id, "whole")
+    sweep_step: int = second_field(lambda s: s.sweep_step, "whole")
+    usable_for_calibration: bool = second_field(lambda s: s.usable_for_calibration, "whole")
+    parameter_version: int = second_field(lambda s: s.parameter_version, "whole")
+    faults: tuple[FaultCode, ...] = second_field(lambda s: s.faults, "codes")
+    latitude_deg: float = second_field(lambda s: s.reading.inputs.fresh["latitude"], "known")
+    longitude_deg: float = second_field(lambda s: s.reading.inputs.fresh["longitude"], "known")
+    ground_speed_m_s: float = second_field(lambda s: s.reading.inputs.fresh["ground_speed"], "known")
+    course_deg: float = second_field(lambda s: s.reading.inputs.fresh["course"], "known")
+
+
+_DECLARED = tuple((item.name, item.metadata["declared"]) for item in fields(WindowRecord))
+_TAKES = tuple(declared.take for _, declared in _DECLARED)
+
+COLUMNS: tuple[Column, ...] = tuple(
+    Column(
+        name=declared.row or name,
+        kind=declared.kind,
+        optional=declared.optional,
+        attribute=name,
+        convert=declared.convert,
+        since=declared.since,
+        published=declared.published,
+    )
+    for name, declared in _DECLARED
+    if declared.row is not None
+)
+"""The columns of a second's row, in order."""
+
+
+def record_of(second: Second) -> WindowRecord:
+    """The record of a second."""
+    return WindowRecord(*[take(second) for take in _TAKES])
 
 
 class FlowEstimator(Protocol):

@@ -8,12 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.engine.sources import DEFAULT_SOURCES, SampleSource, Sources
 from yieldmon.engine.windows import number
-from yieldmon.frames import IMPACT_SENSOR_SAMPLES, SAMPLES_PER_FRAME, Frame
+from yieldmon.frames import Frame
 
 Array = NDArray[np.float64]
-
-_SAMPLES = tuple(f"Sample{k}" for k in range(SAMPLES_PER_FRAME))
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,37 +35,61 @@ class SignalRun:
 
 
 @dataclass(frozen=True, slots=True)
+class SampleRun:
+    """The frames of one impact sensor in a run. places (m,): among all frames. rows (m, 2 + samples a frame): counter, status and
+    millivolts, nan for what is not available."""
+
+    places: NDArray[np.intp]
+    rows: Array
+
+
+@dataclass(frozen=True, slots=True)
 class FrameRun:
     """Consecutive frames, in the order in which they arrived.
 
-    times_s (n,): bus time of all of them. samples (m, 2 + samples a frame): counter, status and millivolts of the
-    ImpactSensorSamples among them, nan for what is not available, at sample_places (m,). others: the other messages' frames,
-    each message once.
+    times_s (n,): bus time of all of them. samples: a run for each impact sensor, in the order of `Sources.impact`. others: the
+    other messages' frames, each message once.
     """
 
     times_s: Array
-    sample_places: NDArray[np.intp]
-    samples: Array
+    samples: Sequence[SampleRun]
     others: Sequence[SignalRun] = field(default=())
 
-    @property
-    def sample_times_s(self) -> Array:
-        """Bus times (m,) of the ImpactSensorSamples frames."""
-        return self.times_s[self.sample_places]
+
+def sample_columns(source: SampleSource) -> tuple[str | None, ...]:
+    """Signals of a sample row's columns: counter, status, samples; None where the source has none."""
+    return (source.counter, source.status, *source.signals)
 
 
-def run_of(frames: Sequence[Frame]) -> FrameRun:
+def in_millivolts(source: SampleSource, rows: Array) -> Array:
+    """Sample rows (m, 2 + samples a frame) in the signal's unit as rows in millivolts."""
+    if source.scale_mv != 1.0:
+        rows[:, 2:] *= source.scale_mv
+    if source.offset_mv != 0.0:
+        rows[:, 2:] += source.offset_mv
+    return rows
+
+
+def run_of(frames: Sequence[Frame], sources: Sources = DEFAULT_SOURCES) -> FrameRun:
     """The same frames as a run."""
     places: dict[str, list[int]] = {}
     for place, frame in enumerate(frames):
         places.setdefault(frame.message, []).append(place)
-    at = np.array(places.pop(IMPACT_SENSOR_SAMPLES, []), dtype=np.intp)
-    names = ("SampleCounter", "SensorStatus", *_SAMPLES)
-    samples = [[number(frames[place].signals.get(name)) for name in names] for place in at]
     times = np.array([frame.time_s for frame in frames], dtype=np.float64)
+    samples = []
+    for source in sources.impact:
+        at = np.array(places.get(source.message, []), dtype=np.intp)
+        names = sample_columns(source)
+        rows = [[number(frames[place].signals.get(name)) if name else np.nan for name in names] for place in at]
+        table = np.array(rows, dtype=np.float64).reshape(-1, len(names))
+        samples.append(SampleRun(at, in_millivolts(source, table)))
+    listened = {source.message for source in sources.inputs}
+    taken = {source.message for source in sources.impact}
     others = []
-    for message, rows in places.items():
-        signals = dict.fromkeys(name for place in rows for name in frames[place].signals)
-        columns = {name: np.array([number(frames[place].signals.get(name)) for place in rows]) for name in signals}
-        others.append(SignalRun(message, np.array(rows, dtype=np.intp), times[rows], columns))
-    return FrameRun(times, at, np.array(samples, dtype=np.float64).reshape(-1, len(names)), others)
+    for message, rows_of in places.items():
+        if message in taken and message not in listened:
+            continue
+        signals = dict.fromkeys(name for place in rows_of for name in frames[place].signals)
+        columns = {name: np.array([number(frames[place].signals.get(name)) for place in rows_of]) for name in signals}
+        others.append(SignalRun(message, np.array(rows_of, dtype=np.intp), times[rows_of], columns))
+    return FrameRun(times, samples, others)

@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from yieldmon.engine.flow_filter import FlowFilterSettings
-from yieldmon.frames import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,10 +29,6 @@ class WindowSettings:
     grid_offset_s: float = 0.1
     """Windows end this long after each full second of bus time, in whole command intervals: half a paddle pattern and the
     sensor's own delay at rated speed, so that a result belongs to the full second before it."""
-    sample_interval_s: float = SAMPLE_INTERVAL_S
-    samples_per_frame: int = SAMPLES_PER_FRAME
-    sample_counter_modulus: int = 256
-    """SampleCounter counts frames, 0 .. modulus - 1."""
     max_ramp_s: float = 0.5
     """Longest window edge. Below the speed at which one paddle pattern takes this long the edge is a ramp of this length."""
     min_coverage: float = 0.2

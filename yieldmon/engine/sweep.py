@@ -11,11 +11,13 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 from enum import StrEnum
-from math import isfinite, log
+from math import degrees, isfinite, log
 
 from yieldmon.engine.plate_commands import GO_HOME, RELEASE, PlateDemand
 from yieldmon.engine.settings import PlateSettings, SweepSettings
+from yieldmon.engine.windows import Window
 from yieldmon.frames import ActuatorState, CommandMode, SweepState
+from yieldmon.physics.machine import Machine
 
 
 class SweepAbort(StrEnum):
@@ -59,6 +61,30 @@ class SweepWindow:
     whole: bool
     still: bool
     trend: float
+
+    @classmethod
+    def of(
+        cls, window: Window, support_start_s: float, flow_kg_s: float, force_n: float, whole: bool, still: bool
+    ) -> SweepWindow:
+        """From a window and what was made of it."""
+        return cls(
+            end_s=window.end_s,
+            support_start_s=support_start_s,
+            flow_kg_s=flow_kg_s,
+            force_n=force_n,
+            speed_rad_s=window.speed_rad_s,
+            angle_deg=degrees(window.plate_angle_rad),
+            whole=whole,
+            still=still,
+            trend=window.trend,
+        )
+
+
+def support_start_s(window: Window, machine: Machine, max_ramp_s: float) -> float:
+    """Engine time of the earliest sample with weight in a window: its near edge reaches into the window before, s."""
+    chain = window.speed_rad_s * machine.sprocket_pitch_radius_m
+    ramp_s = min(max_ramp_s, machine.pattern_length_m / chain) if chain > 0.0 else max_ramp_s
+    return window.start_s - ramp_s
 
 
 _ACTUATOR_REASONS = (SweepAbort.NOT_FOLLOWING, SweepAbort.FORCE_DOES_NOT_FOLLOW)

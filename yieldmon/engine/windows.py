@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.engine.settings import WindowSettings
+from yieldmon.engine.sources import DEFAULT_SOURCES, SampleSource
 from yieldmon.frames import SensorStatus
 from yieldmon.physics.machine import Machine
 
@@ -195,21 +196,33 @@ class WindowBuilder:
     Raises ValueError for edges longer than half a window.
     """
 
-    def __init__(self, settings: WindowSettings, machine: Machine) -> None:
+    def __init__(
+        self,
+        settings: WindowSettings,
+        machine: Machine,
+        source: SampleSource = DEFAULT_SOURCES.impact[0],
+        *,
+        speed_rad_s: float | None = None,
+        angle_rad: float = float("nan"),
+    ) -> None:
+        """source: layout of the sample frames. speed_rad_s, angle_rad: before the first that is measured; speed_rad_s None: the
+        machine's nominal speed."""
         if 2.0 * settings.max_ramp_s > settings.window_s:
             raise ValueError(f"max_ramp_s is {settings.max_ramp_s}; expected at most half of window_s, {settings.window_s}")
         self._settings = settings
         self._full_scale_mv = machine.sensor.full_scale_mv
         self._patterns_per_rad = machine.sprocket_pitch_radius_m / machine.pattern_length_m
         self._min_rate = 1.0 / settings.max_ramp_s
-        lags = np.arange(settings.samples_per_frame - 1, -1, -1, dtype=np.float64)
-        self._lags_s = lags * settings.sample_interval_s
-        self._frame_interval_s = settings.sample_interval_s * settings.samples_per_frame
+        samples = len(source.signals)
+        self._sample_interval_s = source.interval_s
+        self._counter_modulus = float(source.counter_modulus)
+        self._lags_s = np.arange(samples - 1, -1, -1, dtype=np.float64) * source.interval_s
+        self._frame_interval_s = source.interval_s * samples
         self.rows: list[tuple[Any, ...]] = []
         """Pending sample rows (engine time, counter, status, samples...); the caller appends."""
         self._blocks: list[Array] = []
-        self._speed = _Signal(machine.nominal_elevator_speed_rad_s)
-        self._angle = _Signal(float("nan"))
+        self._speed = _Signal(machine.nominal_elevator_speed_rad_s if speed_rad_s is None else speed_rad_s)
+        self._angle = _Signal(angle_rad)
         self._earlier_angles = (float("inf"), float("-inf"))
         self._left = np.zeros(4)
         self._left_s = 0.0
@@ -291,8 +304,8 @@ class WindowBuilder:
         waves = [() if none else tuple(row) for none, row in zip(empty.tolist(), harmonics.tolist(), strict=True)]
         columns = (
             edges[:-1], edges[1:], mean, std_dev, waves, pulse, trend, patterns, weight_s,
-            total * self._settings.sample_interval_s, speed, angle, plate_min, plate_max, sizes, samples, frames.last_frame_s,
-            span, held * self._settings.sample_interval_s, saturated,
+            total * self._sample_interval_s, speed, angle, plate_min, plate_max, sizes, samples, frames.last_frame_s,
+            span, held * self._sample_interval_s, saturated,
             _segments(np.add, frames.fault.astype(np.intp), frames.bounds, 0), frames.lost, frames.surplus, frames.repeated,
         )  # fmt: skip
         lists = (column.tolist() if isinstance(column, np.ndarray) else column for column in columns)
@@ -342,7 +355,7 @@ class WindowBuilder:
 
     def _frame_steps(self, times: Array, counters: Array) -> Array:
         """Frames from each frame to the one before by counter, the counter's turns told by time; 0 is a repeat."""
-        modulus = float(self._settings.sample_counter_modulus)
+        modulus = self._counter_modulus
         by_time = np.rint(np.diff(times, prepend=self._last_frame_s) / self._frame_interval_s)
         with np.errstate(invalid="ignore"):
             difference = np.mod(np.diff(counters, prepend=self._last_counter), modulus)

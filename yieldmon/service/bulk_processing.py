@@ -23,18 +23,17 @@ from yieldmon.bus.codec import Codec
 from yieldmon.bus.loading import iter_blocks
 from yieldmon.bus.logs import LogNotes
 from yieldmon.engine.monitor import Monitor
-from yieldmon.engine.runs import FrameRun, SignalRun
+from yieldmon.engine.runs import FrameRun, SampleRun, SignalRun, in_millivolts, sample_columns
+from yieldmon.engine.sources import SampleSource, Sources
 from yieldmon.errors import InputError
-from yieldmon.frames import IMPACT_SENSOR_SAMPLES, INPUTS, SAMPLES_PER_FRAME
-from yieldmon.service.processing import Summary, refuse_nothing
-from yieldmon.service.rows import SecondRow, second_row
+from yieldmon.service.processing import Summary, hand_over, refuse_nothing
+from yieldmon.service.rows import SecondRow
 
 #: Frames of a log fed at a time: windows enough to be closed in groups. Where the recorder's clock steps, the frames of one run
 #: are fed one by one.
 _RUN_FRAMES = 16_384
-#: A run must not bring more windows than a monitor keeps.
+#: A run must not bring windows without bound.
 _RUN_S = 3600.0
-_SAMPLE_SIGNALS = ("SampleCounter", "SensorStatus", *(f"Sample{k}" for k in range(SAMPLES_PER_FRAME)))
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,8 @@ def process_in_bulk(
     """
     names = [str(path) for path in paths]
     summary = Summary()
-    with _stretches_ahead(names, codec) if reads_ahead else _stretches_here(names, codec) as stretches:
+    read = _stretches_ahead if reads_ahead else _stretches_here
+    with read(names, codec, monitor.sources) as stretches:
         for stretch in stretches:
             if isinstance(stretch, EndOfLog):
                 summary.damages += stretch.damages
@@ -80,30 +80,27 @@ def process_in_bulk(
                 summary.ours += stretch.ours
                 summary.malformed += stretch.malformed
                 for run in stretch.runs:
-                    monitor.feed_run(run, reports=False)
-                    for record in monitor.take_records():
-                        summary.windows += 1
-                        take_row(second_row(summary.windows, record))
+                    hand_over(monitor.feed_run(run, reports=False), take_row, summary)
             if progress is not None:
                 progress(stretch)
     refuse_nothing(names, summary)
     return summary
 
 
-def stretches_of(paths: Iterable[str], codec: Codec) -> Iterator[Stretch | EndOfLog]:
+def stretches_of(paths: Iterable[str], codec: Codec, sources: Sources) -> Iterator[Stretch | EndOfLog]:
     """The logs, one after the other, decoded. Raises InputError for a log that cannot be read."""
     for path in paths:
         notes = LogNotes()
         for block in iter_blocks(path, notes):
-            yield _stretch(decode_block(codec, block), block)
+            yield _stretch(decode_block(codec, block), block, sources)
         yield EndOfLog(path, [str(damage) for damage in notes.damages])
 
 
-def _stretch(decoded: DecodedBlock, block: FrameBlock) -> Stretch:
-    inputs = [decoded.messages[name] for name in INPUTS if name in decoded.messages]
+def _stretch(decoded: DecodedBlock, block: FrameBlock, sources: Sources) -> Stretch:
+    inputs = [decoded.messages[name] for name in sources.messages if name in decoded.messages]
     rows = np.sort(np.concatenate([np.empty(0, np.intp), *(columns.rows for columns in inputs)]), kind="stable")
     times = block.time_s[rows]
-    runs = [_run(inputs, rows[part], times[part]) for part in _parts(times)]
+    runs = [_run(inputs, rows[part], times[part], sources) for part in _parts(times)]
     return Stretch(len(block), len(rows), len(decoded.wrong_length), runs)
 
 
@@ -118,23 +115,34 @@ def _parts(times: NDArray[np.float64]) -> Iterator[slice]:
         first = last
 
 
-def _run(inputs: list[MessageColumns], rows: NDArray[np.intp], times: NDArray[np.float64]) -> FrameRun:
+def _run(inputs: list[MessageColumns], rows: NDArray[np.intp], times: NDArray[np.float64], sources: Sources) -> FrameRun:
     """The frames in these rows of the block, all of messages that the engine takes."""
-    sample_places: NDArray[np.intp] = np.empty(0, np.intp)
-    samples = np.empty((0, len(_SAMPLE_SIGNALS)))
-    others = []
+    found = {}
     for columns in inputs:
         part = slice(*np.searchsorted(columns.rows, (rows[0], rows[-1] + 1)))
         places = np.searchsorted(rows, columns.rows[part])
-        if not places.size:
-            continue
-        if columns.name == IMPACT_SENSOR_SAMPLES:
-            sample_places = places
-            samples = np.column_stack([_known(columns.signals[name], part) for name in _SAMPLE_SIGNALS])
-        else:
-            signals = {name: _known(column, part) for name, column in columns.signals.items()}
-            others.append(SignalRun(columns.name, places, columns.time_s[part], signals))
-    return FrameRun(times, sample_places, samples, others)
+        if places.size:
+            found[columns.name] = columns, part, places
+    samples = [
+        _sample_run(source, *found[source.message]) if source.message in found else _silent(source) for source in sources.impact
+    ]
+    listened = {source.message for source in sources.inputs}
+    others = [
+        SignalRun(name, places, columns.time_s[part], {signal: _known(c, part) for signal, c in columns.signals.items()})
+        for name, (columns, part, places) in found.items()
+        if name in listened
+    ]
+    return FrameRun(times, samples, others)
+
+
+def _sample_run(source: SampleSource, columns: MessageColumns, part: slice, places: NDArray[np.intp]) -> SampleRun:
+    unknown = np.full(places.shape, np.nan)
+    table = [_known(columns.signals[name], part) if name is not None else unknown for name in sample_columns(source)]
+    return SampleRun(places, in_millivolts(source, np.column_stack(table)))
+
+
+def _silent(source: SampleSource) -> SampleRun:
+    return SampleRun(np.empty(0, np.intp), np.empty((0, len(sample_columns(source)))))
 
 
 def _known(column: SignalColumn, part: slice) -> NDArray[np.float64]:
@@ -144,16 +152,16 @@ def _known(column: SignalColumn, part: slice) -> NDArray[np.float64]:
 
 
 @contextmanager
-def _stretches_here(paths: list[str], codec: Codec) -> Iterator[Iterator[Stretch | EndOfLog]]:
-    yield stretches_of(paths, codec)
+def _stretches_here(paths: list[str], codec: Codec, sources: Sources) -> Iterator[Iterator[Stretch | EndOfLog]]:
+    yield stretches_of(paths, codec, sources)
 
 
 @contextmanager
-def _stretches_ahead(paths: list[str], codec: Codec) -> Iterator[Iterator[Stretch | EndOfLog]]:
+def _stretches_ahead(paths: list[str], codec: Codec, sources: Sources) -> Iterator[Iterator[Stretch | EndOfLog]]:
     """The same from a process that reads ahead as far as the pipe between them holds."""
     context = multiprocessing.get_context("fork")
     receiving, sending = context.Pipe(duplex=False)
-    reader = context.Process(target=_read, args=(paths, codec, sending, receiving), daemon=True)
+    reader = context.Process(target=_read, args=(paths, codec, sources, sending, receiving), daemon=True)
     reader.start()
     sending.close()
     try:
@@ -164,12 +172,12 @@ def _stretches_ahead(paths: list[str], codec: Codec) -> Iterator[Iterator[Stretc
         receiving.close()
 
 
-def _read(paths: list[str], codec: Codec, sending: Connection, receiving: Connection) -> None:
+def _read(paths: list[str], codec: Codec, sources: Sources, sending: Connection, receiving: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # With this end open here too, a reader whose parent was killed would wait for ever instead of finding nobody there.
     receiving.close()
     try:
-        for stretch in stretches_of(paths, codec):
+        for stretch in stretches_of(paths, codec, sources):
             sending.send(stretch)
         sending.send(None)
     except InputError as error:

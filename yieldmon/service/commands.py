@@ -41,13 +41,14 @@ def summary(status: Mapping[str, Any]) -> str:
 
 def _load_start(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
     journal.name_load(_name(request, "field"), _name(request, "crop"))
-    return {"load": monitor.start_load(), "field": journal.field, "crop": journal.crop}
+    journal.happened(monitor.start_load())
+    return {"load": monitor.totals.load_number, "field": journal.field, "crop": journal.crop}
 
 
 def _load_stop(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
     if not monitor.totals.load_open:
         raise InputError("load stop", "no load is open")
-    monitor.stop_load()
+    journal.happened(monitor.stop_load())
     return {"load": monitor.totals.load_number, "mass_kg": monitor.totals.load_kg}
 
 

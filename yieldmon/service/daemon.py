@@ -14,7 +14,7 @@ import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from time import monotonic
@@ -28,6 +28,8 @@ from yieldmon.bus.opening import open_bus
 from yieldmon.bus.receiver import BusEvent, BusEventKind, Receiver
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.records import WindowRecord
+from yieldmon.engine.results import Result, frames_in, records_in
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.frames import Frame
@@ -103,6 +105,8 @@ class Daemon:
         self._told: dict[FaultCode, str] = {}
         self._reload_note = "none since the start"
         self._rows: deque[SecondRow] = deque(maxlen=_LAST_ROWS)
+        self._record: WindowRecord | None = None
+        """Of the last window of the monitor in use."""
         self._malformed = 0
         self._unsendable = 0
         self._started_s = monotonic()
@@ -145,6 +149,7 @@ class Daemon:
         memory, self._store_note = recovery.memory, recovery.note
         parameters, self._origin = choose_parameters(memory, self.configuration.parameters)
         self._journal = Journal(memory, self.configuration.parameters)
+        self._journal.new_monitor(parameters, self._origin)
         self._monitor = _monitor_for(self.configuration, parameters)
         self._resume(memory)
         self._answer = self._snapshot()
@@ -247,7 +252,7 @@ class Daemon:
             self._conditions.present("conflict", monotonic() + _HOLD_S, f"{frame.message} from another node")
             return
         self._ours_s = frame.time_s
-        self._send(self._monitor.feed(frame))
+        self._happened(self._monitor.feed(frame))
 
     def _tick_if_silent(self, empty_until_s: float) -> None:
         """Lets the engine's time go on without frames of ours: as far as others' frames say, or the bus is known to be empty."""
@@ -255,17 +260,26 @@ class Daemon:
             # No frame yet, so no bus time either; the system's clock is as good a start as any, once it is needed.
             if monotonic() - self._started_s > self.configuration.document.bus.idle_after_s:
                 self._last_heard = (time.time(), monotonic())
-                self._send(self._monitor.tick(self._last_heard[0]))
+                self._happened(self._monitor.tick(self._last_heard[0]))
             return
         bus_s, heard_s = self._last_heard
         if empty_until_s - heard_s > self._silence_s:
-            self._send(self._monitor.tick(bus_s + (empty_until_s - heard_s) - _TICK_DELAY_S))
+            self._happened(self._monitor.tick(bus_s + (empty_until_s - heard_s) - _TICK_DELAY_S))
         elif abs(bus_s - self._ours_s) > self._silence_s:
-            self._send(self._monitor.tick(bus_s))
+            self._happened(self._monitor.tick(bus_s))
+
+    def _happened(self, results: Sequence[Result]) -> None:
+        """Frames go out, records and events to the journal; with a window the second is done."""
+        if not results:
+            return
+        self._send(frames_in(results))
+        rows = self._journal.take(results)
+        if rows:
+            self._rows.extend(rows)
+            self._record = records_in(results)[-1]
+            self._second_done()
 
     def _send(self, out: list[Frame]) -> None:
-        if not out:
-            return
         dm1 = self.configuration.document.diagnostics.dm1_enabled
         for frame in out:
             if frame.message == frames.ACTIVE_DIAGNOSTICS and not dm1:
@@ -276,11 +290,7 @@ class Daemon:
                 self._unsendable += 1
                 if self._unsendable == 1:
                     _log.error("%s", error)
-        if self._monitor.last_record is not self._last_record:
-            self._last_record = self._monitor.last_record
-            self._second_done()
 
-    _last_record: object = None
     _window_closed = False
 
     def _second_done(self) -> None:
@@ -293,10 +303,7 @@ class Daemon:
         self._manager.status(commands.summary(self._answer))
 
     def _commit(self) -> None:
-        batch = self._journal.batch(self._monitor, time.time(), self._counters(), self._origin)
-        self._origin = "sweep"
-        self._rows.extend(batch.seconds)
-        self._writer.submit(batch)
+        self._writer.submit(self._journal.batch(self._monitor, time.time(), self._counters()))
 
     def _counters(self) -> dict[str, int]:
         received, sent = self._receiver.counters(), self._transmitter.counters()
@@ -412,12 +419,12 @@ class Daemon:
         state = self._monitor.snapshot()
         self._commit()
         if fresh is not None:
-            # The next batch brings them.
-            self._origin = "file"
             state = dataclasses.replace(state, calibration_age_s=calibration_age_s(fresh, time.time()))
         monitor = _monitor_for(new, fresh or self._monitor.estimator.parameters)
         monitor.restore(state)
-        self._monitor = monitor
+        self._monitor, self._record = monitor, None
+        # The next batch brings the parameters.
+        self._journal.new_monitor(monitor.estimator.parameters, "file")
         self._told.clear()
         self.configuration = new
         logging.getLogger("yieldmon").setLevel(new.document.logging.level.upper())
@@ -428,6 +435,7 @@ class Daemon:
         return snapshot(
             configuration=self.configuration,
             monitor=self._monitor,
+            record=self._record,
             journal=self._journal,
             rows=tuple(self._rows),
             received=self._receiver.counters(),

@@ -475,9 +475,4 @@ ENGINE_SECTIONS = (
 )  # fmt: skip
 
 #: Settings of the engine that the protocol fixes; the file has no key for them.
-FIXED_BY_THE_FRAMES = frozenset(
-    {
-        "windows.window_s", "windows.sample_interval_s", "windows.samples_per_frame", "windows.sample_counter_modulus",
-        "windows.sample_counter_step", "plate.command_counter_modulus",
-    }
-)  # fmt: skip
+FIXED_BY_THE_FRAMES = frozenset({"windows.window_s", "plate.command_counter_modulus"})

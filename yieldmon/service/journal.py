@@ -1,24 +1,30 @@
-"""What the monitor did since the last time, as batches for the store; and from the store what a monitor goes on from."""
+"""What the monitor did, collected into batches for the store; and from the store what a monitor goes on from."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
+from dataclasses import field as dataclass_field
 from math import isfinite
 from typing import Any
 
-from yieldmon.engine.monitor import LoadSummary, Monitor
+from yieldmon.engine.health import FaultEvent
+from yieldmon.engine.learning import ParametersChanged
+from yieldmon.engine.loads import LoadClosed, LoadOpened, LoadSummary
+from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.plate import SweepEnded
+from yieldmon.engine.records import WindowRecord
+from yieldmon.engine.results import Event, Result, WindowResult
 from yieldmon.engine.state import EngineState
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
-from yieldmon.frames import SweepState
-from yieldmon.service.rows import second_row
-from yieldmon.service.store import Batch, FaultEvent, Load, ParameterVersion, Store, StoreDamagedError, SweepRecord, Ticket
+from yieldmon.service import store as rows_of
+from yieldmon.service.rows import SecondRow, second_row
+from yieldmon.service.store import Batch, Load, ParameterVersion, Store, StoreDamagedError, SweepRecord, Ticket
 
-_SWEEP_ENDS = frozenset({SweepState.ABORTED, SweepState.UPDATED, SweepState.NOT_LEARNED})
 _UNKNOWN_MOISTURE_KG = 1e-6
 
 
@@ -88,7 +94,7 @@ def choose_parameters(memory: Memory, configured: ParameterSet) -> tuple[Paramet
 
 
 class Journal:
-    """Numbers batches and seconds, and finds out what changed from one batch to the next."""
+    """Numbers batches and seconds, and collects what the monitor hands back until the next batch."""
 
     def __init__(self, memory: Memory, configured: ParameterSet, field: str = "", crop: str = "") -> None:
         """memory: what the store holds. configured: the parameters as their file has them."""
@@ -100,11 +106,11 @@ class Journal:
         self._version = memory.last_version
         self._loads = {load.number: load for load in memory.loads}
         self._faults = set(memory.faults)
-        self._ended_sweep: int | None = None
-        self._parameters: ParameterSet | None = None
+        self._faults_known = False
+        """Whether the monitor has said which of the faults that the store shows it shows as well."""
         self._counters_before = dict(memory.counters or {})
-        self._tickets: list[Ticket] = []
         self._all_tickets = list(memory.tickets)
+        self._pending = _Pending()
 
     @property
     def loads(self) -> tuple[Load, ...]:
@@ -126,7 +132,7 @@ class Journal:
 
     def ticket(self, ticket: Ticket) -> None:
         """A ticket for the next batch."""
-        self._tickets.append(ticket)
+        self._pending.tickets.append(ticket)
         self._all_tickets.append(ticket)
 
     def load_table(self) -> list[dict[str, Any]]:
@@ -143,24 +149,55 @@ class Journal:
             table.append(asdict(load) | corrected)
         return table
 
-    def batch(self, monitor: Monitor, time_s: float, counters: Mapping[str, int], origin: str) -> Batch:
-        """All that is new. time_s: Unix time; origin: where new parameters come from."""
-        seconds = tuple(second_row(self._second + n, record) for n, record in enumerate(monitor.take_records(), 1))
-        self._second += len(seconds)
+    def new_monitor(self, parameters: ParameterSet, origin: str) -> None:
+        """A monitor begins, or begins anew after a reload, with these parameters; origin: where they come from."""
+        self._faults_known = False
+        if parameters.version != self._version or not self._version:
+            self._use(parameters, origin)
+
+    def take(self, results: Iterable[Result]) -> tuple[SecondRow, ...]:
+        """What the monitor handed back; returns the rows of the windows among it."""
+        rows = []
+        for result in results:
+            if isinstance(result, WindowResult):
+                self._second += 1
+                rows.append(second_row(self._second, result.record))
+                self._compare_faults(result.record)
+            self.happened(result.events)
+        self._pending.seconds += rows
+        return tuple(rows)
+
+    def happened(self, events: Iterable[Event]) -> None:
+        """Events for the next batch."""
+        for event in events:
+            if isinstance(event, FaultEvent):
+                self._fault(event.code.value, event.active, event.detail)
+            elif isinstance(event, LoadOpened | LoadClosed):
+                self._load(event.load)
+            elif isinstance(event, ParametersChanged):
+                self._use(event.parameters, event.origin)
+            elif isinstance(event, SweepEnded):
+                self._pending.sweeps.append(event)
+
+    def batch(self, monitor: Monitor, time_s: float, counters: Mapping[str, int]) -> Batch:
+        """All that came since the last one. time_s: Unix time."""
         self._batch += 1
-        tickets, self._tickets = tuple(self._tickets), []
-        loads = self._changed_loads(monitor)
-        faults = self._changed_faults(monitor, time_s)
+        if monitor.open_load is not None:
+            self._load(monitor.open_load)
+        pending, self._pending = self._pending, _Pending()
         return Batch(
             number=self._batch,
             time_s=time_s,
             state=self._state(monitor, time_s),
-            seconds=seconds,
-            loads=loads,
-            sweeps=self._ended_sweeps(monitor, time_s),
-            parameter_versions=self._new_parameters(monitor, time_s, origin),
-            faults=faults,
-            tickets=tickets,
+            seconds=tuple(pending.seconds),
+            loads=tuple(pending.loads.values()),
+            sweeps=tuple(_sweep_row(sweep, time_s) for sweep in pending.sweeps),
+            parameter_versions=tuple(
+                ParameterVersion(parameters.version, time_s, origin, parameter_file.to_document(parameters))
+                for parameters, origin in pending.parameters
+            ),
+            faults=tuple(rows_of.FaultEvent(time_s, code, active, detail) for code, active, detail in pending.faults),
+            tickets=tuple(pending.tickets),
             counters={name: self._counters_before.get(name, 0) + value for name, value in counters.items()},
         )
 
@@ -175,20 +212,11 @@ class Journal:
             "faults": sorted(self._faults),
         }
 
-    def _changed_loads(self, monitor: Monitor) -> tuple[Load, ...]:
-        changed = []
-        for summary in monitor.loads:
-            load = self._load(summary)
-            if load != self._loads.get(load.number):
-                self._loads[load.number] = load
-                changed.append(load)
-        return tuple(changed)
-
-    def _load(self, summary: LoadSummary) -> Load:
+    def _load(self, summary: LoadSummary) -> None:
         known = self._loads.get(summary.number)
         started_s = known.started_s if known is not None else None
         dry_known = summary.unknown_moisture_kg <= _UNKNOWN_MOISTURE_KG
-        return Load(
+        load = Load(
             number=summary.number,
             field=known.field if known is not None else self.field,
             crop=known.crop if known is not None else self.crop,
@@ -197,45 +225,45 @@ class Journal:
             mass_kg=summary.measured_kg,
             dry_mass_kg=summary.dry_kg if dry_known else None,
         )
+        if load != known:
+            self._loads[load.number] = self._pending.loads[load.number] = load
 
-    def _changed_faults(self, monitor: Monitor, time_s: float) -> tuple[FaultEvent, ...]:
-        active = {code.value: code for code in monitor.faults.active}
-        gone = tuple(FaultEvent(time_s, name, False) for name in sorted(self._faults - set(active)))
-        come = tuple(
-            FaultEvent(time_s, name, True, monitor.faults.detail(active[name])) for name in sorted(set(active) - self._faults)
-        )
-        self._faults = set(active)
-        return gone + come
-
-    def _ended_sweeps(self, monitor: Monitor, time_s: float) -> tuple[SweepRecord, ...]:
-        sweep_id, state = monitor.sweep.sweep_id, monitor.sweep.state
-        if self._ended_sweep is None:
-            self._ended_sweep = sweep_id
-        # Once for each: a plate that is fetched home later on ends the same sweep again.
-        if sweep_id == self._ended_sweep or state not in _SWEEP_ENDS:
-            return ()
-        self._ended_sweep = sweep_id
-        outcome, abort = monitor.outcome, monitor.sweep.abort_reason
-        if state is SweepState.ABORTED:
-            reason = abort.value if abort is not None else ""
-        else:
-            reason = outcome.reason if outcome is not None else "no calibrator"
-        document = {
-            "sweep_id": sweep_id,
-            "angles_deg": list(monitor.sweep.sequence),
-            "parameter_version": monitor.estimator.parameters.version,
-        }
-        return (SweepRecord(time_s, state.name.lower(), reason, document),)
-
-    def _new_parameters(self, monitor: Monitor, time_s: float, origin: str) -> tuple[ParameterVersion, ...]:
-        parameters, before = monitor.estimator.parameters, self._parameters
-        self._parameters = parameters
-        if parameters.version == self._version and (before is None or before is parameters):
-            return ()
+    def _use(self, parameters: ParameterSet, origin: str) -> None:
         self._version = parameters.version
-        if origin == "sweep" and monitor.outcome is not None and monitor.outcome.weighed:
-            origin = "ticket"
-        return (ParameterVersion(parameters.version, time_s, origin, parameter_file.to_document(parameters)),)
+        self._pending.parameters.append((parameters, origin))
+
+    def _fault(self, code: str, active: bool, detail: str) -> None:
+        if active is not (code in self._faults):
+            self._pending.faults.append((code, active, detail if active else ""))
+            (self._faults.add if active else self._faults.discard)(code)
+
+    def _compare_faults(self, record: WindowRecord) -> None:
+        """Once for each monitor: faults that the store shows and a monitor that began anew does not are gone."""
+        if not self._faults_known:
+            self._faults_known = True
+            for code in sorted(self._faults - {code.value for code in record.faults}):
+                self._fault(code, False, "")
+
+
+@dataclass
+class _Pending:
+    """What the next batch will bring."""
+
+    seconds: list[SecondRow] = dataclass_field(default_factory=list)
+    loads: dict[int, Load] = dataclass_field(default_factory=dict)
+    sweeps: list[SweepEnded] = dataclass_field(default_factory=list)
+    parameters: list[tuple[ParameterSet, str]] = dataclass_field(default_factory=list)
+    faults: list[tuple[str, bool, str]] = dataclass_field(default_factory=list)
+    tickets: list[Ticket] = dataclass_field(default_factory=list)
+
+
+def _sweep_row(sweep: SweepEnded, time_s: float) -> SweepRecord:
+    document = {
+        "sweep_id": sweep.sweep_id,
+        "angles_deg": list(sweep.angles_deg),
+        "parameter_version": sweep.parameter_version,
+    }
+    return SweepRecord(time_s, sweep.state.name.lower(), sweep.reason, document)
 
 
 def _known(value: float) -> float | None:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from yieldmon.bus.codec import Codec, FrameError
 from yieldmon.bus.logs import LogNotes, read_log
 from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.results import Result, records_in
 from yieldmon.errors import InputError
-from yieldmon.frames import INPUTS
 from yieldmon.service.rows import SecondRow, second_row
 
 
@@ -34,6 +34,7 @@ def process_logs(
     InputError for a log that cannot be read, and as refuse_nothing().
     """
     summary = Summary()
+    wanted = frozenset(monitor.sources.messages)
     for path in paths:
         notes = LogNotes()
         for message in read_log(path, notes):
@@ -42,14 +43,12 @@ def process_logs(
             except FrameError:
                 summary.malformed += 1
                 continue
-            if frame is None or frame.message not in INPUTS:
+            if frame is None or frame.message not in wanted:
                 continue
             summary.ours += 1
-            if monitor.feed(frame):
-                _hand_over(monitor, take_row, summary)
+            hand_over(monitor.feed(frame), take_row, summary)
         summary.frames += notes.frames
         summary.damages += [str(damage) for damage in notes.damages]
-    _hand_over(monitor, take_row, summary)
     refuse_nothing(paths, summary)
     return summary
 
@@ -62,7 +61,8 @@ def refuse_nothing(paths: Sequence[Path | str], summary: Summary) -> None:
         raise InputError(", ".join(map(str, paths)), found + wrong, "a log with sensor, speed and plate frames")
 
 
-def _hand_over(monitor: Monitor, take_row: Callable[[SecondRow], None], summary: Summary) -> None:
-    for record in monitor.take_records():
+def hand_over(results: Iterable[Result], take_row: Callable[[SecondRow], None], summary: Summary) -> None:
+    """The rows of the windows that closed."""
+    for record in records_in(results):
         summary.windows += 1
         take_row(second_row(summary.windows, record))

@@ -10,6 +10,7 @@ import yieldmon
 from yieldmon.bus.receiver import ReceiverCounters
 from yieldmon.engine.faults import FAULTS
 from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.records import WindowRecord
 from yieldmon.frames import EstimateQuality, OperatingState
 from yieldmon.service.configuration import Configuration
 from yieldmon.service.journal import Journal
@@ -38,6 +39,7 @@ def snapshot(
     *,
     configuration: Configuration,
     monitor: Monitor,
+    record: WindowRecord | None,
     journal: Journal,
     rows: tuple[SecondRow, ...],
     received: ReceiverCounters,
@@ -50,7 +52,6 @@ def snapshot(
     uptime_s: float,
 ) -> dict[str, Any]:
     """The state of a running daemon; every value is fit for JSON, None where it is not known."""
-    record = monitor.last_record
     totals = monitor.totals
     parameters = monitor.estimator.parameters
     engine = monitor.snapshot()

@@ -10,6 +10,7 @@ import can
 
 from yieldmon.bus.codec import Codec
 from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.results import frames_in
 from yieldmon.frames import Frame
 from yieldmon.plant.combine import Truth, VirtualCombine
 
@@ -47,7 +48,7 @@ def run(combine: VirtualCombine, monitor: Monitor, codec: Codec, progress: Progr
             frame = codec.decode(received) if received is not None else None
             if frame is None:
                 raise RuntimeError(f"the virtual bus lost {sent.message} of {sent.time_s:.3f} s")
-            for answer in monitor.feed(frame):
+            for answer in frames_in(monitor.feed(frame)):
                 monitor_side.send(codec.encode(answer))
                 back = combine_side.recv(timeout=1.0)
                 heard = codec.decode(back) if back is not None else None

@@ -1,0 +1,186 @@
+"""From the force in a window to its mass flow: what the estimator says, what that is worth, and what is published of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import hypot, isfinite, radians
+from typing import NamedTuple
+
+import numpy as np
+
+from yieldmon.engine.flow_filter import FlowFilter
+from yieldmon.engine.measurement import Reading
+from yieldmon.engine.records import FlowEstimator
+from yieldmon.engine.settings import EngineSettings
+from yieldmon.engine.windows import Window
+from yieldmon.estimation.open_loop import FlowStatus
+from yieldmon.frames import EstimateQuality
+
+_NAN = float("nan")
+
+
+@dataclass(frozen=True, slots=True)
+class Flow:
+    """Flow of a window, nan where there is none, and what it is worth. noise_kg_s: the part of std_dev_kg_s that changes from
+    window to window."""
+
+    rate_kg_s: float
+    std_dev_kg_s: float
+    quality: EstimateQuality
+    force_n: float
+    force_std_dev_n: float
+    out_of_calibration: bool = False
+    saturated: bool = False
+    noise_kg_s: float = _NAN
+
+    @property
+    def measured(self) -> bool:
+        """Whether there is a flow."""
+        return isfinite(self.rate_kg_s)
+
+
+class Estimate(NamedTuple):
+    """One row of a FlowEstimate; noise_kg_s is None where the estimator does not tell it apart."""
+
+    rate_kg_s: float
+    std_dev_kg_s: float
+    status: FlowStatus
+    noise_kg_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Circumstances:
+    """What bears on the quality of a flow beside its window: a sweep is under way, the fault CalibrationOld is shown."""
+
+    sweeping: bool
+    calibration_old: bool
+
+
+def estimates(estimator: FlowEstimator, readings: Sequence[Reading]) -> list[Estimate | None]:
+    """The estimator's word on each window that needs one, asked for all at once."""
+    undecided = [reading for reading in readings if reading.quality is None]
+    if not undecided:
+        return [None] * len(readings)
+    inputs = np.array(
+        [
+            (r.force_n, r.window.plate_angle_rad, r.window.speed_rad_s, r.force_std_dev_n, r.inputs.fresh["moisture"])
+            for r in undecided
+        ]
+    ).T.copy()
+    found = estimator.estimate(*inputs)
+    size = len(undecided)
+    columns = [
+        np.broadcast_to(column, size).tolist() if column is not None else [None] * size
+        for column in (found.mass_flow_kg_s, found.std_dev_kg_s, found.status, found.noise_std_dev_kg_s)
+    ]
+    rows = (Estimate(rate, sd, FlowStatus(status), own) for rate, sd, status, own in zip(*columns, strict=True))
+    return [next(rows) if reading.quality is None else None for reading in readings]
+
+
+class FlowMeter:
+    """Judges estimates, and weighs each published flow with those before it."""
+
+    def __init__(self, settings: EngineSettings) -> None:
+        self._settings = settings
+        self._filter = FlowFilter(settings.flow_filter)
+
+    def flow(
+        self, reading: Reading, estimate: Estimate | None, estimator: FlowEstimator, circumstances: Circumstances
+    ) -> Flow:
+        """The flow of a window, as it is counted."""
+        if estimate is None:
+            assert reading.quality is not None, "without an estimate the reading says why"
+            return Flow(_NAN, _NAN, reading.quality, reading.force_n, reading.force_std_dev_n)
+        rate, std_dev, status, own = estimate
+        if status is FlowStatus.SATURATED:
+            rate, std_dev = _full_paddle(reading, estimator)
+        if not (isfinite(rate) and isfinite(std_dev)) or rate < 0.0:
+            return Flow(_NAN, _NAN, EstimateQuality.NOT_AVAILABLE, reading.force_n, reading.force_std_dev_n)
+        std_dev = self._widened(reading, rate, std_dev, estimator)
+        saturated = (
+            status is FlowStatus.SATURATED or reading.window.saturated_share >= self._settings.windows.saturated_share
+        )
+        outside = status is FlowStatus.OUTSIDE_CALIBRATION
+        quality = self._quality(reading, saturated, outside, circumstances)
+        noise = _noise(rate, own, reading)
+        return Flow(rate, std_dev, quality, reading.force_n, reading.force_std_dev_n, outside, saturated, noise)
+
+    def published(self, flow: Flow, *, plate_rests_at_home: bool) -> Flow:
+        """The flow to publish: windows of a plate at rest at home weighed together; every other stands for itself."""
+        usable = plate_rests_at_home and not flow.saturated and flow.force_n > 0.0 and flow.rate_kg_s > 0.0
+        if not usable:
+            self._filter.reset()
+            return flow
+        noise = flow.noise_kg_s
+        common = max(0.0, flow.std_dev_kg_s**2 - noise**2) ** 0.5
+        rate, std_dev = self._filter.update(flow.rate_kg_s, noise)
+        return replace(flow, rate_kg_s=rate, std_dev_kg_s=hypot(std_dev, common * rate / flow.rate_kg_s))
+
+    def _widened(self, reading: Reading, rate: float, std_dev: float, estimator: FlowEstimator) -> float:
+        """The standard deviation with what a held angle and a plate away from home add to it."""
+        if reading.inputs.angle_stale:
+            std_dev = hypot(std_dev, self._angle_uncertainty(reading, rate, estimator))
+        if not reading.at_home:
+            std_dev *= self._settings.sweep.max_std_dev_factor
+        return std_dev
+
+    def _quality(
+        self, reading: Reading, saturated: bool, outside: bool, circumstances: Circumstances
+    ) -> EstimateQuality:
+        if saturated:
+            return EstimateQuality.SATURATED
+        if not reading.at_home or circumstances.sweeping:
+            return EstimateQuality.SWEEPING
+        if outside:
+            return EstimateQuality.OUTSIDE_CALIBRATION
+        if circumstances.calibration_old or reading.inputs.angle_stale or self._incomplete(reading.window):
+            return EstimateQuality.DEGRADED
+        return EstimateQuality.OK
+
+    def _incomplete(self, window: Window) -> bool:
+        """Whether samples of a window are missing or doubtful."""
+        settings = self._settings.windows
+        return (
+            window.coverage < settings.full_coverage
+            or window.lost_frames > 0
+            or window.surplus_frames > 0
+            or window.sensor_fault_frames > 0
+            or window.held_s > 0.25 * settings.window_s
+        )
+
+    def _angle_uncertainty(self, reading: Reading, rate: float, estimator: FlowEstimator) -> float:
+        """Standard deviation of flow from a plate angle that is held, not measured, kg/s."""
+        moved = reading.window.plate_angle_rad - radians(self._settings.inputs.held_angle_std_dev_deg)
+        other = float(_ask(reading, estimator, reading.force_n, moved).rate_kg_s)
+        return abs(other - rate) if isfinite(other) else rate
+
+
+def _noise(rate: float, own: float | None, reading: Reading) -> float:
+    """The part of the standard deviation that changes from window to window."""
+    if own is not None:
+        return own
+    # An estimator that does not tell them apart: flow is nearly proportional to force, so a share of one is one of the other.
+    return rate * reading.force_std_dev_n / reading.force_n if reading.force_n > 0.0 else _NAN
+
+
+def _full_paddle(reading: Reading, estimator: FlowEstimator) -> tuple[float, float]:
+    """Largest flow that the model knows at a window's angle and speed: what a force above it says at least."""
+    low, high = 0.0, reading.force_n
+    rate, std_dev = _NAN, _NAN
+    for _ in range(12):
+        middle = 0.5 * (low + high)
+        found = _ask(reading, estimator, middle, reading.window.plate_angle_rad)
+        if found.status is FlowStatus.SATURATED:
+            high = middle
+        else:
+            low = middle
+            rate, std_dev = found.rate_kg_s, found.std_dev_kg_s
+    return rate, std_dev
+
+
+def _ask(reading: Reading, estimator: FlowEstimator, force_n: float, angle_rad: float) -> Estimate:
+    """The estimator's word on a window with another force or angle."""
+    moisture_pct = reading.inputs.fresh["moisture"]
+    found = estimator.estimate(force_n, angle_rad, reading.window.speed_rad_s, reading.force_std_dev_n, moisture_pct)
+    return Estimate(float(found.mass_flow_kg_s), float(found.std_dev_kg_s), FlowStatus(int(found.status)), None)

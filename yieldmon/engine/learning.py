@@ -1,0 +1,133 @@
+"""What the monitor learns: sweeps and reference masses in, other parameters out."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from math import isfinite
+
+from yieldmon.engine.anchors import AnchorSource, ReferenceMass, TankScale
+from yieldmon.engine.disagreement import Disagreement
+from yieldmon.engine.flow import Flow
+from yieldmon.engine.inputs import InputSnapshot
+from yieldmon.engine.loads import LoadSummary
+from yieldmon.engine.records import CalibrationOutcome, FlowEstimator, SelfCalibrator, WindowRecord
+from yieldmon.engine.settings import EngineSettings
+from yieldmon.engine.sweep import SweepAbort, SweepMachine
+from yieldmon.engine.windows import Window
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.physics.machine import Machine
+
+
+@dataclass(frozen=True, slots=True)
+class ParametersChanged:
+    """Other parameters from now on. origin: "sweep" or "ticket" (a reference mass alone); reason: one sentence."""
+
+    parameters: ParameterSet
+    origin: str
+    reason: str
+
+
+class Learning:
+    """The estimator in use, and all that may change it."""
+
+    def __init__(
+        self, settings: EngineSettings, machine: Machine, estimator: FlowEstimator, calibrator: SelfCalibrator | None
+    ) -> None:
+        self.estimator = estimator
+        self.calibrator = calibrator
+        self.calibration_age_s: float | None = None
+        self.outcome: CalibrationOutcome | None = None
+        """What the last whole sweep or weighed mass taught."""
+        self.disagreement = Disagreement(settings.disagreement, machine)
+        self._scale = TankScale(settings.anchors)
+        self._tickets: deque[ReferenceMass] = deque(maxlen=settings.anchors.keep)
+        self._masses_new = False
+        self._weighed_s = float("-inf")
+        self._sweep_records: list[WindowRecord] = []
+
+    @property
+    def anchors(self) -> tuple[ReferenceMass, ...]:
+        """Reference masses kept, by time."""
+        return tuple(sorted((*self._scale.anchors, *self._tickets), key=lambda anchor: anchor.end_s))
+
+    @property
+    def lesson(self) -> str:
+        """What the last whole sweep or weighed mass taught, in a sentence."""
+        return self.outcome.reason if self.outcome is not None else "no calibrator"
+
+    def use(self, estimator: FlowEstimator, calibration_age_s: float | None) -> None:
+        """Other parameters; calibration_age_s: time since they were calibrated, None where it is not known."""
+        self.estimator = estimator
+        self.calibration_age_s = calibration_age_s
+
+    def grow_older(self, seconds: float) -> None:
+        """Time passes since the calibration."""
+        if self.calibration_age_s is not None:
+            self.calibration_age_s += seconds
+
+    def weighed(self, window: Window, inputs: InputSnapshot, flow: Flow, total_before_kg: float, mass_kg: float) -> None:
+        """Match the tank scale's stable readings with what a window measured."""
+        if inputs.tank_time_s != self._weighed_s:
+            self._weighed_s = inputs.tank_time_s
+            self._scale.reading(inputs.tank_time_s, inputs.tank_kg)
+        if self._scale.window(window.start_s, window.end_s, total_before_kg, mass_kg, flow.measured):
+            self._masses_new = True
+
+    def ticket(
+        self, load_number: int, mass_kg: float, std_dev_kg: float, loads: tuple[LoadSummary, ...], now_s: float
+    ) -> ReferenceMass:
+        """A scale ticket for a load; see `Monitor.ticket`."""
+        if not (isfinite(mass_kg) and mass_kg > 0.0):
+            raise ValueError(f"ticket for load {load_number}: mass {mass_kg} kg; expected a mass above 0 kg")
+        if not (isfinite(std_dev_kg) and std_dev_kg > 0.0):
+            raise ValueError(f"ticket for load {load_number}: standard deviation {std_dev_kg} kg; expected above 0 kg")
+        load = next((load for load in reversed(loads) if load.number == load_number), None)
+        if load is None:
+            known = sorted(load.number for load in loads)
+            raise ValueError(f"ticket for load {load_number}: no such load; expected one of {known}")
+        end_s = load.end_s if isfinite(load.end_s) else now_s
+        anchor = ReferenceMass(
+            AnchorSource.TICKET, load.start_s, end_s, mass_kg, std_dev_kg, load.measured_kg, load.complete, load_number
+        )
+        self._tickets.append(anchor)
+        self._masses_new = True
+        return anchor
+
+    def learn(self, at_s: float, record: WindowRecord, sweep: SweepMachine) -> tuple[ParametersChanged, ...]:
+        """Collect a sweep's windows, and at its end hand them to the calibrator; between sweeps reference masses teach."""
+        if not sweep.visiting and not sweep.completed:
+            self._sweep_records.clear()
+            return self._learn_from_masses(record)
+        if record.usable_for_calibration:
+            self._sweep_records.append(record)
+        if not sweep.completed:
+            return ()
+        records, self._sweep_records = self._sweep_records, []
+        if sweep.lying_feedback():
+            sweep.abort(at_s, SweepAbort.FORCE_DOES_NOT_FOLLOW)
+            return ()
+        self.disagreement.add(records, self.estimator.parameters)
+        changed: tuple[ParametersChanged, ...] = ()
+        if self.calibrator is not None:
+            self._masses_new = False
+            outcome = self.calibrator.update(
+                records, self.anchors, self.estimator, believe_sweep=not self.disagreement.present
+            )
+            changed = self._take(outcome)
+        sweep.finish(at_s, bool(changed))
+        return changed
+
+    def _learn_from_masses(self, record: WindowRecord) -> tuple[ParametersChanged, ...]:
+        """Hand reference masses that have come since the last update to the calibrator."""
+        if self.calibrator is None or not self._masses_new:
+            return ()
+        self._masses_new = False
+        return self._take(self.calibrator.weigh(record, self.anchors, self.estimator))
+
+    def _take(self, outcome: CalibrationOutcome) -> tuple[ParametersChanged, ...]:
+        self.outcome = outcome
+        if outcome.estimator is None:
+            return ()
+        self.use(outcome.estimator, 0.0)
+        return (ParametersChanged(outcome.estimator.parameters, "ticket" if outcome.weighed else "sweep", outcome.reason),)

@@ -1,0 +1,130 @@
+"""Loads and totals: which mass belongs to which load, and whether every second of it was measured.
+
+A window that is partly lost counts its whole duration at the mean of what was measured in it, as long as that is at least
+`WindowSettings.min_coverage` of it; below that, only the time that was measured counts. A window without flow (not harvesting, no
+zero yet, an input missing) adds nothing.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from math import isfinite
+
+from yieldmon.engine.flow import Flow
+from yieldmon.engine.settings import EngineSettings
+from yieldmon.engine.totals import Totals, dry_mass
+from yieldmon.engine.windows import Window
+from yieldmon.frames import EstimateQuality
+
+_NAN = float("nan")
+_KEPT_LOADS = 256
+
+
+@dataclass(frozen=True, slots=True)
+class LoadSummary:
+    """One load: bus times of its start and end (nan while open), masses in kg. complete: every second of it was measured."""
+
+    number: int
+    start_s: float
+    end_s: float
+    measured_kg: float
+    dry_kg: float
+    unknown_moisture_kg: float
+    complete: bool
+
+
+@dataclass(frozen=True, slots=True)
+class LoadOpened:
+    """A load began."""
+
+    load: LoadSummary
+
+
+@dataclass(frozen=True, slots=True)
+class LoadClosed:
+    """A load is complete."""
+
+    load: LoadSummary
+
+
+LoadEvents = tuple[LoadOpened | LoadClosed, ...]
+
+
+class Loads:
+    """The loads of one machine. Times are bus time, s; nan before the first frame."""
+
+    def __init__(self, settings: EngineSettings) -> None:
+        self.totals = Totals()
+        self._settings = settings
+        self._closed: deque[LoadSummary] = deque(maxlen=_KEPT_LOADS)
+        self._start_s = _NAN
+        self._complete = True
+
+    @property
+    def open(self) -> LoadSummary | None:
+        """The open load."""
+        return self._summary(_NAN) if self.totals.load_open else None
+
+    @property
+    def all(self) -> tuple[LoadSummary, ...]:
+        """Loads completed since the start, and the open one."""
+        return (*self._closed, self._summary(_NAN)) if self.totals.load_open else tuple(self._closed)
+
+    def begin(self, now_s: float) -> LoadEvents:
+        """The first frame has come: a load without a start begins here."""
+        if isfinite(self._start_s):
+            return ()
+        self._start_s = now_s
+        fresh = self.totals.load_open and self.totals.load_kg == 0.0
+        return (LoadOpened(self._summary(_NAN)),) if fresh else ()
+
+    def start(self, now_s: float) -> LoadEvents:
+        """A new load."""
+        closed = self._close(now_s)
+        self.totals = self.totals.start_load()
+        self._start_s = now_s
+        self._complete = True
+        return (*closed, LoadOpened(self._summary(_NAN)))
+
+    def stop(self, now_s: float) -> LoadEvents:
+        """The load is complete; mass measured from now on belongs to no load until the next one starts."""
+        closed = self._close(now_s)
+        self.totals = self.totals.stop_load()
+        return closed
+
+    def count(self, window: Window, flow: Flow, moisture_pct: float) -> float:
+        """Add a window to the totals; returns its mass, kg."""
+        if not flow.measured:
+            if flow.quality is EstimateQuality.NOT_AVAILABLE:
+                self._complete = False
+            return 0.0
+        enough = window.coverage >= self._settings.windows.min_coverage
+        mass_kg = flow.rate_kg_s * (window.weight_s if enough else window.covered_s)
+        if not enough:
+            self._complete = False
+        self.totals = self.totals.with_mass(mass_kg, dry_mass(mass_kg, moisture_pct, self._settings.totals))
+        return mass_kg
+
+    def restore(self, totals: Totals) -> None:
+        """Go on from totals that were kept; what passed since was not measured."""
+        self.totals = totals
+        self._complete = not (totals.load_open and totals.load_kg > 0.0)
+
+    def _summary(self, end_s: float) -> LoadSummary:
+        totals = self.totals
+        return LoadSummary(
+            number=totals.load_number,
+            start_s=self._start_s,
+            end_s=end_s,
+            measured_kg=totals.load_kg,
+            dry_kg=totals.load_dry_kg,
+            unknown_moisture_kg=totals.load_unknown_moisture_kg,
+            complete=self._complete,
+        )
+
+    def _close(self, now_s: float) -> LoadEvents:
+        if not self.totals.load_open:
+            return ()
+        self._closed.append(self._summary(now_s))
+        return (LoadClosed(self._closed[-1]),)

@@ -1,0 +1,161 @@
+"""From a window to the force in it: the zero taken off, whether the machine harvests, and how sure the force is.
+
+Comes before the flow: nothing here knows what an estimator makes of the force.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import hypot, isfinite, radians
+
+from yieldmon.engine.gates import GateInputs, HarvestGate
+from yieldmon.engine.inputs import InputSnapshot
+from yieldmon.engine.settings import EngineSettings
+from yieldmon.engine.windows import Window
+from yieldmon.engine.zero import ZeroState, ZeroTracker
+from yieldmon.frames import EstimateQuality
+from yieldmon.physics.machine import Machine
+
+_NAN = float("nan")
+_NEVER = 1 << 62
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What is known of a window before its flow is estimated.
+
+    quality: why there is no flow, None where an estimate decides. force_n, force_std_dev_n: nan where not known. speed_known: at
+    the window's end; in_range: at a speed at which grain is measured. stuck_s: how long no sample has changed. still: the plate
+    rested. sampled_before: the window before had samples. windows_since_jump: closed since the bus's clock jumped. zero_taken: a
+    zero was learnt with this window.
+    """
+
+    window: Window
+    inputs: InputSnapshot
+    quality: EstimateQuality | None
+    force_n: float
+    force_std_dev_n: float
+    speed_known: bool
+    in_range: bool
+    stuck_s: int
+    still: bool
+    at_home: bool
+    harvesting: bool
+    zero: ZeroState | None
+    zero_drifted: bool
+    calibrating_zero: bool
+    sampled_before: bool
+    windows_since_jump: int
+    zero_taken: bool
+
+
+class Measurement:
+    """Reads windows in order; holds what one needs of those before it: zero, gate and a few counts."""
+
+    def __init__(self, settings: EngineSettings, machine: Machine) -> None:
+        self.zero = ZeroTracker(settings.zero)
+        self._settings = settings
+        self._machine = machine
+        self._gate = HarvestGate(settings.gate)
+        self._rest_rad = radians(2.0 * settings.plate.at_target_tolerance_deg)
+        self._idle_since_s: float | None = None
+        self._cutting_s = float("-inf")
+        self._stuck_s = 0
+        self._sampled = False
+        self._jumps = 0
+        self._since_jump = _NEVER
+
+    def read(self, window: Window, inputs: InputSnapshot, clock_jumps: int) -> Reading:
+        """The reading of the next window. inputs: held at its end. clock_jumps: jumps of the bus's clock so far."""
+        settings, machine = self._settings, self._machine
+        # With everything silent, what the last window left over was still measured at a known speed.
+        speed_was_known = inputs.speed_known or window.last_frame_s - inputs.speed_time_s <= settings.inputs.speed_timeout_s
+        in_range = machine.min_elevator_speed_rad_s <= window.speed_rad_s <= machine.max_elevator_speed_rad_s
+        still = window.plate_max_rad - window.plate_min_rad <= self._rest_rad
+        at_home = abs(window.plate_angle_rad - machine.home_plate_angle_rad) <= self._rest_rad
+        self._stuck_s = self._stuck_s + 1 if window.samples and window.span_mv == 0.0 and in_range else 0
+        stuck = self._stuck_s >= settings.faults.stuck_windows
+        idle_s = self._idle_s(inputs)
+        quality, force, noise = self._gated(window, speed_was_known and not stuck, in_range, idle_s)
+        taken = self._follow_zero(window, inputs, inputs.speed_known and in_range and not stuck, still and at_home)
+        sampled_before, self._sampled = self._sampled, window.coverage > 0.0
+        self._since_jump = 0 if clock_jumps != self._jumps else self._since_jump + 1
+        self._jumps = clock_jumps
+        return Reading(
+            window=window,
+            inputs=inputs,
+            quality=quality,
+            force_n=force,
+            force_std_dev_n=noise,
+            speed_known=inputs.speed_known,
+            in_range=in_range,
+            stuck_s=self._stuck_s,
+            still=still,
+            at_home=at_home,
+            harvesting=self._gate.harvesting,
+            zero=self.zero.state,
+            zero_drifted=self.zero.drifted,
+            calibrating_zero=self.zero.calibrating,
+            sampled_before=sampled_before,
+            windows_since_jump=self._since_jump,
+            zero_taken=taken,
+        )
+
+    def _gated(
+        self, window: Window, usable: bool, in_range: bool, idle_s: float
+    ) -> tuple[EstimateQuality | None, float, float]:
+        """Why the window has no flow (None: an estimate decides), its force and the force's standard deviation, N."""
+        quality = EstimateQuality
+        zero = self.zero.state
+        if zero is None or not window.covered_s > 0.0 or not usable:
+            return quality.NOT_AVAILABLE, _NAN, _NAN
+        force = (window.mean_mv - zero.zero_mv) * self._machine.sensor.gain_n_per_mv
+        noise = self._force_std_dev(window, force)
+        gate = GateInputs(force, self.zero.pulses(window), self.zero.looks_empty, self.zero.looks_loaded, in_range, idle_s)
+        grain = self._gate.grain(gate)
+        if not self._gate.see(gate):
+            return quality.NOT_AVAILABLE if grain and not in_range else quality.NOT_HARVESTING, force, noise
+        held_long = window.held_s > 0.5 * self._settings.windows.window_s and abs(force) > self._settings.gate.grain_on_n
+        return quality.NOT_AVAILABLE if held_long else None, force, noise
+
+    def _force_std_dev(self, window: Window, force_n: float) -> float:
+        """Standard deviation of the mean force: scatter within the window, drawn towards the prior for paddle scatter, N."""
+        settings, machine = self._settings.windows, self._machine
+        gain = machine.sensor.gain_n_per_mv
+        paddles = window.speed_rad_s * machine.sprocket_pitch_radius_m / machine.paddle_spacing_m * window.covered_s
+        expected = settings.paddle_scatter * abs(force_n) / max(1.0, paddles) ** 0.5
+        variance = expected**2
+        if isfinite(window.std_dev_mv):
+            seen = (window.std_dev_mv * gain) ** 2
+            own, prior = float(window.patterns - 1), settings.scatter_prior_patterns
+            variance = (own * seen + prior * variance) / (own + prior)
+        variance /= max(window.coverage, 1e-3)
+        return hypot(variance**0.5, settings.min_force_std_dev_n)
+
+    def _idle_s(self, inputs: InputSnapshot) -> float:
+        """How long header, work state or ground speed have said that no crop is taken in, s."""
+        fresh = inputs.fresh
+        idle = (
+            fresh["header_down"] == 0.0
+            or fresh["work_state"] == 0.0
+            or fresh["ground_speed"] < self._settings.gate.min_ground_speed_m_s
+        )
+        if not idle:
+            self._idle_since_s = None
+            return 0.0
+        if self._idle_since_s is None:
+            self._idle_since_s = inputs.time_s
+        return inputs.time_s - self._idle_since_s
+
+    def _follow_zero(self, window: Window, inputs: InputSnapshot, elevator_runs: bool, plate_rests_at_home: bool) -> bool:
+        """Show the window to the zero; returns whether a zero was learnt from it."""
+        whole = window.coverage >= self._settings.windows.full_coverage
+        if inputs.fresh["header_down"] == 1.0 and inputs.fresh["work_state"] != 0.0:
+            self._cutting_s = window.end_s
+        if not (elevator_runs and whole and plate_rests_at_home):
+            self.zero.interrupt()
+            return False
+        emptied = window.end_s - self._cutting_s >= self._settings.gate.emptying_s
+        wanted = self.zero.calibrating or self.zero.state is None
+        self.zero.see(window, may_be_empty=not self._gate.harvesting and emptied)
+        return wanted and self.zero.state is not None and not self.zero.calibrating

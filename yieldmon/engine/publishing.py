@@ -1,0 +1,114 @@
+"""The frames that say what a window gave. Ranges and the moduli of counters come from the DBC, nothing is copied from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import floor, isfinite
+
+from yieldmon import frames as bus
+from yieldmon.engine.faults import FAULTS, FaultCode, Severity
+from yieldmon.engine.health import FaultBook
+from yieldmon.engine.records import COLUMNS, WindowRecord
+from yieldmon.engine.sweep import SweepMachine
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.frames import NOT_AVAILABLE, EstimateQuality, Frame, Value
+from yieldmon.signal_ranges import SignalRanges, signal_ranges
+
+_NO_FAULTS: dict[str, Value] = {code.value: 0 for code in FAULTS}
+_OCCURRENCES_UNKNOWN = 127
+"""J1939-73: the occurrence count that means "not available"; the largest count is one less."""
+_PUBLISHED = tuple((column, *column.published) for column in COLUMNS if column.published is not None)
+
+
+@dataclass(frozen=True, slots=True)
+class Published:
+    """What the frames of a window tell beside its record. parameters: in use. calibration_age_s: None where it is not known."""
+
+    sweep: SweepMachine
+    parameters: ParameterSet
+    calibration_age_s: float | None
+    faults: FaultBook
+
+
+class Publisher:
+    """Makes the frames of a window. ranges: smallest and largest value of each signal; None: those of the shipped DBC."""
+
+    def __init__(self, min_coverage: float, ranges: SignalRanges | None = None) -> None:
+        self._min_coverage = min_coverage
+        self._ranges = signal_ranges() if ranges is None else ranges
+        self._turn = 0
+
+    def frames(self, record: WindowRecord, beside: Published) -> tuple[Frame, ...]:
+        """The frames of one window."""
+        signals: dict[str, dict[str, Value]] = {
+            bus.MASS_FLOW: self._mass_flow(record),
+            bus.ACCUMULATED_MASS: {"LoadNumber": self._counted(bus.ACCUMULATED_MASS, "LoadNumber", record.load_number)},
+            bus.SELF_CALIBRATION_STATUS: self._calibration(beside),
+            bus.YIELD_MONITOR_STATUS: _status(record),
+            bus.ACTIVE_DIAGNOSTICS: self._diagnostics(record.faults, beside.faults),
+        }
+        for column, message, signal in _PUBLISHED:
+            value = column.convert(getattr(record, column.attribute))
+            known = NOT_AVAILABLE if value is None else self._fitting(message, signal, value)
+            signals.setdefault(message, {})[signal] = known
+        return tuple(Frame(record.time_s, message, values) for message, values in signals.items())
+
+    def _mass_flow(self, record: WindowRecord) -> dict[str, Value]:
+        known = isfinite(record.mass_flow_kg_s) and record.coverage >= self._min_coverage
+        quality = record.quality
+        if not known and quality is not EstimateQuality.NOT_HARVESTING:
+            quality = EstimateQuality.NOT_AVAILABLE
+        message = bus.MASS_FLOW
+        return {
+            "MassFlowRate": self._fitting(message, "MassFlowRate", record.mass_flow_kg_s) if known else NOT_AVAILABLE,
+            "MassFlowStdDev": self._fitting(message, "MassFlowStdDev", record.std_dev_kg_s) if known else NOT_AVAILABLE,
+            "EstimateQuality": int(quality),
+            "WindowCounter": self._counted(message, "WindowCounter", record.window),
+        }
+
+    def _calibration(self, beside: Published) -> dict[str, Value]:
+        message, values, age_s = bus.SELF_CALIBRATION_STATUS, beside.parameters.values, beside.calibration_age_s
+        gain = 1.0 + values["restitution"] if "restitution" in values else values["k1"] + values["k2"]
+        age = NOT_AVAILABLE if age_s is None else self._fitting(message, "CalibrationAge", floor(age_s / 60.0))
+        return {
+            "SweepState": int(beside.sweep.state),
+            "SweepProgress": beside.sweep.progress_pct,
+            "Friction": self._fitting(message, "Friction", values["friction"]),
+            "ImpactGain": self._fitting(message, "ImpactGain", gain),
+            "CalibrationAge": age,
+        }
+
+    def _diagnostics(self, active: tuple[FaultCode, ...], book: FaultBook) -> dict[str, Value]:
+        """One trouble code; with several active they take turns."""
+        severities = [FAULTS[code].severity for code in active]
+        signals: dict[str, Value] = {
+            "ProtectLamp": 0,
+            "AmberWarningLamp": int(Severity.WARNING in severities or Severity.STOP_TRUSTING in severities),
+            "RedStopLamp": 0,
+            "MalfunctionLamp": 0,
+            "ConversionMethod": 0,
+        }
+        if not active:
+            return signals | {"SuspectParameterLow": 0, "SuspectParameterHigh": 0, "FailureMode": 0, "OccurrenceCount": 0}
+        code = active[self._turn % len(active)]
+        self._turn += 1
+        return signals | {
+            "SuspectParameterLow": FAULTS[code].spn & 0xFFFF,
+            "SuspectParameterHigh": FAULTS[code].spn >> 16,
+            "FailureMode": FAULTS[code].fmi,
+            "OccurrenceCount": min(_OCCURRENCES_UNKNOWN - 1, book.occurrences(code)),
+        }
+
+    def _fitting(self, message: str, signal: str, value: float) -> Value:
+        """The value where the signal can carry it; beyond that it is not available, never cut off."""
+        low, high = self._ranges[message][signal]
+        return value if low <= value <= high else NOT_AVAILABLE
+
+    def _counted(self, message: str, signal: str, count: int) -> int:
+        """A count in the signal's range, from which it starts anew."""
+        return count % (int(self._ranges[message][signal][1]) + 1)
+
+
+def _status(record: WindowRecord) -> dict[str, Value]:
+    active: dict[str, Value] = {code.value: 1 for code in record.faults}
+    return {"OperatingState": int(record.operating_state), **_NO_FAULTS, **active}

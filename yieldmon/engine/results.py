@@ -1,0 +1,62 @@
+"""What the monitor hands back: for each closed window a `WindowResult`, and the plate commands between.
+
+Events are in the order in which they happened; each is handed back once, with the window or command it came with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from yieldmon.engine.health import FaultEvent
+from yieldmon.engine.learning import ParametersChanged
+from yieldmon.engine.loads import LoadClosed, LoadOpened
+from yieldmon.engine.plate import SweepEnded
+from yieldmon.engine.records import WindowRecord
+from yieldmon.frames import Frame
+
+
+@dataclass(frozen=True, slots=True)
+class ZeroTaken:
+    """A zero-load voltage was learnt: the first, or the operator's."""
+
+    time_s: float
+    zero_mv: float
+
+
+Event = FaultEvent | LoadOpened | LoadClosed | ParametersChanged | SweepEnded | ZeroTaken
+
+
+@dataclass(frozen=True, slots=True)
+class WindowResult:
+    """A window has closed: its record, the frames that publish it, and what happened with it."""
+
+    record: WindowRecord
+    frames: tuple[Frame, ...] = ()
+    events: tuple[Event, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PlateCommand:
+    """A command to the plate, between two windows."""
+
+    frames: tuple[Frame, ...]
+    events: tuple[Event, ...] = ()
+
+
+Result = WindowResult | PlateCommand
+
+
+def frames_in(results: Iterable[Result]) -> list[Frame]:
+    """All frames to send, in order."""
+    return [frame for result in results for frame in result.frames]
+
+
+def records_in(results: Iterable[Result]) -> list[WindowRecord]:
+    """The records of the windows that closed, in order."""
+    return [result.record for result in results if isinstance(result, WindowResult)]
+
+
+def events_in(results: Iterable[Result]) -> list[Event]:
+    """All that happened, in order."""
+    return [event for result in results for event in result.events]

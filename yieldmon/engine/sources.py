@@ -1,0 +1,165 @@
+"""What the engine takes in, as data: the quantities that it knows, and which message and signal of a bus brings each.
+
+A quantity has one unit, one range in which a value can be true, and one time for which a value holds. A source binds it to a
+signal. `DEFAULT_SOURCES` is the layout of the shipped DBC; another layout is another `Sources`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from yieldmon import frames as bus
+from yieldmon.frames import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME, ActuatorState, ScaleStatus
+from yieldmon.physics.machine import RPM
+
+_KMH = 1.0 / 3.6
+_MAX_PLAUSIBLE_RPM = 3000.0
+_MAX_PLAUSIBLE_ANGLE_DEG = 180.0
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """One slow input.
+
+    unit: of the values that sources give. usable: which of them can be true (floats or arrays). factor: into the engine's unit.
+    timeout: the `InputSettings` attribute that says how long a value holds. meaning: for people.
+    """
+
+    name: str
+    unit: str
+    usable: Callable[[Any], Any]
+    timeout: str
+    meaning: str
+    factor: float = 1.0
+
+
+def _is_flag(value: Any) -> Any:
+    return (value == 0.0) | (value == 1.0)
+
+
+def _is_number(value: Any) -> Any:
+    return value == value  # noqa: PLR0124
+
+
+def _within(low: float, high: float) -> Callable[[Any], Any]:
+    return lambda value: (value >= low) & (value <= high)
+
+
+_ACTUATOR_STATES = tuple(float(state) for state in ActuatorState)
+
+
+def _is_actuator_state(value: Any) -> Any:
+    found = value == _ACTUATOR_STATES[0]
+    for state in _ACTUATOR_STATES[1:]:
+        found = found | (value == state)
+    return found
+
+
+QUANTITIES: Mapping[str, Quantity] = {
+    quantity.name: quantity
+    for quantity in (
+        Quantity("elevator_speed", "rpm", _within(0.0, _MAX_PLAUSIBLE_RPM), "speed_timeout_s", "upper sprocket shaft", RPM),
+        Quantity("actuator_state", "", _is_actuator_state, "feedback_timeout_s", "0 idle, 1 moving, 2 fault, 3 manual"),
+        Quantity("plate_angle", "deg", _within(0.0, _MAX_PLAUSIBLE_ANGLE_DEG), "feedback_timeout_s", "of the impact plate"),
+        Quantity("moisture", "%", lambda value: (value >= 0.0) & (value < 100.0), "condition_timeout_s", "wet basis"),
+        Quantity("test_weight", "kg/m3", lambda value: value > 0.0, "condition_timeout_s", "bulk density at rest"),
+        Quantity("tank_scale_status", "", _is_number, "scale_timeout_s", "0 stable, 1 unstable, 2 fault"),
+        Quantity("tank_mass", "kg", _is_number, "scale_timeout_s", "grain in the tank"),
+        Quantity("header_down", "", _is_flag, "vehicle_timeout_s", "1 at cutting height"),
+        Quantity("work_state", "", _is_flag, "vehicle_timeout_s", "1 threshing and header drives engaged"),
+        Quantity("course", "deg", _within(0.0, 360.0), "vehicle_timeout_s", "over ground, clockwise from north"),
+        Quantity("ground_speed", "km/h", lambda value: value >= 0.0, "vehicle_timeout_s", "over ground", _KMH),
+        Quantity("latitude", "deg", lambda value: abs(value) <= 90.0, "vehicle_timeout_s", "positive north, WGS 84"),
+        Quantity("longitude", "deg", lambda value: abs(value) <= 180.0, "vehicle_timeout_s", "positive east, WGS 84"),
+    )
+}
+"""The slow inputs by name; the impact sensor's samples are a `SampleSource`."""
+
+CONDITIONS: Mapping[str, tuple[str, float, bool]] = {
+    "plate_angle": ("actuator_state", float(ActuatorState.FAULT), False),
+    "tank_mass": ("tank_scale_status", float(ScaleStatus.STABLE), True),
+}
+"""Quantity -> (another, its value, whether it must have that value or must not) for the first to be believed."""
+
+PAIRS: Mapping[str, str] = {"latitude": "longitude", "longitude": "latitude"}
+"""Quantities that are used only together where one message brings both."""
+
+
+@dataclass(frozen=True, slots=True)
+class SampleSource:
+    """Where an impact sensor's samples come from.
+
+    signals: the samples of one frame, oldest first, interval_s apart, the last one taken at the frame's time. counter: signal
+    that counts frames modulo counter_modulus, None: frames are counted by time alone. status: signal with a `SensorStatus`, None:
+    the sensor says nothing of itself. scale_mv, offset_mv: from the signal's unit to millivolts.
+    """
+
+    message: str
+    signals: tuple[str, ...]
+    interval_s: float
+    counter: str | None = None
+    counter_modulus: int = 256
+    status: str | None = None
+    scale_mv: float = 1.0
+    offset_mv: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class InputSource:
+    """Which signal brings a quantity, and how its value becomes the quantity's: value * scale + offset."""
+
+    quantity: str
+    message: str
+    signal: str
+    scale: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """All that an engine listens to. impact: one source for each impact sensor; the forces of several add up.
+
+    fixed: quantities that nothing measures, with their constant value in the quantity's unit (a bolted plate's angle, a chain
+    driven at one speed).
+    """
+
+    impact: tuple[SampleSource, ...]
+    inputs: tuple[InputSource, ...]
+    fixed: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def messages(self) -> tuple[str, ...]:
+        """Names of the messages that matter, each once."""
+        sensors, inputs = (source.message for source in self.impact), (source.message for source in self.inputs)
+        return tuple(dict.fromkeys((*sensors, *inputs)))
+
+
+DEFAULT_SOURCES = Sources(
+    impact=(
+        SampleSource(
+            message=bus.IMPACT_SENSOR_SAMPLES,
+            signals=tuple(f"Sample{index}" for index in range(SAMPLES_PER_FRAME)),
+            interval_s=SAMPLE_INTERVAL_S,
+            counter="SampleCounter",
+            status="SensorStatus",
+        ),
+    ),
+    inputs=(
+        InputSource("elevator_speed", bus.ELEVATOR_SPEED, "ElevatorSpeed"),
+        InputSource("actuator_state", bus.PLATE_ACTUATOR_FEEDBACK, "ActuatorState"),
+        InputSource("plate_angle", bus.PLATE_ACTUATOR_FEEDBACK, "PlateAngle"),
+        InputSource("moisture", bus.GRAIN_CONDITION, "Moisture"),
+        InputSource("test_weight", bus.GRAIN_CONDITION, "TestWeight"),
+        InputSource("tank_scale_status", bus.TANK_SCALE, "TankScaleStatus"),
+        InputSource("tank_mass", bus.TANK_SCALE, "TankMass"),
+        InputSource("header_down", bus.HARVEST_STATE, "HeaderDown"),
+        InputSource("work_state", bus.HARVEST_STATE, "WorkState"),
+        InputSource("latitude", bus.VEHICLE_POSITION, "Latitude"),
+        InputSource("longitude", bus.VEHICLE_POSITION, "Longitude"),
+        InputSource("course", bus.VEHICLE_DIRECTION_SPEED, "CompassBearing"),
+        InputSource("ground_speed", bus.VEHICLE_DIRECTION_SPEED, "NavigationSpeed"),
+    ),
+)
+"""The messages and signals of the shipped DBC."""
