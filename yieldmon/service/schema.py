@@ -3,52 +3,21 @@
 Each entry of `MIGRATIONS` takes a store from the version before to its own, in one transaction. A new store walks the
 whole chain, so it cannot differ from one that grew up. Never change an entry that was released: add one.
 
+The columns of the table `second` are those of `engine.records`, each added with the version that its declaration names (`since`).
+
 Conventions: `time_s` is Unix time in seconds as the bus gave it; NULL is "not available"; masses are wet unless
 named dry.
 """
 
 from __future__ import annotations
 
+from yieldmon.engine.records import COLUMNS as SECOND_COLUMNS
+from yieldmon.engine.records import Column
+
 #: Marks the file as a yieldmon store in SQLite's header ("ymon").
 APPLICATION_ID = 0x796D6F6E
 
 _VERSION_1 = """
-CREATE TABLE second (              -- one row for each second's window; columns as in rows.SecondRow
-    number INTEGER PRIMARY KEY,
-    time_s REAL NOT NULL,          -- end of the window
-    duration_s REAL NOT NULL,
-    mass_flow_kg_s REAL,
-    std_dev_kg_s REAL,
-    quality INTEGER NOT NULL,
-    operating_state INTEGER NOT NULL,
-    mass_kg REAL NOT NULL,         -- added to the totals by this second
-    load_number INTEGER NOT NULL,
-    load_kg REAL NOT NULL,         -- the totals after it
-    total_kg REAL NOT NULL,
-    coverage REAL NOT NULL,
-    force_n REAL,
-    force_std_dev_n REAL,
-    elevator_speed_rpm REAL,
-    plate_angle_deg REAL,
-    plate_still INTEGER NOT NULL,
-    moisture_pct REAL,
-    test_weight_kg_m3 REAL,
-    zero_mv REAL,
-    pulse_mv REAL,
-    saturated_share REAL,
-    lost_frames INTEGER NOT NULL,
-    surplus_frames INTEGER NOT NULL,
-    repeated_frames INTEGER NOT NULL,
-    sweep_id INTEGER NOT NULL,
-    sweep_step INTEGER NOT NULL,
-    usable_for_calibration INTEGER NOT NULL,
-    parameter_version INTEGER NOT NULL,
-    faults TEXT NOT NULL,
-    latitude_deg REAL,
-    longitude_deg REAL,
-    ground_speed_m_s REAL,
-    course_deg REAL
-) STRICT;
 CREATE TABLE load (
     number INTEGER PRIMARY KEY,
     field TEXT NOT NULL,
@@ -151,11 +120,51 @@ INSERT INTO mark SELECT 'unchecked_seconds', coalesce(max(number), 0),
     row_checksum('mark', 'unchecked_seconds', coalesce(max(number), 0)) FROM second;
 """
 
-MIGRATIONS: tuple[str, ...] = (_VERSION_1, _VERSION_2, _VERSION_3, _VERSION_4)
-VERSION = len(MIGRATIONS)
-
 #: From this version on rows carry checksums.
 CHECKED_FROM = 4
+
+_SCRIPTS = (_VERSION_1, _VERSION_2, _VERSION_3, _VERSION_4)
+_SQL_KINDS = {float: "REAL", int: "INTEGER", str: "TEXT"}
+_WITHOUT = {float: "0.0", int: "0", str: "''"}
+
+
+def _declared(column: Column) -> str:
+    return f"{column.name} {_SQL_KINDS[column.kind]}{'' if column.optional else ' NOT NULL'}"
+
+
+def _columns_of(version: int) -> str:
+    """The statements that bring the columns of a second that came with a version."""
+    columns = [column for column in SECOND_COLUMNS if column.since == version]
+    if version == 1:
+        listed = ",\n    ".join(["number INTEGER PRIMARY KEY", *map(_declared, columns)])
+        return f"CREATE TABLE second (\n    {listed}\n) STRICT;\n"
+    return "".join(
+        f"ALTER TABLE second ADD COLUMN {_declared(column)}{'' if column.optional else f' DEFAULT {_WITHOUT[column.kind]}'};\n"
+        for column in columns
+    )
+
+
+VERSION = max(len(_SCRIPTS), *(column.since for column in SECOND_COLUMNS))
+MIGRATIONS: tuple[str, ...] = tuple(
+    _columns_of(version) + (_SCRIPTS[version - 1] if version <= len(_SCRIPTS) else "") for version in range(1, VERSION + 1)
+)
+
+
+def second_columns(version: int) -> str:
+    """What to select for a second's columns from a store of this version: those that it does not have have their defaults."""
+    of_each = (
+        column.name if column.since <= version else f"{'NULL' if column.optional else _WITHOUT[column.kind]} AS {column.name}"
+        for column in SECOND_COLUMNS
+    )
+    return ", ".join(("number", *of_each))
+
+
+#: Places in a second's row, its number first, that the checksum covers: in rows written now, then in those of older versions.
+SECOND_CHECKED: tuple[tuple[int, ...], ...] = tuple(
+    (0, *(place for place, column in enumerate(SECOND_COLUMNS, 1) if column.since <= version))
+    for version in sorted({max(c.since, CHECKED_FROM) for c in SECOND_COLUMNS}, reverse=True)
+)
+
 #: Columns of each table whose rows carry a checksum, in the order in which it is taken, and the key that orders them.
 COLUMNS: dict[str, tuple[str, ...]] = {
     "state": ("slot", "batch", "time_s", "document"),

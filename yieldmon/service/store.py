@@ -459,9 +459,9 @@ class Store:
     def _seconds(
         self, source: str, values: tuple[Any, ...] = (), on_damage: Callable[[int], None] | None = None
     ) -> list[SecondRow]:
-        columns = _columns(SecondRow)
+        columns = schema.second_columns(self._version())
         if self._unchecked_to is None:
-            return self._rows(SecondRow, f"second {source}", values)
+            return [SecondRow(*row) for row in self._rows_of(columns, f"second {source}", values)]
         rows = []
         with _failures_of(self.path):
             for *found, checksum in self._database.execute(f"SELECT {columns}, checksum FROM second {source}", values):
@@ -550,7 +550,7 @@ def second_is_sound(row: Sequence[Any], checksum: Any, unchecked_to: int) -> boo
     """Whether a row of `second` is as it was written; rows up to number `unchecked_to` may have no checksum."""
     if checksum == UNCHECKED:
         return isinstance(row[0], int) and row[0] <= unchecked_to
-    return bool(row_checksum("second", *row) == checksum)
+    return any(row_checksum("second", *(row[place] for place in places)) == checksum for places in schema.SECOND_CHECKED)
 
 
 def _summed(table: str, row: Sequence[Any]) -> tuple[Any, ...]:
