@@ -17,6 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from tests.service.bench import CODEC, START_S, traffic
 from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.results import records_in
 from yieldmon.estimation.open_loop import FlowEstimate, FlowStatus
 from yieldmon.frames import GRAIN_CONDITION, Frame
 from yieldmon.resources import shipped
@@ -77,8 +78,8 @@ def obvious_loop(log: Path, monitor: Monitor, database: cantools.database.Databa
         for message in reader:
             signals = database.decode_message(message.arbitration_id, message.data, decode_choices=False)
             name = database.get_message_by_frame_id(message.arbitration_id).name
-            if monitor.feed(Frame(message.timestamp, name, signals)):
-                rows += [second_row(len(rows) + 1, record) for record in monitor.take_records()]
+            for record in records_in(monitor.feed(Frame(message.timestamp, name, signals))):
+                rows.append(second_row(len(rows) + 1, record))
     return rows
 
 

@@ -28,6 +28,8 @@ from yieldmon import frames
 from yieldmon.bus.codec import Codec, FrameError
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.records import WindowRecord
+from yieldmon.engine.results import Result, WindowResult
 from yieldmon.engine.state import EngineState
 from yieldmon.frames import ERROR, NOT_AVAILABLE, CommandMode, Frame
 from yieldmon.service import configuration
@@ -176,13 +178,19 @@ class Fuzzer:
         if frame is None:
             self.counts["not_ours"] += 1
             return
-        self._send(self._monitor.feed(frame))
+        self._happened(self._monitor.feed(frame))
 
     def _feed(self, frame: Frame) -> None:
         self.counts["frames"] += 1
-        self._send(self._monitor.feed(frame))
+        self._happened(self._monitor.feed(frame))
 
-    def _send(self, out: list[Frame]) -> None:
+    def _happened(self, results: list[Result]) -> None:
+        for result in results:
+            self._send(result.frames)
+            if isinstance(result, WindowResult):
+                self._window(result.record)
+
+    def _send(self, out: Sequence[Frame]) -> None:
         for frame in out:
             self.counts["sent"] += 1
             try:
@@ -192,8 +200,6 @@ class Fuzzer:
             assert back is not None
             if frame.message == frames.PLATE_ACTUATOR_COMMAND:
                 self._plate(back)
-            elif frame.message == frames.ACCUMULATED_MASS:
-                self._windows()
 
     def _plate(self, command: Frame) -> None:
         mode, target = command.signals["CommandMode"], command.signals["TargetPlateAngle"]
@@ -205,21 +211,20 @@ class Fuzzer:
             wish = target if isinstance(target, float) and mode == CommandMode.GO_TO_ANGLE.value else self._home_deg
             self._angle_deg += min(max(wish - self._angle_deg, -2.0), 2.0)
 
-    def _windows(self) -> None:
-        for record in self._monitor.take_records():
-            self.counts["windows"] += 1
-            row = second_row(self.counts["windows"], record)
-            for name in ("mass_kg", "load_kg", "total_kg", "duration_s", "coverage"):
-                value = getattr(row, name)
-                if not (math.isfinite(value) and value >= 0.0):
-                    raise Escape(f"{name} is {value}")
-            for name in ("mass_flow_kg_s", "std_dev_kg_s"):
-                value = getattr(row, name)
-                if value is not None and not (math.isfinite(value) and value >= 0.0):
-                    raise Escape(f"{name} is {value}")
-            if row.total_kg < self._total_kg:
-                raise Escape(f"the total ran back from {self._total_kg} to {row.total_kg} kg")
-            self._total_kg = row.total_kg
+    def _window(self, record: WindowRecord) -> None:
+        self.counts["windows"] += 1
+        row = second_row(self.counts["windows"], record)
+        for name in ("mass_kg", "load_kg", "total_kg", "duration_s", "coverage"):
+            value = getattr(row, name)
+            if not (math.isfinite(value) and value >= 0.0):
+                raise Escape(f"{name} is {value}")
+        for name in ("mass_flow_kg_s", "std_dev_kg_s"):
+            value = getattr(row, name)
+            if value is not None and not (math.isfinite(value) and value >= 0.0):
+                raise Escape(f"{name} is {value}")
+        if row.total_kg < self._total_kg:
+            raise Escape(f"the total ran back from {self._total_kg} to {row.total_kg} kg")
+        self._total_kg = row.total_kg
         if self.counts["windows"] % 64 == 0:
             state = self._monitor.snapshot()
             if EngineState.from_dict(json.loads(json.dumps(state.as_dict(), allow_nan=False))) != state:

@@ -108,6 +108,7 @@ def traffic(seconds: float, rate: float) -> list:
     import can
 
     from yieldmon.bus.codec import Codec
+    from yieldmon.engine.results import frames_in
     from yieldmon.plant import scenario
     from yieldmon.plant.combine import VirtualCombine
     from yieldmon.resources import shipped
@@ -119,7 +120,7 @@ def traffic(seconds: float, rate: float) -> list:
     monitor = build_monitor(loaded.engine, loaded.machine, loaded.parameters)
     messages = []
     for frame in combine.frames_until(seconds):
-        for each in (frame, *monitor.feed(frame)):
+        for each in (frame, *frames_in(monitor.feed(frame))):
             message = codec.encode(each)
             message.timestamp = frame.time_s
             messages.append(message)

@@ -13,7 +13,7 @@ import pytest
 from tests.robustness import fuzz_frames as tool
 from yieldmon import frames
 from yieldmon.bus.codec import Codec
-from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.loads import Loads
 from yieldmon.engine.plate_commands import PlateCommander
 from yieldmon.engine.totals import Totals
 from yieldmon.service import configuration
@@ -41,7 +41,7 @@ def out_of_range(self: PlateCommander, demand: object, angle_deg: float) -> dict
     return {"TargetPlateAngle": 120.0, "CommandMode": 1, "CommandCounter": 0}
 
 
-def negative(self: Monitor, *_: object) -> float:
+def negative(self: Loads, *_: object) -> float:
     return -1.0
 
 
@@ -50,7 +50,7 @@ def negative(self: Monitor, *_: object) -> float:
     [
         (Totals, "with_mass", runs_back, "ran back"),
         (PlateCommander, "command", out_of_range, "commanded to 120"),
-        (Monitor, "_count", negative, "mass_kg is -1.0"),
+        (Loads, "count", negative, "mass_kg is -1.0"),
     ],
     ids=["total", "plate", "mass"],
 )

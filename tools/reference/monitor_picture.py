@@ -14,6 +14,7 @@ def write(target: Path) -> None:
     from rich.terminal_theme import MONOKAI
 
     from yieldmon.bus.codec import Codec
+    from yieldmon.engine.results import frames_in
     from yieldmon.plant import scenario
     from yieldmon.plant.combine import VirtualCombine
     from yieldmon.resources import shipped
@@ -27,7 +28,7 @@ def write(target: Path) -> None:
     monitor, traffic = build_monitor(loaded.engine, loaded.machine, loaded.parameters), Traffic(codec)
     marked_s = 0.0
     for frame in combine.frames_until(WATCHED_S):
-        for each in (frame, *monitor.feed(frame)):
+        for each in (frame, *frames_in(monitor.feed(frame))):
             message = codec.encode(each)
             message.timestamp = frame.time_s
             traffic.observe(message)
