@@ -29,13 +29,13 @@ def content(block: FrameBlock) -> list[tuple]:
     return list(zip(*(column.tolist() for column in columns), names, strict=True))
 
 
-def assert_same(path: Path, chunk_bytes: int) -> None:
+def assert_same(path: Path, chunk_bytes: int, compiled: bool | None = None) -> None:
     """Frame by frame to the last bit, or the same refusal."""
     slow, fast = quiet(), quiet()
     outcomes = []
     for load in (
         lambda: block_of(read_log(path, slow)),
-        lambda: concatenate(list(iter_blocks(path, fast, chunk_bytes=chunk_bytes))),
+        lambda: concatenate(list(iter_blocks(path, fast, chunk_bytes=chunk_bytes, compiled=compiled))),
     ):
         try:
             outcomes.append(content(load()))
@@ -88,13 +88,16 @@ odd_lines = st.one_of(
     ended=st.booleans(),
     chunk_bytes=st.sampled_from([50, 300, 100_000]),
     packed=st.booleans(),
+    compiled=st.booleans(),
 )
 @settings(max_examples=200, deadline=None)
-def test_fast_is_slow(tmp_path_factory, lines, repeats: int, ended: bool, chunk_bytes: int, packed: bool) -> None:
+def test_fast_is_slow(
+    tmp_path_factory, lines, repeats: int, ended: bool, chunk_bytes: int, packed: bool, compiled: bool
+) -> None:
     text = ("\n".join(lines * repeats) + "\n" * ended).encode()
     path = tmp_path_factory.getbasetemp() / ("any.log.gz" if packed else "any.log")
     path.write_bytes(gzip.compress(text) if packed else text)
-    assert_same(path, chunk_bytes)
+    assert_same(path, chunk_bytes, compiled)
 
 
 def drive(frames: int) -> bytes:

@@ -10,6 +10,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
+from types import ModuleType
 
 import can
 import numpy as np
@@ -30,6 +32,9 @@ _COMMON = re.compile(
 _SHAPES_TRIED = 8
 
 _INVALID = 0xFF
+
+#: Loading the compiled pass takes about a second: smaller chunks are done before.
+_COMPILED_FROM_BYTES = 2 * 1024 * 1024
 
 
 def _hex_values() -> Bytes:
@@ -77,12 +82,30 @@ class _Shape:
 
 
 def parse_lines(
-    chunk: bytes, channels: list[str], parse_slowly: Callable[[int, bytes], can.Message | None]
+    chunk: bytes,
+    channels: list[str],
+    parse_slowly: Callable[[int, bytes], can.Message | None],
+    *,
+    compiled: bool | None = None,
 ) -> ParsedLines:
     """Frames of whole lines (the last one may lack its line end).
 
-    parse_slowly(index, line) is asked for each line that has no common shape, in order; index counts lines from 0. It
-    returns the frame, or None for a line without one (having reported it where it is damaged).
+    Parameters
+    ----------
+    chunk : bytes
+        The lines.
+    channels : list of str
+        Channel names known so far; new ones are appended.
+    parse_slowly : callable
+        Asked with (index, line) for each line that has no common shape, in order; index counts lines from 0. Returns the
+        frame, or None for a line without one (having reported it where it is damaged).
+    compiled : bool, optional
+        Whether to use the compiled pass; by default for large chunks where the fast extra is installed. The result is the
+        same.
+
+    Returns
+    -------
+    ParsedLines
     """
     buffer = np.frombuffer(chunk, np.uint8)
     ends = np.flatnonzero(buffer == ord("\n"))
@@ -101,9 +124,11 @@ def parse_lines(
         np.zeros(lines, np.uint64),
         np.zeros(lines, np.int16),
     )
-    done = np.zeros(lines, bool)
-    for width in np.flatnonzero(np.bincount(widths)) if lines else ():
-        rows = np.flatnonzero(widths == width)
+    module = _compiled_module() if compiled or (compiled is None and len(chunk) >= _COMPILED_FROM_BYTES) else None
+    done = np.zeros(lines, bool) if module is None else _compiled_pass(module, chunk, buffer, starts, ends, channels, parsed)
+    left = widths[~done]
+    for width in np.flatnonzero(np.bincount(left)) if left.size else ():
+        rows = np.flatnonzero((widths == width) & ~done)
         for _ in range(_SHAPES_TRIED):
             if len(rows) == 0:
                 break
@@ -125,6 +150,39 @@ def parse_lines(
     return ParsedLines(
         lines, parsed.time_s[kept], parsed.can_id[kept], parsed.length[kept], parsed.payload[kept], parsed.channel[kept]
     )
+
+
+@cache
+def _compiled_module() -> ModuleType | None:
+    """compiled_candump, None where the fast extra is not installed."""
+    try:
+        from yieldmon.bus import compiled_candump
+    except ImportError:
+        return None
+    return compiled_candump
+
+
+def _compiled_pass(
+    module: ModuleType,
+    chunk: bytes,
+    buffer: Bytes,
+    starts: NDArray[np.intp],
+    ends: NDArray[np.intp],
+    channels: list[str],
+    parsed: ParsedLines,
+) -> NDArray[np.bool_]:
+    """The lines that compiled code has parsed."""
+    known = list(channels)
+    if not known:
+        shape = _shape_of(chunk[starts[0] : ends[0]]) if len(starts) else None
+        if shape is None:
+            return np.zeros(len(starts), bool)
+        known = [shape.channel]
+    into = (parsed.time_s, parsed.can_id, parsed.length, parsed.payload, parsed.channel)
+    done: NDArray[np.bool_] = module.parse_common(buffer, starts, ends, known, into)
+    if not channels and done.any():
+        channels += known
+    return done
 
 
 def _shape_of(line: bytes) -> _Shape | None:

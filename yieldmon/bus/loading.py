@@ -37,29 +37,44 @@ def load_frames(path: Path | str, notes: LogNotes | None = None) -> FrameBlock:
 
 
 def iter_blocks(
-    path: Path | str, notes: LogNotes | None = None, *, chunk_bytes: int = _CHUNK_BYTES
+    path: Path | str, notes: LogNotes | None = None, *, chunk_bytes: int = _CHUNK_BYTES, compiled: bool | None = None
 ) -> Iterator[FrameBlock]:
     """The log in blocks of some 100,000 frames: the frames that logs.read_log() gives, in the same order.
 
-    Damage is treated, reported and raised as there. chunk_bytes: how much of a candump log is read at a time.
+    Damage is treated, reported and raised as there.
+
+    Parameters
+    ----------
+    path : Path or str
+        The log; its suffix names the format.
+    notes : LogNotes, optional
+        Counts and damages are added to it.
+    chunk_bytes : int
+        How much of a candump log is read at a time.
+    compiled : bool, optional
+        As for fast_candump.parse_lines().
+
+    Yields
+    ------
+    FrameBlock
     """
     path = Path(path)
     notes = notes if notes is not None else LogNotes()
     if log_format(path)[0] == ".log":
-        yield from _candump_blocks(path, notes, chunk_bytes)
+        yield from _candump_blocks(path, notes, chunk_bytes, compiled)
         return
     messages = read_log(path, notes)
     while batch := list(islice(messages, _MESSAGES_PER_BLOCK)):
         yield block_of(batch)
 
 
-def _candump_blocks(path: Path, notes: LogNotes, chunk_bytes: int) -> Iterator[FrameBlock]:
+def _candump_blocks(path: Path, notes: LogNotes, chunk_bytes: int, compiled: bool | None) -> Iterator[FrameBlock]:
     channels: list[str] = []
     line = 1
     try:
         with open_bytes(path, log_format(path)[1]) as stream:
             for chunk in _whole_lines(stream, path, chunk_bytes):
-                parsed = _parse(chunk, path, notes, channels, line)
+                parsed = _parse(chunk, path, notes, channels, line, compiled)
                 line += parsed.lines
                 yield FrameBlock(
                     parsed.time_s, parsed.can_id, parsed.length, parsed.payload, parsed.channel, tuple(channels)
@@ -90,7 +105,7 @@ def _whole_lines(stream: io.BufferedReader, path: Path, chunk_bytes: int) -> Ite
         yield carried
 
 
-def _parse(chunk: bytes, path: Path, notes: LogNotes, channels: list[str], first_line: int) -> ParsedLines:
+def _parse(chunk: bytes, path: Path, notes: LogNotes, channels: list[str], first_line: int, compiled: bool | None) -> ParsedLines:
     def parse_slowly(index: int, raw: bytes) -> can.Message | None:
         def damage(problem: str) -> None:
             notes.damage(f"{path}:{first_line + index}", problem)
@@ -101,7 +116,7 @@ def _parse(chunk: bytes, path: Path, notes: LogNotes, channels: list[str], first
             return None
         return candump_frame(raw.decode("utf-8", errors="replace"), notes, damage)
 
-    parsed = parse_lines(chunk, channels, parse_slowly)
+    parsed = parse_lines(chunk, channels, parse_slowly, compiled=compiled)
     notes.frames += len(parsed.time_s)
     notes.error_frames += int(np.count_nonzero(parsed.can_id & np.uint32(ERROR_FLAG)))
     return parsed
