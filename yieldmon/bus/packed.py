@@ -1,0 +1,286 @@
+"""CAN frames as Parquet: columns by message, coded exactly, compressed with zstd (the parquet extra).
+
+The file is a table of columns. Each row holds one column of one message (channel, identifier, length) over one block of
+frames: `block`, `channel`, `can_id` (with the flags of linux/can.h), `length`, `frames`, `column` (a signal's name where
+the DBC has the message, otherwise a byte of the data; `time` and, where arrival order is not that of time, `place`),
+`bits`, `coding`, `width`, `size` (of the data before compression), `data`. Reading gives the frames that were packed, to the last bit and in their order.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.bus.bulk import FrameBlock
+from yieldmon.bus.candump import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from yieldmon.bus.layout import MessageLayout
+from yieldmon.bus.packed_columns import Coded, Column, decode, encode
+from yieldmon.errors import InputError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+SUFFIX = ".parquet"
+#: Frames that are packed together.
+BLOCK_FRAMES = 1 << 19
+_FORMAT = b"yieldmon.frames"
+_VERSION = b"1"
+_LEVEL = 12
+_TIME, _PLACE = "time", "place"
+_MICROS, _NANOS, _FLOAT = "us", "ns", "float64"
+_PER_S = {_MICROS: 1e6, _NANOS: 1e9}
+_LARGEST_EXACT = 2.0**53
+_DATA_BITS = 64
+_NAMES = ("block", "channel", "can_id", "length", "frames", "column", "start", "bits", "coding", "width", "size", "data")
+
+
+@dataclass(frozen=True)
+class _Field:
+    """Bits of the data: `starts` of one number, or of several that are successive samples of one signal."""
+
+    name: str
+    starts: tuple[int, ...]
+    bits: int
+
+
+class Writer:
+    """Packs blocks of frames into one file.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    layouts : mapping of str to MessageLayout
+        Messages whose signals become columns; every other message is kept by its bytes.
+
+    Raises
+    ------
+    InputError
+        The parquet extra is not installed.
+    """
+
+    def __init__(self, path: Path, layouts: Mapping[str, MessageLayout]) -> None:
+        parquet = _parquet(path)
+        self._layouts = tuple(layouts.values())
+        self._blocks = 0
+        self._schema = _schema().with_metadata({_FORMAT: _VERSION})
+        self._writer = parquet.ParquetWriter(
+            path,
+            self._schema,
+            # Each column of frames is compressed by itself: planes of different signals have little in common.
+            compression={name: "NONE" if name == "data" else "ZSTD" for name in _NAMES},
+            use_dictionary=[name for name in _NAMES if name != "data"],
+            write_statistics=False,
+        )
+
+    def write(self, block: FrameBlock) -> None:
+        """Pack a block. Raises InputError for data of more than 8 bytes, which a block does not hold."""
+        import pyarrow as pa
+
+        if (block.length > 8).any():
+            raise InputError("pack", "CAN FD frames with more than 8 bytes of data", "classic CAN frames")
+        rows = _rows(self._blocks, block, self._layouts)
+        self._blocks += 1
+        codec = pa.Codec("zstd", _LEVEL)
+        rows = [(*row[:-1], len(row[-1]), codec.compress(row[-1], asbytes=True)) for row in rows]
+        columns = dict(zip(_NAMES, zip(*rows, strict=True), strict=True)) if rows else {name: () for name in _NAMES}
+        self._writer.write_table(pa.table({name: list(columns[name]) for name in _NAMES}, schema=self._schema))
+
+    def close(self) -> None:
+        """Complete the file."""
+        self._writer.close()
+
+    def __enter__(self) -> Writer:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+
+def read_blocks(path: Path | str) -> Iterator[FrameBlock]:
+    """The frames of a packed file, a block at a time.
+
+    Parameters
+    ----------
+    path : Path or str
+
+    Yields
+    ------
+    FrameBlock
+
+    Raises
+    ------
+    InputError
+        The file is missing, damaged, or no file of packed frames; the parquet extra is not installed.
+    """
+    parquet = _parquet(path)
+    import pyarrow as pa
+
+    try:
+        with parquet.ParquetFile(path) as source:
+            metadata = source.schema_arrow.metadata or {}
+            if metadata.get(_FORMAT) != _VERSION:
+                raise InputError(str(path), "a Parquet file without packed CAN frames", "a file that `yieldmon pack` wrote")
+            for group in range(source.num_row_groups):
+                columns = source.read_row_group(group).to_pydict()
+                yield _block(zip(*(columns[name] for name in _NAMES), strict=True))
+    except FileNotFoundError as error:
+        raise InputError(str(path), error.strerror or str(error), "a readable file of packed frames") from error
+    except (pa.ArrowException, OSError, ValueError, KeyError) as error:
+        raise InputError(str(path), f"damaged: {' '.join(str(error).split())[:120]}", "a file that `yieldmon pack` wrote") from error
+
+
+def _parquet(path: Path | str) -> Any:
+    try:
+        from pyarrow import parquet
+    except ImportError as error:
+        raise InputError(str(path), "needs pyarrow", "pip install 'yieldmon[parquet]'") from error
+    return parquet
+
+
+def _schema() -> pa.Schema:
+    import pyarrow as pa
+
+    kinds = (
+        *(pa.int32(), pa.string(), pa.uint32(), pa.uint8(), pa.int32(), pa.string(), pa.string()),
+        *(pa.uint8(), pa.string(), pa.uint8(), pa.int32(), pa.binary()),
+    )
+    return pa.schema(list(zip(_NAMES, kinds, strict=True)))
+
+
+def _rows(number: int, block: FrameBlock, layouts: Iterable[MessageLayout]) -> list[tuple[Any, ...]]:
+    rows: list[tuple[Any, ...]] = []
+    unit, times = _whole_times(block.time_s)
+    key = block.channel.astype(np.uint64) << np.uint64(40) | block.can_id.astype(np.uint64) << np.uint64(8)
+    keys, group = np.unique(key | block.length.astype(np.uint64), return_inverse=True)
+    places = [np.flatnonzero(group == index) for index in range(keys.size)]
+    in_order = np.concatenate([*places, np.empty(0, np.intp)]).astype(np.intp)
+    by_time = bool((in_order[np.argsort(times[in_order], kind="stable")] == np.arange(len(block))).all())
+    for at in places:
+        first = int(at[0])
+        head = (number, block.channels[block.channel[first]], int(block.can_id[first]), int(block.length[first]), int(at.size))
+
+        def add(name: str, start: str, values: Column, bits: int, sampled: bool = False, head: tuple[Any, ...] = head) -> None:
+            coded = encode(values, bits, sampled=sampled)
+            rows.append((*head, name, start, bits, coded.coding, coded.width, coded.data))
+
+        add(_TIME, unit, times[at], _DATA_BITS)
+        if not by_time:
+            add(_PLACE, "", at.astype(np.uint64), _DATA_BITS)
+        for field in _fields(head[2], head[3], layouts):
+            parts = [block.payload[at] >> np.uint64(start) & np.uint64((1 << field.bits) - 1) for start in field.starts]
+            values = np.column_stack(parts).ravel() if len(parts) > 1 else parts[0]
+            add(field.name, ",".join(map(str, field.starts)), values, field.bits, len(parts) > 1)
+    return rows
+
+
+def _whole_times(time_s: NDArray[np.float64]) -> tuple[str, Column]:
+    """Times as whole numbers from which the same floats come back, and their unit."""
+    for unit, per_s in _PER_S.items():
+        scaled = np.rint(time_s * per_s)
+        if (np.abs(scaled) < _LARGEST_EXACT).all() and (scaled / per_s == time_s).all():
+            return unit, scaled.astype(np.int64).view(np.uint64)
+    return _FLOAT, time_s.view(np.uint64)
+
+
+def _times(unit: str, values: Column) -> NDArray[np.float64]:
+    if unit == _FLOAT:
+        return values.view(np.float64)
+    return values.view(np.int64) / _PER_S[unit]
+
+
+def _fields(can_id: int, length: int, layouts: Iterable[MessageLayout]) -> list[_Field]:
+    """The data's bits as fields: signals where a layout fits, bytes for what is left."""
+    fields: list[_Field] = []
+    used = 0
+    if can_id & (EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG) == EXTENDED_FLAG:
+        for layout in layouts:
+            if can_id & layout.identity_mask == layout.identity and layout.length == length:
+                fields = _signal_fields(layout)
+                used = sum(((1 << field.bits) - 1) << start for field in fields for start in field.starts)
+                break
+    for byte in range(8):
+        start = 8 * byte
+        left = [bit for bit in range(start, start + 8) if not used >> bit & 1]
+        # Beyond a frame's length bytes are 0 and cost nothing.
+        for first, count in _stretches_of(left):
+            fields.append(_Field(f"bit{first}", (first,), count))
+    return fields
+
+
+def _stretches_of(bits: list[int]) -> list[tuple[int, int]]:
+    found: list[tuple[int, int]] = []
+    for bit in bits:
+        if found and bit == found[-1][0] + found[-1][1]:
+            found[-1] = (found[-1][0], found[-1][1] + 1)
+        else:
+            found.append((bit, 1))
+    return found
+
+
+def _signal_fields(layout: MessageLayout) -> list[_Field]:
+    """Signals whose names differ in a trailing number only are successive samples."""
+    series: dict[tuple[str, int], list[int]] = {}
+    for signal in layout.signals:
+        stem = re.sub(r"\d+$", "", signal.name)
+        series.setdefault((stem if stem != signal.name else f"{signal.name} ", signal.bits), []).append(signal.start)
+    return [_Field(name.strip(), tuple(starts), bits) for (name, bits), starts in series.items()]
+
+
+def _block(rows: Iterable[tuple[Any, ...]]) -> FrameBlock:
+    import pyarrow as pa
+
+    codec = pa.Codec("zstd")
+    channels: list[str] = []
+    parts: list[list[Any]] = []
+    last: tuple[Any, ...] | None = None
+    explicit = False
+    for row in rows:
+        head, (name, start, bits, coding, width, size, packed) = row[:5], row[5:]
+        _, channel, can_id, length, count = head
+        if head != last or name == _TIME:
+            if channel not in channels:
+                channels.append(channel)
+            kept: list[Any] = [np.empty(0), np.zeros(count, np.uint64), None, can_id, length, channels.index(channel), count, ""]
+            parts.append(kept)
+            last = head
+        values = parts[-1]
+        per_frame = start.count(",") + 1 if name not in (_TIME, _PLACE) else 1
+        data = codec.decompress(packed, decompressed_size=size, asbytes=True)
+        column = decode(Coded(coding, width, data), count * per_frame, bits)
+        if name == _TIME:
+            values[0], values[7] = column, start
+        elif name == _PLACE:
+            values[2], explicit = column.astype(np.intp), True
+        else:
+            for place, at in enumerate(start.split(",")):
+                values[1] |= column[place::per_frame] << np.uint64(int(at))
+    return _assembled(parts, tuple(channels), explicit)
+
+
+def _assembled(parts: list[list[Any]], channels: tuple[str, ...], explicit: bool) -> FrameBlock:
+    counts = [part[6] for part in parts]
+
+    def spread(index: int, kind: Any) -> NDArray[Any]:
+        return np.repeat(np.array([part[index] for part in parts], kind), counts)
+
+    whole = np.concatenate([*(part[0] for part in parts), np.empty(0, np.uint64)]).astype(np.uint64)
+    order = (
+        np.argsort(np.concatenate([part[2] for part in parts]), kind="stable") if explicit else np.argsort(whole, kind="stable")
+    )
+    payload = np.concatenate([*(part[1] for part in parts), np.empty(0, np.uint64)]).astype(np.uint64)
+    time_s = _times(parts[0][7], whole) if parts else np.empty(0)
+    return FrameBlock(
+        time_s[order],
+        spread(3, np.uint32)[order],
+        spread(4, np.uint8)[order],
+        payload[order],
+        spread(5, np.int16)[order],
+        channels,
+    )

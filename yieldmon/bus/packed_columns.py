@@ -1,0 +1,186 @@
+"""Columns of whole numbers as few bytes, exactly: what packed frames consist of.
+
+A column is an array of unsigned 64-bit numbers below 2**bits. Each coding gives bytes that a general compressor (zstd)
+packs well: differences, or the errors of a linear prediction for sampled signals (as in lossless audio coding, e.g.
+Robinson 1994, "Shorten"), split into planes of equal significance.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Column = NDArray[np.uint64]
+
+CONSTANT = "constant"
+PLAIN = "plain"
+DIFFERENCE = "difference"
+PREDICTION = "prediction"
+
+_ORDER = 4
+#: Samples in a row that are predicted from each other. All stretches are decoded side by side: each step of the prediction is
+#: one operation over them.
+_STRETCH = 1024
+_COEFFICIENT_BITS = 14
+_HEADER = np.dtype("<i8")
+_WORD = 64
+
+
+class Coded(NamedTuple):
+    """A column's coding, width of a residual in bytes, and bytes."""
+
+    coding: str
+    width: int
+    data: bytes
+
+
+def encode(values: Column, bits: int, *, sampled: bool = False) -> Coded:
+    """Code a column in the way that seems to take least.
+
+    Parameters
+    ----------
+    values : uint64 array, shape (n,)
+        Numbers below 2**bits.
+    bits : int
+        1 to 64.
+    sampled : bool
+        Successive values are samples of one signal.
+
+    Returns
+    -------
+    Coded
+    """
+    if values.size and (values == values[0]).all():
+        return Coded(CONSTANT, 8, int(values[0]).to_bytes(8, "little"))
+    found = [_planes(PLAIN, values), _planes(DIFFERENCE, _folded(np.diff(values, prepend=np.uint64(0)), bits))]
+    if sampled and bits <= 32 and values.size >= 4 * _STRETCH:
+        found.append(_predicted(values, bits))
+    return min(found, key=_entropy_bytes)
+
+
+def decode(coded: Coded, count: int, bits: int) -> Column:
+    """The column again.
+
+    Parameters
+    ----------
+    coded : Coded
+    count : int
+        Length of the column.
+    bits : int
+        As for `encode`.
+
+    Returns
+    -------
+    uint64 array, shape (count,)
+
+    Raises
+    ------
+    ValueError
+        The bytes are not those of such a column.
+    """
+    if coded.coding == CONSTANT:
+        return np.full(count, int.from_bytes(coded.data, "little"), np.uint64)
+    if coded.coding == PLAIN:
+        return _from_planes(coded.data, coded.width, count)
+    if coded.coding == DIFFERENCE:
+        differences = _unfolded(_from_planes(coded.data, coded.width, count), bits)
+        return np.cumsum(differences, dtype=np.uint64) & _mask(bits)
+    if coded.coding == PREDICTION:
+        return _from_predicted(coded, count, bits)
+    raise ValueError(f"unknown coding {coded.coding!r}")
+
+
+def _mask(bits: int) -> np.uint64:
+    return np.uint64((1 << bits) - 1)
+
+
+def _folded(differences: Column, bits: int) -> Column:
+    """Differences modulo 2**bits with small ones of both signs near 0: 0, -1, 1, -2, ..."""
+    spare = np.uint64(_WORD - bits)
+    signed = ((differences & _mask(bits)) << spare).view(np.int64) >> np.int64(_WORD - bits)
+    return ((signed << np.int64(1)) ^ (signed >> np.int64(_WORD - 1))).view(np.uint64)
+
+
+def _unfolded(folded: Column, bits: int) -> Column:
+    sign = np.uint64(0) - (folded & np.uint64(1))
+    return ((folded >> np.uint64(1)) ^ sign) & _mask(bits)
+
+
+def _planes(coding: str, values: Column, header: bytes = b"") -> Coded:
+    largest = int(values.max(initial=0))
+    width = max(1, -(-largest.bit_length() // 8))
+    planes = values.astype("<u8").view(np.uint8).reshape(-1, 8)[:, :width]
+    return Coded(coding, width, header + np.ascontiguousarray(planes.T).tobytes())
+
+
+def _from_planes(data: bytes, width: int, count: int) -> Column:
+    if len(data) != width * count:
+        raise ValueError(f"{len(data)} bytes; expected {width * count}")
+    words = np.zeros((count, 8), np.uint8)
+    words[:, :width] = np.frombuffer(data, np.uint8).reshape(width, count).T
+    return words.view("<u8")[:, 0].astype(np.uint64, copy=False)
+
+
+def _entropy_bytes(coded: Coded) -> float:
+    """Size to expect of a column once its planes are compressed byte by byte."""
+    planes = np.frombuffer(coded.data, np.uint8)
+    size = planes.size // coded.width
+    total = 0.0
+    for plane in range(coded.width):
+        counts = np.bincount(planes[plane * size : (plane + 1) * size])
+        shares = counts[counts > 0] / max(1, size)
+        total -= size * float((shares * np.log2(shares)).sum()) / 8.0
+    return total
+
+
+def _stretches(count: int) -> int:
+    """Number of stretches; the last one is filled up."""
+    return -(-count // _STRETCH)
+
+
+def _matrix(values: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Stretches as columns, time down the rows."""
+    filled = np.full(_stretches(values.size) * _STRETCH, values[-1])
+    filled[: values.size] = values
+    return np.ascontiguousarray(filled.reshape(-1, _STRETCH).T)
+
+
+def _predicted(values: Column, bits: int) -> Coded:
+    samples = _matrix(values.view(np.int64))
+    past = np.stack([samples[_ORDER - 1 - k : -1 - k or None] for k in range(_ORDER)])
+    past = past[:, : samples.shape[0] - _ORDER]
+    target = samples[_ORDER:].astype(np.float64)
+    flat = past.reshape(_ORDER, -1).astype(np.float64)
+    weights = np.linalg.lstsq(flat @ flat.T, flat @ target.ravel(), rcond=None)[0]
+    coefficients = np.rint(np.clip(weights, -8.0, 8.0) * (1 << _COEFFICIENT_BITS)).astype(_HEADER)
+    residuals = samples.copy()
+    residuals[_ORDER:] -= _prediction(coefficients, past)
+    folded = _folded(np.ascontiguousarray(residuals).view(np.uint64).ravel(), bits)
+    return _planes(PREDICTION, folded, coefficients.tobytes())
+
+
+def _prediction(coefficients: NDArray[np.int64], past: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Whole-number prediction from the last _ORDER samples, newest first along axis 0: the same on every machine."""
+    total = np.tensordot(coefficients, past, 1) + (1 << _COEFFICIENT_BITS - 1)
+    return np.asarray(total >> _COEFFICIENT_BITS, np.int64)
+
+
+def _from_predicted(coded: Coded, count: int, bits: int) -> Column:
+    start = _ORDER * _HEADER.itemsize
+    coefficients = np.frombuffer(coded.data[:start], _HEADER)
+    stretches = _stretches(count)
+    residuals = _unfolded(_from_planes(coded.data[start:], coded.width, stretches * _STRETCH), bits)
+    samples = residuals.view(np.int64).reshape(_STRETCH, stretches)
+    mask = np.int64((1 << bits) - 1)
+    total, product = np.empty((2, stretches), np.int64)
+    for row in range(_ORDER, _STRETCH):
+        total.fill(1 << _COEFFICIENT_BITS - 1)
+        for back, weight in enumerate(coefficients, 1):
+            np.multiply(samples[row - back], weight, out=product)
+            total += product
+        total >>= _COEFFICIENT_BITS
+        samples[row] += total
+        samples[row] &= mask
+    return samples.T.reshape(-1)[:count].astype(np.uint64)
