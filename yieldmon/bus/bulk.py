@@ -6,7 +6,7 @@ one little-endian 64-bit number.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import can
@@ -25,6 +25,7 @@ ERROR = 2
 
 _UNUSABLE = {NOT_AVAILABLE: Unusable.NOT_AVAILABLE, ERROR: Unusable.ERROR}
 _PAYLOAD_BYTES = 8
+_ID_MASK = 0x1FFFFFFF
 
 
 @dataclass(frozen=True)
@@ -140,6 +141,33 @@ def block_of(messages: Iterable[can.Message]) -> FrameBlock:
         np.array(channel, np.int16),
         tuple(channels),
     )
+
+
+def messages_of(block: FrameBlock) -> Iterator[can.Message]:
+    """The rows as messages, in order: block_of() backwards.
+
+    Parameters
+    ----------
+    block : FrameBlock
+        Frames of at most 8 bytes.
+
+    Yields
+    ------
+    can.Message
+    """
+    columns = (block.time_s, block.can_id, block.length, block.payload, block.channel)
+    for time_s, flagged, length, payload, channel in zip(*(column.tolist() for column in columns), strict=True):
+        remote, error = bool(flagged & REMOTE_FLAG), bool(flagged & ERROR_FLAG)
+        yield can.Message(
+            timestamp=time_s,
+            arbitration_id=flagged & _ID_MASK,
+            is_extended_id=bool(flagged & EXTENDED_FLAG),
+            is_remote_frame=remote,
+            is_error_frame=error,
+            dlc=length,
+            data=None if remote else payload.to_bytes(_PAYLOAD_BYTES, "little")[:length],
+            channel=block.channels[channel] or None,
+        )
 
 
 def concatenate(blocks: Sequence[FrameBlock]) -> FrameBlock:

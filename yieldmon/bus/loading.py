@@ -15,6 +15,7 @@ from yieldmon.bus.candump import ERROR_FLAG
 from yieldmon.bus.fast_candump import ParsedLines, parse_lines
 from yieldmon.bus.logs import (
     LONGEST_LINE_BYTES,
+    PACKED_SUFFIX,
     LogNotes,
     candump_frame,
     early_end_of,
@@ -25,6 +26,7 @@ from yieldmon.bus.logs import (
     refuse_unreadable,
     without_byte_order_mark,
 )
+from yieldmon.bus.packed import read_blocks
 from yieldmon.errors import InputError
 
 _CHUNK_BYTES = 4 * 1024 * 1024
@@ -60,7 +62,14 @@ def iter_blocks(
     """
     path = Path(path)
     notes = notes if notes is not None else LogNotes()
-    if log_format(path)[0] == ".log":
+    suffix = log_format(path)[0]
+    if suffix == PACKED_SUFFIX:
+        for block in read_blocks(path):
+            notes.frames += len(block)
+            notes.error_frames += int(np.count_nonzero(block.can_id & np.uint32(ERROR_FLAG)))
+            yield block
+        return
+    if suffix == ".log":
         yield from _candump_blocks(path, notes, chunk_bytes, compiled)
         return
     messages = read_log(path, notes)

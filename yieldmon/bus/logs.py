@@ -37,8 +37,10 @@ _log = logging.getLogger(__name__)
 
 TEXT_SUFFIXES = (".log", ".asc", ".csv", ".trc")
 BINARY_SUFFIXES = (".blf", ".db", ".mf4")
-#: What read_log() takes; each may be followed by .gz.
-SUFFIXES = TEXT_SUFFIXES + BINARY_SUFFIXES
+#: Frames that `yieldmon pack` wrote.
+PACKED_SUFFIX = ".parquet"
+#: What read_log() takes; each but the packed one may be followed by .gz.
+SUFFIXES = (*TEXT_SUFFIXES, *BINARY_SUFFIXES, PACKED_SUFFIX)
 
 #: Longest line that is looked at. The longest line of any text format, a CAN FD frame in .asc, has under 400
 #: characters.
@@ -104,7 +106,7 @@ def read_log(path: Path | str, notes: LogNotes | None = None) -> Iterator[can.Me
     path = Path(path)
     notes = notes if notes is not None else LogNotes()
     suffix, compressed = log_format(path)
-    read = _read_text if suffix in TEXT_SUFFIXES else _read_binary
+    read = _read_text if suffix in TEXT_SUFFIXES else _read_packed if suffix == PACKED_SUFFIX else _read_binary
     try:
         for message in read(path, suffix, compressed, notes):
             notes.frame(message)
@@ -135,8 +137,8 @@ def log_format(path: Path) -> tuple[str, bool]:
     suffixes = [suffix.lower() for suffix in path.suffixes]
     compressed = suffixes[-1:] == [".gz"]
     suffix = (suffixes[-2:-1] if compressed else suffixes[-1:]) or [""]
-    if suffix[0] not in SUFFIXES:
-        raise InputError(str(path), "unknown log format", f"one of {' '.join(SUFFIXES)}, each also with .gz behind")
+    if suffix[0] not in SUFFIXES or (compressed and suffix[0] == PACKED_SUFFIX):
+        raise InputError(str(path), "unknown log format", f"one of {' '.join(SUFFIXES)}, each but the last also with .gz behind")
     return suffix[0], compressed
 
 
@@ -237,6 +239,14 @@ def candump_frame(line: str, notes: LogNotes, damage: Callable[[str], None]) -> 
         elif text:
             damage(f"{text[:60]!r} is no candump line")
     return message
+
+
+def _read_packed(path: Path, suffix: str, compressed: bool, notes: LogNotes) -> Iterator[can.Message]:
+    from yieldmon.bus.bulk import messages_of
+    from yieldmon.bus.packed import read_blocks
+
+    for block in read_blocks(path):
+        yield from messages_of(block)
 
 
 def _read_text(path: Path, suffix: str, compressed: bool, notes: LogNotes) -> Iterator[can.Message]:

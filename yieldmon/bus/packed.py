@@ -2,8 +2,9 @@
 
 The file is a table of columns. Each row holds one column of one message (channel, identifier, length) over one block of
 frames: `block`, `channel`, `can_id` (with the flags of linux/can.h), `length`, `frames`, `column` (a signal's name where
-the DBC has the message, otherwise a byte of the data; `time` and, where arrival order is not that of time, `place`),
-`bits`, `coding`, `width`, `size` (of the data before compression), `data`. Reading gives the frames that were packed, to the last bit and in their order.
+the DBC has the message, otherwise a stretch of bits of the data; `time` and, where arrival order is not that of time,
+`place`), `start`, `bits`, `coding`, `width`, `size` (of the data before compression), `data`. Reading gives the frames
+that were packed, to the last bit and in their order.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.bus.bulk import FrameBlock
+from yieldmon.bus.bulk import FrameBlock, concatenate
 from yieldmon.bus.candump import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from yieldmon.bus.layout import MessageLayout
 from yieldmon.bus.packed_columns import Coded, Column, decode, encode
@@ -26,12 +27,12 @@ from yieldmon.errors import InputError
 if TYPE_CHECKING:
     import pyarrow as pa
 
-SUFFIX = ".parquet"
 #: Frames that are packed together.
-BLOCK_FRAMES = 1 << 19
+BLOCK_FRAMES = 1 << 17
 _FORMAT = b"yieldmon.frames"
 _VERSION = b"1"
 _LEVEL = 12
+_EXPECTED = "a file that `yieldmon pack` wrote"
 _TIME, _PLACE = "time", "place"
 _MICROS, _NANOS, _FLOAT = "us", "ns", "float64"
 _PER_S = {_MICROS: 1e6, _NANOS: 1e9}
@@ -47,6 +48,60 @@ class _Field:
     name: str
     starts: tuple[int, ...]
     bits: int
+
+
+@dataclass(frozen=True)
+class Packed:
+    """What was packed: frames, and bytes of the file."""
+
+    frames: int
+    size_bytes: int
+
+
+def pack(blocks: Iterable[FrameBlock], path: Path, layouts: Mapping[str, MessageLayout]) -> Packed:
+    """Pack frames into one file.
+
+    Parameters
+    ----------
+    blocks : iterable of FrameBlock
+        Frames in the order of the log, of whatever lengths.
+    path : Path
+        File to write.
+    layouts : mapping of str to MessageLayout
+        Messages whose signals become columns.
+
+    Returns
+    -------
+    Packed
+
+    Raises
+    ------
+    InputError
+        The parquet extra is not installed; CAN FD frames of more than 8 bytes.
+    """
+    frames = 0
+    with Writer(path, layouts) as writer:
+        for block in _in_pieces(blocks):
+            writer.write(block)
+            frames += len(block)
+    return Packed(frames, path.stat().st_size)
+
+
+def _in_pieces(blocks: Iterable[FrameBlock]) -> Iterator[FrameBlock]:
+    """The same frames in blocks of BLOCK_FRAMES, the last one shorter."""
+    waiting: list[FrameBlock] = []
+    count = 0
+    for block in blocks:
+        waiting.append(block)
+        count += len(block)
+        if count >= BLOCK_FRAMES:
+            whole = concatenate(waiting)
+            last = count - count % BLOCK_FRAMES
+            for first in range(0, last, BLOCK_FRAMES):
+                yield whole.take(slice(first, first + BLOCK_FRAMES))
+            waiting, count = [whole.take(slice(last, None))], count - last
+    if count:
+        yield concatenate(waiting)
 
 
 class Writer:
@@ -89,7 +144,7 @@ class Writer:
         self._blocks += 1
         codec = pa.Codec("zstd", _LEVEL)
         rows = [(*row[:-1], len(row[-1]), codec.compress(row[-1], asbytes=True)) for row in rows]
-        columns = dict(zip(_NAMES, zip(*rows, strict=True), strict=True)) if rows else {name: () for name in _NAMES}
+        columns = dict(zip(_NAMES, zip(*rows, strict=True), strict=True)) if rows else dict.fromkeys(_NAMES, ())
         self._writer.write_table(pa.table({name: list(columns[name]) for name in _NAMES}, schema=self._schema))
 
     def close(self) -> None:
@@ -126,14 +181,14 @@ def read_blocks(path: Path | str) -> Iterator[FrameBlock]:
         with parquet.ParquetFile(path) as source:
             metadata = source.schema_arrow.metadata or {}
             if metadata.get(_FORMAT) != _VERSION:
-                raise InputError(str(path), "a Parquet file without packed CAN frames", "a file that `yieldmon pack` wrote")
+                raise InputError(str(path), "a Parquet file without packed CAN frames", _EXPECTED)
             for group in range(source.num_row_groups):
                 columns = source.read_row_group(group).to_pydict()
                 yield _block(zip(*(columns[name] for name in _NAMES), strict=True))
     except FileNotFoundError as error:
         raise InputError(str(path), error.strerror or str(error), "a readable file of packed frames") from error
     except (pa.ArrowException, OSError, ValueError, KeyError) as error:
-        raise InputError(str(path), f"damaged: {' '.join(str(error).split())[:120]}", "a file that `yieldmon pack` wrote") from error
+        raise InputError(str(path), f"damaged: {' '.join(str(error).split())[:120]}", _EXPECTED) from error
 
 
 def _parquet(path: Path | str) -> Any:

@@ -19,13 +19,15 @@ PLAIN = "plain"
 DIFFERENCE = "difference"
 PREDICTION = "prediction"
 
-_ORDER = 4
+_ORDER = 8
 #: Samples in a row that are predicted from each other. All stretches are decoded side by side: each step of the prediction is
 #: one operation over them.
 _STRETCH = 1024
-_COEFFICIENT_BITS = 14
+_COEFFICIENT_SCALE = float(1 << 14)
 _HEADER = np.dtype("<i8")
 _WORD = 64
+#: Sums of a prediction stay whole numbers that a double holds.
+_MOST_BITS = 32
 
 
 class Coded(NamedTuple):
@@ -55,7 +57,7 @@ def encode(values: Column, bits: int, *, sampled: bool = False) -> Coded:
     if values.size and (values == values[0]).all():
         return Coded(CONSTANT, 8, int(values[0]).to_bytes(8, "little"))
     found = [_planes(PLAIN, values), _planes(DIFFERENCE, _folded(np.diff(values, prepend=np.uint64(0)), bits))]
-    if sampled and bits <= 32 and values.size >= 4 * _STRETCH:
+    if sampled and bits <= _MOST_BITS and values.size >= 4 * _STRETCH:
         found.append(_predicted(values, bits))
     return min(found, key=_entropy_bytes)
 
@@ -149,38 +151,33 @@ def _matrix(values: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def _predicted(values: Column, bits: int) -> Coded:
     samples = _matrix(values.view(np.int64))
-    past = np.stack([samples[_ORDER - 1 - k : -1 - k or None] for k in range(_ORDER)])
-    past = past[:, : samples.shape[0] - _ORDER]
-    target = samples[_ORDER:].astype(np.float64)
-    flat = past.reshape(_ORDER, -1).astype(np.float64)
-    weights = np.linalg.lstsq(flat @ flat.T, flat @ target.ravel(), rcond=None)[0]
-    coefficients = np.rint(np.clip(weights, -8.0, 8.0) * (1 << _COEFFICIENT_BITS)).astype(_HEADER)
+    past = np.lib.stride_tricks.sliding_window_view(samples.astype(np.float64), _ORDER, axis=0)[:-1]
+    flat = past.reshape(-1, _ORDER)
+    target = samples[_ORDER:].ravel().astype(np.float64)
+    weights = np.linalg.lstsq(flat.T @ flat, flat.T @ target, rcond=None)[0]
+    coefficients = np.rint(np.clip(weights, -8.0, 8.0) * _COEFFICIENT_SCALE)
     residuals = samples.copy()
-    residuals[_ORDER:] -= _prediction(coefficients, past)
+    # A stretch begins with a sample as it is, then each is predicted from the one before until there are enough of them.
+    residuals[1:_ORDER] -= samples[: _ORDER - 1]
+    residuals[_ORDER:] -= _rounded(past @ coefficients).astype(np.int64)
     folded = _folded(np.ascontiguousarray(residuals).view(np.uint64).ravel(), bits)
-    return _planes(PREDICTION, folded, coefficients.tobytes())
+    return _planes(PREDICTION, folded, coefficients.astype(_HEADER).tobytes())
 
 
-def _prediction(coefficients: NDArray[np.int64], past: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Whole-number prediction from the last _ORDER samples, newest first along axis 0: the same on every machine."""
-    total = np.tensordot(coefficients, past, 1) + (1 << _COEFFICIENT_BITS - 1)
-    return np.asarray(total >> _COEFFICIENT_BITS, np.int64)
+def _rounded(weighted: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Whole-number prediction from a weighted sum. All numbers are whole and below 2**53: the same on every machine."""
+    return np.floor((weighted + _COEFFICIENT_SCALE / 2) / _COEFFICIENT_SCALE)
 
 
 def _from_predicted(coded: Coded, count: int, bits: int) -> Column:
     start = _ORDER * _HEADER.itemsize
-    coefficients = np.frombuffer(coded.data[:start], _HEADER)
+    coefficients = np.frombuffer(coded.data[:start], _HEADER).astype(np.float64)
     stretches = _stretches(count)
     residuals = _unfolded(_from_planes(coded.data[start:], coded.width, stretches * _STRETCH), bits)
-    samples = residuals.view(np.int64).reshape(_STRETCH, stretches)
-    mask = np.int64((1 << bits) - 1)
-    total, product = np.empty((2, stretches), np.int64)
-    for row in range(_ORDER, _STRETCH):
-        total.fill(1 << _COEFFICIENT_BITS - 1)
-        for back, weight in enumerate(coefficients, 1):
-            np.multiply(samples[row - back], weight, out=product)
-            total += product
-        total >>= _COEFFICIENT_BITS
-        samples[row] += total
-        samples[row] &= mask
+    samples = residuals.astype(np.float64).reshape(_STRETCH, stretches)
+    modulus = float(1 << bits)
+    for row in range(1, _STRETCH):
+        value = samples[row]
+        value += samples[row - 1] if row < _ORDER else _rounded(coefficients @ samples[row - _ORDER : row])
+        value -= modulus * np.floor(value / modulus)
     return samples.T.reshape(-1)[:count].astype(np.uint64)

@@ -1,0 +1,156 @@
+"""Packed frames give back what was packed, to the last bit, and say what is wrong with a file that is none."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import random
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from yieldmon.bus.bulk import FrameBlock, block_of
+from yieldmon.bus.codec import Codec
+from yieldmon.bus.loading import load_frames
+from yieldmon.bus.logs import read_log
+from yieldmon.bus.packed import pack
+from yieldmon.bus.packed_columns import decode, encode
+from yieldmon.cli.main import main
+from yieldmon.errors import InputError
+
+#: gzip's own default.
+GZIP_LEVEL = 6
+LAYOUTS = Codec().layouts
+DATA = Path(__file__).resolve().parents[1] / "data"
+
+
+def content(block: FrameBlock) -> list[tuple[object, ...]]:
+    names = [block.channels[index] for index in block.channel]
+    times = block.time_s.view(np.uint64)
+    columns = (times, block.can_id, block.length, block.payload)
+    return list(zip(*(column.tolist() for column in columns), names, strict=True))
+
+
+@given(
+    values=st.lists(st.integers(0, 2**13 - 1), min_size=1, max_size=40),
+    repeats=st.sampled_from([1, 7, 900]),
+    bits=st.sampled_from([13, 14, 31, 32, 33, 63, 64]),
+    sampled=st.booleans(),
+)
+@settings(max_examples=150, deadline=None)
+def test_columns_come_back(values: list[int], repeats: int, bits: int, sampled: bool) -> None:
+    column = np.array(values * repeats, np.uint64) << np.uint64(bits - 13)
+    found = decode(encode(column, bits, sampled=sampled), column.size, bits)
+    assert found.dtype == np.uint64
+    assert (found == column).all()
+
+
+@pytest.mark.parametrize("bits", [8, 13, 16, 32])
+def test_sampled_signals_of_every_kind_come_back(bits: int) -> None:
+    noise = np.random.default_rng(3)
+    time = np.arange(20001)
+    full = 2**bits - 1
+    for wave in (
+        0.5 + 0.4 * np.sin(time / 20),
+        noise.random(time.size),
+        (time % 700) / 700,
+        np.where(time % 50 < 25, 0.0, 1.0),
+        np.clip(np.cumsum(noise.normal(0, 0.01, time.size)), 0, 1),
+    ):
+        column = np.rint(wave * full).astype(np.uint64)
+        assert (decode(encode(column, bits, sampled=True), column.size, bits) == column).all()
+
+
+frames = st.builds(
+    lambda time_s, extended, identifier, kind, data, channel: can.Message(
+        timestamp=time_s,
+        arbitration_id=identifier if extended else identifier & 0x7FF,
+        is_extended_id=extended,
+        is_remote_frame=kind == "remote",
+        dlc=len(data),
+        data=None if kind == "remote" else data,
+        channel=channel,
+    ),
+    st.one_of(st.floats(0, 2e9), st.integers(0, 2 * 10**15).map(lambda micros: micros / 1e6), st.just(1.0)),
+    st.booleans(),
+    st.one_of(st.integers(0, 0x1FFFFFFF), st.sampled_from([layout.frame_id for layout in LAYOUTS.values()])),
+    st.sampled_from(["data", "data", "remote"]),
+    st.binary(max_size=8),
+    st.sampled_from(["can0", "can1", None]),
+)
+
+
+@given(st.lists(frames, min_size=1, max_size=60))
+@settings(max_examples=60, deadline=None)
+def test_any_frames_come_back(tmp_path_factory: pytest.TempPathFactory, messages: list[can.Message]) -> None:
+    path = tmp_path_factory.getbasetemp() / "any.parquet"
+    block = block_of(messages)
+    pack([block], path, LAYOUTS)
+    assert content(load_frames(path)) == content(block)
+    assert content(block_of(read_log(path))) == content(block)
+
+
+def test_a_harvest_is_a_quarter_of_its_gzip_and_gives_the_same_rows(tmp_path: Path) -> None:
+    log, packed = tmp_path / "day.log", tmp_path / "day.parquet"
+    scenario = ["simulate", "--scenario", "demo", "--duration", "240", "--seed", "9", "--start-time", "1790000000"]
+    assert main([*scenario, "--log", str(log)]) == 0
+    assert main(["pack", str(log), "--out", str(packed)]) == 0
+    assert packed.stat().st_size <= 0.25 * len(gzip.compress(log.read_bytes(), GZIP_LEVEL))
+    for source in (log, packed):
+        assert main(["process", str(source), "--out", str(tmp_path / f"{source.name}.csv")]) == 0
+    assert (tmp_path / "day.log.csv").read_bytes() == (tmp_path / "day.parquet.csv").read_bytes()
+
+
+def test_frames_out_of_time_order_keep_their_places(tmp_path: Path) -> None:
+    shuffled = random.Random(5)
+    messages = [can.Message(timestamp=float(shuffled.randrange(50)), arbitration_id=n % 5, data=[n % 256]) for n in range(500)]
+    pack([block_of(messages)], tmp_path / "f.parquet", LAYOUTS)
+    assert content(load_frames(tmp_path / "f.parquet")) == content(block_of(messages))
+
+
+def test_longer_frames_are_refused(tmp_path: Path) -> None:
+    block = block_of([can.Message(arbitration_id=1, is_fd=True, data=bytes(12))])
+    with pytest.raises(InputError, match="CAN FD"):
+        pack([block], tmp_path / "f.parquet", LAYOUTS)
+
+
+def _packed(path: Path) -> Path:
+    pack([block_of([can.Message(timestamp=n / 10, arbitration_id=5, data=[n, 7]) for n in range(200)])], path, LAYOUTS)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (lambda data: b"", "damaged"),
+        (lambda data: data[: len(data) // 2], "damaged"),
+        (lambda data: b"(1.000000) can0 123#01\n", "damaged"),
+    ],
+)
+def test_spoilt_files_are_refused(tmp_path: Path, spoil, says: str) -> None:
+    path = _packed(tmp_path / "f.parquet")
+    path.write_bytes(spoil(path.read_bytes()))
+    with pytest.raises(InputError, match=says):
+        load_frames(path)
+
+
+def test_a_table_of_seconds_is_no_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log, table = DATA / "bench_log.log.gz", tmp_path / "seconds.parquet"
+    assert main(["process", str(log), "--out", str(table)]) == 0
+    assert main(["process", str(table), "--out", str(tmp_path / "again.csv")]) == 2
+    assert "without packed CAN frames" in capsys.readouterr().err
+
+
+def test_nothing_is_overwritten_unasked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source, out = _packed(tmp_path / "a.parquet"), tmp_path / "b.parquet"
+    assert main(["pack", str(source), "--out", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["frames"] == 200
+    before = source.read_bytes()
+    assert main(["pack", str(source), "--out", str(out)]) == 2
+    assert main(["pack", str(source), "--out", str(out), "--force"]) == 0
+    assert main(["pack", str(source), "--out", str(source), "--force"]) == 2
+    assert source.read_bytes() == before
