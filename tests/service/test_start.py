@@ -17,7 +17,7 @@ def imported(*arguments: str) -> set[str]:
     """Packages among the heavy ones that a run of the command imports."""
     program = (
         "import sys\nfrom yieldmon.cli.main import main\n"
-        "try:\n    main(sys.argv[1:])\nexcept SystemExit:\n    pass\n"
+        "try:\n    main()\nexcept SystemExit:\n    pass\n"
         "print(*{name.partition('.')[0] for name, module in sys.modules.items() if module}, file=sys.stderr)"
     )
     done = subprocess.run([sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=True)

@@ -6,10 +6,15 @@ import importlib
 import sys
 
 
+_held: list[str] = []
+"""What is being held back."""
+
+
 def defer() -> None:
     """Hold asammdf back from the coming import of python-can; nothing where either has been imported already."""
-    if "can" not in sys.modules:
-        sys.modules.setdefault("asammdf", None)  # type: ignore[arg-type]  # the import system's mark for "not to be found"
+    if not {"can", "asammdf"} & sys.modules.keys():
+        sys.modules["asammdf"] = None  # type: ignore[assignment]  # the import system's mark for "not to be found"
+        _held.append("asammdf")
 
 
 def provide() -> None:
@@ -20,8 +25,8 @@ def provide() -> None:
     ModuleNotFoundError
         Where asammdf is not installed.
     """
-    if "asammdf" in sys.modules and sys.modules["asammdf"] is None:
-        del sys.modules["asammdf"]
+    if _held:
+        del sys.modules[_held.pop()]
         importlib.import_module("asammdf")
         # Its classes keep the module's names, so those that python-can has handed out work as well.
         importlib.reload(importlib.import_module("can.io.mf4"))

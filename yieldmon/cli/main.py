@@ -138,7 +138,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     0 done, 1 failed, 2 bad usage or input, 130 interrupted.
     """
     _print_anything()
-    mf4.defer()
+    if argv is None:
+        mf4.defer()
     try:
         code = _run(sys.argv[1:] if argv is None else argv)
         sys.stdout.flush()
