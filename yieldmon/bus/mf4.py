@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import sys
 
-
 _held: list[str] = []
 """What is being held back."""
 
