@@ -18,9 +18,22 @@ def surface(rng: np.random.Generator, size: int, smooth: float) -> np.ndarray:
 
 
 def ag_leader(
-    path: Path, *, delay_s: int, seed: int, passes: int = 24, length_s: int = 80, noise: float = 0.03, pure_noise: bool = False,
-    latitude_deg: float = 40.0, longitude_deg: float = -90.0, width_m: float = 6.0, speed_m_s: float = 2.0, turn_s: int = 12,
-    smooth_m: float = 12.0, start_s: int = 40_000, round_s: int | None = None,
+    path: Path,
+    *,
+    delay_s: int,
+    seed: int,
+    passes: int = 24,
+    length_s: int = 80,
+    noise: float = 0.03,
+    pure_noise: bool = False,
+    latitude_deg: float = 40.0,
+    longitude_deg: float = -90.0,
+    width_m: float = 6.0,
+    speed_m_s: float = 2.0,
+    turn_s: int = 12,
+    smooth_m: float = 12.0,
+    start_s: int = 40_000,
+    round_s: int | None = None,
 ) -> float:
     """Passes north and south by turns, 1 Hz; grain reaches the sensor `delay_s` later. Returns the mass in kg that was cut.
 

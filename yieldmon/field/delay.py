@@ -16,9 +16,10 @@ import numpy as np
 
 from .pairs import Pairs
 from .table import Array
-from .tracks import MIN_SPEED_M_S, Tracks
+from .tracks import MIN_SPEED_M_S, Index, Tracks
 
 SHIFTS_S = np.arange(-45.0, 76.0)
+TICK_S = 0.5
 DRAWS = 200
 MIN_PAIRS, MIN_BLOCKS = 200, 8
 CLEAR_OF_S = 10.0
@@ -179,42 +180,52 @@ def _series(steps: Tracks, quantity: str) -> tuple[Array, Array]:
         return steps.flow_kg_s, np.where(steps.width_m > 0, speed * steps.width_m, np.nan)
 
 
-def shifted(steps: Tracks, values: Array, rows: Array, shift_s: float) -> Array:
-    """`values` a time `shift_s` after the steps `rows`, linear between steps, NaN across a gap."""
-    span = float(np.nanmax(steps.time_s) - np.nanmin(steps.time_s)) + 10_000.0
-    base = np.nanmin(steps.time_s)
-    keys = steps.stream * span + (steps.time_s - base)
-    wanted = keys[rows] + shift_s
-    right = np.clip(np.searchsorted(keys, wanted), 1, len(keys) - 1)
-    left = right - 1
-    gap = keys[right] - keys[left]
-    within = (wanted >= keys[left]) & (wanted <= keys[right]) & (steps.run[left] == steps.run[right])
-    share = np.where(gap > 0, (wanted - keys[left]) / np.where(gap > 0, gap, 1.0), 0.0)
-    value = values[left] * (1.0 - share) + values[right] * share
-    # At a step itself the neighbour may be unknown.
-    value = np.where(share >= 1.0, values[right], np.where(share <= 0.0, values[left], value))
-    return np.where(within, value, np.nan)
+@dataclass(frozen=True)
+class _Even:
+    """Values on an even clock of TICK_S: `at` is the place of each step, gaps are NaN and as wide as the longest shift."""
+
+    at: Index
+    values: Array
+
+
+def _even(steps: Tracks, values: Array) -> _Even:
+    room = int(np.ceil(np.abs(SHIFTS_S).max() / TICK_S)) + 2
+    first = np.flatnonzero(np.diff(steps.run, prepend=-1))
+    last = np.append(first[1:], len(steps)) - 1
+    length = np.round((steps.time_s[last] - steps.time_s[first]) / TICK_S).astype(np.int64) + 1
+    start = room + np.concatenate(([0], np.cumsum(length + room)[:-1]))
+    number = np.repeat(np.arange(len(first)), last - first + 1)
+    # Each run keeps the phase of its own first point, so a clock of whole seconds stays exact.
+    place = start[number] + (steps.time_s - steps.time_s[first][number]) / TICK_S
+    total = int(start[-1] + length[-1] + room)
+    grid = np.interp(np.arange(total), place, values)
+    inside = np.zeros(total + 1, np.int64)
+    np.add.at(inside, start, 1)
+    np.add.at(inside, start + length, -1)
+    grid[np.cumsum(inside)[:-1] == 0] = np.nan
+    return _Even(np.round(place).astype(np.int64), grid)
 
 
 def _block_sums(steps: Tracks, pairs: Pairs, quantity: str) -> Array:
     """Sums that a correlation needs: shape (6, blocks, shifts)."""
     values, divisor = _series(steps, quantity)
-    members, place = np.unique(np.concatenate((pairs.first, pairs.second)), return_inverse=True)
-    a, b = place[: len(pairs)], place[len(pairs) :]
-    by = divisor[members]
+    even = _even(steps, values)
+    by_first, by_second = divisor[pairs.first], divisor[pairs.second]
     with np.errstate(invalid="ignore", divide="ignore"):
-        plain = values[members] / by
+        plain = values[pairs.first] / by_first
     known = plain[np.isfinite(plain)]
     low, high = np.percentile(known, _WINSOR) if known.size else (0.0, 1.0)
     # Centred and scaled, or sums of squares lose the correlation of large numbers.
     middle, scale = 0.5 * (low + high), max(high - low, 1e-12)
+    first, second = even.at[pairs.first], even.at[pairs.second]
     out = np.zeros((6, pairs.blocks, len(SHIFTS_S)))
-    for k, shift in enumerate(SHIFTS_S):
-        one = (np.clip(shifted(steps, values, members, float(shift)) / by, low, high) - middle) / scale
-        p, q = one[a], one[b]
+    for k, shift in enumerate(np.round(SHIFTS_S / TICK_S).astype(int)):
+        p = (np.clip(even.values[first + shift] / by_first, low, high) - middle) / scale
+        q = (np.clip(even.values[second + shift] / by_second, low, high) - middle) / scale
         both = np.isfinite(p) & np.isfinite(q)
         p, q, block = p[both], q[both], pairs.block[both]
-        for j, term in enumerate((np.ones(len(p)), p, q, p * p, q * q, p * q)):
+        out[0, :, k] = np.bincount(block, minlength=pairs.blocks)
+        for j, term in enumerate((p, q, p * p, q * q, p * q), 1):
             out[j, :, k] = np.bincount(block, term, pairs.blocks)
     return out
 

@@ -17,6 +17,8 @@ FORMATS = {
     "agleader": "text raw, for Yield Editor, and cleaned",
     "taskdata": "ISO 11783-10, as measured, with working width and lag",
     "geotiff": "grid of block means with standard error",
+    "picture": "PNG map",
+    "report": "one HTML file",
 }
 
 

@@ -56,13 +56,11 @@ def point_columns(result: HarvestMap, rows: Index) -> dict[str, NDArray[Any]]:
             out[name] = label.take(rows).text()
     out |= {
         "pass_number": steps.pass_number[step] + 1,
-        "section": np.nan_to_num(table["section"][rows]).astype(np.int32),
         "heading_deg": np.degrees(steps.heading_rad[step]) % 360.0,
         "speed_m_s": steps.speed_m_s[step],
         "interval_s": interval,
         "distance_m": table["distance_m"][rows],
         "width_m": table["width_m"][rows],
-        "elevation_m": table["elevation_m"][rows],
         "area_m2": ground.area_m2[rows],
         "gross_area_m2": ground.gross_m2[rows],
         "mass_kg": placed.mass_kg[rows],
@@ -70,6 +68,10 @@ def point_columns(result: HarvestMap, rows: Index) -> dict[str, NDArray[Any]]:
         "moisture_pct": placed.moisture_pct[rows],
         "yield_t_ha": amount * KG_M2_TO_T_HA,
     }
+    if np.isfinite(table["section"]).any():
+        out["section"] = np.nan_to_num(table["section"][rows]).astype(np.int32)
+    if np.isfinite(table["elevation_m"]).any():
+        out["elevation_m"] = table["elevation_m"][rows]
     if np.isfinite(placed.flow_sd_kg_s).any():
         with np.errstate(invalid="ignore", divide="ignore"):
             out["yield_sd_t_ha"] = placed.flow_sd_kg_s[rows] * interval / ground.area_m2[rows] * KG_M2_TO_T_HA

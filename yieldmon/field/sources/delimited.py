@@ -161,7 +161,7 @@ def _block_numbers(
         return text.replace(",", ".") if decimal_comma else text
 
     try:
-        return block, {column: np.array([cell(row, column) for row in block], dtype=float) for column in numbers}
+        return block, {column: np.fromiter((float(cell(row, column)) for row in block), float, len(block)) for column in numbers}
     except ValueError:
         pass
     good, values = [], []

@@ -91,12 +91,15 @@ class _Metadata:
 
 
 def _layer(path: Path, address: str, name: str, options: ReadOptions) -> HarvestTable:
+    import pyogrio
     import pyogrio.errors
     import pyogrio.raw
 
     where = f"{path}: {name}" if name != path.name else str(path)
     try:
-        meta, _, geometry, fields = pyogrio.raw.read(address)
+        layers = pyogrio.list_layers(address)
+        points = [str(layer) for layer, kind in layers if kind is not None and "Point" in kind]
+        meta, _, geometry, fields = pyogrio.raw.read(address, layer=points[0] if points else 0)
     except (
         pyogrio.errors.DataSourceError,
         pyogrio.errors.DataLayerError,

@@ -1,0 +1,319 @@
+"""The verb `map` on real excerpts and synthetic fields: numbers, products opened by readers that are not ours, refusals."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import sqlite3
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import geopandas
+import numpy as np
+import pyogrio
+import pytest
+import rasterio
+
+from yieldmon.cli import main as cli
+from yieldmon.field.products import FORMATS
+from yieldmon.frames import EstimateQuality
+from yieldmon.service.rows import SecondRow
+from yieldmon.service.store import Batch, Load, Store
+
+from .synthetic import ag_leader
+
+ROOT = Path(__file__).parents[2]
+
+
+def mapped(capsys: pytest.CaptureFixture[str], out: Path, *words: str | Path) -> dict[str, Any]:
+    code = cli.main(["map", *map(str, words), "--out", str(out), "--json"])
+    told = capsys.readouterr()
+    assert code == 0, told.err
+    document: dict[str, Any] = json.loads(told.out)
+    return document
+
+
+@pytest.fixture(scope="module")
+def corn_map(corn: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """All products of the real corn, dated."""
+    out = tmp_path_factory.mktemp("map")
+    done = subprocess.run(
+        ["yieldmon", "map", str(corn), "--out", str(out), "--json", "--date", "2001-10-10"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return out, json.loads(done.stdout)
+
+
+def test_mass_is_accounted_for_to_the_kilogram(corn: Path, corn_map: tuple[Path, dict[str, Any]]) -> None:
+    document = corn_map[1]
+    mass = document["mass_kg"]
+    assert mass["kept"] + sum(mass["left_out_by_reason"].values()) == pytest.approx(mass["integrated"], abs=1.0)
+    with corn.open(encoding="utf-8") as stream:
+        by_hand = sum(float(row[2]) * 0.45359237 * float(row[4]) for row in csv.reader(stream))
+    assert mass["integrated"] == pytest.approx(by_hand, abs=0.01)
+    assert sum(document["points_by_reason"].values()) == document["sources"][0]["points"] == 6000
+    assert document["delay"]["flow_s"]["decision"] == "estimated"
+    assert set(document["agreement"]) >= {"no_shift", "shifted", "held_out"}
+
+
+def test_vector_products_hold_the_same_masses(corn_map: tuple[Path, dict[str, Any]]) -> None:
+    out, document = corn_map
+    points = geopandas.read_file(out / "harvest.gpkg", layer="points")
+    assert len(points) == 6000
+    assert str(points["time_utc"].dt.date.iloc[0]) == "2001-10-10"
+    for reason, mass in document["mass_kg"]["left_out_by_reason"].items():
+        if reason != "no place":
+            assert points.loc[points.reason == reason, "mass_kg"].sum() == pytest.approx(mass, abs=0.1)
+    assert points.loc[points.kept, "mass_kg"].sum() == pytest.approx(document["mass_kg"]["kept"], abs=0.1)
+    swaths = geopandas.read_file(out / "harvest.gpkg", layer="swaths")
+    on_ground = swaths.to_crs(swaths.estimate_utm_crs()).area
+    assert on_ground.sum() == pytest.approx(1e4 * document["area_ha"], rel=0.002)
+    assert (on_ground - swaths.area_m2).abs().max() < 0.05
+    kept = geopandas.read_file(out / "points_shp.zip")
+    assert kept.MASS_KG.sum() == pytest.approx(document["mass_kg"]["kept"], rel=1e-4)
+    assert len(kept) == document["points_by_reason"]["kept"]
+    assert {name for name, _ in pyogrio.list_layers(out / "harvest.gpkg")} == {"points", "swaths", "grid"}
+
+
+def test_bushels_and_tonnes_agree(corn_map: tuple[Path, dict[str, Any]]) -> None:
+    document = corn_map[1]
+    # 1 bu of corn is 56 lb.
+    assert document["yield_bu_ac"] == pytest.approx(document["yield_t_ha"] * 1000 / 56 / 0.45359237 * 0.40468564224, rel=1e-5)
+
+
+def test_grid_by_rasterio(corn_map: tuple[Path, dict[str, Any]]) -> None:
+    out, document = corn_map
+    blocks = geopandas.read_file(out / "harvest.gpkg", layer="grid")
+    with rasterio.open(out / "yield.tif") as raster:
+        assert raster.crs.to_epsg() == 4326
+        assert raster.count == 2
+        places = blocks.geometry.representative_point()
+        values = np.array(list(raster.sample([(p.x, p.y) for p in places])))
+    assert values[:, 0] == pytest.approx(blocks.yield_t_ha.to_numpy(), rel=1e-5)
+    assert np.nanmean(values[:, 0]) == pytest.approx(document["yield_t_ha"], rel=0.1)
+
+
+def test_csv_and_texts(corn: Path, corn_map: tuple[Path, dict[str, Any]]) -> None:
+    out, document = corn_map
+    with (out / "points.csv").open(encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    assert sum(float(row["mass_kg"] or 0) for row in rows if row["kept"] == "1") == pytest.approx(
+        document["mass_kg"]["kept"], rel=1e-5
+    )
+    with (out / "agleader_raw.txt").open(encoding="ascii") as stream:
+        raw = list(csv.reader(stream))
+    with corn.open(encoding="utf-8") as stream:
+        original = list(csv.reader(stream))
+    assert len(raw) == len(original)
+    for mine, theirs in zip(raw[::500], original[::500], strict=True):
+        assert float(mine[2]) == pytest.approx(float(theirs[2]), abs=1e-3)
+        assert float(mine[0]) == pytest.approx(float(theirs[0]), abs=1e-8)
+        assert int(mine[8]) == int(theirs[8])
+    with (out / "agleader_clean.txt").open(encoding="ascii") as stream:
+        clean = [float(row[2]) * 0.45359237 * float(row[4]) for row in csv.reader(stream)]
+    assert sum(clean) == pytest.approx(document["mass_kg"]["kept"], rel=1e-4)
+
+
+@pytest.mark.isoxml
+def test_task_data_by_isoxml(corn_map: tuple[Path, dict[str, Any]]) -> None:
+    modules = ROOT / "out" / "node" / "node_modules"
+    if not (shutil.which("node") and (modules / "isoxml").is_dir()):
+        pytest.skip("needs node with isoxml (tools/isoxml)")
+    out, document = corn_map
+    script = ROOT / "tests" / "export" / "read_taskdata.cjs"
+    done = subprocess.run(
+        ["node", str(script), str(out / "taskdata.zip")],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={"NODE_PATH": str(modules)},
+    )
+    found = json.loads(done.stdout)
+    assert found["warnings"] == []
+    totals = {int(one["ProcessDataDDI"], 16): one["ProcessDataValue"] for one in found["totals"]}
+    assert totals[90] == round(document["mass_kg"]["integrated"])
+    assert len(found["records"]) == 6000
+    names = {info["DDINumber"] for info in found["valuesInfo"]}
+    assert {67, 87, 90, 259} <= names
+
+
+def test_task_data_come_back_the_same(
+    corn_map: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, document = corn_map
+    again = mapped(capsys, tmp_path / "again", out / "taskdata.zip", "--products", "none")
+    assert again["mass_kg"]["machine_total"] == pytest.approx(document["mass_kg"]["integrated"], rel=0.01)
+    assert again["mass_kg"]["integrated"] == pytest.approx(again["mass_kg"]["machine_total"], rel=0.01)
+    assert again["delay"]["flow_s"]["declared"] == pytest.approx(document["delay"]["flow_s"]["value"], abs=0.001)
+    assert again["delay"]["flow_s"]["value"] == pytest.approx(document["delay"]["flow_s"]["value"], abs=0.5)
+    assert again["area_ha"] == pytest.approx(document["area_ha"], rel=0.01)
+
+
+@pytest.mark.parametrize("name", ["harvest.gpkg", "points.csv", "agleader_raw.txt"])
+def test_products_are_sources(
+    name: str, corn_map: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, document = corn_map
+    again = mapped(capsys, tmp_path / "again", out / name, "--products", "none", "--flow-delay", "0")
+    expected = document["mass_kg"]["integrated"]
+    if name != "agleader_raw.txt":
+        expected -= document["mass_kg"]["left_out_by_reason"]["no place"]
+    assert again["mass_kg"]["integrated"] == pytest.approx(expected, rel=1e-3)
+
+
+def test_report_needs_no_network_and_keeps_names_harmless(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "field.txt"
+    ag_leader(path, delay_s=9, seed=4, passes=12)
+    mapped(capsys, tmp_path / "out", path, "--field", "</script><img src=x onerror=alert(1)>", "--products", "report")
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "http://" not in page.replace("http://www.w3.org/2000/svg", "")
+    assert "https://" not in page
+    assert "onerror=alert(1)>" not in page
+    assert page.count("</script>") == 2
+    data = page.split('id="data">')[1].split("</script>")[0]
+    assert json.loads(data)["title"].startswith("</script>")
+
+
+def test_picture_is_a_png(corn_map: tuple[Path, dict[str, Any]]) -> None:
+    with rasterio.open(corn_map[0] / "map.png") as picture:
+        pixels = picture.read()
+    assert pixels.shape == (3, 1000, 1400)
+    assert pixels.std() > 20
+
+
+def test_known_synthetic_mass_and_delay(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "field.txt"
+    mass = ag_leader(path, delay_s=14, seed=5)
+    document = mapped(capsys, tmp_path / "out", path, "--products", "none")
+    assert document["mass_kg"]["integrated"] == pytest.approx(mass, rel=1e-4)
+    assert document["delay"]["flow_s"]["value"] == pytest.approx(14, abs=1)
+    # 24 passes of 80 steps of 2 m, 6 m wide.
+    assert document["area_ha"] == pytest.approx(24 * 80 * 12 / 1e4, rel=0.01)
+    assert document["yield_t_ha"] == pytest.approx(10.0 * mass / (24 * 80 * 12), rel=0.03)
+
+
+def test_tickets_scale_their_loads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "field.txt"
+    ag_leader(path, delay_s=9, seed=6)
+    lines = path.read_text().splitlines()
+    half = len(lines) // 2
+    path.write_text("\n".join([*lines[:half], *(line.replace('"L1:<1>"', '"L2:<2>"') for line in lines[half:])]) + "\n")
+    plain = mapped(capsys, tmp_path / "plain", path, "--products", "none")
+    loads = {load["load"]: load["measured_kg"] for load in plain["loads"]}
+    tickets = tmp_path / "tickets.csv"
+    tickets.write_text(f"load,weighed_kg\nL1,{1.1 * loads['L1:<1>']:.1f}\n")
+    document = mapped(capsys, tmp_path / "out", path, "--products", "none", "--tickets", tickets)
+    first, second = document["loads"]
+    assert first["factor"] == pytest.approx(1.1, rel=1e-4)
+    assert second["factor"] == pytest.approx(1.1, rel=1e-4)
+    assert second["factor_sd"] > first["factor_sd"]
+    assert document["mass_kg"]["corrected"] == pytest.approx(1.1 * document["mass_kg"]["integrated"], rel=1e-4)
+    assert document["mass_kg"]["low"] < document["mass_kg"]["corrected"] < document["mass_kg"]["high"]
+    assert document["yield_t_ha"] == pytest.approx(1.1 * plain["yield_t_ha"], rel=0.02)
+
+
+def store_of(path: Path) -> None:
+    """Six passes of 100 s at 9 kg/s."""
+    rows = []
+    for number in range(1, 601):
+        along = (number % 100) if (number // 100) % 2 == 0 else 99 - (number % 100)
+        rows.append(
+            SecondRow(
+                number=number,
+                time_s=1_760_000_000.0 + number,
+                duration_s=1.0,
+                mass_flow_kg_s=9.0,
+                std_dev_kg_s=0.2,
+                quality=int(EstimateQuality.OK),
+                operating_state=3,
+                mass_kg=9.0,
+                load_number=1,
+                load_kg=9.0 * number,
+                total_kg=9.0 * number,
+                coverage=1.0,
+                force_n=60.0,
+                force_std_dev_n=0.8,
+                elevator_speed_rpm=400.0,
+                plate_angle_deg=70.0,
+                plate_still=1,
+                moisture_pct=20.0,
+                test_weight_kg_m3=None,
+                zero_mv=500.0,
+                pulse_mv=3.0,
+                saturated_share=0.0,
+                lost_frames=0,
+                surplus_frames=0,
+                repeated_frames=0,
+                sweep_id=0,
+                sweep_step=-1,
+                usable_for_calibration=0,
+                parameter_version=1,
+                faults="",
+                latitude_deg=40.0 + 2.0 * along / 111_195.0,
+                longitude_deg=-88.25 + (number // 100) * 9.0 / 85_000.0,
+                ground_speed_m_s=2.0,
+                course_deg=0.0,
+            )
+        )
+    with Store(path) as store:
+        store.commit(
+            [Batch(1, rows[-1].time_s, {}, tuple(rows), (Load(1, "north", "corn", rows[0].time_s, None, 5400.0, None),))]
+        )
+
+
+def test_a_daemons_store(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    store_of(tmp_path / "today.sqlite")
+    document = mapped(capsys, tmp_path / "out", tmp_path / "today.sqlite", "--width", "9", "--products", "geopackage")
+    assert document["mass_kg"]["integrated"] == pytest.approx(5400.0)
+    assert document["mass_kg"]["machine_total"] == pytest.approx(5400.0)
+    assert document["crop"] == "corn"
+    points = geopandas.read_file(tmp_path / "out" / "harvest.gpkg", layer="points")
+    assert points.field.iloc[0] == "north"
+    assert "yield_sd_t_ha" in points
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["nowhere.txt"], "no such file"),
+        (["FILE", "--products", "png"], "--products"),
+        (["FILE", "--without", "weather"], "--without"),
+        (["FILE", "--width", "-1"], "--width"),
+        (["FILE", "--column", "yield"], "--column"),
+        (["FILE", "--date", "yesterday"], "--date"),
+        (["FILE", "--tickets", "nowhere.csv"], "nowhere.csv"),
+        (["FILE", "--out", "FILE"], "folder"),
+    ],
+)
+def test_refusals_are_one_line(words: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "field.txt"
+    ag_leader(path, delay_s=9, seed=1, passes=2)
+    given = [str(path) if word == "FILE" else word for word in words]
+    if "--out" not in given:
+        given += ["--out", str(tmp_path / "out")]
+    assert cli.main(["map", *given]) == 2
+    told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("yieldmon: ")]
+    assert len(told) == 1
+    assert says in told[0]
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_rule_that_is_off_gives_no_reason(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "field.txt"
+    ag_leader(path, delay_s=9, seed=7, passes=12)
+    on = mapped(capsys, tmp_path / "a", path, "--products", "none")
+    off = mapped(capsys, tmp_path / "b", path, "--products", "none", "--without", "local outlier", "--without", "pass start")
+    assert not {"local outlier", "pass start"} & set(off["points_by_reason"])
+    assert off["points_by_reason"]["kept"] >= on["points_by_reason"]["kept"]
+
+
+def test_every_product_is_written(corn_map: tuple[Path, dict[str, Any]]) -> None:
+    out, document = corn_map
+    assert {Path(name).name for name in document["files"]} == {path.name for path in out.iterdir()}
+    assert len(document["files"]) >= len(FORMATS)
+    with sqlite3.connect(out / "harvest.gpkg") as database:
+        assert database.execute("PRAGMA integrity_check").fetchone() == ("ok",)

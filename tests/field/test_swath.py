@@ -1,0 +1,127 @@
+"""Ground newly cut by each point against polygons drawn in the test."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from shapely.geometry import Polygon
+from shapely.ops import unary_union
+
+from yieldmon.field.swath import HeaderPlace, swaths
+from yieldmon.field.table import HarvestTable, Source, build
+from yieldmon.field.tracks import tracks
+
+EARTH_M_DEG = 111_195.0
+WIDTH_M, STEP_M = 6.0, 2.0
+
+
+@dataclass
+class Drive:
+    """A straight pass from one place to another, m, with a width; header down."""
+
+    start: tuple[float, float]
+    end: tuple[float, float]
+    width_m: float = WIDTH_M
+
+
+def table_of(
+    drives: list[Drive], latitude: float, longitude: float, step_m: float = STEP_M
+) -> tuple[HarvestTable, list[Polygon]]:
+    """Points at the end of each step, 1 s apart, 30 s between passes; and the rectangle that each of them cut."""
+    rows, shapes, time = [], [], 0.0
+    for drive in drives:
+        a, b = np.array(drive.start), np.array(drive.end)
+        way = b - a
+        length = float(np.hypot(*way))
+        ahead = way / length
+        side = np.array([ahead[1], -ahead[0]]) * drive.width_m / 2
+        for k in range(1, round(length / step_m) + 1):
+            here, before = a + ahead * step_m * k, a + ahead * step_m * (k - 1)
+            rows.append((time, *here, drive.width_m))
+            shapes.append(Polygon([before - side, before + side, here + side, here - side]))
+            time += 1.0
+        time += 30.0
+    time_s, east, north, width = np.array(rows).T
+    # Metres on the ellipsoid near a place, by the radii of curvature there.
+    e2, radius = 0.00669437999014, 6_378_137.0
+    sin = np.sin(np.radians(latitude))
+    prime = radius / np.sqrt(1 - e2 * sin**2)
+    meridian = radius * (1 - e2) / np.sqrt(1 - e2 * sin**2) ** 3
+    lat = latitude + np.degrees(north / meridian)
+    lon = longitude + np.degrees(east / (prime * np.cos(np.radians(lat))))
+    count = len(rows)
+    columns = {
+        "time_s": time_s,
+        "longitude_deg": (lon + 180) % 360 - 180,
+        "latitude_deg": lat,
+        "flow_kg_s": np.ones(count),
+        "interval_s": np.ones(count),
+        "distance_m": np.full(count, step_m),
+        "width_m": width,
+        "header_down": np.ones(count),
+    }
+    return build(columns, {}, Source("drawn", "test", count), unix_time=False), shapes
+
+
+def newly_cut(shapes: list[Polygon]) -> np.ndarray:
+    """By the definition: each less all before it."""
+    cut = Polygon()
+    areas = []
+    for shape in shapes:
+        areas.append(shape.difference(cut).area)
+        cut = unary_union([cut, shape])
+    return np.array(areas)
+
+
+LAND = [Drive((k * WIDTH_M, 3 if k % 2 == 0 else 117), (k * WIDTH_M, 117 if k % 2 == 0 else 3)) for k in range(8)]
+FIELDS = {
+    "abutting passes": LAND,
+    "headlands first": [Drive((-3, 0), (45, 0)), Drive((-3, 120), (45, 120)), *LAND],
+    "point rows": [Drive((-10, 10), (60, 90)), *LAND],
+    "half-width passes": [Drive((k * 3.0, 0 if k % 2 == 0 else 100), (k * 3.0, 100 if k % 2 == 0 else 0)) for k in range(9)],
+    "a narrow finish": [*LAND[:3], Drive((14.5, 3), (14.5, 117)), Drive((25.5, 117), (25.5, 3)), Drive((20.0, 3), (20.0, 117))],
+    "the same ground three times": [Drive((0, 0), (0, 60)), Drive((1, 60), (1, 0)), Drive((0, 0), (0, 60))],
+    "narrow sections": [Drive((k * 1.5, 0), (k * 1.5, 80), 1.5) for k in range(6)],
+}
+
+
+@pytest.mark.parametrize("name", FIELDS)
+@pytest.mark.parametrize("where", [(40.0, -90.0), (-34.0, 150.0), (57.0, 0.0)])
+def test_area_of_each_point(name: str, where: tuple[float, float]) -> None:
+    table, shapes = table_of(FIELDS[name], *where)
+    found = swaths(table, tracks(table))
+    expected = newly_cut(shapes)
+    gross = np.array([shape.area for shape in shapes])
+    assert np.abs(found.area_m2 - expected).max() < 0.01 * gross.max()
+    assert found.area_m2.sum() == pytest.approx(expected.sum(), rel=0.002)
+    assert found.gross_m2 == pytest.approx(gross, rel=0.01)
+
+
+def test_a_field_across_two_zones_and_the_date_line_has_the_same_area() -> None:
+    areas = []
+    for longitude in (-90.0, 0.0, 6.0, 179.9997, -180.0):
+        table, _ = table_of(FIELDS["headlands first"], 45.0, longitude)
+        areas.append(swaths(table, tracks(table)).area_m2.sum())
+    assert areas == pytest.approx([areas[0]] * len(areas), rel=1e-6)
+
+
+def test_header_offset_moves_the_ground() -> None:
+    table, _ = table_of([Drive((0, 0), (0, 100))], 40.0, -90.0)
+    plain, ahead = (swaths(table, tracks(table), HeaderPlace(metres, 0.0)) for metres in (0.0, 4.0))
+    moved = ahead.corners_m[10] - plain.corners_m[10]
+    assert moved == pytest.approx(np.tile([0.0, 4.0], (4, 1)), abs=1e-6)
+    right = swaths(table, tracks(table), HeaderPlace(0.0, 1.5))
+    assert right.corners_m[10] - plain.corners_m[10] == pytest.approx(np.tile([1.5, 0.0], (4, 1)), abs=1e-6)
+
+
+def test_header_up_cuts_nothing() -> None:
+    table, _ = table_of([Drive((0, 0), (0, 100))], 40.0, -90.0)
+    down = np.ones(len(table))
+    down[10:20] = 0
+    found = swaths(table.with_columns(header_down=down), tracks(table.with_columns(header_down=down)))
+    assert (found.area_m2[10:20] == 0).all()
+    assert found.area_m2.sum() == pytest.approx(40 * 12.0, rel=1e-3)
+    shapes = found.polygons(np.arange(len(table)))
+    assert all(shape.is_empty for shape in shapes[10:20])

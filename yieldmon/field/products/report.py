@@ -1,0 +1,239 @@
+"""The report: one HTML file that needs no network: map, what was left out and why, delay, passes, loads and totals."""
+
+from __future__ import annotations
+
+import base64
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from yieldmon.field.cleaning import KEPT, LOCAL, NO_PLACE, RULES
+from yieldmon.field.grid import Grid, block_means
+from yieldmon.field.harvest import KG_M2_TO_T_HA, HarvestMap
+from yieldmon.field.summary import delay_line
+from yieldmon.field.table import Array
+from yieldmon.files.whole_file import scratch_for
+
+TEMPLATE = Path(__file__).with_name("report.html")
+MAX_POINTS = 250_000
+MAX_NOTES = 40
+AREA_M = 40.0
+MIN_AREA_POINTS = 8
+WORST = 12
+_UNKNOWN = 65_535
+_BINS = 40
+_ABOUT = {rule.name: rule.about for rule in RULES} | {
+    LOCAL: "far from the median of its neighbours, by the field's own scatter",
+    NO_PLACE: "its place, one delay before, is not in the record",
+    KEPT: "",
+}
+
+
+def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
+    """`report.html`."""
+    path = folder / "report.html"
+    text = json.dumps(content(result), allow_nan=False, separators=(",", ":"))
+    # Names come from files: nothing of them may end the element that holds the data.
+    safe = text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+    with scratch_for(path) as scratch:
+        scratch.write_text(TEMPLATE.read_text(encoding="utf-8").replace("@DATA@", safe), encoding="utf-8")
+    return [path]
+
+
+def colour_scale(result: HarvestMap) -> tuple[float, float]:
+    """Yields between which colours go, t/ha: the middle 96 % of the points kept."""
+    kept = result.yield_kg_m2[result.cleaned.kept] * KG_M2_TO_T_HA
+    if kept.size < 2:
+        return 0.0, 1.0
+    low, high = (float(value) for value in np.percentile(kept, [2, 98]))
+    return (low, high) if high > low else (low - 0.5, high + 0.5)
+
+
+def content(result: HarvestMap) -> dict[str, Any]:
+    """What the page shows, as JSON takes it."""
+    low, high = colour_scale(result)
+    totals, flow, moisture = result.totals, result.flow_delay, result.moisture_delay
+    area_ha = totals.area_m2 / 1e4
+    bushels = result.bushels_per_acre(totals.yield_kg_m2)
+    name = " ".join(dict.fromkeys(_plain(text) for text in result.table.labels["field"].names if text)) or "Harvest"
+    span = (
+        ""
+        if totals.low_kg is None or totals.high_kg is None
+        else f", {totals.low_kg / 1000:.1f} to {totals.high_kg / 1000:.1f} t"
+    )
+    return {
+        "title": f"{name}{', ' + result.crop if result.crop else ''}: yield map",
+        "subtitle": "; ".join(
+            f"{Path(source.path).name} ({source.kind}, {source.points} points)" for source in result.table.sources[:6]
+        ),
+        "numbers": [
+            [
+                f"{_number(totals.yield_kg_m2 * 10, 2)} t/ha",
+                f"yield; {_number(totals.low_kg_m2 * 10, 2)} to {_number(totals.high_kg_m2 * 10, 2)} by passes drawn again",
+            ],
+            *([[f"{_number(bushels, 1)} bu/ac", "the same in bushels"]] if bushels is not None else []),
+            [f"{totals.corrected_kg / 1000:.1f} t", f"grain{' by weighed loads' if span else ' as measured, not weighed'}{span}"],
+            [f"{area_ha:.2f} ha", "ground newly cut"],
+            [f"{flow.value_s:.1f} s", _delay_words(result)],
+            [f"{100 * result.cleaned.kept.mean() if len(result.table) else 0:.0f} %", f"of {len(result.table)} points kept"],
+        ],
+        "scale": [low, high],
+        "points": _points(result),
+        "reasons": _reasons(result),
+        "histogram": _histogram(result, high),
+        "delay": {
+            "shift_s": flow.curve.shift_s.tolist(),
+            "correlation": _list(flow.curve.correlation),
+            "moisture": _list(moisture.curve.correlation),
+            "value": flow.value_s,
+            "low": flow.low_s,
+            "high": flow.high_s,
+            "declared": flow.declared_s,
+            "text": f"{delay_line(flow, 'flow')}. {delay_line(moisture, 'moisture')}. "
+            f"Correlation {_number(flow.no_shift, 2)} with no shift, {_number(flow.shifted, 2)} shifted, "
+            f"{_number(flow.held_out, 2)} on pairs held out; {flow.pairs} pairs.",
+        },
+        "worst": _worst(result),
+        "worst_text": f"Blocks of {AREA_M:.0f} m with at least {MIN_AREA_POINTS} points, lowest yield first.",
+        "loads": [load.document() for load in result.loads if load.measured_kg > 0],
+        "totals": _totals(result),
+        "notes": _notes(result),
+    }
+
+
+def _delay_words(result: HarvestMap) -> str:
+    flow = result.flow_delay
+    if flow.decision == "estimated":
+        return f"delay; {flow.low_s:.1f} to {flow.high_s:.1f}"
+    return "delay, as given" if flow.decision == "declared" else "delay: the data cannot tell, default"
+
+
+def _plain(text: str) -> str:
+    return text.split(":", 1)[1].strip() or text if ":" in text else text
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "–" if value is None or not np.isfinite(value) else f"{value:.{digits}f}"
+
+
+def _list(values: Array) -> list[float | None]:
+    return [round(float(value), 4) if np.isfinite(value) else None for value in values]
+
+
+def _points(result: HarvestMap) -> dict[str, Any]:
+    steps = result.steps
+    known = np.flatnonzero(np.isfinite(steps.row_x_m) & (np.hypot(steps.row_x_m, steps.row_y_m) < 1e5))
+    known = known[np.lexsort((result.table["time_s"][known], result.table.source_of_row[known]))]
+    every = max(1, -(-len(known) // MAX_POINTS))
+    rows = known[::every]
+    x, y = steps.row_x_m[rows], steps.row_y_m[rows]
+    kept = result.cleaned.kept[rows]
+    chosen = (x[kept], y[kept]) if kept.any() else (x, y)
+    bounds = [float(f(one)) if one.size else 0.0 for f in (np.min, np.max) for one in chosen]
+    highest = max(
+        float(np.nanpercentile(result.raw_yield_kg_m2, 99.9)) if np.isfinite(result.raw_yield_kg_m2).any() else 1.0, 0.1
+    )
+    step = highest * KG_M2_TO_T_HA * 1.5 / (_UNKNOWN - 1)
+    gross = result.ground.gross_m2[result.ground.gross_m2 > 0]
+    return {
+        "x": _packed(x.astype("<f4")),
+        "y": _packed(y.astype("<f4")),
+        "raw": _levels(result.raw_yield_kg_m2[rows], step),
+        "clean": _levels(result.yield_kg_m2[rows], step),
+        "reason": _packed(result.cleaned.reason[rows].astype("u1")),
+        "pass": _packed((steps.pass_number[steps.step_of_row[rows]] + 1).astype("<i4")),
+        "step_t_ha": step,
+        "bounds": bounds,
+        "spacing_m": float(np.sqrt(np.median(gross))) * np.sqrt(every) if gross.size else 3.0,
+        "thinned": "" if every == 1 else f"Every {every}th of {len(known)} points is drawn; tables and totals are of all.",
+    }
+
+
+def _packed(values: np.ndarray) -> str:
+    return base64.b64encode(values.tobytes()).decode("ascii")
+
+
+def _levels(values_kg_m2: Array, step: float) -> str:
+    level = np.clip(np.round(values_kg_m2 * KG_M2_TO_T_HA / step), 0, _UNKNOWN - 1)
+    return _packed(np.where(np.isfinite(level), level, _UNKNOWN).astype("<u2"))
+
+
+def _reasons(result: HarvestMap) -> list[dict[str, Any]]:
+    counts = np.bincount(result.cleaned.reason, minlength=len(result.cleaned.names))
+    mass, whole = result.totals.by_reason, max(result.totals.corrected_kg, 1e-9)
+    rows = [
+        {
+            "name": name,
+            "about": _ABOUT.get(name, ""),
+            "points": int(counts[k]),
+            "kg": round(mass.get(name, 0.0), 1),
+            "share_pct": 100.0 * mass.get(name, 0.0) / whole,
+        }
+        for k, name in enumerate(result.cleaned.names)
+    ]
+    lost = mass.get(NO_PLACE, 0.0)
+    if lost:
+        rows.append(
+            {"name": NO_PLACE, "about": _ABOUT[NO_PLACE], "points": 0, "kg": round(lost, 1), "share_pct": 100.0 * lost / whole}
+        )
+    return rows
+
+
+def _histogram(result: HarvestMap, high: float) -> dict[str, Any]:
+    top = 1.5 * high
+    down = result.steps.down[result.steps.step_of_row]
+    raw = result.raw_yield_kg_m2[down] * KG_M2_TO_T_HA
+    clean = result.yield_kg_m2[result.cleaned.kept] * KG_M2_TO_T_HA
+    counts = [np.histogram(values[np.isfinite(values)], _BINS, (0.0, top))[0].tolist() for values in (raw, clean)]
+    return {"low": 0.0, "high": top, "raw": counts[0], "clean": counts[1]}
+
+
+def _worst(result: HarvestMap) -> list[dict[str, Any]]:
+    table = result.table
+    grid = block_means(
+        table["longitude_deg"], table["latitude_deg"], result.placed.mass_kg, result.ground.area_m2, result.cleaned.kept, AREA_M
+    )
+    rows = np.flatnonzero(grid.points >= MIN_AREA_POINTS)
+    rows = rows[np.argsort(grid.yield_kg_m2[rows])][:WORST]
+    longitude, latitude = grid.middle_deg()
+    x, y = result.steps.plane.to_m(longitude, latitude)
+    return [
+        {
+            "name": f"{latitude[k]:.5f}, {longitude[k]:.5f}",
+            "x": float(x[k]),
+            "y": float(y[k]),
+            "size_m": AREA_M,
+            "yield_t_ha": float(grid.yield_kg_m2[k] * KG_M2_TO_T_HA),
+            "standard_error_t_ha": float(grid.standard_error_kg_m2[k] * KG_M2_TO_T_HA),
+            "of_mean_pct": float(100.0 * grid.yield_kg_m2[k] / result.totals.yield_kg_m2),
+            "left_out_pct": float(100.0 * grid.left_out[k]),
+        }
+        for k in rows
+    ]
+
+
+def _totals(result: HarvestMap) -> list[list[str]]:
+    totals = result.totals
+    rows = [["measured, all points", f"{totals.measured_kg:,.0f}", ""]]
+    if totals.machine_kg is not None:
+        rows.append(["the machine's own total", f"{totals.machine_kg:,.0f}", ""])
+    if totals.low_kg is not None and totals.high_kg is not None:
+        rows.append([f"by weighed loads ({totals.low_kg:,.0f} to {totals.high_kg:,.0f})", f"{totals.corrected_kg:,.0f}", ""])
+    kept = totals.by_reason.get(KEPT, 0.0)
+    rows.append(["on the points kept", f"{kept:,.0f}", _number(totals.yield_kg_m2 * KG_M2_TO_T_HA, 2)])
+    rows.append(["left out, reasons beside", f"{totals.corrected_kg - kept:,.0f}", ""])
+    rows.append([f"ground cut {totals.area_m2 / 1e4:.2f} ha, kept {totals.kept_area_m2 / 1e4:.2f} ha", "", ""])
+    return rows
+
+
+def _notes(result: HarvestMap) -> list[list[Any]]:
+    notes: list[list[Any]] = [[note, True] for note in result.notes]
+    for source in result.table.sources:
+        notes += [[f"{source.path}: {one.part}: {one.why}; left out", True] for one in source.skipped]
+        notes += [[f"{source.path}: {note}", False] for note in source.notes]
+    if len(notes) > MAX_NOTES:
+        notes = [*notes[:MAX_NOTES], [f"and {len(notes) - MAX_NOTES} more", False]]
+    notes.append(["Blocks, swaths and all points with their reasons are in harvest.gpkg and points.csv beside this file.", False])
+    return notes
