@@ -318,3 +318,42 @@ def test_a_damaged_state_of_the_calibrator_is_refused(change: dict) -> None:
     data["calibrator"] |= change
     with pytest.raises(ValueError, match="engine state"):
         EngineState.from_dict(data)
+
+
+NARROW = dataclasses.replace(PRIOR, covariance=np.diag([0.004**2, 0.001**2, 10.0**2]))
+
+
+def weighings(factors: list[float], flow: float = 12.0) -> tuple[list[str], list[float]]:
+    """Tickets one after the other, each a factor of what the true parameters give; reasons, and ln of the scale after each."""
+    calibrator, known = ClosedLoopCalibrator(MODEL, CalibratorSettings(closed_loop=ClosedLoopSettings())), OpenLoop(MODEL, NARROW)
+    reasons, scale, anchors = [], [], ()
+    for k, factor in enumerate(factors):
+        start = 1000.0 * k
+        one = ticket(known, flow + 0.5 * k, start, start + 500.0, sd_kg=25.0)
+        one = dataclasses.replace(one, reference_kg=factor * one.reference_kg, load_number=k + 1)
+        anchors = (*anchors, one)
+        outcome = calibrator.weigh(dataclasses.replace(records(flow)[0], time_s=start + 600.0), anchors, known)
+        known = outcome.estimator if outcome.estimator is not None else known
+        reasons.append(outcome.reason)
+        scale.append(100.0 * float(np.log1p(home_error_pct(known, 12.0) / 100.0)))  # type: ignore[arg-type]
+    return reasons, scale
+
+
+@pytest.mark.parametrize("factor", [0.7, 0.93, 1.07, 1.3])
+def test_a_first_ticket_far_off_is_believed(factor: float) -> None:
+    _, scale = weighings([factor])
+    assert scale[0] == pytest.approx(100.0 * np.log(factor), abs=1.0)
+
+
+def test_three_tickets_know_the_scale_and_a_fourth_that_contradicts_them_waits() -> None:
+    reasons, scale = weighings([1.3, 1.303, 1.297, 1.05, 1.3])
+    assert scale[2] == pytest.approx(100.0 * np.log(1.3), abs=1.0)
+    assert abs(scale[3] - scale[2]) < 0.5
+    assert "load 4 contradicts the 3 weighed before it by -1" in reasons[3]
+    assert "contradicts" not in reasons[4]
+
+
+def test_two_that_agree_are_another_grain() -> None:
+    reasons, scale = weighings([1.3, 1.3, 1.3, 1.0, 1.0])
+    assert "contradicts" in reasons[3]
+    assert scale[4] == pytest.approx(0.0, abs=1.5)

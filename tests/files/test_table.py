@@ -48,8 +48,9 @@ def test_unknown_values_and_columns(tmp_path):
     ("text", "expected"),
     [
         ("", "is empty"),
-        ("plate_angle_deg;mass_flow_kg_s;force_n\n70;1,5;2\n", "header: is separated by semicolons; expected commas"),
-        ("plate_angle_deg,mass_flow_kg_s,force_n\n70,1_0,2\n", "row 1, mass_flow_kg_s: is '1_0'"),
+        ("plate_angle_deg,mass_flow_kg_s,force_n\n70,1,5,2\n", "line 2: has 4 fields; expected 3, as in the header (decimal"),
+        ("# note\n\nplate_angle_deg,mass_flow_kg_s,force_n\n70,1,2\n\n70,x,2\n", "line 6, mass_flow_kg_s: is 'x'"),
+        ("plate_angle_deg,mass_flow_kg_s,force_n\n70,1_0,2\n", "line 2, mass_flow_kg_s: is '1_0'"),
         ("plate_angle_deg,mass_flow_kg_s,force_n\n", "has a header and no rows"),
         ("mass_flow_kg_s,force_n\n1,2\n", "header: has no plate_angle_deg"),
         ("plate_angle_deg,force_n\n1,2\n", "no load column"),
@@ -57,12 +58,12 @@ def test_unknown_values_and_columns(tmp_path):
         ("plate_angle_deg,mass_flow_kg_s\n1,2\n", "no reading"),
         ("plate_angle_deg,mass_flow_kg_s,force_n,response\n1,2,3,4\n", "header: has ['force_n', 'response']"),
         ("plate_angle_deg,mass_flow_kg_s,force_n,force_n\n1,2,3,4\n", "force_n more than once"),
-        ("plate_angle_deg,mass_flow_kg_s,force_n\n70,x,2\n", "row 1, mass_flow_kg_s: is 'x'; expected a number in kg/s"),
-        ("plate_angle_deg,mass_flow_kg_s,force_n\n70,-1,2\n", "row 1, mass_flow_kg_s: is -1; expected 0 to 1000 kg/s"),
-        ("plate_angle_deg,mass_flow_kg_s,force_n\n70,1\n", "row 1: has 2 fields; expected 3"),
-        ("plate_angle_deg,mass_flow_kg_s,force_n\n-,1,2\n", "row 1, plate_angle_deg: is unknown"),
-        ("plate_angle_deg,mass_flow_kg_s,force_n\n700,1,2\n", "row 1, plate_angle_deg: is 700; expected 0 to 180 deg"),
-        ("plate_angle_deg,mass_flow_kg_s,force_n\n70,1,inf\n", "row 1, force_n: is inf"),
+        ("plate_angle_deg,mass_flow_kg_s,force_n\n70,x,2\n", "line 2, mass_flow_kg_s: is 'x'; expected a number in kg/s"),
+        ("plate_angle_deg,mass_flow_kg_s,force_n\n70,-1,2\n", "line 2, mass_flow_kg_s: is -1; expected 0 to 1000 kg/s"),
+        ("plate_angle_deg,mass_flow_kg_s,force_n\n70,1\n", "line 2: has 2 fields; expected 3"),
+        ("plate_angle_deg,mass_flow_kg_s,force_n\n-,1,2\n", "line 2, plate_angle_deg: is unknown"),
+        ("plate_angle_deg,mass_flow_kg_s,force_n\n700,1,2\n", "line 2, plate_angle_deg: is 700; expected 0 to 180 deg"),
+        ("plate_angle_deg,mass_flow_kg_s,force_n\n70,1,inf\n", "line 2, force_n: is inf"),
     ],
 )
 def test_bad_tables_are_named(tmp_path, text, expected):
@@ -92,3 +93,40 @@ def test_what_is_no_plain_text_is_named(tmp_path, content, problem):
     path.write_bytes(content)
     with pytest.raises(InputError, match=problem):
         table.load(path)
+
+
+PLAIN = [[70.0, 12.5, 100.0], [60.0, np.nan, 50.0]]
+WAYS = {
+    "commas": "plate_angle_deg,mass_flow_kg_s,force_n\n70,12.5,100\n60,,50\n",
+    "semicolons and decimal commas": "plate_angle_deg;mass_flow_kg_s;force_n\n70;12,5;100\n60;;50\n",
+    "semicolons and points": "plate_angle_deg;mass_flow_kg_s;force_n\n70;12.5;1,0e2\n60;-;50\n",
+    "tabs": "plate_angle_deg\tmass_flow_kg_s\tforce_n\n70\t12.5\t100\n60\tNaN\t50\n",
+    "header in capitals": "Plate_Angle_Deg, MASS_FLOW_KG_S ,Force_N\n70,12.5,100\n60,n/a,50\n",
+    "byte-order mark": "\ufeffplate_angle_deg,mass_flow_kg_s,force_n\n70,12.5,100\n60,,50\n",
+    "quotes and Windows line ends": '"plate_angle_deg","mass_flow_kg_s","force_n"\r\n"70","12.5","100"\r\n"60","","50"\r\n',
+}
+
+
+@pytest.mark.parametrize("text", WAYS.values(), ids=WAYS)
+def test_a_table_reads_the_same_however_it_was_saved(tmp_path, text):
+    path = tmp_path / "t.csv"
+    path.write_bytes(text.encode())
+    loaded = table.load(path)
+    found = np.stack([loaded.columns[name] for name in ("plate_angle_deg", "mass_flow_kg_s", "force_n")], axis=1)
+    np.testing.assert_array_equal(found, PLAIN)
+    assert loaded.lines == (2, 3)
+    assert "1 rows without a load or a reading are left out (lines 3)" in loaded.unread(np.isnan(found[:, 1]))
+
+
+def test_a_workbook_reads_as_its_table(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for row in (["Plate_angle_deg", "mass_flow_kg_s", "force_n"], [70, 12.5, 100], [60, None, 50.0]):
+        book.active.append(row)
+    book.save(tmp_path / "t.xlsx")
+    loaded = table.load(tmp_path / "t.xlsx")
+    found = np.stack([loaded.columns[name] for name in ("plate_angle_deg", "mass_flow_kg_s", "force_n")], axis=1)
+    np.testing.assert_array_equal(found, PLAIN)
+    (tmp_path / "no.xlsx").write_bytes(b"PK\x03\x04 nothing")
+    with pytest.raises(InputError, match="no Excel workbook"):
+        table.load(tmp_path / "no.xlsx")

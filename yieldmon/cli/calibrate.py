@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from yieldmon.cli import model_options
+from yieldmon.cli import _by_loads, _outputs, model_options
 from yieldmon.errors import InputError
 from yieldmon.estimation import empirical, identifiability
 from yieldmon.estimation.calibration import (
@@ -44,9 +44,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "calibrate", help="fit parameters to a table",
         description=__doc__,
-        epilog="example: yieldmon calibrate facility.csv --out corn.yaml",
+        epilog="example: yieldmon calibrate facility.csv --out corn.yaml    or from weighed loads: "
+        "yieldmon calibrate --loads yieldmon.sqlite --tickets tickets.csv --out corn.yaml",
     )
-    parser.add_argument("data", metavar="DATA.csv", help="plate_angle_deg, a load column and a reading column")
+    parser.add_argument("data", nargs="?", metavar="DATA.csv", help="plate_angle_deg, a load column and a reading column")
     parser.add_argument("--out", metavar="P.yaml", help="write the parameters here")
     parser.add_argument("--machine", metavar="F", help="machine file (YAML); default: the 8-tooth machine")
     parser.add_argument("--starts", type=int, default=20, metavar="N", help="random starts; default: 20")
@@ -69,10 +70,22 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--seed", type=int, default=0, help="of the random starts; default: 0")
     parser.add_argument("--json", action="store_true", help="one JSON document")
+    _by_loads.add_arguments(parser)
+    _outputs.add_force(parser, "out", "profiles")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fit, report, write."""
+    """Fit, report, write. Exit code 1 when weighed loads refuse the calibration."""
+    if args.loads is not None:
+        document = _by_loads.run(args)
+        print(json.dumps(_finite(document), indent=1) if args.json else _by_loads.text(document))
+        return 1 if document["refused"] else 0
+    if args.data is None:
+        raise InputError("DATA", "is missing", "a table of a test facility, or --loads and --tickets")
+    return _of_table(args)
+
+
+def _of_table(args: argparse.Namespace) -> int:
     if args.starts < 1:
         raise InputError("--starts", f"is {args.starts}", "1 or more")
     if args.out is not None and not args.by_moisture:

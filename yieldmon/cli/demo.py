@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from yieldmon.bus.codec import Codec
+from yieldmon.cli import _outputs
 from yieldmon.errors import InputError
 from yieldmon.files import whole_file
 from yieldmon.physics.machine import RPM
@@ -38,6 +39,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--config", metavar="F", help="configuration file (default: the shipped one)")
     parser.add_argument("--picture", type=Path, metavar="F", help="write true and measured flow here (PNG or SVG)")
     parser.add_argument("--json", action="store_true", help="print the accuracy as one JSON document")
+    _outputs.add_force(parser, "picture")
 
 
 def run(args: argparse.Namespace) -> int:

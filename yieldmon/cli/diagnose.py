@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+from yieldmon.cli import _outputs
 from yieldmon.discrepancy import adoption, diagnosis, planning, report
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
@@ -62,6 +63,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--plan", metavar="OUT.csv", help="write the next experiment, and beside it the daemon's sweep section")
     parser.add_argument("--report", metavar="DIR", help="write an HTML page with pictures")
     parser.add_argument("--json", action="store_true", help="print one JSON document")
+    _outputs.add_force(parser, "table")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -9,6 +9,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from yieldmon.cli import _outputs
 from yieldmon.errors import InputError
 from yieldmon.export import agleader, columns, geojson, geopackage, taskdata
 from yieldmon.export.points import PointSettings, YieldPoint, yield_points
@@ -31,8 +32,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description=f"{__doc__} Yield points need position and ground speed frames in the record, and --swath.",
         epilog="example: yieldmon export monday.parquet --out monday.gpkg --swath 9.1 --flow-delay 12",
     )
-    parser.add_argument("record", metavar="RECORD", help="a daemon's store (.sqlite), or a table that `yieldmon process` wrote")
+    parser.add_argument("record", metavar="RECORD", help="a daemon's store (.sqlite, .db), or a table of `process`")
     parser.add_argument("--out", metavar="F", required=True, help=f"file to write, *{', *'.join(ENDINGS)}")
+    _outputs.add_force(parser, "out")
     parser.add_argument("--format", choices=FORMATS, help="default: by the name's ending; taskdata without .zip writes a folder")
     parser.add_argument(
         "--what", choices=("seconds", "loads", "points"), help="what a table holds (default: seconds); all others hold points"

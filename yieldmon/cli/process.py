@@ -16,6 +16,7 @@ from typing import Any
 
 from yieldmon.bus.codec import Codec
 from yieldmon.bus.logs import SUFFIXES
+from yieldmon.cli import _outputs
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
 from yieldmon.errors import InputError
@@ -49,6 +50,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--separate", action="store_true", help="each log is a record of its own, with a table of its own")
     parser.add_argument("--jobs", type=int, metavar="N", default=os.cpu_count() or 1, help="processes (default: one a core)")
     parser.add_argument("--json", action="store_true", help="print a summary as one JSON document")
+    _outputs.add_force(parser, "out")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from yieldmon.cli import model_options
+from yieldmon.cli import _outputs, model_options
 from yieldmon.errors import InputError
 from yieldmon.estimation.closed_loop import ClosedLoopSettings, DensityAnchor, Outcome, Sweep, self_calibrate
 from yieldmon.files import parameter_file, table, whole_file
@@ -45,6 +45,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--density", metavar="KG_M3:SD", help="density known otherwise, in the terms of the parameter")
     parser.add_argument("--out", metavar="P.yaml", help="write the updated parameters here (pooled only)")
     parser.add_argument("--json", action="store_true", help="one JSON document")
+    _outputs.add_force(parser, "out")
 
 
 def run(args: argparse.Namespace) -> int:

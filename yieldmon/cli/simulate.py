@@ -18,6 +18,7 @@ from yieldmon import frames
 from yieldmon.bus.codec import Codec, FrameError
 from yieldmon.bus.log_writing import writing
 from yieldmon.bus.opening import add_bus_arguments, open_bus_from
+from yieldmon.cli import _outputs
 from yieldmon.errors import InputError
 from yieldmon.files import machine_file, whole_file
 from yieldmon.physics.machine import Machine
@@ -48,6 +49,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="random seed (default: 0)")
     parser.add_argument("--start-time", type=float, default=0.0, metavar="T", help="timestamp of the log's beginning, s")
     parser.add_argument("--json", action="store_true", help="print a summary as one JSON document")
+    _outputs.add_force(parser, "log", "truth")
     add_bus_arguments(parser)
 
 

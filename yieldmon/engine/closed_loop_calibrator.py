@@ -19,11 +19,13 @@ from yieldmon.estimation.closed_loop import (
     DensityAnchor,
     MassAnchor,
     Outcome,
+    ScaleReport,
     Sweep,
     believe_weights,
     self_calibrate,
 )
 from yieldmon.estimation.drift import DriftRates, steady_defaults
+from yieldmon.estimation.loads import LoadSettings, WeighedLoad, calibrate_loads, contradicted
 from yieldmon.estimation.moisture import MoistureMap
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
@@ -53,8 +55,16 @@ class CalibratorSettings:
     moisture_map: MoistureMap | None = None
 
 
+_KEPT_WEIGHINGS = 6
+"""Accepted weighings that a new one is held against."""
+
+
 class ClosedLoopCalibrator:
-    """A `records.SelfCalibrator`. Each reference mass is used once."""
+    """A `records.SelfCalibrator`. Each reference mass is used once.
+
+    A weighed load is believed, however far it is from the parameters. Only where it contradicts several others does it wait until
+    a further one agrees with it; then both count, and those before them no more.
+    """
 
     def __init__(self, model: ForwardModel, settings: CalibratorSettings | None = None) -> None:
         self._model = model
@@ -73,6 +83,8 @@ class ClosedLoopCalibrator:
         """The same with the rates of its drift."""
         self._waited_s = 0.0
         """Time since the last lesson before a restart."""
+        self._weighings: list[WeighedLoad] = []
+        self._doubted: WeighedLoad | None = None
         self.last: Outcome | None = None
 
     def update(
@@ -91,7 +103,9 @@ class ClosedLoopCalibrator:
         moisture_pct = _median(r.moisture_pct for r in records)
         drifting = self._prior(used, moisture_pct, now_s, total_kg)
         prior = drifting.parameters
-        masses = self._mass_anchors(anchors, used)
+        masses, doubt = self._accepted(self._mass_anchors(anchors, used), prior)
+        if doubt:
+            self._used = frozenset(anchors)
         density = self._density(records, prior)
         if used is not self._taught:
             self._given = used
@@ -118,7 +132,10 @@ class ClosedLoopCalibrator:
         moment = (record.time_s, record.total_kg, record.moisture_pct if self._map is not None else float("nan"))
         drifting = self._prior(used, moment[2], moment[0], moment[1])
         prior = drifting.parameters
-        masses = self._mass_anchors(anchors, used)
+        masses, doubt = self._accepted(self._mass_anchors(anchors, used), prior)
+        if doubt and not masses:
+            self._used = frozenset(anchors)
+            return CalibrationOutcome(None, doubt, identifiable=False, weighed=True)
         if not masses:
             return CalibrationOutcome(None, "no weighed mass that was measured whole; the parameters stay", identifiable=False)
         self._given = None
@@ -129,7 +146,52 @@ class ClosedLoopCalibrator:
         return replace(self._taken(outcome, drifting, used, anchors, moment), weighed=True)
 
     def _believe(self, prior: ParameterSet, masses: Sequence[MassAnchor], density: DensityAnchor | None) -> Outcome:
-        return believe_weights(self._model, prior, masses, density, self._settings.closed_loop)
+        outcome = believe_weights(self._model, prior, masses, density, self._settings.closed_loop)
+        if (outcome.consistent and outcome.prior_widening == 1.0) or not masses:
+            return outcome
+        # Further off than the parameters' own doubts reach: only the loads know the scale.
+        found = calibrate_loads(self._model, prior, self._weighings, settings=self._load_settings)
+        reason = f"weighed loads moved the scale by {100.0 * (found.scale - 1.0):+.1f} %; a next load is expected within " \
+            f"{100.0 * found.next_load_sd:.1f} %"
+        scale = ScaleReport(found.scale_sd, found.scale_sd, float(np.log(found.scale)), True, ())
+        return Outcome(
+            found.parameter_set, not found.refused, True, reason, "", (), (), scale, 0.0, len(self._weighings), 1.0, ()
+        )
+
+    @property
+    def _load_settings(self) -> LoadSettings:
+        # The anchors' own standard deviation holds this error already.
+        return LoadSettings(load_error=1e-4)
+
+    def _accepted(
+        self, found: Sequence[tuple[ReferenceMass, MassAnchor]], prior: ParameterSet
+    ) -> tuple[list[MassAnchor], str]:
+        """The masses that may teach, and one sentence about one that the loads before it contradict ("" where there is none)."""
+        accepted, doubt = [], ""
+        for reference, mass in found:
+            number, kg = reference.load_number, mass.reference_kg
+            name = f"load {number}" if number else f"the {reference.source}'s {kg:.0f} kg"
+            load = WeighedLoad(
+                name, mass.reference_kg, mass.std_dev_kg, mass.duration_s, mass.force_n, mass.plate_angle_rad,
+                mass.elevator_speed_rad_s,
+            )
+            error = contradicted(self._model, prior, self._weighings, load, self._load_settings)
+            if error is None:
+                self._weighings = [*self._weighings[1 - _KEPT_WEIGHINGS :], load]
+            elif self._doubted is not None and contradicted(
+                self._model, prior, [self._doubted], load, self._load_settings, least=1
+            ) is None:
+                self._weighings = [self._doubted, load]
+                self._doubted = None
+            else:
+                self._doubted = load
+                doubt = (
+                    f"{name} contradicts the {len(self._weighings)} weighed before it by {100.0 * error:+.1f} % and teaches "
+                    "nothing until another agrees with it"
+                )
+                continue
+            accepted.append(mass)
+        return accepted, doubt
 
     def _taken(
         self, outcome: Outcome, drifting: DriftingParameters, used: ParameterSet, anchors: Sequence[ReferenceMass],
@@ -144,7 +206,9 @@ class ClosedLoopCalibrator:
         # Without a lesson the moisture map or the drift alone has moved the values; the new prior is what is known.
         self._at_s, self._at_kg, self._moisture_pct = moment
         self._history = [*self._history[-7:], (moment[0], used)]
-        if outcome.updated:
+        if outcome.updated and outcome.parameter_set.covariance_names != drifting.parameters.covariance_names:
+            self._drifting = begin(outcome.parameter_set, self._settings.steady_per_kilotonne)
+        elif outcome.updated:
             self._drifting = learn(drifting, outcome.parameter_set, widening=outcome.prior_widening)
         else:
             self._drifting = carried(drifting, replace(prior, version=used.version + 1))
@@ -210,13 +274,16 @@ class ClosedLoopCalibrator:
         later, _ = advance(known, self._settings.drift, hours, max(total_kg - self._at_kg, 0.0))
         return later
 
-    def _mass_anchors(self, anchors: Sequence[ReferenceMass], used: ParameterSet) -> list[MassAnchor]:
+    def _mass_anchors(
+        self, anchors: Sequence[ReferenceMass], used: ParameterSet
+    ) -> list[tuple[ReferenceMass, MassAnchor]]:
+        """Those that have not been used, each with the forces over it."""
         out = []
         for anchor in anchors:
             span_s = anchor.end_s - anchor.start_s
             if not anchor.complete or anchor in self._used or anchor.measured_kg <= 0.0 or span_s <= 0.0:
                 continue
-            out.append(self._mass_anchor(anchor, used, span_s))
+            out.append((anchor, self._mass_anchor(anchor, used, span_s)))
         return out
 
     def _mass_anchor(self, anchor: ReferenceMass, used: ParameterSet, span_s: float) -> MassAnchor:

@@ -1,10 +1,7 @@
-"""Measurement tables: CSV with a header, one row a measurement, `-`, `nan` or nothing for unknown."""
+"""Measurement tables: a header, one row a measurement, `-`, `nan` or nothing for unknown."""
 
 from __future__ import annotations
 
-import codecs
-import csv
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,10 +13,10 @@ from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions
 from yieldmon.physics.numerics import Array
 
+from . import delimited
+
 LOADS = ("mass_flow_kg_s", "paddle_mass_kg")
 READINGS = ("force_n", "momentum_kg_m_s", "response")
-_GZIP = b"\x1f\x8b"
-_UNKNOWN = ("", "-", "nan", "NaN", "NAN")
 _LIMITS = {
     "plate_angle_deg": (0.0, 180.0, "deg"),
     "mass_flow_kg_s": (0.0, 1000.0, "kg/s"),
@@ -44,6 +41,17 @@ class Table:
     columns: Mapping[str, Array]
     text: Mapping[str, tuple[str, ...]]
     notes: tuple[str, ...] = field(default=())
+    lines: tuple[int, ...] = ()
+    """Of the file, of each row; empty where the table is no file's."""
+
+    def unread(self, rows: np.ndarray) -> str:
+        """One sentence about rows (bool, one each) that are left out, "" where there is none."""
+        count = int(np.count_nonzero(rows))
+        if not count:
+            return ""
+        places = [self.lines[i] if self.lines else i + 1 for i in np.flatnonzero(rows)[:8]]
+        more = ", ..." if count > len(places) else ""
+        return f"{self.path}: {count} rows without a load or a reading are left out (lines {', '.join(map(str, places))}{more})"
 
     def __len__(self) -> int:
         return len(self.columns["plate_angle_deg"])
@@ -73,68 +81,31 @@ class Table:
 
 
 def load(path: str | Path, *, need_load: bool = True) -> Table:
-    """Read a table. Raises InputError naming file, row and column, the value, and what was expected.
+    """Read a table. Raises InputError naming file, line and column, the value, and what was expected.
 
     need_load: whether a mass flow or paddle mass column is required.
     """
-    raw = _read_bytes(path)
-    where = str(path)
-    try:
-        rows = [row for row in csv.reader(_text(raw, where).splitlines()) if row and not row[0].startswith("#")]
-    except csv.Error as error:
-        raise InputError(where, f"not CSV: {error}") from error
-    if not rows:
-        raise InputError(where, "is empty", "a header line and rows")
-    header = [name.strip() for name in rows[0]]
-    if len(header) == 1 and ";" in header[0]:
-        raise InputError(f"{where}: header", "is separated by semicolons", "commas, and points in the numbers")
-    load_name, reading = _roles(header, where, need_load)
-    body = rows[1:]
-    if not body:
-        raise InputError(where, "has a header and no rows", "at least one row")
+    source = delimited.read(path)
+    where = source.path
+    load_name, reading = _roles(list(source.header), where, need_load)
     columns: dict[str, Array] = {}
     texts: dict[str, tuple[str, ...]] = {}
-    for i, row in enumerate(body):
-        if len(row) != len(header):
-            raise InputError(f"{where}: row {i + 1}", f"has {len(row)} fields", f"{len(header)}, as in the header")
-    notes = []
-    for j, name in enumerate(header):
-        cells = tuple(row[j].strip() for row in body)
+    notes = list(source.notes)
+    for name in source.header:
         if name in ("trial", "group"):
-            texts[name] = cells
+            texts[name] = source.column(name)
         elif name in _LIMITS or name in READINGS:
-            columns[name] = _numbers(cells, name, where)
+            columns[name] = _numbers(source, name)
         else:
-            texts[name] = cells
+            texts[name] = source.column(name)
             notes.append(f"{where}: column {name!r} is not known and is ignored")
     missing = np.flatnonzero(np.isnan(columns["plate_angle_deg"]))
     if missing.size:
-        raise InputError(f"{where}: row {missing[0] + 1}, plate_angle_deg", "is unknown", "an angle in degrees")
-    return Table(where, hashlib.sha256(raw).hexdigest(), load_name, reading, columns, texts, tuple(notes))
-
-
-def _read_bytes(path: str | Path) -> bytes:
-    try:
-        return Path(path).read_bytes()
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "a readable CSV file") from error
-
-
-def _text(raw: bytes, where: str) -> str:
-    if raw.startswith(_GZIP):
-        raise InputError(where, "is compressed", "a plain CSV file; gunzip it")
-    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        raise InputError(where, "is UTF-16 text", "a UTF-8 CSV file")
-    try:
-        return raw.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(where, f"byte {error.start} is not UTF-8", "a UTF-8 CSV file") from error
+        raise InputError(source.where(int(missing[0]), "plate_angle_deg"), "is unknown", "an angle in degrees")
+    return Table(where, source.sha256, load_name, reading, columns, texts, tuple(notes), source.lines)
 
 
 def _roles(header: list[str], where: str, need_load: bool) -> tuple[str | None, str]:
-    if len(set(header)) != len(header):
-        twice = sorted({name for name in header if header.count(name) > 1})
-        raise InputError(f"{where}: header", f"has {', '.join(twice)} more than once", "each column once")
     if "plate_angle_deg" not in header:
         raise InputError(f"{where}: header", "has no plate_angle_deg", "that column")
     loads = [name for name in LOADS if name in header]
@@ -146,18 +117,19 @@ def _roles(header: list[str], where: str, need_load: bool) -> tuple[str | None, 
     return (loads[0] if loads else None), readings[0]
 
 
-def _numbers(cells: tuple[str, ...], name: str, where: str) -> Array:
+def _numbers(source: delimited.TextTable, name: str) -> Array:
     low, high, unit = _LIMITS.get(name, (-1e12, 1e12, "the reading's unit"))
+    cells = source.column(name)
     out = np.empty(len(cells))
     for i, cell in enumerate(cells):
-        if cell in _UNKNOWN:
+        if delimited.is_unknown(cell):
             out[i] = np.nan
             continue
         try:
             # Python's own digit separator is no part of a number in a table.
             out[i] = float(cell if "_" not in cell else "")
         except ValueError:
-            raise InputError(f"{where}: row {i + 1}, {name}", f"is {cell[:40]!r}", f"a number in {unit}") from None
+            raise InputError(source.where(i, name), f"is {cell[:40]!r}", f"a number in {unit}") from None
         if not low <= out[i] <= high:
-            raise InputError(f"{where}: row {i + 1}, {name}", f"is {cell[:40]}", f"{low:g} to {high:g} {unit}")
+            raise InputError(source.where(i, name), f"is {cell[:40]}", f"{low:g} to {high:g} {unit}")
     return out

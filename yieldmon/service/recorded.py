@@ -16,8 +16,8 @@ from yieldmon.errors import InputError
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Load, Store, StoreError
 
-STORE_SUFFIX = ".sqlite"
-SUFFIXES = (STORE_SUFFIX, ".csv", ".jsonl", ".parquet")
+STORE_SUFFIXES = (".sqlite", ".sqlite3", ".db")
+SUFFIXES = (*STORE_SUFFIXES, ".csv", ".jsonl", ".parquet")
 
 _HINTS = typing.get_type_hints(SecondRow)
 _OPTIONAL = {name for name, hint in _HINTS.items() if isinstance(hint, types.UnionType)}
@@ -27,7 +27,7 @@ _KINDS = {
 
 
 def read_seconds(path: Path | str) -> list[SecondRow]:
-    """The seconds in a store (.sqlite) or in a table of `process` (.csv, .jsonl, .parquet), in order.
+    """The seconds in a store (.sqlite, .sqlite3, .db) or in a table of `process` (.csv, .jsonl, .parquet), in order.
 
     Raises InputError for a file that is missing, of another kind, or has a column or value that does not belong.
     """
@@ -37,7 +37,7 @@ def read_seconds(path: Path | str) -> list[SecondRow]:
         raise InputError(str(path), f"unknown kind of record {suffix!r}", f"a name that ends in one of {', '.join(SUFFIXES)}")
     if not path.is_file():
         raise InputError(str(path), "no such file", "a store, or a table that `yieldmon process` wrote")
-    if suffix == STORE_SUFFIX:
+    if suffix in STORE_SUFFIXES:
         with opened(path) as store:
             return store.seconds()
     return [_row(values, f"{path}: row {number}") for number, values in enumerate(_tables(path, suffix), 1)]

@@ -1,0 +1,109 @@
+"""`calibrate --loads` on logs of a virtual combine whose grain is not the shipped corn."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from yieldmon.cli.main import main
+from yieldmon.files import parameter_file
+
+FLOWS = (5, 12, 18, 9)
+
+
+@pytest.fixture(scope="module")
+def loads(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], list[float]]:
+    """Four logs of a minute's harvest each, and their true masses."""
+    folder = tmp_path_factory.mktemp("loads")
+    logs, masses = [], []
+    for k, flow in enumerate(FLOWS, 1):
+        pieces = [{"kind": "steady", "duration_s": s, "flow_kg_s": f} for s, f in ((8, 0), (60, flow), (8, 0))]
+        scenario = {
+            "duration_s": 76, "crop": {"friction": 0.2, "restitution": 0.45, "bulk_density_kg_m3": 1300},
+            "flow": {"variation_pct": 5, "smoothing_s": 0.7, "pieces": pieces},
+        }
+        (folder / "s.yaml").write_text(json.dumps(scenario))
+        log, truth = folder / f"load{k}.log.gz", folder / "t.csv"
+        words = ["--scenario", folder / "s.yaml", "--log", log, "--truth", truth, "--seed", k]
+        assert main(["simulate", *map(str, words)]) == 0
+        logs.append(str(log))
+        masses.append(float(truth.read_text().splitlines()[-1].split(",")[2]))
+        truth.unlink()
+    return logs, masses
+
+
+def tickets(folder: Path, rows: list[tuple[object, float]], header: str = "load,weighed_kg") -> str:
+    path = folder / "tickets.csv"
+    path.write_text("\n".join([header, *(f"{load},{kg}" for load, kg in rows)]) + "\n")
+    return str(path)
+
+
+def test_three_loads_calibrate_and_a_fourth_of_another_truck_is_named(loads, tmp_path, capsys):
+    logs, masses = loads
+    out = tmp_path / "wheat.yaml"
+    rows = [("load1", masses[0]), (2, masses[1]), (3, masses[2]), (4, 1.2 * masses[3])]
+    assert main(["calibrate", "--loads", *logs, "--tickets", tickets(tmp_path, rows), "--out", str(out), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [load["outlier"] for load in found["loads"]] == [False, False, False, True]
+    assert found["residual"]["outlier_rows"] == [4]
+    for load, true_kg in zip(found["loads"], masses, strict=True):
+        assert load["after_kg"] == pytest.approx(true_kg, rel=0.012)
+    assert abs(found["loads"][0]["before_kg"] / masses[0] - 1.0) > 0.04
+    assert 0.1 < found["next_load_sd_pct"] < 2.0
+    assert {"friction", "shape_ratio"} <= set(found["held"])
+    written = parameter_file.load(out)
+    assert written.values["density"] == found["parameters"]["density"]["value"]
+    assert written.provenance["method"] == "3 weighed loads"
+    # A second time from there: nothing better is to be had, and the file stays.
+    stamp = out.read_bytes()
+    again = ["calibrate", "--loads", *logs[:3], "--tickets", tickets(tmp_path, rows[:3]), "--prior", str(out)]
+    code = main(again)
+    assert (code == 1) == ("refused" in capsys.readouterr().out)
+    assert code == 0 or out.read_bytes() == stamp
+
+
+@pytest.mark.parametrize(
+    ("header", "row", "problem"),
+    [
+        ("load,weighed_kg", "9,1000", "line 2, load: is 9, no load that was measured; expected 1 to 2"),
+        ("load,weighed", "1,1000", "header: weighed has no unit; expected weighed_kg, weighed_t or weighed_lb"),
+        ("load,weighed_kg", "1,tons", "line 2, weighed_kg: is 'tons'; expected a number"),
+        ("load,weighed_t", "1,9000", "line 2, weighed_t: is 9e+06 kg"),
+        ("weighed_kg", "700", "header: has no column load"),
+        ("load,weighed_kg,std_dev_kg", "1,700,0", "std_dev_kg: is 0 kg; expected above 0"),
+        ("load,weighed_kg", "1,700\n1,700", "line 3, load: load 1 has a ticket already"),
+    ],
+)
+def test_bad_tickets_are_named_in_one_line(loads, tmp_path, capsys, header, row, problem):
+    path = tmp_path / "t.csv"
+    path.write_text(f"{header}\n{row}\n")
+    assert main(["calibrate", "--loads", *loads[0][:2], "--tickets", str(path)]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert problem in err
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        (["--loads", "a.log"], "--tickets: is missing"),
+        ([], "DATA: is missing"),
+        (["--loads", "a.db", "b.db", "--tickets", "t.csv"], "--loads: names a.db beside others"),
+        (["--loads", "a.log", "a.log", "--tickets", "t.csv"], "--loads: names a.log twice"),
+        (["t.csv", "--loads", "a.log", "--tickets", "t.csv"], "t.csv: is given beside --loads"),
+        (["--loads", "a.log", "--tickets", "t.csv", "--robust"], "--robust: belongs to a table"),
+        (["--loads", "a.log", "--tickets", "t.csv"], "a.log: No such file"),
+        (["--loads", "a.db", "--tickets", "t.csv"], "a.db: no such file"),
+    ],
+)
+def test_wrong_words_are_named_in_one_line(tmp_path, monkeypatch, capsys, words, problem):
+    monkeypatch.chdir(tmp_path)
+    Path("t.csv").write_text("load,weighed_kg\n1,1000\n")
+    assert main(["calibrate", *words]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert problem in err

@@ -1,0 +1,162 @@
+"""Calibration by loads: a scale is believed, one load among many is not, and what loads cannot tell is held."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from yieldmon.estimation.closed_loop import ClosedLoopSettings, Sweep
+from yieldmon.estimation.loads import WeighedLoad, calibrate_loads, contradicted, moved
+from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.physics.machine import Machine
+from yieldmon.physics.model import Conditions, ForwardModel
+
+MACHINE = Machine()
+MODEL = ForwardModel(MACHINE)
+SHIPPED = ParameterSet(
+    {"friction": 0.19, "density": 1075.0, "shape_ratio": 2.0, "restitution": 0.55},
+    ("friction", "density", "restitution"), np.diag([0.004**2, 10.0**2, 0.001**2]),
+)
+FAR = {"friction": 0.21, "density": 1075.0 * 1.18, "shape_ratio": 2.0, "restitution": 1.55 * 0.87 - 1.0}
+
+
+def load(
+    name: str, flow: float, factor: float = 1.0, truth: dict[str, float] = FAR, sd: float = 0.003, seed: int = 0
+) -> WeighedLoad:
+    """600 s at about a flow, weighed `factor` times what it was, within its standard deviation."""
+    rng = np.random.default_rng([seed, round(1000 * flow)])
+    flows = np.clip(flow * (1.0 + 0.2 * rng.standard_normal(600)), 0.5 * flow, 1.3 * flow)
+    angle, speed = np.full(600, MACHINE.home_plate_angle_rad), np.full(600, MACHINE.nominal_elevator_speed_rad_s)
+    force = np.real(MODEL.force(Conditions(angle, speed, mass_flow_kg_s=flows), truth))
+    kg = float(flows.sum()) * factor
+    return WeighedLoad(name, kg * (1.0 + sd * rng.standard_normal()), sd * kg, np.ones(600), force, angle, speed)
+
+
+def error_pct(known: ParameterSet, flow: float, truth: dict[str, float] = FAR) -> float:
+    angle, speed = MACHINE.home_plate_angle_rad, MACHINE.nominal_elevator_speed_rad_s
+    force = float(np.real(MODEL.force(Conditions(angle, speed, mass_flow_kg_s=flow), truth)))
+    return 100.0 * (float(OpenLoop(MODEL, known).invert(force, angle, speed)) / flow - 1.0)
+
+
+@pytest.mark.parametrize("factor", [0.6, 0.7, 1.3, 1.6])
+def test_one_load_far_from_the_shipped_crop_is_learnt(factor):
+    found = calibrate_loads(MODEL, SHIPPED, [load("1", 12.0, factor, dict(SHIPPED.values))])
+    assert found.loads[0].after_kg == pytest.approx(found.loads[0].weighed_kg, rel=0.003)
+    assert not found.load_dependence
+    assert 0.002 < found.next_load_sd < 0.01
+    assert np.isnan(found.loads[0].left_out_error)
+
+
+def test_three_loads_teach_the_scale_and_its_dependence_on_the_load():
+    found = calibrate_loads(MODEL, SHIPPED, [load("a", 4.0), load("b", 11.0), load("c", 19.0)])
+    assert found.load_dependence
+    assert not found.refused
+    for flow in (3.0, 8.0, 14.0, 22.0):
+        assert abs(error_pct(SHIPPED, flow)) > 2.5
+        assert abs(error_pct(found.parameter_set, flow)) < 1.0
+    assert {"friction", "shape_ratio"} <= set(found.held)
+    assert found.parameter_set.standard_deviation("friction") == pytest.approx(0.004)
+    assert found.parameter_set.version == SHIPPED.version + 1
+
+
+def test_loads_at_one_flow_hold_what_they_cannot_tell():
+    found = calibrate_loads(MODEL, SHIPPED, [load(str(k), 10.0, seed=k) for k in range(3)])
+    assert not found.load_dependence
+    assert abs(error_pct(found.parameter_set, 10.0)) < 0.5
+    flow_sd = {
+        flow: float(OpenLoop(MODEL, found.parameter_set).estimate(
+            float(np.real(MODEL.force(Conditions(MACHINE.home_plate_angle_rad, MACHINE.nominal_elevator_speed_rad_s,
+                                                 mass_flow_kg_s=flow), FAR))),
+            MACHINE.home_plate_angle_rad, MACHINE.nominal_elevator_speed_rad_s).std_dev_kg_s / flow)
+        for flow in (3.0, 10.0, 20.0)
+    }
+    assert flow_sd[10.0] < 0.01
+    assert flow_sd[3.0] > 3.0 * flow_sd[10.0]
+    assert flow_sd[20.0] > 3.0 * flow_sd[10.0]
+
+
+@pytest.mark.parametrize("factor", [0.7, 0.85, 1.15, 1.4])
+def test_a_load_with_another_trucks_grain_is_named_and_moves_nothing(factor):
+    three = [load("a", 6.0), load("b", 11.0), load("c", 16.0)]
+    before = calibrate_loads(MODEL, SHIPPED, three)
+    after = calibrate_loads(MODEL, SHIPPED, [*three, load("d", 9.0, factor)])
+    assert after.outliers == ("d",)
+    assert "load d contradicts the others" in after.sentences[0]
+    for flow in (5.0, 12.0, 18.0):
+        assert abs(error_pct(after.parameter_set, flow) - error_pct(before.parameter_set, flow)) < 0.1
+
+
+def test_among_three_nobody_can_tell_which_one_is_wrong():
+    found = calibrate_loads(MODEL, SHIPPED, [load("a", 6.0), load("b", 11.0), load("c", 16.0, 1.2)])
+    assert found.outliers == ()
+
+
+def test_a_calibration_that_is_worse_on_left_out_loads_is_refused():
+    true = ParameterSet(FAR, SHIPPED.covariance_names, SHIPPED.covariance)
+    loads = [load(str(k), flow, seed=40 + k, sd=0.005) for k, flow in enumerate((6.0, 11.0, 16.0))]
+    found = calibrate_loads(MODEL, true, loads)
+    assert found.refused
+    assert found.parameter_set is true
+    assert found.rms_left_out > found.rms_before
+    assert [r.before_kg for r in found.loads] == [r.after_kg for r in found.loads]
+
+
+@pytest.mark.parametrize(("gain", "form"), [(0.9, "restitution"), (0.6, "k2"), (1.2, "restitution"), (1.4, "k2")])
+def test_a_gain_that_no_restitution_has_is_carried_by_an_exchange_coefficient(gain, form):
+    known = moved(SHIPPED, 0.0, float(np.log(gain)))
+    assert form in known.values
+    at = Conditions(MACHINE.home_plate_angle_rad, MACHINE.nominal_elevator_speed_rad_s, mass_flow_kg_s=9.0)
+    ratio = np.real(MODEL.force(at, known.values)) / np.real(MODEL.force(at, SHIPPED.values))
+    assert float(ratio) == pytest.approx(gain, rel=1e-9)
+    assert set(known.covariance_names) == {"friction", "density", form}
+
+
+def test_sweeps_beside_the_loads_teach_friction():
+    wide = replace(SHIPPED, covariance=np.diag([0.06**2, 150.0**2, 0.15**2]))
+    rng, sweeps = np.random.default_rng(1), []
+    for flow in (8.0, 14.0):
+        angle = np.radians(np.repeat([70.0, 40.0, 70.0, 90.0, 70.0, 50.0, 70.0, 80.0, 70.0, 60.0], 2))
+        speed = np.full(angle.size, MACHINE.nominal_elevator_speed_rad_s)
+        force = np.real(MODEL.force(Conditions(angle, speed, mass_flow_kg_s=flow), FAR | {"friction": 0.25}))
+        noisy = force * (1.0 + 0.001 * rng.standard_normal(angle.size))
+        sweeps.append(Sweep(np.arange(angle.size, dtype=float), angle, speed, noisy, 0.001 * force))
+    loads = [load(str(k), f, truth=FAR | {"friction": 0.25}) for k, f in enumerate((5.0, 11.0, 17.0))]
+    with_sweeps = calibrate_loads(MODEL, wide, loads, sweeps=sweeps, sweep_settings=ClosedLoopSettings())
+    without = calibrate_loads(MODEL, wide, loads)
+    assert with_sweeps.sweeps_used == 2
+    assert abs(with_sweeps.parameter_set.values["friction"] - 0.25) < 0.03
+    assert without.parameter_set.values["friction"] == wide.values["friction"]
+    for flow in (5.0, 11.0, 17.0):
+        assert abs(error_pct(with_sweeps.parameter_set, flow, FAR | {"friction": 0.25})) < 0.8
+
+
+def test_the_stated_deviation_covers_further_loads():
+    """68 and 95 % of further loads, over calibrations from three loads with a scale's scatter."""
+    inside = []
+    for seed in range(8):
+        loads = [load(str(k), f, seed=seed, sd=0.005) for k, f in enumerate((5.0, 11.0, 17.0))]
+        found = calibrate_loads(MODEL, SHIPPED, loads)
+        inside += [abs(error_pct(found.parameter_set, flow)) / (100.0 * found.next_load_sd) for flow in (5.0, 9.0, 13.0, 17.0)]
+    inside = np.array(inside)
+    assert np.mean(inside < 2.0) > 0.85
+    assert np.mean(inside < 0.5) < 0.7
+
+
+def test_what_contradicts_is_said_in_per_cent_of_the_measured_mass():
+    before = [load("a", 6.0), load("b", 11.0), load("c", 16.0)]
+    found = contradicted(MODEL, SHIPPED, before, load("d", 9.0, 1.2))
+    assert found == pytest.approx(0.2, abs=0.02)
+    assert contradicted(MODEL, SHIPPED, before, load("d", 9.0)) is None
+    assert contradicted(MODEL, SHIPPED, before[:2], load("d", 9.0, 1.2)) is None
+
+
+def test_no_loads_and_nonsense_are_refused():
+    with pytest.raises(ValueError, match="no weighed load"):
+        calibrate_loads(MODEL, SHIPPED, [])
+    with pytest.raises(ValueError, match="expected above 0"):
+        replace(load("a", 6.0), weighed_kg=0.0)
+    with pytest.raises(ValueError, match="one finite number"):
+        replace(load("a", 6.0), force_n=np.array([np.nan]))

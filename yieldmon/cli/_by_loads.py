@@ -1,0 +1,167 @@
+"""`calibrate --loads`: weighed loads and their tickets into parameters."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import hashlib
+import sys
+from datetime import UTC, datetime
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from yieldmon.errors import InputError
+from yieldmon.estimation.loads import LoadCalibration, calibrate_loads
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.files import machine_file, parameter_file, ticket_file, whole_file
+from yieldmon.physics.model import ForwardModel
+from yieldmon.resources import shipped
+from yieldmon.service import configuration, weighed_loads
+from yieldmon.service.configuration import Configuration
+
+CONFIDENCE = 0.95
+_REACH = 1.96
+_TABLE_ONLY = (
+    "robust", "by_moisture", "compare", "identifiability", "profiles", "free", "fix", "bounds", "impact", "effects",
+    "response_scale", "plate_angle",
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """--loads and what goes with it."""
+    group = parser.add_argument_group("calibration by weighed loads")
+    group.add_argument("--loads", nargs="+", metavar="SOURCE", help="a daemon's store, or logs of weighed loads, instead of DATA")
+    group.add_argument("--tickets", metavar="FILE", help="table with the columns load and weighed_kg, and if known std_dev_kg")
+    group.add_argument("--config", metavar="F", help="configuration that measured them; default: the shipped one")
+
+
+def run(args: argparse.Namespace) -> dict[str, Any]:
+    """The report as plain data. Raises InputError."""
+    if args.tickets is None:
+        raise InputError("--tickets", "is missing", "a table with the columns load and weighed_kg beside --loads")
+    if args.data is not None:
+        raise InputError(args.data, "is given beside --loads", "either a table of a test facility or weighed loads")
+    for name in _TABLE_ONLY:
+        if getattr(args, name) not in (None, False, "", []):
+            raise InputError(f"--{name.replace('_', '-')}", "belongs to a table of a test facility", "none with --loads")
+    configured = _configured(args)
+    tickets = ticket_file.load(args.tickets)
+    measured = weighed_loads.read(args.loads, configured)
+    loads = weighed_loads.match(measured, tickets, configured.machine)
+    prior = _prior(args, measured, configured)
+    sweeps = weighed_loads.sweeps_of(measured)
+    if sweeps:
+        print(f"yieldmon: {len(sweeps)} sweeps of the plate are fitted with the loads", file=sys.stderr)
+    try:
+        found = calibrate_loads(ForwardModel(configured.machine, prior.effects), prior, loads, sweeps=sweeps)
+    except ValueError as error:
+        raise InputError(", ".join(args.loads), str(error)) from error
+    document = report(found, args)
+    if args.out is not None and not found.refused:
+        whole_file.check_place(args.out)
+        parameter_file.save(_with_provenance(found, args, prior), args.out)
+        document["written"] = args.out
+    return document
+
+
+def _configured(args: argparse.Namespace) -> Configuration:
+    loaded = configuration.load(args.config if args.config is not None else shipped("config/yieldmon.yaml"))
+    if args.machine is not None:
+        loaded = dataclasses.replace(loaded, machine=machine_file.load(args.machine))
+    if args.prior is not None:
+        loaded = dataclasses.replace(loaded, parameters=parameter_file.load(args.prior))
+    return loaded
+
+
+def _prior(args: argparse.Namespace, measured: tuple[weighed_loads.MeasuredLoad, ...], configured: Configuration) -> ParameterSet:
+    """What --prior names, else what measured the newest load."""
+    if args.prior is not None or not measured:
+        return configured.parameters
+    newest = measured[-1]
+    return newest.parameters.get(newest.seconds[-1].parameter_version, configured.parameters)
+
+
+def report(found: LoadCalibration, args: argparse.Namespace) -> dict[str, Any]:
+    """The result as plain data, as `calibrate` reports a table's."""
+    known = found.parameter_set
+    parameters = {}
+    for name in found.names:
+        value, sd = known.values[name], known.standard_deviation(name)
+        parameters[name] = {
+            "value": value, "standard_error": sd, "interval": [value - _REACH * sd, value + _REACH * sd],
+            "confidence": CONFIDENCE, "at_bound": None, "open_below": False, "open_above": False,
+            "determined": found.load_dependence,
+        }
+    names = [n for n in known.covariance_names if n in found.names]
+    covariance = known.covariance_of(names)
+    deviation = [known.standard_deviation(n) for n in names]
+    residuals = [load.after_kg - load.weighed_kg for load in found.loads if not load.outlier]
+    rms_kg = (sum(r * r for r in residuals) / len(residuals)) ** 0.5
+    return {
+        "file": ", ".join(args.loads),
+        "rows": len(found.loads),
+        "response_unit": known.response_unit,
+        "parameters": parameters,
+        "fixed": {k: v for k, v in known.values.items() if k not in found.names},
+        "held": list(found.held),
+        "correlation": {
+            "names": names,
+            "matrix": (covariance / np.outer(deviation, deviation)).tolist(),
+        },
+        "residual": {
+            "rms": rms_kg, "rms_over_max_pct": 100.0 * rms_kg / max(load.weighed_kg for load in found.loads),
+            "outlier_rows": [i for i, load in enumerate(found.loads, 1) if load.outlier],
+        },
+        "starts": 1,
+        "basins": [],
+        "loads": [
+            {"load": load.name, "weighed_kg": load.weighed_kg, "before_kg": load.before_kg, "after_kg": load.after_kg,
+             "left_out_error_pct": 100.0 * load.left_out_error, "outlier": load.outlier}
+            for load in found.loads
+        ],
+        "scale": found.scale,
+        "scale_sd_pct": 100.0 * found.scale_sd,
+        "load_dependence": found.load_dependence,
+        "next_load_sd_pct": 100.0 * found.next_load_sd,
+        "sweeps": found.sweeps_used,
+        "refused": found.refused,
+        "notes": list(found.sentences),
+    }
+
+
+def text(document: dict[str, Any]) -> str:
+    """The report for people."""
+    lines = [f"{'load':<12}{'weighed kg':>12}{'before kg':>12}{'':>9}{'after kg':>12}{'':>9}{'left out':>10}"]
+    for load in document["loads"]:
+        before, after = (100.0 * (load[key] / load["weighed_kg"] - 1.0) for key in ("before_kg", "after_kg"))
+        left = load["left_out_error_pct"]
+        end = "  contradicts the others" if load["outlier"] else ""
+        lines.append(
+            f"{load['load'][:12]:<12}{load['weighed_kg']:>12.0f}{load['before_kg']:>12.0f}{before:>+7.2f} %"
+            f"{load['after_kg']:>12.0f}{after:>+7.2f} %" + (f"{left:>+8.2f} %" if isfinite(left) else f"{'-':>10}") + end
+        )
+    lines += [f"{name:<34}{p['value']:>13.6g}{p['standard_error']:>13.3g}" for name, p in document["parameters"].items()]
+    lines += [f"{name:<34}{value:>13.6g}        held" for name, value in document["fixed"].items()]
+    lines += [f"- {sentence}" for sentence in document["notes"]]
+    if "written" in document:
+        lines.append(f"written: {document['written']}")
+    return "\n".join(lines)
+
+
+def _with_provenance(found: LoadCalibration, args: argparse.Namespace, prior: ParameterSet) -> ParameterSet:
+    tickets = Path(args.tickets)
+    facts = {
+        "data": ", ".join(Path(source).name for source in args.loads),
+        "tickets": tickets.name,
+        "tickets_sha256": hashlib.sha256(tickets.read_bytes()).hexdigest(),
+        "date": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        "method": f"{len(found.loads) - len(found.outliers)} weighed loads"
+        + (f", {found.sweeps_used} sweeps" if found.sweeps_used else ""),
+        "parent_version": str(prior.version),
+    }
+    if "crop" in prior.provenance:
+        facts["crop"] = prior.provenance["crop"]
+    return dataclasses.replace(found.parameter_set, provenance=facts)

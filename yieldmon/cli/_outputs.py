@@ -1,0 +1,48 @@
+"""Files that a verb writes: never over another file unasked, never over what it reads."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+
+from yieldmon.errors import InputError
+from yieldmon.files import whole_file
+
+
+def add_force(parser: argparse.ArgumentParser, *names: str) -> None:
+    """--force, and which of the parser's arguments (by their names in the namespace) name files that the verb writes."""
+    parser.add_argument("--force", action="store_true", help="replace files that are there already")
+    parser.set_defaults(output_arguments=names)
+
+
+def check(args: argparse.Namespace) -> None:
+    """To be asked before the work: raises InputError for an output that is an input, exists, or has no folder."""
+    names: tuple[str, ...] = getattr(args, "output_arguments", ())
+    inputs = {path.resolve() for key, value in vars(args).items() if key not in names for path in _files(value)}
+    for name in names:
+        value = getattr(args, name)
+        if isinstance(value, str | Path) and str(value) != "-":
+            refuse(Path(value), f"--{name.replace('_', '-')}", force=args.force, inputs=inputs)
+
+
+def refuse(path: Path, option: str, *, force: bool, inputs: set[Path] = frozenset()) -> None:  # type: ignore[assignment]
+    """Raises InputError for a file that is one of the inputs, or is there already and not to be replaced."""
+    if path.is_dir():
+        return
+    if path.resolve() in inputs:
+        raise InputError(f"{option} {path}", "is a file that is read as well", "another name")
+    whole_file.check_place(path)
+    if path.is_file() and not force:
+        raise InputError(f"{option} {path}", "exists already", "another name, or --force to replace it")
+
+
+def _files(value: object) -> Iterator[Path]:
+    for text in value if isinstance(value, list) else [value]:
+        if isinstance(text, str) and text and len(text) < 4096 and "\0" not in text:
+            path = Path(text)
+            try:
+                if path.is_file():
+                    yield path
+            except OSError:
+                continue

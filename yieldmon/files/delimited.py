@@ -1,0 +1,140 @@
+"""Tables as people save them: commas, semicolons or tabs, decimal commas, a byte-order mark, Excel workbooks.
+
+What is read is the same in each: a header of names in lower case, rows of texts with a point as decimal sign, and the line of the
+file that each row stands on.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import hashlib
+import io
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from yieldmon.errors import InputError
+
+UNKNOWN = ("", "-", "nan", "na", "n/a", "null")
+"""Cells that say "not known", in lower case."""
+WORKBOOK = ".xlsx"
+_GZIP, _ZIP, _OLD_EXCEL = b"\x1f\x8b", b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
+_SEPARATORS = ",;\t"
+_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """header: names in lower case, each once. rows: as many texts each. lines: of the file, from 1. notes: what was taken for
+    what."""
+
+    path: str
+    sha256: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    lines: tuple[int, ...]
+    notes: tuple[str, ...] = ()
+
+    def column(self, name: str) -> tuple[str, ...]:
+        """The cells of a column."""
+        place = self.header.index(name)
+        return tuple(row[place] for row in self.rows)
+
+    def where(self, row: int, column: str = "") -> str:
+        """The place of a cell (row from 0), as an error names it."""
+        return f"{self.path}: line {self.lines[row]}" + (f", {column}" if column else "")
+
+
+def is_unknown(cell: str) -> bool:
+    """Whether a cell says that its value is not known."""
+    return cell.lower() in UNKNOWN
+
+
+def read(path: str | Path) -> TextTable:
+    """A table with a header line; empty lines and lines that begin with # are passed over. Raises InputError."""
+    where = str(path)
+    try:
+        raw = Path(path).read_bytes()
+    except OSError as error:
+        raise InputError(where, error.strerror or str(error), "a readable CSV file") from error
+    cells = _workbook(raw, where) if raw.startswith(_ZIP) else _separated(raw, where)
+    if not cells:
+        raise InputError(where, "is empty", "a header line and rows")
+    names = tuple(name.strip() for name in cells[0][1])
+    header = tuple(name.lower() for name in names)
+    if len(set(header)) != len(header):
+        twice = sorted({name for name in header if header.count(name) > 1})
+        raise InputError(f"{where}: header", f"has {', '.join(twice) or 'an empty name'} more than once", "each column once")
+    body = cells[1:]
+    if not body:
+        raise InputError(where, "has a header and no rows", "at least one row")
+    for line, row in body:
+        if len(row) != len(header):
+            raise InputError(
+                f"{where}: line {line}", f"has {len(row)} fields",
+                f"{len(header)}, as in the header" + _comma_hint(row, len(header)),
+            )
+    return TextTable(
+        where, hashlib.sha256(raw).hexdigest(), header, tuple(tuple(c.strip() for c in row) for _, row in body),
+        tuple(line for line, _ in body),
+    )
+
+
+def _comma_hint(row: list[str], wanted: int) -> str:
+    return " (decimal commas? then separate the columns by semicolons)" if len(row) > wanted else ""
+
+
+def _separated(raw: bytes, where: str) -> list[tuple[int, list[str]]]:
+    text = _text(raw, where)
+    first = next((line for line in text.splitlines() if line.strip() and not line.startswith("#")), "")
+    separator = max(_SEPARATORS, key=first.count)
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
+    found: list[tuple[int, list[str]]] = []
+    try:
+        for row in reader:
+            if any(cell.strip() for cell in row) and not row[0].startswith("#"):
+                found.append((reader.line_num, row))
+    except csv.Error as error:
+        raise InputError(f"{where}: line {reader.line_num}", f"not CSV: {error}", "a plain CSV file") from error
+    if separator == ",":
+        return found
+    return [(line, [_point(cell) for cell in row]) for line, row in found]
+
+
+def _point(cell: str) -> str:
+    """A decimal comma as a point."""
+    return cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell.strip()) else cell
+
+
+def _text(raw: bytes, where: str) -> str:
+    if raw.startswith(_GZIP):
+        raise InputError(where, "is compressed", "a plain CSV file; gunzip it")
+    if raw.startswith(_OLD_EXCEL):
+        raise InputError(where, "is an old Excel file", f"a CSV file, or the workbook saved as *{WORKBOOK}")
+    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise InputError(where, "is UTF-16 text", "a UTF-8 CSV file")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(where, f"byte {error.start} is not UTF-8", "a UTF-8 CSV file") from error
+
+
+def _workbook(raw: bytes, where: str) -> list[tuple[int, list[str]]]:
+    """The first sheet. Raises ModuleNotFoundError without openpyxl."""
+    # An extra: most tables are text.
+    import openpyxl
+
+    try:
+        book = openpyxl.load_workbook(io.BytesIO(raw), read_only=True, data_only=True)
+    except Exception as error:
+        raise InputError(where, "is a zip archive and no Excel workbook", f"a CSV file or a workbook (*{WORKBOOK})") from error
+    rows = [[_cell(value) for value in row] for row in book.worksheets[0].iter_rows(values_only=True)]
+    width = max((len(row) - next((i for i, c in enumerate(reversed(row)) if c), len(row)) for row in rows), default=0)
+    cells = [(i, (row + [""] * width)[:width]) for i, row in enumerate(rows, 1)]
+    return [(line, row) for line, row in cells if any(row) and not row[0].startswith("#")]
+
+
+def _cell(value: Any) -> str:
+    return "" if value is None else repr(value) if isinstance(value, float) else str(value).strip()

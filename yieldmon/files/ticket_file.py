@@ -1,0 +1,96 @@
+"""Tickets of weighed loads: a table with one row for each weighing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+
+from yieldmon.errors import InputError
+
+from . import delimited
+
+RELATIVE_STD_DEV = 0.005
+"""Of a weighing that states none."""
+_LOADS = ("load", "load_number", "loads", "log", "file")
+_KG: Mapping[str, float] = {"kg": 1.0, "t": 1000.0, "lb": 0.45359237}
+_MASSES = ("weighed", "mass", "weight", "weighed_mass", "net")
+_DEVIATIONS = ("std_dev", "sd", "sigma")
+_KNOWN = ("note", "date", "crop", "field", "ticket", "time", "truck")
+_MIN_KG, _MAX_KG = 1.0, 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class WeighedTicket:
+    """A weighed mass for the loads `first` to `last` (numbers, or the name of a log that holds one load). where: for errors."""
+
+    first: str
+    last: str
+    mass_kg: float
+    std_dev_kg: float
+    where: str
+
+
+def load(path: str | Path) -> tuple[WeighedTicket, ...]:
+    """The tickets of a file with the columns `load` (7, or 7-9 for several on one ticket) and `weighed_kg` (or _t, _lb), and if
+    known `std_dev_kg`.
+
+    Raises InputError naming line and column.
+    """
+    source = delimited.read(path)
+    which = _one_of(source, _LOADS, "load", "the number of a load, or the name of its log")
+    mass, factor = _with_unit(source, _MASSES, "weighed_kg")
+    deviation = _with_unit(source, _DEVIATIONS, "") if any(_named(n, _DEVIATIONS) for n in source.header) else None
+    tickets = []
+    for i, cell in enumerate(source.column(which)):
+        if not cell:
+            raise InputError(source.where(i, which), "is empty", "the number of a load, or the name of its log")
+        kg = _number(source, i, mass) * factor
+        if not _MIN_KG <= kg <= _MAX_KG:
+            raise InputError(source.where(i, mass), f"is {kg:g} kg", f"a mass from {_MIN_KG:g} to {_MAX_KG:g} kg")
+        sd = RELATIVE_STD_DEV * kg
+        if deviation is not None and not delimited.is_unknown(source.column(deviation[0])[i]):
+            sd = _number(source, i, deviation[0]) * deviation[1]
+            if not 0.0 < sd < kg:
+                raise InputError(source.where(i, deviation[0]), f"is {sd:g} kg", f"above 0 and below the load's {kg:g} kg")
+        first, dash, last = cell.partition("-")
+        spans = bool(dash) and first.strip().isdecimal() and last.strip().isdecimal()
+        names = (first.strip(), last.strip()) if spans else (cell, cell)
+        tickets.append(WeighedTicket(*names, kg, sd, source.where(i, which)))
+    return tuple(tickets)
+
+
+def _named(column: str, kinds: tuple[str, ...]) -> bool:
+    return any(column == f"{kind}_{unit}" for kind in kinds for unit in _KG)
+
+
+def _one_of(source: delimited.TextTable, names: tuple[str, ...], expected: str, meaning: str) -> str:
+    found = [name for name in names if name in source.header]
+    if len(found) != 1:
+        said = " and ".join(found) or f"no column {expected}"
+        raise InputError(f"{source.path}: header", f"has {said}", f"{expected}: {meaning}")
+    return found[0]
+
+
+def _with_unit(source: delimited.TextTable, kinds: tuple[str, ...], expected: str) -> tuple[str, float]:
+    """The column and what turns it into kg."""
+    found = [name for name in source.header if _named(name, kinds)]
+    if len(found) == 1:
+        return found[0], _KG[found[0].rpartition("_")[2]]
+    bare = [name for name in source.header if name in kinds]
+    if bare and not found:
+        raise InputError(f"{source.path}: header", f"{bare[0]} has no unit", f"{bare[0]}_kg, {bare[0]}_t or {bare[0]}_lb")
+    said = " and ".join(found) or f"no column {expected}"
+    raise InputError(f"{source.path}: header", f"has {said}", "one column such as weighed_kg, weighed_t or weighed_lb")
+
+
+def _number(source: delimited.TextTable, row: int, column: str) -> float:
+    cell = source.column(column)[row]
+    try:
+        value = float(cell if "_" not in cell else "")
+    except ValueError:
+        value = float("nan")
+    if not isfinite(value):
+        raise InputError(source.where(row, column), f"is {cell[:40]!r}", "a number")
+    return value

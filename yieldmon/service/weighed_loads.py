@@ -1,0 +1,213 @@
+"""Weighed loads from what a daemon stored, or from logs put through the engine, with their tickets.
+
+Loads of a store keep their numbers. Loads of logs are numbered in the order of the logs; a log with one load may be named
+instead.
+Each second of a load counts with the time for which its flow, by the parameters that measured it, gives its mass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from yieldmon.bus.codec import Codec
+from yieldmon.errors import InputError
+from yieldmon.estimation.closed_loop import Sweep
+from yieldmon.estimation.loads import WeighedLoad
+from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.files import parameter_file
+from yieldmon.files.ticket_file import WeighedTicket
+from yieldmon.physics.machine import RPM, Machine
+from yieldmon.physics.model import ForwardModel
+from yieldmon.service.assembly import build_monitor
+from yieldmon.service.bulk_processing import process_in_bulk
+from yieldmon.service.configuration import Configuration
+from yieldmon.service.recorded import STORE_SUFFIXES, opened
+from yieldmon.service.rows import SecondRow
+
+_LEAST_SHARE = 0.9
+"""Of a load's mass that must rest on a known force, angle and speed."""
+_KEPT_SWEEPS = 20
+
+
+@dataclass(frozen=True)
+class MeasuredLoad:
+    """Seconds of one load, with the parameters that measured each version's."""
+
+    name: str
+    log: str
+    seconds: tuple[SecondRow, ...]
+    parameters: Mapping[int, ParameterSet]
+
+    @property
+    def mass_kg(self) -> float:
+        """As measured."""
+        return sum(row.mass_kg for row in self.seconds)
+
+
+def is_store(path: str | Path) -> bool:
+    """Whether a name is a store's."""
+    return Path(path).suffix.lower() in STORE_SUFFIXES
+
+
+def read(
+    sources: Sequence[str], configured: Configuration, progress: Callable[[object], None] | None = None
+) -> tuple[MeasuredLoad, ...]:
+    """The loads of one store or of several logs. Raises InputError."""
+    stores = [source for source in sources if is_store(source)]
+    if stores and len(sources) > 1:
+        raise InputError("--loads", f"names {stores[0]} beside others", "one store, or one or more logs")
+    if len(set(sources)) < len(sources):
+        twice = next(s for s in sources if sources.count(s) > 1)
+        raise InputError("--loads", f"names {twice} twice", "each log once")
+    return _of_store(Path(stores[0])) if stores else _of_logs(sources, configured, progress)
+
+
+def _of_store(path: Path) -> tuple[MeasuredLoad, ...]:
+    with opened(path) as store:
+        rows = store.seconds()
+        versions = {v.version: parameter_file.from_document(v.document, str(path)) for v in store.parameter_versions()}
+    return _loads(rows, "", versions)
+
+
+def _of_logs(
+    sources: Sequence[str], configured: Configuration, progress: Callable[[object], None] | None
+) -> tuple[MeasuredLoad, ...]:
+    found: list[MeasuredLoad] = []
+    for source in sources:
+        rows: list[SecondRow] = []
+        monitor = build_monitor(configured.engine, configured.machine, configured.parameters)
+        process_in_bulk([source], monitor, Codec(), rows.append, progress=progress)
+        versions = {configured.parameters.version: configured.parameters}
+        here = _loads(rows, source, versions, len(found))
+        if not here:
+            raise InputError(source, _why_no_mass(rows), "a log of a load, from the empty machine on")
+        found += here
+    return tuple(found)
+
+
+def _why_no_mass(rows: Sequence[SecondRow]) -> str:
+    if not any(row.zero_mv is not None for row in rows):
+        return "holds no measured mass: it has no stretch with the elevator running empty, so there is no zero"
+    return "holds no measured mass"
+
+
+def _loads(
+    rows: Iterable[SecondRow], log: str, versions: Mapping[int, ParameterSet], before: int = 0
+) -> tuple[MeasuredLoad, ...]:
+    by_number: dict[int, list[SecondRow]] = {}
+    for row in rows:
+        if row.mass_kg > 0.0 and row.load_number > 0:
+            by_number.setdefault(row.load_number, []).append(row)
+    if log:
+        by_number = {i: by_number[number] for i, number in enumerate(sorted(by_number), 1)}
+    return tuple(MeasuredLoad(str(before + number), log, tuple(part), versions) for number, part in sorted(by_number.items()))
+
+
+def match(
+    loads: Sequence[MeasuredLoad], tickets: Sequence[WeighedTicket], machine: Machine
+) -> tuple[WeighedLoad, ...]:
+    """Each ticket with the seconds of its loads. Raises InputError for a ticket without a load, or with one that has another."""
+    taken: dict[str, str] = {}
+    out = []
+    for ticket in tickets:
+        covered = _covered(loads, ticket)
+        for load in covered:
+            if load.name in taken:
+                raise InputError(ticket.where, f"load {load.name} has a ticket already", "each load on one ticket")
+            taken[load.name] = ticket.where
+        name = ticket.first if ticket.first == ticket.last else f"{ticket.first}-{ticket.last}"
+        out.append(_weighed(name, ticket, covered, machine))
+    return tuple(out)
+
+
+def _covered(loads: Sequence[MeasuredLoad], ticket: WeighedTicket) -> list[MeasuredLoad]:
+    names = [load.name for load in loads]
+    if ticket.first in names and ticket.last in names:
+        first, last = names.index(ticket.first), names.index(ticket.last)
+        if last < first:
+            raise InputError(ticket.where, f"is {ticket.first}-{ticket.last}", "the first load first")
+        return list(loads[first : last + 1])
+    wanted = Path(ticket.first).name
+    of_log = [load for load in loads if load.log and wanted in (Path(load.log).name, _stem(load.log))]
+    if len(of_log) == 1:
+        return of_log
+    if len(of_log) > 1:
+        held = ", ".join(load.name for load in of_log)
+        raise InputError(ticket.where, f"{wanted} holds {len(of_log)} loads", f"one of the numbers {held}")
+    known = f"{names[0]} to {names[-1]}" if names else "none was measured"
+    raise InputError(ticket.where, f"is {ticket.first}, no load that was measured", known)
+
+
+def _stem(log: str) -> str:
+    return Path(log).name.partition(".")[0]
+
+
+def _weighed(name: str, ticket: WeighedTicket, covered: Sequence[MeasuredLoad], machine: Machine) -> WeighedLoad:
+    parts, total_kg = [], sum(load.mass_kg for load in covered)
+    for load in covered:
+        for version in sorted({row.parameter_version for row in load.seconds}):
+            rows = [row for row in load.seconds if row.parameter_version == version]
+            if version not in load.parameters:
+                raise InputError(ticket.where, f"load {load.name} was measured with parameters version {version}",
+                                 "a store that still holds them")
+            parts.append(_columns(rows, load.parameters[version], machine))
+    columns = np.concatenate(parts, axis=1)
+    counted = columns[:, np.isfinite(columns[0]) & (columns[0] > 0.0)]
+    kept_kg = float(counted[5].sum())
+    if kept_kg < _LEAST_SHARE * total_kg:
+        raise InputError(
+            ticket.where, f"of load {name} only {100.0 * kept_kg / total_kg:.0f} % rests on a known force, angle and speed",
+            f"{100.0 * _LEAST_SHARE:.0f} %; a load measured whole",
+        )
+    duration, force, angle, speed, moisture, _ = counted
+    # The little that no force stands for is taken to go with the rest.
+    return WeighedLoad(
+        name, ticket.mass_kg, ticket.std_dev_kg, duration * total_kg / kept_kg, force, angle, speed,
+        moisture if np.all(np.isfinite(moisture)) else None,
+    )
+
+
+def _columns(rows: Sequence[SecondRow], parameters: ParameterSet, machine: Machine) -> np.ndarray:
+    """(6, n): time that each second stands for (nan where unknown), force N, angle rad, speed rad/s, moisture %, mass kg."""
+    def column(attribute: str) -> np.ndarray:
+        return np.array([np.nan if (v := getattr(row, attribute)) is None else v for row in rows], dtype=float)
+
+    force, angle, speed = column("force_n"), np.radians(column("plate_angle_deg")), column("elevator_speed_rpm") * RPM
+    moisture, mass = column("moisture_pct"), column("mass_kg")
+    model = ForwardModel(machine, parameters.effects)
+    usable = np.isfinite(force) & np.isfinite(angle) & np.isfinite(speed) & (force > 0.0)
+    if model.needs_moisture:
+        usable &= np.isfinite(moisture)
+    flow = np.full(force.shape, np.nan)
+    if np.any(usable):
+        flow[usable] = OpenLoop(model, parameters).invert(force[usable], angle[usable], speed[usable], moisture[usable])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        duration = np.where(flow > 0.0, mass / flow, np.nan)
+    return np.stack((duration, force, angle, speed, moisture, mass))
+
+
+def sweeps_of(loads: Iterable[MeasuredLoad]) -> tuple[Sweep, ...]:
+    """The newest whole sweeps in the loads."""
+    found: dict[tuple[str, int], list[SecondRow]] = {}
+    for load in loads:
+        for row in load.seconds:
+            if row.usable_for_calibration and row.sweep_id and _complete(row):
+                found.setdefault((load.log, row.sweep_id), []).append(row)
+    out = []
+    for rows in list(found.values())[-_KEPT_SWEEPS:]:
+        table = np.array([
+            (r.time_s, np.radians(r.plate_angle_deg), r.elevator_speed_rpm * RPM, r.force_n, r.force_std_dev_n) for r in rows  # type: ignore[arg-type, operator]
+        ])
+        if np.unique(np.round(np.degrees(table[:, 1]))).size >= 3:
+            out.append(Sweep(*table.T.copy()))
+    return tuple(out)
+
+
+def _complete(row: SecondRow) -> bool:
+    values = (row.plate_angle_deg, row.elevator_speed_rpm, row.force_n, row.force_std_dev_n)
+    return all(v is not None for v in values) and float(row.force_std_dev_n or 0.0) > 0.0
