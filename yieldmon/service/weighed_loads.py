@@ -46,7 +46,7 @@ class MeasuredLoad:
     @property
     def mass_kg(self) -> float:
         """As measured."""
-        return sum(row.mass_kg for row in self.seconds)
+        return float(sum(row.mass_kg for row in self.seconds))
 
 
 def is_store(path: str | Path) -> bool:
@@ -201,7 +201,7 @@ def sweeps_of(loads: Iterable[MeasuredLoad]) -> tuple[Sweep, ...]:
     out = []
     for rows in list(found.values())[-_KEPT_SWEEPS:]:
         table = np.array([
-            (r.time_s, np.radians(r.plate_angle_deg), r.elevator_speed_rpm * RPM, r.force_n, r.force_std_dev_n) for r in rows  # type: ignore[arg-type, operator]
+            (r.time_s, np.radians(r.plate_angle_deg), r.elevator_speed_rpm * RPM, r.force_n, r.force_std_dev_n) for r in rows
         ])
         if np.unique(np.round(np.degrees(table[:, 1]))).size >= 3:
             out.append(Sweep(*table.T.copy()))
