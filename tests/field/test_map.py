@@ -7,6 +7,7 @@ import json
 import shutil
 import sqlite3
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +41,7 @@ def corn_map(corn: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
     """All products of the real corn, dated."""
     out = tmp_path_factory.mktemp("map")
     done = subprocess.run(
-        ["yieldmon", "map", str(corn), "--out", str(out), "--json", "--date", "2001-10-10"],
+        [sys.executable, "-m", "yieldmon", "map", str(corn), "--out", str(out), "--json", "--date", "2001-10-10"],
         capture_output=True,
         text=True,
         check=True,

@@ -13,6 +13,7 @@ RUNS = {
     "daemon-cost": "share of a core and latency of the result",
     "fuzz-config": "mutated configuration, machine and parameter files",
     "fuzz-frames": "random and mutated frames through codec and engine",
+    "fuzz-harvests": "damaged harvests of every kind through the map",
     "monitor-load": "the live monitor on a saturated bus",
     "replay-timing": "how well a replay keeps time",
     "soak": "a day of traffic with faults: neither growth nor drift",

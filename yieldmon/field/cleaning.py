@@ -128,9 +128,10 @@ def _jump(at: Context) -> Flags:
 
 
 def _stopped(at: Context) -> Flags:
-    speed = at.steps.speed_m_s
-    usual = np.median(speed[at.steps.down & (np.nan_to_num(speed) > MIN_SPEED_M_S)]) if at.steps.down.any() else 0.0
-    slow = np.nan_to_num(speed) < max(MIN_SPEED_M_S, 0.2 * float(np.nan_to_num(usual)))
+    speed = np.nan_to_num(at.steps.speed_m_s)
+    driven = speed[at.steps.down & (speed > MIN_SPEED_M_S)]
+    usual = float(np.median(driven)) if driven.size else 0.0
+    slow = speed < max(MIN_SPEED_M_S, 0.2 * usual)
     return np.asarray(at.of_step(slow), bool)
 
 

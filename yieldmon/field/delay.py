@@ -20,6 +20,8 @@ from .tracks import MIN_SPEED_M_S, Index, Tracks
 
 SHIFTS_S = np.arange(-45.0, 76.0)
 TICK_S = 0.5
+_ROOM = int(np.ceil(np.abs(SHIFTS_S).max() / TICK_S)) + 2
+MAX_INTERVAL_S, MAX_TICKS = 10.0, 60_000_000
 DRAWS = 200
 MIN_PAIRS, MIN_BLOCKS = 200, 8
 CLEAR_OF_S = 10.0
@@ -121,6 +123,8 @@ def estimate_delay(
 
     if len(pairs) < MIN_PAIRS or pairs.blocks < MIN_BLOCKS:
         return refused(f"{len(pairs)} pairs of opposing passes in {pairs.blocks} blocks; {MIN_PAIRS} in {MIN_BLOCKS} are needed")
+    if steps.interval > MAX_INTERVAL_S or _ticks(steps) > MAX_TICKS:
+        return refused(f"points are {steps.interval:.1f} s apart, or their clock goes to and fro")
     sums = _block_sums(steps, pairs, quantity)
     everything = _correlation(sums.sum(axis=1))
     if not np.isfinite(everything).any():
@@ -188,16 +192,21 @@ class _Even:
     values: Array
 
 
+def _ticks(steps: Tracks) -> float:
+    first = np.flatnonzero(np.diff(steps.run, prepend=-1))
+    last = np.append(first[1:], len(steps)) - 1
+    return float((steps.time_s[last] - steps.time_s[first]).sum() / TICK_S) + _ROOM * len(first)
+
+
 def _even(steps: Tracks, values: Array) -> _Even:
-    room = int(np.ceil(np.abs(SHIFTS_S).max() / TICK_S)) + 2
     first = np.flatnonzero(np.diff(steps.run, prepend=-1))
     last = np.append(first[1:], len(steps)) - 1
     length = np.round((steps.time_s[last] - steps.time_s[first]) / TICK_S).astype(np.int64) + 1
-    start = room + np.concatenate(([0], np.cumsum(length + room)[:-1]))
+    start = _ROOM + np.concatenate(([0], np.cumsum(length + _ROOM)[:-1]))
     number = np.repeat(np.arange(len(first)), last - first + 1)
     # Each run keeps the phase of its own first point, so a clock of whole seconds stays exact.
     place = start[number] + (steps.time_s - steps.time_s[first][number]) / TICK_S
-    total = int(start[-1] + length[-1] + room)
+    total = int(start[-1] + length[-1] + _ROOM)
     grid = np.interp(np.arange(total), place, values)
     inside = np.zeros(total + 1, np.int64)
     np.add.at(inside, start, 1)

@@ -21,6 +21,7 @@ MIN_SPEED_M_S = 0.3
 """Below it a yield is not defined and a heading is noise."""
 _HEADING_SPAN = 2
 _GAP_INTERVALS = 3.0
+_FAR_S = 10_000.0
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ def tracks(table: HarvestTable) -> Tracks:
     x, y = plane.to_m(table["longitude_deg"], table["latitude_deg"])
     stream = table.source_of_row.astype(np.intp) * len(table.labels["machine"].names) + table.labels["machine"].codes
     sections = np.nan_to_num(table["section"])
-    time = table["time_s"]
+    time = _told(table["time_s"])
     order = np.lexsort((np.arange(len(table)), time, stream))
     if not sections.any():
         step_of_sorted = np.arange(len(table))
@@ -142,6 +143,15 @@ def tracks(table: HarvestTable) -> Tracks:
         pass_number=pass_number,
         interval=interval,
     )
+
+
+def _told(time_s: Array) -> Array:
+    """Times, with each that is not known far from all others."""
+    known = np.isfinite(time_s)
+    if known.all():
+        return time_s
+    last = float(time_s[known].max()) if known.any() else 0.0
+    return np.where(known, time_s, last + _FAR_S * (1.0 + np.cumsum(~known)))
 
 
 class _Pick:

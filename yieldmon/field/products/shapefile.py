@@ -27,8 +27,8 @@ def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
         for first in range(0, len(kept), vectors.CHUNK):
             rows = kept[first : first + vectors.CHUNK]
             columns = {SHORT_NAMES[name]: values for name, values in point_columns(result, rows).items() if name in SHORT_NAMES}
-            if "TIME_UTC" in columns:
-                columns["TIME_UTC"] = np.char.add(np.datetime_as_string(columns["TIME_UTC"], unit="ms"), "Z").astype(object)
+            if "TIMEUTC" in columns:
+                columns["TIMEUTC"] = np.char.add(np.datetime_as_string(columns["TIMEUTC"], unit="ms"), "Z").astype(object)
             shapes = vectors.points(result.table["longitude_deg"][rows], result.table["latitude_deg"][rows])
             vectors.write_layer(target, "points", "ESRI Shapefile", "Point", shapes, columns, append=first > 0)
         with scratch_for(path) as scratch, zipfile.ZipFile(scratch, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:

@@ -34,6 +34,7 @@ QUANTITIES: Mapping[str, Quantity] = {
         "mass_per_area",
         (
             "yield",
+            "yld",
             "yldmasswet",
             "yieldmasswet",
             "wetmass",
@@ -54,13 +55,13 @@ QUANTITIES: Mapping[str, Quantity] = {
         ),
     ),
     "moisture": Quantity("percent", ("moisture", "moist", "grainmoisture", "moisturepercent", "humidity")),
-    "interval": Quantity("time", ("interval", "duration", "loginterval", "cycles", "cycle", "logint", "dt")),
+    "interval": Quantity("time", ("interval", "interv", "duration", "loginterval", "cycles", "cycle", "logint", "dt")),
     "distance": Quantity("length", ("distance", "dist", "distancetravelled", "distancetraveled")),
     "speed": Quantity("speed", ("speed", "vehiclespeed", "groundspeed", "vehiclspeed")),
     "width": Quantity(
         "length", ("width", "swath", "swathwidth", "swthwdth", "swthwidth", "workingwidth", "headerwidth", "swthwdthm")
     ),
-    "heading": Quantity("angle", ("heading", "course", "track", "trackdeg", "bearing")),
+    "heading": Quantity("angle", ("heading", "head", "course", "track", "trackdeg", "bearing")),
     "elevation": Quantity("length", ("elevation", "altitude", "elev", "height", "z")),
     "position_sd": Quantity("length", ("positionsd",)),
     "header": Quantity("none", ("headerdown", "header", "headerstatus", "harvesting", "inwork", "workstate")),
@@ -114,6 +115,11 @@ def split_unit(name: str) -> tuple[str, str]:
     return name, ""
 
 
+def _spellings(name: str, bare: str) -> tuple[str, ...]:
+    """What a column may be called: with and without its unit, and without brackets that hold no known one."""
+    return plain_name(bare), plain_name(name), plain_name(_BRACKETS.sub("", name))
+
+
 def plain_name(name: str) -> str:
     """Small letters and digits only."""
     return re.sub(r"[^a-z0-9]", "", name.lower())
@@ -154,7 +160,7 @@ def columns_of(
         if quantity in out:
             continue
         for wanted in facts.names:
-            named = next(((name, unit) for name, bare, unit in found if wanted in (plain_name(bare), plain_name(name))), None)
+            named = next(((name, unit) for name, bare, unit in found if wanted in _spellings(name, bare)), None)
             if named is None:
                 continue
             unit = units.get(named[0], "") or named[1]
@@ -170,9 +176,7 @@ def columns_of(
         "width" not in out and any(plain_name(n) in QUANTITIES["width"].names for n in lacking)
     ):
         if lacking:
-            raise InputError(
-                where, f"does not say the unit of {', '.join(lacking)}", f"--column flow={lacking[0]}:UNIT and so on"
-            )
+            raise InputError(where, f"says no known unit of {', '.join(lacking)}", f"--column flow={lacking[0]}:UNIT and so on")
         raise InputError(where, f"has no column of flow or yield among {', '.join(names[:20])}", "--column flow=NAME:UNIT")
     notes += [f"{name} has no unit and is not used" for name in lacking if name not in {column.name for column in out.values()}]
     return out, tuple(notes)

@@ -1,0 +1,129 @@
+"""Damaged harvests: a sample of the long run in tests/robustness, and damages with known outcomes."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from tests.robustness.fuzz_harvests import base_files, fuzz
+from yieldmon.cli import main as cli
+from yieldmon.errors import InputError
+from yieldmon.field import sources
+from yieldmon.field.sources.options import ReadOptions
+
+
+def test_a_sample_of_damaged_files() -> None:
+    outcomes, findings = fuzz(60, seed=3)
+    assert findings == []
+    assert sum(outcomes.values()) == 60
+
+
+def test_whole_ones_are_maps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for path in base_files(tmp_path):
+        code = cli.main(["map", str(path), "--out", str(tmp_path / "out"), "--products", "none", "--json"])
+        told = capsys.readouterr()
+        assert code == 0, told.err
+        assert json.loads(told.out)["mass_kg"]["integrated"] > 0
+
+
+def test_missing_and_damaged_logs_are_named(harvests: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["map", str(harvests / "isoxml"), "--out", str(tmp_path / "out"), "--products", "none", "--json"]) == 0
+    told = capsys.readouterr()
+    (source,) = json.loads(told.out)["sources"]
+    why = {one["part"]: one["why"] for one in source["skipped"]}
+    assert "missing" in why["TLG00001"]
+    assert "well-formed" in why["TLG00003"]
+    assert "TLG00006" not in why
+    assert source["points"] == 187
+    assert sum("TLG00003" in line for line in told.err.splitlines()) == 1
+
+
+def test_machine_total_is_near_the_integral(harvests: Path) -> None:
+    table = sources.read(harvests / "isoxml", ReadOptions())
+    (source,) = table.sources
+    assert source.mass_kg is not None
+    assert (table["flow_kg_s"] * table["interval_s"]).sum() == pytest.approx(source.mass_kg, rel=0.01)
+    assert {name for name in table.extra if name.startswith("DDI EA60")} == {"DDI EA60 DET-1"}
+
+
+@pytest.mark.parametrize("share", [0.3, 0.8])
+def test_a_truncated_log_gives_its_first_records(harvests: Path, tmp_path: Path, share: float) -> None:
+    shutil.copytree(harvests / "isoxml", tmp_path / "t")
+    log = tmp_path / "t" / "TLG00006.bin"
+    data = log.read_bytes()
+    log.write_bytes(data[: int(share * len(data))])
+    table = sources.read(tmp_path / "t", ReadOptions())
+    assert len(table) == pytest.approx(187 * share, abs=6)
+    assert any(one.part == "TLG00006" for one in table.sources[0].skipped)
+
+
+def test_a_damaged_stretch_costs_its_records_only(harvests: Path, tmp_path: Path) -> None:
+    shutil.copytree(harvests / "isoxml", tmp_path / "t")
+    log = tmp_path / "t" / "TLG00006.bin"
+    data = bytearray(log.read_bytes())
+    data[9000:9060] = b"\xff" * 60
+    log.write_bytes(bytes(data))
+    table = sources.read(tmp_path / "t", ReadOptions())
+    assert 180 <= len(table) < 187
+    assert "damaged" in next(one.why for one in table.sources[0].skipped if one.part == "TLG00006")
+
+
+def test_a_broken_task_file_leaves_the_logs(harvests: Path, tmp_path: Path) -> None:
+    shutil.copytree(harvests / "isoxml", tmp_path / "t")
+    task = tmp_path / "t" / "TASKDATA.XML"
+    task.write_bytes(task.read_bytes()[:5000])
+    table = sources.read(tmp_path / "t", ReadOptions())
+    assert len(table) == 187
+    assert table.sources[0].skipped[0].part == "TASKDATA.XML"
+
+
+def test_rows_that_are_no_rows_are_told(corn: Path, tmp_path: Path) -> None:
+    lines = corn.read_text().splitlines()[:300]
+    lines[10] = "a,b,c"
+    lines[20] = lines[20].replace(",", ",x", 1)
+    path = tmp_path / "field.txt"
+    path.write_text("\n".join(lines))
+    table = sources.read(path, ReadOptions())
+    assert len(table) == 298
+    assert [(one.part, one.why) for one in table.sources[0].skipped] == [
+        ("row 11", "fewer than 10 fields"), ("row 21", "a field that is no number"),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "says"),
+    [
+        ("a.csv", b"lon,lat,time,flow,width_m\n1,2,3,4,5\n", "no known unit of flow"),
+        ("a.csv", b"lon,lat,time,Flow(lb/s),width_m\n", "no row"),
+        ("a.csv", b"lon,lat,Flow(stone/s),width_m\n1,2,3,4\n", "no known unit of Flow(stone/s)"),
+        ("a.csv", b"lon,lat,Flow(lb/s)\n1,2,3\n", "--width"),
+        ("a.csv", b"Flow(lb/s),width_m\n1,2\n", "longitude"),
+        ("a.txt", b"", "empty"),
+        ("a.bin", b"\x01\x02\x03", "no known kind"),
+        ("a.zip", b"PK\x03\x04 nothing", ""),
+        ("a.geojson", b"{}", ""),
+        ("a.gpkg", b"SQLite format 3\0 no", ""),
+        ("a.sqlite", b"SQLite format 3\0" + b"\0" * 2000, ""),
+        ("TASKDATA.XML", b"<!DOCTYPE x [<!ENTITY a 'b'>]><ISO11783_TaskData/>", "document type"),
+    ],
+)
+def test_what_cannot_be_read_is_one_line(name: str, content: bytes, says: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        sources.read(path, ReadOptions())
+    assert "\n" not in str(caught.value)
+    assert says in str(caught.value)
+
+
+def test_a_zip_of_several_reads_what_it_can(corn: Path, tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "all.zip", "w") as archive:
+        archive.write(corn, "north/corn.txt")
+        archive.writestr("notes.txt", "bring oil")
+    table = sources.read(tmp_path / "all.zip", ReadOptions())
+    assert len(table) == 6000
+    assert table.sources[0].skipped[0].part == "notes.txt"
