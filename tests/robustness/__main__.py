@@ -16,6 +16,7 @@ RUNS = {
     "fuzz-harvests": "damaged harvests of every kind through the map",
     "monitor-load": "the live monitor on a saturated bus",
     "replay-timing": "how well a replay keeps time",
+    "store-damage": "random damage to the store and its journal; the daemon starts, and nothing is silently other",
     "soak": "a day of traffic with faults: neither growth nor drift",
 }
 

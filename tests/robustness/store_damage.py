@@ -1,6 +1,6 @@
 """Damage a daemon's store and its journal at random and start from it: it opens each time, and nothing is silently other.
 
-    python -m tests.robustness.store_damage --count 5000 --seed 1
+    python -m tests.robustness store-damage --count 5000 --seed 1
 
 A case is sound when the totals, loads and parameters are those of the undamaged store, or when something is said and no total
 is above the true one. Ends with 1 when a case is not sound.
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import logging
 import random
 import sys
 import tempfile
@@ -151,14 +152,12 @@ def campaign(folder: Path, count: int, seed: int, kinds: tuple[str, ...] = KINDS
     return [attempt(place, true, kinds[n % len(kinds)], rng) for n in range(count)]
 
 
-def main() -> int:
+def main(arguments: list[str]) -> int:
     """Prints the counts as JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=5000)
     parser.add_argument("--seed", type=int, default=1)
-    args = parser.parse_args()
-    import logging
-
+    args = parser.parse_args(arguments)
     logging.disable(logging.CRITICAL)
     with tempfile.TemporaryDirectory() as folder:
         findings = campaign(Path(folder), args.count, args.seed)
@@ -175,6 +174,3 @@ def main() -> int:
     print()
     return 1 if problems or slow > LONGEST_START_S else 0
 
-
-if __name__ == "__main__":
-    sys.exit(main())

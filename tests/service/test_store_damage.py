@@ -289,7 +289,7 @@ def test_a_checksum_is_of_what_the_store_gives_back(written, read):
 
 
 def test_random_damage_is_survived_and_never_silent(tmp_path):
-    """A sample of ``python -m tests.robustness.store_damage``."""
+    """A sample of ``python -m tests.robustness store-damage``."""
     made, place = tmp_path / "made", tmp_path / "place"
     made.mkdir()
     place.mkdir()

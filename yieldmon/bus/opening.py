@@ -14,6 +14,8 @@ from can.cli import add_bus_arguments as add_python_can_arguments
 from can.cli import create_bus_from_namespace
 from can.typechecking import CanFilter
 
+from yieldmon.bus.sockets import can_socket
+from yieldmon.bus.waiting import receive
 from yieldmon.errors import InputError
 
 _log = logging.getLogger(__name__)
@@ -76,7 +78,7 @@ def prepared(
     bus: can.BusABC, filters: Sequence[CanFilter] | None, receive_buffer_bytes: int = RECEIVE_BUFFER_BYTES
 ) -> can.BusABC:
     """The same bus with its receive buffer enlarged, and rid of frames queued before the filters were set."""
-    sock = _can_socket(bus)
+    sock = can_socket(bus)
     if sock is not None:
         # The kernel tells of a lost interface once: between select() and recv() a sending thread may take that away, and
         # a blocking recv() would then wait for ever.
@@ -121,14 +123,14 @@ def open_bus_from(
 def receive_buffer_of(bus: can.BusABC) -> int | None:
     """Bytes of receive buffer that the kernel grants a SocketCAN bus (it counts its own overhead in); None
     elsewhere."""
-    sock = _can_socket(bus)
+    sock = can_socket(bus)
     return sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) if sock is not None else None
 
 
 def kernel_drops_of(bus: can.BusABC) -> int | None:
     """Frames that the kernel dropped because a SocketCAN bus was not read in time, since it was opened; None
     elsewhere."""
-    sock = _can_socket(bus)
+    sock = can_socket(bus)
     if sock is None or sock.fileno() < 0:
         return None
     try:
@@ -140,13 +142,7 @@ def kernel_drops_of(bus: can.BusABC) -> int | None:
 
 def kept_by_the_kernel(bus: can.BusABC) -> bool:
     """Whether the kernel stamps and keeps this bus's frames, by the system's clock, so that one read later is as good."""
-    return _can_socket(bus) is not None or type(bus).__name__ == "UdpMulticastBus"
-
-
-def _can_socket(bus: can.BusABC) -> socket.socket | None:
-    sock = getattr(bus, "socket", None)
-    family = getattr(socket, "AF_CAN", None)
-    return sock if isinstance(sock, socket.socket) and family is not None and sock.family == family else None
+    return can_socket(bus) is not None or type(bus).__name__ == "UdpMulticastBus"
 
 
 def _enlarge_receive_buffer(sock: socket.socket, wanted_bytes: int) -> int:
@@ -168,7 +164,7 @@ def _drain(bus: can.BusABC) -> None:
     queued_at_most = 10_000
     try:
         for _ in range(queued_at_most):
-            if bus.recv(timeout=0) is None:
+            if receive(bus, 0.0) is None:
                 return
     except (can.CanError, OSError) as error:
         bus.shutdown()

@@ -21,6 +21,7 @@ import can
 
 from yieldmon.bus.error_frames import ErrorKind, describe, kind_of
 from yieldmon.bus.opening import kept_by_the_kernel, kernel_drops_of
+from yieldmon.bus.waiting import receive, send
 
 _log = logging.getLogger(__name__)
 
@@ -162,7 +163,7 @@ class Receiver:
         if bus is None:
             raise can.CanOperationError("the interface is away")
         try:
-            bus.send(message, timeout=timeout_s)
+            send(bus, message, timeout_s)
         except can.CanError as error:
             if error.error_code in _INTERFACE_GONE:
                 self._found_gone = (bus, str(error))
@@ -230,7 +231,7 @@ class Receiver:
         messages: list[can.Message] = []
         asked_s = time.monotonic()
         try:
-            message = bus.recv(_POLL_S)
+            message = receive(bus, _POLL_S)
             if message is None:
                 self.empty_until_s = asked_s + _POLL_S
             else:
@@ -239,7 +240,7 @@ class Receiver:
                 while reads < limit and _readable(bus):
                     reads += 1
                     # None here is a frame that the bus's filters leave out, not the end.
-                    message = bus.recv(0)
+                    message = receive(bus, 0.0)
                     if message is not None:
                         messages.append(message)
         finally:
@@ -258,7 +259,7 @@ class Receiver:
             try:
                 bus = self._open_bus()
                 # An interface that exists but is down lets itself be opened and fails at the first read.
-                message = bus.recv(0)
+                message = receive(bus, 0.0)
             except (can.CanError, OSError, ValueError) as error:
                 _log.debug("not back yet: %s", error)
                 if bus is not None:

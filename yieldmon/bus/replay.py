@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import can
 
 from yieldmon.bus.codec import Codec
+from yieldmon.bus.waiting import send
 from yieldmon.frames import INPUTS
 
 #: A log may hold frames of two channels slightly out of order; only a larger step back is one of the recorder's clock.
@@ -179,7 +180,7 @@ class Sender:
         give_up_s = self._clock() + _SEND_LIMIT_S
         while True:
             try:
-                bus.send(message, timeout=_SEND_LIMIT_S)
+                send(bus, message, _SEND_LIMIT_S)
                 return
             except can.CanOperationError as error:
                 if error.error_code != errno.ENOBUFS or self._clock() >= give_up_s:

@@ -20,6 +20,7 @@ from yieldmon.bus.log_writing import writing
 from yieldmon.bus.logs import LogNotes, read_log, require_log
 from yieldmon.bus.opening import add_bus_arguments, open_bus_from
 from yieldmon.bus.replay import Schedule
+from yieldmon.bus.waiting import receive
 from yieldmon.cli import _outputs
 from yieldmon.errors import InputError
 from yieldmon.frames import Unusable
@@ -118,7 +119,7 @@ def _source(args: argparse.Namespace, stack: ExitStack) -> Source:
 
 def _bus_source(bus: can.BusABC) -> Source:
     while True:
-        yield bus.recv(timeout=REFRESH_S)
+        yield receive(bus, REFRESH_S)
 
 
 def _log_source(path: str, speed: float) -> Source:

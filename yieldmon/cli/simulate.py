@@ -18,6 +18,7 @@ from yieldmon import frames
 from yieldmon.bus.codec import Codec, FrameError
 from yieldmon.bus.log_writing import writing
 from yieldmon.bus.opening import add_bus_arguments, open_bus_from
+from yieldmon.bus.waiting import receive
 from yieldmon.cli import _outputs
 from yieldmon.errors import InputError
 from yieldmon.files import machine_file, whole_file
@@ -145,7 +146,7 @@ def _drive_bus(combine: VirtualCombine, codec: Codec, args: argparse.Namespace, 
 def _listen_until(deadline: float, bus: can.BusABC, codec: Codec, combine: VirtualCombine) -> None:
     while True:
         left = deadline - time.monotonic()
-        message = bus.recv(timeout=max(left, 0.0))
+        message = receive(bus, max(left, 0.0))
         if message is None:
             if deadline - time.monotonic() <= 0.0:
                 return

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import can
 
 from yieldmon.bus.codec import Codec
+from yieldmon.bus.waiting import receive
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import frames_in
 from yieldmon.frames import Frame
@@ -44,13 +45,13 @@ def run(combine: VirtualCombine, monitor: Monitor, codec: Codec, progress: Progr
         for sent in combine.frames_until(combine.scenario.duration_s):
             combine_side.send(codec.encode(sent))
             count += 1
-            received = monitor_side.recv(timeout=1.0)
+            received = receive(monitor_side, 1.0)
             frame = codec.decode(received) if received is not None else None
             if frame is None:
                 raise RuntimeError(f"the virtual bus lost {sent.message} of {sent.time_s:.3f} s")
             for answer in frames_in(monitor.feed(frame)):
                 monitor_side.send(codec.encode(answer))
-                back = combine_side.recv(timeout=1.0)
+                back = receive(combine_side, 1.0)
                 heard = codec.decode(back) if back is not None else None
                 if heard is None:
                     raise RuntimeError(f"the virtual bus lost {answer.message} of {answer.time_s:.3f} s")

@@ -1,0 +1,80 @@
+"""Waiting on a bus while the system's clock is set."""
+
+from __future__ import annotations
+
+import itertools
+import queue
+import threading
+import time
+
+import can
+import pytest
+
+from yieldmon.bus.receiver import Receiver
+from yieldmon.bus.waiting import receive, send
+
+PATIENCE_S = 10.0
+
+
+class ObedientBus(can.BusABC):
+    """Silent unless given frames, and waits exactly as long as it is told to."""
+
+    def __init__(self) -> None:
+        super().__init__(channel="obedient")
+        self.frames: queue.SimpleQueue[can.Message] = queue.SimpleQueue()
+        self.waits_s: list[float] = []
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        self.waits_s.append(-1.0 if timeout is None else timeout)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        assert timeout is not None
+        self.waits_s.append(timeout)
+        try:
+            return self.frames.get(timeout=min(timeout, PATIENCE_S)), False
+        except queue.Empty:
+            return None, False
+
+
+@pytest.fixture
+def clock_that_runs_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each look at the system's time finds it an hour earlier than the last."""
+    hours = itertools.count()
+    monkeypatch.setattr(time, "time", lambda: 1.8e9 - 3600.0 * next(hours))
+    monkeypatch.setattr("can.bus.time", lambda: 1.8e9 - 3600.0 * next(hours))
+
+
+def test_a_clock_that_is_set_back_holds_up_nobody_who_waits(clock_that_runs_back):
+    bus = ObedientBus()
+    assert receive(bus, 0.05) is None
+    assert max(bus.waits_s) <= 0.05
+    bus.shutdown()
+
+
+def test_frames_that_the_filters_leave_out_do_not_lengthen_the_wait(clock_that_runs_back):
+    bus = ObedientBus()
+    bus.set_filters([{"can_id": 1, "can_mask": 0x7FF, "extended": False}])
+    for identifier in (5, 6, 1):
+        bus.frames.put(can.Message(arbitration_id=identifier, is_extended_id=False))
+    found = receive(bus, 0.05)
+    assert found is not None
+    assert found.arbitration_id == 1
+    bus.shutdown()
+
+
+def test_a_receiver_stops_though_the_clock_was_set_back_in_silence(clock_that_runs_back):
+    bus = ObedientBus()
+    receiver = Receiver(lambda: bus)
+    receiver.start()
+    stopped = threading.Thread(target=receiver.stop)
+    stopped.start()
+    stopped.join(PATIENCE_S)
+    assert not stopped.is_alive()
+    assert max(bus.waits_s) < 1.0
+
+
+def test_sending_on_a_bus_of_another_kind_is_that_bus_own_affair():
+    bus = ObedientBus()
+    send(bus, can.Message(), 0.25)
+    assert bus.waits_s == [0.25]
+    bus.shutdown()
