@@ -41,6 +41,8 @@ _NAP_S = 0.02
 #: How much earlier than due a rest ends, and the shortest one that is worth it.
 _NAP_MARGIN_S = 0.001
 _BATCH_FRAMES = 256
+#: How long a stop waits for a read that hangs.
+_STOP_S = 1.0
 
 
 class BusEventKind(Enum):
@@ -127,6 +129,7 @@ class Receiver:
         self.empty_until_s = float("-inf")
         """Monotonic time up to which the bus is known to have brought nothing beyond what is in the queue. That a queue is empty
         says less: after a stall the consumer may be back before this thread is."""
+        self._beat_s = time.monotonic()
 
     def __enter__(self) -> Receiver:
         self.start()
@@ -143,14 +146,24 @@ class Receiver:
         self._thread = threading.Thread(target=self._run, name="can-receiver", daemon=True)
         self._thread.start()
 
-    def stop(self) -> None:
-        """Ends the thread and closes the bus; what has been received can still be fetched."""
+    def stop(self, patience_s: float = _STOP_S) -> None:
+        """Ends the thread and closes the bus; what has been received can still be fetched. A thread that does not end within
+        patience_s seconds is left to itself."""
         self._stopping.set()
         if self._thread is not None:
-            self._thread.join()
+            self._thread.join(patience_s)
         self._close_bus()
         with self._changed:
             self._changed.notify_all()
+
+    @property
+    def alive(self) -> bool:
+        """Whether the thread runs."""
+        return self._thread is not None and self._thread.is_alive()
+
+    def hangs_s(self) -> float:
+        """For how long the thread has shown no sign of life, s; it gives one several times a second."""
+        return time.monotonic() - self._beat_s
 
     @property
     def bus(self) -> can.BusABC | None:
@@ -229,7 +242,7 @@ class Receiver:
     def _fetch(self, bus: can.BusABC, limit: int) -> int:
         """Waits for a frame and takes it and those waiting behind it; returns how many came, `limit` at most."""
         messages: list[can.Message] = []
-        asked_s = time.monotonic()
+        asked_s = self._beat_s = time.monotonic()
         try:
             message = receive(bus, _POLL_S)
             if message is None:
@@ -254,7 +267,7 @@ class Receiver:
         delay_s = _FIRST_RETRY_S
         while not self._stopping.wait(delay_s):
             delay_s = min(2 * delay_s, _LAST_RETRY_S)
-            self.empty_until_s = time.monotonic()
+            self.empty_until_s = self._beat_s = time.monotonic()
             bus = None
             try:
                 bus = self._open_bus()

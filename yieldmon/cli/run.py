@@ -12,6 +12,7 @@ from yieldmon.resources import shipped
 from yieldmon.service import configuration
 from yieldmon.service.daemon import Daemon
 from yieldmon.service.ownership import OccupiedError
+from yieldmon.service.quiet_log import QuietLog
 from yieldmon.service.store import StoreError
 
 
@@ -32,6 +33,8 @@ def run(args: argparse.Namespace) -> int:
     loaded = configuration.load(path)
     # Under a service manager the journal has the time and takes the level from the prefix.
     logging.basicConfig(stream=sys.stderr, format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING)
+    for handler in logging.getLogger().handlers:
+        handler.addFilter(QuietLog())
     logging.getLogger("yieldmon").setLevel(loaded.document.logging.level.upper())
     daemon = Daemon(loaded, reload=lambda: configuration.load(path))
     for name in (signal.SIGTERM, signal.SIGINT):

@@ -45,7 +45,8 @@ def _show(status: Mapping[str, Any], console: Console) -> None:
     facts = Table(show_header=False, box=None, pad_edge=False)
     names = " ".join(name for name in (load["field"], load["crop"]) if name)
     dropped = bus["dropped"] + bus["kernel_drops"]
-    facts.add_row("state", f"{status['state'].replace('_', ' ')}, up {_span(status['uptime_s'])}")
+    state = f"{status['state'].replace('_', ' ')}, up {_span(status['uptime_s'])}"
+    facts.add_row("state", f"STALE, as it was {_span(status['age_s'])} ago: {state}" if status["stale"] else state)
     facts.add_row(
         "load",
         f"{load['number']}{'' if load['open'] else ' (closed)'} {names}: {load['mass_kg']:.1f} kg, "

@@ -10,12 +10,14 @@ import grp
 import json
 import logging
 import os
+import selectors
 import socket
-import socketserver
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
+from time import monotonic, sleep
 from typing import Any
 
 from yieldmon.errors import InputError
@@ -24,9 +26,16 @@ from yieldmon.service.ownership import OccupiedError
 _log = logging.getLogger(__name__)
 
 MAX_REQUEST_BYTES = 64 * 1024
-#: A peer that is slower than this with its request is cut off.
+#: A peer that takes longer than this for its whole request, or for taking the answer, is cut off.
 _PATIENCE_S = 5.0
 _CONNECT_S = 1.0
+_POLL_S = 0.2
+_STOP_S = 0.5
+_BACKLOG = 64
+#: Connections whose requests are awaited, and requests that are answered, at the same time.
+_CONNECTIONS, _ANSWERS_AT_ONCE = 32, 8
+_PIECE_BYTES = 65_536
+_MAX_ANSWER_BYTES = 64 * 1024 * 1024
 
 Answer = Mapping[str, Any]
 
@@ -53,20 +62,29 @@ class ControlServer:
             path.unlink(missing_ok=True)
             # The mode must be right from the first moment on, so bind() runs under the umask.
             before = os.umask(0o177)
+            listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
             try:
-                self._server = _Server(str(path), _Handler)
+                listening.bind(str(path))
+                listening.listen(_BACKLOG)
+            except OSError:
+                listening.close()
+                raise
             finally:
                 os.umask(before)
             if group is not None:
-                os.chown(path, -1, grp.getgrnam(group).gr_gid)
-                path.chmod(0o660)
+                try:
+                    os.chown(path, -1, grp.getgrnam(group).gr_gid)
+                    path.chmod(0o660)
+                except BaseException:
+                    listening.close()
+                    raise
         except KeyError as error:
             raise InputError("status.group", repr(group), "a group of this system") from error
         except OSError as error:
             problem = f"{path}: {error.strerror or error}"
             raise InputError("status.socket", problem, "a path that can be bound") from error
-        self._server.answer = answer
-        self._thread = threading.Thread(target=self._server.serve_forever, name="control", args=(0.2,), daemon=True)
+        self._server = _Server(listening, answer)
+        self._thread = threading.Thread(target=self._server.run, name="control", daemon=True)
 
     def start(self) -> None:
         """Start answering."""
@@ -74,9 +92,8 @@ class ControlServer:
 
     def stop(self) -> None:
         """Stop answering and take the socket away."""
-        self._server.shutdown()
-        self._thread.join()
-        self._server.server_close()
+        self._server.stopping = True
+        self._thread.join(_STOP_S)
         # Left there it is replaced at the next start; what remains to be written at this stop is worth more.
         with suppress(OSError):
             self.path.unlink(missing_ok=True)
@@ -96,24 +113,106 @@ def _answers(path: Path) -> bool:
     return True
 
 
-class _Server(socketserver.ThreadingMixIn, socketserver.UnixStreamServer):
-    daemon_threads = True
-    request_queue_size = 64
-    answer: Callable[[Mapping[str, Any]], Answer]
+@dataclass
+class _Asking:
+    """A connection whose request is not whole yet."""
+
+    connection: socket.socket
+    until_s: float
+    request: bytearray = field(default_factory=bytearray)
 
 
-class _Handler(socketserver.StreamRequestHandler):
-    timeout = _PATIENCE_S
-    server: _Server
+class _Server:
+    """One thread collects the requests of all connections, a few others answer those that are whole.
 
-    def handle(self) -> None:
+    A request has to be whole within _PATIENCE_S of the connection, whatever comes meanwhile, and so has the taking of the answer.
+    Beyond _CONNECTIONS the one that has waited longest is cut off, so peers that ask nothing shut nobody out.
+    """
+
+    def __init__(self, listening: socket.socket, answer: Callable[[Mapping[str, Any]], Answer]) -> None:
+        self.stopping = False
+        self._listening = listening
+        self._answer = answer
+        self._asking: dict[int, _Asking] = {}
+        self._answering = threading.BoundedSemaphore(_ANSWERS_AT_ONCE)
+
+    def run(self) -> None:
+        """Until `stopping`."""
+        self._listening.setblocking(False)
+        with selectors.DefaultSelector() as selector, self._listening:
+            selector.register(self._listening, selectors.EVENT_READ)
+            while not self.stopping:
+                for key, _ in selector.select(_POLL_S):
+                    if key.fileobj is self._listening:
+                        self._accept(selector)
+                    else:
+                        self._read(selector, self._asking[key.fd])
+                now_s = monotonic()
+                for asking in [a for a in self._asking.values() if a.until_s <= now_s]:
+                    self._drop(selector, asking)
+            for asking in list(self._asking.values()):
+                self._drop(selector, asking)
+
+    def _accept(self, selector: selectors.BaseSelector) -> None:
         try:
-            answer = self._answer(self.rfile.readline(MAX_REQUEST_BYTES + 1))
-            self.wfile.write(json.dumps(answer, allow_nan=False).encode() + b"\n")
+            connection, _ = self._listening.accept()
+        except OSError as error:
+            _log.warning("control: %s", error)
+            # Out of descriptors the listening socket stays readable.
+            sleep(_POLL_S)
+            return
+        if len(self._asking) >= _CONNECTIONS:
+            _log.warning("control: more than %d connections; the one that has asked nothing for longest is cut off", _CONNECTIONS)
+            self._drop(selector, min(self._asking.values(), key=lambda asking: asking.until_s))
+        connection.setblocking(False)
+        self._asking[connection.fileno()] = _Asking(connection, monotonic() + _PATIENCE_S)
+        selector.register(connection, selectors.EVENT_READ)
+
+    def _read(self, selector: selectors.BaseSelector, asking: _Asking) -> None:
+        try:
+            piece = asking.connection.recv(_PIECE_BYTES)
+        except BlockingIOError:
+            return
+        except OSError:
+            piece = b""
+            asking.request.clear()
+        asking.request += piece
+        if piece and b"\n" not in piece and len(asking.request) <= MAX_REQUEST_BYTES:
+            return
+        if not asking.request or not self._answering.acquire(blocking=False):
+            # Nothing was asked, or too many ask at once.
+            self._drop(selector, asking)
+            return
+        selector.unregister(asking.connection)
+        del self._asking[asking.connection.fileno()]
+        try:
+            threading.Thread(target=self._reply, args=(asking,), name="control-answer", daemon=True).start()
+        except RuntimeError as error:
+            _log.warning("control: %s", error)
+            self._answering.release()
+            asking.connection.close()
+
+    def _drop(self, selector: selectors.BaseSelector, asking: _Asking) -> None:
+        selector.unregister(asking.connection)
+        del self._asking[asking.connection.fileno()]
+        asking.connection.close()
+
+    def _reply(self, asking: _Asking) -> None:
+        try:
+            with asking.connection:
+                answer = self._answer_to(bytes(asking.request).partition(b"\n")[0])
+                asking.connection.settimeout(_PATIENCE_S)
+                asking.connection.sendall(json.dumps(answer, allow_nan=False).encode() + b"\n")
         except OSError as error:
             _log.debug("control connection: %s", error)
+        except Exception:  # noqa: BLE001 - an answer that fails is one line for its asker, not the end of a thread
+            _log.exception("control")
+        finally:
+            self._answering.release()
 
-    def _answer(self, line: bytes) -> Answer:
+    def _answer_to(self, line: bytes) -> Answer:
+        if len(line) > MAX_REQUEST_BYTES:
+            return {"ok": False, "error": "the request is not one line of JSON"}
         try:
             request = json.loads(line)
         except (ValueError, RecursionError):
@@ -121,27 +220,40 @@ class _Handler(socketserver.StreamRequestHandler):
         if not isinstance(request, dict) or not isinstance(request.get("command"), str):
             return {"ok": False, "error": "the request names no command"}
         try:
-            return {"ok": True, **self.server.answer(request)}
+            return {"ok": True, **self._answer(request)}
         except (InputError, ControlError) as error:
             return {"ok": False, "error": str(error)}
 
 
 def ask(path: Path, request: Mapping[str, Any], timeout_s: float = 10.0) -> dict[str, Any]:
-    """The daemon's answer to a request. Raises ControlError when there is none or it is an error."""
+    """The daemon's answer to a request. Raises ControlError when there is none within timeout_s seconds or it is an error."""
+    end_s = monotonic() + timeout_s
+    received = bytearray()
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
             connection.settimeout(timeout_s)
             connection.connect(str(path))
             connection.sendall(json.dumps(request).encode() + b"\n")
-            with connection.makefile("rb") as file:
-                line = file.readline()
+            while b"\n" not in received and len(received) <= _MAX_ANSWER_BYTES:
+                connection.settimeout(max(0.01, end_s - monotonic()))
+                piece = connection.recv(_PIECE_BYTES)
+                if not piece:
+                    break
+                received += piece
+                if monotonic() > end_s:
+                    raise TimeoutError("timed out")
     except (FileNotFoundError, ConnectionRefusedError) as error:
         raise ControlError(f"{path}: no daemon answers there; is the service running?") from error
     except OSError as error:
         raise ControlError(f"{path}: {error.strerror or error}") from error
-    if not line:
+    if not received:
         raise ControlError(f"{path}: the daemon closed the connection without an answer")
-    answer: dict[str, Any] = json.loads(line)
-    if not answer.pop("ok"):
-        raise ControlError(str(answer["error"]))
-    return answer
+    try:
+        answer = json.loads(received)
+        ok = answer.pop("ok")
+        problem = "" if ok else str(answer["error"])
+    except (ValueError, RecursionError, KeyError, TypeError, AttributeError) as error:
+        raise ControlError(f"{path}: the daemon's answer is cut or makes no sense") from error
+    if not ok:
+        raise ControlError(problem)
+    return dict(answer)

@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from time import monotonic
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
 import can
 
@@ -64,9 +64,20 @@ _COMMAND_PATIENCE_S = 5.0
 #: From this wait on a disk that is slow rather than broken is a fault.
 _SLOW_STORE_S = 10.0
 _FOREVER = float("inf")
+#: From this age on what `status` says is marked as stale.
+_STALE_S = 5.0
+#: A thread that gives no sign of life for so long is a fault, and for so long a reason to have the daemon started anew.
+_HANGS_S, _HANGS_FOR_GOOD_S = 2.0, 8.0
+#: How long a stop waits for the disk; with the other steps it is over within 5 s.
+_STOP_WRITING_S = 1.5
 
 #: Sections of the configuration that a reload cannot change.
 _FIXED_AT_START = ("bus", "store", "status")
+
+
+class _Alive(Protocol):
+    @property
+    def alive(self) -> bool: ...
 
 
 @dataclass
@@ -98,8 +109,10 @@ class Daemon:
         self._silence_s = silence_s
         self.started = threading.Event()
         """Set once frames are taken and commands answered."""
-        self._stop = threading.Event()
-        self._reload_wanted = threading.Event()
+        # Plain flags: a signal handler runs between any two instructions of this thread, where it may hold any lock.
+        self._stop_wanted = False
+        self._reload_wanted = False
+        self._reloads = 0
         self._commands: queue.SimpleQueue[_Job] = queue.SimpleQueue()
         self._conditions = Conditions()
         self._told: dict[FaultCode, str] = {}
@@ -125,14 +138,18 @@ class Daemon:
             self._open_store, configuration.document.store.pending_seconds, path=configuration.store_path
         )
         self._rates = Rates()
+        self._threads: Mapping[str, _Alive] = {
+            "receive": self._receiver, "transmit": self._transmitter, "store": self._writer,
+        }  # fmt: skip
+        self._answered_s = monotonic()
 
     def request_stop(self) -> None:
         """End `run` soon, with everything written."""
-        self._stop.set()
+        self._stop_wanted = True
 
     def request_reload(self) -> None:
         """Read the configuration anew soon."""
-        self._reload_wanted.set()
+        self._reload_wanted = True
 
     def run(self) -> int:
         """Run until told to stop; returns the exit code.
@@ -160,7 +177,7 @@ class Daemon:
         except InputError:
             self._receiver.stop()
             raise
-        metrics = MetricsFile(self.configuration.prometheus_path, status.prometheus_interval_s, lambda: self._answer)
+        metrics = MetricsFile(self.configuration.prometheus_path, status.prometheus_interval_s, self._status)
         helpers = (self._transmitter, self._writer, control, metrics)
         for helper in helpers:
             helper.start()
@@ -169,18 +186,31 @@ class Daemon:
         self._manager.ready()
         _log.info("running on %s %s", self.configuration.document.bus.interface, self.configuration.document.bus.channel)
         try:
-            while not self._stop.is_set():
+            while not self._stop_wanted:
                 self._round()
         finally:
-            self._manager.stopping()
-            metrics.stop()
-            control.stop()
-            self._transmitter.stop()
-            self._receiver.stop()
-            self._commit()
-            self._writer.stop()
+            whole = self._end(metrics, control)
         _log.info("stopped; total %.1f kg", self._monitor.totals.total_kg)
-        return 0
+        return 0 if whole else 1
+
+    def _end(self, metrics: MetricsFile, control: ControlServer) -> bool:
+        """Each step is taken whatever became of the one before, and none takes for ever. False when one failed."""
+        whole = True
+
+        def write() -> None:
+            if not self._writer.stop(_STOP_WRITING_S):
+                _log.error("the disk hangs; %d batches are not written", self._writer.health().pending)
+
+        steps = (
+            self._manager.stopping, self._transmitter.stop, self._receiver.stop, self._commit, write, metrics.stop, control.stop,
+        )  # fmt: skip
+        for step in steps:
+            try:
+                step()
+            except Exception:  # noqa: BLE001 - the disk is still to be written to when anything else fails
+                _log.exception("stopping")
+                whole = False
+        return whole
 
     # Start
 
@@ -229,11 +259,12 @@ class Daemon:
         self._tell_faults(monotonic())
         self._do_commands()
         # Between two windows, where a new monitor has least to miss; a quiet bus has none.
-        if self._reload_wanted.is_set() and (self._window_closed or not items):
-            self._reload_wanted.clear()
+        if self._reload_wanted and (self._window_closed or not items):
+            self._reload_wanted = False
             self._do_reload()
-        if not self._writer.alive or not self._transmitter.alive:
-            raise RuntimeError("a thread of the service has died")
+        for name, thread in self._threads.items():
+            if not thread.alive:
+                raise RuntimeError(f"the {name} thread has died")
 
     def _take_message(self, message: can.Message) -> None:
         self._last_heard = (message.timestamp, monotonic())
@@ -297,7 +328,9 @@ class Daemon:
         """A window has closed: the engine lives, its frames are out, and the second goes to the store."""
         self._window_closed = True
         self._commit()
-        self._manager.alive()
+        if max(self._receiver.hangs_s(), self._transmitter.hangs_s()) < _HANGS_FOR_GOOD_S:
+            # A daemon that hears or says nothing any more is one to start anew.
+            self._manager.alive()
         self._rates.second(monotonic(), self._receiver.counters().received)
         self._answer = self._snapshot()
         self._manager.status(commands.summary(self._answer))
@@ -345,6 +378,11 @@ class Daemon:
         sent = self._transmitter.counters()
         if sent.failing(now_s):
             self._conditions.present("transmit", now_s + _HOLD_S, f"frames not sent: {sent.last_failure}")
+        if sent.late_now(now_s):
+            self._conditions.present("late", now_s + _HOLD_S, "frames not sent in time")
+        for name, hangs_s in (("receive", self._receiver.hangs_s()), ("transmit", self._transmitter.hangs_s())):
+            if hangs_s > _HANGS_S:
+                self._conditions.present(f"{name}-thread", now_s + _HOLD_S, f"the {name} thread hangs")
         health = self._writer.health()
         if health.failing:
             store = health.failing
@@ -355,7 +393,9 @@ class Daemon:
         else:
             store = "; ".join(note for note in (self._store_note, health.replaced_because) if note)
         found = {
-            FaultCode.BUS_ERROR: self._details(now_s, "interface", "bus-off", "errors", "transmit"),
+            FaultCode.BUS_ERROR: self._details(
+                now_s, "interface", "bus-off", "errors", "transmit", "late", "receive-thread", "transmit-thread"
+            ),
             FaultCode.FRAMES_LOST: self._details(now_s, "dropped"),
             FaultCode.OUTPUT_CONFLICT: self._details(now_s, "conflict"),
             FaultCode.STORE_FAILING: store,
@@ -368,12 +408,17 @@ class Daemon:
     def _details(self, now_s: float, *names: str) -> str:
         return "; ".join(self._conditions.details(now_s, names))
 
+    def _status(self) -> Answer:
+        """The last snapshot with its age: the engine's thread makes one each second, whoever asks."""
+        age_s = monotonic() - self._answered_s
+        return {**self._answer, "age_s": round(age_s, 1), "stale": age_s > _STALE_S}
+
     # Operator
 
     def _command(self, request: Mapping[str, Any]) -> Answer:
         """Called on the control server's threads."""
         if request["command"] == "status":
-            return self._answer
+            return self._status()
         job = _Job(request, Future())
         self._commands.put(job)
         try:
@@ -402,6 +447,7 @@ class Daemon:
     def _do_reload(self) -> None:
         """Takes the configuration anew, or goes on with the old one and says so."""
         self._manager.reloading()
+        self._reloads += 1
         try:
             if self._reload is None:
                 raise InputError("reload", "this run has no configuration file")
@@ -432,6 +478,7 @@ class Daemon:
         _log.info("configuration reloaded: %s", self._reload_note)
 
     def _snapshot(self) -> Answer:
+        self._answered_s = monotonic()
         return snapshot(
             configuration=self.configuration,
             monitor=self._monitor,
@@ -445,6 +492,7 @@ class Daemon:
             frames_per_s=self._rates.frames_per_s,
             malformed=self._malformed,
             reload_note=self._reload_note,
+            reloads=self._reloads,
             uptime_s=monotonic() - self._started_s,
         )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,8 @@ from yieldmon.errors import InputError
 from yieldmon.files.whole_file import scratch_for
 
 _log = logging.getLogger(__name__)
+
+_STOP_S = 0.5
 
 
 class MetricsFile:
@@ -34,7 +37,7 @@ class MetricsFile:
         """Stop writing and take the file away, so that nothing stale is collected."""
         self._stop.set()
         if self._path is not None:
-            self._thread.join()
+            self._thread.join(_STOP_S)
             try:
                 self._path.unlink(missing_ok=True)
             except OSError as error:
@@ -81,6 +84,9 @@ def lines(status: Mapping[str, Any]) -> Iterator[str]:
     yield from _metric("store_pending", "gauge", "Seconds that wait for the store", store["pending"])
     yield from _metric("calibration_age_seconds", "gauge", "Age of the parameters", status["parameters"]["age_s"])
     yield from _metric("uptime_seconds", "gauge", "Time since the start", status["uptime_s"])
+    yield from _metric("status_age_seconds", "gauge", "Age of these figures when they were written", status["age_s"])
+    yield from _metric("status_stale", "gauge", "1 when the measuring has stopped telling", float(status["stale"]))
+    yield from _metric("written_timestamp_seconds", "gauge", "When this file was written, Unix time", time.time())
     yield "# HELP yieldmon_fault 1 while the fault is shown"
     yield "# TYPE yieldmon_fault gauge"
     for code in FaultCode:

@@ -49,6 +49,7 @@ def snapshot(
     frames_per_s: float,
     malformed: int,
     reload_note: str,
+    reloads: int,
     uptime_s: float,
 ) -> dict[str, Any]:
     """The state of a running daemon; every value is fit for JSON, None where it is not known."""
@@ -59,7 +60,7 @@ def snapshot(
         "version": yieldmon.__version__,
         "uptime_s": round(uptime_s, 1),
         "state": (record.operating_state if record is not None else OperatingState.STARTING).name.lower(),
-        "configuration": {"file": str(configuration.path), "reload": reload_note},
+        "configuration": {"file": str(configuration.path), "reload": reload_note, "reloads": reloads},
         "load": {
             "number": totals.load_number,
             "open": totals.load_open,

@@ -17,6 +17,8 @@ _SEND_TIMEOUT_S = 0.2
 #: How long a frame that was sent may take to come back from an interface that shows a node its own frames.
 _ECHO_S = 1.0
 _FAILURE_HOLD_S = 2.0
+#: How long a stop waits for the frame that is being sent.
+_STOP_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,11 @@ class TransmitCounters:
     failed: int = 0
     last_failure: str = ""
     last_failure_at_s: float = float("-inf")
+    last_late_at_s: float = float("-inf")
+
+    def late_now(self, now_s: float) -> bool:
+        """Whether a frame grew too old within the last two seconds before now_s (monotonic)."""
+        return now_s - self.last_late_at_s < _FAILURE_HOLD_S
 
     def failing(self, now_s: float) -> bool:
         """Whether a frame was refused within the last two seconds before now_s (monotonic)."""
@@ -54,6 +61,7 @@ class Transmitter:
         self._echoes: deque[tuple[float, int, bytes]] = deque()
         self._changed = threading.Condition()
         self._stopping = False
+        self._busy_since_s: float | None = None
         self._counters = TransmitCounters()
         self._thread = threading.Thread(target=self._run, name="can-transmitter", daemon=True)
 
@@ -66,16 +74,22 @@ class Transmitter:
         with self._changed:
             if len(self._queue) >= self._capacity:
                 self._queue.popleft()
-                self._counters = replace(self._counters, late=self._counters.late + 1)
+                self._counters = replace(self._counters, late=self._counters.late + 1, last_late_at_s=self._clock())
             self._queue.append((self._clock(), message))
             self._changed.notify()
 
-    def stop(self) -> None:
-        """Send what is still fresh and end the thread."""
+    def stop(self, patience_s: float = _STOP_S) -> bool:
+        """Send what is still fresh and end the thread; False when it did not end within patience_s seconds."""
         with self._changed:
             self._stopping = True
             self._changed.notify()
-        self._thread.join()
+        self._thread.join(patience_s)
+        return not self._thread.is_alive()
+
+    def hangs_s(self) -> float:
+        """For how long the thread has been sending one frame, s; 0 while it waits for one."""
+        since_s = self._busy_since_s
+        return 0.0 if since_s is None else self._clock() - since_s
 
     def is_echo(self, message: can.Message) -> bool:
         """Whether a received frame is one of those sent within the last second. Each counts as an echo once: some
@@ -101,11 +115,13 @@ class Transmitter:
 
     def _run(self) -> None:
         while True:
+            self._busy_since_s = None
             with self._changed:
                 self._changed.wait_for(lambda: self._queue or self._stopping)
                 if not self._queue:
                     return
                 queued_at_s, message = self._queue.popleft()
+                self._busy_since_s = self._clock()
             if self._clock() - queued_at_s > self._max_age_s:
                 self._count(late=1)
                 continue
@@ -129,10 +145,12 @@ class Transmitter:
             before = self._counters
             if failed and not before.failing(self._clock()):
                 _log.warning("transmit: %s", failure)
+            now_s = self._clock()
             self._counters = TransmitCounters(
                 sent=before.sent + sent,
                 late=before.late + late,
                 failed=before.failed + failed,
                 last_failure=failure or before.last_failure,
-                last_failure_at_s=self._clock() if failed else before.last_failure_at_s,
+                last_failure_at_s=now_s if failed else before.last_failure_at_s,
+                last_late_at_s=now_s if late else before.last_late_at_s,
             )

@@ -61,7 +61,7 @@ class StoreWriter:
         self._in_flight = 0
         self._path = path
         self._mended_s = float("-inf")
-        self._thread = threading.Thread(target=self._run, name="store-writer")
+        self._thread = threading.Thread(target=self._run, name="store-writer", daemon=True)
 
     def start(self) -> None:
         """Start the thread."""
@@ -98,12 +98,14 @@ class StoreWriter:
         with self._changed:
             return self._changed.wait_for(lambda: not self._pending, timeout_s)
 
-    def stop(self) -> None:
-        """Write what is pending, once more if the disk fails, and end the thread."""
+    def stop(self, patience_s: float | None = None) -> bool:
+        """Write what is pending, once more if the disk fails, and end the thread; False when it did not end within patience_s
+        seconds, as on a disk that hangs."""
         with self._changed:
             self._stopping = True
             self._changed.notify_all()
-        self._thread.join()
+        self._thread.join(patience_s)
+        return not self._thread.is_alive()
 
     def _run(self) -> None:
         store: Store | None = None
