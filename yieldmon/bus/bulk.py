@@ -34,14 +34,14 @@ class FrameBlock:
 
     time_s: float64, seconds, the recorder's epoch. can_id: uint32 with flags. length: uint8, bytes of data (of a remote
     frame: the length asked for). payload: uint64, the first 8 bytes of data, first byte lowest, absent bytes 0 (beyond
-    8 bytes a CAN FD frame's data are not kept: no frame of ours is longer). channel: int16 index into `channels`.
+    8 bytes a CAN FD frame's data are not kept: no frame of ours is longer). channel: int32 index into `channels`.
     """
 
     time_s: NDArray[np.float64]
     can_id: NDArray[np.uint32]
     length: NDArray[np.uint8]
     payload: NDArray[np.uint64]
-    channel: NDArray[np.int16]
+    channel: NDArray[np.int32]
     channels: tuple[str, ...]
 
     def __len__(self) -> int:
@@ -138,7 +138,7 @@ def block_of(messages: Iterable[can.Message]) -> FrameBlock:
         np.array(can_id, np.uint32),
         np.array(length, np.uint8),
         np.array(payload, np.uint64),
-        np.array(channel, np.int16),
+        np.array(channel, np.int32),
         tuple(channels),
     )
 
@@ -175,14 +175,14 @@ def concatenate(blocks: Sequence[FrameBlock]) -> FrameBlock:
     names = tuple(dict.fromkeys(name for block in blocks for name in block.channels))
     place = {name: index for index, name in enumerate(names)}
     channel = [
-        np.array([place[name] for name in block.channels], np.int16)[block.channel] for block in blocks if len(block)
+        np.array([place[name] for name in block.channels], np.int32)[block.channel] for block in blocks if len(block)
     ]
     return FrameBlock(
         np.concatenate([np.empty(0), *(block.time_s for block in blocks)]),
         np.concatenate([np.empty(0, np.uint32), *(block.can_id for block in blocks)]),
         np.concatenate([np.empty(0, np.uint8), *(block.length for block in blocks)]),
         np.concatenate([np.empty(0, np.uint64), *(block.payload for block in blocks)]),
-        np.concatenate([np.empty(0, np.int16), *channel]),
+        np.concatenate([np.empty(0, np.int32), *channel]),
         names,
     )
 

@@ -31,7 +31,7 @@ _LOG_LINE = re.compile(
 _SCREEN_LINE = re.compile(
     r"\((?P<time>\d{1,12}\.\d{1,9})\)\s+(?P<channel>\S+)\s+(?:(?P<direction>[RT])X\s+\S\s+\S\s+)?"
     r"(?P<id>[0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})\s+\[0?(?P<length>\d{1,2})\]"
-    r"(?:\s+(?P<remote>remote request)|(?P<data>(?:\s+[0-9A-Fa-f]{2})*))(?:\s+'.*'|\s+ERRORFRAME)*"
+    r"(?:\s+(?P<remote>remote request)|(?P<data>(?:\s+[0-9A-Fa-f]{2})*))(?:\s+'.*')?(?:\s+ERRORFRAME)?"
 )
 _DROPPED = re.compile(r"DROPCOUNT: dropped (\d+) ")
 

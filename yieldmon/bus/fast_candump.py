@@ -61,7 +61,7 @@ class ParsedLines:
     can_id: NDArray[np.uint32]
     length: NDArray[np.uint8]
     payload: NDArray[np.uint64]
-    channel: NDArray[np.int16]
+    channel: NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def parse_lines(
         np.zeros(lines, np.uint32),
         np.zeros(lines, np.uint8),
         np.zeros(lines, np.uint64),
-        np.zeros(lines, np.int16),
+        np.zeros(lines, np.int32),
     )
     module = _compiled_module() if compiled or (compiled is None and len(chunk) >= _COMPILED_FROM_BYTES) else None
     done = np.zeros(lines, bool) if module is None else _compiled_pass(module, chunk, buffer, starts, ends, channels, parsed)

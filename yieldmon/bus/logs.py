@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import can
 from can.io.blf import (
@@ -31,7 +31,11 @@ from can.io.blf import (
 from yieldmon.bus import mf4
 from yieldmon.bus.candump import dropped_frames, parse_line
 from yieldmon.bus.gunzip import Gunzip
+from yieldmon.bus.sqlite_log import SqliteLog
 from yieldmon.errors import InputError
+
+if TYPE_CHECKING:
+    from _typeshed import WriteableBuffer
 
 _log = logging.getLogger(__name__)
 
@@ -48,6 +52,11 @@ LONGEST_LINE_BYTES = 4096
 #: Control characters that stand in no text log: all but tab, line feed and carriage return.
 _CONTROL_BYTE = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")
 _LARGEST_ID = 0x1FFFFFFF
+#: A compressed log is unpacked up to this size, and to half of the room that there is.
+LARGEST_UNPACKED_BYTES = 8 * 1024**3
+_UNPACK_STEP_BYTES = 1024 * 1024
+#: Vector writes containers of 128 kB.
+_LARGEST_CONTAINER_BYTES = 16 * 1024 * 1024
 
 #: What stands for a header when a reader goes on behind a damaged line: the line it may skip without loss.
 _RESUME_LINE = {".asc": "internal events logged", ".csv": "header", ".trc": ";"}
@@ -296,20 +305,19 @@ def _read_binary(path: Path, suffix: str, compressed: bool, notes: LogNotes) -> 
         plain = stack.enter_context(_decompressed(path, suffix, notes)) if compressed else path
         plain.stat()  # SQLite would make a missing file
         reader: Any = None
+        flaw: tuple[int, str] | None = None
         count = 0
         try:
-            reader = cast("Any", can.io.player.MESSAGE_READERS[suffix])(str(plain))
-            stack.callback(reader.stop)
             flaw = _first_flaw_of_blf(plain) if suffix == ".blf" else None
+            reader = _binary_reader(plain, suffix, flaw[0] if flaw is not None else None)
+            stack.callback(reader.stop)
             for message in reader:
-                if flaw is not None and reader.file.tell() > flaw[0]:
-                    break
                 count += 1
-                problem = _impossible(message)
-                if problem is None:
+                impossible = _impossible(message)
+                if impossible is None:
                     yield message
                 else:
-                    notes.damage(f"{path}: frame {count}", problem)
+                    notes.damage(f"{path}: frame {count}", impossible)
             if flaw is not None:
                 notes.damage(f"{path}: byte {flaw[0]}", f"{flaw[1]}; reading stopped")
         except OSError:
@@ -317,7 +325,47 @@ def _read_binary(path: Path, suffix: str, compressed: bool, notes: LogNotes) -> 
         except Exception as error:  # noqa: BLE001 - parsers of binary formats raise anything on damaged bytes
             stream = getattr(reader, "file", None)
             place = f"frame {count + 1}" if stream is None or stream.closed else f"byte {stream.tell()}"
-            notes.damage(f"{path}: {place}", f"{type(error).__name__} {error}; reading stopped")
+            problem = f"{type(error).__name__} {error}"
+            if flaw is not None:
+                # The reader was shown what stands before the flaw, and may have missed the rest of a frame.
+                place, problem = f"byte {flaw[0]}", flaw[1]
+            notes.damage(f"{path}: {place}", f"{problem}; reading stopped")
+
+
+def _binary_reader(path: Path, suffix: str, end: int | None) -> Any:
+    """A reader of the file; of a .blf that has a flaw at byte `end`, of what stands before it."""
+    if suffix == ".db":
+        return SqliteLog(str(path))
+    reader = cast("Any", can.io.player.MESSAGE_READERS[suffix])
+    return reader(str(path)) if end is None else reader(io.BufferedReader(_Head(path, end)))
+
+
+class _Head(io.RawIOBase):
+    """The first bytes of a file, for a reader that must not see the others."""
+
+    def __init__(self, path: Path, size: int) -> None:
+        super().__init__()
+        self._file = path.open("rb")
+        self._size = size
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        return self._file.seek(offset, whence)
+
+    def readinto(self, target: WriteableBuffer) -> int:
+        view = memoryview(target).cast("B")
+        piece = self._file.read(min(len(view), max(0, self._size - self._file.tell())))
+        view[: len(piece)] = piece
+        return len(piece)
+
+    def close(self) -> None:
+        self._file.close()
+        super().close()
 
 
 @contextmanager
@@ -326,11 +374,22 @@ def _decompressed(path: Path, suffix: str, notes: LogNotes) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="yieldmon-") as folder:
         plain = Path(folder) / f"log{suffix}"
         with open_bytes(path, compressed=True) as packed, plain.open("wb") as out:
-            shutil.copyfileobj(packed, out)
-            early_end = early_end_of(packed)
+            early_end = _unpacked(packed, out, shutil.disk_usage(folder).free)
         if early_end is not None:
             notes.damage(str(path), early_end)
         yield plain
+
+
+def _unpacked(packed: io.BufferedReader, out: io.BufferedWriter, free_bytes: int) -> str | None:
+    """Copies the decompressed bytes, as many as there is room for; why they are not all, None where they are."""
+    limit = min(LARGEST_UNPACKED_BYTES, free_bytes // 2)
+    written = 0
+    while piece := packed.read(_UNPACK_STEP_BYTES):
+        written += len(piece)
+        if written > limit:
+            return f"unpacks to more than {limit} bytes"
+        out.write(piece)
+    return early_end_of(packed)
 
 
 def _first_flaw_of_blf(path: Path) -> tuple[int, str] | None:
@@ -355,8 +414,11 @@ def _first_flaw_of_blf(path: Path) -> tuple[int, str] | None:
             if len(body) < size - len(base):
                 return start, f"the file ends within an object of {size} bytes"
             if kind == LOG_CONTAINER and LOG_CONTAINER_STRUCT.unpack_from(body)[0] == ZLIB_DEFLATE:
+                inflating = zlib.decompressobj()
                 try:
-                    zlib.decompress(body[LOG_CONTAINER_STRUCT.size :])
+                    inflating.decompress(body[LOG_CONTAINER_STRUCT.size :], _LARGEST_CONTAINER_BYTES)
                 except zlib.error as error:
                     return start, f"compressed container damaged: {error}"
+                if not inflating.eof:
+                    return start, "compressed container damaged: it ends early or unpacks to too much"
             stream.read(size % 4)

@@ -24,6 +24,7 @@ from yieldmon import __version__
 from yieldmon.bus import mf4
 from yieldmon.cli import _outputs
 from yieldmon.errors import InputError
+from yieldmon.files.plain_text import plain
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2
@@ -99,7 +100,7 @@ def _tell(error: object) -> None:
     text = str(error)
     if isinstance(error, OSError) and error.strerror:
         text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-    print(f"yieldmon: {' '.join(text.split())}", file=sys.stderr)
+    print(f"yieldmon: {plain(' '.join(text.split()))}", file=sys.stderr)
 
 
 def _missing_package(error: ModuleNotFoundError) -> str | None:

@@ -64,7 +64,9 @@ def rollback(path: Path) -> int:
     name, digest = current.provenance.get("parent_copy"), current.provenance.get("parent_sha256")
     if name is None or digest is None:
         raise InputError(f"{path}: provenance", "names no parent", "a file written by diagnose --adopt")
-    copy = path.with_name(Path(name).name)
+    if Path(name).name != name or name in ("", ".", "..") or "\0" in name:
+        raise InputError(f"{path}: provenance.parent_copy", f"is {name[:80]!r}", "the name of a file in the same folder")
+    copy = path.with_name(name)
     try:
         text = copy.read_bytes()
     except OSError as error:

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from yieldmon.files.plain_text import plain
 from yieldmon.files.whole_file import scratch_for
 
 from .points import YieldPoint
@@ -51,7 +52,7 @@ def line(point: YieldPoint, field: str, grain: str) -> str:
 
 
 def _quotable(name: str) -> str:
-    return " ".join(name.replace('"', "'").split())
+    return plain(" ".join(name.replace('"', "'").split()))
 
 
 def write(path: Path, points: Sequence[YieldPoint], field: str, grain: str) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from yieldmon.files.plain_text import cell
 from yieldmon.files.whole_file import scratch_for
 
 
@@ -17,7 +18,11 @@ def write_csv(path: Path, kind: type, rows: Sequence[Any]) -> None:
     with scratch_for(path) as scratch, scratch.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(field.name for field in dataclasses.fields(kind))
-        writer.writerows(dataclasses.astuple(row) for row in rows)
+        writer.writerows(map(_cells, rows))
+
+
+def _cells(row: Any) -> list[Any]:
+    return [cell(value) if isinstance(value, str) else value for value in dataclasses.astuple(row)]
 
 
 def write_parquet(path: Path, kind: type, rows: Sequence[Any]) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
+from yieldmon.errors import InputError
 from yieldmon.files.whole_file import scratch_for
 
 from .points import YieldPoint
@@ -17,7 +18,8 @@ def properties(point: YieldPoint) -> dict[str, object]:
     """All but the position; time as ISO 8601 in UTC beside Unix time."""
     values = dataclasses.asdict(point)
     longitude, latitude = values.pop("longitude_deg"), values.pop("latitude_deg")
-    assert -180.0 <= longitude <= 180.0 and -90.0 <= latitude <= 90.0, "the engine lets no other position in"  # noqa: PT018
+    if not (-180.0 <= longitude <= 180.0 and -90.0 <= latitude <= 90.0):
+        raise InputError("position", f"is {latitude:g}, {longitude:g} deg", "latitude -90 to 90, longitude -180 to 180")
     return {"time_utc": datetime.fromtimestamp(point.time_s, UTC).isoformat(timespec="milliseconds"), **values}
 
 

@@ -14,6 +14,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from yieldmon import __version__
+from yieldmon.errors import InputError
+from yieldmon.files.plain_text import plain
 from yieldmon.files.whole_file import scratch_for
 
 from .points import YieldPoint
@@ -160,7 +162,11 @@ def _document(root: ET.Element) -> bytes:
 
 def write(path: Path, points: Sequence[YieldPoint], field: str, reference_moisture_pct: float) -> None:
     """A zip with the folder TASKDATA in it for a name that ends in .zip, else that folder inside `path`."""
-    content = files(points, field, reference_moisture_pct)
+    try:
+        content = files(points, plain(field), reference_moisture_pct)
+    except (struct.error, OverflowError) as error:
+        expected = "times from 1980 to 2159 and masses below 2 Mt"
+        raise InputError(str(path), f"a point does not fit task data: {error}", expected) from error
     if path.suffix.lower() == ".zip":
         with scratch_for(path) as scratch, zipfile.ZipFile(scratch, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, data in content.items():

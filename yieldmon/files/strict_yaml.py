@@ -7,6 +7,7 @@ something other than what it shows, nor grow in memory.
 
 from __future__ import annotations
 
+import errno
 import re
 from collections.abc import Hashable
 from pathlib import Path
@@ -16,8 +17,10 @@ import yaml
 
 from yieldmon.errors import InputError
 
-MAX_BYTES = 1_000_000
+MAX_BYTES = 100_000
 MAX_DEPTH = 20
+_PASSING = frozenset({errno.EIO, errno.ENOMEM, errno.EMFILE, errno.ENFILE, errno.EINTR, errno.ESTALE, errno.ETIMEDOUT})
+"""What a file cannot be blamed for: another try may succeed."""
 _WHOLE = 2**63
 """Whole numbers are smaller than this: databases and tables have room for no larger ones."""
 
@@ -73,7 +76,7 @@ def _resolvers() -> dict[str, list[tuple[str, re.Pattern[str]]]]:
         "null": (r"null|~|", ["n", "~", ""]),
         "bool": (r"true|false", ["t", "f"]),
         "int": (r"[-+]?[0-9]+", list("-+0123456789")),
-        "float": (r"[-+]?(\.[0-9]+|[0-9]+\.?[0-9]*)([eE][-+]?[0-9]+)?|[-+]?\.inf|\.nan", list("-+.0123456789")),
+        "float": (r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.inf|\.nan", list("-+.0123456789")),
     }
     table: dict[str, list[tuple[str, re.Pattern[str]]]] = {}
     for name, (pattern, firsts) in core.items():
@@ -115,6 +118,8 @@ def read(path: Path | str) -> str:
         with open(path, "rb") as file:
             return file.read(MAX_BYTES + 1).decode("utf-8")
     except OSError as error:
+        if error.errno in _PASSING:
+            raise
         raise InputError(str(path), error.strerror or str(error), "a readable YAML file") from error
     except UnicodeDecodeError as error:
         raise InputError(str(path), f"byte {error.start} is not UTF-8", "a YAML file in UTF-8") from error

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from yieldmon.errors import InputError
 
+_STEM = 100
+"""Characters of the name that its folder has as well: names have an end."""
 _NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """What only writing can meet, and a write's error does not name its file."""
 
@@ -25,7 +29,7 @@ def check_place(path: str | Path) -> None:
 
 @contextmanager
 def scratch_for(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
-    """A path to write to, beside `path`; it takes that name at the end, and goes when something fails.
+    """A path to write to, in a folder beside `path`; it takes that name at the end, and goes when something fails.
 
     A link is followed. What is there and is no file (a pipe, /dev/stdout) is written to as it is. durable: on the medium before
     it takes the name. Raises InputError as `check_place`; an OSError names `path`.
@@ -33,7 +37,8 @@ def scratch_for(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
     check_place(path)
     target = Path(path).resolve()
     in_place = target.exists() and not target.is_file()
-    scratch = target if in_place else target.with_name(f".{target.stem}.{os.getpid()}{target.suffix}")
+    folder = None if in_place else _private_folder(target, path)
+    scratch = target if folder is None else folder / target.name
     try:
         yield scratch
         if not in_place:
@@ -46,8 +51,17 @@ def scratch_for(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
             error.filename = str(path)
         raise
     finally:
-        if not in_place:
-            scratch.unlink(missing_ok=True)
+        if folder is not None:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _private_folder(target: Path, path: str | Path) -> Path:
+    """A new folder of our own beside `target`, with a name that nobody can foresee and nobody else may look into."""
+    try:
+        return Path(tempfile.mkdtemp(prefix=f".{target.stem[:_STEM]}.", dir=target.parent))
+    except OSError as error:
+        error.filename = str(path)
+        raise
 
 
 def _sync(path: Path) -> None:

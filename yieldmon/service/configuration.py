@@ -175,6 +175,12 @@ def _beside(path: Path, name: str | None, default: str) -> Path:
     return path.parent / name if name is not None else shipped(default)
 
 
+#: What the bus is opened with in any case; python-can would get them twice.
+_NAMED_BUS_OPTIONS = frozenset({
+    "interface", "channel", "bitrate", "can_filters", "filters", "receive_own", "receive_own_messages", "receive_buffer_bytes",
+})  # fmt: skip
+
+
 def _contradictions(document: Document, machine: Machine) -> Iterator[tuple[str, str, str]]:
     """(key, value, expected) where keys that are right by themselves do not go together."""
     if document.bus.interface not in _COMMON_INTERFACES:
@@ -182,6 +188,8 @@ def _contradictions(document: Document, machine: Machine) -> Iterator[tuple[str,
 
         if document.bus.interface not in can.VALID_INTERFACES:
             yield "bus.interface", repr(document.bus.interface), f"one of {', '.join(sorted(can.VALID_INTERFACES))}"
+    for key in sorted(_NAMED_BUS_OPTIONS & set(document.bus.options)):
+        yield f"bus.options.{key}", "is set by a key of bus, or by the daemon", "options that the bus section has no key for"
     gate = document.gate
     if gate.grain_off_n > gate.grain_on_n:
         yield "gate.grain_off_n", f"{gate.grain_off_n:g}", f"at most gate.grain_on_n, {gate.grain_on_n:g} N"

@@ -6,6 +6,7 @@ open the socket may command; its file mode says who that is.
 
 from __future__ import annotations
 
+import errno
 import grp
 import json
 import logging
@@ -32,6 +33,8 @@ _CONNECT_S = 1.0
 _POLL_S = 0.2
 _STOP_S = 0.5
 _BACKLOG = 64
+#: What only another configuration mends; a medium that is full or a file that is in the way may pass.
+_WRONG_PATH = frozenset({errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP, errno.EINVAL})
 #: Connections whose requests are awaited, and requests that are answered, at the same time.
 _CONNECTIONS, _ANSWERS_AT_ONCE = 32, 8
 _PIECE_BYTES = 65_536
@@ -51,8 +54,8 @@ class ControlServer:
         """path: the socket; what is there of an earlier run is replaced. group: may use it too (mode 0660, else 0600).
         answer: called with each request, on any thread; InputError and ControlError become an error answer.
 
-        Raises InputError for a group that does not exist or a path that cannot be bound, OccupiedError for one at which a daemon
-        is running.
+        Raises InputError for a group that does not exist or a path that no socket can have, OSError for one that cannot be bound
+        now, OccupiedError for one at which a daemon is running.
         """
         self.path = path
         try:
@@ -81,8 +84,11 @@ class ControlServer:
         except KeyError as error:
             raise InputError("status.group", repr(group), "a group of this system") from error
         except OSError as error:
-            problem = f"{path}: {error.strerror or error}"
-            raise InputError("status.socket", problem, "a path that can be bound") from error
+            # Without a number: a path that is too long for a socket's address.
+            if error.errno is None or error.errno in _WRONG_PATH:
+                problem = f"{path}: {error.strerror or error}"
+                raise InputError("status.socket", problem, "a path that can be bound") from error
+            raise
         self._server = _Server(listening, answer)
         self._thread = threading.Thread(target=self._server.run, name="control", daemon=True)
 

@@ -174,7 +174,7 @@ class Daemon:
         try:
             status = self.configuration.document.status
             control = ControlServer(self.configuration.socket_path, status.group, self._command)
-        except InputError:
+        except BaseException:
             self._receiver.stop()
             raise
         metrics = MetricsFile(self.configuration.prometheus_path, status.prometheus_interval_s, self._status)

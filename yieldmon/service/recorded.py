@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import json
+import logging
 import types
 import typing
 from collections.abc import Iterable, Iterator, Mapping
@@ -16,6 +17,8 @@ from yieldmon.errors import InputError
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Load, Store, StoreError
 
+_log = logging.getLogger(__name__)
+
 STORE_SUFFIXES = (".sqlite", ".sqlite3", ".db")
 SUFFIXES = (*STORE_SUFFIXES, ".csv", ".jsonl", ".parquet")
 
@@ -24,6 +27,15 @@ _OPTIONAL = {name for name, hint in _HINTS.items() if isinstance(hint, types.Uni
 _KINDS = {
     name: next(kind for kind in (float, int, str) if kind in (hint, *typing.get_args(hint))) for name, hint in _HINTS.items()
 }
+
+
+#: Bounds of all numbers, and of those that a place, a time or a share of something is made of.
+_LIMITS: dict[str, tuple[float, float]] = {
+    **{name: (-1e15, 1e15) for name, kind in _KINDS.items() if kind is not str},
+    "time_s": (-1e9, 2e11), "duration_s": (1e-6, 1e6), "mass_kg": (0.0, 1e9), "latitude_deg": (-90.0, 90.0),
+    "longitude_deg": (-180.0, 180.0), "ground_speed_m_s": (0.0, 1e3), "course_deg": (-360.0, 720.0), "quality": (0, 255),
+    "moisture_pct": (0.0, 100.0),
+}  # fmt: skip
 
 
 def read_seconds(path: Path | str) -> list[SecondRow]:
@@ -37,9 +49,16 @@ def read_seconds(path: Path | str) -> list[SecondRow]:
         raise InputError(str(path), f"unknown kind of record {suffix!r}", f"a name that ends in one of {', '.join(SUFFIXES)}")
     if not path.is_file():
         raise InputError(str(path), "no such file", "a store, or a table that `yieldmon process` wrote")
+    damaged: list[int] = []
     if suffix in STORE_SUFFIXES:
         with opened(path) as store:
-            return store.seconds()
+            rows = store.seconds(on_damage=damaged.append)
+        if damaged:
+            numbers = ", ".join(map(str, damaged[:5])) + (" ..." if len(damaged) > 5 else "")
+            _log.warning("%s: %d seconds are damaged and left out (number %s)", path, len(damaged), numbers)
+        for row in rows:
+            _check(row, f"{path}: second {row.number}")
+        return rows
     return [_row(values, f"{path}: row {number}") for number, values in enumerate(_tables(path, suffix), 1)]
 
 
@@ -76,7 +95,7 @@ def _tables(path: Path, suffix: str) -> Iterable[Mapping[str, Any]]:
             return [json.loads(line) for line in stream]
     except UnicodeDecodeError as error:
         raise InputError(str(path), f"byte {error.start} is not UTF-8", "a table that `yieldmon process` wrote") from error
-    except (json.JSONDecodeError, csv.Error) as error:
+    except (json.JSONDecodeError, csv.Error, RecursionError) as error:
         raise InputError(str(path), str(error), "a table that `yieldmon process` wrote") from error
 
 
@@ -88,7 +107,17 @@ def _row(values: Mapping[str, Any], where: str) -> SecondRow:
         if field.name not in values:
             raise InputError(where, f"has no {field.name}", "a table that `yieldmon process` wrote")
         fields[field.name] = _value(field.name, values[field.name], where)
-    return SecondRow(**fields)
+    row = SecondRow(**fields)
+    _check(row, where)
+    return row
+
+
+def _check(row: SecondRow, where: str) -> None:
+    """Raises InputError for a number that no second has: what is made of it would fail further on, or mean nothing."""
+    for name, (low, high) in _LIMITS.items():
+        value = getattr(row, name)
+        if value is not None and not low <= value <= high:
+            raise InputError(f"{where}: {name}", f"is {value!r}", f"{low:g} to {high:g}")
 
 
 def _value(name: str, value: Any, where: str) -> Any:
@@ -98,5 +127,5 @@ def _value(name: str, value: Any, where: str) -> Any:
         if value is None:
             raise ValueError
         return _KINDS[name](value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"{where}: {name}", f"is {value!r}", f"a value of kind {_KINDS[name].__name__}") from None

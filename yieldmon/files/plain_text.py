@@ -1,0 +1,20 @@
+"""Text from outside made fit for terminals, spreadsheets and XML: one line, no control characters, no formula."""
+
+from __future__ import annotations
+
+import unicodedata
+
+_UNFIT = frozenset({"Cc", "Cs", "Cn", "Zl", "Zp"})
+_BIDI = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+
+
+def plain(text: str) -> str:
+    """The text with each character that a terminal would obey, or XML 1.0 has no place for, as a replacement character."""
+    return "".join("\ufffd" if unicodedata.category(c) in _UNFIT or c in _BIDI else c for c in text)
+
+
+def cell(text: str) -> str:
+    """The text as a spreadsheet shows it: what would be a formula begins with an apostrophe (OWASP, "CSV Injection")."""
+    fit = plain(text)
+    return f"'{fit}" if fit.startswith(_FORMULA) else fit
