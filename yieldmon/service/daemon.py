@@ -142,6 +142,7 @@ class Daemon:
             "receive": self._receiver, "transmit": self._transmitter, "store": self._writer,
         }  # fmt: skip
         self._answered_s = monotonic()
+        self._replacements = 0
 
     def request_stop(self) -> None:
         """End `run` soon, with everything written."""
@@ -327,6 +328,10 @@ class Daemon:
     def _second_done(self) -> None:
         """A window has closed: the engine lives, its frames are out, and the second goes to the store."""
         self._window_closed = True
+        replacements = self._writer.health().replacements
+        if replacements != self._replacements:
+            self._replacements = replacements
+            self._journal.tell_all_again()
         self._commit()
         if max(self._receiver.hangs_s(), self._transmitter.hangs_s()) < _HANGS_FOR_GOOD_S:
             # A daemon that hears or says nothing any more is one to start anew.

@@ -42,6 +42,7 @@ class Memory:
     engine: EngineState | None = None
     saved_s: float = 0.0
     parameters: ParameterSet | None = None
+    parameter_origin: str = "file"
     parameter_digest: str = ""
     last_batch: int = 0
     last_second: int = 0
@@ -66,6 +67,7 @@ def recall(store: Store) -> Memory:
             engine=EngineState.from_dict(document["engine"]),
             saved_s=float(document["saved_s"]),
             parameters=parameter_file.from_document(versions[-1].document, str(store.path)),
+            parameter_origin=versions[-1].origin,
             parameter_digest=str(document["parameter_digest"]),
             last_batch=store.last_batch(),
             last_second=max(int(document["last_second"]), last_second.number if last_second is not None else 0),
@@ -110,6 +112,9 @@ class Journal:
         """Whether the monitor has said which of the faults that the store shows it shows as well."""
         self._counters_before = dict(memory.counters or {})
         self._all_tickets = list(memory.tickets)
+        self._in_use: tuple[ParameterSet, str] | None = None
+        if memory.parameters is not None:
+            self._in_use = (memory.parameters, memory.parameter_origin)
         self._pending = _Pending()
 
     @property
@@ -134,6 +139,13 @@ class Journal:
         """A ticket for the next batch."""
         self._pending.tickets.append(ticket)
         self._all_tickets.append(ticket)
+
+    def tell_all_again(self) -> None:
+        """For a store that was made anew while in use: the next batch brings all that this run knows."""
+        self._pending.loads = dict(self._loads) | self._pending.loads
+        self._pending.tickets = list(self._all_tickets)
+        if self._in_use is not None and self._in_use not in self._pending.parameters:
+            self._pending.parameters.insert(0, self._in_use)
 
     def load_table(self) -> list[dict[str, Any]]:
         """All loads as measured, and corrected by the newest ticket that covers each."""
@@ -230,7 +242,8 @@ class Journal:
 
     def _use(self, parameters: ParameterSet, origin: str) -> None:
         self._version = parameters.version
-        self._pending.parameters.append((parameters, origin))
+        self._in_use = (parameters, origin)
+        self._pending.parameters.append(self._in_use)
 
     def _fault(self, code: str, active: bool, detail: str) -> None:
         if active is not (code in self._faults):
