@@ -1,7 +1,7 @@
 """Named physical effects, one module each.
 
 A module here holds one `EFFECT = Effect(...)`; that alone makes it known to the forward model, calibration, diagnosis,
-configuration and docs.
+configuration and docs. Other packages add theirs by entry points of the group `yieldmon.effects`, each naming an `Effect`.
 """
 
 from __future__ import annotations
@@ -9,26 +9,63 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from functools import lru_cache
+from importlib.metadata import entry_points
 from types import MappingProxyType
+
+from yieldmon.errors import InputError
 
 from .effect import Effect, EffectParameter
 
 __all__ = ["Effect", "EffectParameter", "effect_parameter", "get_effect", "registry"]
 
 
+GROUP = "yieldmon.effects"
+"""Entry points of other packages."""
+
+
 @lru_cache(maxsize=1)
-def registry() -> MappingProxyType[str, Effect]:
-    """All effects by name, in alphabetical order."""
+def _own() -> dict[str, Effect]:
     found: dict[str, Effect] = {}
-    for module in sorted(pkgutil.iter_modules(__path__), key=lambda m: m.name):
+    for module in pkgutil.iter_modules(__path__):
         effect = getattr(importlib.import_module(f"{__name__}.{module.name}"), "EFFECT", None)
         if isinstance(effect, Effect):
             found[effect.name] = effect
-    return MappingProxyType(found)
+    return found
+
+
+@lru_cache(maxsize=1)
+def _of_others() -> dict[str, Effect]:
+    found: dict[str, Effect] = {}
+    for entry in entry_points(group=GROUP):
+        where = f"effect plug-in {entry.name} ({entry.value})"
+        try:
+            effect = entry.load()
+        except (ImportError, AttributeError) as error:
+            raise InputError(where, f"cannot be loaded: {error}", "an Effect, such as package.module:EFFECT") from error
+        if not isinstance(effect, Effect):
+            raise InputError(where, f"is a {type(effect).__name__}", "an Effect")
+        if effect.name in _own() or effect.name in found:
+            raise InputError(where, f"{effect.name} is there already", "a name of its own")
+        found[effect.name] = effect
+    return found
+
+
+@lru_cache(maxsize=1)
+def registry() -> MappingProxyType[str, Effect]:
+    """All effects by name, in alphabetical order.
+
+    Raises
+    ------
+    InputError
+        For a plug-in that is no effect, or whose name is taken.
+    """
+    return MappingProxyType(dict(sorted((_own() | _of_others()).items())))
 
 
 def get_effect(name: str) -> Effect:
     """The effect of that name. Raises ValueError naming those that exist."""
+    if name in _own():
+        return _own()[name]
     try:
         return registry()[name]
     except KeyError:

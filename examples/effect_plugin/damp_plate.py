@@ -1,0 +1,24 @@
+"""An effect from outside the package: a damp plate takes up a share of every impact.
+
+`pip install .` here makes it known by its entry point: `yieldmon predict --set damp_plate.loss=0.1 ...`,
+and to calibration and diagnosis as well.
+"""
+
+from dataclasses import replace
+
+from yieldmon.api import Effect, EffectParameter
+
+
+def _impulse(impulse, values, setting):
+    return replace(impulse, weight=impulse.weight * (1.0 - values["loss"]))
+
+
+EFFECT = Effect(
+    name="damp_plate",
+    stage="impact",
+    summary="A damp plate takes up a share of every impact.",
+    signature="a loss that is the same at every angle and load",
+    source="an example",
+    parameters=(EffectParameter("loss", "", 0.0, 0.0, 0.5, 0.1, "share of the impulse that is lost", 0.1),),
+    impulse=_impulse,
+)

@@ -1,0 +1,91 @@
+"""The public Python interface. What is named here is versioned with the package; everything else is private.
+
+Examples
+--------
+>>> from yieldmon import api
+>>> model = api.ForwardModel(api.Machine())
+>>> grain = {"friction": 0.2, "restitution": 0.6, "density": 1100.0, "shape_ratio": 2.0}
+>>> conditions = api.Conditions(plate_angle_rad=1.22, elevator_speed_rad_s=41.9, mass_flow_kg_s=10.0)
+>>> round(float(model.force(conditions, grain)), 1)
+90.0
+"""
+
+from __future__ import annotations
+
+from yieldmon.bus.codec import Codec
+from yieldmon.bus.logs import read_log
+from yieldmon.discrepancy.diagnosis import Diagnosis, diagnose
+from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.results import WindowResult
+from yieldmon.errors import InputError
+from yieldmon.estimation.calibration import Calibration, Measurements, calibrate, default_start
+from yieldmon.estimation.closed_loop import ClosedLoopSettings, Sweep, self_calibrate
+from yieldmon.estimation.open_loop import FlowEstimate, FlowStatus, OpenLoop
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.files.machine_file import load as load_machine
+from yieldmon.files.parameter_file import load as load_parameters
+from yieldmon.files.parameter_file import save as save_parameters
+from yieldmon.files.table import Table
+from yieldmon.files.table import load as load_table
+from yieldmon.frames import Frame
+from yieldmon.physics.effects import Effect, EffectParameter
+from yieldmon.physics.effects import registry as effects
+from yieldmon.physics.machine import RPM, Machine
+from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.plant.combine import VirtualCombine
+from yieldmon.plant.scenario import Scenario
+from yieldmon.plant.scenario import load as load_scenario
+from yieldmon.resources import shipped
+from yieldmon.service.assembly import build_monitor
+from yieldmon.service.configuration import load as load_configuration
+from yieldmon.service.processing import process_logs
+from yieldmon.service.recorded import read_loads, read_seconds
+from yieldmon.service.rows import SecondRow
+
+__all__ = [
+    "API_VERSION",
+    "RPM",
+    "Calibration",
+    "ClosedLoopSettings",
+    "Codec",
+    "Conditions",
+    "Diagnosis",
+    "Effect",
+    "EffectParameter",
+    "FlowEstimate",
+    "FlowStatus",
+    "ForwardModel",
+    "Frame",
+    "InputError",
+    "Machine",
+    "Measurements",
+    "Monitor",
+    "OpenLoop",
+    "ParameterSet",
+    "Scenario",
+    "SecondRow",
+    "Sweep",
+    "Table",
+    "VirtualCombine",
+    "WindowResult",
+    "build_monitor",
+    "calibrate",
+    "default_start",
+    "diagnose",
+    "effects",
+    "load_configuration",
+    "load_machine",
+    "load_parameters",
+    "load_scenario",
+    "load_table",
+    "process_logs",
+    "read_loads",
+    "read_log",
+    "read_seconds",
+    "save_parameters",
+    "self_calibrate",
+    "shipped",
+]
+
+API_VERSION = 1
+"""Raised when something here is taken away or changes its meaning."""
