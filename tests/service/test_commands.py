@@ -32,6 +32,8 @@ class Told:
     def loads(self) -> list[SimpleNamespace]:
         return [SimpleNamespace(number=number, complete=whole) for number, whole in self.complete.items()]
 
+    totals = Totals(load_open=False)
+
     def ticket(self, *ticket: float) -> None:
         self.tickets.append(ticket)
 

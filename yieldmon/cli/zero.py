@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
 
@@ -11,13 +12,24 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """The verb's arguments."""
     parser = subparsers.add_parser(
         "zero", help="calibrate the zero-load voltage",
-        description=__doc__,
+        description=f"{__doc__} It is refused while pulses, plate or tank speak of grain. --undo brings back the zero "
+        "before it and measures the seconds since then again.",
         epilog="example: yieldmon zero",
     )
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--force", action="store_true", help="calibrate although there are signs of grain")
+    what.add_argument("--undo", action="store_true", help="take back the last zero calibration")
     add_daemon_arguments(parser)
+    parser.add_argument("--json", action="store_true", help="print the answer as one JSON document")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Exit code 0 when the daemon has begun."""
-    print(f"zero calibration {ask_daemon(args, {'command': 'zero'})['zero']}")
+    """Exit code 0 when the daemon has begun, or has taken it back."""
+    answer = ask_daemon(args, {"command": "zero-undo"} if args.undo else {"command": "zero", "force": args.force})
+    if args.json:
+        print(json.dumps(answer, indent=2))
+    elif args.undo:
+        print(f"zero calibration undone; {answer['restored_kg']:+.1f} kg since then")
+    else:
+        print(f"zero calibration {answer['zero']}")
     return 0

@@ -166,9 +166,9 @@ _TABLE = (
     ),
     FaultDefinition(
         _C.ZERO_DRIFTED, 520193, 13, _W, 3, 10,
-        "The zero-load voltage has moved far from its first value.",
-        "Flow is corrected for it, with less headroom before saturation; low flows are uncertain.",
-        "Clean the plate, then run a zero calibration with the elevator empty.",
+        "The zero-load voltage is far from its first value or was taken against signs of grain, or the plate reads below empty.",
+        "Flow is corrected for a drift; a zero taken with grain on the plate makes flow and mass too small.",
+        "Undo a wrong zero (yieldmon zero --undo); else clean the plate and calibrate the zero with the elevator empty.",
         lambda o: _if(o.reading.zero_drifted),
     ),
     FaultDefinition(

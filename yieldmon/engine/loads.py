@@ -8,7 +8,8 @@ zero yet, an input missing) adds nothing.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from math import isfinite
 
 from yieldmon.engine.flow import Flow
@@ -110,6 +111,28 @@ class Loads:
         """Go on from totals that were kept; what passed since was not measured."""
         self.totals = totals
         self._complete = not (totals.load_open and totals.load_kg > 0.0)
+
+    def correct(self, missed: Mapping[int, float]) -> LoadEvents:
+        """Mass that was missed, kg by load, joins its loads and the totals, of unknown moisture; closed loads are told again."""
+        events: list[LoadClosed | LoadOpened] = []
+        for number, kg in missed.items():
+            totals = self.totals
+            here = totals.load_open and number == totals.load_number
+            taken = max(kg, -totals.load_kg) if here else kg
+            share = taken if here else 0.0
+            self.totals = replace(
+                totals, total_kg=max(totals.total_kg + taken, 0.0),
+                total_unknown_moisture_kg=max(totals.total_unknown_moisture_kg + taken, 0.0),
+                load_kg=totals.load_kg + share, load_unknown_moisture_kg=max(totals.load_unknown_moisture_kg + share, 0.0),
+            )
+            for place, load in enumerate(self._closed):
+                if load.number == number and not here:
+                    self._closed[place] = replace(
+                        load, measured_kg=max(load.measured_kg + kg, 0.0),
+                        unknown_moisture_kg=max(load.unknown_moisture_kg + kg, 0.0),
+                    )
+                    events.append(LoadClosed(self._closed[place]))
+        return tuple(events)
 
     def _summary(self, end_s: float) -> LoadSummary:
         totals = self.totals

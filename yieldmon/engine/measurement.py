@@ -5,6 +5,7 @@ Comes before the flow: nothing here knows what an estimator makes of the force.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from math import hypot, isfinite, radians
 
@@ -49,6 +50,12 @@ class Reading:
     zero_taken: bool
 
 
+_TANK_S = 60.0
+"""Stable readings of the tank's scale within this time are compared."""
+_TANK_RISE = 3.0
+"""Rise between them that is grain, in standard deviations of the scale."""
+
+
 class Measurement:
     """Reads windows in order; holds what one needs of those before it: zero, gate and a few counts."""
 
@@ -64,6 +71,24 @@ class Measurement:
         self._sampled = False
         self._jumps = 0
         self._since_jump = _NEVER
+        self._tank: deque[tuple[float, float]] = deque()
+        self._last: tuple[Window, float] | None = None
+
+    @property
+    def signs_of_grain(self) -> str:
+        """What speaks against an empty elevator, "" where nothing does."""
+        signs = []
+        if self._last is not None:
+            window, force_n = self._last
+            if self._gate.harvesting or self.zero.looks_loaded or self.zero.pulses(window):
+                signs.append(f"the paddles throw pulses of {window.pulse_mv:.0f} mV")
+            if isfinite(force_n) and force_n > self._settings.gate.grain_on_n:
+                signs.append(f"the plate feels {force_n:.1f} N")
+        if len(self._tank) > 1:
+            rise_kg = self._tank[-1][1] - self._tank[0][1]
+            if rise_kg > _TANK_RISE * self._settings.anchors.scale_std_dev_kg:
+                signs.append(f"the tank has gained {rise_kg:.0f} kg in {self._tank[-1][0] - self._tank[0][0]:.0f} s")
+        return " and ".join(signs)
 
     def read(self, window: Window, inputs: InputSnapshot, clock_jumps: int) -> Reading:
         """The reading of the next window. inputs: held at its end. clock_jumps: jumps of the bus's clock so far."""
@@ -77,6 +102,8 @@ class Measurement:
         stuck = self._stuck_s >= settings.faults.stuck_windows
         idle_s = self._idle_s(inputs)
         quality, force, noise = self._gated(window, speed_was_known and not stuck, in_range, idle_s)
+        self._last = (window, force) if window.samples else None
+        self._watch_tank(inputs)
         taken = self._follow_zero(window, inputs, inputs.speed_known and in_range and not stuck, still and at_home)
         sampled_before, self._sampled = self._sampled, window.coverage > 0.0
         self._since_jump = 0 if clock_jumps != self._jumps else self._since_jump + 1
@@ -100,6 +127,12 @@ class Measurement:
             windows_since_jump=self._since_jump,
             zero_taken=taken,
         )
+
+    def _watch_tank(self, inputs: InputSnapshot) -> None:
+        if isfinite(inputs.tank_kg) and (not self._tank or inputs.tank_time_s > self._tank[-1][0]):
+            self._tank.append((inputs.tank_time_s, inputs.tank_kg))
+        while self._tank and inputs.time_s - self._tank[0][0] > _TANK_S:
+            self._tank.popleft()
 
     def _gated(
         self, window: Window, usable: bool, in_range: bool, idle_s: float

@@ -12,7 +12,11 @@ frames: what cannot be used is left out, and quality and faults say so. One wind
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
+from math import isfinite
+
+import numpy as np
 
 from yieldmon import frames as bus
 from yieldmon.engine.anchors import ReferenceMass
@@ -47,6 +51,10 @@ _FORMED_TOGETHER = 16
 """Windows of a run that are formed at once: enough to share the cost of array operations, few enough for the cache."""
 _ESTIMATED_TOGETHER = 64
 """The same for flow estimates."""
+
+
+_KEPT_SINCE_ZERO = 7200
+"""Seconds that can be measured again when a zero calibration is undone."""
 
 
 class Monitor:
@@ -98,6 +106,7 @@ class Monitor:
         self._learning = Learning(settings, machine, estimator, calibrator)
         self._publisher = Publisher(windows.min_coverage, ranges)
         self._windows = 0
+        self._since_zero: deque[WindowRecord] = deque(maxlen=_KEPT_SINCE_ZERO)
         self._publishing = True
         self._begun_with: LoadEvents = ()
 
@@ -146,9 +155,45 @@ class Monitor:
         """The load is complete; mass measured from now on belongs to no load until the next one starts."""
         return self._loads.stop(self._bus_now())
 
+    @property
+    def signs_of_grain(self) -> str:
+        """What speaks against calibrating the zero now, "" where nothing does."""
+        return self._measurement.signs_of_grain
+
     def calibrate_zero(self) -> None:
         """Zero-flow calibration: the operator vouches that the elevator runs empty for the next seconds."""
-        self._measurement.zero.calibrate()
+        self._since_zero.clear()
+        self._measurement.zero.calibrate(against_signs=bool(self.signs_of_grain))
+
+    def undo_zero(self) -> tuple[float, LoadEvents]:
+        """The zero before the operator's last calibration again; mass that was missed since, kg, and the loads that changed.
+
+        Raises ValueError when there is none to go back to.
+        """
+        zero = self._measurement.zero
+        known = zero.before
+        if known is None:
+            raise ValueError("there is no zero calibration by an operator since the start that could be undone")
+        found = self._missed(known.zero_mv)
+        self._since_zero.clear()
+        zero.undo()
+        return sum(found.values()), self._loads.correct(found)
+
+    def _missed(self, zero_mv: float) -> dict[int, float]:
+        """Load number -> kg that its seconds since the operator's zero calibration miss where this is the zero."""
+        gain = self.machine.sensor.gain_n_per_mv
+        rows = [r for r in self._since_zero if isfinite(r.zero_mv) and isfinite(r.force_n) and r.coverage > 0.0]
+        force = np.array([r.force_n + (r.zero_mv - zero_mv) * gain for r in rows])
+        loaded = force > self.settings.gate.grain_on_n
+        rows, force = [r for r, ok in zip(rows, loaded, strict=True) if ok], force[loaded]
+        if not rows:
+            return {}
+        columns = np.array([(r.plate_angle_rad, r.elevator_speed_rad_s, r.force_std_dev_n, r.moisture_pct) for r in rows]).T
+        flow = np.nan_to_num(self.estimator.estimate(force, *columns).mass_flow_kg_s)
+        missed: dict[int, float] = {}
+        for row, rate in zip(rows, flow.tolist(), strict=True):
+            missed[row.load_number] = missed.get(row.load_number, 0.0) + rate * row.duration_s - row.mass_kg
+        return missed
 
     def request_sweep(self) -> None:
         """Sweep as soon as the conditions hold."""
@@ -389,6 +434,8 @@ class Monitor:
         shown = self.faults.observe_all(conditions(self._observation(reading, flow)), bus_s)
         published = self._flow_meter.published(flow, plate_rests_at_home=reading.still and reading.at_home)
         record = self._record(bus_s, reading, published, mass_kg, step)
+        if self._measurement.zero.before is not None:
+            self._since_zero.append(record)
         learnt = learning.learn(window.end_s, record, self.sweep)
         ended = self._plate.ended(learning.lesson, self.estimator.parameters.version)
         zero: tuple[Event, ...] = (ZeroTaken(bus_s, record.zero_mv),) if reading.zero_taken else ()

@@ -46,10 +46,30 @@ class ZeroTracker:
         self._recent: deque[Window] = deque(maxlen=settings.settle_windows)
         self._pattern: tuple[tuple[float, ...], float] | None = None
         self._calibrating = False
+        self._against_signs = False
+        self._before: ZeroState | None = None
+        self.suspect = False
+        """Whether the zero in use was taken against the signs of grain, and is another than the one before it."""
 
-    def calibrate(self) -> None:
-        """Operator's zero calibration: the next windows are empty by the operator's word; learn zero and vibration from them."""
+    def calibrate(self, *, against_signs: bool = False) -> None:
+        """Operator's zero calibration: the next windows are empty by the operator's word; learn zero and vibration from them.
+
+        against_signs: what is measured speaks of grain all the same.
+        """
         self._calibrating = True
+        self._against_signs = against_signs
+        self._before = self.state
+        self.interrupt()
+
+    @property
+    def before(self) -> ZeroState | None:
+        """What an undo brings back."""
+        return self._before
+
+    def undo(self) -> None:
+        """The zero before the operator's last calibration again."""
+        self.state, self._before = self._before, None
+        self._calibrating = self.suspect = False
         self.interrupt()
 
     @property
@@ -73,8 +93,16 @@ class ZeroTracker:
         state = self.state
         if state is None:
             return False
-        away = abs(state.zero_mv - state.first_zero_mv) > self._settings.drift_limit_mv
-        return away or (self.looks_empty and abs(self._recent[-1].mean_mv - state.zero_mv) > self._settings.max_step_mv)
+        away = self.suspect or abs(state.zero_mv - state.first_zero_mv) > self._settings.drift_limit_mv
+        too_far = self.looks_empty and abs(self._recent[-1].mean_mv - state.zero_mv) > self._settings.max_step_mv
+        return away or self.below_empty or too_far
+
+    @property
+    def below_empty(self) -> bool:
+        """Whether the plate has read less than empty for some time: the zero was learnt with grain on it."""
+        if self.state is None or len(self._recent) < self._settings.settle_windows:
+            return False
+        return all(window.mean_mv < self.state.zero_mv - self._settings.max_step_mv for window in self._recent)
 
     def pulses(self, window: Window) -> bool:
         """Whether one window has paddle pulses beyond what vibration makes."""
@@ -103,6 +131,8 @@ class ZeroTracker:
             if len(self._recent) == self._settings.settle_windows:
                 self.state = self._learnt(list(self._recent))
                 self._calibrating = False
+                away_mv = abs(self.state.zero_mv - self._before.zero_mv) if self._before is not None else 0.0
+                self.suspect = self._against_signs and away_mv > self._settings.level_range_mv
         elif may_be_empty and self.state is None:
             self._first(list(self._recent)[-self._settings.first_zero_windows :])
         elif may_be_empty and self.state is not None:

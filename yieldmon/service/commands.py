@@ -62,6 +62,11 @@ def _ticket(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_
     weighed_kg = _mass_kg(request, "mass_kg")
     given = request.get("std_dev_kg")
     std_dev_kg = TICKET_RELATIVE_STD_DEV * weighed_kg if given is None else _mass_kg(request, "std_dev_kg")
+    if monitor.totals.load_open and first <= monitor.totals.load_number <= last:
+        number = monitor.totals.load_number
+        raise InputError(
+            f"ticket for load {number}", "it is still open, so more grain may come", "`yieldmon load stop` first, or another load"
+        )
     covered = _covered(journal, first, last)
     measured_kg = sum(load.mass_kg for load in covered)
     if not measured_kg > 0.0:
@@ -103,8 +108,20 @@ def _covered(journal: Journal, first: int, last: int) -> list[Load]:
 
 
 def _zero(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
+    signs = monitor.signs_of_grain
+    if signs and request.get("force") is not True:
+        raise InputError("zero", f"there is grain: {signs}", "the elevator running empty; --force if it does")
     monitor.calibrate_zero()
     return {"zero": "started; keep the elevator running empty"}
+
+
+def _zero_undo(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
+    try:
+        missed_kg, events = monitor.undo_zero()
+    except ValueError as error:
+        raise InputError("zero --undo", str(error), "an undo after `yieldmon zero`") from error
+    journal.happened(events)
+    return {"zero": "undone", "restored_kg": missed_kg}
 
 
 def _sweep_start(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
@@ -125,6 +142,7 @@ _COMMANDS: Mapping[str, Callable[[Mapping[str, Any], Monitor, Journal, float], A
     "loads": _loads,
     "ticket": _ticket,
     "zero": _zero,
+    "zero-undo": _zero_undo,
     "sweep-start": _sweep_start,
     "sweep-abort": _sweep_abort,
 }

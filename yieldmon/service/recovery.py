@@ -14,7 +14,7 @@ from yieldmon.service import rescue
 from yieldmon.service.journal import Memory, recall
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Retention, Store, StoreDamagedError, StoreError
-from yieldmon.service.store_file import witnessed
+from yieldmon.service.store_file import refuse_stranger, witnessed
 
 _log = logging.getLogger(__name__)
 
@@ -31,8 +31,9 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store]) -
     """What the store at `path` remembers. A damaged one is set aside and a new one made of what is left of it.
 
     A medium that is full, or takes no writing, need not stop the measuring: what it holds can be read all the same. Raises
-    StoreError when the store can be neither made nor read.
+    StoreError when the store can be neither made nor read, InputError as `store_file.refuse_stranger`.
     """
+    refuse_stranger(path)
     notes: list[str] = []
     try:
         rescue.finish(path)

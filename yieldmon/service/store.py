@@ -277,6 +277,10 @@ class Store:
         application, version = self._pragma("application_id"), self._version()
         if application not in (0, schema.APPLICATION_ID) and not looks_like_a_store(self._database):
             raise InputError(str(self.path), "an SQLite file of another program", "a yieldmon store or a new file")
+        if (application, version) == (0, 0) and not self.path.with_name(f"{self.path.name}-wal").exists():
+            tables = self._database.execute("SELECT count(*) FROM sqlite_schema WHERE type = 'table'").fetchone()[0]
+            if tables and not looks_like_a_store(self._database):
+                raise InputError(str(self.path), "an SQLite file of another program", "a yieldmon store or a new file")
         readable = 0 <= version <= schema.VERSION
         if not readable and not looks_like_a_store(self._database, schema.VERSION):
             raise InputError(str(self.path), f"store of schema version {version}", f"{schema.VERSION} at most")

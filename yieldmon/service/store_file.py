@@ -162,3 +162,41 @@ def set_aside(path: Path, label: str) -> Path:
         if part.exists():
             part.rename(target)
     return aside
+
+
+def refuse_stranger(path: Path, fstab: Path = Path("/etc/fstab")) -> None:
+    """To be asked before a daemon makes or mends its store: nothing of somebody else's is touched.
+
+    Raises InputError for a file that is no store and never was one, and for a path below a mount point of `fstab` where nothing
+    is mounted: the medium would come later and hide what was written.
+    """
+    missing = unmounted_above(path, fstab)
+    if missing is not None:
+        raise InputError(str(path), f"{missing} is not mounted", f"its medium (mount {missing}), or another store.path")
+    if path.is_dir():
+        raise InputError(str(path), "is a folder", "a store, or the name of a file that does not exist yet")
+    try:
+        with path.open("rb") as file:
+            begin = file.read(64)
+    except OSError:
+        return
+    a_store_was_here = begin.startswith(b"SQLite format 3\0") or not begin.strip(b"\0") or _witness(path).exists()
+    if not a_store_was_here:
+        raise InputError(str(path), "is no store; it is left as it is", "a store, or the name of a file that does not exist yet")
+
+
+def unmounted_above(path: Path, fstab: Path = Path("/etc/fstab")) -> Path | None:
+    """The mount point of `fstab` that a path lies below and where nothing is mounted, None where there is none."""
+    try:
+        lines = fstab.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return None
+    above = set(path.absolute().parents)
+    for line in lines:
+        words = line.split()
+        if len(words) < 4 or words[0].startswith("#"):
+            continue
+        place = Path(words[1].replace("\\040", " "))
+        if place in above and place != Path("/") and not os.path.ismount(place):
+            return place
+    return None

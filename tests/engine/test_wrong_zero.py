@@ -1,0 +1,68 @@
+"""A zero calibration while grain runs: told before, a fault after, and undone without loss."""
+
+from __future__ import annotations
+
+import pytest
+from engine_bench import Bench, feed, monitor
+
+from yieldmon.engine.faults import FaultCode
+from yieldmon.errors import InputError
+from yieldmon.files import parameter_file
+from yieldmon.service import commands
+from yieldmon.service.journal import Journal, Memory
+
+BENCH = Bench(flow=lambda t: 14.0 if t >= 1020.0 else 0.0, scatter=0.05, noise_mv=2.0)
+
+
+def ask(target, command: str, **request: object) -> dict:
+    journal = Journal(Memory(), parameter_file.load())
+    return dict(commands.execute({"command": command, **request}, target, journal, 1.7e9))
+
+
+def test_zero_in_grain_is_refused_then_a_fault_and_an_undo_restores_the_mass() -> None:
+    frames, target = BENCH.frames(140), monitor()
+    feed(target, [f for f in frames if f.time_s < 1040.0])
+    before = target.totals.total_kg
+    with pytest.raises(InputError, match=r"there is grain: the paddles throw pulses .* and the plate feels .* N; expected"):
+        ask(target, "zero")
+    feed(target, [f for f in frames if 1040.0 <= f.time_s < 1041.0])
+    assert target.totals.total_kg > before + 10.0
+    ask(target, "zero", force=True)
+    feed(target, [f for f in frames if 1041.0 <= f.time_s < 1100.0])
+    assert FaultCode.ZERO_DRIFTED in target.faults.active
+    lost_kg = 14.0 * 79.0 - target.totals.total_kg
+    assert lost_kg > 300.0
+    answer = ask(target, "zero-undo")
+    assert answer["restored_kg"] == pytest.approx(lost_kg, abs=25.0)
+    assert target.totals.total_kg == pytest.approx(14.0 * 79.0, rel=0.03)
+    assert target.totals.load_kg == pytest.approx(target.totals.total_kg)
+    feed(target, [f for f in frames if f.time_s >= 1100.0])
+    assert FaultCode.ZERO_DRIFTED not in target.faults.active
+    assert target.totals.total_kg == pytest.approx(14.0 * 119.0, rel=0.03)
+    with pytest.raises(InputError, match="no zero calibration by an operator"):
+        ask(target, "zero-undo")
+
+
+def test_zero_with_the_elevator_empty_is_taken() -> None:
+    target = monitor()
+    frames = Bench(noise_mv=2.0).frames(60)
+    feed(target, [f for f in frames if f.time_s < 1030.0])
+    assert "empty" in ask(target, "zero")["zero"]
+    feed(target, [f for f in frames if f.time_s >= 1030.0])
+    assert FaultCode.ZERO_DRIFTED not in target.faults.active
+    assert target.totals.total_kg == 0.0
+
+
+def test_a_zero_that_was_learnt_with_grain_shows_when_the_plate_is_empty() -> None:
+    bench = Bench(flow=lambda t: 14.0 if t < 1040.0 else 0.0, scatter=0.05)
+    target = monitor()
+    target.calibrate_zero()
+    feed(target, bench.frames(70))
+    assert FaultCode.ZERO_DRIFTED in target.faults.active
+
+
+def test_a_ticket_for_the_open_load_is_refused() -> None:
+    target = monitor()
+    feed(target, BENCH.frames(40))
+    with pytest.raises(InputError, match=r"ticket for load 1: it is still open.*load stop"):
+        ask(target, "ticket", first_load=1, mass_kg=1000.0)

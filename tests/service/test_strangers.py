@@ -1,0 +1,63 @@
+"""A store path that holds somebody else's file, or lies below a medium that is not mounted, is refused and left as it is."""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from yieldmon.errors import InputError
+from yieldmon.service.recovery import recover
+from yieldmon.service.store import Retention, Store
+from yieldmon.service.store_file import refuse_stranger, unmounted_above
+
+
+def start(path: Path) -> None:
+    recover(path, Retention(), lambda: Store(path))
+
+
+@pytest.mark.parametrize("content", [b"farm diary\n", b"\x89PNG\r\n\x1a\n....", b"PK\x03\x04"])
+def test_a_file_that_is_no_store_is_left_as_it_is(tmp_path, content):
+    path = tmp_path / "yieldmon.sqlite"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="is no store; it is left as it is"):
+        start(path)
+    assert path.read_bytes() == content
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_another_programs_database_is_left_as_it_is(tmp_path):
+    path = tmp_path / "yieldmon.sqlite"
+    with sqlite3.connect(path) as database:
+        database.execute("CREATE TABLE cows (name TEXT)")
+    database.close()
+    before = path.read_bytes()
+    with pytest.raises(InputError, match="another program"):
+        start(path)
+    assert path.read_bytes() == before
+
+
+def test_a_folder_is_refused(tmp_path):
+    with pytest.raises(InputError, match="is a folder"):
+        start(tmp_path)
+
+
+@pytest.mark.parametrize("content", [None, b"", b"\0" * 4096])
+def test_a_new_or_empty_store_is_none_of_theirs(tmp_path, content):
+    path = tmp_path / "yieldmon.sqlite"
+    if content is not None:
+        path.write_bytes(content)
+    refuse_stranger(path, tmp_path / "none")
+
+
+def test_a_store_below_a_medium_that_is_not_mounted_is_refused(tmp_path):
+    place, fstab = tmp_path / "usb stick", tmp_path / "fstab"
+    place.mkdir()
+    fstab.write_text(f"# media\nUUID=1 / ext4 defaults 0 1\nUUID=2 {str(place).replace(' ', chr(92) + '040')} vfat nofail 0 0\n")
+    store = place / "data" / "yieldmon.sqlite"
+    assert unmounted_above(store, fstab) == place
+    assert unmounted_above(tmp_path / "other.sqlite", fstab) is None
+    assert unmounted_above(store, tmp_path / "no such file") is None
+    with pytest.raises(InputError, match=r"usb stick is not mounted; expected its medium"):
+        refuse_stranger(store, fstab)
