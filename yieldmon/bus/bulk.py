@@ -6,7 +6,7 @@ one little-endian 64-bit number.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import can
@@ -89,12 +89,17 @@ class DecodedBlock:
     wrong_length: NDArray[np.intp]
 
 
-def decode_block(codec: Codec, block: FrameBlock) -> DecodedBlock:
-    """What codec.decode() says of every row: the same values, the same rows passed over, the same rows refused."""
+def decode_block(codec: Codec, block: FrameBlock, only: Container[str] | None = None) -> DecodedBlock:
+    """What codec.decode() says of every row: the same values, the same rows passed over, the same rows refused.
+
+    only: names of the messages that are wanted; None: all.
+    """
     is_data = (block.can_id & np.uint32(EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG)) == EXTENDED_FLAG
     messages = {}
     refused = []
     for layout in codec.layouts.values():
+        if only is not None and layout.name not in only:
+            continue
         rows = np.flatnonzero(is_data & ((block.can_id & np.uint32(layout.identity_mask)) == layout.identity))
         right = block.length[rows] == layout.length
         refused.append(rows[~right])

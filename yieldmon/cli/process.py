@@ -22,7 +22,7 @@ from yieldmon.engine.monitor import Monitor
 from yieldmon.errors import InputError
 from yieldmon.resources import shipped
 from yieldmon.service import configuration
-from yieldmon.service.assembly import build_monitor
+from yieldmon.service.assembly import monitor_of
 from yieldmon.service.bulk_processing import EndOfLog, Stretch, process_in_bulk
 from yieldmon.service.processing import Summary
 from yieldmon.service.tables import FORMATS, open_table
@@ -126,9 +126,11 @@ def _one_record(
     reads_ahead: bool,
     progress: Progress | None,
 ) -> dict[str, Any]:
-    monitor = build_monitor(loaded.engine, loaded.machine, loaded.parameters, loaded.calibrator)
+    monitor = monitor_of(loaded)
     with open_table(out, f".{kind}" if kind else None) as table:
-        summary = process_in_bulk(logs, monitor, Codec(), table.write, reads_ahead=reads_ahead, progress=progress)
+        summary = process_in_bulk(
+            logs, monitor, Codec(), table.write, signals=loaded.signals, reads_ahead=reads_ahead, progress=progress
+        )
     return _document(summary, monitor)
 
 

@@ -9,9 +9,11 @@ from collections import deque
 from dataclasses import dataclass
 from math import hypot, isfinite, radians
 
+from yieldmon.engine.aliasing import ALIAS_FREE_HZ, aliasing_share
 from yieldmon.engine.gates import GateInputs, HarvestGate
 from yieldmon.engine.inputs import InputSnapshot
 from yieldmon.engine.settings import EngineSettings
+from yieldmon.engine.sources import Sources
 from yieldmon.engine.windows import Window
 from yieldmon.engine.zero import ZeroState, ZeroTracker
 from yieldmon.frames import EstimateQuality
@@ -59,7 +61,8 @@ _TANK_RISE = 3.0
 class Measurement:
     """Reads windows in order; holds what one needs of those before it: zero, gate and a few counts."""
 
-    def __init__(self, settings: EngineSettings, machine: Machine) -> None:
+    def __init__(self, settings: EngineSettings, machine: Machine, sources: Sources) -> None:
+        self._sources = sources
         self.zero = ZeroTracker(settings.zero)
         self._settings = settings
         self._machine = machine
@@ -163,7 +166,14 @@ class Measurement:
             own, prior = float(window.patterns - 1), settings.scatter_prior_patterns
             variance = (own * seen + prior * variance) / (own + prior)
         variance /= max(window.coverage, 1e-3)
-        return hypot(variance**0.5, settings.min_force_std_dev_n)
+        noise = hypot(variance**0.5, settings.min_force_std_dev_n)
+        share = self._aliasing_share(window.speed_rad_s)
+        return hypot(noise, share * force_n) if share > 0.0 else noise
+
+    def _aliasing_share(self, speed_rad_s: float) -> float:
+        if all(source.rate_hz >= ALIAS_FREE_HZ for source in self._sources.impact):
+            return 0.0
+        return max(aliasing_share(source, self._machine, speed_rad_s) for source in self._sources.impact)
 
     def _idle_s(self, inputs: InputSnapshot) -> float:
         """How long header, work state or ground speed have said that no crop is taken in, s."""

@@ -99,7 +99,7 @@ class Monitor:
         )
         self._inputs = Inputs(settings.inputs, sources)
         self._sensors = ImpactSensors(windows, machine, sources)
-        self._measurement = Measurement(settings, machine)
+        self._measurement = Measurement(settings, machine, sources)
         self._flow_meter = FlowMeter(settings)
         self._loads = Loads(settings)
         self._plate = Plate(settings, machine)

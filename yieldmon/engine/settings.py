@@ -124,6 +124,8 @@ class TotalsSettings:
 class PlateSettings:
     """Limits on what the plate can be told. The range itself is the machine's."""
 
+    fixed_angle_deg: float | None = None
+    """Of a plate that is bolted on; None: the plate turns."""
     max_rate_deg_s: float = 20.0
     command_interval_s: float = 0.1
     at_target_tolerance_deg: float = 0.5

@@ -93,7 +93,8 @@ class SampleSource:
 
     signals: the samples of one frame, oldest first, interval_s apart, the last one taken at the frame's time. counter: signal
     that counts frames modulo counter_modulus, None: frames are counted by time alone. status: signal with a `SensorStatus`, None:
-    the sensor says nothing of itself. scale_mv, offset_mv: from the signal's unit to millivolts.
+    the sensor says nothing of itself. scale_mv, offset_mv: from the signal's unit to millivolts. time_constant_s: of a low-pass
+    filter in the sensor, 0: none.
     """
 
     message: str
@@ -104,6 +105,12 @@ class SampleSource:
     status: str | None = None
     scale_mv: float = 1.0
     offset_mv: float = 0.0
+    time_constant_s: float = 0.0
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples per second."""
+        return 1.0 / self.interval_s
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,6 +39,10 @@ HARMONICS = 4
 """Harmonics of the paddle pattern that make up the pulse amplitude: with two paddles a pattern, two of the paddle passes."""
 
 _WHOLE_TURN = 2.0 * np.pi
+_LONGEST_EXACT_S = 0.0105
+"""Frames further apart than this may leave a whole window with less than full coverage."""
+_BUNCHING_S = 0.015
+"""How late a frame may be because of others on the bus."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,6 +222,9 @@ class WindowBuilder:
         self._counter_modulus = float(source.counter_modulus)
         self._lags_s = np.arange(samples - 1, -1, -1, dtype=np.float64) * source.interval_s
         self._frame_interval_s = source.interval_s * samples
+        self._counted = source.counter is not None
+        # At low rates a whole window may hold a sample less or more than its weight has room for.
+        self._slack_s = self._frame_interval_s if self._frame_interval_s > _LONGEST_EXACT_S else 0.0
         self.rows: list[tuple[Any, ...]] = []
         """Pending sample rows (engine time, counter, status, samples...); the caller appends."""
         self._blocks: list[Array] = []
@@ -304,12 +311,19 @@ class WindowBuilder:
         waves = [() if none else tuple(row) for none, row in zip(empty.tolist(), harmonics.tolist(), strict=True)]
         columns = (
             edges[:-1], edges[1:], mean, std_dev, waves, pulse, trend, patterns, weight_s,
-            total * self._sample_interval_s, speed, angle, plate_min, plate_max, sizes, samples, frames.last_frame_s,
+            self._covered_s(total, weight_s), speed, angle, plate_min, plate_max, sizes, samples, frames.last_frame_s,
             span, held * self._sample_interval_s, saturated,
             _segments(np.add, frames.fault.astype(np.intp), frames.bounds, 0), frames.lost, frames.surplus, frames.repeated,
         )  # fmt: skip
         lists = (column.tolist() if isinstance(column, np.ndarray) else column for column in columns)
         return [Window(*row) for row in zip(*lists, strict=True)]
+
+    def _covered_s(self, total: Array, weight_s: Array) -> Array:
+        """The part of each window's weight that has samples, s."""
+        covered: Array = total * self._sample_interval_s
+        if self._slack_s > 0.0:
+            covered = np.where(total > 0.0, np.minimum(covered + self._slack_s, np.maximum(covered, weight_s)), covered)
+        return covered
 
     def _take_frames(self, edges: Array) -> _Frames:
         blocks = self._blocks
@@ -357,6 +371,12 @@ class WindowBuilder:
         """Frames from each frame to the one before by counter, the counter's turns told by time; 0 is a repeat."""
         modulus = self._counter_modulus
         by_time = np.rint(np.diff(times, prepend=self._last_frame_s) / self._frame_interval_s)
+        if not self._counted:
+            # Without a counter only a gap tells of lost frames; frames that bunch up on a busy bus are no gap.
+            gap_s = max(1.5 * self._frame_interval_s, self._frame_interval_s + _BUNCHING_S)
+            since = np.diff(times, prepend=self._last_frame_s)
+            with np.errstate(invalid="ignore"):
+                return np.where(since > gap_s, np.maximum(by_time, 1.0), 1.0)
         with np.errstate(invalid="ignore"):
             difference = np.mod(np.diff(counters, prepend=self._last_counter), modulus)
         by_counter = difference + modulus * np.rint((by_time - difference) / modulus)

@@ -7,19 +7,36 @@ from datetime import UTC, datetime
 from yieldmon.engine.closed_loop_calibrator import CalibratorSettings, ClosedLoopCalibrator
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.settings import EngineSettings
+from yieldmon.engine.sources import DEFAULT_SOURCES, Sources
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
+from yieldmon.service.configuration import Configuration
+
+
+def monitor_of(configuration: Configuration, parameters: ParameterSet | None = None) -> Monitor:
+    """The monitor of a configuration. parameters: to start from; None: those that it names."""
+    return build_monitor(
+        configuration.engine,
+        configuration.machine,
+        configuration.parameters if parameters is None else parameters,
+        configuration.calibrator,
+        configuration.signals.sources,
+    )
 
 
 def build_monitor(
-    settings: EngineSettings, machine: Machine, parameters: ParameterSet, calibrator: CalibratorSettings | None = None
+    settings: EngineSettings,
+    machine: Machine,
+    parameters: ParameterSet,
+    calibrator: CalibratorSettings | None = None,
+    sources: Sources = DEFAULT_SOURCES,
 ) -> Monitor:
     """A monitor that starts from these parameters and, with a calibrator, learns from sweeps and weighed loads."""
     estimator = build_estimator(machine, parameters)
     learner = ClosedLoopCalibrator(estimator.model, calibrator) if calibrator is not None else None
-    return Monitor(settings, machine, estimator, learner)
+    return Monitor(settings, machine, estimator, learner, sources=sources)
 
 
 def build_estimator(machine: Machine, parameters: ParameterSet) -> OpenLoop:

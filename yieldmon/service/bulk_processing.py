@@ -9,16 +9,18 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.bus.bulk import USABLE, DecodedBlock, FrameBlock, MessageColumns, SignalColumn, decode_block
+from yieldmon.bus.bulk import USABLE, FrameBlock, SignalColumn, decode_block
+from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG
 from yieldmon.bus.codec import Codec
 from yieldmon.bus.loading import iter_blocks
 from yieldmon.bus.logs import LogNotes
@@ -28,6 +30,8 @@ from yieldmon.engine.sources import SampleSource, Sources
 from yieldmon.errors import InputError
 from yieldmon.service.processing import Summary, hand_over, refuse_nothing
 from yieldmon.service.rows import SecondRow
+from yieldmon.signals.decoding import MapDecoder
+from yieldmon.signals.mapping import SignalMap, default_map
 
 #: Frames of a log fed at a time: windows enough to be closed in groups. Where the recorder's clock steps, the frames of one run
 #: are fed one by one.
@@ -61,17 +65,19 @@ def process_in_bulk(
     codec: Codec,
     take_row: Callable[[SecondRow], None],
     *,
+    signals: SignalMap | None = None,
     reads_ahead: bool = False,
     progress: Callable[[Stretch | EndOfLog], None] | None = None,
 ) -> Summary:
     """What processing.process_logs() does, and the same rows and summary. Raises InputError as that does.
 
+    signals: where the engine's quantities come from, None: the shipped DBC.
     reads_ahead: read and decode in a second process. progress: called with each stretch that is done.
     """
     names = [str(path) for path in paths]
     summary = Summary()
     read = _stretches_ahead if reads_ahead else _stretches_here
-    with read(names, codec, monitor.sources) as stretches:
+    with read(names, Taking(codec, default_map() if signals is None else signals)) as stretches:
         for stretch in stretches:
             if isinstance(stretch, EndOfLog):
                 summary.damages += stretch.damages
@@ -87,21 +93,57 @@ def process_in_bulk(
     return summary
 
 
-def stretches_of(paths: Iterable[str], codec: Codec, sources: Sources) -> Iterator[Stretch | EndOfLog]:
+@dataclass(frozen=True)
+class Taking:
+    """What is taken from a log: of the shipped DBC by the codec, of the mapping's groups by its decoder."""
+
+    codec: Codec
+    signals: SignalMap
+
+
+def stretches_of(paths: Iterable[str], taking: Taking) -> Iterator[Stretch | EndOfLog]:
     """The logs, one after the other, decoded. Raises InputError for a log that cannot be read."""
+    decoder = MapDecoder(taking.signals)
     for path in paths:
         notes = LogNotes()
         for block in iter_blocks(path, notes):
-            yield _stretch(decode_block(codec, block), block, sources)
+            yield _stretch(*_decoded(taking, decoder, block), block, taking.signals.sources)
         yield EndOfLog(path, [str(damage) for damage in notes.damages])
 
 
-def _stretch(decoded: DecodedBlock, block: FrameBlock, sources: Sources) -> Stretch:
-    inputs = [decoded.messages[name] for name in sources.messages if name in decoded.messages]
-    rows = np.sort(np.concatenate([np.empty(0, np.intp), *(columns.rows for columns in inputs)]), kind="stable")
+@dataclass(frozen=True)
+class _Columns:
+    """One message's frames in a block: rows, times and values by signal, nan for what is not available."""
+
+    rows: NDArray[np.intp]
+    time_s: NDArray[np.float64]
+    values: Callable[[str, slice], NDArray[np.float64]]
+    names: tuple[str, ...]
+
+
+def _decoded(taking: Taking, decoder: MapDecoder, block: FrameBlock) -> tuple[dict[str, _Columns], int]:
+    """The columns of each message that the engine takes, and how many frames were of a wrong length."""
+    own = decode_block(taking.codec, block, taking.signals.own_messages if taking.signals.groups else None)
+    found = {
+        name: _Columns(columns.rows, columns.time_s, partial(_known, columns.signals), tuple(columns.signals))
+        for name, columns in own.messages.items()
+    }
+    refused = len(own.wrong_length)
+    if taking.signals.groups:
+        data = np.flatnonzero((block.can_id & np.uint32(REMOTE_FLAG | ERROR_FLAG)) == 0)
+        groups, wrong = decoder.decode_block(block.time_s[data], block.can_id[data], block.length[data], block.payload[data])
+        refused += len(wrong)
+        for group in groups:
+            found[group.name] = _Columns(data[group.rows], group.time_s, partial(_part, group.signals), tuple(group.signals))
+    return found, refused
+
+
+def _stretch(found: dict[str, _Columns], refused: int, block: FrameBlock, sources: Sources) -> Stretch:
+    inputs = {name: found[name] for name in sources.messages if name in found}
+    rows = np.unique(np.concatenate([np.empty(0, np.intp), *(columns.rows for columns in inputs.values())]))
     times = block.time_s[rows]
     runs = [_run(inputs, rows[part], times[part], sources) for part in _parts(times)]
-    return Stretch(len(block), len(rows), len(decoded.wrong_length), runs)
+    return Stretch(len(block), len(rows), refused, runs)
 
 
 def _parts(times: NDArray[np.float64]) -> Iterator[slice]:
@@ -115,29 +157,29 @@ def _parts(times: NDArray[np.float64]) -> Iterator[slice]:
         first = last
 
 
-def _run(inputs: list[MessageColumns], rows: NDArray[np.intp], times: NDArray[np.float64], sources: Sources) -> FrameRun:
+def _run(inputs: dict[str, _Columns], rows: NDArray[np.intp], times: NDArray[np.float64], sources: Sources) -> FrameRun:
     """The frames in these rows of the block, all of messages that the engine takes."""
     found = {}
-    for columns in inputs:
+    for name, columns in inputs.items():
         part = slice(*np.searchsorted(columns.rows, (rows[0], rows[-1] + 1)))
         places = np.searchsorted(rows, columns.rows[part])
         if places.size:
-            found[columns.name] = columns, part, places
+            found[name] = columns, part, places
     samples = [
         _sample_run(source, *found[source.message]) if source.message in found else _silent(source) for source in sources.impact
     ]
     listened = {source.message for source in sources.inputs}
     others = [
-        SignalRun(name, places, columns.time_s[part], {signal: _known(c, part) for signal, c in columns.signals.items()})
+        SignalRun(name, places, columns.time_s[part], {signal: columns.values(signal, part) for signal in columns.names})
         for name, (columns, part, places) in found.items()
         if name in listened
     ]
     return FrameRun(times, samples, others)
 
 
-def _sample_run(source: SampleSource, columns: MessageColumns, part: slice, places: NDArray[np.intp]) -> SampleRun:
+def _sample_run(source: SampleSource, columns: _Columns, part: slice, places: NDArray[np.intp]) -> SampleRun:
     unknown = np.full(places.shape, np.nan)
-    table = [_known(columns.signals[name], part) if name is not None else unknown for name in sample_columns(source)]
+    table = [columns.values(name, part) if name is not None else unknown for name in sample_columns(source)]
     return SampleRun(places, in_millivolts(source, np.column_stack(table)))
 
 
@@ -145,23 +187,28 @@ def _silent(source: SampleSource) -> SampleRun:
     return SampleRun(np.empty(0, np.intp), np.empty((0, len(sample_columns(source)))))
 
 
-def _known(column: SignalColumn, part: slice) -> NDArray[np.float64]:
+def _known(signals: Mapping[str, SignalColumn], name: str, part: slice) -> NDArray[np.float64]:
     """nan for what is not available."""
+    column = signals[name]
     values: NDArray[np.float64] = np.where(column.status[part] == USABLE, column.values[part], np.nan)
     return values
 
 
-@contextmanager
-def _stretches_here(paths: list[str], codec: Codec, sources: Sources) -> Iterator[Iterator[Stretch | EndOfLog]]:
-    yield stretches_of(paths, codec, sources)
+def _part(signals: Mapping[str, NDArray[np.float64]], name: str, part: slice) -> NDArray[np.float64]:
+    return signals[name][part]
 
 
 @contextmanager
-def _stretches_ahead(paths: list[str], codec: Codec, sources: Sources) -> Iterator[Iterator[Stretch | EndOfLog]]:
+def _stretches_here(paths: list[str], taking: Taking) -> Iterator[Iterator[Stretch | EndOfLog]]:
+    yield stretches_of(paths, taking)
+
+
+@contextmanager
+def _stretches_ahead(paths: list[str], taking: Taking) -> Iterator[Iterator[Stretch | EndOfLog]]:
     """The same from a process that reads ahead as far as the pipe between them holds."""
     context = multiprocessing.get_context("fork")
     receiving, sending = context.Pipe(duplex=False)
-    reader = context.Process(target=_read, args=(paths, codec, sources, sending, receiving), daemon=True)
+    reader = context.Process(target=_read, args=(paths, taking, sending, receiving), daemon=True)
     reader.start()
     sending.close()
     try:
@@ -172,12 +219,12 @@ def _stretches_ahead(paths: list[str], codec: Codec, sources: Sources) -> Iterat
         receiving.close()
 
 
-def _read(paths: list[str], codec: Codec, sources: Sources, sending: Connection, receiving: Connection) -> None:
+def _read(paths: list[str], taking: Taking, sending: Connection, receiving: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # With this end open here too, a reader whose parent was killed would wait for ever instead of finding nobody there.
     receiving.close()
     try:
-        for stretch in stretches_of(paths, codec, sources):
+        for stretch in stretches_of(paths, taking):
             sending.send(stretch)
         sending.send(None)
     except InputError as error:

@@ -30,7 +30,9 @@ from yieldmon.physics.machine import Machine
 from yieldmon.resources import shipped
 from yieldmon.service.document import ENGINE_SECTIONS, Document, Section
 from yieldmon.service.folders import runtime_folder, state_folder
+from yieldmon.service.signal_section import signal_map
 from yieldmon.service.store import Retention
+from yieldmon.signals.mapping import SignalMap
 
 DEFAULT_MACHINE = "config/machines/sprocket-8.yaml"
 DEFAULT_PARAMETERS = "config/parameters/corn.yaml"
@@ -52,6 +54,8 @@ class Configuration:
     path: Path
     document: Document
     engine: EngineSettings
+    signals: SignalMap
+    database_paths: tuple[Path, ...]
     calibrator: CalibratorSettings | None
     machine: Machine
     machine_path: Path
@@ -89,6 +93,7 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
     machine = machine_file.load(machine_path)
     named = document.moisture_map_file
     moisture_map = moisture_file.load(path.parent / named) if named is not None else None
+    mapping, databases = signal_map(document.signals, path, machine, document.plate.fixed_angle_deg)
     problems = [InputError(f"{path}: {key}", *rest) for key, *rest in _contradictions(document, machine)]
     if problems:
         raise ConfigurationError(problems)
@@ -96,9 +101,11 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
     return Configuration(
         path=path,
         document=document,
-        engine=engine_settings(document),
+        engine=_fitted(engine_settings(document), document, mapping),
+        signals=mapping,
+        database_paths=databases,
         calibrator=calibrator_settings(document, moisture_map) if document.learning.enabled else None,
-        machine=machine,
+        machine=_with_fixed_plate(machine, document.plate.fixed_angle_deg),
         machine_path=machine_path,
         parameters=_in_newtons(parameter_path),
         parameter_path=parameter_path,
@@ -131,6 +138,30 @@ def engine_settings(document: Document) -> EngineSettings:
         }
         sections[name] = dataclasses.replace(getattr(defaults, name), **values)
     return dataclasses.replace(defaults, **sections)
+
+
+def _fitted(settings: EngineSettings, document: Document, mapping: SignalMap) -> EngineSettings:
+    """The settings with what a bolted plate and a slow sensor ask for: no sweep, and ten frames of patience."""
+    if document.plate.fixed_angle_deg is not None:
+        settings = dataclasses.replace(settings, sweep=dataclasses.replace(settings.sweep, enabled=False))
+    if "sensor_timeout_s" not in document.inputs.model_fields_set:
+        slowest_s = max(source.interval_s * len(source.signals) for source in mapping.sources.impact)
+        patience_s = max(settings.inputs.sensor_timeout_s, 10.0 * slowest_s)
+        settings = dataclasses.replace(settings, inputs=dataclasses.replace(settings.inputs, sensor_timeout_s=patience_s))
+    return settings
+
+
+def _with_fixed_plate(machine: Machine, angle_deg: float | None) -> Machine:
+    """The machine with its plate bolted on: that angle is home, and the only one."""
+    if angle_deg is None:
+        return machine
+    angle_rad = math.radians(angle_deg)
+    return dataclasses.replace(
+        machine,
+        home_plate_angle_rad=angle_rad,
+        min_plate_angle_rad=min(angle_rad, machine.min_plate_angle_rad),
+        max_plate_angle_rad=max(angle_rad, machine.max_plate_angle_rad),
+    )
 
 
 def calibrator_settings(document: Document, moisture_map: MoistureMap | None = None) -> CalibratorSettings:

@@ -34,10 +34,11 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.frames import Frame
 from yieldmon.service import commands
-from yieldmon.service.assembly import build_monitor, calibration_age_s
+from yieldmon.service.assembly import calibration_age_s, monitor_of
 from yieldmon.service.conditions import Conditions
 from yieldmon.service.configuration import Configuration
 from yieldmon.service.control import Answer, ControlError, ControlServer
+from yieldmon.service.input_frames import InputFrames
 from yieldmon.service.journal import Journal, Memory, choose_parameters
 from yieldmon.service.metrics import MetricsFile
 from yieldmon.service.notify import ServiceManager
@@ -106,6 +107,7 @@ class Daemon:
         self._reload = reload
         self._manager = ServiceManager(environment)
         self._codec = Codec()
+        self._inputs = InputFrames(self._codec, configuration.signals)
         self._silence_s = silence_s
         self.started = threading.Event()
         """Set once frames are taken and commands answered."""
@@ -222,7 +224,7 @@ class Daemon:
             settings.interface,
             settings.channel,
             settings.bitrate_bit_s,
-            filters=self._codec.filters((*frames.INPUTS, *frames.OUTPUTS)),
+            filters=self._inputs.filters(),
             receive_buffer_bytes=settings.receive_buffer_bytes,
             **cast("dict[str, Any]", settings.options),
         )
@@ -270,21 +272,18 @@ class Daemon:
     def _take_message(self, message: can.Message) -> None:
         self._last_heard = (message.timestamp, monotonic())
         try:
-            frame = self._codec.decode(message)
+            heard = self._inputs.heard(message)
         except FrameError as error:
             self._malformed += 1
             if self._malformed == 1:
                 _log.warning("%s", error)
             return
-        if frame is None:
-            return
-        if frame.message in frames.OUTPUTS:
-            if self._transmitter.is_echo(message):
-                return
-            self._conditions.present("conflict", monotonic() + _HOLD_S, f"{frame.message} from another node")
-            return
-        self._ours_s = frame.time_s
-        self._happened(self._monitor.feed(frame))
+        for frame in heard:
+            if frame.message not in frames.OUTPUTS:
+                self._ours_s = frame.time_s
+                self._happened(self._monitor.feed(frame))
+            elif not self._transmitter.is_echo(message):
+                self._conditions.present("conflict", monotonic() + _HOLD_S, f"{frame.message} from another node")
 
     def _tick_if_silent(self, empty_until_s: float) -> None:
         """Lets the engine's time go on without frames of ours: as far as others' frames say, or the bus is known to be empty."""
@@ -465,6 +464,8 @@ class Daemon:
 
     def _use(self, new: Configuration) -> None:
         old = self.configuration
+        if new.signals != old.signals:
+            raise InputError("signals", "changed with the service running", "a restart: the bus is filtered for them")
         fixed = [name for name in _FIXED_AT_START if getattr(new.document, name) != getattr(old.document, name)]
         fresh = self._journal.use_parameter_file(new.parameters)
         state = self._monitor.snapshot()
@@ -503,4 +504,4 @@ class Daemon:
 
 
 def _monitor_for(configuration: Configuration, parameters: ParameterSet) -> Monitor:
-    return build_monitor(configuration.engine, configuration.machine, parameters, configuration.calibrator)
+    return monitor_of(configuration, parameters)

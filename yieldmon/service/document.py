@@ -270,6 +270,9 @@ _P = _ENGINE.plate
 class Plate(Section):
     """Limits on what the plate is told, inside the range of the machine file."""
 
+    fixed_angle_deg: float | None = quantity(
+        _P.fixed_angle_deg, 10.0, 170.0, "deg", "angle of a plate that is bolted on: no feedback wanted, no sweep; null: it turns"
+    )
     max_rate_deg_s: float = quantity(_P.max_rate_deg_s, 0.5, 90.0, "deg/s", "fastest change of the target")
     command_interval_s: float = quantity(_P.command_interval_s, 0.02, 1.0, "s", "between commands while driving")
     at_target_tolerance_deg: float = quantity(
@@ -444,6 +447,10 @@ class Document(Section):
     parameter_file: str | None = text(None, "grain parameters; null: the shipped corn; relative to this file")
     moisture_map_file: str | None = text(
         None, "how parameters change with moisture (`calibrate --by-moisture`); null: they do not; relative to this file"
+    )
+    signals: dict[str, Any] = Field(
+        default_factory=dict,
+        description="where quantities come from, by quantity (docs/guide/wiring.md); left out: the messages of the shipped DBC",
     )
     bus: Bus = Bus()
     store: Store = Store()

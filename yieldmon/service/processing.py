@@ -11,7 +11,9 @@ from yieldmon.bus.logs import LogNotes, read_log
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import Result, records_in
 from yieldmon.errors import InputError
+from yieldmon.service.input_frames import InputFrames
 from yieldmon.service.rows import SecondRow, second_row
+from yieldmon.signals.mapping import SignalMap, default_map
 
 
 @dataclass
@@ -26,27 +28,31 @@ class Summary:
 
 
 def process_logs(
-    paths: Sequence[Path | str], monitor: Monitor, codec: Codec, take_row: Callable[[SecondRow], None]
+    paths: Sequence[Path | str],
+    monitor: Monitor,
+    codec: Codec,
+    take_row: Callable[[SecondRow], None],
+    signals: SignalMap | None = None,
 ) -> Summary:
     """Feeds the logs, one after the other, to the monitor and hands over each second's row.
 
-    Frames that the monitor sends are not needed here: those in a log were sent by the monitor of that time. Raises
+    signals: where the engine's quantities come from, None: the shipped DBC. Frames that the monitor sends are not needed here:
+    those in a log were sent by the monitor of that time. Raises
     InputError for a log that cannot be read, and as refuse_nothing().
     """
     summary = Summary()
-    wanted = frozenset(monitor.sources.messages)
+    bus = InputFrames(codec, default_map() if signals is None else signals)
     for path in paths:
         notes = LogNotes()
         for message in read_log(path, notes):
             try:
-                frame = codec.decode(message)
+                frames = bus.frames(message)
             except FrameError:
                 summary.malformed += 1
                 continue
-            if frame is None or frame.message not in wanted:
-                continue
-            summary.ours += 1
-            hand_over(monitor.feed(frame), take_row, summary)
+            summary.ours += bool(frames)
+            for frame in frames:
+                hand_over(monitor.feed(frame), take_row, summary)
         summary.frames += notes.frames
         summary.damages += [str(damage) for damage in notes.damages]
     refuse_nothing(paths, summary)
@@ -58,7 +64,8 @@ def refuse_nothing(paths: Sequence[Path | str], summary: Summary) -> None:
     if not summary.ours:
         found = f"none of {summary.frames} frames is one that yieldmon takes in" if summary.frames else "no frame at all"
         wrong = f", {summary.malformed} of wrong length" if summary.malformed else ""
-        raise InputError(", ".join(map(str, paths)), found + wrong, "a log with sensor, speed and plate frames")
+        expected = "a log with sensor, speed and plate frames, or a mapping of its signals (yieldmon signals)"
+        raise InputError(", ".join(map(str, paths)), found + wrong, expected)
 
 
 def hand_over(results: Iterable[Result], take_row: Callable[[SecondRow], None], summary: Summary) -> None:

@@ -1,0 +1,135 @@
+"""Any DBC file as plain tables: where each signal's bits are, whatever the byte order, sign, multiplexing or identifier."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import cantools
+from cantools.database.can import Database
+from cantools.database.can import Message as DbcMessage
+from cantools.database.can import Signal as DbcSignal
+from cantools.database.errors import Error as DbcError
+
+from yieldmon.bus.layout import largest_valid_raw, smallest_not_available_raw
+from yieldmon.errors import InputError
+
+_MOST_BYTES = 8
+NULL_ADDRESS = 0xFE
+
+
+@dataclass(frozen=True, slots=True)
+class SignalBits:
+    """A signal of a message.
+
+    little: least significant byte first; shift: of its lowest bit in the first eight bytes, read as one number in that order.
+    kind: "int", "uint" or "float". Physical value = raw * scale + offset. raw_max: largest raw value that is a measurement
+    (J1939 signals; None elsewhere). mux: value of the message's multiplexer in frames that hold it, None: all do. choices: name
+    of a raw value -> the value.
+    """
+
+    name: str
+    little: bool
+    shift: int
+    bits: int
+    kind: str
+    scale: float
+    offset: float
+    unit: str
+    raw_max: int | None
+    raw_not_available: int | None
+    mux: int | None
+    choices: Mapping[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class MessageBits:
+    """A message. multiplexer: the signal whose value says what a frame holds, None for none."""
+
+    name: str
+    frame_id: int
+    extended: bool
+    length: int
+    multiplexer: str | None
+    signals: Mapping[str, SignalBits]
+
+    @property
+    def group(self) -> int:
+        """J1939 parameter group number of the identifier."""
+        return group_of(self.frame_id)
+
+
+def group_of(identifier: int) -> int:
+    """Parameter group number of a 29-bit identifier; the destination of a destination-specific group is no part of it."""
+    group = identifier >> 8 & 0x3FFFF
+    return group & 0x3FF00 if (group >> 8 & 0xFF) < 0xF0 else group
+
+
+def load_messages(path: Path | str) -> dict[str, MessageBits]:
+    """Message name -> its bits, from the DBC at `path`.
+
+    Raises InputError, one line, for a file that cannot be read, is no DBC, is in an encoding other than UTF-8 or Windows-1252, or
+    contradicts itself (signals that overlap).
+    """
+    where = str(path)
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        raise InputError(where, error.strerror or str(error), "a readable DBC file") from error
+    if b"\x00" in data:
+        raise InputError(where, "is in UTF-16 or no text at all", "a DBC file in UTF-8 or Windows-1252")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        try:
+            text = data.decode("cp1252")
+        except UnicodeDecodeError as error:
+            problem = f"byte {error.start} is neither UTF-8 nor Windows-1252"
+            raise InputError(where, problem, "a DBC file in UTF-8 or Windows-1252") from error
+    try:
+        database = cantools.database.load_string(text, database_format="dbc")
+    except DbcError as error:
+        raise InputError(where, " ".join(str(error).split()), "a DBC file without contradictions") from error
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
+        raise InputError(where, f"cannot be read: {error!r}", "a DBC file") from error
+    assert isinstance(database, Database), "what the dbc format gives"
+    if not database.messages:
+        raise InputError(where, "names no message", "a DBC file")
+    return {message.name: _message(message) for message in database.messages}
+
+
+def _message(message: DbcMessage) -> MessageBits:
+    j1939 = message.protocol == "j1939" or _is_j1939(message)
+    multiplexer = next((signal.name for signal in message.signals if signal.is_multiplexer and not signal.multiplexer_ids), None)
+    signals = {signal.name: _signal(signal, j1939) for signal in message.signals}
+    return MessageBits(message.name, message.frame_id, message.is_extended_frame, message.length, multiplexer, signals)
+
+
+def _is_j1939(message: DbcMessage) -> bool:
+    attributes = message.dbc.attributes if message.dbc is not None else {}
+    return "VFrameFormat" in attributes and attributes["VFrameFormat"].value in (3, "J1939PG")
+
+
+def _signal(signal: DbcSignal, j1939: bool) -> SignalBits:
+    little = signal.byte_order == "little_endian"
+    # Big-endian: the start is that of the highest bit, counted 7..0 within each byte.
+    shift = signal.start if little else 8 * _MOST_BYTES - (signal.start // 8 * 8 + 7 - signal.start % 8) - signal.length
+    kind = "float" if signal.is_float else "int" if signal.is_signed else "uint"
+    bits = signal.length
+    whole = signal.maximum is not None and round((signal.maximum - signal.offset) / signal.scale) >= (1 << bits) - 1
+    reserved = j1939 and kind == "uint" and bits > 1 and not whole
+    return SignalBits(
+        name=signal.name,
+        little=little,
+        shift=shift,
+        bits=bits,
+        kind=kind,
+        scale=float(signal.scale),
+        offset=float(signal.offset),
+        unit=signal.unit or "",
+        raw_max=largest_valid_raw(bits) if reserved else None,
+        raw_not_available=smallest_not_available_raw(bits) if reserved else None,
+        mux=signal.multiplexer_ids[0] if signal.multiplexer_ids else None,
+        choices={str(name): int(raw) for raw, name in (signal.choices or {}).items()},
+    )

@@ -1,0 +1,61 @@
+"""Messages of a bus as the frames that the engine takes: those of the shipped DBC, and those of a mapping."""
+
+from __future__ import annotations
+
+import can
+
+from yieldmon.bus.codec import Codec, FrameError
+from yieldmon.frames import OUTPUTS, Frame
+from yieldmon.signals.decoding import EXTENDED, MapDecoder
+from yieldmon.signals.mapping import SignalMap
+
+_EXTENDED_IDENTIFIER = 0x1FFFFFFF
+
+
+class InputFrames:
+    """One bus as one engine hears it."""
+
+    def __init__(self, codec: Codec, signals: SignalMap) -> None:
+        self._codec = codec
+        self._decoder = MapDecoder(signals)
+        self._mapped = bool(signals.groups)
+        self._own = signals.own_messages | frozenset(OUTPUTS)
+
+    def frames(self, message: can.Message) -> list[Frame]:
+        """The frames for the engine that a message brings, usually none or one. Raises FrameError for one of the wrong length."""
+        return [frame for frame in self.heard(message) if frame.message not in OUTPUTS]
+
+    def heard(self, message: can.Message) -> list[Frame]:
+        """The same, and frames that only a yield monitor sends."""
+        if not self._mapped:
+            frame = self._codec.decode(message)
+            return [frame] if frame is not None and frame.message in self._own else []
+        if message.is_error_frame or message.is_remote_frame:
+            return []
+        found = self._mapped_frames(message)
+        layout = self._codec.layout_of(message.arbitration_id) if message.is_extended_id else None
+        if layout is not None and layout.name in self._own:
+            frame = self._codec.decode(message)
+            if frame is not None:
+                found.append(frame)
+        return found
+
+    def filters(self) -> list[can.typechecking.CanFilter]:
+        """python-can filters that let through what the engine takes, and what only a yield monitor sends."""
+        own = self._codec.filters(sorted(self._own))
+        mapped: list[can.typechecking.CanFilter] = [
+            {
+                "can_id": match.identity & _EXTENDED_IDENTIFIER,
+                "can_mask": match.mask & _EXTENDED_IDENTIFIER,
+                "extended": bool(match.identity & EXTENDED),
+            }
+            for match in self._decoder.matches
+        ]
+        return own + mapped
+
+    def _mapped_frames(self, message: can.Message) -> list[Frame]:
+        refused = self._decoder.refused
+        found = self._decoder.decode(message.timestamp, message.arbitration_id, message.is_extended_id, bytes(message.data))
+        if self._decoder.refused > refused and not found:
+            raise FrameError(f"0x{message.arbitration_id:X}: {len(message.data)} bytes of data, fewer than its DBC says")
+        return found

@@ -1,0 +1,197 @@
+"""The section `signals` of the configuration: from YAML to a mapping, and every fault of it in one line with file and key."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from yieldmon.bus.databases import MessageBits, load_messages
+from yieldmon.engine.sources import QUANTITIES
+from yieldmon.errors import InputError
+from yieldmon.network.name import NameMatch
+from yieldmon.physics.machine import Machine
+from yieldmon.resources import shipped
+from yieldmon.signals.binding import IMPACT, MAX_RATE_HZ, MIN_RATE_HZ, Binding, Source, check_quantity
+from yieldmon.signals.mapping import SignalMap, build, default_map
+
+_HIGHEST_ADDRESS = 253
+
+
+class NodeName(BaseModel):
+    """Fields of a J1939 NAME; those that are given must be equal."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+    identity_number: int | None = Field(None, ge=0, le=(1 << 21) - 1)
+    manufacturer_code: int | None = Field(None, ge=0, le=2047)
+    ecu_instance: int | None = Field(None, ge=0, le=7)
+    function_instance: int | None = Field(None, ge=0, le=31)
+    function: int | None = Field(None, ge=0, le=255)
+    vehicle_system: int | None = Field(None, ge=0, le=127)
+    vehicle_system_instance: int | None = Field(None, ge=0, le=15)
+    industry_group: int | None = Field(None, ge=0, le=7)
+
+
+class SignalEntry(BaseModel):
+    """One quantity's keys. Values become: physical value of the DBC * scale * ratio + offset, in `unit`."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+    dbc: str | None = Field(None, description="DBC file, relative to the configuration; null: the shipped one")
+    message: str | None = Field(None, description="name of the message in the DBC")
+    signal: str | None = Field(None, description="name of the signal")
+    signals: list[str] | None = Field(None, min_length=1, max_length=64, description="impact samples of one frame, oldest first")
+    scale: float = Field(1.0, description="factor on the DBC's physical value")
+    offset: float = Field(0.0, description="added after that")
+    ratio: float = Field(1.0, gt=0.0, description="turns of the elevator shaft per turn of the shaft that is measured")
+    unit: str | None = Field(None, description="unit of the value then; null: the DBC's")
+    source: Any = Field(None, description="any, an address, or fields of a NAME; null: as the DBC's identifier says")
+    mux: int | None = Field(None, ge=0, description="value of the message's multiplexer")
+    range: list[float] | None = Field(None, min_length=2, max_length=2, description="in the quantity's unit; outside: no value")
+    not_available: list[int] = Field(default_factory=list, max_length=64, description="raw values that mean it")
+    values: dict[int, int] = Field(default_factory=dict, description="raw value to the quantity's code")
+    rate_hz: float | None = Field(None, ge=MIN_RATE_HZ, le=MAX_RATE_HZ, description="impact samples per second")
+    spacing_ms: float | None = Field(None, gt=0.0, le=1000.0, description="the same as time between samples")
+    counter: str | None = Field(None, description="signal that counts the frames")
+    status: str | None = Field(None, description="signal: 0 good, 1 over range, 2 fault")
+    pulses_per_turn: float | None = Field(None, gt=0.0, le=1e5, description="the signal counts pulses, so many per turn")
+    time_constant_s: float = Field(0.0, ge=0.0, le=10.0, description="of a filter in the sensor")
+    value: float | None = Field(None, description="a constant in the quantity's unit; nothing is bound")
+
+
+_EXPECTED = {
+    "rate_hz": f"a number from {MIN_RATE_HZ:g} to {MAX_RATE_HZ:g} Hz",
+    "spacing_ms": "a number above 0, at most 1000 ms",
+    "range": "two numbers, the smaller first",
+    "ratio": "a number above 0",
+    "values": "raw value: code, both whole numbers",
+    "source": f"any, an address from 0 to {_HIGHEST_ADDRESS}, or fields of a NAME",
+}
+
+
+def signal_map(
+    content: Mapping[str, Any], path: Path, machine: Machine, fixed_plate_deg: float | None
+) -> tuple[SignalMap, tuple[Path, ...]]:
+    """The mapping that a configuration at `path` asks for, and the DBC files that it names. Raises InputError."""
+    fixed = {} if fixed_plate_deg is None else {"plate_angle": fixed_plate_deg}
+    off = {"actuator_state"} if fixed_plate_deg is not None else set()
+    if not content:
+        return default_map(fixed=fixed), ()
+    bindings: list[Binding] = []
+    for quantity, entries in content.items():
+        where = f"{path}: signals.{quantity}"
+        check_quantity(str(quantity), where)
+        if fixed_plate_deg is not None and quantity in ("plate_angle", "actuator_state"):
+            raise InputError(where, "is bound though plate.fixed_angle_deg is set", "one of the two")
+        if entries is None:
+            if quantity in IMPACT or quantity == "elevator_speed":
+                raise InputError(where, "null", "a signal: without it nothing is measured")
+            off.add(str(quantity))
+            continue
+        several = isinstance(entries, list)
+        if several and quantity not in IMPACT:
+            raise InputError(where, "a list", "one signal; only impact sensors may be several")
+        for number, entry in enumerate(entries if several else [entries]):
+            bindings.append(_binding(str(quantity), entry, f"{where}[{number}]" if several else where))
+    if len({binding.quantity for binding in bindings if binding.is_impact}) > 1:
+        raise InputError(f"{path}: signals", "binds impact_voltage and impact_force", "one of the two")
+    read = _reader(path)
+    found = build(bindings, read, machine, switched_off=sorted(off), fixed=fixed)
+    _check_constants(found, path)
+    names = dict.fromkeys(binding.dbc for binding in bindings if binding.dbc is not None)
+    return found, tuple(path.parent / name for name in names)
+
+
+def _reader(path: Path) -> Any:
+    @cache
+    def read(name: str) -> dict[str, MessageBits]:
+        return load_messages(path.parent / name if name else shipped("dbc/yieldmon.dbc"))
+
+    return read
+
+
+def _binding(quantity: str, entry: Any, where: str) -> Binding:
+    if not isinstance(entry, Mapping):
+        raise InputError(where, repr(entry)[:60], f"keys {', '.join(SignalEntry.model_fields)}")
+    try:
+        found = SignalEntry.model_validate(dict(entry))
+    except ValidationError as error:
+        detail = error.errors(include_url=False)[0]
+        key = str(detail["loc"][0]) if detail["loc"] else ""
+        if detail["type"] == "extra_forbidden":
+            raise InputError(f"{where}.{key}", "unknown key", f"one of {', '.join(SignalEntry.model_fields)}") from error
+        field = SignalEntry.model_fields[key]
+        raise InputError(f"{where}.{key}", repr(detail["input"])[:60], _EXPECTED.get(key, str(field.description))) from error
+    if found.signal is not None and found.signals is not None:
+        raise InputError(f"{where}.signals", "stands beside signal", "one of the two")
+    if found.rate_hz is not None and found.spacing_ms is not None:
+        raise InputError(f"{where}.spacing_ms", "stands beside rate_hz", "one of the two")
+    low, high = found.range if found.range is not None else (None, None)
+    if low is not None and high is not None and low >= high:
+        raise InputError(f"{where}.range", f"{found.range}", _EXPECTED["range"])
+    rate_hz = 1000.0 / found.spacing_ms if found.spacing_ms is not None else found.rate_hz
+    if found.ratio != 1.0 and quantity != "elevator_speed":
+        raise InputError(f"{where}.ratio", f"{found.ratio:g}", "no such key here; it belongs to elevator_speed")
+    return Binding(
+        where=where,
+        quantity=quantity,
+        dbc=found.dbc,
+        message=found.message,
+        signals=tuple(found.signals or ([found.signal] if found.signal is not None else [])),
+        scale=found.scale * found.ratio,
+        offset=found.offset,
+        unit=found.unit,
+        source=_source(found.source, f"{where}.source"),
+        mux=found.mux,
+        low=low,
+        high=high,
+        not_available=tuple(found.not_available),
+        values=found.values,
+        rate_hz=rate_hz,
+        counter=found.counter,
+        status=found.status,
+        pulses_per_turn=found.pulses_per_turn,
+        time_constant_s=found.time_constant_s,
+        value=found.value,
+    )
+
+
+def _source(value: Any, where: str) -> Source:
+    if value is None or value == "any":
+        return None if value is None else "any"
+    if isinstance(value, Mapping):
+        fields = value.get("name", value)
+        try:
+            name = NodeName.model_validate({k: _whole(v) for k, v in fields.items()} if isinstance(fields, Mapping) else fields)
+        except ValidationError as error:
+            detail = error.errors(include_url=False)[0]
+            key = ".".join(str(part) for part in detail["loc"])
+            expected = f"fields of a NAME in their ranges: {', '.join(NodeName.model_fields)}"
+            raise InputError(f"{where}.{key}" if key else where, repr(detail["input"])[:60], expected) from error
+        if not name.model_dump(exclude_none=True):
+            raise InputError(where, "an empty NAME", f"at least one of {', '.join(NodeName.model_fields)}")
+        return NameMatch(**name.model_dump())
+    value = _whole(value)
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= _HIGHEST_ADDRESS:
+        raise InputError(where, repr(value)[:60], _EXPECTED["source"])
+    return value
+
+
+def _whole(value: Any) -> Any:
+    """A number written in hexadecimal is a word in YAML."""
+    try:
+        return int(value, 0) if isinstance(value, str) else value
+    except ValueError:
+        return value
+
+
+def _check_constants(found: SignalMap, path: Path) -> None:
+    for name, value in found.sources.fixed.items():
+        quantity = QUANTITIES[name]
+        if not (math.isfinite(value) and quantity.usable(value)):
+            raise InputError(f"{path}: signals.{name}.value", f"{value:g}", f"a value that {name} can have, {quantity.unit}")

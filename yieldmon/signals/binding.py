@@ -1,0 +1,96 @@
+"""One line of a mapping: which signal brings a quantity. All that is wrong with it is said in one line that names the key."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from yieldmon.engine.sources import QUANTITIES
+from yieldmon.errors import InputError
+from yieldmon.network.name import NameMatch
+
+IMPACT = {"impact_voltage": "mV", "impact_force": "N"}
+"""The two ways in which an impact sensor speaks, and their units."""
+BINDABLE = (*IMPACT, *QUANTITIES)
+MIN_RATE_HZ, MAX_RATE_HZ = 10.0, 2000.0
+
+Source = str | int | NameMatch | None
+"""None: as the DBC's identifier says; "any"; an address; the NAME of a node."""
+
+
+@dataclass(frozen=True, slots=True)
+class Binding:
+    """Where a quantity comes from.
+
+    where: place in the configuration, for messages. value: a constant, and nothing is bound. signals: one, or for impact samples
+    several of one frame, oldest first. scale, offset: value = physical value of the DBC * scale + offset, in `unit` (None: the
+    DBC's). source: see `Source`. mux: value of the message's multiplexer. low, high: range in the quantity's unit in which a
+    value can be true. not_available: raw values that mean it. values: raw value -> the quantity's code. rate_hz: impact samples
+    per second. counter, status: signals of the same message. pulses_per_turn: the signal counts pulses of a turning shaft.
+    time_constant_s: of a filter in the sensor.
+    """
+
+    where: str
+    quantity: str
+    dbc: str | None = None
+    message: str | None = None
+    signals: tuple[str, ...] = ()
+    scale: float = 1.0
+    offset: float = 0.0
+    unit: str | None = None
+    source: Source = None
+    mux: int | None = None
+    low: float | None = None
+    high: float | None = None
+    not_available: tuple[int, ...] = ()
+    values: Mapping[int, int] = field(default_factory=dict)
+    rate_hz: float | None = None
+    counter: str | None = None
+    status: str | None = None
+    pulses_per_turn: float | None = None
+    time_constant_s: float = 0.0
+    value: float | None = None
+
+    @property
+    def is_impact(self) -> bool:
+        """Whether these are an impact sensor's samples."""
+        return self.quantity in IMPACT
+
+    def refuse(self, key: str, problem: str, expected: str) -> InputError:
+        """The error that names a key of this binding."""
+        return InputError(f"{self.where}.{key}" if key else self.where, problem, expected)
+
+
+def check_quantity(name: str, where: str) -> None:
+    """Raises InputError for a quantity that is not known."""
+    if name not in BINDABLE:
+        near = difflib.get_close_matches(name, BINDABLE, n=1)
+        raise InputError(where, "unknown quantity", near[0] if near else f"one of {', '.join(BINDABLE)}")
+
+
+def check(binding: Binding) -> None:
+    """Raises InputError for keys that do not go together."""
+    if binding.value is not None:
+        if binding.is_impact:
+            raise binding.refuse("value", f"{binding.value:g}", "samples: an impact sensor is no constant")
+        if binding.message is not None or binding.signals:
+            raise binding.refuse("value", f"{binding.value:g}", "either a constant value or a message and signal")
+        return
+    if binding.message is None:
+        raise binding.refuse("message", "is missing", "the name of a message in the DBC, or a constant `value`")
+    if not binding.signals:
+        raise binding.refuse("signal", "is missing", "the name of a signal of that message")
+    if not binding.is_impact:
+        if len(binding.signals) > 1:
+            raise binding.refuse("signals", f"{len(binding.signals)} signals", "one `signal`; only impact samples have several")
+        for key, given in (("rate_hz", binding.rate_hz), ("counter", binding.counter), ("status", binding.status)):
+            if given is not None:
+                raise binding.refuse(key, repr(given), "no such key here; it belongs to impact samples")
+    elif binding.rate_hz is None:
+        raise binding.refuse("rate_hz", "is missing", f"samples per second, {MIN_RATE_HZ:g} to {MAX_RATE_HZ:g} Hz")
+    elif not MIN_RATE_HZ <= binding.rate_hz <= MAX_RATE_HZ:
+        expected = f"{MIN_RATE_HZ:g} to {MAX_RATE_HZ:g} Hz: no other rate serves an impact sensor"
+        raise binding.refuse("rate_hz", f"{binding.rate_hz:g} Hz", expected)
+    if binding.pulses_per_turn is not None and binding.quantity != "elevator_speed":
+        raise binding.refuse("pulses_per_turn", f"{binding.pulses_per_turn:g}", "no such key here; it belongs to elevator_speed")

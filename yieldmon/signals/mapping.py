@@ -1,0 +1,263 @@
+"""A mapping: bindings held against their DBC files, as the engine's sources and a decoder of the frames that they name.
+
+Each message that is bound (with one source and one multiplexer value) is a `Group`; its frames reach the engine as a `Frame` of
+the group's name whose signals are the quantities, in the quantities' own units.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from yieldmon.bus.databases import NULL_ADDRESS, MessageBits, SignalBits
+from yieldmon.engine.sources import DEFAULT_SOURCES, QUANTITIES, InputSource, SampleSource, Sources
+from yieldmon.errors import InputError
+from yieldmon.physics.machine import Machine
+from yieldmon.signals.binding import IMPACT, Binding, Source, check
+from yieldmon.signals.extraction import Extraction
+from yieldmon.signals.units import accepted, factor
+
+Load = Callable[[str], Mapping[str, MessageBits]]
+"""Reads the DBC of that name; raises InputError."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pulses:
+    """A signal of a group that counts pulses, and the quantity made of it."""
+
+    signal: str
+    pulses_per_turn: float
+    factor: float
+    modulus: int
+
+
+@dataclass(frozen=True)
+class Group:
+    """The bound signals of one message. name: of the frames that reach the engine. mux: (its signal, the value wanted)."""
+
+    name: str
+    message: MessageBits
+    source: Source
+    mux: tuple[Extraction, int] | None
+    signals: Mapping[str, Extraction]
+    pulses: tuple[Pulses, ...] = ()
+
+
+@dataclass(frozen=True)
+class SignalMap:
+    """A mapping ready for use. sources: for the engine, with the default's for what is not mapped."""
+
+    sources: Sources
+    groups: tuple[Group, ...]
+    bindings: tuple[Binding, ...] = ()
+
+    @property
+    def own_messages(self) -> frozenset[str]:
+        """Messages that the engine still takes from the shipped DBC."""
+        return frozenset(self.sources.messages) - {group.name for group in self.groups}
+
+
+@dataclass
+class _Draft:
+    """A group under construction."""
+
+    name: str
+    message: MessageBits
+    source: Source
+    mux: tuple[Extraction, int] | None
+    signals: dict[str, Extraction] = field(default_factory=dict)
+    pulses: list[Pulses] = field(default_factory=list)
+
+
+def build(
+    bindings: Sequence[Binding],
+    load: Load,
+    machine: Machine,
+    *,
+    switched_off: Sequence[str] = (),
+    fixed: Mapping[str, float] | None = None,
+) -> SignalMap:
+    """The mapping of these bindings.
+
+    Parameters
+    ----------
+    bindings
+        A quantity each; an impact sensor may have several.
+    load
+        Reads a DBC by the name that the bindings give.
+    machine
+        For the sensor's gain: newtons become millivolts.
+    switched_off
+        Quantities that are not taken in at all.
+    fixed
+        Quantities that nothing measures, with their value.
+
+    Raises
+    ------
+    InputError
+        One line: the key, what is wrong, what was expected.
+    """
+    drafts: dict[tuple[str, str, str, int | None], _Draft] = {}
+    impact: list[SampleSource] = []
+    inputs: list[InputSource] = []
+    constants = dict(fixed or {})
+    _check_overlaps(bindings)
+    for binding in bindings:
+        check(binding)
+        if binding.value is not None:
+            constants[binding.quantity] = binding.value * _unit_factor(binding, "")
+            continue
+        messages = load(binding.dbc or "")
+        message = _message(binding, messages)
+        key = (binding.dbc or "", message.name, str(binding.source), binding.mux)
+        if key not in drafts:
+            name = f"{message.name}/{len(drafts) + 1}"
+            drafts[key] = _Draft(name, message, binding.source, _mux(binding, message))
+        if binding.is_impact:
+            impact.append(_impact(binding, drafts[key], len(impact), machine))
+        else:
+            inputs.append(_input(binding, drafts[key]))
+    taken = {binding.quantity for binding in bindings} | set(switched_off) | set(constants)
+    defaults = tuple(source for source in DEFAULT_SOURCES.inputs if source.quantity not in taken)
+    sources = Sources(tuple(impact) or DEFAULT_SOURCES.impact, (*inputs, *defaults), constants)
+    groups = tuple(Group(d.name, d.message, d.source, d.mux, d.signals, tuple(d.pulses)) for d in drafts.values())
+    return SignalMap(sources, groups, tuple(bindings))
+
+
+def _check_overlaps(bindings: Sequence[Binding]) -> None:
+    """One signal of one message of one source serves one quantity."""
+    seen: dict[tuple[object, ...], Binding] = {}
+    for binding in bindings:
+        if binding.message is None or binding.value is not None:
+            continue
+        for signal in binding.signals:
+            key = (binding.dbc, binding.message, signal, str(binding.source), binding.mux)
+            if key in seen:
+                raise binding.refuse("signal", f"{signal} is bound to {seen[key].quantity} as well", "a signal of its own")
+            seen[key] = binding
+
+
+def _message(binding: Binding, messages: Mapping[str, MessageBits]) -> MessageBits:
+    assert binding.message is not None, "checked"
+    message = messages.get(binding.message)
+    if message is None:
+        near = difflib.get_close_matches(binding.message, messages, n=3) or sorted(messages)[:5]
+        absent = f"{binding.message} is not in {binding.dbc or 'the shipped DBC'}"
+        raise binding.refuse("message", absent, f"one of its messages, such as {', '.join(near)}")
+    if message.length > 8:
+        raise binding.refuse("message", f"{message.name} has {message.length} bytes", "a message of one frame, at most 8 bytes")
+    if binding.source is not None and not message.extended:
+        raise binding.refuse("source", f"{message.name} has an 11-bit identifier", "no source; only 29-bit identifiers carry one")
+    return message
+
+
+def _signal(binding: Binding, message: MessageBits, name: str, key: str = "signal") -> SignalBits:
+    signal = message.signals.get(name)
+    if signal is None:
+        near = difflib.get_close_matches(name, message.signals, n=3) or list(message.signals)[:5]
+        raise binding.refuse(key, f"{name} is not in {message.name}", f"one of its signals, such as {', '.join(near)}")
+    if signal.mux is not None and signal.mux != binding.mux:
+        given = "is missing" if binding.mux is None else f"{binding.mux}"
+        raise binding.refuse("mux", given, f"{signal.mux}, the multiplexer value with which {name} is sent")
+    return signal
+
+
+def _mux(binding: Binding, message: MessageBits) -> tuple[Extraction, int] | None:
+    if binding.mux is None:
+        return None
+    if message.multiplexer is None:
+        raise binding.refuse("mux", f"{binding.mux}", f"no such key: {message.name} has no multiplexer")
+    return Extraction(message.signals[message.multiplexer], 1.0, 0.0), binding.mux
+
+
+def _unit_factor(binding: Binding, unit_of_dbc: str) -> float:
+    """Factor from the binding's unit into the quantity's."""
+    wanted = IMPACT[binding.quantity] if binding.is_impact else QUANTITIES[binding.quantity].unit
+    unit = binding.unit if binding.unit is not None else unit_of_dbc
+    if unit == "" and not binding.is_impact:
+        return 1.0
+    if unit == "":
+        raise binding.refuse("unit", "is missing, and the DBC names none", f"one of {accepted(wanted)}")
+    if unit == "counts" and binding.scale == 1.0:
+        raise binding.refuse("scale", "is missing", "millivolts per count, with unit counts")
+    found = factor(wanted, unit)
+    if found is None and binding.unit is None and wanted == "":
+        return 1.0
+    if found is None:
+        said = f"{unit!r}" if binding.unit is not None else f"is {unit!r} in the DBC"
+        raise binding.refuse("unit", said, f"one of {accepted(wanted)} for {binding.quantity}" if wanted else "no unit")
+    return found
+
+
+def _extraction(binding: Binding, signal: SignalBits, into: float = 1.0) -> Extraction:
+    """Of a value in the quantity's unit times `into`."""
+    if binding.values:
+        codes = tuple((raw, float(code)) for raw, code in binding.values.items())
+        return Extraction(signal, 1.0, 0.0, not_available=frozenset(binding.not_available), codes=codes)
+    found = _unit_factor(binding, signal.unit) * into
+    return Extraction(
+        bits=signal,
+        scale=signal.scale * binding.scale * found,
+        offset=(signal.offset * binding.scale + binding.offset) * found,
+        low=float("-inf") if binding.low is None else binding.low * into,
+        high=float("inf") if binding.high is None else binding.high * into,
+        not_available=frozenset(binding.not_available),
+    )
+
+
+def _impact(binding: Binding, draft: _Draft, number: int, machine: Machine) -> SampleSource:
+    assert binding.rate_hz is not None, "checked"
+    into_mv = 1.0 / machine.sensor.gain_n_per_mv if binding.quantity == "impact_force" else 1.0
+    names = []
+    for index, name in enumerate(binding.signals):
+        signal = _signal(binding, draft.message, name, "signals" if len(binding.signals) > 1 else "signal")
+        names.append(f"impact{number}.{index}")
+        draft.signals[names[-1]] = _extraction(binding, signal, into_mv)
+    counter = status = None
+    modulus = 256
+    if binding.counter is not None:
+        found = _signal(binding, draft.message, binding.counter, "counter")
+        counter, modulus = f"impact{number}.counter", 1 << found.bits
+        draft.signals[counter] = Extraction(replace(found, raw_max=None), 1.0, 0.0)
+    if binding.status is not None:
+        found = _signal(binding, draft.message, binding.status, "status")
+        status = f"impact{number}.status"
+        draft.signals[status] = Extraction(found, 1.0, 0.0)
+    return SampleSource(
+        message=draft.name,
+        signals=tuple(names),
+        interval_s=1.0 / binding.rate_hz,
+        counter=counter,
+        counter_modulus=modulus,
+        status=status,
+        time_constant_s=binding.time_constant_s,
+    )
+
+
+def _input(binding: Binding, draft: _Draft) -> InputSource:
+    signal = _signal(binding, draft.message, binding.signals[0])
+    if binding.pulses_per_turn is not None:
+        if signal.kind == "float":
+            raise binding.refuse("signal", f"{signal.name} is a floating-point number", "a counter of pulses")
+        counter = replace(signal, raw_max=None)
+        draft.signals[binding.quantity] = Extraction(counter, 1.0, 0.0, not_available=frozenset(binding.not_available))
+        draft.pulses.append(Pulses(binding.quantity, binding.pulses_per_turn, binding.scale, 1 << signal.bits))
+    else:
+        draft.signals[binding.quantity] = _extraction(binding, signal)
+    return InputSource(binding.quantity, draft.name, binding.quantity)
+
+
+def default_map(*, fixed: Mapping[str, float] | None = None) -> SignalMap:
+    """The shipped DBC's own messages. fixed: quantities that nothing measures."""
+    constants = dict(fixed or {})
+    inputs = tuple(source for source in DEFAULT_SOURCES.inputs if source.quantity not in constants)
+    return SignalMap(Sources(DEFAULT_SOURCES.impact, inputs, constants), ())
+
+
+def any_source(source: Source, message: MessageBits) -> bool:
+    """Whether every node may send a group's frames."""
+    return source == "any" or (source is None and message.extended and message.frame_id & 0xFF == NULL_ADDRESS)
+
+
+__all__ = ["Group", "InputError", "Load", "Pulses", "SignalMap", "any_source", "build", "default_map"]
