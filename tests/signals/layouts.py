@@ -27,7 +27,7 @@ FIXED_DEG = 70.0
 
 @dataclass(frozen=True)
 class Layout:
-    """name; dbc: text of the file; config: YAML; kind: class that packs the frames."""
+    """name; dbc: text of the file; config: YAML; pack: class that packs the frames."""
 
     name: str
     dbc: str
@@ -283,7 +283,7 @@ class Proprietary(Packer):
     def samples(self, at_s: float, values_mv: Sequence[float]) -> Iterator[can.Message]:
         if self.address == 0x90 and at_s - self.opened_s > 30.0:
             self.address = 0xA5
-            yield message(at_s, 0x18EEFFA5, NODE_NAME.to_bytes(8, "little"), True)
+            yield message(at_s - 0.004, 0x18EEFFA5, NODE_NAME.to_bytes(8, "little"), True)
         self.pending += values_mv
         for place in range(len(self.pending) // 3):
             three = self.pending[3 * place : 3 * place + 3]

@@ -448,11 +448,11 @@ class Document(Section):
     moisture_map_file: str | None = text(
         None, "how parameters change with moisture (`calibrate --by-moisture`); null: they do not; relative to this file"
     )
+    bus: Bus = Bus()
     signals: dict[str, Any] = Field(
         default_factory=dict,
         description="where quantities come from, by quantity (docs/guide/wiring.md); left out: the messages of the shipped DBC",
     )
-    bus: Bus = Bus()
     store: Store = Store()
     status: Status = Status()
     diagnostics: Diagnostics = Diagnostics()

@@ -64,8 +64,7 @@ def refuse_nothing(paths: Sequence[Path | str], summary: Summary) -> None:
     if not summary.ours:
         found = f"none of {summary.frames} frames is one that yieldmon takes in" if summary.frames else "no frame at all"
         wrong = f", {summary.malformed} of wrong length" if summary.malformed else ""
-        expected = "a log with sensor, speed and plate frames, or a mapping of its signals (yieldmon signals)"
-        raise InputError(", ".join(map(str, paths)), found + wrong, expected)
+        raise InputError(", ".join(map(str, paths)), found + wrong, "a log with sensor, speed and plate frames")
 
 
 def hand_over(results: Iterable[Result], take_row: Callable[[SecondRow], None], summary: Summary) -> None:
