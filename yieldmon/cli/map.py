@@ -43,6 +43,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help=f"switch a cleaning rule off, again for more: {', '.join(n for n in NAMES if n not in NEEDED)}",
     )
     parser.add_argument("--grid", type=float, default=10.0, metavar="M", help="size of the grid's blocks (default: 10)")
+    parser.add_argument(
+        "--transport", action="store_true", help="undo the machine's smear of the flow, where that beats a plain smoother"
+    )
     what = parser.add_argument_group("what the data do not say")
     what.add_argument("--flow-delay", type=float, metavar="S", help="instead of the estimate")
     what.add_argument("--moisture-delay", type=float, metavar="S", help="instead of the estimate")
@@ -106,6 +109,8 @@ def _read(paths: list[Path], options: ReadOptions, progress: sources.Progress) -
 def _tell(document: dict[str, object], result: harvest.HarvestMap) -> None:
     totals = result.totals
     lines = [summary.delay_line(result.flow_delay, "flow"), summary.delay_line(result.moisture_delay, "moisture")]
+    if result.transport is not None:
+        lines.append(summary.transport_line(result.transport))
     lines.append(
         f"{len(result.table)} points, {int(result.cleaned.kept.sum())} kept; {totals.corrected_kg:.0f} kg measured, "
         f"{totals.by_reason.get('kept', 0.0):.0f} kg kept; {totals.area_m2 / 1e4:.2f} ha cut; "
@@ -164,4 +169,5 @@ def _map_options(args: argparse.Namespace) -> harvest.MapOptions:
         ),
         tuple(args.without),
         tuple(loads.read_tickets(Path(args.tickets))) if args.tickets else (),
+        args.transport,
     )

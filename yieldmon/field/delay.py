@@ -29,10 +29,14 @@ CLEAR_OF_S = 10.0
 MIN_CONTRAST_SD = 3.0
 MIN_STEADY_SHARE = 0.9
 STEADY_WITHIN_S = 4.0
-FLOOR_S = 0.75
-"""Half-width that an interval has at least: yields by area and flows alone do not peak at quite the same shift."""
+FLOOR_S = 1.0
+"""Half-width that an interval has at least: flows and yields by area do not peak at quite the same shift, and the peak lies
+before the mean delay of a machine that smears."""
 EDGE_S = 2.0
 _WINSOR = (1.0, 99.0)
+_EMPTY_SHARE = 0.1
+"""Of the median flow; below it the machine runs empty. Two passes shifted by half a pass are empty at the same places, which is
+no agreement of yields."""
 
 
 @dataclass(frozen=True)
@@ -125,15 +129,15 @@ def estimate_delay(
         return refused(f"{len(pairs)} pairs of opposing passes in {pairs.blocks} blocks; {MIN_PAIRS} in {MIN_BLOCKS} are needed")
     if steps.interval > MAX_INTERVAL_S or _ticks(steps) > MAX_TICKS:
         return refused(f"points are {steps.interval:.1f} s apart, or their clock goes to and fro")
-    sums = _block_sums(steps, pairs, quantity)
-    everything = _correlation(sums.sum(axis=1))
+    sums = block_sums(steps, pairs, quantity)
+    everything = correlation_of(sums.sum(axis=1))
     if not np.isfinite(everything).any():
         return refused(f"the {quantity} is the same everywhere")
     curve = Curve(SHIFTS_S, everything)
     no_shift, at_default = (float(np.interp(s, SHIFTS_S, everything)) for s in (0.0, default_s))
     peak = _peak(everything)
     weights = generator.multinomial(pairs.blocks, np.full(pairs.blocks, 1.0 / pairs.blocks), size=DRAWS)
-    drawn = _correlation(np.einsum("db,qbs->qds", weights.astype(float), sums, optimize=True))
+    drawn = correlation_of(np.einsum("db,qbs->qds", weights.astype(float), sums, optimize=True))
     why = _objection(everything, drawn, peak)
     if why:
         return refused(why, curve, no_shift, at_default)
@@ -180,8 +184,10 @@ def _series(steps: Tracks, quantity: str) -> tuple[Array, Array]:
         value = np.where(steps.moisture_pct > 0, steps.moisture_pct, np.nan)
         return value, np.ones(len(steps))
     speed = np.where(np.nan_to_num(steps.speed_m_s) > MIN_SPEED_M_S, steps.speed_m_s, np.nan)
+    flow = np.nan_to_num(steps.flow_kg_s)
+    usual = float(np.median(flow[flow > 0])) if (flow > 0).any() else 0.0
     with np.errstate(invalid="ignore"):
-        return steps.flow_kg_s, np.where(steps.width_m > 0, speed * steps.width_m, np.nan)
+        return np.where(flow > _EMPTY_SHARE * usual, flow, np.nan), np.where(steps.width_m > 0, speed * steps.width_m, np.nan)
 
 
 @dataclass(frozen=True)
@@ -215,8 +221,8 @@ def _even(steps: Tracks, values: Array) -> _Even:
     return _Even(np.round(place).astype(np.int64), grid)
 
 
-def _block_sums(steps: Tracks, pairs: Pairs, quantity: str) -> Array:
-    """Sums that a correlation needs: shape (6, blocks, shifts)."""
+def block_sums(steps: Tracks, pairs: Pairs, quantity: str, shifts_s: Array = SHIFTS_S) -> Array:
+    """Sums over the pairs of each block that a correlation needs, for each shift: shape (6, blocks, shifts)."""
     values, divisor = _series(steps, quantity)
     even = _even(steps, values)
     by_first, by_second = divisor[pairs.first], divisor[pairs.second]
@@ -227,8 +233,8 @@ def _block_sums(steps: Tracks, pairs: Pairs, quantity: str) -> Array:
     # Centred and scaled, or sums of squares lose the correlation of large numbers.
     middle, scale = 0.5 * (low + high), max(high - low, 1e-12)
     first, second = even.at[pairs.first], even.at[pairs.second]
-    out = np.zeros((6, pairs.blocks, len(SHIFTS_S)))
-    for k, shift in enumerate(np.round(SHIFTS_S / TICK_S).astype(int)):
+    out = np.zeros((6, pairs.blocks, len(shifts_s)))
+    for k, shift in enumerate(np.round(shifts_s / TICK_S).astype(int)):
         p = (np.clip(even.values[first + shift] / by_first, low, high) - middle) / scale
         q = (np.clip(even.values[second + shift] / by_second, low, high) - middle) / scale
         both = np.isfinite(p) & np.isfinite(q)
@@ -239,7 +245,7 @@ def _block_sums(steps: Tracks, pairs: Pairs, quantity: str) -> Array:
     return out
 
 
-def _correlation(sums: Array) -> Array:
+def correlation_of(sums: Array) -> Array:
     """From sums over pairs, either order of a pair counting the same; NaN with less than a quarter of the pairs."""
     count, p, q, pp, qq, pq = sums
     enough = count >= 0.25 * np.max(count, axis=-1, keepdims=True)
@@ -289,5 +295,5 @@ def _objection(curve: Array, drawn: Array, peak: float) -> str:
 
 def _held_out(sums: Array) -> float:
     """Correlation on blocks that the peak was not learnt from, the mean of both ways."""
-    halves = [_correlation(sums[:, k::2].sum(axis=1)) for k in (0, 1)]
+    halves = [correlation_of(sums[:, k::2].sum(axis=1)) for k in (0, 1)]
     return float(np.mean([np.interp(_peak(halves[k]), SHIFTS_S, halves[1 - k]) for k in (0, 1)]))

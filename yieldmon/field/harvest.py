@@ -15,6 +15,7 @@ from .placed import Placed, place
 from .swath import HeaderPlace, Swaths, swaths
 from .table import Array, HarvestTable
 from .tracks import Tracks, tracks
+from .transport import Transport, assess, filtered
 from .units import KG_PER_LB, M2_PER_ACRE, crop
 
 KG_M2_TO_T_HA = 10.0
@@ -34,6 +35,8 @@ class MapOptions:
         Cleaning rules that are off.
     tickets : sequence of Ticket
         Weighed loads.
+    transport : bool
+        Try to undo the machine's smear; it is done only where it beats its control.
     seed : int
         Of the draws for intervals.
     """
@@ -43,6 +46,7 @@ class MapOptions:
     header: HeaderPlace = field(default_factory=HeaderPlace)
     without: Collection[str] = ()
     tickets: Sequence[Ticket] = ()
+    transport: bool = False
     seed: int = SEED
 
 
@@ -99,6 +103,7 @@ class HarvestMap:
     raw_yield_kg_m2: Array
     crop: str
     bushel_kg: float | None
+    transport: Transport | None
     notes: tuple[str, ...] = field(default=())
 
     def bushels_per_acre(self, yield_kg_m2: float) -> float | None:
@@ -132,6 +137,14 @@ def make_map(table: HarvestTable, options: MapOptions, progress: Callable[[str],
     pairs = opposing_pairs(steps)
     progress("delay")
     flow_delay, moisture_delay = delays(table, steps, pairs, options)
+    transport = None
+    if options.transport and len(pairs) and flow_delay.decision != "cannot tell":
+        progress("transport")
+        transport = assess(steps, pairs, flow_delay.value_s, np.random.default_rng([options.seed, 2]))
+        if transport.better:
+            table = inverted(table, steps, transport)
+            steps = tracks(table)
+            flow_delay, moisture_delay = delays(table, steps, pairs, options)
     factor, loads = correct(table, options.tickets)
     progress("ground")
     placed = place(table, steps, flow_delay.value_s, moisture_delay.value_s, factor if options.tickets else None)
@@ -159,9 +172,23 @@ def make_map(table: HarvestTable, options: MapOptions, progress: Callable[[str],
         raw,
         name,
         None if facts is None else facts.bushel_lb * KG_PER_LB,
+        transport,
         ()
         if flow_delay.decision != "cannot tell"
         else (f"the flow delay cannot be told from these data ({flow_delay.why}); {flow_delay.value_s:g} s is used",),
+    )
+
+
+def inverted(table: HarvestTable, steps: Tracks, transport: Transport) -> HarvestTable:
+    """The table with the smear taken back: each row's flow changes as its step's does, the mass of each run stays."""
+    flow = filtered(steps, transport.chosen)
+    row_flow = table["flow_kg_s"]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where(steps.flow_kg_s > 0, flow / steps.flow_kg_s, np.nan)[steps.step_of_row]
+    alone = np.bincount(steps.step_of_row, minlength=len(steps))[steps.step_of_row] == 1
+    # A step of several sections that measured nothing has no shares to go by, and stays.
+    return table.with_columns(
+        flow_kg_s=np.where(alone, flow[steps.step_of_row], np.where(np.isfinite(share), row_flow * share, row_flow))
     )
 
 

@@ -8,6 +8,7 @@ from typing import Any
 from .cleaning import KEPT
 from .delay import Delay
 from .harvest import KG_M2_TO_T_HA, HarvestMap
+from .transport import Transport
 from .units import M2_PER_HA
 
 
@@ -48,10 +49,27 @@ def document(result: HarvestMap) -> dict[str, Any]:
         "yield_t_ha_high": _scaled(totals.high_kg_m2),
         "yield_bu_ac": _known(bushels[0]),
         "crop": result.crop,
+        "transport": None if result.transport is None else transport_document(result.transport),
         "points_by_reason": result.cleaned.points_by_reason(),
         "loads": [load.document() for load in result.loads] if weighed or len(result.loads) > 1 else [],
         "notes": list(result.notes),
     }
+
+
+def transport_document(transport: Transport) -> dict[str, object]:
+    """As JSON takes it."""
+    return {"decision": "on" if transport.better else "off", "time_constant_s": transport.chosen.tau_s} | {
+        name: _known(getattr(transport, name)) for name in ("plain", "smoothed", "inverted", "margin", "margin_sd")
+    }
+
+
+def transport_line(transport: Transport) -> str:
+    """One line for people."""
+    verdict = "on" if transport.better else "off, for it does not beat a smoother of the same bandwidth"
+    return (
+        f"transport inversion is {verdict}: opposing passes held out agree to {transport.inverted:.3f}, "
+        f"smoothed to {transport.smoothed:.3f}, with the delay alone to {transport.plain:.3f}"
+    )
 
 
 def delay_line(delay: Delay, name: str) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from yieldmon.field.cleaning import KEPT, LOCAL, NO_PLACE, RULES
 from yieldmon.field.grid import Grid, block_means
 from yieldmon.field.harvest import KG_M2_TO_T_HA, HarvestMap
-from yieldmon.field.summary import delay_line
+from yieldmon.field.summary import delay_line, transport_line
 from yieldmon.field.table import Array
 from yieldmon.files.whole_file import scratch_for
 
@@ -230,6 +230,8 @@ def _totals(result: HarvestMap) -> list[list[str]]:
 
 def _notes(result: HarvestMap) -> list[list[Any]]:
     notes: list[list[Any]] = [[note, True] for note in result.notes]
+    if result.transport is not None:
+        notes.append([transport_line(result.transport), False])
     for source in result.table.sources:
         notes += [[f"{source.path}: {one.part}: {one.why}; left out", True] for one in source.skipped]
         notes += [[f"{source.path}: {note}", False] for note in source.notes]
