@@ -5,8 +5,8 @@ delay. The intake is found by least squares with a penalty on its steps (Tikhono
 run's mass is kept. Undoing a smear lets noise in, so the inverse has to earn its place: on blocks of passes that it was not
 chosen on, opposing passes must agree better than with the delay alone, and than with a symmetric smoother of the same bandwidth.
 
-Sources: Arslan, "A grain flow model to simulate grain yield sensor response", Sensors 8 (2008); Tikhonov and Arsenin, "Solutions of
-ill-posed problems" (1977).
+Sources: Arslan, "A grain flow model to simulate grain yield sensor response", Sensors 8 (2008); Tikhonov and Arsenin,
+"Solutions of ill-posed problems" (1977).
 """
 
 from __future__ import annotations
