@@ -52,7 +52,9 @@ def _show(status: Mapping[str, Any], console: Console) -> None:
         f"{load['number']}{'' if load['open'] else ' (closed)'} {names}: {load['mass_kg']:.1f} kg, "
         f"dry {_mass(load['dry_mass_kg'])}",
     )
-    facts.add_row("total", f"{total['mass_kg']:.1f} kg")
+    contested_kg = total["contested_mass_kg"]
+    apart = f", and {contested_kg:.1f} kg contested (more than one node sent samples)" if contested_kg else ""
+    facts.add_row("total", f"{total['mass_kg']:.1f} kg{apart}")
     facts.add_row(
         "bus",
         f"{bus['interface']} {bus['channel']}: {bus['frames_per_s']:.0f} frames/s, {dropped} dropped, "

@@ -2,7 +2,8 @@
 
 A window that is partly lost counts its whole duration at the mean of what was measured in it, as long as that is at least
 `WindowSettings.min_coverage` of it; below that, only the time that was measured counts. A window without flow (not harvesting, no
-zero yet, an input missing) adds nothing.
+zero yet, an input missing) adds nothing. The mass of a window that more than one node sent samples for is contested: it is
+counted apart and in no total.
 """
 
 from __future__ import annotations
@@ -104,6 +105,11 @@ class Loads:
         mass_kg = flow.rate_kg_s * (window.weight_s if enough else window.covered_s)
         if not enough:
             self._complete = False
+        if window.surplus_frames > 0:
+            # Whose samples they were nobody can tell.
+            self._complete = False
+            self.totals = self.totals.with_contested(mass_kg)
+            return 0.0
         self.totals = self.totals.with_mass(mass_kg, dry_mass(mass_kg, moisture_pct, self._settings.totals))
         return mass_kg
 

@@ -10,7 +10,8 @@ from yieldmon.engine.settings import TotalsSettings
 
 @dataclass(frozen=True, slots=True)
 class Totals:
-    """Masses in kg, wet and dry. unknown_moisture_kg: wet mass missing from the dry figures, its moisture not being known."""
+    """Masses in kg, wet and dry. unknown_moisture_kg: wet mass missing from the dry figures, its moisture not being known.
+    contested_kg: mass of seconds that more than one node sent samples for; it is in none of the others."""
 
     total_kg: float = 0.0
     total_dry_kg: float = 0.0
@@ -20,6 +21,17 @@ class Totals:
     load_unknown_moisture_kg: float = 0.0
     load_number: int = 1
     load_open: bool = True
+    total_contested_kg: float = 0.0
+    load_contested_kg: float = 0.0
+
+    def with_contested(self, mass_kg: float) -> Totals:
+        """Mass of a window that more than one node sent samples for: counted here and nowhere else."""
+        share = 1.0 if self.load_open else 0.0
+        return replace(
+            self,
+            total_contested_kg=self.total_contested_kg + mass_kg,
+            load_contested_kg=self.load_contested_kg + share * mass_kg,
+        )
 
     def with_mass(self, mass_kg: float, dry_kg: float | None) -> Totals:
         """Totals after mass_kg more; dry_kg None: not known. Mass measured with no load open counts in the total alone."""
@@ -28,15 +40,14 @@ class Totals:
         dry = 0.0 if dry_kg is None else dry_kg
         unknown = mass_kg if dry_kg is None else 0.0
         share = 1.0 if self.load_open else 0.0
-        return Totals(
+        return replace(
+            self,
             total_kg=self.total_kg + mass_kg,
             total_dry_kg=self.total_dry_kg + dry,
             total_unknown_moisture_kg=self.total_unknown_moisture_kg + unknown,
             load_kg=self.load_kg + share * mass_kg,
             load_dry_kg=self.load_dry_kg + share * dry,
             load_unknown_moisture_kg=self.load_unknown_moisture_kg + share * unknown,
-            load_number=self.load_number,
-            load_open=self.load_open,
         )
 
     def start_load(self) -> Totals:
@@ -46,6 +57,7 @@ class Totals:
             load_kg=0.0,
             load_dry_kg=0.0,
             load_unknown_moisture_kg=0.0,
+            load_contested_kg=0.0,
             load_number=self.load_number + 1,
             load_open=True,
         )

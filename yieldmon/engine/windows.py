@@ -44,6 +44,9 @@ _LONGEST_EXACT_S = 0.0105
 _BUNCHING_S = 0.015
 """How late a frame may be because of others on the bus."""
 
+_CROWDED_SHARE, _CROWDED_FRAMES = 0.1, 5.0
+"""So many frames more than their interval allows are bunched by a gateway or a controller; beyond, a second node sends."""
+
 
 @dataclass(frozen=True, slots=True)
 class Window:
@@ -55,7 +58,8 @@ class Window:
     (patterns of them). harmonics_mv: complex amplitudes of what repeats with the paddle pattern, their phase counted along the
     chain from the first window, so that windows can be averaged coherently; pulse_mv: amplitude of all of them together. trend:
     difference of the window's halves in standard errors. lost_frames by counter and time; surplus_frames: more than the time
-    allows; repeated_frames: same counter twice (one is used). last_frame_s: engine time of the last sample frame until now.
+    allows, or the same counter with other samples, as a second sender makes them; repeated_frames: same counter twice (one is
+    used). last_frame_s: engine time of the last sample frame until now.
     span_mv: largest less smallest sample. held_s: how long the last sample had not moved at the end. plate_min_rad ..
     plate_max_rad: over the whole support.
     """
@@ -342,6 +346,7 @@ class WindowBuilder:
         if table.shape[0]:
             self._last_frame_s, self._last_counter = float(table[-1, 0]), float(table[-1, 1])
         new = steps != 0.0
+        contested = self._contested(table, bounds, edges, new)
         net = np.rint(_segments(np.add, steps - new, bounds, 0.0)).astype(np.intp)
         repeated = np.diff(bounds) - _segments(np.add, new.astype(np.intp), bounds, 0)
         if not new.all():
@@ -362,10 +367,22 @@ class WindowBuilder:
             over=over,
             fault=fault,
             lost=np.maximum(net, 0),
-            surplus=np.maximum(-net, 0),
+            surplus=np.maximum(np.maximum(-net, 0), contested),
             repeated=repeated,
             last_frame_s=last_frame_s,
         )
+
+    def _contested(self, table: Array, bounds: Counts, edges: Array, new: NDArray[np.bool_]) -> Counts:
+        """Frames of each window that a second sender accounts for (w,): a counter that comes again with other samples, and frames
+        closer together than one sensor sends them, whatever their counters say."""
+        samples = table[:, 1:]
+        differs = np.zeros(table.shape[0], bool)
+        differs[1:] = ~((samples[1:] == samples[:-1]) | (np.isnan(samples[1:]) & np.isnan(samples[:-1]))).all(axis=1)
+        contradicted = _segments(np.add, (differs & ~new).astype(np.intp), bounds, 0)
+        possible = np.diff(edges) / self._frame_interval_s * (1.0 + _CROWDED_SHARE) + _CROWDED_FRAMES
+        crowded = np.floor(np.maximum(np.diff(bounds) - possible, 0.0)).astype(np.intp)
+        found: Counts = np.maximum(contradicted, crowded)
+        return found
 
     def _frame_steps(self, times: Array, counters: Array) -> Array:
         """Frames from each frame to the one before by counter, the counter's turns told by time; 0 is a repeat."""

@@ -47,7 +47,7 @@ from yieldmon.service.recovery import recover
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.snapshot import Rates, snapshot
 from yieldmon.service.store import Store
-from yieldmon.service.transmit import Transmitter
+from yieldmon.service.transmit import ASKED_ECHO_S, ECHO_S, Transmitter
 from yieldmon.service.writer import StoreWriter
 
 _log = logging.getLogger(__name__)
@@ -134,8 +134,9 @@ class Daemon:
         settings = configuration.document.bus
         self._receiver = Receiver(bus_factory or self._open_bus, capacity=settings.receive_queue_frames)
         self._transmitter = Transmitter(
-            self._receiver.send, settings.transmit_queue_frames, settings.transmit_max_age_s
-        )
+            self._receiver.send, settings.transmit_queue_frames, settings.transmit_max_age_s,
+            echo_s=ASKED_ECHO_S if bus_factory is None and settings.interface == "socketcan" else ECHO_S,
+        )  # fmt: skip
         self._writer = StoreWriter(
             self._open_store, configuration.document.store.pending_seconds, path=configuration.store_path
         )
@@ -225,6 +226,8 @@ class Daemon:
             settings.channel,
             settings.bitrate_bit_s,
             filters=self._inputs.filters(),
+            # A copy that comes back once is our own; without it, another node's first copy would pass for it.
+            receive_own=settings.interface == "socketcan",
             receive_buffer_bytes=settings.receive_buffer_bytes,
             **cast("dict[str, Any]", settings.options),
         )

@@ -77,6 +77,8 @@ def lines(status: Mapping[str, Any]) -> Iterator[str]:
     yield from _metric("mass_flow_kg_per_second", "gauge", "Mass flow of the last window", last.get("mass_flow_kg_s"))
     yield from _metric("load_mass_kg", "gauge", "Mass of the load", status["load"]["mass_kg"])
     yield from _metric("mass_kg_total", "counter", "Mass measured so far", status["total"]["mass_kg"])
+    contested_kg = status["total"]["contested_mass_kg"]
+    yield from _metric("contested_mass_kg_total", "counter", "Mass of seconds that two nodes sent samples for", contested_kg)
     yield from _metric("frames_received_total", "counter", "Frames received since the start", bus["received"])
     dropped = bus["dropped"] + bus["kernel_drops"]
     yield from _metric("frames_dropped_total", "counter", "Frames dropped since the start", dropped)

@@ -67,11 +67,13 @@ def snapshot(
             "field": journal.field,
             "crop": journal.crop,
             "mass_kg": totals.load_kg,
+            "contested_mass_kg": totals.load_contested_kg,
             "dry_mass_kg": totals.load_dry_kg if totals.load_unknown_moisture_kg == 0.0 else None,
         },
         "total": {
             "mass_kg": totals.total_kg,
             "dry_mass_kg": totals.total_dry_kg,
+            "contested_mass_kg": totals.total_contested_kg,
             "mass_of_unknown_moisture_kg": totals.total_unknown_moisture_kg,
         },
         "windows": [_window(row) for row in rows],

@@ -15,7 +15,9 @@ _log = logging.getLogger(__name__)
 
 _SEND_TIMEOUT_S = 0.2
 #: How long a frame that was sent may take to come back from an interface that shows a node its own frames.
-_ECHO_S = 1.0
+ECHO_S = 1.0
+#: The same where the interface was asked to show them: a frame waits in the driver while the bus is busy.
+ASKED_ECHO_S = 10.0
 _FAILURE_HOLD_S = 2.0
 #: How long a stop waits for the frame that is being sent.
 _STOP_S = 1.0
@@ -50,11 +52,14 @@ class Transmitter:
         capacity: int,
         max_age_s: float,
         clock: Callable[[], float] = monotonic,
+        echo_s: float = ECHO_S,
     ) -> None:
         """send: sends one frame, waiting as long as its second argument says; raises can.CanError or OSError.
-        capacity: frames that may wait; beyond it the oldest go. max_age_s: a frame that waited longer is not sent."""
+        capacity: frames that may wait; beyond it the oldest go. max_age_s: a frame that waited longer is not sent.
+        echo_s: how long a frame that was sent may take to come back."""
         self._send = send
         self._clock = clock
+        self._echo_s = echo_s
         self._capacity = capacity
         self._max_age_s = max_age_s
         self._queue: deque[tuple[float, can.Message]] = deque()
@@ -136,7 +141,7 @@ class Transmitter:
                 self._count(sent=1)
 
     def _forget_echoes(self) -> None:
-        oldest_s = self._clock() - _ECHO_S
+        oldest_s = self._clock() - self._echo_s
         while self._echoes and self._echoes[0][0] < oldest_s:
             self._echoes.popleft()
 
