@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 from yieldmon.cli.main import main
+from yieldmon.files import parameter_file
 from yieldmon.resources import shipped
 from yieldmon.service.installation import package_source
 
@@ -51,7 +54,8 @@ def test_dry_run_writes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert main(["install", "--root", str(tmp_path), "--dry-run"]) == 0
     assert files(tmp_path) == set()
     printed = capsys.readouterr().out
-    assert f"pip install --quiet --disable-pip-version-check --upgrade {ROOT}" in printed
+    assert f"--require-hashes --no-deps -r {ROOT}/requirements.lock" in printed
+    assert f"--no-deps {ROOT}" in printed
     assert str(tmp_path / UNIT) in printed
 
 
@@ -77,3 +81,94 @@ def test_the_tool_needs_no_package(tmp_path: Path) -> None:
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert UNIT in files(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("interface", "escaped"), [("can0", "can0"), ("can-rear", r"can\x2drear"), ("can_a.1", "can_a.1"), ("a--b", r"a\x2d\x2db")]
+)
+def test_an_interfaces_name_is_escaped_in_unit_names_alone(tmp_path: Path, interface: str, escaped: str) -> None:
+    assert install(tmp_path, "--interface", interface) == 0
+    unit = (tmp_path / UNIT).read_text(encoding="utf-8")
+    assert f"BindsTo=sys-subsystem-net-devices-{escaped}.device" in unit
+    assert f"WantedBy=sys-subsystem-net-devices-{escaped}.device" in unit
+    assert f"on {interface}\n" in unit
+    assert f"Name={interface}\n" in (tmp_path / f"etc/systemd/network/80-{interface}.network").read_text(encoding="utf-8")
+    loaded = yaml.safe_load((tmp_path / CONFIGURATION).read_text(encoding="utf-8"))
+    assert loaded["bus"]["channel"] == interface
+
+
+@pytest.mark.parametrize("interface", ["", "can 0", "../x", "can0\nExecStart=/bin/sh", "a" * 16, "..", "can%i"])
+def test_no_interface_has_such_a_name(tmp_path: Path, interface: str) -> None:
+    assert install(tmp_path, "--interface", interface) == 2
+    assert files(tmp_path) == set()
+
+
+@pytest.mark.parametrize("umask", [0o022, 0o027, 0o077])
+def test_modes_are_set_whatever_the_umask(tmp_path: Path, umask: int) -> None:
+    root = tmp_path / "root"
+    root.mkdir(mode=0o755)
+    before = os.umask(umask)
+    try:
+        assert install(root) == 0
+        parameter_file.save(parameter_file.load(), tmp_path / "corn.yaml")
+    finally:
+        os.umask(before)
+    for path in (*root.rglob("*"), tmp_path / "corn.yaml"):
+        if not path.is_symlink():
+            assert path.stat().st_mode & 0o777 == (0o755 if path.is_dir() else 0o644), path
+
+
+class FakePip:
+    """A Python whose environments hold a yieldmon that says its number; `fails` at the step with that word in it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.python = folder / "python"
+        self.python.write_text(
+            "#!/bin/sh\n"
+            'case "$*" in *"-m venv"*) for last; do :; done; mkdir -p "$last/bin"; cp "$0" "$last/bin/python";;\n'
+            f'  *pip*) echo "$*" >> {folder}/log; test ! -e {folder}/fails || exit 1;'
+            ' d=$(dirname "$0"); printf "#!/bin/sh\\necho %s\\n" "$d" > "$d/yieldmon"; chmod +x "$d/yieldmon";; esac\n'
+        )
+        self.python.chmod(0o755)
+        self.log, self.fails = folder / "log", folder / "fails"
+
+
+def test_releases_are_switched_whole_and_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fake, root = FakePip(tmp_path), tmp_path / "root"
+    command = root / "opt/yieldmon/bin/yieldmon"
+
+    def says() -> str:
+        return Path(subprocess.run([command], capture_output=True, text=True, check=True).stdout.strip()).parent.name
+
+    arguments = ["install", "--root", str(root), "--python", str(fake.python), "--from", "x.whl"]
+    assert main(arguments) == 0
+    assert says() == "1"
+    assert main([*arguments, "--rollback"]) == 1
+    assert "no earlier installation" in capsys.readouterr().err
+    assert main(arguments) == 0
+    assert says() == "2"
+    fake.fails.touch()
+    assert main(arguments) == 1
+    assert says() == "2", "what was in use stays so"
+    fake.fails.unlink()
+    assert main([*arguments, "--rollback"]) == 0
+    assert says() == "1"
+    assert main([*arguments, "--rollback"]) == 0
+    assert says() == "2"
+    assert main(arguments) == 0
+    assert says() == "3"
+    assert sorted(path.name for path in (root / "opt/yieldmon/releases").iterdir()) == ["2", "3"]
+    steps = fake.log.read_text().splitlines()
+    assert "--require-hashes --no-deps -r" in steps[0]
+    assert steps[0].endswith("requirements.lock")
+    assert steps[1].endswith("--no-deps x.whl")
+
+
+def test_an_installation_of_before_releases_makes_way(tmp_path: Path) -> None:
+    fake, root = FakePip(tmp_path), tmp_path / "root"
+    old = root / "opt/yieldmon/bin"
+    old.mkdir(parents=True)
+    (old / "yieldmon").write_text("old")
+    assert main(["install", "--root", str(root), "--python", str(fake.python), "--from", "x.whl"]) == 0
+    assert (root / "opt/yieldmon/bin").is_symlink()
+    assert (root / "opt/yieldmon/bin/yieldmon").read_text() != "old"

@@ -8,11 +8,12 @@ import sys
 from pathlib import Path
 
 from yieldmon.errors import InputError
-from yieldmon.service.installation import Installer, install, package_source, uninstall
+from yieldmon.service.installation import Installer, check_interface, install, package_source, roll_back, uninstall
 
 _TEXT = """
-The command goes into a virtual environment of its own, /opt/yieldmon, installed from the checkout that this program runs in, or
-from where it was itself installed; --command names one that is there already (the service cannot see home folders). Written are
+The command goes into a new virtual environment below /opt/yieldmon, with the dependencies of the lock file by their hashes,
+from the checkout that this program runs in, or from where it was itself installed; once it is whole, /opt/yieldmon/bin points
+to it, and --rollback takes that back; --command names one that is there already (the service cannot see home folders). Written are
 the unit, the interface's bit rate, the receive buffer's size and the configuration; an existing configuration is kept.
 --uninstall keeps /etc/yieldmon and /var/lib/yieldmon.
 """
@@ -26,6 +27,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         epilog="example: yieldmon install --interface can1",
     )
     parser.add_argument("--uninstall", action="store_true", help="take everything away, except configuration and records")
+    parser.add_argument("--rollback", action="store_true", help="go back to what was installed before; once more: forth again")
+    parser.add_argument("--no-lock", action="store_true", help="dependencies as pip finds them, not those of the lock file")
     parser.add_argument("--purge", action="store_true", help="with --uninstall: configuration and records, too")
     parser.add_argument("--interface", default="can0", help="CAN interface of the combine (default can0)")
     parser.add_argument("--command", type=Path, help="an installed yieldmon command, absolute; default: makes /opt/yieldmon")
@@ -39,6 +42,12 @@ def run(args: argparse.Namespace) -> int:
     """Exit code 0 when everything is in its place."""
     if args.command is not None and not args.command.is_absolute():
         raise InputError("--command", f"{args.command} is relative", "an absolute path")
+    try:
+        check_interface(args.interface)
+    except ValueError as error:
+        raise InputError("--interface", str(error), "a name such as can0 or can-rear") from error
+    if args.rollback and args.uninstall:
+        raise InputError("--rollback", "with --uninstall", "one of the two")
     if args.purge and not args.uninstall:
         raise InputError("--purge", "without --uninstall", "both")
     root = args.root.resolve()
@@ -47,8 +56,11 @@ def run(args: argparse.Namespace) -> int:
     installer = Installer(root, args.dry_run)
     if args.uninstall:
         uninstall(installer, args.interface, purge=args.purge)
+    elif args.rollback:
+        roll_back(installer)
     else:
-        install(installer, args.interface, args.command, args.python, args.source or package_source())
+        source = args.source or package_source()
+        install(installer, args.interface, args.command, args.python, source, locked=not args.no_lock)
     for failure in installer.failures:
         print(f"yieldmon install: {failure}", file=sys.stderr)
     return 1 if installer.failures else 0

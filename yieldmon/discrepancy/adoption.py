@@ -9,7 +9,7 @@ from pathlib import Path
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
-from yieldmon.files.whole_file import scratch_for
+from yieldmon.files.whole_file import READABLE, scratch_for
 
 from .diagnosis import Diagnosis, adopted
 
@@ -80,5 +80,5 @@ def rollback(path: Path) -> int:
 
 
 def _replace(path: Path, content: bytes) -> None:
-    with scratch_for(path, durable=True) as scratch:
+    with scratch_for(path, durable=True, mode=READABLE) as scratch:
         scratch.write_bytes(content)

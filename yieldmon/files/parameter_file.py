@@ -21,7 +21,7 @@ from yieldmon.physics.machine import RPM
 from yieldmon.resources import shipped
 
 from .checked import load_mapping, number
-from .whole_file import scratch_for
+from .whole_file import READABLE, scratch_for
 
 DEFAULT = "config/parameters/corn.yaml"
 FORMAT = 1
@@ -106,7 +106,7 @@ def to_document(parameters: ParameterSet) -> dict[str, Any]:
 def save(parameters: ParameterSet, path: str | Path) -> None:
     """Write the file whole or not at all. Raises InputError or OSError as `whole_file.scratch_for`."""
     text = yaml.dump(to_document(parameters), Dumper=_ExactDumper, sort_keys=False, allow_unicode=True)
-    with scratch_for(path, durable=True) as scratch:
+    with scratch_for(path, durable=True, mode=READABLE) as scratch:
         scratch.write_text(text, encoding="utf-8")
 
 

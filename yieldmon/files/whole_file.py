@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import shutil
+import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,6 +13,8 @@ from pathlib import Path
 
 from yieldmon.errors import InputError
 
+READABLE = 0o644
+"""The mode of a file that the service reads as a user of its own, whatever the umask of whoever writes it."""
 _STEM = 100
 """Characters of the name that its folder has as well: names have an end."""
 _NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
@@ -28,11 +31,12 @@ def check_place(path: str | Path) -> None:
 
 
 @contextmanager
-def scratch_for(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
+def scratch_for(path: str | Path, *, durable: bool = False, mode: int | None = None) -> Iterator[Path]:
     """A path to write to, in a folder beside `path`; it takes that name at the end, and goes when something fails.
 
-    A link is followed. What is there and is no file (a pipe, /dev/stdout) is written to as it is. durable: on the medium before
-    it takes the name. Raises InputError as `check_place`; an OSError names `path`.
+    A link is followed. What is there and is no file (a pipe, /dev/stdout) is written to as it is. durable: on the medium
+    before it takes the name. mode: of the file; None: that of the file it replaces, or of a plain new one. Raises InputError as
+    `check_place`; an OSError names `path`.
     """
     check_place(path)
     target = Path(path).resolve()
@@ -42,6 +46,10 @@ def scratch_for(path: str | Path, *, durable: bool = False) -> Iterator[Path]:
     try:
         yield scratch
         if not in_place:
+            if mode is not None:
+                scratch.chmod(mode)
+            elif target.exists() and scratch.is_file():
+                scratch.chmod(stat.S_IMODE(target.stat().st_mode))
             if durable:
                 _sync(scratch)
             scratch.replace(target)

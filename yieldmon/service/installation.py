@@ -1,13 +1,20 @@
 """Yieldmon as a service of this machine: what is written where, and how it is taken away again.
 
 Standard library only, so that it runs before anything is installed.
+
+Each installation is a virtual environment of its own, HOME/releases/N, with exactly what the lock file names; HOME/bin is a link
+to the one in use, and HOME/previous to the one before, so switching is one rename and can be taken back. Modes are those of files
+that everybody may read, whatever the umask.
 """
 
 from __future__ import annotations
 
 import json
+import os
+import re
 import shlex
 import shutil
+import string
 import subprocess
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, distribution
@@ -20,8 +27,12 @@ from yieldmon.resources import shipped
 CHECKOUT = Path(__file__).resolve().parents[2]
 HOME = Path("/opt/yieldmon")
 COMMAND = HOME / "bin" / "yieldmon"
+RELEASES = HOME / "releases"
+PREVIOUS = HOME / "previous"
+LOCK = "requirements.lock"
 LINK = Path("/usr/local/bin/yieldmon")
 CONFIGURATION = Path("/etc/yieldmon")
+_PLAIN_IN_UNITS = frozenset(string.ascii_letters + string.digits + ":_.")
 STATE = (Path("/var/lib/yieldmon"), Path("/var/lib/private/yieldmon"))
 
 
@@ -44,8 +55,10 @@ class Installer:
         self.report(f"write   {target}")
         if not self.dry_run:
             target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_text(text, encoding="utf-8")
-            target.chmod(0o644)
+            fresh = target.with_name(f".{target.name}.new")
+            fresh.write_text(text, encoding="utf-8")
+            fresh.chmod(0o644)
+            fresh.replace(target)
 
     def link(self, path: Path, to: Path) -> None:
         target = self.at(path)
@@ -57,6 +70,16 @@ class Installer:
             target.parent.mkdir(parents=True, exist_ok=True)
             target.unlink(missing_ok=True)
             target.symlink_to(to)
+
+    def point(self, path: Path, to: Path) -> None:
+        """A link that is there before and after, and never not: made under another name and renamed."""
+        target = self.at(path)
+        self.report(f"link    {target} -> {to}")
+        if not self.dry_run:
+            fresh = target.with_name(f".{target.name}.new")
+            fresh.unlink(missing_ok=True)
+            fresh.symlink_to(to)
+            fresh.replace(target)
 
     def remove(self, path: Path) -> None:
         target = self.at(path)
@@ -121,7 +144,20 @@ def package_source() -> str:
     return f"yieldmon=={__version__}"
 
 
-def install(installer: Installer, interface: str, command: Path | None, python: str, source: str) -> None:
+def unit_name(interface: str) -> str:
+    """An interface's name as systemd writes it in the name of a unit (systemd.unit(5), "String escaping")."""
+    return "".join(c if c in _PLAIN_IN_UNITS else "".join(f"\\x{byte:02x}" for byte in c.encode()) for c in interface)
+
+
+def check_interface(interface: str) -> None:
+    """Raises ValueError for a name that no interface of Linux has, or that would mean something in a file written here."""
+    if not re.fullmatch(r"[A-Za-z0-9_.:-]{1,15}", interface) or interface in (".", ".."):
+        raise ValueError(f"{interface!r} is no interface's name: 1 to 15 letters, digits and - _ . :")
+
+
+def install(
+    installer: Installer, interface: str, command: Path | None, python: str, source: str, *, locked: bool = True
+) -> None:
     """Command, unit, interface and configuration in their places, and the service started.
 
     Parameters
@@ -131,30 +167,93 @@ def install(installer: Installer, interface: str, command: Path | None, python: 
     interface : str
         CAN interface, such as can0.
     command : Path or None
-        An installed command to use; None makes a virtual environment in HOME.
+        An installed command to use; None makes a virtual environment in RELEASES.
     python : str
         Python of that environment.
     source : str
         What pip installs into it.
+    locked : bool
+        Whether its dependencies are those of the lock file, by hash; else what pip finds.
     """
-    if command is None:
-        installer.run(python, "-m", "venv", str(installer.at(HOME)), live_only=False)
-        pip = (str(installer.at(HOME) / "bin/python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check")
-        installer.run(*pip, "--upgrade", source, live_only=False)
-        if installer.failures:
+    before = os.umask(0o022)
+    try:
+        if command is None and not _new_release(installer, python, source, locked=locked):
             return
+        _place(installer, interface, command)
+    finally:
+        os.umask(before)
+
+
+def _place(installer: Installer, interface: str, command: Path | None) -> None:
     installer.link(LINK, command or COMMAND)
     for name, target in places(interface).items():
-        text = shipped(f"systemd/{name}").read_text(encoding="utf-8")
-        text = text.replace(str(COMMAND), str(command or COMMAND)).replace("can0", interface)
+        text = shipped(f"systemd/{name}").read_text(encoding="utf-8").replace(str(COMMAND), str(command or COMMAND))
+        text = text.replace("devices-can0.device", f"devices-{unit_name(interface)}.device").replace("can0", interface)
         installer.write(target, text)
     configuration = shipped("config/yieldmon.yaml").read_text(encoding="utf-8")
-    installer.write(CONFIGURATION / "yieldmon.yaml", configuration.replace("channel: can0", f"channel: {interface}"), keep=True)
+    channel = interface if re.fullmatch(r"[a-z]+[0-9][a-z0-9_.-]*|[a-z]+-[a-z0-9_.-]+", interface) else json.dumps(interface)
+    installer.write(CONFIGURATION / "yieldmon.yaml", configuration.replace("channel: can0", f"channel: {channel}"), keep=True)
     installer.run("sysctl", "--quiet", "--load", str(places(interface)["80-yieldmon.conf"]))
     installer.run("systemctl", "enable", "--no-reload", "yieldmon.service")
     installer.run("systemctl", "daemon-reload")
     if installer.root == Path("/"):
         bring_up(installer, interface)
+
+
+def _new_release(installer: Installer, python: str, source: str, *, locked: bool) -> bool:
+    """Make an environment, try it, and switch to it; what was in use stays so when anything fails."""
+    releases = installer.at(RELEASES)
+    number = 1 + max((int(path.name) for path in releases.glob("[0-9]*") if path.name.isdigit()), default=0)
+    release = RELEASES / str(number)
+    pip = (
+        str(installer.at(release) / "bin/python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check",
+    )  # fmt: skip
+    steps: list[tuple[str, ...]] = [(python, "-m", "venv", str(installer.at(release)))]
+    if locked:
+        steps += [(*pip, "--require-hashes", "--no-deps", "-r", str(shipped(LOCK))), (*pip, "--no-deps", source)]
+    else:
+        steps.append((*pip, source))
+    steps.append((str(installer.at(release) / "bin/yieldmon"), "--version"))
+    for step in steps:
+        if not installer.run(*step, live_only=False):
+            installer.remove(release)
+            installer.report("note    what was installed before stays in use")
+            return False
+    _keep_what_was_one_environment(installer)
+    in_use = _in_use(installer)
+    installer.point(HOME / "bin", Path("releases") / str(number) / "bin")
+    if in_use is not None:
+        installer.point(PREVIOUS, Path("releases") / str(in_use))
+    for path in releases.glob("[0-9]*"):
+        if path.name.isdigit() and int(path.name) not in (number, in_use):
+            installer.remove(RELEASES / path.name)
+    return True
+
+
+def _keep_what_was_one_environment(installer: Installer) -> None:
+    """Installations before releases had HOME itself as their environment: its commands make way for the link."""
+    folder = installer.at(HOME / "bin")
+    if folder.is_dir() and not folder.is_symlink():
+        for name in ("bin", "lib", "lib64", "include", "share", "pyvenv.cfg"):
+            installer.remove(HOME / name)
+
+
+def _in_use(installer: Installer) -> int | None:
+    link = installer.at(HOME / "bin")
+    name = Path(os.readlink(link)).parent.name if link.is_symlink() else ""
+    return int(name) if name.isdigit() else None
+
+
+def roll_back(installer: Installer) -> None:
+    """Switch to the release that was in use before, and back again when called once more; restarts the service."""
+    previous, in_use = installer.at(PREVIOUS), _in_use(installer)
+    name = Path(os.readlink(previous)).name if previous.is_symlink() else ""
+    if in_use is None or not (installer.at(RELEASES) / name / "bin" / "yieldmon").exists() or not name.isdigit():
+        installer.failures.append("there is no earlier installation to go back to")
+        return
+    installer.point(HOME / "bin", Path("releases") / name / "bin")
+    installer.point(PREVIOUS, Path("releases") / str(in_use))
+    installer.run("systemctl", "try-restart", "yieldmon.service")
 
 
 def bring_up(installer: Installer, interface: str) -> None:
