@@ -13,7 +13,8 @@ from yieldmon.service.installation import Installer, check_interface, install, p
 _TEXT = """
 The command goes into a new virtual environment below /opt/yieldmon, with the dependencies of the lock file by their hashes,
 from the checkout that this program runs in, or from where it was itself installed; once it is whole, /opt/yieldmon/bin points
-to it, and --rollback takes that back; --command names one that is there already (the service cannot see home folders). Written are
+to it, and --rollback takes that back; --command names one that is there already (the service cannot see home folders). Written
+are
 the unit, the interface's bit rate, the receive buffer's size and the configuration; an existing configuration is kept.
 --uninstall keeps /etc/yieldmon and /var/lib/yieldmon.
 """
