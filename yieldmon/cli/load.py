@@ -22,7 +22,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     start = actions.add_parser("start", help="begin a new load")
     start.add_argument("--field", help="field name, for this load and the next ones")
-    start.add_argument("--crop", help="crop name, for this load and the next ones")
+    start.add_argument("--crop", help="crop, for this load and the next ones; measures with what is known of it")
     stop = actions.add_parser("stop", help="the load is complete")
     listing = actions.add_parser("list", help="list all loads, as measured and as corrected by tickets")
     for action in (start, stop, listing):
@@ -49,6 +49,8 @@ def run(args: argparse.Namespace) -> int:
     elif args.action == "start":
         names = " ".join(name for name in (answer["field"], answer["crop"]) if name)
         print(f"load {answer['load']} started" + (f": {names}" if names else ""))
+        if answer["parameters"]["changed"]:
+            print(f"measuring with the parameters of {answer['crop']}, version {answer['parameters']['version']}")
     else:
         print(f"load {answer['load']} complete: {answer['mass_kg']:.1f} kg")
     return 0

@@ -8,6 +8,7 @@ from typing import Any
 
 from yieldmon.engine.monitor import Monitor
 from yieldmon.errors import InputError
+from yieldmon.service.assembly import build_estimator, calibration_age_s
 from yieldmon.service.journal import Journal
 from yieldmon.service.store import Load, Ticket
 
@@ -40,9 +41,18 @@ def summary(status: Mapping[str, Any]) -> str:
 
 
 def _load_start(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
-    journal.name_load(_name(request, "field"), _name(request, "crop"))
+    crop = _name(request, "crop")
+    in_use = monitor.estimator.parameters
+    chosen = journal.change_crop(crop, in_use) if crop else None
+    if chosen is not None:
+        monitor.set_estimator(build_estimator(monitor.machine, chosen), calibration_age_s(chosen, now_s))
+    journal.name_load(_name(request, "field"), crop)
     journal.happened(monitor.start_load())
-    return {"load": monitor.totals.load_number, "field": journal.field, "crop": journal.crop}
+    parameters = monitor.estimator.parameters
+    return {
+        "load": monitor.totals.load_number, "field": journal.field, "crop": journal.crop,
+        "parameters": {"version": parameters.version, "crop": parameters.provenance.get("crop"), "changed": chosen is not None},
+    }
 
 
 def _load_stop(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:

@@ -21,11 +21,14 @@ from yieldmon.engine.state import EngineState
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
+from yieldmon.files.crops import crops
 from yieldmon.service import store as rows_of
 from yieldmon.service.rows import SecondRow, second_row
 from yieldmon.service.store import Batch, Load, ParameterVersion, Store, StoreDamagedError, SweepRecord, Ticket
 
 _UNKNOWN_MOISTURE_KG = 1e-6
+_SHIPPED_CROP = "corn"
+"""Of the shipped parameter file."""
 
 
 def digest(parameters: ParameterSet) -> str:
@@ -53,6 +56,8 @@ class Memory:
     crop: str = ""
     faults: tuple[str, ...] = ()
     counters: Mapping[str, int] | None = None
+    of_crop: Mapping[str, ParameterSet] = dataclass_field(default_factory=dict)
+    """The newest parameters of each crop."""
 
 
 def recall(store: Store) -> Memory:
@@ -78,6 +83,7 @@ def recall(store: Store) -> Memory:
             crop=str(document["crop"]),
             faults=tuple(document["faults"]),
             counters=store.counters(),
+            of_crop=_by_crop(versions, str(store.path)),
         )
     except (KeyError, IndexError, TypeError, ValueError, InputError) as error:
         raise StoreDamagedError(f"{store.path}: the state cannot be used: {error!r}") from error
@@ -93,6 +99,15 @@ def choose_parameters(memory: Memory, configured: ParameterSet) -> tuple[Paramet
     if memory.last_version:
         return replace(configured, version=memory.last_version + 1), "file"
     return configured, "file"
+
+
+def _by_crop(versions: Iterable[ParameterVersion], where: str) -> dict[str, ParameterSet]:
+    found = {}
+    for version in versions:
+        known = parameter_file.from_document(version.document, where)
+        if "crop" in known.provenance:
+            found[known.provenance["crop"]] = known
+    return found
 
 
 class Journal:
@@ -116,6 +131,7 @@ class Journal:
         if memory.parameters is not None:
             self._in_use = (memory.parameters, memory.parameter_origin)
         self._pending = _Pending()
+        self._of_crop = dict(memory.of_crop)
 
     @property
     def loads(self) -> tuple[Load, ...]:
@@ -126,6 +142,32 @@ class Journal:
         """Names for the loads from now on; None leaves one as it is."""
         self.field = self.field if field is None else field
         self.crop = self.crop if crop is None else crop
+
+    def change_crop(self, crop: str, in_use: ParameterSet) -> ParameterSet | None:
+        """The parameters for another crop: what was last known of it, else what is shipped. None where those in use stay: they
+        are this crop's, nobody has said yet whose they are, or nothing is known of this one.
+
+        What is known of the crop before is kept.
+        """
+        before = in_use.provenance.get("crop", self.crop)
+        if not before and self._digest == digest(parameter_file.load()):
+            before = _SHIPPED_CROP
+        if crop == before or not before:
+            return None
+        known = self._of_crop.get(crop)
+        if known is None and crop in crops():
+            known = crops()[crop].parameters()
+        if known is None:
+            return None
+        if before:
+            kept = replace(
+                in_use, version=self._version + 1, provenance={**in_use.provenance, "crop": before}
+            )
+            self._of_crop[before] = kept
+            self._use(kept, "crop")
+        chosen = replace(known, version=self._version + 1)
+        self._use(chosen, "crop")
+        return chosen
 
     def use_parameter_file(self, configured: ParameterSet) -> ParameterSet | None:
         """A parameter file read anew: the set to use from now on, None when it is the one that is in use."""

@@ -1,0 +1,58 @@
+"""A load of another crop is measured with that crop's parameters, and each crop keeps what was learnt of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from yieldmon.files import parameter_file
+from yieldmon.files.crops import crop
+from yieldmon.resources import shipped
+from yieldmon.service import commands, configuration
+from yieldmon.service.assembly import build_monitor
+from yieldmon.service.journal import Journal, Memory, recall
+from yieldmon.service.store import Store
+
+
+def started(parameters=None):
+    known = configuration.load(shipped("config/yieldmon.yaml"))
+    known = known if parameters is None else replace(known, parameters=parameters)
+    return build_monitor(known.engine, known.machine, known.parameters, known.calibrator), Journal(Memory(), known.parameters)
+
+
+def load(monitor, journal, name):
+    return commands.execute({"command": "load-start", "crop": name}, monitor, journal, 1.7e9)["parameters"]
+
+
+def test_a_crop_is_measured_with_its_own_parameters_and_comes_back_to_what_was_learnt(tmp_path):
+    monitor, journal = started()
+    assert load(monitor, journal, "corn") == {"version": 1, "crop": None, "changed": False}
+    first = load(monitor, journal, "wheat")
+    assert (first["crop"], first["changed"]) == ("wheat", True)
+    assert monitor.estimator.parameters.values == crop("wheat").parameters().values
+    learnt = replace(monitor.estimator.parameters, values={**monitor.estimator.parameters.values, "friction": 0.3})
+    monitor.set_estimator(type(monitor.estimator)(monitor.estimator.model, learnt), 0.0)
+    load(monitor, journal, "barley")
+    assert load(monitor, journal, "wheat")["changed"]
+    assert monitor.estimator.parameters.values["friction"] == 0.3
+    with Store(tmp_path / "s.sqlite") as store:
+        store.commit([journal.batch(monitor, 1.7e9, {})])
+        remembered = recall(store)
+    assert remembered.of_crop["wheat"].values["friction"] == 0.3
+    assert {"wheat", "barley"} <= set(remembered.of_crop)
+
+
+def test_a_calibration_of_ones_own_is_only_named():
+    own = replace(parameter_file.load(), values={**parameter_file.load().values, "friction": 0.22})
+    monitor, journal = started(own)
+    assert not load(monitor, journal, "wheat")["changed"]
+    assert monitor.estimator.parameters.values["friction"] == 0.22
+    assert load(monitor, journal, "barley")["changed"]
+    assert load(monitor, journal, "wheat")["changed"]
+    assert monitor.estimator.parameters.values["friction"] == 0.22
+
+
+def test_a_crop_of_which_nothing_is_known_keeps_the_parameters():
+    monitor, journal = started()
+    before = monitor.estimator.parameters.values
+    assert not load(monitor, journal, "quinoa")["changed"]
+    assert monitor.estimator.parameters.values == before

@@ -1,0 +1,73 @@
+"""The shipped crops: market figures, and parameters to begin with before any calibration on a machine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from yieldmon.errors import InputError
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.resources import shipped
+
+from . import strict_yaml
+
+_FILE = "config/crops.yaml"
+_HEAP_OVER_TEST_WEIGHT = 1.49
+_DENSITY_SD = 0.15
+_KG_PER_LB = 0.45359237
+
+
+@dataclass(frozen=True, slots=True)
+class Crop:
+    """One crop; see config/crops.yaml for meanings, units and sources. Slopes are relative, per percent of moisture."""
+
+    name: str
+    bushel_lb: float
+    market_moisture_pct: float
+    test_weight_kg_m3: float
+    friction: float
+    friction_sd: float
+    restitution: float
+    restitution_sd: float
+    friction_per_pct: float
+    density_per_pct: float
+    restitution_per_pct: float
+    sources: str
+
+    @property
+    def bushel_kg(self) -> float:
+        """Mass of a bushel."""
+        return self.bushel_lb * _KG_PER_LB
+
+    def parameters(self) -> ParameterSet:
+        """Parameters with standard deviations of a machine and a field that nobody has calibrated."""
+        density = _HEAP_OVER_TEST_WEIGHT * self.test_weight_kg_m3
+        return ParameterSet(
+            {
+                "friction": self.friction, "density": density, "shape_ratio": 2.0, "restitution": self.restitution,
+                "gravity.acceleration_m_s2": 9.81,
+            },
+            ("friction", "density", "restitution"),
+            np.diag([self.friction_sd**2, (_DENSITY_SD * density) ** 2, self.restitution_sd**2]),
+            provenance={"crop": self.name, "method": "published properties", "sources": f"config/crops.yaml: {self.sources}"},
+        )
+
+
+def crops() -> Mapping[str, Crop]:
+    """By name."""
+    found = strict_yaml.load(shipped(_FILE))
+    numbers = {f.name for f in fields(Crop)} - {"name", "sources"}
+    return {
+        name: Crop(name=name, sources=str(values["sources"]), **{key: float(values[key]) for key in numbers})
+        for name, values in found.items()
+    }
+
+
+def crop(name: str) -> Crop:
+    """One crop. Raises InputError for a name that is not shipped."""
+    known = crops()
+    if name.lower() not in known:
+        raise InputError("crop", repr(name), f"one of {', '.join(known)}")
+    return known[name.lower()]
