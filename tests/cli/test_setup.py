@@ -1,0 +1,122 @@
+"""`setup` from an answers file and through a terminal of 80x24; wrong numbers are named before a file is written."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from yieldmon.cli.main import main
+from yieldmon.service import configuration
+
+ANSWERS = {
+    "machine_name": "old-green", "bus_interface": "virtual", "bus_channel": "can7", "sprocket_pitch_radius_m": 0.0541,
+    "paddle_spacings_m": [0.1656, 0.2071], "paddle_length_m": 0.16, "paddle_width_m": 0.21, "plate_pivot_x_m": 0.4,
+    "plate_pivot_above_m": 0.16, "plate_length_m": 0.1887, "home_plate_angle_deg": 70, "min_plate_angle_deg": 40,
+    "max_plate_angle_deg": 90, "nominal_elevator_speed_rpm": 400, "min_elevator_speed_rpm": 250, "max_elevator_speed_rpm": 599,
+    "largest_flow_kg_s": 25, "cell_full_scale_mv": 4000, "cell_weights_kg": [0, 5, 10], "cell_readings_mv": [500, 597.6, 695.1],
+    "plate_measured_deg": [46.5, 86.4], "plate_reported_deg": [45, 85], "crop": "wheat",
+}
+
+
+def answers(folder: Path, **changes: object) -> str:
+    path = folder / "answers.yaml"
+    path.write_text(yaml.safe_dump({k: v for k, v in (ANSWERS | changes).items() if v is not None}))
+    return str(path)
+
+
+def test_answers_become_a_configuration_that_the_daemon_takes(tmp_path, capsys):
+    assert main(["setup", "--answers", answers(tmp_path), "--out", str(tmp_path / "new"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["cell"]["gain_n_per_mv"] == pytest.approx(9.80665 * 10.0 / 195.1, rel=1e-3)
+    assert 0.0 < found["cell"]["sd_pct"] < 1.0
+    assert found["plate_angle_offset_deg"] == pytest.approx(1.45)
+    known = configuration.load(found["files"]["configuration"])
+    assert known.machine.sensor.gain_n_per_mv == found["cell"]["gain_n_per_mv"]
+    assert known.machine.plate_pivot_y_m == -0.16
+    assert known.document.bus.channel == "can7"
+    assert known.parameters.provenance["crop"] == "wheat"
+    assert known.parameters.values["plate_angle_offset.angle_rad"] == pytest.approx(0.0253, abs=1e-4)
+    record = yaml.safe_load(Path(found["files"]["record"]).read_text())
+    assert record["answers"]["cell_readings_mv"] == [500, 597.6, 695.1]
+    assert record["date"].endswith("Z")
+    # A second time nothing is replaced unasked.
+    assert main(["setup", "--answers", answers(tmp_path), "--out", str(tmp_path / "new"), "--json"]) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert main(["setup", "--answers", answers(tmp_path), "--out", str(tmp_path / "new"), "--json", "--force"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"paddle_length_m": None}, "has no paddle_length_m; expected an answer to each question"),
+        ({"paddle_length_m": 160}, "paddle_length_m: is 160; expected 0.02 to 1 m"),
+        ({"padle_length_m": 0.16}, "padle_length_m: is not asked"),
+        ({"cell_readings_mv": [500, 402, 305]}, "falls as weight is added"),
+        ({"cell_readings_mv": [500, 597, 650]}, "from a straight line"),
+        ({"cell_readings_mv": [500, 597]}, "has 2 values for 3 masses"),
+        ({"cell_weights_kg": [5, 10], "cell_readings_mv": [600, 700]}, "has 2 different masses; expected 0 and two weights"),
+        ({"plate_reported_deg": [45, 80]}, "the same error within 1 deg at both"),
+        ({"plate_measured_deg": [20, 60]}, "is it counted from level?"),
+        ({"plate_pivot_x_m": 0.15}, "beyond the paddles' tips"),
+        ({"plate_pivot_above_m": -0.1}, "a plate that reaches from above the centre"),
+        ({"nominal_elevator_speed_rpm": 700}, "between min_elevator_speed_rpm (250) and max_elevator_speed_rpm (599)"),
+        ({"sprocket_pitch_radius_m": 0.01, "min_elevator_speed_rpm": 40, "nominal_elevator_speed_rpm": 50}, "paddles a second"),
+        ({"largest_flow_kg_s": 90}, "these paddles carry"),
+        ({"paddle_spacings_m": [0.1656, 0.4142]}, "is a paddle missing?"),
+        ({"paddle_length_m": 0.05}, "longer than the sprocket's pitch radius"),
+        ({"crop": "oats"}, "expected one of corn"),
+    ],
+)
+def test_a_wrong_number_is_named_in_one_line_and_nothing_is_written(tmp_path, capsys, monkeypatch, changes, problem):
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: False, raising=False)
+    out = tmp_path / "new"
+    assert main(["setup", "--answers", answers(tmp_path, **changes), "--out", str(out)]) == 2
+    shown, err = capsys.readouterr()
+    assert shown == ""
+    assert err.count("\n") == 1
+    assert problem in err
+    assert not list(out.glob("*")) if out.exists() else True
+
+
+def test_through_a_terminal_of_80_by_24_with_a_break_between(tmp_path):
+    pexpect, pyte = pytest.importorskip("pexpect"), pytest.importorskip("pyte")
+    lines = [
+        " ".join(map(str, value)) if isinstance(value, list) else str(value) for value in ANSWERS.values()
+    ]
+    seen = []
+
+    def session(given: list[str], end: str) -> object:
+        terminal = pexpect.spawn(
+            sys.executable, ["-m", "yieldmon.cli.main", "setup", "--out", str(tmp_path / "new")], dimensions=(24, 80),
+            encoding="utf-8", timeout=60, env={**os.environ, "TERM": "xterm"},
+        )
+        screen = pyte.Screen(80, 24)
+        stream = pyte.Stream(screen)
+        for line in given:
+            terminal.expect(r"\d+/23 [^\n]*: $")
+            stream.feed(terminal.before + terminal.after)
+            seen.append("\n".join(screen.display))
+            terminal.sendline(line)
+        terminal.expect(end)
+        stream.feed(terminal.before)
+        seen.append("\n".join(screen.display))
+        return terminal
+
+    first = session(["9 m", *lines[1:3], "sixty", "back", *lines[2:6]], r"\d+/23 [^\n]*: $")
+    assert any("sprocket_pitch_radius_m: is sixty; expected 0.01 to 1 m" in page for page in seen)
+    first.sendintr()
+    first.expect(pexpect.EOF)
+    second = session(lines[6:], pexpect.EOF)
+    second.close()
+    assert second.exitstatus == 0
+    assert any("going on with" in page for page in seen)
+    assert any("plate pivot" in page for page in seen)
+    known = configuration.load(tmp_path / "new" / "yieldmon.yaml")
+    assert known.machine.name == "9 m"
+    assert known.machine.paddle_spacings_m == (0.1656, 0.2071)
+    assert (tmp_path / "new" / "wheat.yaml").is_file()

@@ -1,0 +1,81 @@
+"""What the set-up asks, in order: each with its drawing, unit and range."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+SIDE = """\
+             plate pivot (x, y from the sprocket's centre)
+                      o
+          tip  ,       \\\\   plate, length L
+       paddle /|         \\\\
+             / |  grain ->\\\\  plate angle, from level, 90 = upright
+            (sprocket)      \\\\
+     elevator, seen from the side; x to the outlet, y upwards here
+"""
+CHAIN = """\
+      |<-- spacing 1 -->|<---- spacing 2 ---->|<-- spacing 1 ...
+      ]-----------------]---------------------]------------- chain
+    measure several along the chain and give the pattern that repeats
+"""
+PADDLE = """\
+       |<- width ->|
+       +-----------+  tip      length: from the sprocket's centre
+       |           |           to the tip of a paddle that stands
+       +-----------+           straight out from it
+            (o) sprocket's centre
+"""
+WEIGHTS = """\
+       plate <---- string ----(pulley)      The cell reads the level pull.
+                                 |          Read the voltage with nothing
+                               [ kg ]       hanging, then with two weights.
+"""
+ANGLES = """\
+       put an inclinometer on the plate at two positions and read
+       what the actuator reports at each
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """One thing to answer. kind: number, numbers, word. low, high: of each number. default: None where there is none."""
+
+    key: str
+    text: str
+    unit: str = ""
+    kind: str = "number"
+    low: float = 0.0
+    high: float = 0.0
+    default: object = None
+    drawing: str = ""
+
+
+def _number(key: str, text: str, unit: str, low: float, high: float, default: object = None, drawing: str = "") -> Question:
+    return Question(key, text, unit, "number", low, high, default, drawing)
+
+
+QUESTIONS: tuple[Question, ...] = (
+    Question("machine_name", "Name of the machine", kind="word", default="combine"),
+    Question("bus_interface", "CAN interface (python-can's name)", kind="word", default="socketcan"),
+    Question("bus_channel", "Its channel", kind="word", default="can0"),
+    _number("sprocket_pitch_radius_m", "Pitch radius of the upper sprocket", "m", 0.01, 1.0, drawing=SIDE),
+    Question("paddle_spacings_m", "Distances between paddles along the chain", "m", "numbers", 0.01, 2.0, drawing=CHAIN),
+    _number("paddle_length_m", "Sprocket's centre to the tip of a paddle", "m", 0.02, 1.0, drawing=PADDLE),
+    _number("paddle_width_m", "Width of a paddle", "m", 0.02, 1.0),
+    _number("plate_pivot_x_m", "Plate's pivot, level distance from the sprocket's centre", "m", 0.0, 5.0, drawing=SIDE),
+    _number("plate_pivot_above_m", "Plate's pivot, height above the sprocket's centre", "m", -5.0, 5.0),
+    _number("plate_length_m", "Length of the plate, pivot to lower edge", "m", 0.02, 2.0),
+    _number("home_plate_angle_deg", "Plate angle in work", "deg", 5.0, 120.0, 70.0),
+    _number("min_plate_angle_deg", "Smallest plate angle", "deg", 5.0, 120.0, 40.0),
+    _number("max_plate_angle_deg", "Largest plate angle", "deg", 5.0, 120.0, 90.0),
+    _number("nominal_elevator_speed_rpm", "Sprocket speed in work", "rpm", 1.0, 5000.0, 400.0),
+    _number("min_elevator_speed_rpm", "Smallest sprocket speed with grain", "rpm", 1.0, 5000.0, 250.0),
+    _number("max_elevator_speed_rpm", "Largest sprocket speed", "rpm", 1.0, 5000.0, 599.0),
+    _number("largest_flow_kg_s", "Largest mass flow expected", "kg/s", 1.0, 100.0, 25.0),
+    _number("cell_full_scale_mv", "Largest voltage of the force cell", "mV", 1.0, 1e5, 4000.0),
+    Question("cell_weights_kg", "Masses hung on the plate, first 0", "kg", "numbers", 0.0, 500.0, drawing=WEIGHTS),
+    Question("cell_readings_mv", "Voltage at each of them", "mV", "numbers", -1e5, 1e5),
+    Question("plate_measured_deg", "Plate angle by inclinometer, two positions", "deg", "numbers", 0.0, 180.0, drawing=ANGLES),
+    Question("plate_reported_deg", "Angle that the actuator reports at each", "deg", "numbers", 0.0, 180.0),
+    Question("crop", "Crop", kind="word", default="corn"),
+)

@@ -1,0 +1,97 @@
+"""Answers as they come: from a file, from the terminal, and kept after each so that a set-up can go on later."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from yieldmon.cli._setup.questions import QUESTIONS, Question
+from yieldmon.errors import InputError
+from yieldmon.files import strict_yaml
+from yieldmon.files.crops import crop
+from yieldmon.files.whole_file import scratch_for
+
+KEPT = "setup-answers.yaml"
+
+
+def from_file(path: str | Path) -> dict[str, Any]:
+    """The answers in a YAML file. Raises InputError for a key that is not asked or a value that does not fit."""
+    content = strict_yaml.load(path)
+    if not isinstance(content, Mapping):
+        raise InputError(str(path), "is not a mapping of answers", f"keys such as {QUESTIONS[3].key}: 0.0541")
+    known = {question.key: question for question in QUESTIONS}
+    for key in content:
+        if key not in known:
+            raise InputError(f"{path}: {key}", "is not asked", f"one of {', '.join(known)}")
+    return {key: checked(known[key], value, f"{path}: {key}") for key, value in content.items()}
+
+
+def keep(answers: Mapping[str, Any], folder: Path) -> None:
+    """Write the answers beside what will be made of them."""
+    with scratch_for(folder / KEPT) as scratch:
+        scratch.write_text(yaml.safe_dump(dict(answers), sort_keys=False), encoding="utf-8")
+
+
+def checked(question: Question, value: Any, where: str) -> Any:
+    """The value as the set-up uses it. Raises InputError."""
+    if question.kind == "word":
+        text = str(value).strip()
+        if not text or not text.isprintable():
+            raise InputError(where, f"is {value!r}", "a word")
+        return crop(text).name if question.key == "crop" else text
+    if question.kind == "number":
+        return _number(question, value, where)
+    values = value if isinstance(value, list) else str(value).replace(";", " ").replace(", ", " ").split()
+    if not values:
+        raise InputError(where, "is empty", f"numbers in {question.unit}")
+    return [_number(question, v, where) for v in values]
+
+
+def _number(question: Question, value: Any, where: str) -> float:
+    text = str(value).strip().removesuffix(question.unit).strip() if question.unit else str(value).strip()
+    try:
+        number = float(text.replace(",", "."))
+    except ValueError:
+        number = float("nan")
+    if isinstance(value, bool) or not (isfinite(number) and question.low <= number <= question.high):
+        raise InputError(where, f"is {value}", f"{question.low:g} to {question.high:g} {question.unit}".rstrip())
+    return number
+
+
+def ask(
+    answers: dict[str, Any], read: Callable[[str], str], say: Callable[[str], None], kept: Callable[[Mapping[str, Any]], None]
+) -> dict[str, Any]:
+    """Ask for what is missing. `back` returns to the question before; answers are handed to `kept` after each."""
+    place = 0
+    while place < len(QUESTIONS):
+        question = QUESTIONS[place]
+        if question.key in answers:
+            place += 1
+            continue
+        if question.drawing:
+            say(question.drawing)
+        unit = f" [{question.unit}]" if question.unit else ""
+        default = f" ({question.default:g})" if isinstance(question.default, float) else \
+            f" ({question.default})" if question.default is not None else ""
+        several = ", several" if question.kind == "numbers" else ""
+        given = read(f"{place + 1}/{len(QUESTIONS)} {question.text}{unit}{several}{default}: ").strip()
+        if given == "back":
+            place = max(place - 1, 0)
+            answers.pop(QUESTIONS[place].key, None)
+            continue
+        value = given if given else question.default
+        if value is None:
+            say("   an answer is needed; `back` goes back, Ctrl-C keeps what is answered")
+            continue
+        try:
+            answers[question.key] = checked(question, value, question.key)
+        except InputError as error:
+            say(f"   {error}")
+            continue
+        kept(answers)
+        place += 1
+    return answers

@@ -1,0 +1,118 @@
+"""Set a machine up: measured numbers into configuration, machine and parameter files, and a record of them."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from yieldmon.cli._setup import derive, session
+from yieldmon.cli._setup.questions import QUESTIONS
+from yieldmon.errors import InputError
+from yieldmon.files import machine_file, parameter_file
+from yieldmon.files.whole_file import scratch_for
+from yieldmon.service import configuration
+
+CONFIGURATION, MACHINE, RECORD = "yieldmon.yaml", "machine.yaml", "setup-record.yaml"
+AFTER = """\
+Next, on the machine:
+  1. start the daemon with the elevator running empty for 20 s: it learns the zero and
+     the vibration (yieldmon status shows "zeroing" until it has)
+  2. harvest a load and weigh it; two more at other flows
+  3. yieldmon calibrate --loads STORE --tickets tickets.csv --out {parameters}.new.yaml"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """The verb's arguments."""
+    parser = subparsers.add_parser(
+        "setup", help="set a machine up, step by step",
+        description=f"{__doc__} Asks in the terminal, with drawings of what to measure; Ctrl-C keeps what is answered, and the "
+        "same command goes on from there. Each number is held against the others.",
+        epilog="example: yieldmon setup --out /etc/yieldmon    or: yieldmon setup --answers answers.yaml --out new",
+    )
+    parser.add_argument("--out", metavar="DIR", required=True, help="folder for the files; made if it is not there")
+    parser.add_argument("--answers", metavar="F", help="YAML file of answers; with all of them nothing is asked")
+    parser.add_argument("--force", action="store_true", help="replace files of an earlier set-up")
+    parser.add_argument("--json", action="store_true", help="print what was found as one JSON document; asks nothing")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit code 0 when the files are written."""
+    folder = Path(args.out)
+    if folder.exists() and not folder.is_dir():
+        raise InputError("--out", f"{folder} is no folder", "a folder, or a name that does not exist yet")
+    answers = session.from_file(args.answers) if args.answers else {}
+    kept = folder / session.KEPT
+    if kept.is_file():
+        answers = {**session.from_file(kept), **answers}
+        print(f"yieldmon: going on with {kept}", file=sys.stderr)
+    missing = [q.key for q in QUESTIONS if q.key not in answers]
+    if missing and (args.json or not sys.stdin.isatty()):
+        raise InputError(args.answers or "setup", f"has no {missing[0]}", "an answer to each question, or a terminal to ask in")
+    folder.mkdir(parents=True, exist_ok=True)
+    if missing:
+        session.ask(answers, input, print, lambda now: session.keep(now, folder))
+    document = write(answers, folder, force=args.force)
+    session.keep(answers, folder)
+    print(json.dumps(document, indent=1) if args.json else text(document))
+    return 0
+
+
+def write(answers: dict[str, Any], folder: Path, *, force: bool) -> dict[str, Any]:
+    """The files; returns what they rest on. Raises InputError, and then writes none."""
+    machine, parameters = derive.machine(answers), derive.parameters(answers)
+    gain = derive.cell_gain(answers["cell_weights_kg"], answers["cell_readings_mv"])
+    offset = derive.plate_offset_deg(answers["plate_measured_deg"], answers["plate_reported_deg"])
+    names = {"configuration": CONFIGURATION, "machine": MACHINE, "parameters": f"{answers['crop']}.yaml", "record": RECORD}
+    there = [name for name in names.values() if (folder / name).exists()]
+    if there and not force:
+        raise InputError(str(folder / there[0]), "exists already", "another folder for --out, or --force to replace it")
+    now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    found = {
+        "date": now,
+        "cell": {"gain_n_per_mv": gain.gain_n_per_mv, "sd_pct": 100.0 * gain.sd, "zero_mv": gain.zero_mv,
+                 "nonlinearity_pct": 100.0 * gain.worst, "direction": "more force, more mV"},
+        "plate_angle_offset_deg": offset,
+        "paddles_per_s": machine.paddle_speed_m_s(machine.nominal_elevator_speed_rad_s) / machine.paddle_spacing_m,
+        "answers": answers,
+    }
+    config = {
+        "bus": {"interface": answers["bus_interface"], "channel": answers["bus_channel"]},
+        "machine_file": MACHINE, "parameter_file": names["parameters"],
+    }
+    angles = _sweep_angles(answers)
+    config["sweep"] = {"angles_deg": angles} if angles else {"enabled": False}
+    for name, content in ((MACHINE, machine_file.to_document(machine)), (CONFIGURATION, config), (RECORD, found)):
+        with scratch_for(folder / name, durable=True) as scratch:
+            scratch.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    parameter_file.save(parameters, folder / names["parameters"])
+    configuration.load(folder / CONFIGURATION)
+    return {**found, "files": {key: str(folder / name) for key, name in names.items()}}
+
+
+def _sweep_angles(answers: dict[str, Any]) -> list[float]:
+    """The shipped sweep's angles, as far as this plate goes; none for a plate that hardly moves."""
+    low, high = answers["min_plate_angle_deg"], answers["max_plate_angle_deg"]
+    if high - low < 15.0:
+        return []
+    wanted = [40.0, 40.0, 40.0, 40.0, 50.0, 60.0, 80.0, 90.0, 90.0, 90.0]
+    return [min(max(angle, low), high) for angle in wanted]
+
+
+def text(document: dict[str, Any]) -> str:
+    """What was found, for people."""
+    cell = document["cell"]
+    lines = [
+        f"force cell: {cell['gain_n_per_mv']:.5f} N/mV, sd {cell['sd_pct']:.2f} %, "
+        f"straight within {cell['nonlinearity_pct']:.2f} %",
+        f"plate: {document['plate_angle_offset_deg']:+.2f} deg from what the actuator reports; taken into the parameters",
+        f"elevator: {document['paddles_per_s']:.1f} paddles a second at work",
+        *(f"{key}: {path}" for key, path in document["files"].items()),
+        AFTER.format(parameters=document["answers"]["crop"]),
+    ]
+    return "\n".join(lines)
