@@ -50,6 +50,8 @@ ACTIVE_DIAGNOSTICS = "ActiveDiagnostics"
 HARVEST_STATE = "HarvestState"
 VEHICLE_POSITION = "VehiclePosition"
 VEHICLE_DIRECTION_SPEED = "VehicleDirectionSpeed"
+#: No message of the DBC: what a factory's own yield monitor says, whatever its layout.
+FACTORY_MONITOR = "FactoryMonitor"
 
 INPUTS = (
     IMPACT_SENSOR_SAMPLES,

@@ -105,7 +105,9 @@ def second_field(
     since: schema version of the store from which on there is such a column. published: message and signal that carry it.
     """
     kind, optional, convert = _CONVERSIONS[conversion]
-    return field(metadata={"declared": _Declared(take, row, kind, optional, convert, since, published)})
+    metadata = {"declared": _Declared(take, row, kind, optional, convert, since, published)}
+    # Records made by hand, and rows of older tables, need not know of a column that came later.
+    return field(metadata=metadata, default=float("nan")) if optional and since > 1 else field(metadata=metadata)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +117,8 @@ class WindowRecord:
     time_s: bus time of the window's end; its result belongs to duration_s before it, less half a paddle pattern. coverage: share
     measured. mass_flow_kg_s: as published, weighed with the windows before. mass_kg: added to the totals, as measured.
     plate_still: the plate did not move while the window was formed. sweep_id and sweep_step: 0 and -1 outside sweeps;
-    usable_for_calibration: the window counts for its sweep step.
+    usable_for_calibration: the window counts for its sweep step. position_group, speed_group: parameter group of the
+    standard source in use, nan for that of the DBC. factory_mass_flow_kg_s: what the factory's own monitor says; never an input.
     """
 
     window: int = second_field(lambda s: s.number, "whole", row=None)
@@ -152,6 +155,9 @@ class WindowRecord:
     longitude_deg: float = second_field(lambda s: s.reading.inputs.fresh["longitude"], "known")
     ground_speed_m_s: float = second_field(lambda s: s.reading.inputs.fresh["ground_speed"], "known")
     course_deg: float = second_field(lambda s: s.reading.inputs.fresh["course"], "known")
+    position_group: float = second_field(lambda s: s.reading.inputs.fresh["position_group"], "known", since=5)
+    speed_group: float = second_field(lambda s: s.reading.inputs.fresh["speed_group"], "known", since=5)
+    factory_mass_flow_kg_s: float = second_field(lambda s: s.reading.inputs.fresh["factory_mass_flow"], "known", since=5)
 
 
 _DECLARED = tuple((item.name, item.metadata["declared"]) for item in fields(WindowRecord))

@@ -17,6 +17,7 @@ from yieldmon.physics.machine import RPM
 _KMH = 1.0 / 3.6
 _MAX_PLAUSIBLE_RPM = 3000.0
 _MAX_PLAUSIBLE_ANGLE_DEG = 180.0
+_MAX_PLAUSIBLE_KG_S = 200.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +74,9 @@ QUANTITIES: Mapping[str, Quantity] = {
         Quantity("ground_speed", "km/h", lambda value: value >= 0.0, "vehicle_timeout_s", "over ground", _KMH),
         Quantity("latitude", "deg", lambda value: abs(value) <= 90.0, "vehicle_timeout_s", "positive north, WGS 84"),
         Quantity("longitude", "deg", lambda value: abs(value) <= 180.0, "vehicle_timeout_s", "positive east, WGS 84"),
+        Quantity("position_group", "", _is_number, "vehicle_timeout_s", "parameter group of the standard source in use"),
+        Quantity("speed_group", "", _is_number, "vehicle_timeout_s", "parameter group of the standard source in use"),
+        Quantity("factory_mass_flow", "kg/s", _within(0.0, _MAX_PLAUSIBLE_KG_S), "vehicle_timeout_s", "factory's own monitor"),
     )
 }
 """The slow inputs by name; the impact sensor's samples are a `SampleSource`."""
@@ -167,6 +171,9 @@ DEFAULT_SOURCES = Sources(
         InputSource("longitude", bus.VEHICLE_POSITION, "Longitude"),
         InputSource("course", bus.VEHICLE_DIRECTION_SPEED, "CompassBearing"),
         InputSource("ground_speed", bus.VEHICLE_DIRECTION_SPEED, "NavigationSpeed"),
+        InputSource("position_group", bus.VEHICLE_POSITION, "PositionGroup"),
+        InputSource("speed_group", bus.VEHICLE_DIRECTION_SPEED, "SpeedGroup"),
+        InputSource("factory_mass_flow", bus.FACTORY_MONITOR, "FactoryMassFlow"),
     ),
 )
 """The messages and signals of the shipped DBC."""

@@ -30,6 +30,7 @@ from yieldmon.engine.sources import SampleSource, Sources
 from yieldmon.errors import InputError
 from yieldmon.service.processing import Summary, hand_over, refuse_nothing
 from yieldmon.service.rows import SecondRow
+from yieldmon.service.side_inputs import SideInputs
 from yieldmon.signals.decoding import MapDecoder
 from yieldmon.signals.mapping import SignalMap, default_map
 
@@ -103,11 +104,11 @@ class Taking:
 
 def stretches_of(paths: Iterable[str], taking: Taking) -> Iterator[Stretch | EndOfLog]:
     """The logs, one after the other, decoded. Raises InputError for a log that cannot be read."""
-    decoder = MapDecoder(taking.signals)
+    decoder, side = MapDecoder(taking.signals), SideInputs()
     for path in paths:
         notes = LogNotes()
         for block in iter_blocks(path, notes):
-            yield _stretch(*_decoded(taking, decoder, block), block, taking.signals.sources)
+            yield _stretch(*_decoded(taking, decoder, side, block), block, taking.signals.sources)
         yield EndOfLog(path, [str(damage) for damage in notes.damages])
 
 
@@ -121,9 +122,10 @@ class _Columns:
     names: tuple[str, ...]
 
 
-def _decoded(taking: Taking, decoder: MapDecoder, block: FrameBlock) -> tuple[dict[str, _Columns], int]:
+def _decoded(taking: Taking, decoder: MapDecoder, side: SideInputs, block: FrameBlock) -> tuple[dict[str, _Columns], int]:
     """The columns of each message that the engine takes, and how many frames were of a wrong length."""
     own = decode_block(taking.codec, block, taking.signals.own_messages if taking.signals.groups else None)
+    own = side.extend(own, block)
     found = {
         name: _Columns(columns.rows, columns.time_s, partial(_known, columns.signals), tuple(columns.signals))
         for name, columns in own.messages.items()

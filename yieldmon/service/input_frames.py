@@ -6,6 +6,7 @@ import can
 
 from yieldmon.bus.codec import Codec, FrameError
 from yieldmon.frames import OUTPUTS, Frame
+from yieldmon.service.side_inputs import SideInputs
 from yieldmon.signals.decoding import EXTENDED, MapDecoder
 from yieldmon.signals.mapping import SignalMap
 
@@ -19,7 +20,9 @@ class InputFrames:
         self._codec = codec
         self._decoder = MapDecoder(signals)
         self._mapped = bool(signals.groups)
-        self._own = signals.own_messages | frozenset(OUTPUTS)
+        self._side = SideInputs()
+        self._own = signals.own_messages & codec.layouts.keys() | frozenset(OUTPUTS)
+        self._wanted = frozenset(signals.sources.messages) | frozenset(OUTPUTS)
 
     def frames(self, message: can.Message) -> list[Frame]:
         """The frames for the engine that a message brings, usually none or one. Raises FrameError for one of the wrong length."""
@@ -27,18 +30,12 @@ class InputFrames:
 
     def heard(self, message: can.Message) -> list[Frame]:
         """The same, and frames that only a yield monitor sends."""
-        if not self._mapped:
-            frame = self._codec.decode(message)
-            return [frame] if frame is not None and frame.message in self._own else []
         if message.is_error_frame or message.is_remote_frame:
             return []
-        found = self._mapped_frames(message)
+        found = self._mapped_frames(message) if self._mapped else []
         layout = self._codec.layout_of(message.arbitration_id) if message.is_extended_id else None
-        if layout is not None and layout.name in self._own:
-            frame = self._codec.decode(message)
-            if frame is not None:
-                found.append(frame)
-        return found
+        own = self._codec.decode(message) if layout is not None and layout.name in self._own else None
+        return found + [frame for frame in self._side.frames(message, own) if frame.message in self._wanted]
 
     def filters(self) -> list[can.typechecking.CanFilter]:
         """python-can filters that let through what the engine takes, and what only a yield monitor sends."""
@@ -51,7 +48,7 @@ class InputFrames:
             }
             for match in self._decoder.matches
         ]
-        return own + mapped
+        return own + mapped + self._side.filters()
 
     def _mapped_frames(self, message: can.Message) -> list[Frame]:
         refused = self._decoder.refused

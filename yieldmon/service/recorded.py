@@ -105,6 +105,9 @@ def _row(values: Mapping[str, Any], where: str) -> SecondRow:
     fields = {}
     for field in dataclasses.fields(SecondRow):
         if field.name not in values:
+            if field.default is None:
+                # A column that came later than the table.
+                continue
             raise InputError(where, f"has no {field.name}", "a table that `yieldmon process` wrote")
         fields[field.name] = _value(field.name, values[field.name], where)
     row = SecondRow(**fields)

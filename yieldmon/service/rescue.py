@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -16,6 +16,7 @@ from time import monotonic, time
 from typing import Any
 from urllib.parse import quote
 
+from yieldmon.engine.records import COLUMNS
 from yieldmon.service import schema
 from yieldmon.service.checksums import UNCHECKED, row_checksum
 from yieldmon.service.rows import SecondRow
@@ -257,9 +258,10 @@ def _rows(
     key = schema.KEYS[table]
     old = "mark" not in _tables(damaged)
     without_dry = old and "ticket" not in _tables(damaged)
+    later = _later_columns(damaged) if table == "second" else {}
     for order in ("DESC", "ASC"):
         try:
-            cursor = damaged.execute(_query(table, names, key, order, old, without_dry))
+            cursor = damaged.execute(_query(table, names, key, order, old, without_dry, later))
             while rows := cursor.fetchmany(_ROWS_AT_ONCE):
                 yield from (_with_checksum(table, row, old) for row in rows)
                 if monotonic() > end_s:
@@ -274,11 +276,19 @@ def _rows(
                 rescued.unreadable.append(table)
 
 
-def _query(table: str, names: tuple[str, ...], key: str, order: str, old: bool, without_dry: bool) -> str:
+def _later_columns(damaged: sqlite3.Connection) -> dict[str, str]:
+    """What stands for the columns of a second that came after the damaged store's version."""
+    present = {row[1] for row in damaged.execute("PRAGMA table_info(second)")}
+    return {column.name: "NULL" for column in COLUMNS if column.optional and column.since > 1 and column.name not in present}
+
+
+def _query(
+    table: str, names: tuple[str, ...], key: str, order: str, old: bool, without_dry: bool, later: Mapping[str, str]
+) -> str:
     """The columns of `names` in any version of the schema."""
-    instead = {}
+    instead = dict(later)
     if old:
-        instead = {"checksum": str(UNCHECKED), "slot": "batch % 2"}
+        instead |= {"checksum": str(UNCHECKED), "slot": "batch % 2"}
         key = "id" if table == "state" else key
     if without_dry:
         instead["dry_mass_kg"] = "NULL"

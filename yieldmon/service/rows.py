@@ -5,7 +5,7 @@ The columns are those that `engine.records.WindowRecord` declares, after the row
 
 from __future__ import annotations
 
-from dataclasses import make_dataclass
+from dataclasses import field, make_dataclass
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 
 else:
     _KINDS = {column.name: column.kind | None if column.optional else column.kind for column in COLUMNS}
-    SecondRow = make_dataclass("SecondRow", [("number", int), *_KINDS.items()], frozen=True, slots=True)
+    _LATER = {column.name for column in COLUMNS if column.optional and column.since > 1}
+    _FIELDS = [(name, kind, field(default=None)) if name in _LATER else (name, kind) for name, kind in _KINDS.items()]
+    SecondRow = make_dataclass("SecondRow", [("number", int), *_FIELDS], frozen=True, slots=True)
     SecondRow.__module__ = __name__
 
 _values = attrgetter(*(column.attribute for column in COLUMNS))

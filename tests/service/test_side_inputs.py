@@ -1,0 +1,165 @@
+"""Standard position and speed, and the factory's monitor, beside ours: in logs one by one, in bulk and on a bus."""
+
+from __future__ import annotations
+
+import random
+import struct
+from pathlib import Path
+
+import can
+import pytest
+
+from tests.service.bench import CODEC, START_S, running, traffic
+from yieldmon.bus.bulk import block_of, decode_block, frames_of
+from yieldmon.bus.log_writing import writing
+from yieldmon.frames import VEHICLE_DIRECTION_SPEED, VEHICLE_POSITION, Frame
+from yieldmon.network.fast_packet import split
+from yieldmon.network.process_data import Command, ProcessData
+from yieldmon.resources import shipped
+from yieldmon.service import configuration
+from yieldmon.service.assembly import build_monitor
+from yieldmon.service.bulk_processing import process_in_bulk
+from yieldmon.service.processing import process_logs
+from yieldmon.service.rows import SecondRow
+from yieldmon.service.side_inputs import SideInputs
+
+DURATION_S = 40
+
+
+def message(time_s: float, identifier: int, data: bytes) -> can.Message:
+    return can.Message(timestamp=round(time_s, 6), arbitration_id=identifier, data=data, is_extended_id=True, channel="can0")
+
+
+def factory(time_s: float, flow_kg_s: float) -> can.Message:
+    return message(time_s, 0x18FF6990, struct.pack("<HHHH", round(flow_kg_s * 1000), 49, 1283, 6708))
+
+
+def course_speed(time_s: float, speed_m_s: float) -> can.Message:
+    return message(time_s, 0x09F8021C, struct.pack("<BBHHH", 0, 0xFC, 15708, round(speed_m_s * 100), 0xFFFF))
+
+
+def position(time_s: float, latitude: float, counter: int) -> list[can.Message]:
+    data = struct.pack("<BHIqqq", 0, 20000, 0, round(latitude * 1e16), round(-90e16), 0) + bytes(12)
+    return [message(time_s + k * 1e-4, f.identifier, f.data) for k, f in enumerate(split(129029, data, 0x1C, counter=counter))]
+
+
+def native(time_s: float, latitude: float, speed_km_h: float) -> list[can.Message]:
+    place = Frame(time_s, VEHICLE_POSITION, {"Latitude": latitude, "Longitude": -90.0})
+    moving = Frame(time_s, VEHICLE_DIRECTION_SPEED, {"CompassBearing": 45.0, "NavigationSpeed": speed_km_h})
+    return [message(time_s, m.arbitration_id, bytes(m.data)) for m in (CODEC.encode(place), CODEC.encode(moving))]
+
+
+def drive() -> list[can.Message]:
+    """Own traffic; J1939 position throughout, NMEA 2000 from 10 to 20 s, a factory monitor from 5 to 30 s."""
+    found = [message(m.timestamp, m.arbitration_id, bytes(m.data)) for m in map(CODEC.encode, traffic(START_S, DURATION_S, 0.0))]
+    for k in range(DURATION_S * 5):
+        at_s = k / 5 + 0.013
+        found += native(START_S + at_s, 40.0, 7.2)
+        if 10.0 <= at_s < 20.0:
+            found.append(course_speed(START_S + at_s + 0.05, 3.0))
+            found += position(START_S + at_s + 0.06, 41.0, k % 8)
+        if 5.0 <= at_s < 30.0:
+            found.append(factory(START_S + at_s + 0.02, 8.0))
+    return sorted(found, key=lambda m: m.timestamp)
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("side") / "drive.log"
+    with writing(path) as logger:
+        for item in drive():
+            logger.on_message_received(item)
+    return path
+
+
+def rows_of(process, path: Path) -> list[SecondRow]:  # type: ignore[no-untyped-def]
+    loaded = configuration.load(shipped("config/yieldmon.yaml"))
+    rows: list[SecondRow] = []
+    process([path], build_monitor(loaded.engine, loaded.machine, loaded.parameters), CODEC, rows.append)
+    return rows
+
+
+def test_bulk_and_one_by_one_are_the_same(log: Path) -> None:
+    one_by_one, bulk = rows_of(process_logs, log), rows_of(process_in_bulk, log)
+    assert one_by_one == bulk
+    assert len(bulk) >= DURATION_S - 2
+
+
+def test_best_source_is_used_and_said(log: Path) -> None:
+    rows = {round(row.time_s - START_S): row for row in rows_of(process_in_bulk, log)}
+    told = [
+        (s, rows[s].latitude_deg, rows[s].position_group, rows[s].ground_speed_m_s, rows[s].speed_group) for s in (8, 15, 30)
+    ]
+    assert told == [
+        (8, pytest.approx(40.0), None, pytest.approx(2.0, abs=0.01), None),
+        (15, pytest.approx(41.0), 129029, pytest.approx(3.0, abs=0.01), 129026),
+        (30, pytest.approx(40.0), None, pytest.approx(2.0, abs=0.01), None),
+    ]
+
+
+def test_factory_flow_is_recorded_and_no_input(log: Path, tmp_path: Path) -> None:
+    rows = rows_of(process_in_bulk, log)
+    known = [row for row in rows if row.factory_mass_flow_kg_s is not None]
+    assert {row.factory_mass_flow_kg_s for row in known} == {8.0}
+    assert 22 <= len(known) <= 28
+    without = tmp_path / "without.log"
+    with writing(without) as logger:
+        for item in drive():
+            if item.arbitration_id != 0x18FF6990:
+                logger.on_message_received(item)
+    bare = rows_of(process_in_bulk, without)
+    assert [row.mass_flow_kg_s for row in rows] == [row.mass_flow_kg_s for row in bare]
+    assert [row.total_kg for row in rows] == [row.total_kg for row in bare]
+
+
+@pytest.mark.parametrize(
+    ("item", "expected"),
+    [
+        (message(1.0, 0x0CCBF726, ProcessData(Command.VALUE, 2, 87, 8_500_000).data), [8.5]),
+        (message(1.0, 0x0CCBF726, ProcessData(Command.VALUE, 2, 84, 8_500_000).data), []),
+        (message(1.0, 0x0CCB26F7, ProcessData(Command.TIME_INTERVAL, 2, 87, 1000).data), []),
+        (message(1.0, 0x10EFFFD3, bytes.fromhex("4F092003C8040102")), [8.0]),
+        (message(1.0, 0x18FF6990, bytes.fromhex("FFFF31000305341A")), []),
+    ],
+)
+def test_factory_frames(item: can.Message, expected: list[float]) -> None:
+    got = [frame.signals["FactoryMassFlow"] for frame in SideInputs().frames(item, CODEC.decode(item))]
+    assert got == pytest.approx(expected)
+    block = block_of([item])
+    extended = SideInputs().extend(decode_block(CODEC, block), block)
+    assert [f.signals["FactoryMassFlow"] for c in extended.messages.values() for f in frames_of(c)] == pytest.approx(expected)
+
+
+def test_blocks_of_any_size_give_what_messages_give() -> None:
+    draw, items = random.Random(5), drive()
+    items = [item for item in items if item.arbitration_id >> 8 & 0x3FFFF not in (0xFF10,)]
+    side, expected = SideInputs(), []
+    for item in items:
+        expected += side.frames(item, CODEC.decode(item))
+    side, got, at = SideInputs(), [], 0
+    while at < len(items):
+        size = draw.choice((1, 7, 50, 400))
+        block = block_of(items[at : at + size])
+        extended = side.extend(decode_block(CODEC, block), block)
+        frames = [(row, f) for c in extended.messages.values() for row, f in zip(c.rows.tolist(), frames_of(c), strict=True)]
+        got += [frame for _, frame in sorted(frames, key=lambda entry: entry[0])]
+        at += size
+    assert len(got) == len(expected)
+    for mine, theirs in zip(got, expected, strict=True):
+        usable = {k: v for k, v in mine.signals.items() if k in theirs.signals}
+        assert (mine.time_s, mine.message) == (theirs.time_s, theirs.message)
+        assert usable == theirs.signals
+
+
+def test_daemon_records_what_the_log_gives(tmp_path: Path, log: Path) -> None:
+    with running(tmp_path, "") as bench:
+        for item in drive():
+            bench.peer.send(item)
+        bench.now_s += DURATION_S
+        bench.played()
+        seconds = {round(w["time_s"] - START_S): w for w in bench.status["windows"]}
+    rows = {round(row.time_s - START_S): row for row in rows_of(process_in_bulk, log)}
+    assert seconds
+    for second, window in seconds.items():
+        assert window["latitude_deg"] == rows[second].latitude_deg
+        assert window["factory_mass_flow_kg_s"] == rows[second].factory_mass_flow_kg_s
