@@ -94,10 +94,14 @@ class Bench:
 
     def published(self, message: str) -> list[dict]:
         """Signals of the daemon's frames of this name so far."""
+        identifier = CODEC.layouts[message].frame_id
+        return [dict(CODEC.decode(frame).signals) for frame in self.heard() if frame.arbitration_id == identifier]
+
+    def heard(self) -> list[can.Message]:
+        """The daemon's frames so far."""
         while (received := self.peer.recv(0)) is not None:
             self.seen.append(received)
-        identifier = CODEC.layouts[message].frame_id
-        return [dict(CODEC.decode(frame).signals) for frame in self.seen if frame.arbitration_id == identifier]
+        return self.seen
 
     def start(self) -> None:
         def body() -> None:
@@ -109,6 +113,7 @@ class Bench:
         self.thread = threading.Thread(target=body)
         self.thread.start()
         wait_for(lambda: self.daemon.started.is_set() or self.failure, "the daemon's start")
+        wait_for(lambda: self.status.get("network", {}).get("address") or self.failure, "the daemon's address")
 
     def stop(self) -> None:
         self.daemon.request_stop()
@@ -150,6 +155,8 @@ def running(
         environment=environment,
         bus_factory=None if socketcan else lambda: can.Bus(interface="virtual", channel=channel),
         silence_s=silence_s,
+        # A claim takes half a second.
+        network_clock=time.monotonic if socketcan else lambda: 20.0 * time.monotonic(),
     )
     if socketcan:
         peer = can.Bus(interface="socketcan", channel=channel)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import can
 import numpy as np
 import pytest
 
@@ -19,6 +20,8 @@ from yieldmon import frames
 from yieldmon.engine.faults import FAULTS, FaultCode
 from yieldmon.files import parameter_file
 from yieldmon.frames import CommandMode, Frame, ScaleStatus
+from yieldmon.network import diagnostics
+from yieldmon.network.reassembly import Reassembler
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.service.store import Store
@@ -122,6 +125,10 @@ def lose_the_interface(bench: Bench) -> None:
     assert lost is not None
     lost.shutdown()
     wait_for(lambda: bench.daemon._receiver.bus not in (None, lost), "the interface's return")
+    # The address is claimed anew.
+    claims = 0x18EEFF83
+    wait_for(lambda: sum(m.arbitration_id == claims for m in bench.heard()) > 1, "another claim")
+    wait_for(lambda: bench.status["network"]["address"], "the address")
     bench.play(3, EMPTY_MV)
 
 
@@ -246,6 +253,27 @@ def sweep(count: int, force_at: Callable[[float], float]) -> Callable[[Bench], N
     return provoke
 
 
+def hostile(identifier: int, datas: Callable[[int], bytes]) -> Callable[[Bench], None]:
+    """A node that sends one thing 300 times a second, beside the traffic."""
+
+    def provoke(bench: Bench) -> None:
+        warm_up(bench)
+        for second in range(6):
+            for k in range(300):
+                data = datas(300 * second + k)
+                bench.peer.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=True, timestamp=bench.now_s))
+            bench.play(1, EMPTY_MV)
+
+    return provoke
+
+
+HIGHER_NAME = (1 << 63 | 255 << 40 | 127 << 49 | 7 << 60 | 5).to_bytes(8, "little")
+contest_the_address = hostile(0x18EEFF83, lambda k: HIGHER_NAME)
+flood_with_requests = hostile(0x18EA8317, lambda k: bytes.fromhex("E5FE00"))
+begin_sessions = hostile(0x1CECFF17, lambda k: bytes.fromhex("20F906FFFFDAFE00"))
+speak_as_we_do = hostile(0x18FF2083, lambda k: bytes(8))
+
+
 @dataclass(frozen=True)
 class Case:
     provoke: Callable[[Bench], None]
@@ -277,6 +305,7 @@ PROVOKED: dict[FaultCode, tuple[Case, ...]] = {
     C.BUS_ERROR: (Case(lose_the_interface),),
     C.OUTPUT_CONFLICT: (Case(forge),),
     C.SCALE_FAULT: (Case(fail_the_scale), Case(silence_the_scale)),
+    C.NETWORK_FAULT: (Case(contest_the_address), Case(flood_with_requests), Case(begin_sessions), Case(speak_as_we_do)),
 }
 CASES = [pytest.param(code, case, id=f"{code.value}-{n}") for code, cases in PROVOKED.items() for n, case in enumerate(cases)]
 
@@ -296,11 +325,11 @@ def folder(tmp_path: Path) -> Path:
 
 
 def trouble_codes(bench: Bench) -> set[tuple[int, int]]:
-    """(suspect parameter number, failure mode) of the daemon's DM1 frames so far."""
-    return {
-        (int(s["SuspectParameterHigh"]) << 16 | int(s["SuspectParameterLow"]), int(s["FailureMode"]))
-        for s in bench.published(frames.ACTIVE_DIAGNOSTICS)
-    }
+    """(suspect parameter number, failure mode) of the daemon's DM1 messages so far, of however many frames."""
+    bench.published(frames.ACTIVE_DIAGNOSTICS)
+    listener = Reassembler()
+    whole = [p for m in bench.seen for p in listener.feed(m.arbitration_id, bytes(m.data), 0.0)]
+    return {(code.spn, code.fmi) for p in whole if p.group == diagnostics.DM1 for code in diagnostics.read(p.data)}
 
 
 @pytest.mark.parametrize(("code", "case"), CASES)

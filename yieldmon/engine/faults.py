@@ -50,6 +50,7 @@ class FaultCode(StrEnum):
     BUS_ERROR = "BusError"
     OUTPUT_CONFLICT = "OutputConflict"
     SCALE_FAULT = "ScaleFault"
+    NETWORK_FAULT = "NetworkFault"
 
 
 class Severity(int, Enum):
@@ -285,6 +286,13 @@ _TABLE = (
         "It is not used as a reference.",
         "Check the scale.",
         lambda o: _scale_fault(o.reading.inputs),
+    ),
+    FaultDefinition(
+        _C.NETWORK_FAULT, 520207, 19, _W, 1, 3,
+        "No address could be claimed, or another node contests it, uses our NAME, or floods us with requests or sessions.",
+        "Without an address nothing is published and the plate is not driven; measuring goes on.",
+        "Give one of the nodes another address or NAME; find the node that status names.",
+        REPORTED,
     ),
 )
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from math import floor, isfinite
 
 from yieldmon import frames as bus
-from yieldmon.engine.faults import FAULTS, FaultCode, Severity
+from yieldmon.engine.faults import FAULTS
 from yieldmon.engine.health import FaultBook
 from yieldmon.engine.records import COLUMNS, WindowRecord
 from yieldmon.engine.sweep import SweepMachine
@@ -15,8 +15,6 @@ from yieldmon.frames import NOT_AVAILABLE, EstimateQuality, Frame, Value
 from yieldmon.signal_ranges import SignalRanges, signal_ranges
 
 _NO_FAULTS: dict[str, Value] = {code.value: 0 for code in FAULTS}
-_OCCURRENCES_UNKNOWN = 127
-"""J1939-73: the occurrence count that means "not available"; the largest count is one less."""
 _PUBLISHED = tuple((column, *column.published) for column in COLUMNS if column.published is not None)
 
 
@@ -36,7 +34,6 @@ class Publisher:
     def __init__(self, min_coverage: float, ranges: SignalRanges | None = None) -> None:
         self._min_coverage = min_coverage
         self._ranges = signal_ranges() if ranges is None else ranges
-        self._turn = 0
 
     def frames(self, record: WindowRecord, beside: Published) -> tuple[Frame, ...]:
         """The frames of one window."""
@@ -45,7 +42,6 @@ class Publisher:
             bus.ACCUMULATED_MASS: {"LoadNumber": self._counted(bus.ACCUMULATED_MASS, "LoadNumber", record.load_number)},
             bus.SELF_CALIBRATION_STATUS: self._calibration(beside),
             bus.YIELD_MONITOR_STATUS: _status(record),
-            bus.ACTIVE_DIAGNOSTICS: self._diagnostics(record.faults, beside.faults),
         }
         for column, message, signal in _PUBLISHED:
             value = column.convert(getattr(record, column.attribute))
@@ -76,27 +72,6 @@ class Publisher:
             "Friction": self._fitting(message, "Friction", values["friction"]),
             "ImpactGain": self._fitting(message, "ImpactGain", gain),
             "CalibrationAge": age,
-        }
-
-    def _diagnostics(self, active: tuple[FaultCode, ...], book: FaultBook) -> dict[str, Value]:
-        """One trouble code; with several active they take turns."""
-        severities = [FAULTS[code].severity for code in active]
-        signals: dict[str, Value] = {
-            "ProtectLamp": 0,
-            "AmberWarningLamp": int(Severity.WARNING in severities or Severity.STOP_TRUSTING in severities),
-            "RedStopLamp": 0,
-            "MalfunctionLamp": 0,
-            "ConversionMethod": 0,
-        }
-        if not active:
-            return signals | {"SuspectParameterLow": 0, "SuspectParameterHigh": 0, "FailureMode": 0, "OccurrenceCount": 0}
-        code = active[self._turn % len(active)]
-        self._turn += 1
-        return signals | {
-            "SuspectParameterLow": FAULTS[code].spn & 0xFFFF,
-            "SuspectParameterHigh": FAULTS[code].spn >> 16,
-            "FailureMode": FAULTS[code].fmi,
-            "OccurrenceCount": min(_OCCURRENCES_UNKNOWN - 1, book.occurrences(code)),
         }
 
     def _fitting(self, message: str, signal: str, value: float) -> Value:

@@ -284,10 +284,10 @@ class Node:
         return self._answers.get(group)
 
     def _hear_transport(self, parts: Identifier, data: bytes, now_s: float, heard: Heard) -> None:
-        address, refused = self.address, self._receiver.refused
+        address, lost = self.address, self._receiver.refused + self._receiver.abandoned
         received = self._receiver.feed(parts, data, now_s, address)
         heard.frames += received.frames
-        if self._receiver.refused > refused:
+        if self._receiver.refused + self._receiver.abandoned > lost:
             self._sessions.take(now_s)
         if address is not None:
             heard.frames += self._sender.feed(parts, data, address, now_s)

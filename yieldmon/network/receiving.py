@@ -119,7 +119,7 @@ class TransportReceiver:
         key = (parts.source, parts.destination)
         to_us = our_address is not None and parts.destination == our_address
         size, count = int.from_bytes(data[1:3], "little"), data[3]
-        self._sessions.pop(key, None)
+        self.abandoned += self._sessions.pop(key, None) is not None
         refusal = None
         if not 8 < size <= MAX_BYTES or count != parts_in(size):
             refusal = NO_RESOURCES

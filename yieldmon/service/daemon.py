@@ -14,7 +14,7 @@ import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from time import monotonic
@@ -39,6 +39,7 @@ from yieldmon.service.configuration import Configuration
 from yieldmon.service.control import Answer, ControlError, ControlServer
 from yieldmon.service.input_frames import InputFrames
 from yieldmon.service.journal import Journal, Memory, choose_parameters
+from yieldmon.service.link import link_for
 from yieldmon.service.metrics import MetricsFile
 from yieldmon.service.notify import ServiceManager
 from yieldmon.service.ownership import owned
@@ -72,7 +73,7 @@ _HANGS_S, _HANGS_FOR_GOOD_S = 2.0, 8.0
 _STOP_WRITING_S = 1.5
 
 #: Sections of the configuration that a reload cannot change.
-_FIXED_AT_START = ("bus", "store", "status")
+_FIXED_AT_START = ("bus", "store", "status", "network")
 
 
 class _Alive(Protocol):
@@ -99,14 +100,19 @@ class Daemon:
         environment: Mapping[str, str] = os.environ,
         bus_factory: Callable[[], can.BusABC] | None = None,
         silence_s: float = SILENCE_S,
+        network_clock: Callable[[], float] = monotonic,
     ) -> None:
         """reload: reads the configuration anew; raises InputError when it cannot be used. bus_factory: opens the bus, by
-        default the configured one. silence_s: see SILENCE_S; infinite for traffic that is not sent in real time."""
+        default the configured one. silence_s: see SILENCE_S; infinite for traffic that is not sent in real time.
+        network_clock: times the address claim and what else the network's protocols time."""
         self.configuration = configuration
         self._reload = reload
         self._manager = ServiceManager(environment)
         self._codec = Codec()
         self._inputs = InputFrames(self._codec, configuration.signals)
+        self._link = link_for(configuration)
+        self._network_clock = network_clock
+        self._address: int | None = None
         self._silence_s = silence_s
         self.started = threading.Event()
         """Set once frames are taken and commands answered."""
@@ -185,6 +191,7 @@ class Daemon:
         for helper in helpers:
             helper.start()
         self._tell_faults(monotonic())
+        self._submit(self._link.start(self._network_clock()))
         self.started.set()
         self._manager.ready()
         _log.info("running on %s %s", self.configuration.document.bus.interface, self.configuration.document.bus.channel)
@@ -224,7 +231,7 @@ class Daemon:
             settings.interface,
             settings.channel,
             settings.bitrate_bit_s,
-            filters=self._inputs.filters(),
+            filters=[*self._inputs.filters(), *self._link.filters()],
             # A copy that comes back once is our own; without it, another node's first copy would pass for it.
             receive_own=settings.interface == "socketcan",
             receive_buffer_bytes=settings.receive_buffer_bytes,
@@ -261,6 +268,10 @@ class Daemon:
                 self._take_message(item)
         self._tick_if_silent(empty_until_s if not items else float("-inf"))
         self._receiver.due_s = self._monitor.due_s
+        self._submit(self._link.poll(self._network_clock()))
+        if self._link.address != self._address:
+            self._address = self._link.address
+            self._answer = self._snapshot()
         self._tell_faults(monotonic())
         self._do_commands()
         # Between two windows, where a new monitor has least to miss; a quiet bus has none.
@@ -280,11 +291,16 @@ class Daemon:
             if self._malformed == 1:
                 _log.warning("%s", error)
             return
+        concerned = self._link.concerns(message)
+        if (concerned or any(frame.message in frames.OUTPUTS for frame in heard)) and self._transmitter.is_echo(message):
+            return
+        if concerned:
+            self._submit(self._link.hear(message, self._network_clock()))
         for frame in heard:
             if frame.message not in frames.OUTPUTS:
                 self._ours_s = frame.time_s
                 self._happened(self._monitor.feed(frame))
-            elif not self._transmitter.is_echo(message):
+            else:
                 self._conditions.present("conflict", monotonic() + _HOLD_S, f"{frame.message} from another node")
 
     def _tick_if_silent(self, empty_until_s: float) -> None:
@@ -313,16 +329,20 @@ class Daemon:
             self._second_done()
 
     def _send(self, out: list[Frame]) -> None:
-        dm1 = self.configuration.document.diagnostics.dm1_enabled
         for frame in out:
-            if frame.message == frames.ACTIVE_DIAGNOSTICS and not dm1:
-                continue
             try:
-                self._transmitter.submit(self._codec.encode(frame))
+                message = self._link.addressed(self._codec.encode(frame))
             except FrameError as error:
                 self._unsendable += 1
                 if self._unsendable == 1:
                     _log.error("%s", error)
+                continue
+            if message is not None:
+                self._transmitter.submit(message)
+
+    def _submit(self, messages: Iterable[can.Message]) -> None:
+        for message in messages:
+            self._transmitter.submit(message)
 
     _window_closed = False
 
@@ -333,6 +353,7 @@ class Daemon:
         if replacements != self._replacements:
             self._replacements = replacements
             self._journal.tell_all_again()
+        self._tell_network()
         self._commit()
         if max(self._receiver.hangs_s(), self._transmitter.hangs_s()) < _HANGS_FOR_GOOD_S:
             # A daemon that hears or says nothing any more is one to start anew.
@@ -340,6 +361,14 @@ class Daemon:
         self._rates.second(monotonic(), self._receiver.counters().received)
         self._answer = self._snapshot()
         self._manager.status(commands.summary(self._answer))
+
+    def _tell_network(self) -> None:
+        """Trouble codes, and the second's values for a task controller."""
+        now_s = self._network_clock()
+        if self.configuration.document.diagnostics.dm1_enabled:
+            self._submit(self._link.tell_trouble(self._monitor.faults.active, now_s))
+        if self._record is not None:
+            self._submit(self._link.tell_second(self._record, self._monitor.totals, now_s))
 
     def _commit(self) -> None:
         self._writer.submit(self._journal.batch(self._monitor, time.time(), self._counters()))
@@ -370,6 +399,7 @@ class Daemon:
         elif kind is BusEventKind.INTERFACE_RESTORED:
             self._conditions.present("interface", until_s, detail)
             self._conditions.ended("bus-off")
+            self._submit(self._link.start(self._network_clock()))
         elif kind is BusEventKind.BUS_OFF:
             self._conditions.present("bus-off", _FOREVER, detail)
         elif kind is BusEventKind.BUS_RESTARTED:
@@ -404,6 +434,7 @@ class Daemon:
             ),
             FaultCode.FRAMES_LOST: self._details(now_s, "dropped"),
             FaultCode.OUTPUT_CONFLICT: self._details(now_s, "conflict"),
+            FaultCode.NETWORK_FAULT: "; ".join(self._link.troubles(self._network_clock())),
             FaultCode.STORE_FAILING: store,
         }
         for code, detail in found.items():
@@ -502,6 +533,7 @@ class Daemon:
             reload_note=self._reload_note,
             reloads=self._reloads,
             uptime_s=monotonic() - self._started_s,
+            network=self._link.status(),
         )
 
 

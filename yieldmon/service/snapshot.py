@@ -51,6 +51,7 @@ def snapshot(
     reload_note: str,
     reloads: int,
     uptime_s: float,
+    network: dict[str, Any],
 ) -> dict[str, Any]:
     """The state of a running daemon; every value is fit for JSON, None where it is not known."""
     totals = monitor.totals
@@ -119,6 +120,7 @@ def snapshot(
             "refused": sent.failed,
             "last_refusal": sent.last_failure or None,
         },
+        "network": network,
         "store": {"file": str(configuration.store_path), "note": store_note or None, **asdict(store)},
     }
 

@@ -1,0 +1,354 @@
+"""The daemon's place on the network: messages of python-can to and from the node, and a task controller client behind it.
+
+Only the engine's thread uses it. Times are seconds of one clock that does not step back.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from math import isfinite
+from pathlib import Path
+from typing import Any, Protocol
+
+import can
+from can.typechecking import CanFilter
+
+import yieldmon
+from yieldmon.engine.faults import FAULTS, FaultCode, Severity
+from yieldmon.engine.records import WindowRecord
+from yieldmon.engine.settings import TotalsSettings
+from yieldmon.engine.totals import Totals, dry_mass
+from yieldmon.frames import OperatingState
+from yieldmon.network import diagnostics
+from yieldmon.network.diagnostics import Lamp, TroubleCode, TroubleMemory
+from yieldmon.network.identifier import (
+    ACKNOWLEDGEMENT,
+    ADDRESS_CLAIMED,
+    GLOBAL_ADDRESS,
+    REQUEST,
+    TRANSPORT_CONNECTION,
+    TRANSPORT_DATA,
+    Identifier,
+    RawFrame,
+    frame,
+)
+from yieldmon.network.name import Name
+from yieldmon.network.node import Node, NodeSettings
+from yieldmon.network.process_data import PROCESS_DATA
+from yieldmon.network.sending import TransportSender
+from yieldmon.network.task_controller.client import Outgoing, TaskControllerClient
+from yieldmon.network.task_controller.combine import Second, combine
+from yieldmon.physics.machine import Machine
+from yieldmon.service.configuration import Configuration
+from yieldmon.service.document import Network
+
+_MACHINE_ID = Path("/etc/machine-id")
+_IDENTITY_NUMBERS = 1 << 21
+#: Frames of these groups concern every node.
+_HEARD = frozenset({ADDRESS_CLAIMED, REQUEST, TRANSPORT_CONNECTION, TRANSPORT_DATA, ACKNOWLEDGEMENT, PROCESS_DATA})
+_HEARD_FORMATS = frozenset(group >> 8 for group in _HEARD)
+_FORMAT_MASK = 0x03FF0000
+_LAMPS = {Severity.NOTE: None, Severity.WARNING: Lamp.AMBER_WARNING, Severity.STOP_TRUSTING: Lamp.AMBER_WARNING}
+_SOURCE_MASK = 0xFF
+
+
+def trouble_code(code: FaultCode) -> TroubleCode:
+    """A fault as DM1 carries it."""
+    definition = FAULTS[code]
+    return TroubleCode(definition.spn, definition.fmi, _LAMPS[definition.severity])
+
+
+def identity_number(configured: int | None, machine_id: Path = _MACHINE_ID) -> int:
+    """The configured identity number, else one that this computer's machine id gives, so that two computers differ."""
+    if configured is not None:
+        return configured
+    try:
+        seed = machine_id.read_bytes().strip()
+    except OSError:
+        seed = b""
+    return int.from_bytes(hashlib.sha256(b"yieldmon" + seed).digest()[:4], "big") % _IDENTITY_NUMBERS
+
+
+def name_of(section: Network) -> Name:
+    """The NAME that the configuration gives."""
+    return Name(
+        identity_number=identity_number(section.identity_number),
+        manufacturer_code=section.manufacturer_code,
+        ecu_instance=section.ecu_instance,
+        function_instance=section.function_instance,
+        function=section.function,
+        vehicle_system=section.vehicle_system,
+        vehicle_system_instance=section.vehicle_system_instance,
+        industry_group=section.industry_group,
+        arbitrary_address_capable=section.arbitrary_address_capable,
+    )
+
+
+class Link(Protocol):
+    """How the daemon is on the bus."""
+
+    @property
+    def address(self) -> int | None:
+        """Our address; None while nothing of ours may be sent."""
+
+    def filters(self) -> list[CanFilter]:
+        """What the link wants to hear."""
+
+    def concerns(self, message: can.Message) -> bool:
+        """Whether hear() has a use for a message."""
+
+    def start(self, now_s: float) -> list[can.Message]:
+        """Begin, anew when the bus has come back."""
+
+    def hear(self, message: can.Message, now_s: float) -> list[can.Message]:
+        """Take a message of another node; what is to be sent for it."""
+
+    def poll(self, now_s: float) -> list[can.Message]:
+        """What has fallen due by now; to be called about every 50 ms."""
+
+    def addressed(self, message: can.Message) -> can.Message | None:
+        """One of our frames from our address; None while we have none."""
+
+    def tell_trouble(self, active: Iterable[FaultCode], now_s: float) -> list[can.Message]:
+        """DM1 with the faults that are shown now."""
+
+    def tell_second(self, record: WindowRecord, totals: Totals, now_s: float) -> list[can.Message]:
+        """A second's values, for a task controller."""
+
+    def troubles(self, now_s: float) -> tuple[str, ...]:
+        """What is wrong with the network, a sentence each."""
+
+    def status(self) -> dict[str, Any]:
+        """For `yieldmon status`."""
+
+
+def link_for(configuration: Configuration) -> Link:
+    """The link that a configuration asks for."""
+    section = configuration.document.network
+    if not section.enabled:
+        return FixedLink(section.preferred_address)
+    return NetworkLink(section, configuration.machine, configuration.engine.totals)
+
+
+class FixedLink:
+    """No node: frames leave from the DBC's addresses, and only DM1 is made here.
+
+    Parameters
+    ----------
+    address : int
+        That DM1 comes from.
+    """
+
+    def __init__(self, address: int) -> None:
+        self._address = address
+        self._sender = TransportSender()
+        self._memory = TroubleMemory()
+
+    @property
+    def address(self) -> int | None:
+        """See Link."""
+        return self._address
+
+    def filters(self) -> list[CanFilter]:
+        """See Link."""
+        return []
+
+    def concerns(self, message: can.Message) -> bool:
+        """See Link."""
+        return False
+
+    def start(self, now_s: float) -> list[can.Message]:
+        """See Link."""
+        return []
+
+    def hear(self, message: can.Message, now_s: float) -> list[can.Message]:
+        """See Link."""
+        return []
+
+    def poll(self, now_s: float) -> list[can.Message]:
+        """See Link."""
+        return _messages(self._sender.poll(self._address, now_s)) if now_s >= self._sender.due_s else []
+
+    def addressed(self, message: can.Message) -> can.Message | None:
+        """See Link."""
+        return message
+
+    def tell_trouble(self, active: Iterable[FaultCode], now_s: float) -> list[can.Message]:
+        """See Link."""
+        self._memory.update([trouble_code(code) for code in active])
+        data = diagnostics.message(self._memory.active)
+        if len(data) <= 8:
+            return _messages([frame(diagnostics.DM1, data, self._address)])
+        if self._sender.busy_with(diagnostics.DM1):
+            return []
+        return _messages(self._sender.submit(diagnostics.DM1, data, self._address, GLOBAL_ADDRESS, now_s))
+
+    def tell_second(self, record: WindowRecord, totals: Totals, now_s: float) -> list[can.Message]:
+        """See Link."""
+        return []
+
+    def troubles(self, now_s: float) -> tuple[str, ...]:
+        """See Link."""
+        return ()
+
+    def status(self) -> dict[str, Any]:
+        """See Link."""
+        return {"name": None, "address": self._address, "claim": "off", "partners": [], "task_controller": None}
+
+
+class NetworkLink:
+    """Node and task controller client of one configuration.
+
+    Parameters
+    ----------
+    section : Network
+        NAME, address and what is switched on.
+    machine : Machine
+        What a task controller is told of the combine.
+    totals : TotalsSettings
+        Market moisture, for dry figures.
+    """
+
+    def __init__(self, section: Network, machine: Machine, totals: TotalsSettings) -> None:
+        name = name_of(section)
+        serial = str(name.identity_number)
+        self._preferred = section.preferred_address
+        self._totals = totals
+        self._node = Node(NodeSettings(
+            name=name,
+            preferred_address=section.preferred_address,
+            obeys_commanded_address=section.obey_commanded_address,
+            software=(f"yieldmon {yieldmon.__version__}",),
+            make="yieldmon",
+            model="yield monitor",
+            serial_number=serial,
+        ))
+        self._client: TaskControllerClient | None = None
+        if section.task_controller:
+            device = combine(
+                machine.implement, name, designator="yieldmon", software_version=yieldmon.__version__, serial_number=serial
+            )
+            self._client = TaskControllerClient(device, machine.implement.working_width_m)
+        self._client_at: int | None = None
+
+    def filters(self) -> list[CanFilter]:
+        """See Link; whatever comes from the preferred address too."""
+        entries = [(pdu_format << 16, _FORMAT_MASK) for pdu_format in sorted(_HEARD_FORMATS)] + [(self._preferred, _SOURCE_MASK)]
+        return [CanFilter(can_id=value, can_mask=mask, extended=True) for value, mask in entries]
+
+    @property
+    def address(self) -> int | None:
+        """See Link."""
+        return self._node.address
+
+    def concerns(self, message: can.Message) -> bool:
+        """See Link."""
+        identifier = message.arbitration_id
+        if not message.is_extended_id or message.is_error_frame or message.is_remote_frame:
+            return False
+        return identifier >> 16 & 0x3FF in _HEARD_FORMATS or identifier & _SOURCE_MASK == self._node.address
+
+    def start(self, now_s: float) -> list[can.Message]:
+        """See Link."""
+        return self._followed(self._node.start(now_s), now_s)
+
+    def hear(self, message: can.Message, now_s: float) -> list[can.Message]:
+        """See Link."""
+        identifier, data = message.arbitration_id, bytes(message.data)
+        heard = self._node.feed(identifier, data, now_s)
+        out = self._followed(heard.frames, now_s)
+        parts = Identifier.of(identifier)
+        if self._client is not None and self._client_at is not None:
+            received = [(p.group, p.source, p.destination, p.data) for p in heard.payloads]
+            if parts.group in (PROCESS_DATA, ACKNOWLEDGEMENT):
+                received.append((parts.group, parts.source, parts.destination, data))
+            for group, source, destination, content in received:
+                if destination in (GLOBAL_ADDRESS, self._node.address) and source != self._node.address:
+                    out += self._deliver(self._client.feed(group, source, content, now_s), now_s)
+        return out
+
+    def poll(self, now_s: float) -> list[can.Message]:
+        """See Link."""
+        out = self._followed(self._node.poll(now_s) if now_s >= self._node.due_s else [], now_s)
+        if self._client is not None and self._client_at is not None:
+            out += self._deliver(self._client.poll(now_s), now_s)
+        return out
+
+    def addressed(self, message: can.Message) -> can.Message | None:
+        """See Link."""
+        address = self._node.address
+        if address is None:
+            return None
+        group = Identifier.of(message.arbitration_id).group
+        self._node.answer_with({group: bytes(message.data)})
+        message.arbitration_id = message.arbitration_id & ~_SOURCE_MASK | address
+        return message
+
+    def tell_trouble(self, active: Iterable[FaultCode], now_s: float) -> list[can.Message]:
+        """See Link."""
+        return _messages(self._node.tell_trouble([trouble_code(code) for code in active], now_s))
+
+    def tell_second(self, record: WindowRecord, totals: Totals, now_s: float) -> list[can.Message]:
+        """See Link."""
+        if self._client is None:
+            return []
+        return self._deliver(self._client.update(second_of(record, totals, self._totals), now_s, record.duration_s), now_s)
+
+    def troubles(self, now_s: float) -> tuple[str, ...]:
+        """See Link."""
+        return self._node.troubles(now_s)
+
+    def status(self) -> dict[str, Any]:
+        """See Link."""
+        client = self._client
+        return {
+            "name": str(self._node.settings.name),
+            "address": self._node.address,
+            "claim": self._node.claim_state.value,
+            "partners": [{"address": address, "name": str(name)} for address, name in self._node.addresses.items()],
+            "task_controller": None if client is None else {
+                "state": client.state.value,
+                "server": client.server,
+                "task_active": client.task_active,
+                "problem": client.problem or None,
+            },
+        }
+
+    def _followed(self, frames: list[RawFrame], now_s: float) -> list[can.Message]:
+        """The frames as messages; the client begins and ends with our address."""
+        if self._client is not None and self._node.address != self._client_at:
+            self._client_at = self._node.address
+            if self._client_at is None:
+                self._client.stop()
+            else:
+                self._client.start(now_s)
+        return _messages(frames)
+
+    def _deliver(self, outgoing: list[Outgoing], now_s: float) -> list[can.Message]:
+        out: list[can.Message] = []
+        for item in outgoing:
+            out += _messages(self._node.send(item.group, item.data, now_s, item.destination, item.priority))
+        return out
+
+
+def second_of(record: WindowRecord, totals: Totals, settings: TotalsSettings) -> Second:
+    """A record as a task controller is told it; dry figures where the moisture is known."""
+    flow = _known(record.mass_flow_kg_s)
+    return Second(
+        flow_kg_s=flow,
+        total_kg=record.total_kg,
+        harvesting=record.operating_state in (OperatingState.HARVESTING, OperatingState.SWEEPING),
+        dry_flow_kg_s=None if flow is None else dry_mass(flow, record.moisture_pct, settings),
+        dry_total_kg=totals.total_dry_kg if totals.total_unknown_moisture_kg == 0.0 else None,
+        moisture_pct=_known(record.moisture_pct),
+        ground_speed_m_s=_known(record.ground_speed_m_s),
+    )
+
+
+def _known(value: float) -> float | None:
+    return value if isfinite(value) else None
+
+
+def _messages(frames: Iterable[RawFrame]) -> list[can.Message]:
+    return [can.Message(arbitration_id=f.identifier, data=f.data, is_extended_id=True) for f in frames]
