@@ -100,17 +100,17 @@ class Network(Section):
     """J1939 and ISO 11783: our NAME and address, and whom we answer."""
 
     enabled: bool = choice(True, "claim an address and answer requests; false: frames leave from the DBC's addresses")
-    preferred_address: int = quantity(131, 0, 253, "", "address to claim; another one is taken when it is lost")
+    preferred_address: int = quantity(131, 0, 253, "1", "address to claim; another one is taken when it is lost")
     identity_number: int | None = quantity(
-        None, 0, 2_097_151, "", "of the NAME, unique among units of one maker; null: from this computer's machine id"
+        None, 0, 2_097_151, "1", "of the NAME, unique among units of one maker; null: from this computer's machine id"
     )
-    manufacturer_code: int = quantity(0, 0, 2047, "", "of the NAME, as SAE assigns them")
-    ecu_instance: int = quantity(0, 0, 7, "", "of the NAME")
-    function_instance: int = quantity(0, 0, 31, "", "of the NAME; tells several monitors on one machine apart")
-    function: int = quantity(135, 0, 255, "", "of the NAME; 135 with vehicle system 17: product mass")
-    vehicle_system: int = quantity(17, 0, 127, "", "of the NAME, ISO 11783's device class; 17: sensor systems")
-    vehicle_system_instance: int = quantity(0, 0, 15, "", "of the NAME")
-    industry_group: int = quantity(2, 0, 7, "", "of the NAME; 2: agriculture")
+    manufacturer_code: int = quantity(0, 0, 2047, "1", "of the NAME, as SAE assigns them")
+    ecu_instance: int = quantity(0, 0, 7, "1", "of the NAME")
+    function_instance: int = quantity(0, 0, 31, "1", "of the NAME; tells several monitors on one machine apart")
+    function: int = quantity(135, 0, 255, "1", "of the NAME; 135 with vehicle system 17: product mass")
+    vehicle_system: int = quantity(17, 0, 127, "1", "of the NAME, ISO 11783's device class; 17: sensor systems")
+    vehicle_system_instance: int = quantity(0, 0, 15, "1", "of the NAME")
+    industry_group: int = quantity(2, 0, 7, "1", "of the NAME; 2: agriculture")
     arbitrary_address_capable: bool = choice(True, "take another address when the preferred one is lost; false: be silent then")
     obey_commanded_address: bool = choice(False, "let other nodes give us another address")
     task_controller: bool = choice(False, "connect to an ISO 11783-10 task controller, which then records our yield")
