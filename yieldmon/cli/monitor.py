@@ -223,6 +223,7 @@ def _document(traffic: Traffic, view: View) -> dict[str, object]:
         "time_s": now if traffic.frames else None,
         "frames": traffic.frames,
         "error_frames": traffic.error_frames,
+        "factory_mass_flow_kg_s": traffic.factory_kg_s,
         "rows": [_row_document(traffic, row, now) for row in traffic.sorted_rows(view.order, view.needle)],
     }
 

@@ -139,7 +139,7 @@ def _flow(args: argparse.Namespace) -> Figure:
             weighed = _weighed(store.loads(), store.tickets())
     names = ("time_s", "mass_flow_kg_s", "std_dev_kg_s", "total_kg")
     time_s, rate, spread, total = (_column(rows, name) for name in names)
-    return flow.draw(time_s, rate, spread, total, truth, weighed)
+    return flow.draw(time_s, rate, spread, total, truth, weighed, _column(rows, "factory_mass_flow_kg_s"))
 
 
 def _weighed(loads: list[Load], tickets: list[Ticket]) -> list[tuple[float, float, float]]:

@@ -24,7 +24,9 @@ from yieldmon.resources import shipped
 from yieldmon.service import configuration
 from yieldmon.service.assembly import monitor_of
 from yieldmon.service.bulk_processing import EndOfLog, Stretch, process_in_bulk
+from yieldmon.service.factory_comparison import FactoryComparison
 from yieldmon.service.processing import Summary
+from yieldmon.service.rows import SecondRow
 from yieldmon.service.tables import FORMATS, open_table
 
 Progress = Callable[[Stretch | EndOfLog], None]
@@ -127,11 +129,17 @@ def _one_record(
     progress: Progress | None,
 ) -> dict[str, Any]:
     monitor = monitor_of(loaded)
+    factory = FactoryComparison()
     with open_table(out, f".{kind}" if kind else None) as table:
+
+        def take(row: SecondRow) -> None:
+            table.write(row)
+            factory.take(row)
+
         summary = process_in_bulk(
-            logs, monitor, Codec(), table.write, signals=loaded.signals, reads_ahead=reads_ahead, progress=progress
+            logs, monitor, Codec(), take, signals=loaded.signals, reads_ahead=reads_ahead, progress=progress
         )
-    return _document(summary, monitor)
+    return _document(summary, monitor) | ({"factory": factory.document} if factory.document is not None else {})
 
 
 def _document(summary: Summary, monitor: Monitor) -> dict[str, Any]:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 SUFFIXES = (".png", ".svg")
-MEASURED, TRUTH, MODEL = "tab:orange", "black", "tab:blue"
+MEASURED, TRUTH, MODEL, FACTORY = "tab:orange", "black", "tab:blue", "tab:purple"
 
 
 def new_figure(rows: int = 1, columns: int = 1, *, size_in: tuple[float, float] = (10.0, 6.0), **how: Any) -> tuple[Figure, Any]:

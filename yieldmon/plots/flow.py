@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .canvas import MEASURED, TRUTH, Array, band, legend_above, new_figure
+from .canvas import FACTORY, MEASURED, TRUTH, Array, band, legend_above, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -19,9 +19,10 @@ def draw(
     total_kg: Array,
     truth: tuple[Array, Array, Array] | None = None,
     weighed: list[tuple[float, float, float]] | None = None,
+    factory_kg_s: Array | None = None,
 ) -> Figure:
     """Measured columns (n,), nan where there is no flow. truth: time_s, mass_flow_kg_s, total_mass_kg of any length. weighed:
-    end in s, measured kg and weighed kg of each load with a ticket."""
+    end in s, measured kg and weighed kg of each load with a ticket. factory_kg_s: flow of the factory's own monitor (n,)."""
     figure, (flow, mass) = new_figure(2, 1, size_in=(11.0, 8.0), sharex=True, height_ratios=(2, 1))
     start_s = time_s[0] if len(time_s) else 0.0
     minutes = (time_s - start_s) / 60.0
@@ -31,6 +32,8 @@ def draw(
         mass.plot(at, truth[2], color=TRUTH, lw=1.2, label="true")
     band(flow, minutes, mass_flow_kg_s, std_dev_kg_s, color=MEASURED, label="90 % interval")
     flow.plot(minutes, mass_flow_kg_s, color=MEASURED, lw=1.0, label="measured, 1 Hz")
+    if factory_kg_s is not None and np.isfinite(factory_kg_s).any():
+        flow.plot(minutes, factory_kg_s, color=FACTORY, lw=1.0, label="factory monitor")
     mass.plot(minutes, total_kg, color=MEASURED, lw=1.4, label="measured")
     for end_s, measured_kg, weighed_kg in weighed or []:
         place = (end_s - start_s) / 60.0

@@ -82,6 +82,8 @@ class Screen:
             f"load {_number(mass.signals['LoadMass'], 0) if mass else '-'} kg"
             f"   total {_number(mass.signals['TotalMass'], 0) if mass else '-'} kg",
         ]
+        if traffic.factory_kg_s is not None:
+            side[0] += f"   factory {traffic.factory_kg_s:.2f} kg/s"
         lines = []
         for digits, beside in zip(big, side, strict=True):
             line = Text(no_wrap=True, overflow="crop")

@@ -9,11 +9,13 @@ from math import inf
 import can
 
 from yieldmon.bus.codec import Codec, FrameError
+from yieldmon.bus.factory_monitor import FactoryMonitor
 from yieldmon.frames import MASS_FLOW, Frame
 
 STALE_PERIODS = 10.0
 RATE_SPAN_S = 3.0
 TREND_WINDOWS = 60
+FACTORY_TIMEOUT_S = 5.0
 _UNKNOWN_PERIOD_S = 1.0
 
 Key = tuple[int, bool]
@@ -30,6 +32,7 @@ class Row:
     count: int = 0
     last: can.Message | None = None
     marks: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=64))
+    is_factory: bool = False
 
     def age_s(self, now_s: float) -> float:
         """Seconds since the last frame."""
@@ -67,6 +70,9 @@ class Traffic:
         self.now_s = -inf
         self.first_s: float | None = None
         self._by_name: dict[str, Row] = {}
+        self._factory = FactoryMonitor()
+        self._factory_flow: tuple[float, float] | None = None
+        """Time and value of the last flow that a factory monitor told."""
 
     def observe(self, message: can.Message) -> None:
         """Take a frame of the bus."""
@@ -83,6 +89,9 @@ class Traffic:
             row = self.rows[key] = self._new_row(key)
         row.count += 1
         row.last = message
+        if row.is_factory:
+            flow = self._factory.decode(message.arbitration_id, bytes(message.data)).get(FACTORY_FLOW)
+            self._factory_flow = (message.timestamp, flow) if flow is not None else self._factory_flow
         if row.name == MASS_FLOW:
             frame = self.decoded(row)
             rate = frame.signals["MassFlowRate"] if frame is not None else None
@@ -111,6 +120,13 @@ class Traffic:
         row = self._by_name.get(name)
         return self.decoded(row) if row is not None else None
 
+    @property
+    def factory_kg_s(self) -> float | None:
+        """What a factory monitor on the bus said within the last seconds, None where there is none."""
+        if self._factory_flow is None or self.now_s - self._factory_flow[0] > FACTORY_TIMEOUT_S:
+            return None
+        return self._factory_flow[1]
+
     def sorted_rows(self, order: str, needle: str = "") -> list[Row]:
         """Rows whose name or identifier holds `needle`, by "id", "name", "rate" or "count"; ties by identifier."""
         wanted = needle.lower()
@@ -126,7 +142,9 @@ class Traffic:
 
     def _new_row(self, key: Key) -> Row:
         layout = self._codec.layout_of(key[0]) if key[1] else None
-        row = Row(key, layout.name if layout else "", layout.cycle_time_s if layout else 0.0)
+        factory = self._factory.name_of(key[0]) if key[1] and layout is None else None
+        name = layout.name if layout else factory or ""
+        row = Row(key, name, layout.cycle_time_s if layout else 0.0, is_factory=factory is not None)
         if layout:
             self._by_name[layout.name] = row
         return row

@@ -21,6 +21,7 @@ from time import monotonic
 from typing import Any, Protocol, cast
 
 import can
+
 from yieldmon import frames
 from yieldmon.bus.codec import Codec, FrameError
 from yieldmon.bus.opening import open_bus
