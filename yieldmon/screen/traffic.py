@@ -9,6 +9,7 @@ from math import inf
 import can
 
 from yieldmon.bus.codec import Codec, FrameError
+from yieldmon.bus.factory_monitor import MASS_FLOW as FACTORY_FLOW
 from yieldmon.bus.factory_monitor import FactoryMonitor
 from yieldmon.frames import MASS_FLOW, Frame
 
