@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from typing import Any
 
 from yieldmon.errors import InputError
 from yieldmon.resources import shipped
@@ -17,9 +18,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "check-config", help="check a configuration file",
         description=__doc__,
-        epilog="example: yieldmon check-config /etc/yieldmon/yieldmon.yaml",
+        epilog="example: yieldmon check-config /etc/yieldmon/yieldmon.yaml --log drive.log",
     )
     parser.add_argument("file", nargs="?", help="configuration (YAML); default: the shipped one")
+    parser.add_argument("--log", metavar="FILE", help="hold the signal mapping against this recording")
     parser.add_argument("--json", action="store_true", help="print what was found as one JSON document")
     parser.add_argument("--defaults", action="store_true", help="print the default configuration, commented, and end")
 
@@ -38,18 +40,51 @@ def run(args: argparse.Namespace) -> int:
         problems = error.problems
     except InputError as error:
         problems = [error]
+    seen: dict[str, Any] | None = None
+    notes: list[str] = []
+    if loaded is not None:
+        seen, notes, problems = _held_against(loaded, args.log)
     if args.json:
         document = {
             "file": path,
             "valid": not problems,
             "problems": [{"where": p.where, "problem": p.problem, "expected": p.expected} for p in problems],
+            "notes": notes,
+            "signals": seen,
             "configuration": loaded.document.model_dump() if loaded is not None else None,
         }
         print(json.dumps(document, indent=2))
-    elif loaded is not None:
-        defaults = ", all defaults" if loaded.document == Document() else ""
-        print(f"{path}: valid{defaults}; machine {loaded.machine_path}, parameters {loaded.parameter_path}")
     else:
+        if seen is not None:
+            _show(seen)
+        for note in notes:
+            print(f"note: {note}")
         for problem in problems:
             print(f"yieldmon: {problem}", file=sys.stderr)
+        if loaded is not None and not problems:
+            defaults = ", all defaults" if loaded.document == Document() else ""
+            print(f"{path}: valid{defaults}; machine {loaded.machine_path}, parameters {loaded.parameter_path}")
     return 2 if problems else 0
+
+
+def _held_against(
+    loaded: configuration.Configuration, log: str | None
+) -> tuple[dict[str, Any] | None, list[str], list[InputError]]:
+    """What a recording shows of the mapping's quantities, what is to be known of the mapping, and what is wrong with it."""
+    from yieldmon.service import mapping_check
+
+    notes = mapping_check.notes(loaded)
+    if log is None:
+        return None, notes, []
+    found = mapping_check.seen_in(loaded, log)
+    problems = [InputError(*problem) for problem in mapping_check.problems(loaded, found, log)]
+    return mapping_check.as_json(found), notes, problems
+
+
+def _show(seen: dict[str, Any]) -> None:
+    print(f"{'quantity':18} {'unit':>6} {'per s':>8} {'low':>10} {'high':>10} {'gap s':>8}  first values")
+    for name, entry in seen.items():
+        numbers = (entry["rate_hz"], entry["low"], entry["high"], entry["largest_gap_s"])
+        shown = ["-" if value is None else f"{value:.4g}" for value in numbers]
+        first = " ".join(f"{value:.5g}" for value in entry["first"]) or "none"
+        print(f"{name:18} {entry['unit']:>6} {shown[0]:>8} {shown[1]:>10} {shown[2]:>10} {shown[3]:>8}  {first}")

@@ -53,8 +53,9 @@ class Extraction:
         bits = self.bits
         mask = np.uint64((1 << bits.bits) - 1)
         raw: NDArray[np.int64] = ((little if bits.little else big) >> np.uint64(bits.shift) & mask).astype(np.int64)
-        if bits.kind == "int" and bits.bits < 64:
-            raw = np.where(raw >> (bits.bits - 1) != 0, raw - (1 << bits.bits), raw)
+        if bits.kind == "int":
+            spare = np.int64(64 - bits.bits)
+            raw = (raw << spare) >> spare
         return raw
 
     def values(self, little: NDArray[np.uint64], big: NDArray[np.uint64]) -> Array:

@@ -1,0 +1,103 @@
+"""What `yieldmon signals` finds: on a tractor's bus that nobody here made, and on buses whose content is known."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import can
+import pytest
+
+from tests.signals.layouts import COUNTS, MULTIPLEXED, NEWTONS, PROPRIETARY, Layout
+from yieldmon.cli.main import main
+from yieldmon.physics.machine import Machine
+from yieldmon.plant import scenario
+from yieldmon.plant.combine import VirtualCombine
+
+# The first 464 frames of start1.log, TractorHacking/CAN-data, MIT licence, converted from its CSV.
+TRACTOR = Path(__file__).parents[1] / "data" / "tractor_bus.log"
+
+
+def survey(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict:
+    assert main(["signals", *arguments, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_a_tractors_bus(capsys: pytest.CaptureFixture[str]) -> None:
+    found = survey(capsys, str(TRACTOR))
+    assert sum(message["frames"] for message in found["messages"]) == len(TRACTOR.read_text().splitlines())
+    assert len({message["pgn"] for message in found["messages"]}) == 37
+    assert {node["address"]: node["name"] for node in found["nodes"]} == {
+        0: "0x200200000429F556",
+        3: "0x200203000430744D",
+        6: "0x20000E000430744D",
+        23: "0x2002130004246E0C",
+        71: "0x200234000430744D",
+    }
+    names = {message["pgn"]: message["name"] for message in found["messages"]}
+    assert names[61444] == "EEC1"
+    assert names[65262] == "Engine Temperature 1"
+    assert all(names.values())
+    assert {"message": "EEC1", "signal": "EngineSpeed"}.items() <= found["candidates"]["elevator_speed"][0].items()
+    assert "impact_voltage" not in found["candidates"]
+
+
+def drive(layout: Layout, folder: Path) -> Path:
+    combine = VirtualCombine(scenario.from_mapping({"duration_s": 6.0}, "survey"), Machine(), 2)
+    path = folder / f"{layout.name}.log"
+    with can.Logger(str(path)) as logger:
+        for message in sorted(layout.messages(combine.frames_until(6.0), 1.79e9), key=lambda each: each.timestamp):
+            logger.on_message_received(message)
+    layout.write(folder)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("layout", "quantity", "message", "signal", "rate_hz"),
+    [
+        (COUNTS, "impact_voltage", "Bridge", "Counts", 100.0),
+        (COUNTS, "elevator_speed", "EEC1", "EngineSpeed", 10.0),
+        (COUNTS, "plate_angle", "Linear", "Tilt", 20.0),
+        (NEWTONS, "impact_force", "Force", "Force", 10.0),
+        (MULTIPLEXED, "impact_voltage", "Everything", "Voltage", 250.0),
+        (MULTIPLEXED, "elevator_speed", "Everything", "Speed", 10.0),
+        (PROPRIETARY, "elevator_speed", "PropB02", "ShaftSpeed", 10.0),
+    ],
+)
+def test_signals_that_could_serve(
+    layout: Layout, quantity: str, message: str, signal: str, rate_hz: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = survey(capsys, str(drive(layout, tmp_path)), "--dbc", str(tmp_path / f"{layout.name}.dbc"))
+    first = found["candidates"][quantity][0]
+    assert (first["message"], first["signal"]) == (message, signal)
+    assert first["rate_hz"] == pytest.approx(rate_hz, rel=0.05)
+
+
+def test_a_written_mapping_stands_the_check_against_its_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log, mapping = drive(MULTIPLEXED, tmp_path), tmp_path / "mapping.yaml"
+    survey(capsys, str(log), "--dbc", str(tmp_path / "multiplexed.dbc"), "--write", str(mapping))
+    assert main(["check-config", str(mapping), "--log", str(log), "--json"]) == 0
+    seen = json.loads(capsys.readouterr().out)["signals"]
+    assert seen["impact"]["rate_hz"] == pytest.approx(250.0, rel=0.02)
+    assert 380.0 < seen["elevator_speed"]["low"] < 420.0
+    assert seen["plate_angle"]["first"][0] == pytest.approx(70.0, abs=0.2)
+    assert seen["moisture"]["values"] == 0
+    assert main(["signals", str(log), "--write", str(mapping)]) == 2
+    assert "exists already" in capsys.readouterr().err
+
+
+def test_a_rate_that_is_not_the_recorded_one_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = drive(COUNTS, tmp_path)
+    config = tmp_path / "wrong.yaml"
+    config.write_text(COUNTS.config.replace("rate_hz: 100", "rate_hz: 50"))
+    assert main(["check-config", str(config), "--log", str(log)]) == 2
+    error = capsys.readouterr().err
+    assert "100 samples per second; expected 50" in error
+
+
+def test_what_a_slow_sensor_costs_is_said_before(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check-config", str(NEWTONS.write(tmp_path)), "--json"]) == 0
+    notes = " ".join(json.loads(capsys.readouterr().out)["notes"])
+    assert "10 samples per second" in notes
+    assert "at 300 rpm" in notes
+    assert "fixed at 70 deg" in notes

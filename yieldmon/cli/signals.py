@@ -1,0 +1,147 @@
+"""Show what is on a bus or in a log, and which signals could serve which quantity."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from yieldmon.bus.bulk import FrameBlock, block_of
+from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG
+from yieldmon.bus.databases import load_messages
+from yieldmon.bus.loading import iter_blocks
+from yieldmon.bus.logs import LogNotes, require_log
+from yieldmon.bus.opening import add_bus_arguments, open_bus_from
+from yieldmon.bus.waiting import receive
+from yieldmon.cli import _outputs
+from yieldmon.errors import InputError
+from yieldmon.files.whole_file import scratch_for
+from yieldmon.resources import shipped
+from yieldmon.signals.survey import MessageSeen, Survey, mapping_text
+
+_SHIPPED = ("dbc/yieldmon.dbc", "dbc/j1939.dbc")
+_BLOCK_S = 0.5
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """The verb's arguments."""
+    parser = subparsers.add_parser(
+        "signals",
+        help="show what is on a bus or in a log, and what could serve which quantity",
+        description=__doc__,
+        epilog="example: yieldmon signals drive.log --dbc maker.dbc --write mapping.yaml",
+    )
+    parser.add_argument("log", nargs="?", metavar="LOG", help="a log; without one the bus is listened to")
+    parser.add_argument("--dbc", action="append", default=[], metavar="F", help="DBC that names messages; may be given again")
+    parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="how long a bus is listened to (default: 10)")
+    parser.add_argument("--write", metavar="F", help="write a mapping to start from (YAML)")
+    parser.add_argument("--json", action="store_true", help="print one JSON document")
+    _outputs.add_force(parser, "write")
+    add_bus_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit code 0 when there was a frame to look at."""
+    if not 0.0 < args.seconds < math.inf:
+        raise InputError("--seconds", f"is {args.seconds:g}", "a number above 0")
+    if args.write is not None:
+        _outputs.check(args)
+    paths = {Path(name).name: str(Path(name).absolute()) for name in args.dbc}
+    paths |= {Path(name).name: str(shipped(name)) for name in _SHIPPED if Path(name).name not in paths}
+    survey = Survey({name: load_messages(path) for name, path in paths.items()})
+    for block in _log_blocks(args.log) if args.log else _bus_blocks(args):
+        rows = np.flatnonzero((block.can_id & np.uint32(REMOTE_FLAG | ERROR_FLAG)) == 0)
+        survey.add(block.time_s[rows], block.can_id[rows], block.length[rows], block.payload[rows])
+    if not survey.frames:
+        raise InputError(args.log or "the bus", "no data frame", "a bus or log with traffic")
+    if args.write is not None:
+        with scratch_for(args.write) as scratch:
+            scratch.write_text(mapping_text(survey, paths), encoding="utf-8")
+        print(f"written: {args.write}", file=sys.stderr)
+    if args.json:
+        print(json.dumps(_document(survey), indent=2))
+    else:
+        _show(survey)
+    return 0
+
+
+def _log_blocks(path: str) -> Iterator[FrameBlock]:
+    require_log(path)
+    notes = LogNotes()
+    yield from iter_blocks(path, notes)
+    for damage in notes.damages[:3]:
+        print(f"yieldmon: {damage}", file=sys.stderr)
+    if len(notes.damages) > 3:
+        print(f"yieldmon: {path}: {len(notes.damages)} damaged records skipped in all", file=sys.stderr)
+
+
+def _bus_blocks(args: argparse.Namespace) -> Iterator[FrameBlock]:
+    with open_bus_from(args) as bus:
+        end_s = time.monotonic() + args.seconds
+        while (left_s := end_s - time.monotonic()) > 0.0:
+            messages = []
+            until_s = time.monotonic() + min(_BLOCK_S, left_s)
+            while (wait_s := until_s - time.monotonic()) > 0.0:
+                message = receive(bus, wait_s)
+                if message is not None:
+                    messages.append(message)
+            yield block_of(messages)
+
+
+def _document(survey: Survey) -> dict[str, Any]:
+    return {
+        "messages": [_message(message) for message in survey.messages],
+        "nodes": [
+            {"address": address, "name": f"0x{int(name):016X}" if name is not None else None} for address, name in survey.nodes
+        ],
+        "candidates": {
+            quantity: [{"message": c.message, "signal": c.signal, "dbc": c.dbc, "rate_hz": round(c.rate_hz, 3)} for c in found]
+            for quantity, found in survey.candidates.items()
+        },
+    }
+
+
+def _message(message: MessageSeen) -> dict[str, Any]:
+    return {
+        "id": f"0x{message.identifier:08X}" if message.extended else f"0x{message.identifier:03X}",
+        "name": message.name,
+        "pgn": message.group,
+        "source": message.source,
+        "rate_hz": round(message.rate_hz, 3) if message.rate_hz is not None else None,
+        "frames": message.frames,
+        "dbc": message.dbc,
+        "signals": {
+            name: {key: _finite(getattr(seen, key)) for key in ("low", "high", "last")} | {"unit": seen.bits.unit}
+            for name, seen in message.signals.items()
+        },
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _show(survey: Survey) -> None:
+    print(f"{'id':>10}  {'pgn':>6}  {'from':>4}  {'Hz':>7}  {'frames':>7}  name")
+    for message in survey.messages:
+        document = _message(message)
+        rate = "-" if message.rate_hz is None else f"{message.rate_hz:.1f}"
+        group = "" if message.group is None else str(message.group)
+        source = "" if message.source is None else str(message.source)
+        print(f"{document['id']:>10}  {group:>6}  {source:>4}  {rate:>7}  {message.frames:>7}  {message.name or ''}")
+        for signal, seen in message.signals.items():
+            if math.isfinite(seen.low):
+                print(f"{'':44}{signal} {seen.low:g} to {seen.high:g} {seen.bits.unit}")
+    for address, name in survey.nodes:
+        print(f"node {address}: " + ("no NAME heard" if name is None else f"NAME 0x{int(name):016X}, {name}"))
+    for quantity, found in survey.candidates.items():
+        print(f"{quantity}: " + ", ".join(f"{c.message}.{c.signal} ({c.rate_hz:.1f} Hz)" for c in found[:4]))
+    if not survey.candidates:
+        print("no signal here could serve a quantity; name the maker's DBC with --dbc")

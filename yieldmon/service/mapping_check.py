@@ -1,0 +1,143 @@
+"""A mapping held against a recording, and against the rates that it states: what `check-config` says before the harvest does."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from math import degrees
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.bus.codec import Codec
+from yieldmon.engine.aliasing import ALIAS_FREE_HZ, aliasing_share
+from yieldmon.engine.runs import FrameRun
+from yieldmon.engine.sources import QUANTITIES
+from yieldmon.physics.machine import RPM
+from yieldmon.service.bulk_processing import EndOfLog, Taking, stretches_of
+from yieldmon.service.configuration import Configuration
+
+Array = NDArray[np.float64]
+
+SPEEDS_RPM = (300.0, 400.0, 500.0)
+RATE_TOLERANCE = 0.05
+"""Relative difference of a stated sample rate from the recorded one that is a problem."""
+_FIRST = 5
+_WORTH_SAYING_PCT = 0.1
+
+
+@dataclass(frozen=True)
+class QuantitySeen:
+    """A quantity in a recording, in its own unit: samples or values and how many were usable, values per second, range, the
+    longest time without one, s, and the first values. None where there is nothing to say."""
+
+    unit: str
+    values: int
+    usable: int
+    rate_hz: float | None
+    low: float | None
+    high: float | None
+    largest_gap_s: float | None
+    first: tuple[float, ...]
+
+
+def aliasing_pct(configuration: Configuration) -> dict[str, float]:
+    """Standard deviation of a second's flow from aliasing, %, by elevator speed; empty where the rate leaves none."""
+    sources = [source for source in configuration.signals.sources.impact if source.rate_hz < ALIAS_FREE_HZ]
+    found = {
+        f"{rpm:g}": 100.0 * max((aliasing_share(source, configuration.machine, rpm * RPM) for source in sources), default=0.0)
+        for rpm in SPEEDS_RPM
+    }
+    worth_saying = max(found.values()) >= _WORTH_SAYING_PCT
+    return {rpm: round(share, 2) for rpm, share in found.items()} if worth_saying else {}
+
+
+def notes(configuration: Configuration) -> list[str]:
+    """What an operator should know of a mapping before it is used, a sentence each."""
+    found = []
+    aliasing = aliasing_pct(configuration)
+    if aliasing:
+        rate_hz = min(source.rate_hz for source in configuration.signals.sources.impact)
+        parts = ", ".join(f"{share:g} % at {rpm} rpm" for rpm, share in aliasing.items())
+        found.append(f"{rate_hz:g} samples per second alias the paddle passes: standard deviation of a second's flow {parts}")
+    if configuration.document.plate.fixed_angle_deg is not None:
+        home = degrees(configuration.machine.home_plate_angle_rad)
+        found.append(f"the plate is fixed at {home:g} deg: no feedback is wanted and no sweep runs")
+    for name, value in configuration.signals.sources.fixed.items():
+        if name != "plate_angle":
+            found.append(f"{name} is taken to be {value:g} {QUANTITIES[name].unit} always")
+    return found
+
+
+def seen_in(configuration: Configuration, log: Path | str) -> dict[str, QuantitySeen]:
+    """Each quantity in a recording. Raises InputError for a log that cannot be read."""
+    parts: dict[str, list[tuple[Array, Array]]] = {}
+    sources = configuration.signals.sources
+    for stretch in stretches_of([str(log)], Taking(Codec(), configuration.signals)):
+        if not isinstance(stretch, EndOfLog):
+            for run in stretch.runs:
+                _take(run, configuration, parts)
+    expected = [*(_impact_name(k) for k in range(len(sources.impact))), *(source.quantity for source in sources.inputs)]
+    return {name: _summary(name, parts.get(name, [])) for name in dict.fromkeys(expected)}
+
+
+def _impact_name(number: int) -> str:
+    return "impact" if number == 0 else f"impact {number + 1}"
+
+
+def _take(run: FrameRun, configuration: Configuration, parts: dict[str, list[tuple[Array, Array]]]) -> None:
+    sources = configuration.signals.sources
+    for number, (source, samples) in enumerate(zip(sources.impact, run.samples, strict=True)):
+        if samples.places.size:
+            lags = np.arange(len(source.signals) - 1, -1, -1) * source.interval_s
+            times = run.times_s[samples.places][:, None] - lags
+            parts.setdefault(_impact_name(number), []).append((times.ravel(), samples.rows[:, 2:].ravel()))
+    by_message = {part.message: part for part in run.others}
+    for entry in sources.inputs:
+        part = by_message.get(entry.message)
+        if part is not None and entry.signal in part.signals:
+            values = part.signals[entry.signal] * entry.scale + entry.offset
+            usable = QUANTITIES[entry.quantity].usable(values)
+            parts.setdefault(entry.quantity, []).append((part.times_s, np.where(usable, values, np.nan)))
+
+
+def _summary(name: str, parts: list[tuple[Array, Array]]) -> QuantitySeen:
+    unit = "mV" if name.startswith("impact") else QUANTITIES[name].unit
+    if not parts:
+        return QuantitySeen(unit, 0, 0, None, None, None, None, ())
+    times, values = (np.concatenate(column) for column in zip(*parts, strict=True))
+    known = np.isfinite(values)
+    good, at = values[known], times[known]
+    span_s = float(times[-1] - times[0])
+    return QuantitySeen(
+        unit=unit,
+        values=int(values.size),
+        usable=int(good.size),
+        rate_hz=(values.size - 1) / span_s if values.size > 1 and span_s > 0.0 else None,
+        low=float(good.min()) if good.size else None,
+        high=float(good.max()) if good.size else None,
+        largest_gap_s=float(np.diff(at).max()) if good.size > 1 else None,
+        first=tuple(good[:_FIRST].tolist()),
+    )
+
+
+def problems(configuration: Configuration, seen: dict[str, QuantitySeen], log: str) -> list[tuple[str, str, str]]:
+    """(where, problem, expected) of what the recording says against the mapping."""
+    found = []
+    for name in ("impact", "elevator_speed", "plate_angle"):
+        entry = seen.get(name)
+        if entry is not None and not entry.usable:
+            what = "no usable value" if entry.values else "no frame of it"
+            found.append((f"{log}: {name}", what, "values that the mapping decodes"))
+    for number, source in enumerate(configuration.signals.sources.impact):
+        rate_hz = seen[_impact_name(number)].rate_hz
+        if rate_hz is not None and abs(rate_hz / source.rate_hz - 1.0) > RATE_TOLERANCE:
+            where = f"{log}: {_impact_name(number)}"
+            found.append((where, f"{rate_hz:.4g} samples per second", f"{source.rate_hz:g}, as mapped"))
+    return found
+
+
+def as_json(seen: dict[str, QuantitySeen]) -> dict[str, Any]:
+    """For `--json`."""
+    return {name: asdict(entry) for name, entry in seen.items()}

@@ -1,0 +1,296 @@
+"""What is on a bus: messages with rates, nodes with their NAMEs, decoded values, and what could serve which quantity."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.bus.databases import MessageBits, SignalBits, group_of
+from yieldmon.engine.sources import QUANTITIES
+from yieldmon.network.addresses import AddressTable
+from yieldmon.network.name import Name
+from yieldmon.signals.binding import IMPACT, MIN_RATE_HZ
+from yieldmon.signals.decoding import EXTENDED
+from yieldmon.signals.extraction import Extraction
+from yieldmon.signals.group_names import group_name
+from yieldmon.signals.units import factor
+
+Array = NDArray[np.float64]
+
+_IDENTIFIER = 0x1FFFFFFF
+_CLAIM, _CLAIM_MASK = 0x00EEFF00, 0x03FFFF00
+_MOST_IDENTIFIERS = 10_000
+"""A hostile node may send any identifier; those beyond are only counted."""
+_PAST_ADDRESSES = 0xFE
+
+_LEAST_OF_RATE = 0.95
+"""A rate that is measured over a short recording may be a little low."""
+
+_HINTS: Mapping[str, str] = {
+    "impact_voltage": r"impact|sample|bridge|strain|force|load.?cell|volt|count|analog|ain",
+    "impact_force": r"impact|force|load",
+    "elevator_speed": r"elev|shaft|speed|rpm|rev",
+    "plate_angle": r"plate|angle|tilt|actuator|position",
+    "actuator_state": r"actuator.*(state|status)|plate.*(state|status)",
+    "moisture": r"moist",
+    "test_weight": r"test.?weight|density",
+    "tank_mass": r"tank|mass|weight",
+    "tank_scale_status": r"(tank|scale).*(state|status)",
+    "header_down": r"header",
+    "work_state": r"work",
+    "course": r"course|bearing|heading|compass",
+    "ground_speed": r"speed",
+    "latitude": r"latitude",
+    "longitude": r"longitude",
+}
+_OF_SHAFTS_ELSEWHERE = re.compile(r"engine|pto|front|rear|feeder", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class SignalSeen:
+    """A signal of a message that a DBC names: range of its usable values, nan without any, the last one, and how many frames
+    held it."""
+
+    bits: SignalBits
+    low: float
+    high: float
+    last: float
+    frames: int
+
+
+@dataclass
+class _Identifier:
+    frames: int = 0
+    first_s: float = 0.0
+    last_s: float = 0.0
+    message: tuple[str, MessageBits] | None = None
+    signals: dict[str, SignalSeen] = field(default_factory=dict)
+
+    @property
+    def rate_hz(self) -> float | None:
+        span_s = self.last_s - self.first_s
+        return (self.frames - 1) / span_s if self.frames > 1 and span_s > 0.0 else None
+
+
+@dataclass(frozen=True)
+class MessageSeen:
+    """One identifier. dbc: the file that names it; name: of the DBC's message, else of the J1939 group; group, source: None for
+    an 11-bit identifier."""
+
+    identifier: int
+    extended: bool
+    frames: int
+    rate_hz: float | None
+    dbc: str | None
+    name: str | None
+    group: int | None
+    source: int | None
+    signals: Mapping[str, SignalSeen]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A signal that could serve a quantity. unit: as the DBC says; mux: value of the multiplexer with which it is sent."""
+
+    quantity: str
+    dbc: str
+    message: str
+    signal: str
+    unit: str
+    rate_hz: float
+    mux: int | None = None
+
+
+class Survey:
+    """Takes a bus's frames, block by block. databases: name of a DBC file -> its messages."""
+
+    def __init__(self, databases: Mapping[str, Mapping[str, MessageBits]]) -> None:
+        self._seen: dict[int, _Identifier] = {}
+        self._exact: dict[int, tuple[str, MessageBits]] = {}
+        self._groups: dict[int, tuple[str, MessageBits]] = {}
+        self._table = AddressTable()
+        self.frames = 0
+        for name, messages in databases.items():
+            for message in messages.values():
+                key = message.frame_id | EXTENDED if message.extended else message.frame_id
+                self._exact.setdefault(key, (name, message))
+                if message.extended:
+                    self._groups.setdefault(message.group, (name, message))
+
+    def add(
+        self, time_s: Array, identifiers: NDArray[np.uint32], lengths: NDArray[np.uint8], payloads: NDArray[np.uint64]
+    ) -> None:
+        """Data frames, in order; identifiers with the `EXTENDED` flag, payloads as in `MapDecoder.decode_block`."""
+        self.frames += time_s.size
+        is_claim = (identifiers & np.uint32(_CLAIM_MASK | EXTENDED)) == np.uint32(_CLAIM | EXTENDED)
+        for row in np.flatnonzero(is_claim & (lengths == 8)).tolist():
+            self._table.claimed(int(identifiers[row]) & 0xFF, Name.of_bytes(int(payloads[row]).to_bytes(8, "little")))
+        order = np.argsort(identifiers, kind="stable")
+        found, starts = np.unique(identifiers[order], return_index=True)
+        for identifier, rows in zip(found.tolist(), np.split(order, starts[1:]), strict=True):
+            self._add(int(identifier), time_s[rows], lengths[rows], payloads[rows])
+
+    def _add(self, identifier: int, times: Array, lengths: NDArray[np.uint8], payloads: NDArray[np.uint64]) -> None:
+        seen = self._seen.get(identifier)
+        if seen is None:
+            if len(self._seen) >= _MOST_IDENTIFIERS:
+                return
+            seen = self._seen[identifier] = _Identifier(first_s=float(times[0]), message=self._named(identifier))
+        seen.frames += times.size
+        seen.last_s = float(times[-1])
+        if seen.message is None:
+            return
+        message = seen.message[1]
+        whole = payloads[lengths >= message.length]
+        if not whole.size:
+            return
+        big = whole.byteswap()
+        page = None
+        if message.multiplexer is not None:
+            page = Extraction(message.signals[message.multiplexer], 1.0, 0.0).raws(whole, big)
+        for name, bits in message.signals.items():
+            values = Extraction(bits, bits.scale, bits.offset).values(whole, big)
+            if bits.mux is not None and page is not None:
+                values = values[page == bits.mux]
+            seen.signals[name] = _merged(bits, seen.signals.get(name), values)
+
+    def _named(self, identifier: int) -> tuple[str, MessageBits] | None:
+        exact = self._exact.get(identifier)
+        if exact is not None or not identifier & EXTENDED:
+            return exact
+        return self._groups.get(group_of(identifier & _IDENTIFIER))
+
+    @property
+    def messages(self) -> list[MessageSeen]:
+        """All identifiers, by parameter group and source; 11-bit ones first."""
+        found = []
+        for key, seen in self._seen.items():
+            extended, identifier = bool(key & EXTENDED), key & _IDENTIFIER
+            group = group_of(identifier) if extended else None
+            dbc, name = (None, None) if seen.message is None else (seen.message[0], seen.message[1].name)
+            if name is None and group is not None:
+                name = group_name(group)
+            found.append(
+                MessageSeen(
+                    identifier, extended, seen.frames, seen.rate_hz, dbc, name, group,
+                    identifier & 0xFF if extended else None, seen.signals,
+                )
+            )  # fmt: skip
+        return sorted(found, key=lambda m: (m.extended, m.group or 0, m.source or 0, m.identifier))
+
+    @property
+    def nodes(self) -> list[tuple[int, Name | None]]:
+        """Source addresses that sent 29-bit frames, with the NAMEs that they claimed."""
+        sources = {key & 0xFF for key in self._seen if key & EXTENDED} | {address for address, _ in self._table.items()}
+        return [(source, self._table.name_of(source)) for source in sorted(sources) if source < _PAST_ADDRESSES]
+
+    @property
+    def candidates(self) -> dict[str, list[Candidate]]:
+        """Quantity -> the signals that could serve it, the likeliest first; quantities without any are left out."""
+        found: dict[str, list[tuple[float, Candidate]]] = {}
+        for message in self.messages:
+            if message.dbc is None or message.rate_hz is None or message.name is None:
+                continue
+            for signal in message.signals.values():
+                for quantity in (*IMPACT, *QUANTITIES):
+                    score = _score(quantity, message, signal)
+                    if score > 0.0:
+                        bits, share = signal.bits, signal.frames / message.frames
+                        place = message.dbc, message.name, bits.name
+                        candidate = Candidate(quantity, *place, bits.unit, message.rate_hz * share, bits.mux)
+                        found.setdefault(quantity, []).append((score, candidate))
+        return {
+            quantity: list(dict.fromkeys(c for _, c in sorted(scored, key=lambda item: -item[0])))
+            for quantity, scored in sorted(found.items())
+        }
+
+
+def _merged(bits: SignalBits, before: SignalSeen | None, values: Array) -> SignalSeen:
+    """A signal after more of its values (n,), nan for unusable ones."""
+    low = high = last = float("nan")
+    frames = int(values.size)
+    if before is not None:
+        low, high, last, frames = before.low, before.high, before.last, frames + before.frames
+    known = values[np.isfinite(values)]
+    if known.size:
+        low, high = float(np.fmin(known.min(), low)), float(np.fmax(known.max(), high))
+        last = float(known[-1])
+    return SignalSeen(bits, low, high, last, frames)
+
+
+def _score(quantity: str, message: MessageSeen, signal: SignalSeen) -> float:
+    """How well a signal fits a quantity; 0: not at all."""
+    if not np.isfinite(signal.low):
+        return 0.0
+    hint = re.compile(_HINTS[quantity], re.IGNORECASE)
+    named, message_named = hint.search(signal.bits.name) is not None, hint.search(message.name or "") is not None
+    if quantity in IMPACT:
+        return _impact_score(quantity, message.rate_hz or 0.0, signal, 1.0 * named + 0.5 * message_named)
+    if QUANTITIES[quantity].unit == "":
+        return 2.0 if named and signal.bits.unit == "" and signal.bits.bits <= 8 else 0.0
+    return _slow_score(quantity, message.rate_hz or 0.0, signal, named, message_named)
+
+
+def _impact_score(quantity: str, rate_hz: float, signal: SignalSeen, named: float) -> float:
+    bits = signal.bits
+    if rate_hz < _LEAST_OF_RATE * MIN_RATE_HZ or bits.bits < 8 or re.search(r"counter|status", bits.name, re.IGNORECASE):
+        return 0.0
+    fits = bits.unit != "" and factor(IMPACT[quantity], bits.unit) is not None
+    plain = bits.unit == "" and quantity == "impact_voltage" and named > 0.0
+    moves = signal.high > signal.low
+    return 2.0 * fits + named + 0.25 * moves + rate_hz * 1e-6 if fits or plain else 0.0
+
+
+def _slow_score(quantity: str, rate_hz: float, signal: SignalSeen, named: bool, message_named: bool) -> float:
+    found = factor(QUANTITIES[quantity].unit, signal.bits.unit) if signal.bits.unit else None
+    if found is None or not (named or message_named) or not QUANTITIES[quantity].usable(signal.last * found):
+        return 0.0
+    shaft = quantity == "elevator_speed" and _OF_SHAFTS_ELSEWHERE.search(signal.bits.name) is not None
+    return 1.0 + named - 0.5 * shaft + min(rate_hz, 100.0) * 1e-6
+
+
+def mapping_text(survey: Survey, paths: Mapping[str, str]) -> str:
+    """A configuration to start from: the likeliest signal of each quantity, the others as comments. paths: of the DBC files."""
+    lines = [
+        "# A mapping to start from, made by `yieldmon signals`. Check every line against the machine, then run",
+        "# `yieldmon check-config THIS --log RECORDING`. Quantities that are left out keep the shipped DBC's messages.",
+        "signals:",
+    ]
+    candidates = survey.candidates
+    impact = [name for name in IMPACT if name in candidates]
+    wanted = [*impact[:1], *(name for name in QUANTITIES if name in candidates)]
+    if not impact:
+        lines.append("  # impact_voltage: nothing on this bus looks like an impact sensor; see docs/guide/wiring.md")
+    used: set[tuple[str, str]] = set()
+    for quantity in wanted:
+        first, *others = candidates[quantity]
+        free = [c for c in (first, *others) if (c.message, c.signal) not in used]
+        if not free:
+            continue
+        first, *others = free
+        used.add((first.message, first.signal))
+        lines.append(f"  {quantity}: {_entry(first, paths, candidates)}")
+        lines += [f"  # or {quantity}: {_entry(other, paths, candidates)}" for other in others[:3]]
+    return "\n".join(lines if len(lines) > 3 else [*lines[:-1], "signals: {}"]) + "\n"
+
+
+def _entry(found: Candidate, paths: Mapping[str, str], candidates: Mapping[str, Sequence[Candidate]]) -> str:
+    keys = [f"dbc: {paths[found.dbc]}", f"message: {found.message}"]
+    alike = [c.signal for c in candidates[found.quantity] if c.message == found.message and c.mux == found.mux]
+    if found.quantity in IMPACT and len(alike) > 1 and re.fullmatch(r".*\d", found.signal):
+        keys += [f"signals: [{', '.join(sorted(alike))}]", f"rate_hz: {found.rate_hz * len(alike):.4g}"]
+    else:
+        keys.append(f"signal: {found.signal}")
+        if found.quantity in IMPACT:
+            keys.append(f"rate_hz: {found.rate_hz:.4g}")
+    if found.quantity in IMPACT and not found.unit:
+        keys += ["unit: counts", "scale: 0.1"]
+    if found.mux is not None:
+        keys.append(f"mux: {found.mux}")
+    if found.quantity == "elevator_speed" and _OF_SHAFTS_ELSEWHERE.search(found.signal):
+        keys.append("ratio: 0.2")
+    return "{" + ", ".join(keys) + "}"
