@@ -32,9 +32,9 @@ def test_nothing_is_missing() -> None:
     frames, commands, faults, configuration = (text(name) for name in ("frames", "commands", "faults", "configuration"))
     for layout in Codec().layouts.values():
         assert f"### {layout.name}\n" in frames
-        assert all(f"| `{signal.name}` |" in frames for signal in layout.signals)
+        assert all(f"|`{signal.name}`|" in frames for signal in layout.signals)
     assert all(f"## {verb}\n" in commands for verb in find_verbs())
-    assert all(f"| {code.value} |" in faults for code in FAULTS)
+    assert all(f"|{code.value}|" in faults for code in FAULTS)
     assert all(f"## {key}\n" in configuration or f"|`{key}`|" in configuration for key in Document.model_fields)
 
 

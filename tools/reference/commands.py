@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 from collections.abc import Iterator
 from typing import Any
 
 from yieldmon.cli.main import build_parser, find_verbs
+
+#: The same in every verb that opens a bus.
+_BUS = re.compile(r"^bus arguments:\n(?:.+\n)+", re.M)
 
 
 def markdown() -> str:
@@ -45,5 +49,8 @@ def _children(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentPar
 
 
 def _help(parser: argparse.ArgumentParser) -> str:
+    """The help without the line of usage, which says the same as the options below it, and without python-can's long lists."""
     lines = parser.format_help().rstrip().splitlines()
-    return "\n".join(line.rstrip() for line in lines)
+    first = next(number for number, line in enumerate(lines) if not line.strip())
+    text = "\n".join(line.rstrip() for line in lines[first + 1 :] if not line.startswith("  -h, --help"))
+    return _BUS.sub("bus arguments of python-can: -i INTERFACE, -c CHANNEL, -b BITRATE, --fd, ...\n", text)

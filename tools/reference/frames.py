@@ -32,11 +32,11 @@ def markdown(dbc_path: Path | str | None = None) -> str:
 
 def _overview(messages: Sequence[DbcMessage]) -> str:
     rows = [
-        f"| `{message.name}` | {'in' if message.name in INPUTS else 'out'} | `0x{message.frame_id:08X}` "
-        f"| {_group(message)} | {', '.join(message.senders)} | {message.cycle_time} ms |"
+        f"|`{message.name}`|{'in' if message.name in INPUTS else 'out'}|`0x{message.frame_id:08X}`"
+        f"|{_group(message)}|{', '.join(message.senders)}|{message.cycle_time} ms|"
         for message in messages
     ]
-    head = "| message | yieldmon | identifier | parameter group | from | every |\n|---|---|---|---|---|---|"
+    head = "|message|yieldmon|identifier|parameter group|from|every|\n|---|---|---|---|---|---|"
     return "\n".join([head, *rows, ""])
 
 
@@ -59,7 +59,7 @@ def _section(message: DbcMessage, any_source: bool) -> str:
         f"Identifier `0x{message.frame_id:08X}`: priority {message.frame_id >> 26}, group {_group(message)}, {source}; "
         f"{message.length} bytes.",
         "",
-        "| signal | byte.bit | bits | unit | range | step | meaning |",
+        "|signal|byte.bit|bits|unit|range|step|meaning|",
         "|---|---|---|---|---|---|---|",
         *(_row(signal) for signal in message.signals),
         "",
@@ -75,7 +75,7 @@ def _row(signal: DbcSignal) -> str:
         extent, step = "codes", ""
     else:
         extent, step = f"{signal.minimum:.11g} to {signal.maximum:.11g}", f"{signal.scale:g}"
-    return f"| `{signal.name}` | {place} | {signal.length} | {signal.unit or ''} | {extent} | {step} | {meaning} |"
+    return f"|`{signal.name}`|{place}|{signal.length}|{signal.unit or ''}|{extent}|{step}|{meaning}|"
 
 
 def _group(message: DbcMessage) -> str:

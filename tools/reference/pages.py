@@ -6,17 +6,20 @@ import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from tools.reference import commands, configuration, faults, frames
+from tools.reference import api, columns, commands, configuration, faults, frames, json_documents
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 
 #: Name of a part -> what makes its Markdown.
 BLOCKS: dict[str, Callable[[], str]] = {
+    "api": api.markdown,
+    "columns": columns.markdown,
     "commands": commands.markdown,
     "configuration": configuration.markdown,
     "faults": faults.markdown,
     "frames": frames.markdown,
+    "json": json_documents.markdown,
 }
 
 _PART = re.compile(r"(<!-- made by tools/docs: (\S+) -->\n).*?(<!-- end of \2 -->)", re.S)

@@ -119,7 +119,7 @@ class Frames(_Section):
 
 
 class Scenario(_Section):
-    """See config/scenarios for examples and docs of each section's keys in the classes."""
+    """What the virtual combine harvests and what goes wrong: crop, flow, elevator, faults; examples in config/scenarios."""
 
     duration_s: Annotated[float, Field(ge=1, le=400_000)] = 120.0
     machine: Annotated[str, Field(min_length=1)] = "sprocket-8"

@@ -32,6 +32,7 @@ else:
     _FIELDS = [(name, kind, field(default=None)) if name in _LATER else (name, kind) for name, kind in _KINDS.items()]
     SecondRow = make_dataclass("SecondRow", [("number", int), *_FIELDS], frozen=True, slots=True)
     SecondRow.__module__ = __name__
+    SecondRow.__doc__ = "One second as stores and tables hold it: number, and the columns of engine.records.COLUMNS."
 
 _values = attrgetter(*(column.attribute for column in COLUMNS))
 _CONVERSIONS = tuple(column.convert for column in COLUMNS)
