@@ -1,0 +1,229 @@
+"""The daemon as a node: nothing before its claim, answers, trouble codes as can-j1939 reads them, a task controller's values."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import can
+import j1939
+import pytest
+
+from tests.network.task_server import TaskServer
+from tests.service.bench import Bench, running, wait_for
+from yieldmon.bus.logs import read_log
+from yieldmon.network.identifier import ADDRESS_CLAIMED, REQUEST, TRANSPORT_CONNECTION, TRANSPORT_DATA, Identifier
+from yieldmon.network.name import Name
+from yieldmon.network.node import Node, NodeSettings
+from yieldmon.service.link import identity_number
+
+RECORDINGS = sorted((Path(__file__).parent.parent / "data" / "tractor_bus").glob("*.log"))
+US = 0x83
+TEXT = "bus: {transmit_max_age_s: 60}"
+
+
+def sent(bench: Bench) -> list[tuple[Identifier, bytes]]:
+    return [(Identifier.of(m.arbitration_id), bytes(m.data)) for m in bench.heard()]
+
+
+def say(bench: Bench, identifier: int, text: str) -> None:
+    bench.peer.send(
+        can.Message(arbitration_id=identifier, data=bytes.fromhex(text), is_extended_id=True, timestamp=bench.now_s)
+    )
+
+
+def test_claims_come_before_anything_else(tmp_path: Path) -> None:
+    with running(tmp_path, TEXT) as bench:
+        bench.play(3, 0.0)
+        bench.played()
+        groups = [parts.group for parts, _ in sent(bench)]
+        assert groups[:2] == [REQUEST, ADDRESS_CLAIMED]
+        assert len(groups) > 5
+        assert all(parts.source == US for parts, _ in sent(bench)[1:])
+        network = bench.status["network"]
+        assert (network["address"], network["claim"]) == (US, "claimed")
+
+
+@pytest.mark.parametrize(
+    ("asked", "answer"),
+    [
+        ((0x18EA8317, "00EE00"), ADDRESS_CLAIMED),
+        ((0x18EAFF17, "DAFE00"), TRANSPORT_CONNECTION),
+        ((0x18EA8317, "E5FE00"), 59392),
+        ((0x18EA8317, "16FF00"), 65302),
+    ],
+    ids=["claim", "software", "not ours", "last mass flow"],
+)
+def test_requests_are_answered(tmp_path: Path, asked: tuple[int, str], answer: int) -> None:
+    with running(tmp_path, TEXT) as bench:
+        bench.play(2, 0.0)
+        bench.played()
+        bench.heard().clear()
+        say(bench, *asked)
+        wait_for(lambda: answer in [parts.group for parts, _ in sent(bench)], "the answer")
+
+
+def test_requests_for_others_are_not(tmp_path: Path) -> None:
+    with running(tmp_path, TEXT) as bench:
+        bench.play(2, 0.0)
+        bench.played()
+        bench.heard().clear()
+        for text in ("00EE00", "DAFE00", "E5FE00"):
+            say(bench, 0x18EA8417, text)
+        say(bench, 0x18EA8317, "E5FE00")
+        wait_for(lambda: sent(bench), "an answer")
+        assert [data[5:8].hex() for _, data in sent(bench)] == ["e5fe00"]
+
+
+def test_a_lower_name_takes_the_address_and_frames_follow(tmp_path: Path) -> None:
+    with running(tmp_path, TEXT) as bench:
+        bench.play(1, 0.0)
+        say(bench, 0x18EEFF00 | US, Name(identity_number=0, arbitrary_address_capable=False).data.hex())
+        wait_for(lambda: bench.status["network"]["address"] not in (None, US), "another address")
+        taken = bench.status["network"]["address"]
+        bench.heard().clear()
+        bench.play(3, 0.0)
+        bench.played()
+        assert sent(bench)
+        assert {parts.source for parts, _ in sent(bench)} == {taken}
+
+
+def test_network_off_sends_as_the_dbc_says(tmp_path: Path) -> None:
+    with running(tmp_path, TEXT + "\nnetwork: {enabled: false}") as bench:
+        say(bench, 0x18EA8317, "E5FE00")
+        bench.play(3, 0.0)
+        bench.played()
+        assert {parts.group for parts, _ in sent(bench)}.isdisjoint({ADDRESS_CLAIMED, REQUEST, 59392})
+        assert {parts.source for parts, _ in sent(bench)} == {US}
+
+
+def test_can_j1939_sees_all_codes_at_once(tmp_path: Path) -> None:
+    """Nothing plays, so sensor, speed and feedback are all missing."""
+    found: list[list[tuple[int, int]]] = []
+    with running(tmp_path, "bus: {transmit_max_age_s: 60, idle_after_s: 0.5}", silence_s=0.15) as bench:
+        ecu = j1939.ElectronicControlUnit(send_message=lambda *args, **kwargs: None)
+        try:
+            reader = j1939.Dm1(ecu.add_ca(name=j1939.Name(arbitrary_address_capable=1, identity_number=3), device_address=0x55))
+            reader.subscribe(lambda _source, _lamps, codes, _time: found.append([(c["spn"], c["fmi"]) for c in codes]))
+            seen = 0
+
+            def steadily() -> bool:
+                nonlocal seen
+                for message in bench.heard()[seen:]:
+                    ecu.notify(message.arbitration_id, bytearray(message.data), message.timestamp)
+                seen = len(bench.heard())
+                return sum(len(codes) >= 3 for codes in found) >= 3
+
+            wait_for(steadily, "three DM1 with several codes")
+        finally:
+            ecu.stop()
+    several = [set(codes) for codes in found if len(codes) >= 3]
+    assert {(520192, 9), (520194, 9), (520195, 9)} <= several[-1]
+
+
+@contextmanager
+def task_controller(channel: can.BusABC, server: TaskServer) -> Iterator[Node]:
+    """The server behind a node of ours on the peer's side of the bus; it answers in a thread of its own."""
+    node = Node(NodeSettings(name=Name(identity_number=9, function=130, industry_group=2), preferred_address=0xF7))
+    clock = ServerClock()
+    ended = threading.Event()
+
+    def put(frames: list) -> None:  # type: ignore[type-arg]
+        for f in frames:
+            channel.send(can.Message(arbitration_id=f.identifier, data=f.data, is_extended_id=True))
+
+    def body() -> None:
+        put(node.start(clock.now_s))
+        while not ended.is_set():
+            message = channel.recv(0.005)
+            put(node.poll(clock.now_s))
+            for data in server.tick(clock.now_s) if node.address is not None else []:
+                put(node.send(51968, data, clock.now_s, priority=3))
+            if message is None:
+                continue
+            heard = node.feed(message.arbitration_id, bytes(message.data), clock.now_s)
+            put(heard.frames)
+            parts = Identifier.of(message.arbitration_id)
+            received = [(p.group, p.data) for p in heard.payloads if p.destination == node.address]
+            if parts.group not in (TRANSPORT_CONNECTION, TRANSPORT_DATA) and parts.group in (51968, 65037):
+                received.append((parts.group, bytes(message.data)))
+            for group, data in received:
+                for answer in server.hear(group, data, clock.now_s):
+                    put(node.send(51968, answer, clock.now_s, destination=parts.source, priority=5))
+
+    thread = threading.Thread(target=body)
+    thread.start()
+    try:
+        yield node
+    finally:
+        ended.set()
+        thread.join()
+
+
+class ServerClock:
+    """As fast as the daemon's in `bench`."""
+
+    @property
+    def now_s(self) -> float:
+        import time
+
+        return 20.0 * time.monotonic()
+
+
+def test_task_controller_takes_our_pool_and_our_flow(tmp_path: Path) -> None:
+    server = TaskServer()
+    with running(tmp_path, TEXT + "\nnetwork: {task_controller: true}") as bench:
+        name = bench.peer.channel_info.split()[-1]
+        with can.Bus(interface="virtual", channel=name) as channel, task_controller(channel, server):
+            state = lambda: (bench.status["network"]["task_controller"] or {}).get("state")  # noqa: E731
+            bench.play(2, 0.0)
+
+            def connected() -> bool:
+                bench.play(1, 0.0)
+                return state() == "connected"
+
+            wait_for(connected, f"the connection on {name}")
+            channel.send(can.Message(
+                arbitration_id=0x0CCB83F7, data=TaskServer.command(4, 2, 90, 100), is_extended_id=True,
+            ))
+
+            def told() -> bool:
+                bench.play(1, 0.0)
+                return len(server.values) >= 3
+
+            wait_for(told, "values")
+    assert server.complaints == []
+    assert {ddi for _, _, ddi, _ in server.values} == {90}
+    assert server.said[-1] == "activate"
+
+
+@pytest.mark.parametrize("path", RECORDINGS, ids=lambda p: p.stem)
+def test_a_tractors_network_traffic_leaves_us_alone(tmp_path: Path, path: Path) -> None:
+    """Its requests to all may be answered; those to its own nodes are not ours, and nothing of it is a fault."""
+    with running(tmp_path, TEXT) as bench:
+        bench.play(2, 0.0)
+        bench.heard().clear()
+        for message in read_log(path):
+            message.timestamp = bench.now_s
+            bench.peer.send(message)
+        bench.play(3, 0.0)
+        bench.played()
+        answered = {parts.group for parts, _ in sent(bench)} & {59392, TRANSPORT_CONNECTION, TRANSPORT_DATA}
+        assert answered == set()
+        assert "NetworkFault" not in bench.faults
+        partners = {p["address"]: p["name"] for p in bench.status["network"]["partners"]}
+        assert partners == {
+            0x00: "200200000429F556", 0x03: "200203000430744D", 0x06: "20000E000430744D", 0x17: "2002130004246E0C",
+            0x47: "200234000430744D",
+        }
+
+
+def test_identity_number_is_this_computers(tmp_path: Path) -> None:
+    one, other = tmp_path / "one", tmp_path / "other"
+    one.write_text("a" * 32)
+    other.write_text("b" * 32)
+    assert identity_number(None, one) == identity_number(None, one) != identity_number(None, other)
+    assert identity_number(7, one) == 7
+    assert 0 <= identity_number(None, tmp_path / "absent") < 1 << 21
