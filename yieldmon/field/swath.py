@@ -183,19 +183,25 @@ def _overlaps(shapes: Shapes, corners: Array, area: Array) -> tuple[Index, Index
 def _separated(a: Array, b: Array, area: Array) -> Flags:
     """Whether an edge of either quadrilateral parts them, but for a strip that is no more than a rounding error."""
     apart = np.zeros(len(a), bool)
-    for one, other in ((a, b), (b, a)):
-        middle = one.mean(axis=1)
-        for k in range(4):
-            start, end = one[:, k], one[:, (k + 1) % 4]
-            edge = end - start
-            length = np.hypot(edge[:, 0], edge[:, 1])
-            side = np.sign(_cross(edge, middle - start))
-            into = (_cross(edge[:, None, :], other - start[:, None, :]) * side[:, None]).max(axis=1)
-            with np.errstate(invalid="ignore", divide="ignore"):
-                depth = np.where(length > 0, into / length, np.inf)
-            extent = np.hypot(*(other.max(axis=1) - other.min(axis=1)).T)
-            apart |= depth * extent <= MIN_OVERLAP * area
+    left = np.arange(len(a))
+    for k in (1, 3, 0, 2):
+        for one, other in ((a, b), (b, a)):
+            parted = _parts(one[left], other[left], k, area[left])
+            apart[left[parted]] = True
+            left = left[~parted]
     return apart
+
+
+def _parts(one: Array, other: Array, k: int, area: Array) -> Flags:
+    start = one[:, k]
+    edge = one[:, (k + 1) % 4] - start
+    length = np.hypot(edge[:, 0], edge[:, 1])
+    side = np.sign(_cross(edge, one.mean(axis=1) - start))
+    into = (_cross(edge[:, None, :], other - start[:, None, :]) * side[:, None]).max(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        depth = np.where(length > 0, into / length, np.inf)
+        extent = np.hypot(*(other.max(axis=1) - other.min(axis=1)).T)
+        return np.asarray(depth * extent <= MIN_OVERLAP * area)
 
 
 def _remaining(shapes: Shapes, later: Index, earlier: Index) -> tuple[Index, Shapes]:

@@ -20,9 +20,6 @@ SHORT_NAMES: Mapping[str, str] = {
     "load": "LOAD",
     "crop": "CROP",
     "pass_number": "PASS",
-    "section": "SECTION",
-    "heading_deg": "HEAD_DEG",
-    "speed_m_s": "SPEED_M_S",
     "interval_s": "INTERV_S",
     "distance_m": "DIST_M",
     "width_m": "WIDTH_M",
@@ -33,7 +30,6 @@ SHORT_NAMES: Mapping[str, str] = {
     "yield_t_ha": "YLD_T_HA",
     "yield_bu_ac": "YLD_BU_AC",
     "elevation_m": "ELEV_M",
-    "reason": "REASON",
 }
 """Ten letters at most, as a shapefile's table takes them."""
 

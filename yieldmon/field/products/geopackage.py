@@ -15,18 +15,8 @@ from . import vectors
 from .columns import point_columns
 
 NAME = "harvest.gpkg"
-_SWATH_COLUMNS = (
-    "point",
-    "time_utc",
-    "mass_kg",
-    "area_m2",
-    "gross_area_m2",
-    "moisture_pct",
-    "yield_t_ha",
-    "yield_bu_ac",
-    "kept",
-    "reason",
-)
+_SWATH_COLUMNS = ("point", "mass_kg", "area_m2", "gross_area_m2", "yield_t_ha", "time_utc", "kept")
+"""The other columns of a swath are those of its point."""
 
 
 def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
