@@ -14,6 +14,7 @@ RUNS = {
     "fuzz-config": "mutated configuration, machine and parameter files",
     "fuzz-frames": "random and mutated frames through codec and engine",
     "fuzz-harvests": "damaged harvests of every kind through the map",
+    "fuzz-network": "random network traffic through node, transport, task controller client and side inputs",
     "monitor-load": "the live monitor on a saturated bus",
     "replay-timing": "how well a replay keeps time",
     "store-damage": "random damage to the store and its journal; the daemon starts, and nothing is silently other",
