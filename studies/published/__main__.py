@@ -278,9 +278,9 @@ def holds(line: Line) -> bool | None:
         return None
     if ".." in line.limit:
         low, high = (float(v) for v in line.limit.split(".."))
-        return low <= line.ours <= high
+        return bool(low <= line.ours <= high)
     sign, value = line.limit.split()
-    return line.ours <= float(value) if sign == "<=" else line.ours >= float(value)
+    return bool(line.ours <= float(value) if sign == "<=" else line.ours >= float(value))
 
 
 def lines(args: argparse.Namespace) -> Iterator[Line]:
