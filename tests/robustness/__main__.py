@@ -18,6 +18,7 @@ RUNS = {
     "monitor-load": "the live monitor on a saturated bus",
     "replay-timing": "how well a replay keeps time",
     "store-damage": "random damage to the store and its journal; the daemon starts, and nothing is silently other",
+    "simulation": "the service on a disk, a clock and a process that fail at random; invariants after each life",
     "soak": "a day of traffic with faults: neither growth nor drift",
 }
 

@@ -89,6 +89,14 @@ class Loads:
         self._complete = True
         return (*closed, LoadOpened(self._summary(_NAN)))
 
+    def reset(self, now_s: float) -> LoadEvents:
+        """All masses from 0, in a load with the next number."""
+        closed = self._close(now_s)
+        self.totals = Totals(load_number=self.totals.load_number + 1)
+        self._start_s = now_s
+        self._complete = True
+        return (*closed, LoadOpened(self._summary(_NAN)))
+
     def stop(self, now_s: float) -> LoadEvents:
         """The load is complete; mass measured from now on belongs to no load until the next one starts."""
         closed = self._close(now_s)

@@ -151,6 +151,10 @@ class Monitor:
         """Begin a new load."""
         return self._loads.start(self._bus_now())
 
+    def reset_totals(self) -> LoadEvents:
+        """All masses from 0, in a new load."""
+        return self._loads.reset(self._bus_now())
+
     def stop_load(self) -> LoadEvents:
         """The load is complete; mass measured from now on belongs to no load until the next one starts."""
         return self._loads.stop(self._bus_now())

@@ -55,6 +55,14 @@ def _load_start(request: Mapping[str, Any], monitor: Monitor, journal: Journal, 
     }
 
 
+def _totals_reset(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
+    before_kg = monitor.totals.total_kg
+    if request.get("total_kg") != round(before_kg):
+        raise InputError("totals reset", f"the total is {before_kg:.0f} kg", "that figure, so that nothing is reset by mistake")
+    journal.happened(monitor.reset_totals())
+    return {"total_kg": before_kg, "load": monitor.totals.load_number}
+
+
 def _load_stop(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
     if not monitor.totals.load_open:
         raise InputError("load stop", "no load is open")
@@ -149,6 +157,7 @@ def _sweep_abort(request: Mapping[str, Any], monitor: Monitor, journal: Journal,
 _COMMANDS: Mapping[str, Callable[[Mapping[str, Any], Monitor, Journal, float], Answer]] = {
     "load-start": _load_start,
     "load-stop": _load_stop,
+    "totals-reset": _totals_reset,
     "loads": _loads,
     "ticket": _ticket,
     "zero": _zero,

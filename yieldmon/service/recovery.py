@@ -49,6 +49,8 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store]) -
         missing = witnessed(path) - memory.last_batch
         if missing > 0:
             notes.append(f"its last {missing} commits are missing")
+            # Numbers go on, or an older copy put back later would look like the newer one.
+            memory = replace(memory, last_batch=memory.last_batch + missing)
         for note in notes:
             _log.error("%s: %s", path, note)
         return Recovery(memory, "; ".join(notes))

@@ -60,6 +60,7 @@ class StoreWriter:
         self._waiting_since_s = 0.0
         self._in_flight = 0
         self._path = path
+        self._store: Store | None = None
         self._mended_s = float("-inf")
         self._thread = threading.Thread(target=self._run, name="store-writer", daemon=True)
 
@@ -108,26 +109,35 @@ class StoreWriter:
         return not self._thread.is_alive()
 
     def _run(self) -> None:
-        store: Store | None = None
         last_try = False
         while self._wait_for_work():
-            try:
-                store = store or self._open_store()
-                self._write(store)
-            except StoreError as error:
-                if self._mended(store, error):
-                    store = None
-                    continue
-                self._failed(str(error))
-                if store is not None:
-                    store.close()
-                    store = None
+            if not self.work():
                 if last_try:
                     _log.error("%d batches could not be written", self.health().pending)
                     break
                 last_try = self._wait_before_retry()
-        if store is not None:
-            store.close()
+        self.close()
+
+    def work(self) -> bool:
+        """Write what is pending, on the caller's thread; False when the disk failed and another try needs a pause."""
+        store = self._store
+        try:
+            store = self._store = store or self._open_store()
+            self._write(store)
+        except StoreError as error:
+            if self._mended(store, error):
+                self._store = None
+                return True
+            self._failed(str(error))
+            self.close()
+            return False
+        return True
+
+    def close(self) -> None:
+        """Close the file, on the thread that wrote it."""
+        if self._store is not None:
+            self._store.close()
+            self._store = None
 
     def _mended(self, store: Store | None, error: StoreError) -> bool:
         """Whether a store that was found damaged, removed or replaced is in order again."""

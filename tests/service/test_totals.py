@@ -1,0 +1,40 @@
+"""Totals that are set to 0, and a store that is copied, while the daemon runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.service.bench import START_S, running
+from yieldmon.cli.main import main
+from yieldmon.service.control import ControlError, ask
+from yieldmon.service.store import Store
+
+
+def test_totals_are_archived_and_reset_and_stay_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "archive.sqlite"
+    socket = ["--socket", str(tmp_path / "yieldmon.sock")]
+    with running(tmp_path) as bench:
+        bench.play(14, 0.0)
+        bench.play(6, 60.0)
+        bench.played()
+        total_kg = bench.status["total"]["mass_kg"]
+        assert total_kg > 5.0
+        with pytest.raises(ControlError, match="nothing is reset by mistake"):
+            ask(tmp_path / "yieldmon.sock", {"command": "totals-reset", "total_kg": 1})
+        assert bench.daemon._writer.wait_until_written(10.0)
+        assert main(["totals", "archive", str(out), *socket]) == 0
+        assert main(["totals", "archive", str(out), *socket]) == 2
+        assert main(["totals", "reset", str(round(total_kg)), *socket]) == 0
+        assert "set to 0; load 2 begins" in capsys.readouterr().out
+        bench.play(3, 0.0)
+        bench.played()
+        assert bench.status["total"]["mass_kg"] < 0.5 * total_kg
+        left_kg = bench.status["total"]["mass_kg"]
+    with Store(out) as store:
+        assert store.seconds()[-1].total_kg == pytest.approx(total_kg)
+    with running(tmp_path, start_s=START_S + 60.0) as bench:
+        assert bench.status["total"]["mass_kg"] == pytest.approx(left_kg, abs=1.0)
+        assert bench.status["load"]["number"] == 2
+        assert bench.status["store"]["note"] is None

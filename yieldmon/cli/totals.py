@@ -1,0 +1,46 @@
+"""Set a running daemon's totals to 0, or keep a copy of its store."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
+from yieldmon.errors import InputError
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """The verb's arguments."""
+    parser = subparsers.add_parser(
+        "totals", help="set the totals to 0, or keep a copy of the store",
+        description=f"{__doc__} archive writes all records, loads and parameters into a new file, whether or not a daemon runs; "
+        "reset begins anew with total and load at 0 and the next load number, and keeps the records.",
+        epilog="example: yieldmon totals archive /mnt/usb/2026.sqlite && yieldmon totals reset 41250",
+    )
+    actions = parser.add_subparsers(dest="action", metavar="archive|reset", required=True)
+    archive = actions.add_parser("archive", help="copy the store into a new file")
+    archive.add_argument("out", metavar="OUT", help="file to write; must not be there yet")
+    archive.add_argument("--store", metavar="F", help="the store to copy; default: the running daemon's")
+    add_daemon_arguments(archive)
+    reset = actions.add_parser("reset", help="all masses from 0")
+    reset.add_argument("total_kg", type=int, metavar="KG", help="the total as `status` shows it, in whole kg")
+    add_daemon_arguments(reset)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit code 0 when it is done."""
+    if args.action == "reset":
+        answer = ask_daemon(args, {"command": "totals-reset", "total_kg": args.total_kg})
+        print(f"totals: {answer['total_kg']:.0f} kg set to 0; load {answer['load']} begins")
+        return 0
+    from yieldmon.files.whole_file import scratch_for
+    from yieldmon.service.recorded import opened
+
+    out = Path(args.out)
+    if out.exists():
+        raise InputError(args.out, "is there already", "a new file")
+    store = args.store if args.store is not None else ask_daemon(args, {"command": "status"})["store"]["file"]
+    with scratch_for(out, durable=True) as scratch, opened(Path(store)) as source:
+        source.copy_to(scratch)
+    print(f"{out}: a copy of {store}")
+    return 0
