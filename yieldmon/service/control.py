@@ -32,6 +32,7 @@ _PATIENCE_S = 5.0
 _CONNECT_S = 1.0
 _POLL_S = 0.2
 _STOP_S = 0.5
+_RETRY_S = 0.02
 _BACKLOG = 64
 #: What only another configuration mends; a medium that is full or a file that is in the way may pass.
 _WRONG_PATH = frozenset({errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP, errno.EINVAL})
@@ -231,6 +232,18 @@ class _Server:
             return {"ok": False, "error": str(error)}
 
 
+def _connect(connection: socket.socket, path: Path, end_s: float) -> None:
+    """Waits where more peers wait than the socket has room for; a socket with a time limit is told so at once."""
+    while True:
+        try:
+            connection.connect(str(path))
+            return
+        except BlockingIOError:
+            if monotonic() > end_s:
+                raise
+            sleep(_RETRY_S)
+
+
 def ask(path: Path, request: Mapping[str, Any], timeout_s: float = 10.0) -> dict[str, Any]:
     """The daemon's answer to a request. Raises ControlError when there is none within timeout_s seconds or it is an error."""
     end_s = monotonic() + timeout_s
@@ -238,7 +251,7 @@ def ask(path: Path, request: Mapping[str, Any], timeout_s: float = 10.0) -> dict
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
             connection.settimeout(timeout_s)
-            connection.connect(str(path))
+            _connect(connection, path, end_s)
             connection.sendall(json.dumps(request).encode() + b"\n")
             while b"\n" not in received and len(received) <= _MAX_ANSWER_BYTES:
                 connection.settimeout(max(0.01, end_s - monotonic()))

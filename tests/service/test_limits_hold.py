@@ -1,0 +1,201 @@
+"""Limits that nothing else would notice missing: each test fails for one small change of the code."""
+
+from __future__ import annotations
+
+import json
+import socket
+import sqlite3
+import threading
+from pathlib import Path
+
+import pytest
+
+from tests.service.bench import CODEC, PATIENCE_S, Bench, running, traffic, wait_for
+from tests.service.test_store import batch, second
+from yieldmon import frames
+from yieldmon.bus.receiver import BusEvent, BusEventKind
+from yieldmon.service import control
+from yieldmon.service.control import ControlServer, ask
+from yieldmon.service.store import Batch, Retention, Store, StoreDamagedError, StoreError
+from yieldmon.service.writer import StoreWriter
+
+
+def faults_at(bench: Bench, now_s: float) -> dict:
+    bench.daemon._tell_faults(now_s)
+    return {code.value: detail for code, detail in bench.daemon._told.items() if detail}
+
+
+@pytest.fixture
+def idle(tmp_path: Path):
+    """A daemon whose engine's thread has stopped, so that the test may play its part."""
+    with running(tmp_path) as bench:
+        bench.play(2, 0.0)
+        bench.played()
+        bench.daemon.request_stop()
+        assert bench.thread is not None
+        bench.thread.join(PATIENCE_S)
+        yield bench
+
+
+def test_bus_off_lasts_until_the_restart_and_then_ends(idle: Bench, monkeypatch):
+    now_s = [1000.0]
+    monkeypatch.setattr("yieldmon.service.daemon.monotonic", lambda: now_s[0])
+    monkeypatch.setattr(idle.daemon._receiver, "hangs_s", lambda: 0.0)
+    idle.daemon._take_event(BusEvent(BusEventKind.BUS_OFF, 0.0))
+    assert "bus off" in faults_at(idle, 9000.0)["BusError"]
+    now_s[0] = 9000.0
+    idle.daemon._take_event(BusEvent(BusEventKind.BUS_RESTARTED, 0.0))
+    assert "bus restarted" in faults_at(idle, 9001.0)["BusError"]
+    assert "BusError" not in faults_at(idle, 9010.0)
+
+
+def test_a_restart_does_not_hide_the_bus_off_behind_it(idle: Bench, monkeypatch):
+    monkeypatch.setattr(idle.daemon._receiver, "hangs_s", lambda: 0.0)
+    idle.daemon._take_event(BusEvent(BusEventKind.BUS_RESTARTED, 0.0))
+    idle.daemon._take_event(BusEvent(BusEventKind.BUS_OFF, 0.0))
+    assert "bus off" in faults_at(idle, 1e9)["BusError"]
+
+
+def test_an_interface_that_is_back_takes_its_bus_off_along(idle: Bench, monkeypatch):
+    now_s = [1000.0]
+    monkeypatch.setattr("yieldmon.service.daemon.monotonic", lambda: now_s[0])
+    monkeypatch.setattr(idle.daemon._receiver, "hangs_s", lambda: 0.0)
+    idle.daemon._take_event(BusEvent(BusEventKind.BUS_OFF, 0.0))
+    idle.daemon._take_event(BusEvent(BusEventKind.INTERFACE_LOST, 0.0))
+    assert "interface lost" in faults_at(idle, 5000.0)["BusError"]
+    idle.daemon._take_event(BusEvent(BusEventKind.INTERFACE_RESTORED, 0.0))
+    assert "BusError" not in faults_at(idle, 1010.0)
+
+
+def test_a_fault_that_lasts_is_told_to_the_monitor_of_a_reload(tmp_path: Path):
+    with running(tmp_path) as bench:
+        bench.play(3, 0.0)
+        bench.played()
+        bench.daemon._store_note = "provoked"
+        bench.play(2, 0.0)
+        bench.played()
+        wait_for(lambda: "StoreFailing" in bench.faults, "the fault")
+        bench.daemon.request_reload()
+        wait_for(lambda: bench.status["configuration"]["reloads"] == 1, "the reload")
+        bench.play(4, 0.0)
+        bench.played()
+        assert bench.faults["StoreFailing"] == "provoked"
+
+
+def test_the_newest_counters_are_kept_when_records_are_given_up(tmp_path: Path):
+    def refuse() -> Store:
+        raise StoreError("no disk")
+
+    writer = StoreWriter(refuse, 2)
+    for number in range(1, 11):
+        writer.submit(batch(number, counters={"frames": number}))
+    writer._open_store = lambda: Store(tmp_path / "s")
+    assert writer.work()
+    writer.close()
+    with Store(tmp_path / "s") as store:
+        assert store.counters() == {"frames": 10}
+
+
+def test_room_is_made_a_little_at_a_time(tmp_path: Path):
+    with Store(tmp_path / "s", Retention(record_hours=1.0 / 3600.0)) as store:
+        store.commit([Batch(1, 1.0, {}, seconds=tuple(second(n) for n in range(1, 5001)))])
+        gone = []
+        while (count := store.prune()) and len(gone) < 10:
+            gone.append(count)
+    assert sum(gone) == 4999
+    assert max(gone) <= 2000
+
+
+@pytest.mark.parametrize("table", ["load", "counter", "state", "parameter_set", "ticket", "mark", "fault", "sweep"])
+def test_every_small_table_is_looked_at_when_a_store_is_opened(tmp_path: Path, table: str):
+    path = tmp_path / "s"
+    with Store(path) as store:
+        store.commit([batch(1, counters={"a": 1})])
+    database = sqlite3.connect(path)
+    (root,) = database.execute("SELECT rootpage FROM sqlite_schema WHERE name = ?", (table,)).fetchone()
+    database.close()
+    content = bytearray(path.read_bytes())
+    content[(root - 1) * 4096 : (root - 1) * 4096 + 12] = b"\x55" * 12
+    path.write_bytes(content)
+    with pytest.raises(StoreDamagedError):
+        Store(path)
+
+
+def test_a_peer_that_dribbles_its_request_is_cut_off_after_the_whole_time(tmp_path: Path, monkeypatch):
+    """A byte now and then does not begin the time anew."""
+    now_s = [0.0]
+    monkeypatch.setattr(control, "monotonic", lambda: now_s[0])
+    server = ControlServer(tmp_path / "s.sock", None, lambda request: {})
+    server.start()
+    with socket.socket(socket.AF_UNIX) as peer:
+        peer.settimeout(PATIENCE_S)
+        peer.connect(str(tmp_path / "s.sock"))
+        peer.sendall(b"{")
+        wait_for(lambda: server._server._asking and next(iter(server._server._asking.values())).request, "the first byte")
+        now_s[0] = 4.0
+        peer.sendall(b'"')
+        now_s[0] = 6.0
+        assert peer.recv(1) == b""
+    server.stop()
+
+
+def test_peers_that_ask_nothing_shut_nobody_out_and_take_no_threads(tmp_path: Path):
+    server = ControlServer(tmp_path / "s.sock", None, lambda request: {"fine": True})
+    server.start()
+    before = threading.active_count()
+    peers = [socket.socket(socket.AF_UNIX) for _ in range(150)]
+    for peer in peers:
+        peer.connect(str(tmp_path / "s.sock"))
+    assert ask(tmp_path / "s.sock", {"command": "status"}) == {"fine": True}
+    assert threading.active_count() <= before + 1
+    for peer in peers:
+        peer.close()
+    server.stop()
+
+
+def test_a_request_has_64_kib_at_most(tmp_path: Path):
+    server = ControlServer(tmp_path / "s.sock", None, lambda request: {"fine": True})
+    server.start()
+    try:
+        for size, fine in ((60_000, True), (200_000, False)):
+            with socket.socket(socket.AF_UNIX) as peer:
+                peer.settimeout(PATIENCE_S)
+                peer.connect(str(tmp_path / "s.sock"))
+                try:
+                    peer.sendall(json.dumps({"command": "x", "pad": "y" * size}).encode() + b"\n")
+                    answer = json.loads(peer.makefile("rb").readline() or b'{"ok": false}')
+                except (ConnectionError, BrokenPipeError):
+                    answer = {"ok": False}
+                assert answer["ok"] is fine
+    finally:
+        server.stop()
+
+
+def test_a_speed_that_falls_silent_is_missing_after_a_second_and_a_bit(tmp_path: Path):
+    with running(tmp_path) as bench:
+        bench.play(14, 0.0)
+        bench.play(4, 60.0)
+        bench.played()
+        silent_s = bench.now_s
+        for frame in traffic(silent_s, 4.0, 60.0):
+            if frame.message != frames.ELEVATOR_SPEED:
+                bench.peer.send(CODEC.encode(frame))
+        bench.now_s += 4.0
+        bench.played()
+        first = next(row for row in bench.rows if "SpeedMissing" in row["faults"])
+    assert silent_s < first["time_s"] <= silent_s + 2.5
+
+
+@pytest.mark.parametrize(("every", "missing"), [(3, False), (1, True)])
+def test_a_sensor_counts_as_missing_when_most_of_its_frames_say_fault(tmp_path: Path, every: int, missing: bool):
+    with running(tmp_path) as bench:
+        bench.play(4, 0.0)
+        for number, frame in enumerate(traffic(bench.now_s, 4.0, 0.0)):
+            if frame.message == frames.IMPACT_SENSOR_SAMPLES and number % every == 0:
+                frame = frame._replace(signals={**frame.signals, "SensorStatus": 2})  # noqa: PLW2901
+            bench.peer.send(CODEC.encode(frame))
+        bench.now_s += 4.0
+        bench.played()
+        assert ("SensorMissing" in bench.faults) is missing
+
+
