@@ -23,6 +23,7 @@ SIGNALS = {
     "PlateActuatorCommand": {"TargetPlateAngle": "deg", "CommandMode": None, "CommandCounter": None},
     "MassFlow": {"MassFlowRate": "kg/s", "MassFlowStdDev": "kg/s", "EstimateQuality": None, "WindowCounter": None},
     "AccumulatedMass": {"LoadMass": "kg", "TotalMass": "kg", "LoadNumber": None},
+    "MassStdDev": {"LoadMassStdDev": "kg", "TotalMassStdDev": "kg"},
     "SelfCalibrationStatus": {
         "SweepState": None,
         "SweepProgress": "%",
@@ -76,6 +77,8 @@ RANGES = [
     ("MassFlow", "MassFlowStdDev", 0.0, 60.0, 0.001),
     ("AccumulatedMass", "LoadMass", 0.0, 100_000.0, 0.01),
     ("AccumulatedMass", "TotalMass", 0.0, 10_000_000.0, 0.01),
+    ("MassStdDev", "LoadMassStdDev", 0.0, 100_000.0, 0.01),
+    ("MassStdDev", "TotalMassStdDev", 0.0, 10_000_000.0, 0.01),
     ("SelfCalibrationStatus", "SweepProgress", 0.0, 100.0, 0.5),
     ("SelfCalibrationStatus", "Friction", 0.0, 2.0, 0.0001),
     ("SelfCalibrationStatus", "ImpactGain", 0.0, 10.0, 0.001),

@@ -31,7 +31,7 @@ from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import CalibrationOutcome
 from yieldmon.engine.results import frames_in
 from yieldmon.engine.runs import run_of
-from yieldmon.engine.settings import AnchorSettings, EngineSettings
+from yieldmon.engine.settings import AnchorSettings, BudgetSettings, EngineSettings
 from yieldmon.engine.state import EngineState
 from yieldmon.estimation.open_loop import FlowEstimate
 from yieldmon.frames import NOT_AVAILABLE, EstimateQuality, Frame, OperatingState
@@ -73,9 +73,12 @@ def test_flow_and_mass_of_a_steady_harvest() -> None:
     assert target.faults.active == ()
 
 
+NOISE_ALONE = replace(EngineSettings(), budget=BudgetSettings(0.0, 0.0, 0.0, 0.0))
+
+
 def test_stated_standard_deviation_covers_the_error() -> None:
     bench = replace(STEADY, scatter=0.07, seed=3)
-    target = monitor(estimator=ForceProportional(relative_std_dev=0.0))
+    target = monitor(NOISE_ALONE, estimator=ForceProportional(relative_std_dev=0.0))
     feed(target, bench.frames(300))
     records = target.records[8:]
     scores = np.array([(r.mass_flow_kg_s - 10.0) / r.std_dev_kg_s for r in records])
@@ -494,7 +497,7 @@ def test_a_load_with_grain_from_before_a_restart_is_not_complete(load_kg: float,
 def test_away_from_home_the_standard_deviation_is_widened() -> None:
     found = {}
     for factor in (1.0, 3.0):
-        target = monitor(replace(EngineSettings(), sweep=replace(EngineSettings().sweep, max_std_dev_factor=factor)))
+        target = monitor(replace(NOISE_ALONE, sweep=replace(EngineSettings().sweep, max_std_dev_factor=factor)))
         feed(target, replace(STEADY, angle=lambda t: 70.0 if t < 1008.0 else 60.0).frames(15))
         record = target.records[-1]
         assert record.quality is Q.SWEEPING

@@ -51,6 +51,7 @@ class FaultCode(StrEnum):
     OUTPUT_CONFLICT = "OutputConflict"
     SCALE_FAULT = "ScaleFault"
     NETWORK_FAULT = "NetworkFault"
+    ZERO_MISSING = "ZeroMissing"
 
 
 class Severity(int, Enum):
@@ -128,6 +129,17 @@ def _scale_fault(inputs: InputSnapshot) -> str | None:
     if not isfinite(status):
         return "silent"
     return "reports a fault" if status == ScaleStatus.FAULT.value else None
+
+
+def _zero_missing(o: Observation) -> str | None:
+    refusal, settings = o.reading.zero_refusal, o.settings
+    if refusal is None or refusal.waited_s < settings.faults.zero_missing_s:
+        return None
+    limits = settings.zero
+    return (
+        f"no zero in {refusal.waited_s:.0f} s: pulses of {refusal.pulse_mv:.1f} mV (limit {limits.first_pulse_limit_mv:g} mV), "
+        f"level within {refusal.level_range_mv:.1f} mV (limit {limits.level_range_mv:g} mV)"
+    )
 
 
 REPORTED = None
@@ -293,6 +305,13 @@ _TABLE = (
         "Without an address nothing is published and the plate is not driven; measuring goes on.",
         "Give one of the nodes another address or NAME; find the node that status names.",
         REPORTED,
+    ),
+    FaultDefinition(
+        _C.ZERO_MISSING, 520193, 31, _S, 1, 1,
+        "The elevator runs and no zero-load voltage could be taken: the sensor shows pulses in step with the paddles.",
+        "No flow is published and no mass is added until there is a zero.",
+        "Run the elevator empty. If it is empty, the paddles shake the plate: check its mounting, then give the command zero.",
+        _zero_missing,
     ),
 )
 

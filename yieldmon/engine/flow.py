@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from yieldmon.engine.budget import NO_BUDGET, FlowBudget, MoistureReference, zero_std_dev_mv
 from yieldmon.engine.flow_filter import FlowFilter
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.records import FlowEstimator
@@ -22,8 +23,7 @@ _NAN = float("nan")
 
 @dataclass(frozen=True, slots=True)
 class Flow:
-    """Flow of a window, nan where there is none, and what it is worth. noise_kg_s: the part of std_dev_kg_s that changes from
-    window to window."""
+    """Flow of a window, nan where there is none, and what it is worth. budget: std_dev_kg_s by cause."""
 
     rate_kg_s: float
     std_dev_kg_s: float
@@ -32,7 +32,7 @@ class Flow:
     force_std_dev_n: float
     out_of_calibration: bool = False
     saturated: bool = False
-    noise_kg_s: float = _NAN
+    budget: FlowBudget = NO_BUDGET
 
     @property
     def measured(self) -> bool:
@@ -81,9 +81,11 @@ def estimates(estimator: FlowEstimator, readings: Sequence[Reading]) -> list[Est
 class FlowMeter:
     """Judges estimates, and weighs each published flow with those before it."""
 
-    def __init__(self, settings: EngineSettings) -> None:
+    def __init__(self, settings: EngineSettings, gain_n_per_mv: float) -> None:
         self._settings = settings
+        self._gain_n_per_mv = gain_n_per_mv
         self._filter = FlowFilter(settings.flow_filter)
+        self._moisture = MoistureReference(settings.budget)
 
     def flow(
         self, reading: Reading, estimate: Estimate | None, estimator: FlowEstimator, circumstances: Circumstances
@@ -103,8 +105,10 @@ class FlowMeter:
         )
         outside = status is FlowStatus.OUTSIDE_CALIBRATION
         quality = self._quality(reading, saturated, outside, circumstances)
-        noise = _noise(rate, own, reading)
-        return Flow(rate, std_dev, quality, reading.force_n, reading.force_std_dev_n, outside, saturated, noise)
+        budget = self._budget(reading, rate, std_dev, own, estimator)
+        return Flow(
+            rate, budget.std_dev_kg_s, quality, reading.force_n, reading.force_std_dev_n, outside, saturated, budget
+        )
 
     def published(self, flow: Flow, *, plate_rests_at_home: bool) -> Flow:
         """The flow to publish: windows of a plate at rest at home weighed together; every other stands for itself."""
@@ -112,7 +116,7 @@ class FlowMeter:
         if not usable:
             self._filter.reset()
             return flow
-        noise = flow.noise_kg_s
+        noise = flow.budget.noise_kg_s
         common = max(0.0, flow.std_dev_kg_s**2 - noise**2) ** 0.5
         rate, std_dev = self._filter.update(flow.rate_kg_s, noise)
         return replace(flow, rate_kg_s=rate, std_dev_kg_s=hypot(std_dev, common * rate / flow.rate_kg_s))
@@ -124,6 +128,27 @@ class FlowMeter:
         if not reading.at_home:
             std_dev *= self._settings.sweep.max_std_dev_factor
         return std_dev
+
+    def _budget(
+        self, reading: Reading, rate: float, std_dev: float, own: float | None, estimator: FlowEstimator
+    ) -> FlowBudget:
+        """The flow's standard deviation by cause. std_dev: of noise and parameters; own: the estimator's word on the noise."""
+        settings, parameters = self._settings.budget, estimator.parameters
+        noise = _noise(rate, own, reading)
+        zero_n = zero_std_dev_mv(settings, reading.zero_age_s) * self._gain_n_per_mv
+        per_n = noise / reading.force_std_dev_n if reading.force_std_dev_n > 0.0 else _NAN
+        relative = self._moisture.relative_std_dev(
+            reading.inputs.fresh["moisture"],
+            parameters.version,
+            parameters.calibrated.moisture_pct,
+            followed="moisture_dependence" in parameters.effects,
+        )
+        return FlowBudget(
+            noise_kg_s=noise,
+            parameters_kg_s=max(0.0, std_dev**2 - noise**2) ** 0.5,
+            zero_kg_s=zero_n * per_n,
+            moisture_kg_s=relative * rate,
+        )
 
     def _quality(
         self, reading: Reading, saturated: bool, outside: bool, circumstances: Circumstances

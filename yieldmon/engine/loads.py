@@ -25,7 +25,8 @@ _KEPT_LOADS = 256
 
 @dataclass(frozen=True, slots=True)
 class LoadSummary:
-    """One load: bus times of its start and end (nan while open), masses in kg. complete: every second of it was measured."""
+    """One load: bus times of its start and end (nan while open), masses in kg. complete: every second of it was measured.
+    std_dev_kg: of measured_kg, nan where it is not known."""
 
     number: int
     start_s: float
@@ -34,6 +35,7 @@ class LoadSummary:
     dry_kg: float
     unknown_moisture_kg: float
     complete: bool
+    std_dev_kg: float = _NAN
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +112,8 @@ class Loads:
                 self._complete = False
             return 0.0
         enough = window.coverage >= self._settings.windows.min_coverage
-        mass_kg = flow.rate_kg_s * (window.weight_s if enough else window.covered_s)
+        seconds = window.weight_s if enough else window.covered_s
+        mass_kg = flow.rate_kg_s * seconds
         if not enough:
             self._complete = False
         if window.surplus_frames > 0:
@@ -118,7 +121,8 @@ class Loads:
             self._complete = False
             self.totals = self.totals.with_contested(mass_kg)
             return 0.0
-        self.totals = self.totals.with_mass(mass_kg, dry_mass(mass_kg, moisture_pct, self._settings.totals))
+        dry_kg = dry_mass(mass_kg, moisture_pct, self._settings.totals)
+        self.totals = self.totals.with_mass(mass_kg, dry_kg, flow.budget, seconds)
         return mass_kg
 
     def restore(self, totals: Totals) -> None:
@@ -158,6 +162,7 @@ class Loads:
             dry_kg=totals.load_dry_kg,
             unknown_moisture_kg=totals.load_unknown_moisture_kg,
             complete=self._complete,
+            std_dev_kg=totals.load_budget.std_dev_kg,
         )
 
     def _close(self, now_s: float) -> LoadEvents:

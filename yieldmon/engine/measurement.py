@@ -15,7 +15,7 @@ from yieldmon.engine.inputs import InputSnapshot
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sources import Sources
 from yieldmon.engine.windows import Window
-from yieldmon.engine.zero import ZeroState, ZeroTracker
+from yieldmon.engine.zero import ZeroRefusal, ZeroState, ZeroTracker
 from yieldmon.frames import EstimateQuality
 from yieldmon.physics.machine import Machine
 
@@ -30,7 +30,8 @@ class Reading:
     quality: why there is no flow, None where an estimate decides. force_n, force_std_dev_n: nan where not known. speed_known: at
     the window's end; in_range: at a speed at which grain is measured. stuck_s: how long no sample has changed. still: the plate
     rested. sampled_before: the window before had samples. windows_since_jump: closed since the bus's clock jumped. zero_taken: a
-    zero was learnt with this window.
+    zero was learnt with this window. zero_age_s: since the zero was last taken or followed, or since the start. zero_refusal: why
+    there is no first zero.
     """
 
     window: Window
@@ -50,6 +51,8 @@ class Reading:
     sampled_before: bool
     windows_since_jump: int
     zero_taken: bool
+    zero_age_s: float
+    zero_refusal: ZeroRefusal | None
 
 
 _TANK_S = 60.0
@@ -74,6 +77,7 @@ class Measurement:
         self._sampled = False
         self._jumps = 0
         self._since_jump = _NEVER
+        self._started_s: float = _NAN
         self._tank: deque[tuple[float, float]] = deque()
         self._last: tuple[Window, float] | None = None
 
@@ -96,6 +100,8 @@ class Measurement:
     def read(self, window: Window, inputs: InputSnapshot, clock_jumps: int) -> Reading:
         """The reading of the next window. inputs: held at its end. clock_jumps: jumps of the bus's clock so far."""
         settings, machine = self._settings, self._machine
+        if not isfinite(self._started_s):
+            self._started_s = window.start_s
         # With everything silent, what the last window left over was still measured at a known speed.
         speed_was_known = inputs.speed_known or window.last_frame_s - inputs.speed_time_s <= settings.inputs.speed_timeout_s
         in_range = machine.min_elevator_speed_rad_s <= window.speed_rad_s <= machine.max_elevator_speed_rad_s
@@ -129,6 +135,8 @@ class Measurement:
             sampled_before=sampled_before,
             windows_since_jump=self._since_jump,
             zero_taken=taken,
+            zero_age_s=window.end_s - (self.zero.known_s if self.zero.known_s is not None else self._started_s),
+            zero_refusal=self.zero.refusal,
         )
 
     def _watch_tank(self, inputs: InputSnapshot) -> None:

@@ -100,7 +100,7 @@ class Monitor:
         self._inputs = Inputs(settings.inputs, sources)
         self._sensors = ImpactSensors(windows, machine, sources)
         self._measurement = Measurement(settings, machine, sources)
-        self._flow_meter = FlowMeter(settings)
+        self._flow_meter = FlowMeter(settings, machine.sensor.gain_n_per_mv)
         self._loads = Loads(settings)
         self._plate = Plate(settings, machine)
         self._learning = Learning(settings, machine, estimator, calibrator)

@@ -119,6 +119,8 @@ class WindowRecord:
     plate_still: the plate did not move while the window was formed. sweep_id and sweep_step: 0 and -1 outside sweeps;
     usable_for_calibration: the window counts for its sweep step. position_group, speed_group: parameter group of the
     standard source in use, nan for that of the DBC. factory_mass_flow_kg_s: what the factory's own monitor says; never an input.
+    noise_std_dev_kg_s: the part of the measured flow's standard deviation that averages out. load_std_dev_kg, total_std_dev_kg: of
+    the masses.
     """
 
     window: int = second_field(lambda s: s.number, "whole", row=None)
@@ -158,6 +160,13 @@ class WindowRecord:
     position_group: float = second_field(lambda s: s.reading.inputs.fresh["position_group"], "known", since=5)
     speed_group: float = second_field(lambda s: s.reading.inputs.fresh["speed_group"], "known", since=5)
     factory_mass_flow_kg_s: float = second_field(lambda s: s.reading.inputs.fresh["factory_mass_flow"], "known", since=5)
+    noise_std_dev_kg_s: float = second_field(lambda s: s.flow.budget.noise_kg_s, "known", since=5)
+    load_std_dev_kg: float = second_field(
+        lambda s: s.totals.load_budget.std_dev_kg, "known", since=5, published=("MassStdDev", "LoadMassStdDev")
+    )
+    total_std_dev_kg: float = second_field(
+        lambda s: s.totals.total_budget.std_dev_kg, "known", since=5, published=("MassStdDev", "TotalMassStdDev")
+    )
 
 
 _DECLARED = tuple((item.name, item.metadata["declared"]) for item in fields(WindowRecord))

@@ -121,6 +121,21 @@ class TotalsSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class BudgetSettings:
+    """What the standard deviations of flow and mass hold beside the windows' noise and the parameters' covariance."""
+
+    zero_mv: float = 0.2
+    """Standard deviation of a zero when it is taken or followed, mV."""
+    zero_drift_mv_per_root_h: float = 1.0
+    """Its growth while the elevator never runs empty, mV per square root of an hour."""
+    moisture_per_pct: float = 0.01
+    """Relative standard deviation of flow per percentage point of moisture that the calibration does not follow (friction of
+    corn, thesis table 11.17, through the model)."""
+    unmeasured_moisture_pct: float = 2.0
+    """Standard deviation of a moisture that is not measured, percentage points."""
+
+
+@dataclass(frozen=True, slots=True)
 class PlateSettings:
     """Limits on what the plate can be told. The range itself is the machine's."""
 
@@ -185,6 +200,8 @@ class FaultSettings:
     stuck_windows: int = 5
     """Windows with every sample equal before the sensor counts as stuck."""
     calibration_old_s: float = 30.0 * 24.0 * 3600.0
+    zero_missing_s: float = 60.0
+    """Time with the elevator running, the plate at home and no first zero after which that is a fault."""
     clock_jump_hold_windows: int = 10
 
 
@@ -225,6 +242,7 @@ class EngineSettings:
     gate: GateSettings = field(default_factory=GateSettings)
     flow_filter: FlowFilterSettings = field(default_factory=FlowFilterSettings)
     totals: TotalsSettings = field(default_factory=TotalsSettings)
+    budget: BudgetSettings = field(default_factory=BudgetSettings)
     plate: PlateSettings = field(default_factory=PlateSettings)
     sweep: SweepSettings = field(default_factory=SweepSettings)
     faults: FaultSettings = field(default_factory=FaultSettings)

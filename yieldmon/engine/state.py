@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
+from math import isfinite
 from typing import Any
 
+from yieldmon.engine.budget import MassBudget
 from yieldmon.engine.disagreement import DisagreementState, SweepPattern
 from yieldmon.engine.records import CalibratorState
 from yieldmon.engine.totals import Totals
@@ -28,7 +30,12 @@ class EngineState:
 
     def as_dict(self) -> dict[str, Any]:
         """Nested plain dict of numbers, fit for JSON."""
-        return asdict(self)
+        document = asdict(self)
+        totals = document["totals"]
+        for name in ("total_budget", "load_budget"):
+            if not all(map(isfinite, totals[name].values())):
+                totals[name] = None
+        return document
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> EngineState:
@@ -48,10 +55,19 @@ class EngineState:
                 tuple(_pattern(pattern) for pattern in data["disagreement"]["patterns"]), data["disagreement"]["present"]
             )
             calibrator = None if data["calibrator"] is None else _calibrator(data["calibrator"])
-            parts = {"totals": Totals(**data["totals"]), "zero": zero, "disagreement": disagreement, "calibrator": calibrator}
+            parts = {"totals": _totals(data["totals"]), "zero": zero, "disagreement": disagreement, "calibrator": calibrator}
             return cls(**{**data, **parts})
         except (KeyError, TypeError) as error:
             raise ValueError(f"engine state: {error}") from error
+
+
+def _totals(data: Mapping[str, Any]) -> Totals:
+    """Masses that were kept without a budget have an unknown one."""
+    budgets = {
+        name: MassBudget() if not data[mass] else MassBudget(**data[name]) if data.get(name) else MassBudget.unknown()
+        for name, mass in (("total_budget", "total_kg"), ("load_budget", "load_kg"))
+    }
+    return Totals(**{**data, **budgets})
 
 
 def _pattern(data: Mapping[str, Any]) -> SweepPattern:

@@ -37,6 +37,25 @@ class ZeroState:
     vibration_mv: tuple[float, ...] = ()
 
 
+@dataclass(frozen=True, slots=True)
+class ZeroRefusal:
+    """Windows in which the elevator ran and no first zero could be taken.
+
+    Attributes
+    ----------
+    waited_s : float
+        How long that has been so.
+    pulse_mv : float
+        Amplitude in step with the paddles in the last windows.
+    level_range_mv : float
+        Range of the last windows' means.
+    """
+
+    waited_s: float
+    pulse_mv: float
+    level_range_mv: float
+
+
 class ZeroTracker:
     """Learns and follows the zero. `state` is None until there is one."""
 
@@ -50,6 +69,9 @@ class ZeroTracker:
         self._before: ZeroState | None = None
         self.suspect = False
         """Whether the zero in use was taken against the signs of grain, and is another than the one before it."""
+        self._refusal: ZeroRefusal | None = None
+        self.known_s: float | None = None
+        """Engine time at which the zero was last taken or followed; None before."""
 
     def calibrate(self, *, against_signs: bool = False) -> None:
         """Operator's zero calibration: the next windows are empty by the operator's word; learn zero and vibration from them.
@@ -76,6 +98,11 @@ class ZeroTracker:
     def calibrating(self) -> bool:
         """Whether a zero calibration by the operator is under way."""
         return self._calibrating
+
+    @property
+    def refusal(self) -> ZeroRefusal | None:
+        """Why there is no first zero although the elevator runs; None where there is one, or nothing has been seen yet."""
+        return None if self.state is not None else self._refusal
 
     @property
     def looks_empty(self) -> bool:
@@ -133,6 +160,7 @@ class ZeroTracker:
                 self._calibrating = False
                 away_mv = abs(self.state.zero_mv - self._before.zero_mv) if self._before is not None else 0.0
                 self.suspect = self._against_signs and away_mv > self._settings.level_range_mv
+                self.known_s = window.end_s
         elif may_be_empty and self.state is None:
             self._first(list(self._recent)[-self._settings.first_zero_windows :])
         elif may_be_empty and self.state is not None:
@@ -142,10 +170,17 @@ class ZeroTracker:
                 self._learn_vibration(self.state)
 
     def _first(self, windows: list[Window]) -> None:
-        if len(windows) == self._settings.first_zero_windows and self._quiet(windows):
+        if len(windows) < self._settings.first_zero_windows:
+            return
+        if self._quiet(windows):
             zero = _mean_level(windows)
             pulse = max(window.pulse_mv for window in windows)
             self.state = ZeroState(zero, zero, _mean_speed(windows), pulse)
+            self.known_s = windows[-1].end_s
+            return
+        waited_s = (self._refusal.waited_s if self._refusal is not None else 0.0) + windows[-1].end_s - windows[-1].start_s
+        levels = [window.mean_mv for window in windows]
+        self._refusal = ZeroRefusal(waited_s, _pulse_mv(windows), max(levels) - min(levels))
 
     def _learn_vibration(self, state: ZeroState) -> None:
         windows = list(self._recent)
@@ -155,6 +190,7 @@ class ZeroTracker:
             self.state = ZeroState(
                 learnt.zero_mv, state.first_zero_mv, learnt.speed_rad_s, learnt.window_pulse_mv, learnt.vibration_mv
             )
+            self.known_s = windows[-1].end_s
 
     def _follow(self, state: ZeroState, window: Window) -> None:
         settings = self._settings
@@ -162,6 +198,7 @@ class ZeroTracker:
         step = self._recent[0].mean_mv - state.zero_mv
         if not self.looks_empty or abs(step) > settings.max_step_mv:
             return
+        self.known_s = window.end_s
         seconds = window.end_s - window.start_s
         limit = settings.max_rate_mv_s * seconds
         change = min(limit, max(-limit, seconds / settings.follow_time_s * step))
@@ -171,8 +208,10 @@ class ZeroTracker:
 
     def _quiet(self, windows: list[Window]) -> bool:
         levels = [window.mean_mv for window in windows]
-        power = sum(amplitude**2 for amplitude in coherent_amplitudes(windows))
-        return power**0.5 <= self._settings.first_pulse_limit_mv and max(levels) - min(levels) <= self._settings.level_range_mv
+        return (
+            _pulse_mv(windows) <= self._settings.first_pulse_limit_mv
+            and max(levels) - min(levels) <= self._settings.level_range_mv
+        )
 
     def _learnt(self, windows: list[Window]) -> ZeroState:
         zero = _mean_level(windows)
@@ -194,6 +233,12 @@ class ZeroTracker:
             if amplitude - usual > margin or (below and usual - amplitude > margin):
                 return True
         return False
+
+
+def _pulse_mv(windows: Sequence[Window]) -> float:
+    """Amplitude of what keeps step with the paddles, over all harmonics of the pattern."""
+    power = sum(amplitude**2 for amplitude in coherent_amplitudes(windows))
+    return float(power**0.5)
 
 
 def _mean_level(windows: Sequence[Window]) -> float:

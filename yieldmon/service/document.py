@@ -270,6 +270,24 @@ class Totals(Section):
     )
 
 
+_U = _ENGINE.budget
+
+
+class Budget(Section):
+    """What the standard deviations of flow and mass hold beside noise and the parameters' covariance."""
+
+    zero_mv: float = quantity(_U.zero_mv, 0.0, 100.0, "mV", "standard deviation of a zero when it is taken or followed")
+    zero_drift_mv_per_root_h: float = quantity(
+        _U.zero_drift_mv_per_root_h, 0.0, 100.0, "mV per root hour", "its growth while the elevator never runs empty"
+    )
+    moisture_per_pct: float = quantity(
+        _U.moisture_per_pct, 0.0, 0.2, "per percentage point", "relative error of flow with a moisture that is not followed"
+    )
+    unmeasured_moisture_pct: float = quantity(
+        _U.unmeasured_moisture_pct, 0.0, 20.0, "percentage points", "standard deviation of a moisture that is not measured"
+    )
+
+
 _Q = _ENGINE.flow_filter
 
 
@@ -356,6 +374,9 @@ class Faults(Section):
     )
     calibration_old_s: float = quantity(_F.calibration_old_s, 3600.0, 1e9, "s", "age from which the calibration is old")
     clock_jump_hold_windows: int = quantity(_F.clock_jump_hold_windows, 1, 3600, "s", "how long ClockJumped is shown")
+    zero_missing_s: float = quantity(
+        _F.zero_missing_s, 5.0, 3600.0, "s", "time with the elevator running and no zero after which that is a fault"
+    )
 
 
 _A = _ENGINE.anchors
@@ -484,6 +505,7 @@ class Document(Section):
     zero: Zero = Zero()
     gate: Gate = Gate()
     totals: Totals = Totals()
+    budget: Budget = Budget()
     flow_filter: FlowFilter = FlowFilter()
     plate: Plate = Plate()
     sweep: Sweep = Sweep()
@@ -499,7 +521,8 @@ class Document(Section):
 
 #: Sections that hand their keys to the engine's settings of the same name.
 ENGINE_SECTIONS = (
-    "clock", "windows", "inputs", "zero", "gate", "totals", "flow_filter", "plate", "sweep", "faults", "anchors", "disagreement",
+    "clock", "windows", "inputs", "zero", "gate", "totals", "budget", "flow_filter", "plate", "sweep", "faults", "anchors",
+    "disagreement",
 )  # fmt: skip
 
 #: Settings of the engine that the protocol fixes; the file has no key for them.

@@ -8,6 +8,7 @@ from typing import Any
 
 import yieldmon
 from yieldmon.bus.receiver import ReceiverCounters
+from yieldmon.engine.budget import MassBudget
 from yieldmon.engine.faults import FAULTS
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord
@@ -69,10 +70,12 @@ def snapshot(
             "crop": journal.crop,
             "mass_kg": totals.load_kg,
             "contested_mass_kg": totals.load_contested_kg,
+            **_budget(totals.load_budget),
             "dry_mass_kg": totals.load_dry_kg if totals.load_unknown_moisture_kg == 0.0 else None,
         },
         "total": {
             "mass_kg": totals.total_kg,
+            **_budget(totals.total_budget),
             "dry_mass_kg": totals.total_dry_kg,
             "contested_mass_kg": totals.total_contested_kg,
             "mass_of_unknown_moisture_kg": totals.total_unknown_moisture_kg,
@@ -123,6 +126,17 @@ def snapshot(
         "network": network,
         "store": {"file": str(configuration.store_path), "note": store_note or None, **asdict(store)},
     }
+
+
+def _budget(budget: MassBudget) -> dict[str, Any]:
+    """Standard deviation of a mass, and its parts by cause."""
+    parts = {
+        "noise": _finite(budget.noise_kg2**0.5),
+        "parameters": _finite(budget.parameters_kg),
+        "zero": _finite(budget.zero_kg),
+        "moisture": _finite(budget.moisture_kg),
+    }
+    return {"std_dev_kg": _finite(budget.std_dev_kg), "std_dev_by_cause_kg": parts}
 
 
 def _window(row: SecondRow) -> dict[str, Any]:

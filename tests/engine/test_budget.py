@@ -1,0 +1,145 @@
+"""The error budget of flow and mass: how parts add, what is unknown, and what the monitor publishes of it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from math import hypot, isnan, nan, sqrt
+
+import pytest
+from engine_bench import ZERO_MV, Bench, ForceProportional, feed, monitor
+from hypothesis import given
+from hypothesis import strategies as st
+
+from yieldmon.engine.budget import EMPTY, FlowBudget, MassBudget, MoistureReference, zero_std_dev_mv
+from yieldmon.engine.faults import FaultCode
+from yieldmon.engine.settings import BudgetSettings, EngineSettings
+from yieldmon.engine.state import EngineState
+from yieldmon.engine.totals import Totals
+
+SETTINGS = BudgetSettings()
+STEADY = Bench(flow=lambda t: 10.0 if t >= 1005.0 else 0.0, scatter=0.05, noise_mv=2.0, paddle_vibration_mv=3.0)
+parts = st.floats(0.0, 50.0)
+
+
+@given(noise=parts, parameters=parts, zero=parts, moisture=parts, seconds=st.integers(1, 200))
+def test_noise_averages_out_and_the_rest_does_not(
+    noise: float, parameters: float, zero: float, moisture: float, seconds: int
+) -> None:
+    flow = FlowBudget(noise, parameters, zero, moisture)
+    budget = EMPTY
+    for _ in range(seconds):
+        budget = budget.plus(flow, 1.0)
+    expected = hypot(noise * sqrt(seconds), parameters * seconds, zero * seconds, moisture * seconds)
+    assert budget.std_dev_kg == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+def test_a_new_load_begins_without_error() -> None:
+    totals = Totals().with_mass(10.0, None, FlowBudget(1.0, 1.0), 1.0).start_load()
+    assert totals.load_budget.std_dev_kg == 0.0
+    assert totals.total_budget.std_dev_kg == pytest.approx(sqrt(2.0))
+
+
+def test_mass_of_a_flow_without_a_budget_has_no_standard_deviation() -> None:
+    assert isnan(Totals().with_mass(10.0, None).load_budget.std_dev_kg)
+
+
+@pytest.mark.parametrize(
+    ("since_empty_s", "expected_mv"), [(0.0, 0.2), (-5.0, 0.2), (3600.0, hypot(0.2, 1.0)), (4 * 3600.0, hypot(0.2, 2.0))]
+)
+def test_the_zero_is_less_sure_the_longer_it_was_not_seen(since_empty_s: float, expected_mv: float) -> None:
+    assert zero_std_dev_mv(SETTINGS, since_empty_s) == pytest.approx(expected_mv)
+
+
+@pytest.mark.parametrize(
+    ("seen", "calibrated", "followed", "expected"),
+    [
+        ([15.0], None, False, 0.0),
+        ([15.0, 18.0], None, False, 0.03),
+        ([15.0, 18.0], None, True, 0.0),
+        ([18.0], (14.0, 16.0), False, 0.02),
+        ([13.0], (14.0, 16.0), False, 0.01),
+        ([15.0], (14.0, 16.0), False, 0.0),
+        ([nan], None, False, 0.02),
+        ([nan, 20.0], None, False, 0.0),
+    ],
+)
+def test_moisture_that_moves_without_a_map_widens(
+    seen: list[float], calibrated: tuple[float, float] | None, followed: bool, expected: float
+) -> None:
+    reference = MoistureReference(SETTINGS)
+    found = [reference.relative_std_dev(value, 1, calibrated, followed=followed) for value in seen][-1]
+    assert found == pytest.approx(expected)
+
+
+def test_other_parameters_have_a_moisture_of_their_own() -> None:
+    reference = MoistureReference(SETTINGS)
+    reference.relative_std_dev(15.0, 1, None, followed=False)
+    assert reference.relative_std_dev(20.0, 1, None, followed=False) == pytest.approx(0.05)
+    assert reference.relative_std_dev(20.0, 2, None, followed=False) == 0.0
+
+
+def test_records_and_frames_carry_the_standard_deviation_of_the_masses() -> None:
+    target = monitor(estimator=ForceProportional(relative_std_dev=0.04))
+    sent = feed(target, STEADY.frames(60))
+    record = target.records[-1]
+    # 4 % is common to all seconds; the unmeasured moisture adds its 2 %.
+    assert record.load_std_dev_kg / record.load_kg == pytest.approx(hypot(0.04, 0.02), rel=0.1)
+    assert record.noise_std_dev_kg_s < record.std_dev_kg_s
+    shown = [frame.signals for frame in sent if frame.message == "MassStdDev"][-1]
+    assert shown == {"LoadMassStdDev": record.load_std_dev_kg, "TotalMassStdDev": record.total_std_dev_kg}
+
+
+@pytest.mark.parametrize("budget", [EMPTY, MassBudget(4.0, 1.0, 0.5, 0.25), MassBudget.unknown()])
+def test_a_budget_outlives_a_restart(budget: MassBudget) -> None:
+    state = EngineState(totals=Totals(total_kg=20.0, load_kg=10.0, total_budget=budget, load_budget=budget))
+    back = EngineState.from_dict(state.as_dict()).totals
+    assert repr(back) == repr(state.totals)
+
+
+def test_masses_of_a_store_without_budgets_have_an_unknown_one() -> None:
+    document = EngineState(totals=Totals(total_kg=20.0)).as_dict()
+    for name in ("total_budget", "load_budget"):
+        del document["totals"][name]
+    totals = EngineState.from_dict(document).totals
+    assert isnan(totals.total_budget.std_dev_kg)
+    assert totals.load_budget == EMPTY
+
+
+QUICK = replace(EngineSettings(), faults=replace(EngineSettings().faults, zero_missing_s=10.0))
+EMPTY_ELEVATOR = Bench(noise_mv=2.0)
+
+
+def test_vibration_too_large_for_a_zero_is_a_fault_with_figures() -> None:
+    target = monitor(QUICK)
+    feed(target, replace(EMPTY_ELEVATOR, paddle_vibration_mv=20.0).frames(25))
+    shown = [FaultCode.ZERO_MISSING in record.faults for record in target.records]
+    assert shown.index(True) in range(10, 14)
+    assert shown[-1]
+    detail = target.faults.detail(FaultCode.ZERO_MISSING)
+    found = re.search(r"pulses of ([\d.]+) mV \(limit 12 mV\)", detail)
+    assert found is not None
+    assert float(found[1]) == pytest.approx(20.0, abs=0.5)
+
+
+def test_the_operators_zero_ends_it() -> None:
+    target = monitor(QUICK)
+    frames = replace(EMPTY_ELEVATOR, paddle_vibration_mv=20.0).frames(45)
+    feed(target, frames[: len(frames) // 2])
+    assert FaultCode.ZERO_MISSING in target.records[-1].faults
+    target.calibrate_zero()
+    feed(target, frames[len(frames) // 2 :])
+    assert FaultCode.ZERO_MISSING not in target.records[-1].faults
+    assert target.records[-1].zero_mv == pytest.approx(ZERO_MV, abs=1.0)
+
+
+def test_grain_from_the_first_second_is_the_same_fault() -> None:
+    target = monitor(QUICK)
+    feed(target, replace(STEADY, flow=lambda t: 10.0).frames(20))
+    assert FaultCode.ZERO_MISSING in target.records[-1].faults
+
+
+def test_a_quiet_start_is_none() -> None:
+    target = monitor(QUICK)
+    feed(target, STEADY.frames(30))
+    assert not any(FaultCode.ZERO_MISSING in record.faults for record in target.records)

@@ -1,0 +1,150 @@
+"""The error budget of mass: what averages out over seconds, and what all seconds of a load share.
+
+Noise of the windows is independent from one to the next: its variances add. Errors of the parameters (scale and model), of the
+zero and of a moisture that the calibration does not follow are the same for neighbouring seconds: their standard deviations add,
+which is right within a load and an upper bound beyond it (JCGM 100:2008, 5.2.2 with correlation 1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import hypot, isfinite, sqrt
+
+from yieldmon.engine.settings import BudgetSettings
+
+_NAN = float("nan")
+
+
+@dataclass(frozen=True, slots=True)
+class FlowBudget:
+    """Standard deviation of one window's flow by cause, kg/s; nan where the flow is not known.
+
+    Attributes
+    ----------
+    noise_kg_s : float
+        Scatter of the paddles, electrical noise: averages out.
+    parameters_kg_s : float
+        The parameters' covariance: scale and model.
+    zero_kg_s : float
+        The zero's uncertainty since the elevator last ran empty.
+    moisture_kg_s : float
+        Grain whose moisture differs from the calibration's, or is not measured.
+    """
+
+    noise_kg_s: float = _NAN
+    parameters_kg_s: float = _NAN
+    zero_kg_s: float = 0.0
+    moisture_kg_s: float = 0.0
+
+    @property
+    def std_dev_kg_s(self) -> float:
+        """All causes together."""
+        return hypot(self.noise_kg_s, self.parameters_kg_s, self.zero_kg_s, self.moisture_kg_s)
+
+
+NO_BUDGET = FlowBudget()
+"""Of a flow that is not known."""
+
+
+@dataclass(frozen=True, slots=True)
+class MassBudget:
+    """Standard deviation of an accumulated mass by cause, kg; nan where a part of the mass has none.
+
+    Attributes
+    ----------
+    noise_kg2 : float
+        Variance of what averages out, kg^2.
+    parameters_kg, zero_kg, moisture_kg : float
+        Standard deviations of what the seconds share, as in FlowBudget.
+    """
+
+    noise_kg2: float = 0.0
+    parameters_kg: float = 0.0
+    zero_kg: float = 0.0
+    moisture_kg: float = 0.0
+
+    def plus(self, flow: FlowBudget, seconds: float) -> MassBudget:
+        """The budget with `seconds` of a flow more."""
+        return MassBudget(
+            noise_kg2=self.noise_kg2 + (flow.noise_kg_s * seconds) ** 2,
+            parameters_kg=self.parameters_kg + flow.parameters_kg_s * seconds,
+            zero_kg=self.zero_kg + flow.zero_kg_s * seconds,
+            moisture_kg=self.moisture_kg + flow.moisture_kg_s * seconds,
+        )
+
+    @property
+    def std_dev_kg(self) -> float:
+        """All causes together."""
+        return hypot(sqrt(self.noise_kg2), self.parameters_kg, self.zero_kg, self.moisture_kg)
+
+    @classmethod
+    def unknown(cls) -> MassBudget:
+        """Of a mass that was accumulated without one."""
+        return cls(_NAN, _NAN, _NAN, _NAN)
+
+
+EMPTY = MassBudget()
+"""Of no mass."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Moisture:
+    version: int
+    low_pct: float
+    high_pct: float
+
+
+class MoistureReference:
+    """The moisture for which the parameters hold: their calibrated range, or what was first measured with them."""
+
+    def __init__(self, settings: BudgetSettings) -> None:
+        self._settings = settings
+        self._reference: _Moisture | None = None
+
+    def relative_std_dev(
+        self, moisture_pct: float, version: int, calibrated: tuple[float, float] | None, *, followed: bool
+    ) -> float:
+        """Relative standard deviation of flow from moisture.
+
+        Parameters
+        ----------
+        moisture_pct : float
+            Measured now, %; nan where it is not measured.
+        version : int
+            Of the parameters in use.
+        calibrated : (float, float) or None
+            Moistures that the parameters were calibrated over, %.
+        followed : bool
+            Whether the model has moisture among its inputs.
+
+        Returns
+        -------
+        float
+        """
+        if followed:
+            return 0.0
+        if not isfinite(moisture_pct):
+            return self._settings.moisture_per_pct * self._settings.unmeasured_moisture_pct
+        reference = self._reference
+        if reference is None or reference.version != version:
+            low, high = calibrated if calibrated is not None else (moisture_pct, moisture_pct)
+            reference = self._reference = _Moisture(version, low, high)
+        away_pct = max(reference.low_pct - moisture_pct, moisture_pct - reference.high_pct, 0.0)
+        return self._settings.moisture_per_pct * away_pct
+
+
+def zero_std_dev_mv(settings: BudgetSettings, since_empty_s: float) -> float:
+    """Standard deviation of the zero, mV: as it was taken, and the drift since.
+
+    Parameters
+    ----------
+    settings : BudgetSettings
+    since_empty_s : float
+        Since the zero was last taken or followed, s.
+
+    Returns
+    -------
+    float
+    """
+    hours = max(0.0, since_empty_s) / 3600.0
+    return hypot(settings.zero_mv, settings.zero_drift_mv_per_root_h * sqrt(hours))
