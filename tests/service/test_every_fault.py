@@ -285,10 +285,12 @@ class Case:
 SWEEP = "sweep: {min_flow_kg_s: 0.1, steady_cv: 1.0, move_margin_s: 1}"
 SHORT_SWEEP = """sweep: {first_after_s: 100000, interval_s: 100000, min_flow_kg_s: 0.1, steady_cv: 0.2, angles_deg: [40, 55, 90],
         home_every: 1, signal_trend: 20}"""
+QUICK_ZERO = "faults: {zero_missing_s: 5}"
 PROVOKED: dict[FaultCode, tuple[Case, ...]] = {
     C.SENSOR_MISSING: (Case(without(frames.IMPACT_SENSOR_SAMPLES)),),
     C.SENSOR_STUCK: (Case(with_samples(120.0, 9)),),
     C.SENSOR_SATURATED: (Case(with_samples(4000.0, 4)),),
+    C.ZERO_MISSING: (Case(lambda bench: bench.play(14, GRAIN_MV), QUICK_ZERO),),
     C.ZERO_DRIFTED: (Case(drift, "zero: {drift_limit_mv: 3, max_rate_mv_s: 10, follow_time_s: 1}"),),
     C.SPEED_MISSING: (Case(without(frames.ELEVATOR_SPEED)),),
     C.SPEED_OUT_OF_RANGE: (Case(lambda bench: bench.play(5, EMPTY_MV, speed_rpm=200.0)),),
