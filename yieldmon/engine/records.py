@@ -119,7 +119,8 @@ class WindowRecord:
     plate_still: the plate did not move while the window was formed. sweep_id and sweep_step: 0 and -1 outside sweeps;
     usable_for_calibration: the window counts for its sweep step. position_group, speed_group: parameter group of the
     standard source in use, nan for that of the DBC. factory_mass_flow_kg_s: what the factory's own monitor says; never an input.
-    noise_std_dev_kg_s: the part of the measured flow's standard deviation that averages out. load_std_dev_kg, total_std_dev_kg: of
+    noise_std_dev_kg_s: the part of the measured flow's standard deviation that averages out. load_std_dev_kg and
+    total_std_dev_kg: of
     the masses.
     """
 
