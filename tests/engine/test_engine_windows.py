@@ -13,7 +13,9 @@ from engine_bench import MACHINE, Bench, feed, flows, monitor
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from yieldmon.engine.aliasing import aliasing_share
 from yieldmon.engine.settings import WindowSettings
+from yieldmon.engine.sources import SampleSource
 from yieldmon.engine.windows import Window, WindowBuilder
 from yieldmon.physics.machine import RPM
 
@@ -148,3 +150,16 @@ def test_standard_deviation_of_the_mean_matches_the_scatter_of_many_windows() ->
     scatter = float(np.std([w.mean_mv for w in windows]))
     stated = float(np.sqrt(np.mean([w.std_dev_mv**2 for w in windows])))
     assert stated == pytest.approx(scatter, rel=0.2)
+
+
+@pytest.mark.parametrize("rpm", [300.0, 400.0, 500.0])
+def test_what_a_slow_sensor_costs(rpm: float) -> None:
+    """Nothing from 200 Hz on, much at 10 Hz, less with a filter in the sensor that is slower than the paddles."""
+    shares = [
+        aliasing_share(SampleSource("Slow", ("Sample",), 1.0 / rate_hz), MACHINE, rpm * RPM) for rate_hz in (10.0, 100.0, 1000.0)
+    ]
+    assert shares[0] > 0.1
+    assert shares[0] > 20.0 * shares[1]
+    assert shares[2] == 0.0
+    filtered = SampleSource("Slow", ("Sample",), 0.1, time_constant_s=0.3)
+    assert aliasing_share(filtered, MACHINE, rpm * RPM) < 0.15 * shares[0]
