@@ -37,6 +37,9 @@ from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import EXCHANGE_FORM, RESTITUTION_FORM, ForwardModel
 
 PROGRESS_AFTER_S = 2.0
+STANDARD_GRAVITY_M_S2 = 9.81
+_CONSTANTS = ("gravity.acceleration_m_s2",)
+"""Parameters of effects that no table is to move, unless --free names them."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -100,6 +103,10 @@ def _of_table(args: argparse.Namespace) -> int:
     for note in data.notes:
         print(f"yieldmon: {note}", file=sys.stderr)
     rows = model_options.measurements(data, machine, args.response_scale)
+    left_out = np.ones(len(data), dtype=bool)
+    left_out[np.arange(len(data)) if rows.places is None else rows.places] = False
+    if note := data.unread(left_out):
+        print(f"yieldmon: {note}", file=sys.stderr)
     if args.plate_angle is not None:
         chosen = np.isclose(rows.columns()[0], np.radians(args.plate_angle), atol=1e-6)
         if not np.any(chosen):
@@ -189,7 +196,11 @@ def text(document: Mapping[str, Any]) -> str:
 
 
 def _fit(args: argparse.Namespace, machine: Machine, data: table.Table, rows: Measurements) -> Calibration:
-    effects = [name for name in args.effects.split(",") if name]
+    known = parameter_file.load(args.prior) if args.prior is not None else None
+    # Without a word about effects the prior's belong to the model: left out, its other parameters would stand for them.
+    effects = [name.strip() for name in args.effects.split(",") if name.strip()]
+    if not effects and known is not None:
+        effects = list(known.effects)
     scaled = data.reading == model_options.RESPONSE and args.response_scale is None
     impact = args.impact or ("exchange" if scaled else "restitution")
     form = RESTITUTION_FORM if impact == "restitution" else EXCHANGE_FORM
@@ -197,7 +208,6 @@ def _fit(args: argparse.Namespace, machine: Machine, data: table.Table, rows: Me
         raise InputError(
             "--impact restitution", "cannot carry the scale of a `response`", "--impact exchange, or --response-scale S"
         )
-    known = parameter_file.load(args.prior) if args.prior is not None else None
     try:
         for name in effects:
             get_effect(name)
@@ -211,12 +221,18 @@ def _fit(args: argparse.Namespace, machine: Machine, data: table.Table, rows: Me
     unknown = [name for name in fixed if name not in start]
     if unknown:
         raise InputError("--fix", f"{unknown[0]} is not in this model", f"one of {', '.join(start)}")
-    free = [n for n in (*fitted(impact), *model.effect_parameters) if n not in fixed]
+    given = set(known.values) if known is not None else set()
+    held = {n for n in model.effect_parameters if n in _CONSTANTS or (not args.effects and n in given)}
+    free = [n for n in (*fitted(impact), *model.effect_parameters) if n not in fixed and n not in held]
+    if "gravity.acceleration_m_s2" in held and "gravity.acceleration_m_s2" not in given | set(fixed):
+        start["gravity.acceleration_m_s2"] = STANDARD_GRAVITY_M_S2
     if args.free is not None:
         free = [name.strip() for name in args.free.split(",") if name.strip()]
         wrong = [n for n in free if n not in start]
         if wrong or set(free) & set(fixed):
             raise InputError("--free", f"is {args.free!r}", f"some of {', '.join(n for n in start if n not in fixed)}")
+    if not free:
+        raise InputError("--fix", "leaves nothing to fit", "at least one parameter that is free")
     try:
         with progress_bar("calibrating") as tell:
             result = calibrate(

@@ -13,6 +13,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from yieldmon.bus.codec import Codec
 from yieldmon.cli import _outputs
+from yieldmon.cli.simulate import scenario_path
 from yieldmon.errors import InputError
 from yieldmon.files import whole_file
 from yieldmon.physics.machine import RPM
@@ -35,7 +36,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--duration", type=float, metavar="S", help="simulated time, s (default: the scenario's)")
     parser.add_argument("--seed", type=int, default=1, help="seed of everything random (default: %(default)s)")
-    parser.add_argument("--scenario", metavar="F", help="scenario file (default: the shipped demo)")
+    parser.add_argument("--scenario", metavar="F", help="scenario file, or a shipped one's name (default: demo)")
     parser.add_argument("--config", metavar="F", help="configuration file (default: the shipped one)")
     parser.add_argument("--picture", type=Path, metavar="F", help="write true and measured flow here (PNG or SVG)")
     parser.add_argument("--json", action="store_true", help="print the accuracy as one JSON document")
@@ -47,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     if args.picture is not None:
         canvas.check_name(args.picture, "--picture")
         whole_file.check_place(args.picture)
-    chosen = scenarios.load(args.scenario or shipped("config/scenarios/demo.yaml"))
+    chosen = scenarios.load(scenario_path(args.scenario or "demo"))
     if args.duration is not None:
         if not 10.0 <= args.duration <= 400_000.0:
             raise InputError("--duration", f"is {args.duration:g}", "10 to 400000 s")

@@ -59,6 +59,10 @@ def run(args: argparse.Namespace) -> int:
     """Exit code 0 when every log was read to its end, damaged places aside."""
     if args.json and args.out == "-":
         raise InputError("--json", "standard output is taken by --out -", "a file for --out")
+    resolved = [Path(log).resolve() for log in args.logs]
+    for index, path in enumerate(resolved):
+        if path in resolved[:index]:
+            raise InputError(args.logs[index], "is named twice, which would double its mass", "each log once")
     if args.jobs < 1:
         raise InputError("--jobs", f"is {args.jobs}", "a whole number from 1")
     config = args.config if args.config is not None else shipped("config/yieldmon.yaml")

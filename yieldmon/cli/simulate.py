@@ -56,7 +56,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0; InputError for what cannot be used."""
-    scenario = scenarios.load(_scenario_path(args.scenario))
+    scenario = scenarios.load(scenario_path(args.scenario))
     if args.duration is not None:
         scenario = scenario.model_copy(update={"duration_s": _duration(args.duration)})
     if args.seed < 0:
@@ -76,6 +76,10 @@ def run(args: argparse.Namespace) -> int:
             _drive_bus(combine, codec, args, counts)
         else:
             _write_log(combine, codec, args, counts)
+    except KeyboardInterrupt:
+        if args.log is not None:
+            print(f"yieldmon: interrupted; {args.log} holds {combine.time_s:.0f} s", file=sys.stderr)
+        raise
     finally:
         if args.truth is not None:
             write_csv(args.truth, combine.truth)
@@ -83,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _scenario_path(name: str) -> Path:
+def scenario_path(name: str) -> Path:
     path = Path(name)
     if path.exists() or path.suffix:
         return path

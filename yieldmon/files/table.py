@@ -102,6 +102,9 @@ def load(path: str | Path, *, need_load: bool = True) -> Table:
     missing = np.flatnonzero(np.isnan(columns["plate_angle_deg"]))
     if missing.size:
         raise InputError(source.where(int(missing[0]), "plate_angle_deg"), "is unknown", "an angle in degrees")
+    angles = columns["plate_angle_deg"]
+    if len(angles) > 1 and float(angles.max()) <= np.pi:
+        raise InputError(f"{where}: plate_angle_deg", f"has nothing above {angles.max():g}", "degrees; these look like radians")
     return Table(where, source.sha256, load_name, reading, columns, texts, tuple(notes), source.lines)
 
 
@@ -110,7 +113,7 @@ def _roles(header: list[str], where: str, need_load: bool) -> tuple[str | None, 
         raise InputError(f"{where}: header", "has no plate_angle_deg", "that column")
     loads = [name for name in LOADS if name in header]
     readings = [name for name in READINGS if name in header]
-    if len(loads) > 1 or (need_load and not loads):
+    if need_load and len(loads) != 1:
         raise InputError(f"{where}: header", f"has {loads or 'no load column'}", f"one of {', '.join(LOADS)}")
     if len(readings) != 1:
         raise InputError(f"{where}: header", f"has {readings or 'no reading'}", f"exactly one of {', '.join(READINGS)}")

@@ -231,7 +231,7 @@ def _contradictions(document: Document, machine: Machine) -> Iterator[tuple[str,
         expected = f"at most windows.full_coverage, {windows.full_coverage:g}"
         yield "windows.min_coverage", f"{windows.min_coverage:g}", expected
     low, high = (math.degrees(a) for a in (machine.min_plate_angle_rad, machine.max_plate_angle_rad))
-    for index, angle in enumerate(document.sweep.angles_deg):
+    for index, angle in enumerate(document.sweep.angles_deg if document.sweep.enabled else ()):
         # The range went through radians and back.
         if not low - 1e-9 <= angle <= high + 1e-9:
             yield f"sweep.angles_deg[{index}]", f"{angle:g}", f"{low:g} to {high:g} deg, the range of {machine.name}"
@@ -249,7 +249,10 @@ def _problems(error: ValidationError, path: str) -> list[InputError]:
             known = near[0] if near else "one of " + ", ".join(model.model_fields)
             problems.setdefault(where, InputError(where, "unknown key", known))
         else:
-            problems.setdefault(where, InputError(where, _shown(detail["input"]), _expected(model, field)))
+            expected = _expected(model, field)
+            if detail["type"] == "string_type" and isinstance(detail["input"], int | float):
+                expected += " (a number in quotes)"
+            problems.setdefault(where, InputError(where, _shown(detail["input"]), expected))
     return list(problems.values())
 
 

@@ -1,0 +1,1 @@
+"""From a set-up and a few weighed loads to a number one can trust."""

@@ -1,0 +1,40 @@
+"""Run the study and print its table: python -m studies.setup [--seeds N] [--first SEED] [--json F]"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+
+from studies.setup.study import run
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first", type=int, default=1)
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    results = [r for seed in range(options.first, options.first + options.seeds) for r in run(seed)]
+    if options.json is not None:
+        options.json.write_text(json.dumps([dataclasses.asdict(r) for r in results], indent=1), encoding="utf-8")
+    print("| way | worst load, % | within 2 / 1.5 / 1 % | mean of ten, worst seed, % | stated sd, % | inside 68 / 95 % interval, % |")
+    print("|---|---|---|---|---|---|")
+    for way in dict.fromkeys(r.way for r in results):
+        here = [r for r in results if r.way == way]
+        errors = np.array([r.errors_pct for r in here])
+        scaled = np.abs(errors) / np.array([r.sd_pct for r in here])[:, None]
+        within = " / ".join(f"{100.0 * np.mean(np.abs(errors) <= limit):.0f}" for limit in (2.0, 1.5, 1.0))
+        told = bool(np.isfinite(scaled).all())
+        inside = " / ".join(f"{100.0 * np.mean(scaled <= limit):.0f}" for limit in (1.0, 1.96)) if told else "-"
+        stated = f"{np.mean([r.sd_pct for r in here]):.2f}" if told else "-"
+        worst, mean = np.abs(errors).max(), np.abs(errors.mean(axis=1)).max()
+        print(f"| {way} | {worst:.2f} | {within} | {mean:.2f} | {stated} | {inside} |")
+
+
+if __name__ == "__main__":
+    main()
