@@ -22,7 +22,7 @@ def main() -> None:
     results = [r for seed in range(options.first, options.first + options.seeds) for r in run(seed)]
     if options.json is not None:
         options.json.write_text(json.dumps([dataclasses.asdict(r) for r in results], indent=1), encoding="utf-8")
-    print("| way | worst load, % | within 2 / 1.5 / 1 % | mean of ten, worst seed, % | stated sd, % | inside 68 / 95 % interval, % |")
+    print("| way | worst load, % | within 2 / 1.5 / 1 % | mean of ten, worst seed, % | stated sd, % | in 68 / 95 % interval |")
     print("|---|---|---|---|---|---|")
     for way in dict.fromkeys(r.way for r in results):
         here = [r for r in results if r.way == way]
