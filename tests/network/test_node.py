@@ -112,6 +112,15 @@ def test_claim_is_tried_again_when_the_rival_may_have_gone() -> None:
     assert 61.0 <= now_s <= 62.0
 
 
+def test_a_new_start_forgets_who_may_have_left() -> None:
+    node = node_at()
+    node.feed(*claim(0x40, HIGHER), 1.0)
+    assert node.addresses.address_of(HIGHER) == 0x40
+    node.start(2.0)
+    assert node.address is None
+    assert node.addresses.items() == []
+
+
 def test_address_violation_is_answered_by_a_claim_every_five_seconds() -> None:
     node = node_at()
     frames = [f for k in range(1000) for f in node.feed(0x18FECA83, bytes(8), 1.0 + k * 0.01).frames]

@@ -146,6 +146,8 @@ WRONG = [
     ("bus: {interface: sockcan}", "bus.interface: 'sockcan'; expected one of"),
     ("logging: {level: loud}", "logging.level: 'loud'; expected one of debug, info, warning, error"),
     ("gate: {grain_on_n: 0.1}", "gate.grain_off_n: 0.5; expected at most gate.grain_on_n, 0.1 N"),
+    ("network: {enabled: false, task_controller: true}", "network.task_controller: true; expected network.enabled: true"),
+    ("network: {preferred_address: 254}", "network.preferred_address: 254; expected a whole number from 0 to 253"),
     ("gate: {certain_force_n: 0.5}", "gate.certain_force_n: 0.5; expected at least gate.grain_on_n, 1 N"),
     ("windows: {min_coverage: 1}", "windows.min_coverage: 1; expected at most windows.full_coverage, 0.98"),
     ("[]", "[]; expected keys machine_file, parameter_file, moisture_map_file, bus"),

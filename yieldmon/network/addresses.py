@@ -44,6 +44,11 @@ class AddressTable:
         if address is not None:
             del self._names[address]
 
+    def clear(self) -> None:
+        """Forget all: everybody is about to be asked."""
+        self._names.clear()
+        self._addresses.clear()
+
     def name_of(self, address: int) -> Name | None:
         """Holder of an address, None while it has not claimed."""
         return self._names.get(address)

@@ -143,6 +143,7 @@ class Node:
 
     def start(self, now_s: float) -> list[RawFrame]:
         """Begin to claim an address, anew where we had one."""
+        self.addresses.clear()
         out = self._claim.start(now_s)
         self._follow_address()
         return out

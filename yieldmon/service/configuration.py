@@ -221,6 +221,8 @@ def _contradictions(document: Document, machine: Machine) -> Iterator[tuple[str,
             yield "bus.interface", repr(document.bus.interface), f"one of {', '.join(sorted(can.VALID_INTERFACES))}"
     for key in sorted(_NAMED_BUS_OPTIONS & set(document.bus.options)):
         yield f"bus.options.{key}", "is set by a key of bus, or by the daemon", "options that the bus section has no key for"
+    if document.network.task_controller and not document.network.enabled:
+        yield "network.task_controller", "true", "network.enabled: true, without which there is no address to connect from"
     gate = document.gate
     if gate.grain_off_n > gate.grain_on_n:
         yield "gate.grain_off_n", f"{gate.grain_off_n:g}", f"at most gate.grain_on_n, {gate.grain_on_n:g} N"
