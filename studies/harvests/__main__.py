@@ -1,8 +1,8 @@
 """What `yieldmon map` can be held to on delays and transport.
 
-    python -m studies.harvests --data DIR [--trials 200] [--seed 1] [--out FILE]
+    python -m studies.harvests --data SOURCE... [--trials 200] [--seed 1] [--out FILE]
 
-DIR holds whole harvests, any that the map reads; the synthetic parts need none.
+Sources are whole harvests, any that the map reads; the synthetic parts need none.
 """
 
 from __future__ import annotations
@@ -10,12 +10,22 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from yieldmon.errors import InputError
 
 from .study import coverage, real_shifts, refusals, shift_coverage, transport
+
+
+def known(value: Any) -> Any:
+    """As strict JSON takes it: four decimals, null for NaN."""
+    if isinstance(value, dict):
+        return {key: known(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [known(one) for one in value]
+    return (round(value, 4) if isfinite(value) else None) if isinstance(value, float) else value
 
 
 def main() -> int:
@@ -29,7 +39,7 @@ def main() -> int:
     results: dict[str, Any] = {"seed": args.seed}
 
     def told(name: str, value: Any) -> None:
-        results[name] = value
+        results[name] = value = known(value)
         print(name, json.dumps(value), file=sys.stderr, flush=True)
 
     told("synthetic", coverage(args.trials, args.seed))

@@ -197,6 +197,18 @@ def test_known_synthetic_mass_and_delay(tmp_path: Path, capsys: pytest.CaptureFi
     assert document["yield_t_ha"] == pytest.approx(10.0 * mass / (24 * 80 * 12), rel=0.03)
 
 
+def test_rows_told_twice_count_once(corn: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = corn.read_text().splitlines()
+    path = tmp_path / "twice.txt"
+    path.write_text("\n".join(line for line in lines for _ in range(2)) + "\n")
+    once = mapped(capsys, tmp_path / "a", corn, "--products", "none")
+    twice = mapped(capsys, tmp_path / "b", path, "--products", "none")
+    assert twice["mass_kg"]["kept"] == pytest.approx(once["mass_kg"]["kept"], rel=0.01)
+    assert twice["mass_kg"]["integrated"] == pytest.approx(2 * once["mass_kg"]["integrated"], rel=1e-6)
+    assert twice["yield_t_ha"] == pytest.approx(once["yield_t_ha"], rel=0.01)
+    assert twice["area_ha"] == pytest.approx(once["area_ha"], rel=0.001)
+
+
 def test_tickets_scale_their_loads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "field.txt"
     ag_leader(path, delay_s=9, seed=6)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .table import Array, HarvestTable
-from .tracks import Index, Tracks
+from .tracks import Flags, Index, Tracks
 
 _TOLERANCE_INTERVALS = 0.75
 
@@ -62,6 +62,9 @@ def place(
     if factor is not None:
         mass = mass * factor
     target = _targets(table, steps, flow_delay_s)
+    again = repeated(table, steps)
+    # A row told twice was cut once: the second stays where it is, and cleaning says why it is left out.
+    target[again] = np.flatnonzero(again)
     going = target >= 0
     count = len(table)
     known = going & np.isfinite(table["flow_kg_s"])
@@ -77,6 +80,19 @@ def place(
     has = from_row >= 0
     sd[has] = table["flow_sd_kg_s"][from_row[has]]
     return Placed(mass, np.where(arrived > 0, at_place, np.nan), moisture, sd, from_row, float(mass[~going].sum()))
+
+
+def repeated(table: HarvestTable, steps: Tracks) -> Flags:
+    """Rows whose time a row before them has, of the same machine and section."""
+    section = np.nan_to_num(table["section"])
+    stream = steps.stream[steps.step_of_row]
+    order = np.lexsort((np.arange(len(table)), table["time_s"], section, stream))
+    same = np.ones(max(len(order) - 1, 0), bool)
+    for key in (table["time_s"], section, stream):
+        same &= np.diff(key[order]) == 0
+    out = np.zeros(len(table), bool)
+    out[order[1:]] = same
+    return out
 
 
 def _targets(table: HarvestTable, steps: Tracks, delay_s: float) -> Index:

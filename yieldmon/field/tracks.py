@@ -80,6 +80,8 @@ class Tracks:
             return np.where(np.abs(wanted - keys[0]) <= tolerance_s, 0, -1)
         left = right - 1
         chosen = np.where(wanted - keys[left] <= keys[right] - wanted, left, right)
+        # Of steps at the same time the first is meant.
+        chosen = np.searchsorted(keys, keys[chosen])
         return np.where(np.abs(keys[chosen] - wanted) <= tolerance_s, chosen, -1)
 
 

@@ -91,6 +91,7 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
             scale = 1.0 if not unit else factor(unit, _KINDS[quantity], f"{where}: {column.name}", crop)
             values[quantity] = raw.numbers[column.name] * scale
     time, unix_time, notes = _time(raw, options, where)
+    time = np.where(np.isfinite(time), time, np.nan)
     if "longitude" not in values or "latitude" not in values:
         raise InputError(where, "has no longitude and latitude", "--column longitude=NAME --column latitude=NAME")
     if options.width_m is not None:
@@ -128,7 +129,7 @@ def _time(raw: Raw, options: ReadOptions, where: str) -> tuple[Array, bool, list
             ["has no time: rows are taken as one second apart, in the order of the file"],
         )
     if column.name in raw.texts:
-        label = raw.texts[column.name]
+        label = _with_day(raw, raw.texts[column.name])
         times, note = clocks.parsed(label.names)
         if np.isfinite(times).any():
             return times[label.codes], True, [note] if note else []
@@ -144,6 +145,15 @@ def _time(raw: Raw, options: ReadOptions, where: str) -> tuple[Array, bool, list
     if options.first_date is not None and not unix:
         return clocks.dated(out, options.first_date), True, list(notes)
     return out, unix, [*notes] if column.unit else [*notes, f"{column.name} is taken as seconds"]
+
+
+def _with_day(raw: Raw, time: Label) -> Label:
+    """Times of the day with the day that stands in a column of its own."""
+    day = raw.columns.get("day")
+    if day is None or day.name not in raw.texts:
+        return time
+    dates = raw.texts[day.name]
+    return Label.of([f"{a} {b}" for a, b in zip(dates.text().tolist(), time.text().tolist(), strict=True)])
 
 
 def _as_numbers(label: Label) -> Array:

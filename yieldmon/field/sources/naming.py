@@ -25,9 +25,11 @@ class Quantity:
 QUANTITIES: Mapping[str, Quantity] = {
     "longitude": Quantity("angle", ("longitude", "lon", "long", "x", "xcoord", "longitud")),
     "latitude": Quantity("angle", ("latitude", "lat", "y", "ycoord", "latitud")),
-    "time": Quantity("date", ("isotime", "timeutc", "utctime", "time", "timestamp", "datetime", "gpstime", "date", "unixtime")),
+    "time": Quantity("date", ("isotime", "timeutc", "utctime", "time", "timestamp", "datetime", "gpstime", "unixtime")),
+    "day": Quantity("text", ("date", "gpsdate", "utcdate", "dateutc")),
     "flow": Quantity(
-        "mass_flow", ("flow", "massflow", "grainflow", "cropflow", "cropflowm", "flowrate", "massflowrate", "flowmass")
+        "mass_flow",
+        ("flow", "massflow", "grainflow", "cropflow", "cropflowm", "cropflwm", "cropflw", "flowrate", "massflowrate", "flowmass"),
     ),
     "flow_sd": Quantity("mass_flow", ("flowsd", "massflowsd", "stddev", "flowstddev")),
     "yield": Quantity(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 from pathlib import Path
 
 import numpy as np
@@ -27,9 +28,12 @@ def recognises(path: Path, head: bytes) -> bool:
 
 def read(path: Path, options: ReadOptions) -> HarvestTable:
     """All seconds with their loads. Raises InputError where it has none, or no width is given."""
-    with recorded.opened(path) as store:
-        rows = store.seconds()
-        loads = {load.number: load for load in store.loads()}
+    try:
+        with recorded.opened(path) as store:
+            rows = store.seconds()
+            loads = {load.number: load for load in store.loads()}
+    except (UnicodeError, sqlite3.Error) as error:
+        raise InputError(str(path), f"is damaged: {error}", "a daemon's store") from error
     if not rows:
         raise InputError(str(path), "has no seconds", "a store with records")
     if options.width_m is None:
@@ -75,4 +79,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
 
 
 def _column(rows: list[SecondRow], name: str) -> Array:
-    return np.array([getattr(row, name) for row in rows], dtype=float)
+    try:
+        return np.array([getattr(row, name) for row in rows], dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"store: {name}", "holds what is no number", "a daemon's store that is not damaged") from None

@@ -108,6 +108,7 @@ def _layer(path: Path, address: str, name: str, options: ReadOptions) -> Harvest
         pyogrio.errors.FieldError,
         ValueError,
         RuntimeError,
+        NameError,  # raised within pyogrio where a projection file is damaged
         UnicodeError,
         OverflowError,
     ) as error:
