@@ -18,6 +18,8 @@ RUNS = {
     "monitor-load": "the live monitor on a saturated bus",
     "replay-timing": "how well a replay keeps time",
     "store-damage": "random damage to the store and its journal; the daemon starts, and nothing is silently other",
+    "signals": "signals in bursts at a running daemon: alive, and SIGTERM ends it",
+    "fuzz-readers": "mutated logs, tables, stores and requests through every reader",
     "simulation": "the service on a disk, a clock and a process that fail at random; invariants after each life",
     "soak": "a day of traffic with faults: neither growth nor drift",
 }

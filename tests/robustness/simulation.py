@@ -274,6 +274,16 @@ def _flip(world: World) -> None:
         world.path.with_name(world.path.name + suffix).write_bytes(out)
 
 
+def _sound(world: World) -> bool:
+    """Whether the store has what was committed: a trouble before may have left another file."""
+    try:
+        with Store.reading(world.path) as store:
+            last = store.last_second()
+    except Exception:  # noqa: BLE001 - it has not
+        return False
+    return last is not None and last.total_kg == world.committed_kg
+
+
 def _alter(world: World) -> None:
     """A change that leaves the file sound for SQLite: what a flipped bit in a value does."""
     statements = (
@@ -287,9 +297,10 @@ def _alter(world: World) -> None:
     try:
         database = sqlite3.connect(world.path, isolation_level=None)
         chosen = world.rng.choice(statements)
+        sound = _sound(world)
         database.execute(chosen)
         database.close()
-        world.harmless = "state" in chosen
+        world.harmless = sound and "state" in chosen
     except sqlite3.Error:
         pass
 
@@ -311,8 +322,8 @@ def _put_back(world: World) -> None:
 def _interrupt(world: World) -> None:
     """A power cut between two steps of a replacement."""
     if world.path.exists() and not _read(world.path, "-wal"):
+        world.harmless = _sound(world)
         world.path.rename(world.path.with_name(world.path.name + ".ready"))
-        world.harmless = True
 
 
 RESTING: tuple[Callable[[World], None], ...] = (_flip, _flip, _flip, _alter, _cut, _put_back, _interrupt)
@@ -411,7 +422,6 @@ def _nothing_set_aside(path: Path, label: str, **_: Any) -> rescue.Rescued:
 UNDO: dict[str, Callable[[], Any]] = {
     "checksums": _no_checksums,
     "rescue": _patched("yieldmon.service.recovery.rescue.rescue", _nothing_set_aside),
-    "event tables at opening": _patched("yieldmon.service.store._EVENTS", ()),
     "removed files": _patched("yieldmon.service.store.Store.require_attached", lambda store: None),
     "witness of commits": _patched("yieldmon.service.recovery.witnessed", lambda path: 0),
     "mending in use": _patched("yieldmon.service.writer.StoreWriter._mended", lambda writer, store, error: False),

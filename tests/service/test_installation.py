@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -172,3 +173,13 @@ def test_an_installation_of_before_releases_makes_way(tmp_path: Path) -> None:
     assert main(["install", "--root", str(root), "--python", str(fake.python), "--from", "x.whl"]) == 0
     assert (root / "opt/yieldmon/bin").is_symlink()
     assert (root / "opt/yieldmon/bin/yieldmon").read_text() != "old"
+
+
+def test_the_bill_of_materials_names_all_that_the_lock_does() -> None:
+    made = subprocess.run([sys.executable, str(ROOT / "tools" / "sbom")], capture_output=True, text=True, check=True).stdout
+    bill = json.loads(made)
+    lock = (ROOT / "requirements.lock").read_text(encoding="utf-8")
+    names = [line.partition("==")[0] for line in lock.splitlines() if "==" in line and not line.startswith((" ", "#"))]
+    assert [part["name"] for part in bill["components"]] == names
+    assert all(part["hashes"] and part["purl"].startswith("pkg:pypi/") for part in bill["components"])
+    assert (bill["bomFormat"], bill["specVersion"]) == ("CycloneDX", "1.5")
