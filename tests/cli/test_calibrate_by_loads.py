@@ -107,3 +107,15 @@ def test_wrong_words_are_named_in_one_line(tmp_path, monkeypatch, capsys, words,
     assert out == ""
     assert err.count("\n") == 1
     assert problem in err
+
+
+def test_a_log_that_begins_in_grain_says_why_there_is_no_mass_and_takes_a_zero(tmp_path, capsys):
+    pieces = [{"kind": "steady", "duration_s": 40, "flow_kg_s": 12}]
+    (tmp_path / "s.yaml").write_text(json.dumps({"duration_s": 30, "flow": {"pieces": pieces}}))
+    log, out = tmp_path / "grain.log", tmp_path / "x.csv"
+    assert main(["simulate", "--scenario", str(tmp_path / "s.yaml"), "--log", str(log)]) == 0
+    capsys.readouterr()
+    assert main(["process", str(log), "--out", str(out)]) == 0
+    assert "no mass: the log has no stretch with the elevator running empty" in capsys.readouterr().err
+    assert main(["process", str(log), "--out", str(out), "--force", "--zero-mv", "500", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["total_mass_kg"] == pytest.approx(12.0 * 29.0, rel=0.06)

@@ -10,6 +10,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from yieldmon.bus.logs import SUFFIXES
 from yieldmon.cli import _outputs
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.zero import ZeroState
 from yieldmon.errors import InputError
 from yieldmon.resources import shipped
 from yieldmon.service import configuration
@@ -51,6 +53,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--format", choices=[kind[1:] for kind in FORMATS], help="kind of table; default: by the name's ending")
     parser.add_argument("--separate", action="store_true", help="each log is a record of its own, with a table of its own")
     parser.add_argument("--jobs", type=int, metavar="N", default=os.cpu_count() or 1, help="processes (default: one a core)")
+    parser.add_argument("--zero-mv", type=float, metavar="MV", help="zero-load voltage of a log that begins in grain")
     parser.add_argument("--json", action="store_true", help="print a summary as one JSON document")
     _outputs.add_force(parser, "out")
 
@@ -63,6 +66,8 @@ def run(args: argparse.Namespace) -> int:
     for index, path in enumerate(resolved):
         if path in resolved[:index]:
             raise InputError(args.logs[index], "is named twice, which would double its mass", "each log once")
+    if args.zero_mv is not None and not 0.0 <= args.zero_mv <= 100_000.0:
+        raise InputError("--zero-mv", f"is {args.zero_mv:g}", "0 to 100000 mV, as a table of an earlier log has it (zero_mv)")
     if args.jobs < 1:
         raise InputError("--jobs", f"is {args.jobs}", "a whole number from 1")
     config = args.config if args.config is not None else shipped("config/yieldmon.yaml")
@@ -70,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     if args.separate:
         return _separately(args, config)
     with _progress(args.logs) as progress:
-        document = _one_record(args.logs, args.out, args.format, loaded, args.jobs > 1, progress)
+        document = _one_record(args.logs, args.out, args.format, loaded, args.jobs > 1, progress, args.zero_mv)
     if args.json:
         print(json.dumps(document, indent=2))
     else:
@@ -87,7 +92,7 @@ def _separately(args: argparse.Namespace, config: str | Path) -> int:
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError("--separate", f"several logs are named {twice}", "logs whose names differ")
     folder.mkdir(parents=True, exist_ok=True)
-    work = partial(_separate_record, folder=folder, kind=kind, config=config)
+    work = partial(_separate_record, folder=folder, kind=kind, config=config, zero_mv=args.zero_mv)
     context = multiprocessing.get_context("fork")
     documents: dict[str, Any] = {}
     with _progress(args.logs) as progress, context.Pool(min(args.jobs, len(args.logs)), _leave_interrupts) as pool:
@@ -105,12 +110,12 @@ def _separately(args: argparse.Namespace, config: str | Path) -> int:
 
 
 def _separate_record(
-    log: str, folder: Path, kind: str, config: str | Path
+    log: str, folder: Path, kind: str, config: str | Path, zero_mv: float | None
 ) -> tuple[dict[str, Any], tuple[str, str, str] | None]:
     """The record's summary, or what InputError was raised with."""
     try:
         loaded = configuration.load(config)
-        return _one_record([log], str(folder / f"{_stem(log)}.{kind}"), kind, loaded, False, None), None
+        return _one_record([log], str(folder / f"{_stem(log)}.{kind}"), kind, loaded, False, None, zero_mv), None
     except InputError as error:
         return {}, (error.where, error.problem, error.expected)
 
@@ -131,8 +136,14 @@ def _one_record(
     loaded: configuration.Configuration,
     reads_ahead: bool,
     progress: Progress | None,
+    zero_mv: float | None,
 ) -> dict[str, Any]:
     monitor = monitor_of(loaded)
+    if zero_mv is not None:
+        known = ZeroState(
+            zero_mv, zero_mv, loaded.machine.nominal_elevator_speed_rad_s, loaded.engine.zero.first_pulse_limit_mv
+        )
+        monitor.restore(replace(monitor.snapshot(), zero=known))
     factory = FactoryComparison()
     with open_table(out, f".{kind}" if kind else None) as table:
 
@@ -157,12 +168,21 @@ def _document(summary: Summary, monitor: Monitor) -> dict[str, Any]:
         "dry_mass_kg": totals.total_dry_kg if totals.total_unknown_moisture_kg == 0.0 else None,
         "faults": {code.value: count for code in FaultCode if (count := monitor.faults.occurrences(code))},
         "damages": summary.damages,
+        "zero_known": monitor.snapshot().zero is not None,
     }
 
 
 def _line(document: dict[str, Any]) -> str:
     line = f"{document['frames']} frames, {document['windows']} s, {document['total_mass_kg']:.1f} kg"
-    return line + (f", {document['frames_malformed']} malformed frames" if document["frames_malformed"] else "")
+    line += f", {document['frames_malformed']} malformed frames" if document["frames_malformed"] else ""
+    lines = [line, *(f"damaged: {damage}" for damage in document["damages"])]
+    if document["faults"]:
+        lines.append("faults: " + ", ".join(f"{code} {count} x" for code, count in document["faults"].items()))
+    if not document["zero_known"]:
+        lines.append(
+            "no mass: the log has no stretch with the elevator running empty, so there is no zero; --zero-mv gives a known one"
+        )
+    return "\n".join(lines)
 
 
 @contextmanager
