@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -133,6 +133,11 @@ class _CountingDaemon(Daemon):
     def _send(self, out: list[Frame]) -> None:
         self.submitted += len(out)
         super()._send(out)
+
+    def _submit(self, messages: Iterable[can.Message]) -> None:
+        given = list(messages)
+        self.submitted += len(given)
+        super()._submit(given)
 
     def _do_reload(self) -> None:
         super()._do_reload()
