@@ -36,6 +36,8 @@ PARSED = {
     "setup": "the guided set-up's own tests",
     "web": "the page's own tests",
     "fleet": "the fleet's own tests",
+    "signals": "tests/signals/test_survey.py",
+    "check-config mapping.yaml": "tests/signals/test_survey.py",
 }
 #: What a page says of a machine -> what there is here.
 HERE = {
