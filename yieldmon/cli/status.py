@@ -65,6 +65,8 @@ def _show(status: Mapping[str, Any], console: Console) -> None:
     values = ", ".join(f"{name} {entry['value']:.4g} ± {entry['std_dev']:.2g}" for name, entry in parameters["values"].items())
     age = "age not known" if parameters["age_s"] is None else f"{_span(parameters['age_s'])} old"
     facts.add_row("parameters", f"version {parameters['version']}, {age}: {values}")
+    for note in status["signals"]["notes"]:
+        facts.add_row("signals", note)
     facts.add_row("reload", status["configuration"]["reload"])
     console.print(facts)
     if status["windows"]:

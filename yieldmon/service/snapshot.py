@@ -15,6 +15,7 @@ from yieldmon.engine.records import WindowRecord
 from yieldmon.frames import EstimateQuality, OperatingState
 from yieldmon.service.configuration import Configuration
 from yieldmon.service.journal import Journal
+from yieldmon.service.mapping_check import aliasing_pct, notes
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.transmit import TransmitCounters
 from yieldmon.service.writer import StoreHealth
@@ -124,6 +125,12 @@ def snapshot(
             "last_refusal": sent.last_failure or None,
         },
         "network": network,
+        "signals": {
+            "rate_hz": [round(source.rate_hz, 3) for source in configuration.signals.sources.impact],
+            "aliasing_std_dev_pct": aliasing_pct(configuration),
+            "fixed": dict(configuration.signals.sources.fixed),
+            "notes": notes(configuration),
+        },
         "store": {"file": str(configuration.store_path), "note": store_note or None, **asdict(store)},
     }
 
