@@ -226,6 +226,15 @@ def test_a_store_from_before_checksums_is_read_grows_up_and_is_rescued(tmp_path)
         assert store.loads()[1] == Load(2, "north", "corn", 1700000002.0, None, 10.25, None)
 
 
+@pytest.mark.parametrize("version", [0, 1, 3])
+def test_a_header_that_speaks_of_an_older_version_does_not_switch_the_checks_off(path, version):
+    change(path, f"PRAGMA user_version = {version}")
+    with pytest.raises(StoreDamagedError, match="header"):
+        Store.reading(path)
+    with pytest.raises(StoreDamagedError):
+        Store(path)
+
+
 def test_damaged_seconds_are_left_out_of_an_export_and_told(path, tmp_path):
     change(path, "UPDATE second SET mass_kg = 1e6 WHERE number IN (7, 9)")
     bad: list[int] = []

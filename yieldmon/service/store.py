@@ -264,6 +264,10 @@ class Store:
         try:
             with _failures_of(path):
                 checked = store._version() >= schema.CHECKED_FROM
+                marked = "SELECT count(*) FROM sqlite_schema WHERE type = 'table' AND name = 'mark'"
+                if not checked and store._database.execute(marked).fetchone()[0]:
+                    # Of an older version there would be nothing to hold its rows against.
+                    raise StoreDamagedError(f"{path}: its header is damaged")
                 store._unchecked_to = store._mark("unchecked_seconds") if checked else None
         except BaseException:
             store.close()
