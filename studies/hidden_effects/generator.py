@@ -50,10 +50,15 @@ Effects = Mapping[str, float]
 
 
 def force(
-    angle: Array, speed: Array, flow: Array, moisture: Array, grain: Grain, effects: Effects, machine: Geometry = Geometry()
+    angle: Array, speed: Array, flow: Array, moisture: Array, grain: Grain, effects: Effects, machine: Geometry = Geometry(),
+    *, other_laws: bool = False,
 ) -> Array:
-    """Mean horizontal force, N, for arrays of one shape (rows,); nan where the paddles would overflow."""
+    """Mean horizontal force, N, for arrays of one shape (rows,); nan where the paddles would overflow.
+
+    other_laws: the effects in `OTHER_LAWS` act by those laws, which neither the library nor the first set knows.
+    """
     size = dict(effects)
+    other = frozenset(OTHER_LAWS) if other_laws else frozenset[str]()
     wetter = moisture - 15.0
     rate = size.get("moisture_dependence", 0.0)
     mu = grain.friction * (1.0 + rate * wetter)
@@ -67,7 +72,11 @@ def force(
     passes = speed * machine.pitch_radius / machine.spacing
     full = 0.5 * shape * density * machine.width * length**2
     mass = flow / passes
-    mass = mass * np.exp(-size.get("paddle_leakage", 0.0) * mass / full / faster)
+    fill = mass / full
+    if "paddle_leakage" in other:
+        mass = mass * (1.0 - size.get("paddle_leakage", 0.0) * np.maximum(fill - 0.15, 0.0))
+    else:
+        mass = mass * np.exp(-size.get("paddle_leakage", 0.0) * fill / faster)
     inner = _inner_radius(mass / (density * machine.width * length**2), shape)
     radius, psi, share = _layers(inner, shape)
     layer_mass = share * (density * machine.width * length**2)[:, None]
@@ -76,7 +85,7 @@ def force(
     pull = size.get("gravity", 0.0)
     start = 1.5 * np.pi + size.get("release_angle", 0.0)
     number = pull / (length * speed**2)
-    push = size.get("residual_radial_speed", 0.0) * np.sqrt(radius)
+    push = size.get("residual_radial_speed", 0.0) * (radius**2 if "residual_radial_speed" in other else np.sqrt(radius))
     tau, outward = _slide(radius, push, mu[:, None], number[:, None], start)
     theta = start + tau
     tip = (length * speed)[:, None]
@@ -92,12 +101,18 @@ def force(
     for share, (px, py, wx, wy) in parts:
         for turn in fan:
             ux, uy = wx * np.cos(turn) - wy * np.sin(turn), wx * np.sin(turn) + wy * np.cos(turn)
-            pulse, landed = _strike(px, py, ux, uy, radius * psi * length, share * layer_mass, angle, e, size, machine)
+            pulse, landed = _strike(
+                px, py, ux, uy, radius * psi * length, share * layer_mass, angle, e, size, machine, other=other, fill=fill
+            )
             momentum += pulse / len(fan)
             landed_mass += landed / len(fan)
     reading = momentum * passes
-    reading = reading + landed_mass * passes * G * size.get("resting_grain", 0.0)
-    reading = _cell(reading, size)
+    lies = np.cos(angle) if "resting_grain" in other else 1.0
+    reading = reading + landed_mass * passes * G * size.get("resting_grain", 0.0) * lies
+    if "cell_nonlinearity" in other:
+        reading = reading - size.get("cell_nonlinearity", 0.0) * np.maximum(reading - 15.0, 0.0) * reading
+    else:
+        reading = _cell(reading, size)
     reading = reading + size.get("zero_offset", 0.0) + size.get("plate_buildup", 0.0) * np.cos(angle)
     return np.where(mass <= full, reading, np.nan)
 
@@ -205,6 +220,9 @@ def _strike(
     e: Array,
     size: Mapping[str, float],
     machine: Geometry,
+    *,
+    other: frozenset[str],
+    fill: Array,
 ) -> tuple[Array, Array]:
     """Horizontal impulse per paddle and the mass that lands, for one direction of the fan."""
     sin, cos = np.sin(angle)[:, None], np.cos(angle)[:, None]
@@ -238,11 +256,16 @@ def _strike(
     towards = reached & (normal > 0.0)
     width = np.maximum(np.abs(np.gradient(kappa, axis=1)), 1e-6)
     lands = np.where(towards, np.clip(0.5 - kappa / width, 0.0, 1.0), 0.0)
-    lands = _caught(lands, mass, along, kappa, np.where(reached, normal, 0.0), tangent, size)
+    lands = _caught(lands, mass, along, kappa, np.where(reached, normal, 0.0), tangent, size, other)
     bounce = e[:, None] + 0.0 * normal
-    if "jet_shielding" in size:
+    if "jet_shielding" in size and "jet_shielding" in other:
+        bounce = bounce * np.exp(-0.05 * size["jet_shielding"] * fill)[:, None]
+    elif "jet_shielding" in size:
         bounce = bounce * np.exp(-0.7 * thickness * size["jet_shielding"])
-    if "speed_dependent_restitution" in size:
+    if "speed_dependent_restitution" in size and "speed_dependent_restitution" in other:
+        yielding = np.maximum(normal / (machine.length * machine.nominal_speed) - 0.7, 0.0)
+        bounce = bounce / (1.0 + 2.0 * size["speed_dependent_restitution"] * yielding)
+    elif "speed_dependent_restitution" in size:
         nominal = machine.length * machine.nominal_speed
         bounce = bounce * np.clip(
             1.0 - size["speed_dependent_restitution"] * np.log(np.maximum(normal, 0.3) / nominal),
@@ -251,25 +274,34 @@ def _strike(
         )
     if "secondary_impact" in size:
         facing = np.maximum(normal, 0.0) / np.maximum(np.hypot(normal, tangent), 1e-9)
-        bounce = np.minimum(bounce + size["secondary_impact"] * facing**3 * bounce * (1.0 - bounce), 1.0)
+        steep = 1.0 if "secondary_impact" in other else facing**3
+        bounce = np.minimum(bounce + size["secondary_impact"] * steep * bounce * (1.0 - bounce), 1.0)
     push = (1.0 + bounce) * normal
     rub = np.zeros_like(push)
     if "plate_friction" in size:
         cap = 2.0 / 7.0 * tangent
-        rub = cap * np.tanh(size["plate_friction"] * push / np.maximum(np.abs(cap), 1e-9))
+        sliding = size["plate_friction"] * push
+        if "plate_friction" in other:
+            # A film that drags in proportion to the tangential speed, without a limit of rolling.
+            rub = 0.7 * size["plate_friction"] * tangent
+        else:
+            rub = cap * np.tanh(sliding / np.maximum(np.abs(cap), 1e-9))
     weight = 1.0
     if "lever_arm" in size:
         place = np.clip(kappa / machine.plate + 0.5, -0.5, 0.5)
-        weight = np.exp(size["lever_arm"] * place)
+        weight = 1.0 + size["lever_arm"] * np.sin(2.0 * place) if "lever_arm" in other else np.exp(size["lever_arm"] * place)
     landed = mass * lands
     return np.sum(landed * weight * (push * sin + rub * cos), axis=1), np.sum(landed, axis=1)
 
 
 def _caught(
-    lands: Array, mass: Array, along: Array, kappa: Array, normal: Array, tangent: Array, size: Mapping[str, float]
+    lands: Array, mass: Array, along: Array, kappa: Array, normal: Array, tangent: Array, size: Mapping[str, float],
+    other: frozenset[str],
 ) -> Array:
     """Share that lands, after the effects that act on grain near the plate's edges."""
-    if "miss_capture" in size:
+    if "miss_capture" in size and "miss_capture" in other:
+        lands = lands + np.where(normal > 0.0, (1.0 - lands) * size["miss_capture"], 0.0)
+    elif "miss_capture" in size:
         # By the part of the momentum on the plate that runs down it, fading below the edge.
         towards = normal > 0.0
         momentum = lands * mass * np.hypot(normal, tangent)
@@ -304,5 +336,12 @@ def outside(kind: str, reading: Array, angle: Array, speed: Array, flow: Array, 
         return reading * (1.0 - size / (1.0 + np.exp(-(flow - 0.6 * flow.max()) / (0.02 * flow.max()))))
     raise ValueError(f"outside effect {kind!r}: unknown")
 
+
+OTHER_LAWS = (
+    "paddle_leakage", "residual_radial_speed", "resting_grain", "cell_nonlinearity", "jet_shielding", "secondary_impact",
+    "speed_dependent_restitution", "plate_friction", "lever_arm", "miss_capture",
+)  # fmt: skip
+"""Effects with a second law: a threshold of fill or force, another power of radius, weight by the plate's slope, a gain falling
+with exp(-fill), a share that does not depend on incidence or place, yielding above a speed, drag in proportion to speed."""
 
 OUTSIDE = ("speed_resonance", "bent_bracket", "lagging_sensor", "overfull_spill")

@@ -12,7 +12,7 @@ from yieldmon.physics.effects import registry
 from yieldmon.physics.grain import evenly
 from yieldmon.physics.numerics import Array, real
 
-from .fit import Fit, Frame, Parameter, effect_parameters, fit, predictions
+from .fit import Fit, Frame, Parameter, effect_parameters, fit, fit_all, predictions
 from .noise import Noise
 
 #: Sizes at which a signature is drawn, in typical sizes from the null value.
@@ -129,7 +129,7 @@ def refit(current: Fit, found: Score, *, starts: int = 1, beside: Mapping[str, f
     points = [_moved(current, found.effect, values | option) for option in options]
     if beside is not None:
         points.append(values | dict(beside) | found.start)
-    fits = [f for point in points if (f := fit(current.frame, effects, point)) is not None]
+    fits = [f for f in fit_all(current.frame, effects, points) if f is not None]
     return min(fits, key=lambda f: f.chi2) if fits else None
 
 
@@ -143,8 +143,7 @@ def again(found: Fit) -> Fit:
     points = [{"friction": mu, "density": rho} for mu in evenly("friction", 3) for rho in evenly("density", 2)]
     points += [{name: null[name] + share * (found.values[name] - null[name])} for name in names for share in (0.4, 2.0)]
     best = found
-    for point in points:
-        other = fit(found.frame, found.effects, found.values | point)
+    for other in fit_all(found.frame, found.effects, [found.values | point for point in points], iterations=25):
         if other is None or set(names) & (set(other.at_bound) - set(found.at_bound)):
             continue
         if other.chi2 < best.chi2 - 0.5:
@@ -201,18 +200,23 @@ def _moved(current: Fit, effect: str, start: dict[str, float]) -> dict[str, floa
     return moved if np.all(np.isfinite(better)) and trial @ trial < residual @ residual else start
 
 
+def errors(current: Fit, noise: Noise, rng: np.random.Generator, draws: int) -> Array:
+    """Whitened errors of the cells that noise and the model's own error may make, shape (cells, draws)."""
+    z = rng.standard_normal((len(current.residual), draws)) / np.sqrt(rng.chisquare(noise.dof, draws) / noise.dof)
+    return np.asarray(z + current.error @ rng.standard_normal((current.error.shape[1], draws)))
+
+
 def false_alarm(
-    signatures: Iterable[Signature], tangent: Array, noise: Noise, rng: np.random.Generator
+    signatures: Iterable[Signature], current: Fit, noise: Noise, rng: np.random.Generator
 ) -> Callable[[float], float]:
     """p value of a gain in chi-square when every candidate had its chance and none is true.
 
-    Monte Carlo in the tangent plane of the model without them: the largest gain over all signatures' points, each of one sign,
-    and over the span of those with several parameters; the noise estimate's own uncertainty included.
+    Monte Carlo in the tangent plane of the model without them (`current`): the largest gain over all signatures' points, each of
+    one sign, and over the span of those with several parameters; the noise estimate's own uncertainty and the model's own error
+    included.
     """
     chosen = [s for s in signatures if s.directions.size]
-    cells = tangent.shape[0]
-    draws = rng.standard_normal((cells, DRAWS))
-    draws /= np.sqrt(rng.chisquare(noise.dof, DRAWS) / noise.dof)
+    draws = errors(current, noise, rng, DRAWS)
     largest = np.zeros(DRAWS)
     for s in chosen:
         directions = s.directions

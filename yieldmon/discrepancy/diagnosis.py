@@ -8,9 +8,11 @@ from math import degrees, isnan
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 from scipy.linalg import block_diag
 
 from yieldmon.errors import InputError
+from yieldmon.estimation import model_error
 from yieldmon.estimation.identifiability import scale_tangent
 from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
 from yieldmon.estimation.priors import at_bound_sentence
@@ -25,7 +27,8 @@ from .experiment import Plan, plan
 from .fit import Fit, Frame, base_frame, fit, fit_base
 from .gap import LackOfFit, Region, fills, lack_of_fit, noise_floor, row_rms, where
 from .noise import Noise, estimate
-from .selection import Choice, Policy, choose
+from .proof import Proof, Share, mean_square_interval, prove, share
+from .selection import Choice, Policy, choose, withdrawn
 from .stopgap import Correction, correction
 
 Progress = Callable[[str, float], None]
@@ -66,6 +69,11 @@ class HeldOut:
     after: Measure
     noise_floor_rms: float
     closed_pct: float | None
+    closed_interval_pct: tuple[float, float] | None = None
+    """95 %: what the same rows' noise and the model's own error leave open."""
+    f_interval: tuple[tuple[float, float], tuple[float, float]] | None = None
+    """95 % intervals of the lack of fit before and after."""
+    share: Share | None = None
 
 
 @dataclass(frozen=True)
@@ -177,12 +185,13 @@ class Examination:
     sealed: NDArray[np.bool_]
     outlier: NDArray[np.bool_]
     notes: tuple[str, ...]
+    proof: Proof | None = None
 
 
 def examine(
     rows: obs.Rows, parameters: ParameterSet, options: Options = Options(), progress: Progress | None = None, name: str = "table"
 ) -> Examination:
-    """Seal rows, fit the published model, choose effects, and open the sealed rows once. Raises InputError as `diagnose`."""
+    """Seal rows, fit the published model, choose effects; then the unseen rows decide. Raises InputError as `diagnose`."""
     tell = progress or (lambda text, share: None)
     rng = np.random.default_rng([options.seed, 2])
     sealed = obs.seal(rows, options.hold_out, options.seed)
@@ -199,11 +208,19 @@ def examine(
         base, noise, library(frame, options.without), rng, options.policy, lambda text, share: tell(text, 0.1 + 0.7 * share)
     )
     tell("sealed rows", 0.85)
-    found = chosen.best if chosen.verdict == "effect" else chosen.base
-    held_out, odd_sealed = _open(rows, sealed, chosen.base, found, noise)
+    held_out, odd_sealed = _open(rows, sealed, chosen.base, chosen.best, noise)
     outlier |= odd_sealed
-    notes = (*_noise_notes(noise, int(outlier.sum())), *why, *_overfull_note(sealed & ~outlier, held_out))
-    return Examination(form, noise, chosen, held_out, sealed, outlier, notes)
+    notes = [*_noise_notes(noise, int(outlier.sum())), *why, *_overfull_note(sealed & ~outlier, held_out)]
+    proof = None
+    if chosen.verdict == "effect":
+        proof = prove(chosen.base, chosen.best, held_out.share if held_out is not None else None, rng)
+        if not proof.agrees:
+            notes.append(_refuted(chosen.named, proof))
+            chosen = withdrawn(chosen, options.policy)
+            held_out, _ = _open(rows, sealed, chosen.base, chosen.base, noise)
+    elif held_out is not None:
+        held_out, _ = _open(rows, sealed, chosen.base, chosen.base, noise)
+    return Examination(form, noise, chosen, held_out, sealed, outlier, tuple(notes), proof)
 
 
 def adopted(
@@ -321,8 +338,33 @@ def _open(
     top = float(np.max(np.abs(rows.value)))
     rms = [float(np.sqrt(np.mean((p[usable] - kept.value[usable]) ** 2))) for p in (before, after)]
     floor = float(np.sqrt(np.mean(sd[usable] ** 2)))
-    measures = [Measure(v, 100.0 * v / top, None, None) for v in rms]
-    return HeldOut(int(usable.sum()), measures[0], measures[1], floor, _closed(rms[0], rms[1], floor)), odd
+    whitened = [(p[usable] - kept.value[usable]) / sd[usable] for p in (before, after)]
+    square = [float(np.mean(r**2)) for r in whitened]
+    count = int(usable.sum())
+    measures = [
+        Measure(v, 100.0 * v / top, f, float(stats.chi2.sf(f * count, count))) for v, f in zip(rms, square, strict=True)
+    ]
+    error = base.frame.model_error * model_error.basis(
+        kept.plate_angle_rad[usable], kept.load[usable], kept.elevator_speed_rad_s[usable]
+    )
+    error = error * (model_error.level(after[usable]) / sd[usable])[:, None]
+    found = share(whitened[0], whitened[1], error)
+    interval = None
+    if found.power > 0.0 and square[0] > 1.0:
+        ends = [(2.0 * (found.value + s * found.sd) - 1.0) * found.power / (count * (square[0] - 1.0)) for s in (-1.96, 1.96)]
+        interval = (100.0 * ends[0], 100.0 * ends[1])
+    intervals = (mean_square_interval(square[0], count), mean_square_interval(square[1], count))
+    closed = _closed(rms[0], rms[1], floor)
+    return HeldOut(count, measures[0], measures[1], floor, closed, interval, intervals, found), odd
+
+
+def _refuted(names: tuple[str, ...], proof: Proof) -> str:
+    where = f"; {', '.join(proof.worse)} worse than before" if proof.worse else ""
+    low, high = (100.0 * (proof.crossed.value + s * proof.crossed.sd) for s in (-1.96, 1.96))
+    return (
+        f"{' + '.join(names)} is not named: unseen rows lie {low:.0f} to {high:.0f} % of the way to it, where more than 50 % "
+        f"is needed{where}"
+    )
 
 
 def _closed(before: float, after: float, floor: float) -> float | None:
@@ -414,7 +456,13 @@ def to_document(diagnosis: Diagnosis) -> dict[str, object]:
             "after": _measure_document(diagnosis.after),
             "held_out": None
             if held is None
-            else {"rows": held.rows, "before": _measure_document(held.before), "after": _measure_document(held.after)},
+            else {
+                "rows": held.rows,
+                "before": _measure_document(held.before),
+                "after": _measure_document(held.after),
+                "lack_of_fit_f_interval": None if held.f_interval is None else [list(ends) for ends in held.f_interval],
+                "closed_interval_pct": None if held.closed_interval_pct is None else list(held.closed_interval_pct),
+            },
             "noise_floor_rms": held.noise_floor_rms if held is not None else diagnosis.noise_floor_rms,
             "closed_pct": diagnosis.closed_pct,
         },

@@ -6,12 +6,14 @@ bootstraps work in the tangent plane.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from yieldmon.estimation import model_error
 from yieldmon.estimation.least_squares import levenberg_marquardt
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.effects import registry
@@ -22,6 +24,10 @@ from yieldmon.physics.numerics import COMPLEX_STEP, Array, real
 from .observations import Cells, Rows
 
 SEARCH_NODES = 12
+LAW_SD = 0.15
+"""Relative standard deviation of an effect's law about the one that is written, smooth over angle, load and speed."""
+MOST_SEEN = 2.0
+"""The law's error is of no more than this multiple of what recalibration leaves of the effect's change."""
 _REFERENCE_FORCE_N = 60.0
 """Largest force of a table in N for which the effects' own bounds in N are meant."""
 
@@ -54,6 +60,7 @@ class Frame:
     fixed: Mapping[str, float]
     unit: float
     nodes: int = SEARCH_NODES
+    model_error: float = model_error.FLOOR
 
     @property
     def known(self) -> tuple[str, ...]:
@@ -62,7 +69,12 @@ class Frame:
 
     def with_cells(self, cells: Cells, sd: Array) -> Frame:
         """The same questions about other cells."""
-        return Frame(cells, sd, self.base, self.fixed, self.unit, self.nodes)
+        return replace(self, cells=cells, sd=sd)
+
+    @property
+    def groups(self) -> list[NDArray[np.int64]]:
+        """Plate angles and loads to leave out whole."""
+        return model_error.groups_of(self.cells.plate_angle_rad, self.cells.load)
 
 
 @dataclass(frozen=True)
@@ -102,15 +114,79 @@ class Fit:
     def covariance(self) -> Array:
         """Covariance of the parameters in the tangent plane, shape (parameters, parameters).
 
-        Where chi-square exceeds its degrees of freedom the cells miss by more than their sd, and it is that much wider (Birge's
-        ratio). No parameter's sd exceeds the width of its bounds; what is at a bound may lie anywhere between them.
+        The model's own error is part of it, with the size that angles and loads left out show (`learnt_error`), and so is what
+        the laws of the effects may be off. Where chi-square exceeds even that, it is that much wider (Birge's ratio). No
+        parameter's sd exceeds the width of its bounds; what is at a bound may lie anywhere between them.
         """
         scale = np.array([p.scale for p in self.parameters])
         scaled = self.jacobian * scale
-        ratio = max(self.chi2 / max(self.dof, 1), 1.0)
+        error = self.columns_of_error(self.learnt_error)
+        ratio = max(self.marginal(error)[0] / max(self.dof, 1), 1.0)
         width = np.array([p.upper - p.lower for p in self.parameters])
         inverse = np.linalg.inv(scaled.T @ scaled / ratio + np.diag((scale / width) ** 2))
-        return 0.5 * (inverse + inverse.T) * np.outer(scale, scale)
+        wide = model_error.widened(0.5 * (inverse + inverse.T), scaled / ratio, error)
+        limit = np.minimum(1.0, (width / scale) / np.sqrt(np.diag(wide)))
+        return wide * np.outer(limit * scale, limit * scale)
+
+    @cached_property
+    def level(self) -> Array:
+        """What a relative error of the model is relative to, over sd, shape (cells,)."""
+        frame = self.frame
+        return np.asarray(model_error.level(frame.cells.mean + self.residual * frame.sd) / frame.sd)
+
+    @cached_property
+    def free(self) -> Array:
+        """Columns over which a relative error may be spread, shape (cells, columns)."""
+        cells = self.frame.cells
+        return model_error.basis(cells.plate_angle_rad, cells.load, cells.elevator_speed_rad_s)
+
+    @cached_property
+    def learnt_error(self) -> float:
+        """Relative size of the model's own error, from angles and loads left out; at least the floor."""
+        return model_error.learnt(self.residual, self.tangent(), 1.0 / self.level, self.frame.groups)
+
+    @cached_property
+    def shape_error(self) -> Array:
+        """Whitened columns, with independent unit weights, of what the laws of the effects may be off, shape (cells, columns).
+
+        An effect's law may rise faster or slower with angle, load and speed than written: its change of the prediction times a
+        smooth factor about 1 (`LAW_SD`).
+        """
+        frame, cells = self.frame, self.frame.cells
+        known = len(frame.base)
+        calibrating = orthonormal(self.jacobian[:, :known] * np.array([p.scale for p in self.parameters[:known]]))
+        columns = []
+        for effect in self.effects:
+            null = {p.name: p.start for p in effect_parameters(effect, frame.unit)}
+            without = real(predictions(frame, self.effects, self.values | null))
+            change = self.residual + (cells.mean - without) / frame.sd
+            change = np.where(np.isfinite(change), change, 0.0)
+            # What recalibration hides of a large change must not excuse everything that shows.
+            seen = float(np.linalg.norm(model_error.off(change, calibrating)))
+            share = min(1.0, MOST_SEEN * seen / max(float(np.linalg.norm(change)), 1e-300))
+            columns.append(LAW_SD * share * self.free * change[:, None])
+        return np.concatenate(columns, axis=1) if columns else np.zeros((len(self.residual), 0))
+
+    def columns_of_error(self, size: float) -> Array:
+        """Whitened columns, with independent unit weights, of the model's own error of a relative size and of the laws."""
+        return np.concatenate((size * self.free * self.level[:, None], self.shape_error), axis=1)
+
+    @cached_property
+    def error(self) -> Array:
+        """`columns_of_error` with the frame's size of the model's error."""
+        return self.columns_of_error(self.frame.model_error)
+
+    def marginal(self, columns: Array) -> tuple[float, float]:
+        """Chi-square and log determinant when the weights of error columns are integrated out, off the tangent plane."""
+        free = model_error.off(columns, self.tangent())
+        small = np.eye(free.shape[1]) + free.T @ free
+        along = free.T @ self.residual
+        return self.chi2 - float(along @ np.linalg.solve(small, along)), float(np.linalg.slogdet(small)[1])
+
+    @cached_property
+    def integrated(self) -> tuple[float, float]:
+        """`marginal` over `error`."""
+        return self.marginal(self.error)
 
     def tangent(self) -> Array:
         """Orthonormal basis of what small changes of the parameters can do to the whitened prediction, shape (cells, rank)."""
@@ -181,38 +257,56 @@ def fit(
     tolerance: float = 1e-3,
     held: Mapping[str, float] | None = None,
 ) -> Fit | None:
-    """Least squares from one start (base and null values where `start` is silent); None where no start fits on the paddles.
+    """`fit_all` from one start (base and null values where `start` is silent); None where no load fits on the paddles there."""
+    return fit_all(frame, effects, [start or {}], iterations=iterations, tolerance=tolerance, held=held)[0]
 
-    held: parameters that may not move from the given values. Ends when a step gains less than `tolerance` in chi-square relative
-    to 1 + chi2 / dof.
+
+def fit_all(
+    frame: Frame,
+    effects: Iterable[str],
+    starts: Sequence[Mapping[str, float]],
+    *,
+    iterations: int = 60,
+    tolerance: float = 1e-3,
+    held: Mapping[str, float] | None = None,
+) -> list[Fit | None]:
+    """Least squares from several starts at once; None where no load fits on the paddles at a start.
+
+    held: parameters that may not move from the given values. Ends when a step promises to gain less than `tolerance` in
+    chi-square relative to 1 + chi2 / dof.
     """
     effects = tuple(effects)
     parameters = frame.base + tuple(p for e in effects for p in effect_parameters(e, frame.unit))
     lower, upper = np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
-    scale = np.array([p.scale for p in parameters])
     names = [p.name for p in parameters]
-    given = dict(start or {}) | dict(held or {})
     movable = np.array([name not in (held or {}) for name in names])
-    x = np.clip(np.array([given.get(p.name, p.start) for p in parameters]), lower, upper)
+    first = np.array([[{**start, **(held or {})}.get(p.name, p.start) for p in parameters] for start in starts])
+    count, cells = len(names), len(frame.cells)
 
     def whitened(points: Array, _: NDArray[np.intp]) -> tuple[Array, Array]:
-        moved = points[0][:, None] + 1j * COMPLEX_STEP * np.eye(len(names))
-        values = predictions(frame, effects, {n: moved[i][:, None] for i, n in enumerate(names)})
-        values = np.broadcast_to(values, (len(names), len(frame.cells)))
-        slopes = np.nan_to_num(np.imag(values).T / COMPLEX_STEP, nan=0.0, posinf=0.0, neginf=0.0) / frame.sd[:, None]
-        return ((real(values[0]) - frame.cells.mean) / frame.sd)[None], slopes[None]
+        moved = points + 1j * COMPLEX_STEP * np.eye(count)[:, None, :]
+        values = predictions(frame, effects, {n: moved[..., i, None] for i, n in enumerate(names)})
+        values = np.broadcast_to(values, (count, len(points), cells))
+        slopes = np.moveaxis(np.imag(values), 0, -1) / COMPLEX_STEP
+        slopes = np.nan_to_num(slopes, nan=0.0, posinf=0.0, neginf=0.0) / frame.sd[:, None]
+        return (real(values[0]) - frame.cells.mean) / frame.sd, slopes
 
     found = levenberg_marquardt(
-        whitened, x[None], lower, upper, held=~movable[None], scale=scale, iterations=iterations, least_gain=tolerance
-    )
-    chi2 = 2.0 * float(found.cost[0])
-    if not np.isfinite(chi2):
-        return None
-    return Fit(effects, parameters, found.theta[0], chi2, found.residual[0], found.jacobian[0], frame)
+        whitened, np.clip(first, lower, upper), lower, upper, held=np.broadcast_to(~movable, first.shape),
+        scale=np.array([p.scale for p in parameters]), iterations=iterations, least_gain=tolerance,
+    )  # fmt: skip
+    out: list[Fit | None] = []
+    for theta, cost, residual, jacobian in zip(found.theta, found.cost, found.residual, found.jacobian, strict=True):
+        if not np.isfinite(cost):
+            out.append(None)
+            continue
+        out.append(Fit(effects, parameters, theta, 2.0 * float(cost), residual, jacobian, frame))
+    return out
 
 
 def base_frame(cells: Cells, sd: Array, parameters: ParameterSet, form: str, *, keep_effects: bool = False) -> Frame:
     """Frame for the published model in `form` ("restitution" or "exchange"); friction and density free, the shape ratio fixed.
+
 
     keep_effects: effects that the parameters speak of belong to the model, at their values. Bounds and starts are the registry's.
     """
@@ -221,7 +315,8 @@ def base_frame(cells: Cells, sd: Array, parameters: ParameterSet, form: str, *, 
     unit = 1.0 if cells.rows.si else force / _REFERENCE_FORCE_N
     given = parameters.values
     base = tuple(_base(GRAIN[name], unit) for name in fitted(form))
-    held = {p.name: float(given[p.name]) for p in GRAIN.values() if not p.form and not p.fitted and p.name in given}
+    others = {b.name for b in base}
+    held = {p.name: float(given[p.name]) for p in GRAIN.values() if not p.form and p.name in given and p.name not in others}
     kept = {name: float(value) for name, value in given.items() if keep_effects and "." in name}
     return Frame(cells, sd, base, held | kept, unit)
 
@@ -239,7 +334,7 @@ def fit_base(frame: Frame, effects: tuple[str, ...] = ()) -> Fit:
     if not found:
         raise ValueError("the loads overfill the paddles at every admissible density")
     found.sort(key=lambda pair: pair[0])
-    fits = [f for _, start in found[:3] if (f := fit(frame, effects, start)) is not None]
+    fits = [f for f in fit_all(frame, effects, [start for _, start in found[:3]]) if f is not None]
     return min(fits, key=lambda f: f.chi2)
 
 
@@ -267,7 +362,7 @@ def _base(known: GrainParameter, unit: float) -> Parameter:
     """Where it starts is the registry's matter, so that no verdict depends on the parameters that one begins with."""
     stretch = unit if known.follows_response else 1.0
     low, high = known.search
-    return Parameter(known.name, low * stretch, high * stretch, known.typical * stretch, known.step * stretch)
+    return Parameter(known.name, low * stretch, high * stretch, known.typical * stretch, known.step * stretch, known.unit)
 
 
 def _passes(cells: Cells) -> Array:

@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from yieldmon.estimation import model_error
 from yieldmon.estimation.clusters import cluster
 from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.numerics import Array
 
+from .candidates import errors
 from .fit import Fit
 from .noise import Noise
 from .observations import SAME_LOAD, SAME_SPEED, Rows
@@ -45,13 +47,22 @@ class Region:
     cells: tuple[int, ...]
 
 
-def lack_of_fit(fit: Fit, noise: Noise) -> LackOfFit:
-    """The test for one fit; p is 1 where no degree of freedom is left."""
+def lack_of_fit(fit: Fit, noise: Noise, *, laws: bool = True) -> LackOfFit:
+    """The test for one fit; p is 1 where no degree of freedom is left.
+
+    F is against the noise alone; p allows for the model's own error and, with `laws`, for what its effects' laws may be off.
+    """
     dof = fit.dof
     if dof <= 0:
         return LackOfFit(float("nan"), 1.0)
-    ratio = fit.chi2 / dof
-    return LackOfFit(ratio, float(stats.f.sf(ratio, dof, noise.dof)))
+    # Noise and the model's own error together: their mean square's distribution by its first two moments (Satterthwaite).
+    own = fit.frame.model_error * fit.free * fit.level[:, None]
+    error = model_error.off(fit.error if laws else own, fit.tangent())
+    small = error.T @ error
+    extra, square = float(np.trace(small)), float(np.sum(small**2))
+    mean, variance = dof + extra, 2.0 * dof + 4.0 * extra + 2.0 * square
+    p_value = float(stats.f.sf(fit.chi2 / mean, 2.0 * mean**2 / variance, noise.dof))
+    return LackOfFit(fit.chi2 / dof, p_value)
 
 
 def row_rms(fit: Fit, rows: Rows) -> float:
@@ -94,7 +105,7 @@ def where(fit: Fit, noise: Noise, rng: np.random.Generator, *, level: float = 0.
     keep = norm > 0.3 * np.linalg.norm(windows, axis=1)
     windows, directions = windows[keep], projected[keep] / norm[keep, None]
     score = directions @ fit.residual
-    largest = np.concatenate([np.max(np.abs(directions @ z), axis=0) for z in _noise_draws(len(cells), noise, rng)])
+    largest = np.concatenate([np.max(np.abs(directions @ errors(fit, noise, rng, DRAWS // 4)), axis=0) for _ in range(4)])
     out: list[Region] = []
     taken = np.zeros(len(cells), dtype=bool)
     largest_ratio = float(np.max(np.abs(cells.mean / fit.frame.sd)))
@@ -119,15 +130,6 @@ def where(fit: Fit, noise: Noise, rng: np.random.Generator, *, level: float = 0.
             )
         )
     return tuple(out)
-
-
-def _noise_draws(cells: int, noise: Noise, rng: np.random.Generator) -> list[Array]:
-    """Standard normal cells with the uncertainty of the noise estimate, in blocks of shape (cells, draws)."""
-    blocks = []
-    for _ in range(4):
-        z = rng.standard_normal((cells, DRAWS // 4))
-        blocks.append(z / np.sqrt(rng.chisquare(noise.dof, DRAWS // 4) / noise.dof))
-    return blocks
 
 
 def _span(values: Array) -> tuple[float, float]:

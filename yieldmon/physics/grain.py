@@ -58,8 +58,6 @@ class GrainParameter:
         "" for grain itself, else the form of the impact gain that it belongs to.
     default
         Its value where a parameter file does not speak of it; None: the file must.
-    prior_sd
-        Standard deviation about `typical` in a diagnosis; inf: none but `search`.
     follows_response
         Whether it is in the reading's own unit; limits, search, start, typical and step are then per unit of scale.
     offset
@@ -84,7 +82,6 @@ class GrainParameter:
     fitted: bool = True
     form: str = ""
     default: float | None = None
-    prior_sd: float = float("inf")
     follows_response: bool = False
     offset: float = 0.0
     floor: float = 1e-12
@@ -113,7 +110,7 @@ _ALL = (
     ),
     GrainParameter(
         name="shape_ratio", symbol="h_f", unit="", label="shape ratio",
-        limits=(0.05, 6.0), search=(0.2, 6.0), start=(1.0, 3.0), typical=2.0, step=0.6, fitted=False, prior_sd=0.6,
+        limits=(0.05, 6.0), search=(0.2, 6.0), start=(1.0, 3.0), typical=2.0, step=0.6, fitted=False,
     ),
     GrainParameter(
         name="restitution", symbol="e", unit="", label="restitution", form="restitution",

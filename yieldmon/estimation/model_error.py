@@ -1,0 +1,103 @@
+"""The model's own error, as a quantity beside the measurement's noise.
+
+A relative error of the predicted reading, smooth over plate angle, load and elevator speed, with mean 0 and a size that is at
+least `FLOOR`; what recalibration can absorb is taken out where the error is used (by projection off the fit's tangent plane).
+Sources: Kennedy and O'Hagan, J. R. Stat. Soc. B 63 (2001); Plumlee, J. Am. Stat. Assoc. 112 (2017), on orthogonality;
+Brynjarsdottir and O'Hagan, Inverse Problems 30 (2014), on why its size needs a prior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.physics.machine import SAME_ANGLE_RAD
+from yieldmon.physics.numerics import Array
+
+from .clusters import cluster
+
+FLOOR = 0.002
+"""Relative standard deviation of the model's error where it is right: two codes of the same physics differ by this much."""
+_DEGREES = (3, 3, 2)
+_MOST = 4
+_LEAST_LEVEL = 0.05
+"""Readings below this share of the largest have the error of that share."""
+_SAME_LOAD = 0.03
+
+
+def level(predicted: Array) -> Array:
+    """The reading that a relative error is relative to, (n,)."""
+    top = float(np.max(np.abs(predicted), initial=0.0))
+    return np.maximum(np.abs(predicted), _LEAST_LEVEL * top)
+
+
+def basis(plate_angle_rad: Array, load: Array, elevator_speed_rad_s: Array) -> Array:
+    """Columns over which the relative error is spread with independent unit normal weights, shape (n, m).
+
+    Products of Legendre polynomials, the higher the less; scaled so that the error's mean variance is 1.
+    """
+    axes = []
+    for values, degree in zip((plate_angle_rad, np.sqrt(np.maximum(load, 0.0)), elevator_speed_rad_s), _DEGREES, strict=True):
+        span = float(np.ptp(values)) if values.size else 0.0
+        varied = span > 1e-3 * max(float(np.max(np.abs(values), initial=0.0)), 1e-300)
+        at = 2.0 * (values - values.min()) / span - 1.0 if varied else np.zeros(values.shape)
+        highest = degree if varied else 0
+        axes.append([np.polynomial.legendre.legval(at, np.eye(highest + 1)[k]) for k in range(highest + 1)])
+    columns = [
+        np.prod([axis[k] for axis, k in zip(axes, powers, strict=True)], axis=0) / (1.0 + sum(powers))
+        for powers in product(*(range(len(axis)) for axis in axes))
+        if sum(powers) <= _MOST
+    ]
+    out = np.stack(columns, axis=-1)
+    return np.asarray(out / np.sqrt(max(float(np.mean(np.sum(out**2, axis=-1))), 1e-300)))
+
+
+def off(columns: Array, tangent: Array) -> Array:
+    """Columns less what lies in the span of orthonormal tangent columns."""
+    return np.asarray(columns - tangent @ (tangent.T @ columns))
+
+
+def left_out(residual: Array, tangent: Array, group: NDArray[np.int64], unseen: float = 1e-3) -> Array:
+    """Whitened residual of each row when its group is left out of the fit, in the tangent plane, shape (n,).
+
+    (I - T_g T_g')^-1 r_g with T the tangent's orthonormal basis; directions that only the group itself determines (less than
+    the share `unseen` of them is seen elsewhere) are left at their fitted residual.
+    """
+    out = residual.copy()
+    for number in range(int(group.max()) + 1):
+        inside = group == number
+        own = tangent[inside]
+        kept, axes = np.linalg.eigh(np.eye(own.shape[0]) - own @ own.T)
+        kept = np.where(kept < unseen, 1.0, kept)
+        out[inside] = axes @ ((axes.T @ residual[inside]) / kept)
+    return out
+
+
+def learnt(residual: Array, tangent: Array, relative_sd: Array, groups: Sequence[NDArray[np.int64]]) -> float:
+    """Size of the model's error, from how far angles and loads are missed that a fit has not seen; at least `FLOOR`.
+
+    residual: whitened, (n,). relative_sd: sd of each row over its level, (n,). groups: for each way of leaving out, the number of
+    each row's group; ways that leave fewer than three groups say nothing.
+    """
+    told = [g for g in groups if int(g.max(initial=0)) >= 2]
+    if not told:
+        return FLOOR
+    missed = np.mean([np.mean(left_out(residual, tangent, g) ** 2) for g in told])
+    return float(max(FLOOR, np.sqrt(max(missed - 1.0, 0.0) / np.mean(relative_sd**-2.0))))
+
+
+def groups_of(plate_angle_rad: Array, load: Array) -> list[NDArray[np.int64]]:
+    """Angles and loads as groups to leave out."""
+    return [cluster(plate_angle_rad, SAME_ANGLE_RAD), cluster(np.log(np.maximum(load, 1e-9)), _SAME_LOAD)]
+
+
+def widened(covariance: Array, jacobian: Array, error: Array) -> Array:
+    """A least-squares covariance with the model's error in it.
+
+    covariance: (p, p) from noise. jacobian: (n, p), whitened. error: (n, m), whitened columns of the error with unit weights.
+    """
+    moved = covariance @ (jacobian.T @ error)
+    return np.asarray(covariance + moved @ moved.T)
