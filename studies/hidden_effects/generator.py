@@ -209,7 +209,7 @@ def _slide(rho: Array, push: Array, mu: Array, number: Array, start: float) -> t
     return tau, np.where(np.isnan(out), 0.0, out)
 
 
-def _strike(
+def _strike(  # noqa: PLR0915
     x: Array,
     y: Array,
     vx: Array,

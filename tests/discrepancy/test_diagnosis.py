@@ -12,10 +12,10 @@ from scipy import stats
 from yieldmon.cli.diagnose import _print_text
 from yieldmon.discrepancy import diagnosis, experiment, report
 from yieldmon.discrepancy.candidates import Signature
-from yieldmon.discrepancy.fit import Fit, Parameter
+from yieldmon.discrepancy.fit import LAW_SD, Fit, Parameter
 from yieldmon.discrepancy.noise import Noise
 from yieldmon.discrepancy.observations import with_cells
-from yieldmon.discrepancy.selection import Policy, form_allowance
+from yieldmon.discrepancy.selection import Policy
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import RPM, Machine
@@ -124,20 +124,15 @@ def test_more_ties_than_a_class_holds_are_no_name(make_rows, start) -> None:
     assert (choice.verdict, choice.named) == ("unknown", ())
 
 
-def test_a_rival_whose_law_may_be_another_is_tied(make_rows, start) -> None:
-    rows = make_rows({"release_angle": -0.12})
-    ties = []
-    for form in (0.0, 0.3):
-        options = replace(QUICK, policy=replace(QUICK.policy, form=form, largest_class=30))
-        ties.append(set(diagnosis.examine(rows, start, options).choice.steps[0].equivalent))
-    assert ties[0] < ties[1]
-
-
-def test_a_form_may_differ_by_a_share_of_what_the_effect_changes(make_rows, start) -> None:
-    choice = diagnosis.examine(make_rows({"zero_offset": 4.0}), start, QUICK).choice
-    offset_n = choice.best.values["zero_offset.force_n"]
-    by_hand = np.sum((0.1 * offset_n / choice.best.frame.sd) ** 2)
-    assert form_allowance(choice.best, "zero_offset", Policy(form=0.1)) == pytest.approx(by_hand, rel=1e-9)
+def test_the_error_of_a_law_is_a_share_of_what_its_effect_changes(make_rows, start) -> None:
+    best = diagnosis.examine(make_rows({"zero_offset": 4.0}), start, QUICK).choice.best
+    changed = best.values["zero_offset.force_n"] / best.frame.sd
+    spread = np.sqrt(np.sum(best.shape_error**2, axis=1)) / np.abs(changed)
+    assert np.sqrt(np.mean(spread**2)) <= LAW_SD * (1.0 + 1e-9)
+    assert np.all(spread > 0.0)
+    chi2, volume = best.integrated
+    assert 0.0 < chi2 < best.chi2
+    assert volume > 0.0
 
 
 def test_sealed_rows_are_not_fitted(make_rows, start) -> None:

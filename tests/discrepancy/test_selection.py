@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from yieldmon.discrepancy import candidates, diagnosis, selection
+from yieldmon.discrepancy import candidates, diagnosis
 from yieldmon.discrepancy.candidates import Score
 from yieldmon.discrepancy.fit import Fit, fit
-from yieldmon.discrepancy.selection import Candidate, Policy
+from yieldmon.discrepancy.selection import Candidate, Policy, Search
 
+USUAL = Policy()
 NAMED_NOTHING = diagnosis.Options(policy=Policy(most_effects=0), hold_out="none")
 
 
@@ -57,6 +58,12 @@ def test_other_starts_take_no_effect_to_its_bound(published) -> None:
     assert weight not in candidates.again(found).at_bound
 
 
+def search(base: Fit, noise, policy: Policy = USUAL, *, excess: float | None = None, effects=()) -> Search:
+    """A search whose published model is `excess` above its degrees of freedom in chi-square."""
+    known = base if excess is None else replace(base, chi2=base.dof + excess)
+    return Search(base=known, noise=noise, effects=effects, rng=np.random.default_rng(8), policy=policy)
+
+
 def _scaled(found: Fit, f: float) -> Fit:
     """The same fit with residuals that leave a lack of fit of `f`."""
     times = np.sqrt(f * found.dof / found.chi2)
@@ -72,7 +79,7 @@ def test_a_further_effect_needs_less_where_the_model_so_far_is_refuted(published
     current = _scaled(fit(base.frame, ("zero_offset",), base.values), left_f)
     further = fit(base.frame, ("zero_offset", "release_angle"), base.values)
     found = (Candidate("release_angle", further, 1e6, p_value, 0.0),)
-    good = selection._admissible(found, current, noise, Policy(), excess=1.0)
+    good = search(base, noise, excess=1.0).admissible(found, current)
     assert [c.effect for c in good] == (["release_angle"] if enough else [])
 
 
@@ -86,13 +93,13 @@ def test_a_further_effect_must_be_significant_large_predictive_and_within_bounds
     base, noise = published({"zero_offset": 4.0})
     current = _scaled(fit(base.frame, ("zero_offset",), base.values), 3.0)
     found = Candidate("release_angle", current, 50.0, 0.001, 0.0)
-    assert selection._admissible((found,), current, noise, Policy(), excess=1000.0) == [found]
+    assert search(base, noise, excess=1000.0).admissible((found,), current) == [found]
     spoilt = replace(found, p_value=p_value, gain=gain, cross_validated=error, refused=refused)
-    assert selection._admissible((spoilt,), current, noise, Policy(), excess=1000.0) == []
+    assert search(base, noise, excess=1000.0).admissible((spoilt,), current) == []
 
 
 def test_a_rival_that_misses_a_tie_by_little_is_fitted_again(published) -> None:
-    base, _ = published({"zero_offset": 4.0})
+    base, noise = published({"zero_offset": 4.0})
     current = fit(base.frame, ("zero_offset",), base.values)
     worse = fit(
         base.frame,
@@ -103,12 +110,12 @@ def test_a_rival_that_misses_a_tie_by_little_is_fitted_again(published) -> None:
     policy = Policy(tie=1.0, near=1e6)
     rival = Candidate("plate_buildup", worse, 0.0, 0.5, 0.0)
     assert worse.chi2 > current.chi2 + 10.0
-    (again,) = selection._once_more((rival,), "zero_offset", current, policy)
+    (again,) = search(base, noise, policy).refined((rival,), "zero_offset", current)
     assert again.fit.chi2 == pytest.approx(current.chi2, abs=0.5)
     assert again.gain == pytest.approx(worse.chi2 - again.fit.chi2)
     for left in (replace(policy, near=0.0), policy):
         kept = rival if left is not policy else replace(rival, refused="at a bound")
-        assert selection._once_more((kept,), "zero_offset", current, left) == (kept,)
+        assert search(base, noise, left).refined((kept,), "zero_offset", current) == (kept,)
 
 
 def test_a_pair_hidden_behind_each_other_is_named(make_rows, start) -> None:
@@ -128,7 +135,7 @@ def test_beside_a_giant_a_further_effect_must_explain_half_of_what_is_left(publi
     base, noise = published({"zero_offset": 4.0})
     current = _scaled(fit(base.frame, ("zero_offset",), base.values), left_f)
     found = (Candidate("release_angle", current, gain, 0.001, 0.0),)
-    good = selection._admissible(found, current, noise, Policy(), excess=1e6)
+    good = search(base, noise, excess=1e6).admissible(found, current)
     assert [c.effect for c in good] == (["release_angle"] if enough else [])
     assert left_f == 1.0 or 0.25 * (current.chi2 - current.dof) < 60.0 < 0.75 * (current.chi2 - current.dof)
 
@@ -139,13 +146,11 @@ def test_a_further_effect_with_too_many_ties_is_spared_unless_the_data_refute_it
     policy = Policy(tie=1e9, largest_class=2, complete_f=complete_f, gap_p=gap_p, exchanges=3)
     pair = ("release_angle", "zero_offset")
     current = fit(base.frame, pair, base.values)
-    rng = np.random.default_rng(8)
-    reduced = fit(base.frame, ("zero_offset",), current.values)
     library = ("gravity", "lever_arm", "plate_friction", "release_angle")
-    places = {"release_angle": selection._candidates(reduced, noise, library, rng, policy, 4), "zero_offset": ()}
-    found, steps, _ = selection._spared(
-        current, ["zero_offset", "release_angle"], places, (*library, "zero_offset"), noise, rng, policy, 0.0, excess=1e6
-    )
+    reduced = fit(base.frame, ("zero_offset",), current.values)
+    looking = search(base, noise, policy, excess=1e6, effects=(*library, "zero_offset"))
+    places = {"release_angle": looking.candidates(reduced, library, 4), "zero_offset": ()}
+    found, steps, _ = looking.spared(current, ["zero_offset", "release_angle"], places, 0.0)
     assert tuple(sorted(found.effects)) == (left or pair)
     assert {s.added for s in steps} == set(found.effects)
 

@@ -186,14 +186,9 @@ def _print_text(found: diagnosis.Diagnosis) -> None:
         )
     if found.held_out is not None:
         held = found.held_out
-        closed = "not known" if held.closed_pct is None else f"{held.closed_pct:.0f} %"
-        print(
-            f"  held out ({held.rows} rows): rms {held.before.rms:.4g} -> {held.after.rms:.4g}, "
-            f"noise {held.noise_floor_rms:.4g}, gap closed {closed}"
-        )
+        print(f"  {report.unseen(held)} (rms {held.before.rms:.4g} -> {held.after.rms:.4g}, noise {held.noise_floor_rms:.4g})")
     for region in document["where"]:  # type: ignore[attr-defined]
         print(f"  where: {region}")
-    for row in document["next_experiment"]["rows"]:  # type: ignore[index]
-        print(f"  next: {row}")
+    print("\n".join(report.plan_lines(found.plan)))
     for note in found.notes:
         print(f"  note: {note}")

@@ -257,6 +257,7 @@ def adopted(
         response_unit="N" if cells.rows.si else "response",
         version=parent.version + 1,
         provenance=provenance,
+        model_error=best.learnt_error if best.learnt_error > model_error.FLOOR else 0.0,
     )
 
 

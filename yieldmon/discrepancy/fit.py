@@ -24,9 +24,11 @@ from yieldmon.physics.numerics import COMPLEX_STEP, Array, real
 from .observations import Cells, Rows
 
 SEARCH_NODES = 12
-LAW_SD = 0.15
+LAW_SD = 0.1
 """Relative standard deviation of an effect's law about the one that is written, smooth over angle, load and speed."""
-MOST_SEEN = 2.0
+LAW_DEGREE = 2
+"""Total degree of the polynomial in angle, load and speed by which it may differ."""
+MOST_SEEN = 1.0
 """The law's error is of no more than this multiple of what recalibration leaves of the effect's change."""
 _REFERENCE_FORCE_N = 60.0
 """Largest force of a table in N for which the effects' own bounds in N are meant."""
@@ -153,19 +155,25 @@ class Fit:
         smooth factor about 1 (`LAW_SD`).
         """
         frame, cells = self.frame, self.frame.cells
+        smooth = model_error.basis(cells.plate_angle_rad, cells.load, cells.elevator_speed_rad_s, most=LAW_DEGREE)
         known = len(frame.base)
-        calibrating = orthonormal(self.jacobian[:, :known] * np.array([p.scale for p in self.parameters[:known]]))
+        calibrating = model_error.orthonormal(self.jacobian[:, :known] * np.array([p.scale for p in self.parameters[:known]]))
+        whole = real(predictions(frame, self.effects, self.values)) if self.effects else cells.mean
         columns = []
         for effect in self.effects:
             null = {p.name: p.start for p in effect_parameters(effect, frame.unit)}
-            without = real(predictions(frame, self.effects, self.values | null))
-            change = self.residual + (cells.mean - without) / frame.sd
+            change = (whole - real(predictions(frame, self.effects, self.values | null))) / frame.sd
             change = np.where(np.isfinite(change), change, 0.0)
             # What recalibration hides of a large change must not excuse everything that shows.
             seen = float(np.linalg.norm(model_error.off(change, calibrating)))
             share = min(1.0, MOST_SEEN * seen / max(float(np.linalg.norm(change)), 1e-300))
-            columns.append(LAW_SD * share * self.free * change[:, None])
+            columns.append(LAW_SD * share * smooth * change[:, None])
         return np.concatenate(columns, axis=1) if columns else np.zeros((len(self.residual), 0))
+
+    @cached_property
+    def own_error(self) -> Array:
+        """Whitened columns of the model's own error, with the frame's size of it."""
+        return np.asarray(self.frame.model_error * self.free * self.level[:, None])
 
     def columns_of_error(self, size: float) -> Array:
         """Whitened columns, with independent unit weights, of the model's own error of a relative size and of the laws."""
@@ -190,7 +198,7 @@ class Fit:
 
     def tangent(self) -> Array:
         """Orthonormal basis of what small changes of the parameters can do to the whitened prediction, shape (cells, rank)."""
-        return orthonormal(self.jacobian * np.array([p.scale for p in self.parameters]))
+        return model_error.orthonormal(self.jacobian * np.array([p.scale for p in self.parameters]))
 
     def predict(self, rows: Rows | Conditions, of: str | None = None) -> Array:
         """Prediction for other rows."""
@@ -199,13 +207,6 @@ class Fit:
         evaluate = model.force if (of or self.frame.cells.rows.of) == "force" else model.paddle_momentum
         with np.errstate(invalid="ignore"):
             return real(np.asarray(evaluate(conditions, self.values, overfull="nan")))
-
-
-def orthonormal(columns: Array) -> Array:
-    """Orthonormal basis of the columns' span."""
-    norms = np.linalg.norm(columns, axis=0)
-    u, s, _ = np.linalg.svd(columns / np.where(norms > 0.0, norms, 1.0), full_matrices=False)
-    return u[:, s > 1e-9 * s[0]] if s.size and s[0] > 0.0 else u[:, :0]
 
 
 def effect_parameters(effect: str, unit: float) -> tuple[Parameter, ...]:

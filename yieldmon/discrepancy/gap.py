@@ -50,19 +50,18 @@ class Region:
 def lack_of_fit(fit: Fit, noise: Noise, *, laws: bool = True) -> LackOfFit:
     """The test for one fit; p is 1 where no degree of freedom is left.
 
-    F is against the noise alone; p allows for the model's own error and, with `laws`, for what its effects' laws may be off.
+    F is against the noise alone, with what the laws of the fit's effects may be off integrated out (not without `laws`). p allows
+    for the model's own error as well: its and the noise's mean square together, by their first two moments (Satterthwaite).
     """
     dof = fit.dof
     if dof <= 0:
         return LackOfFit(float("nan"), 1.0)
-    # Noise and the model's own error together: their mean square's distribution by its first two moments (Satterthwaite).
-    own = fit.frame.model_error * fit.free * fit.level[:, None]
-    error = model_error.off(fit.error if laws else own, fit.tangent())
+    chi2 = fit.marginal(fit.shape_error)[0] if laws else fit.chi2
+    error = model_error.off(fit.own_error, fit.tangent())
     small = error.T @ error
     extra, square = float(np.trace(small)), float(np.sum(small**2))
     mean, variance = dof + extra, 2.0 * dof + 4.0 * extra + 2.0 * square
-    p_value = float(stats.f.sf(fit.chi2 / mean, 2.0 * mean**2 / variance, noise.dof))
-    return LackOfFit(fit.chi2 / dof, p_value)
+    return LackOfFit(chi2 / dof, float(stats.f.sf(chi2 / mean, 2.0 * mean**2 / variance, noise.dof)))
 
 
 def row_rms(fit: Fit, rows: Rows) -> float:

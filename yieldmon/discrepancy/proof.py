@@ -80,8 +80,7 @@ def prove(base: Fit, best: Fit, sealed: Share | None, rng: np.random.Generator) 
     cells = len(base.residual)
     fold = rng.permutation(np.arange(cells) % min(FOLDS, cells))
     before, after = (model_error.left_out(f.residual, f.tangent(), fold) for f in (base, best))
-    own = best.frame.model_error * best.free * best.level[:, None]
-    open_rows = share(before, after, own)
+    open_rows = share(before, after, best.own_error)
     crossed = pooled([open_rows, *([sealed] if sealed is not None else [])])
     worse = []
     for name, numbers in base.frame.cells.groups().items():

@@ -17,6 +17,7 @@ from yieldmon.physics.machine import RPM
 from yieldmon.physics.numerics import Array
 
 from .diagnosis import Diagnosis, HeldOut
+from .experiment import Plan
 from .fit import Fit
 from .selection import Step
 
@@ -66,23 +67,50 @@ def summary(diagnosis: Diagnosis) -> str:
             f"The model misses these measurements by {before:.1f} % of the largest reading, more than they scatter, and no known "
             "cause explains it. Check the machine in the regions below, or measure the rows proposed."
         )
-    causes = "; ".join(registry()[name].summary.rstrip(".").lower() for name in diagnosis.choice.named)
-    ties = [n for s in diagnosis.choice.steps for n in s.equivalent]
     text = (
-        f"The model misses these measurements by {before:.1f} % of the largest reading. Most likely cause: {causes}. "
-        f"With it the error is {diagnosis.after.rms_over_max_pct:.1f} %"
+        f"The model misses these measurements by {before:.1f} % of the largest reading. "
+        f"{' '.join(_cause(s) for s in _named(diagnosis))} With this the error is {diagnosis.after.rms_over_max_pct:.1f} %"
     )
     if diagnosis.held_out is not None:
-        text += f"; {_gone(diagnosis.held_out)}"
-    if ties:
-        text += f". These measurements alone cannot tell it from: {', '.join(ties)}"
+        text += f"; {unseen(diagnosis.held_out)}"
     return text + "."
 
 
-def _gone(held: HeldOut) -> str:
-    if held.closed_pct is None:
-        return f"the {held.rows} rows kept aside were within their scatter before, so they do not tell"
-    return f"on {held.rows} rows kept aside, {held.closed_pct:.0f} % of the gap is gone"
+def _named(diagnosis: Diagnosis) -> tuple[Step, ...]:
+    return diagnosis.choice.steps if diagnosis.verdict == "effect" else ()
+
+
+def _cause(step: Step) -> str:
+    """One named effect in a sentence; one of several where these data cannot tell them apart."""
+    if not step.equivalent:
+        return f"Cause ({step.confidence:.2f}): {registry()[step.added].summary.rstrip('.').lower()}."
+    names = ", ".join((step.added, *step.equivalent))
+    count = 1 + len(step.equivalent)
+    return f"Cause, one of {count} that these rows cannot tell apart ({step.confidence:.2f} together): {names}."
+
+
+def unseen(held: HeldOut) -> str:
+    """What the rows that were kept aside say: their lack of fit before and after, with 95 % intervals."""
+    before, after = held.before.lack_of_fit_f, held.after.lack_of_fit_f
+    if before is None or after is None or held.f_interval is None:
+        return f"{held.rows} rows kept aside"
+    (low, high), (least, most) = held.f_interval
+    return (
+        f"on {held.rows} rows kept aside F = {before:.2f} ({low:.2f} to {high:.2f}) before and "
+        f"{after:.2f} ({least:.2f} to {most:.2f}) after"
+    )
+
+
+def plan_lines(plan: Plan) -> list[str]:
+    """The next experiment as a table, with what it separates and its power."""
+    if not plan.rows:
+        return []
+    lines = ["  next experiment, each row three times:", f"  {'plate angle, deg':>18}{'mass flow, kg/s':>18}{'speed, rpm':>14}"]
+    lines += [
+        f"  {degrees(r.plate_angle_rad):>18.0f}{r.mass_flow_kg_s:>18.1f}{r.elevator_speed_rad_s / RPM:>14.0f}" for r in plan.rows
+    ]
+    lines += [f"  separates {a or 'no effect'} from {b or 'no effect'}" for a, b in plan.separates]
+    return [*lines, f"  power {plan.power:.2f} (5 % level, the pair that is hardest to separate)"]
 
 
 def _figure(width: float, height: float):  # type: ignore[no-untyped-def]

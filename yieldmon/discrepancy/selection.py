@@ -243,7 +243,8 @@ class Search:
     def _unexplained(self, current: Fit) -> bool:
         """Whether what is left is significant, and too much to call the gap explained, whatever the effects' laws are."""
         gap = lack_of_fit(current, self.noise, laws=False)
-        much = gap.f > self.policy.unexplained_f or current.chi2 - current.dof > self.policy.unexplained_share * self.excess
+        family = lack_of_fit(current, self.noise)
+        much = family.f > self.policy.unexplained_f or current.chi2 - current.dof > self.policy.unexplained_share * self.excess
         return gap.p_value < self.policy.gap_p and much
 
     def _incomplete(self, current: Fit) -> bool:

@@ -20,8 +20,10 @@ from yieldmon.physics.grain import GRAIN
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
 
+from . import model_error
 from .batch import MomentumBatch
 from .least_squares import BatchSearch, levenberg_marquardt
+from .model_error import orthonormal
 from .parameters import CalibratedRange, ParameterSet
 from .priors import Bounds, Prior, at_bound_sentence, fitting_bounds, follows_scale, start_ranges, stretch
 
@@ -30,6 +32,8 @@ _ROBUST_SCALE = 1.5
 """Residuals beyond this many noise standard deviations lose weight (soft L1)."""
 _OUTLIER = 5.0
 """Residual, in robust standard deviations, from which a row is named as an outlier."""
+_LEAST_PURE_DOF = 8
+"""Degrees of freedom of the replicates from which they tell noise from the model's own error."""
 _SAME_BASIN = 1e-3
 """Largest distance, as a share of the bounds' width, between two solutions that count as one."""
 
@@ -434,7 +438,13 @@ class _Problem:
         information = information + self.prior_white.T @ self.prior_white
         free_cov, singular = _inverse(information, self.unit)
         # In the file a parameter is never less certain than anywhere between its bounds.
-        covariance, _ = _inverse(information + np.diag(12.0 / (self.upper - self.lower) ** 2), self.unit)
+        bounded = np.diag(12.0 / (self.upper - self.lower) ** 2)
+        covariance, _ = _inverse(information + bounded, self.unit)
+        size = self._learnt_error(error, jacobian[0])
+        if size > model_error.FLOOR:
+            angle, speed, load, _ = self.data.columns()
+            own = size * model_error.basis(angle, load, speed) * (model_error.level(predicted) * weight)[:, None]
+            covariance = self._within_bounds(model_error.widened(covariance, slopes * weight[:, None] / max(factor, 1e-300), own))
         at_bound = [
             "lower" if t <= lo + 1e-9 * u else "upper" if t >= hi - 1e-9 * u else ""
             for t, lo, hi, u in zip(theta, self.lower, self.upper, self.unit, strict=True)
@@ -464,11 +474,37 @@ class _Problem:
                 _span(columns[3]) if np.all(np.isfinite(columns[3])) else None,
             ),
             response_unit,
+            model_error=size if size > model_error.FLOOR else 0.0,
         )
         return Calibration(
             parameter_set, fitted, correlation, basins, starts, quality, predicted, slopes,
             tuple(_sentences(fitted, correlation, basins, starts, quality)),
         )
+
+    def _learnt_error(self, error: Array, slopes: Array) -> float:
+        """Relative size of the model's own error, from angles and loads left out, where replicates tell it from noise; else 0.
+
+        error: of each row. slopes: of each cell.
+        """
+        if self.pure_dof < _LEAST_PURE_DOF or not slopes.shape[1]:
+            return 0.0
+        count = np.bincount(self.cell)
+        first = np.unique(self.cell, return_index=True)[1]
+        angle, _, load, _ = self.data.columns()[:, first]
+        mean = np.bincount(self.cell, error) / count
+        predicted = np.bincount(self.cell, error + self.data.momentum) / count
+        noise = np.maximum(self.pure_sd, 1e-9 * float(np.max(np.abs(predicted)))) / np.sqrt(count)
+        if self.given_sigma:
+            noise = np.bincount(self.cell, self.row_sd**-2.0) ** -0.5
+        basis = orthonormal(slopes / noise[:, None] * self.unit)
+        relative = noise / model_error.level(predicted)
+        return model_error.learnt(mean / noise, basis, relative, model_error.groups_of(angle, load))
+
+    def _within_bounds(self, covariance: Array) -> Array:
+        """No parameter less certain than anywhere between its bounds."""
+        most = (self.upper - self.lower) / np.sqrt(12.0)
+        limit = np.minimum(1.0, most / np.sqrt(np.maximum(np.diag(covariance), 1e-300)))
+        return np.asarray(covariance * np.outer(limit, limit))
 
     def _quality(self, error: Array, noise_factor: float, width: int) -> Residuals:
         rows = error.size

@@ -22,7 +22,6 @@ from .clusters import cluster
 FLOOR = 0.002
 """Relative standard deviation of the model's error where it is right: two codes of the same physics differ by this much."""
 _DEGREES = (3, 3, 2)
-_MOST = 4
 _LEAST_LEVEL = 0.05
 """Readings below this share of the largest have the error of that share."""
 _SAME_LOAD = 0.03
@@ -34,10 +33,11 @@ def level(predicted: Array) -> Array:
     return np.maximum(np.abs(predicted), _LEAST_LEVEL * top)
 
 
-def basis(plate_angle_rad: Array, load: Array, elevator_speed_rad_s: Array) -> Array:
+def basis(plate_angle_rad: Array, load: Array, elevator_speed_rad_s: Array, *, most: int = 4) -> Array:
     """Columns over which the relative error is spread with independent unit normal weights, shape (n, m).
 
-    Products of Legendre polynomials, the higher the less; scaled so that the error's mean variance is 1.
+    Products of Legendre polynomials up to a total degree `most`, the higher the less; scaled so that the error's mean variance
+    is 1.
     """
     axes = []
     for values, degree in zip((plate_angle_rad, np.sqrt(np.maximum(load, 0.0)), elevator_speed_rad_s), _DEGREES, strict=True):
@@ -49,7 +49,7 @@ def basis(plate_angle_rad: Array, load: Array, elevator_speed_rad_s: Array) -> A
     columns = [
         np.prod([axis[k] for axis, k in zip(axes, powers, strict=True)], axis=0) / (1.0 + sum(powers))
         for powers in product(*(range(len(axis)) for axis in axes))
-        if sum(powers) <= _MOST
+        if sum(powers) <= most
     ]
     out = np.stack(columns, axis=-1)
     return np.asarray(out / np.sqrt(max(float(np.mean(np.sum(out**2, axis=-1))), 1e-300)))
@@ -58,6 +58,13 @@ def basis(plate_angle_rad: Array, load: Array, elevator_speed_rad_s: Array) -> A
 def off(columns: Array, tangent: Array) -> Array:
     """Columns less what lies in the span of orthonormal tangent columns."""
     return np.asarray(columns - tangent @ (tangent.T @ columns))
+
+
+def orthonormal(columns: Array) -> Array:
+    """Orthonormal basis of the columns' span."""
+    norms = np.linalg.norm(columns, axis=0)
+    u, s, _ = np.linalg.svd(columns / np.where(norms > 0.0, norms, 1.0), full_matrices=False)
+    return u[:, s > 1e-9 * s[0]] if s.size and s[0] > 0.0 else u[:, :0]
 
 
 def left_out(residual: Array, tangent: Array, group: NDArray[np.int64], unseen: float = 1e-3) -> Array:

@@ -109,7 +109,8 @@ def invert_force(throw: Throw, force_n: Array, *, tolerance: float = 1e-13) -> t
 class OpenLoop:
     """Force to mass flow with one set of parameters.
 
-    parameter_sd enters the standard deviation through the covariance of the set; window noise is given at each call.
+    The parameters enter the standard deviation by the covariance of the set, the model's own error by its
+    `model_error`; window noise is given at each call.
     """
 
     def __init__(self, model: ForwardModel, parameters: ParameterSet) -> None:
@@ -165,6 +166,7 @@ class OpenLoop:
         flow, gain = invert_force(self._throw(angle, speed, moist), force)
         noise = np.where(usable, noise, 0.0)
         spread = np.hypot(noise, self._parameter_force_sd(flow, angle, speed, moist))
+        spread = np.hypot(spread, self.parameters.model_error * np.abs(force))
         with np.errstate(divide="ignore", invalid="ignore"):
             sd, noise_sd = spread / np.abs(gain), noise / np.abs(gain)
         status = np.full(force.shape, int(FlowStatus.OK))

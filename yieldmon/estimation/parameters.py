@@ -38,6 +38,8 @@ class ParameterSet:
     response_unit: str = "N"
     version: int = 1
     provenance: Mapping[str, str] = field(default_factory=dict)
+    model_error: float = 0.0
+    """Relative standard deviation of a predicted force that is the model's own and no parameter's; 0: not known to have one."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", MappingProxyType(dict(self.values)))

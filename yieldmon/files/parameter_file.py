@@ -37,7 +37,7 @@ _RANGES = {
     "elevator_speed_rpm": ("elevator_speed_rad_s", "rpm", RPM),
     "moisture_pct": ("moisture_pct", "%", 1.0),
 }
-_KEYS = ("format", "version", "effects", "covariance", "calibrated_range", "response_unit", "provenance")
+_KEYS = ("format", "version", "effects", "covariance", "calibrated_range", "response_unit", "model_error", "provenance")
 
 
 def load(path: str | Path | None = None) -> ParameterSet:
@@ -74,6 +74,7 @@ def from_document(document: Mapping[str, Any], where: str) -> ParameterSet:
             response_unit=unit,
             version=version,
             provenance={k: str(v) for k, v in provenance.items()},
+            model_error=number(document.get("model_error", 0.0), f"{where}: model_error", "", 0.0, 10.0),
         )
     except ValueError as error:
         raise InputError(where, str(error)) from error
@@ -90,6 +91,8 @@ def to_document(parameters: ParameterSet) -> dict[str, Any]:
             effects.setdefault(effect, {})[short] = float(value)
     document["effects"] = effects
     document["response_unit"] = parameters.response_unit
+    if parameters.model_error:
+        document["model_error"] = float(parameters.model_error)
     document["covariance"] = {
         "names": list(parameters.covariance_names),
         "matrix": [[float(v) for v in row] for row in parameters.covariance],
