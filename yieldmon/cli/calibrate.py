@@ -29,7 +29,7 @@ from yieldmon.estimation.calibration import (
 )
 from yieldmon.estimation.moisture import fit as fit_moisture_map
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.priors import Prior
+from yieldmon.estimation.priors import EXCHANGED, Prior
 from yieldmon.files import moisture_file, parameter_file, table, whole_file
 from yieldmon.physics.effects import get_effect
 from yieldmon.physics.grain import fitted
@@ -59,7 +59,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--bounds", action="append", default=[], metavar="NAME=LOW:HIGH", help="search range of a parameter")
     parser.add_argument("--prior", metavar="P.yaml", help="parameter file whose values and covariance are the prior")
     parser.add_argument(
-        "--impact", choices=("restitution", "exchange"), help="1 + e, or k1 M/M_full + k2; default: exchange for a response"
+        "--impact", choices=("restitution", "exchange"),
+        help="1 + e, or k1 M/M_full + k2; default: 1 + e, and k1, k2 for a response or where 1 + e ends at its physical bound",
     )
     parser.add_argument("--effects", default="", metavar="A,B", help="effects to add to the published model")
     parser.add_argument("--response-scale", type=float, metavar="S", help="units of `response` in one kg m/s, where known")
@@ -196,13 +197,26 @@ def text(document: Mapping[str, Any]) -> str:
 
 
 def _fit(args: argparse.Namespace, machine: Machine, data: table.Table, rows: Measurements) -> Calibration:
+    """The fit that the arguments ask for; with the exchange coefficients where 1 + e, unasked for, ends at its physical bound."""
+    result = _fit_form(args, machine, data, rows, args.impact)
+    asked = args.impact or args.free or args.prior or args.by_moisture
+    asked = asked or any("restitution" in text for text in (*args.fix, *args.bounds))
+    if asked or not any(p.name == "restitution" and p.at_bound for p in result.parameters):
+        return result
+    result = _fit_form(args, machine, data, rows, "exchange")
+    return replace(result, sentences=(EXCHANGED, *result.sentences))
+
+
+def _fit_form(
+    args: argparse.Namespace, machine: Machine, data: table.Table, rows: Measurements, asked: str | None
+) -> Calibration:
     known = parameter_file.load(args.prior) if args.prior is not None else None
     # Without a word about effects the prior's belong to the model: left out, its other parameters would stand for them.
     effects = [name.strip() for name in args.effects.split(",") if name.strip()]
     if not effects and known is not None:
         effects = list(known.effects)
     scaled = data.reading == model_options.RESPONSE and args.response_scale is None
-    impact = args.impact or ("exchange" if scaled else "restitution")
+    impact = asked or ("exchange" if scaled else "restitution")
     form = RESTITUTION_FORM if impact == "restitution" else EXCHANGE_FORM
     if scaled and impact == "restitution":
         raise InputError(

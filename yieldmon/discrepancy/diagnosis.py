@@ -15,7 +15,7 @@ from yieldmon.errors import InputError
 from yieldmon.estimation import model_error
 from yieldmon.estimation.identifiability import scale_tangent
 from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
-from yieldmon.estimation.priors import at_bound_sentence
+from yieldmon.estimation.priors import EXCHANGED, at_bound_sentence
 from yieldmon.files.table import Table
 from yieldmon.physics.effects import registry
 from yieldmon.physics.machine import RPM, Machine
@@ -302,9 +302,7 @@ def _published(
     try:
         base = fit_base(frame)
         if wanted == "auto" and form == "restitution" and "restitution" in base.at_bound:
-            notes.append(
-                "restitution ends at its physical bound: the published exchange coefficients k1, k2 are fitted in its place"
-            )
+            notes.append(EXCHANGED)
             form = "exchange"
             frame = base_frame(grouped, sd, parameters, form, keep_effects=keep_effects)
             base = fit_base(frame)

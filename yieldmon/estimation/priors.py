@@ -59,6 +59,10 @@ def fitting_bounds(names: Iterable[str], scale: float = 1.0, given: Bounds | Non
     return {n: given.get(n) or search_bounds(n, scale) for n in names}
 
 
+EXCHANGED = "restitution ends at its physical bound: the published exchange coefficients k1, k2 are fitted in its place"
+"""What calibration and diagnosis say where 1 + e cannot fit."""
+
+
 def at_bound_sentence(name: str, side: str, value: float) -> str:
     """What calibration and diagnosis say of a parameter whose best value lies on a bound; side: "lower" or "upper"."""
     return (
