@@ -36,8 +36,8 @@ def level(predicted: Array) -> Array:
 def basis(plate_angle_rad: Array, load: Array, elevator_speed_rad_s: Array, *, most: int = 4) -> Array:
     """Columns over which the relative error is spread with independent unit normal weights, shape (n, m).
 
-    Products of Legendre polynomials up to a total degree `most`, the higher the less; scaled so that the error's mean variance
-    is 1.
+    Products of Legendre polynomials up to a total degree `most`, the higher the less, without the constant, which any impact gain
+    absorbs; scaled so that the error's mean variance is 1.
     """
     axes = []
     for values, degree in zip((plate_angle_rad, np.sqrt(np.maximum(load, 0.0)), elevator_speed_rad_s), _DEGREES, strict=True):
@@ -49,8 +49,10 @@ def basis(plate_angle_rad: Array, load: Array, elevator_speed_rad_s: Array, *, m
     columns = [
         np.prod([axis[k] for axis, k in zip(axes, powers, strict=True)], axis=0) / (1.0 + sum(powers))
         for powers in product(*(range(len(axis)) for axis in axes))
-        if sum(powers) <= most
+        if 0 < sum(powers) <= most
     ]
+    if not columns:
+        return np.zeros((len(load), 0))
     out = np.stack(columns, axis=-1)
     return np.asarray(out / np.sqrt(max(float(np.mean(np.sum(out**2, axis=-1))), 1e-300)))
 
