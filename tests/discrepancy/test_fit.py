@@ -57,8 +57,13 @@ def test_covariance_is_that_of_the_scatter_and_widens_with_the_misfit(frame) -> 
     fitted = fit.fit(frame, ("zero_offset",), tolerance=1e-9)
     wide = replace(fitted, parameters=tuple(replace(p, lower=-1e9, upper=1e9) for p in fitted.parameters))
     by_hand = np.linalg.inv(fitted.jacobian.T @ fitted.jacobian)
-    for ratio, wider in ((0.5, 1.0), (4.0, 4.0)):
-        np.testing.assert_allclose(replace(wide, chi2=ratio * fitted.dof).covariance(), wider * by_hand, rtol=1e-5)
+    error = fitted.columns_of_error(fitted.learnt_error)
+    taken_up = (fitted.chi2 - fitted.marginal(error)[0]) / fitted.dof
+    for ratio in (0.5, 4.0):
+        wider = max(ratio - taken_up, 1.0)
+        moved = by_hand @ fitted.jacobian.T @ error
+        found = replace(wide, chi2=ratio * fitted.dof).covariance()
+        np.testing.assert_allclose(found, wider * by_hand + moved @ moved.T, rtol=1e-4)
 
 
 def test_no_parameter_is_less_certain_than_its_bounds_are_wide(frame) -> None:

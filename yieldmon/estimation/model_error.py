@@ -85,6 +85,16 @@ def left_out(residual: Array, tangent: Array, group: NDArray[np.int64], unseen: 
     return out
 
 
+def expected_left_out(tangent: Array, group: NDArray[np.int64], unseen: float = 1e-3) -> float:
+    """Mean square of `left_out` residuals when there is noise alone: above 1, as each group is predicted from the others."""
+    total = 0.0
+    for number in range(int(group.max()) + 1):
+        own = tangent[group == number]
+        kept = np.linalg.eigvalsh(np.eye(own.shape[0]) - own @ own.T)
+        total += float(np.sum(np.where(kept < unseen, kept, 1.0 / np.where(kept < unseen, 1.0, kept))))
+    return total / len(tangent)
+
+
 def learnt(residual: Array, tangent: Array, relative_sd: Array, groups: Sequence[NDArray[np.int64]]) -> float:
     """Size of the model's error, from how far angles and loads are missed that a fit has not seen; at least `FLOOR`.
 
@@ -94,8 +104,8 @@ def learnt(residual: Array, tangent: Array, relative_sd: Array, groups: Sequence
     told = [g for g in groups if int(g.max(initial=0)) >= 2]
     if not told:
         return FLOOR
-    missed = np.mean([np.mean(left_out(residual, tangent, g) ** 2) for g in told])
-    return float(max(FLOOR, np.sqrt(max(missed - 1.0, 0.0) / np.mean(relative_sd**-2.0))))
+    excess = np.mean([np.mean(left_out(residual, tangent, g) ** 2) - expected_left_out(tangent, g) for g in told])
+    return float(max(FLOOR, np.sqrt(max(excess, 0.0) / np.mean(relative_sd**-2.0))))
 
 
 def groups_of(plate_angle_rad: Array, load: Array) -> list[NDArray[np.int64]]:
