@@ -29,7 +29,7 @@ def markdown() -> str:
 
 def _markdown() -> str:
     verbs = find_verbs()
-    parts = [*(f"- [`{verb.name}`](#{verb.name}): {verb.summary}" for verb in verbs.values()), ""]
+    parts = [", ".join(f"[{verb.name}](#{verb.name})" for verb in verbs.values()), ""]
     for verb in verbs.values():
         parser, _ = build_parser(verbs, verb)
         for name, described in _with_children(verb.name, _children(parser)[verb.name]):
