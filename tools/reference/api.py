@@ -17,8 +17,7 @@ def markdown() -> str:
             about = _sentence(value) if inspect.isclass(value) else str(value)
             kinds[kind].append(f"|`{name}`|{about}|")
         else:
-            arguments = ", ".join(inspect.signature(value).parameters)
-            kinds["Functions"].append(f"|`{name}({arguments})`|{_sentence(value)}|")
+            kinds["Functions"].append(f"|`{name}()`|{_sentence(value)}|")
     parts: list[str] = []
     for kind, rows in kinds.items():
         parts += [f"## {kind}", "", "|name|is|", "|---|---|", *rows, ""]

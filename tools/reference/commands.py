@@ -10,6 +10,8 @@ from typing import Any
 
 from yieldmon.cli.main import build_parser, find_verbs
 
+#: Said once at the top of the page: each with the further lines of its help.
+_COMMON = re.compile(r"^  --(?:json|force|socket|config|seed|machine)\b.*\n?(?:^ {9,}.*\n?)*", re.M)
 #: The same in every verb that opens a bus.
 _BUS = re.compile(r"^bus arguments:\n(?:.+\n)+", re.M)
 
@@ -53,4 +55,5 @@ def _help(parser: argparse.ArgumentParser) -> str:
     lines = parser.format_help().rstrip().splitlines()
     first = next(number for number, line in enumerate(lines) if not line.strip())
     text = "\n".join(line.rstrip() for line in lines[first + 1 :] if not line.startswith("  -h, --help"))
+    text = _COMMON.sub("", text)
     return _BUS.sub("bus arguments of python-can: -i INTERFACE, -c CHANNEL, -b BITRATE, --fd, ...\n", text)
