@@ -31,8 +31,6 @@ OF_A_DAEMON = ("status", "load", "ticket", "zero", "sweep")
 #: Lines that are only parsed here, and where they are run.
 PARSED = {
     "map": "tests/field",
-    "signals": "tests/signals",
-    "check-config mapping": "tests/signals/test_mapping_errors.py",
     "run --config": "tests/service/test_run.py",
     "calibrate --loads": "tests/estimation, by weighed loads",
     "diagnose": "tests/discrepancy/test_command.py",
