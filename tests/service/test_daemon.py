@@ -336,7 +336,8 @@ def test_loads_tickets_and_names(tmp_path, capsys):
     with running(tmp_path) as bench:
         warm_up(bench)
         answer = ask(tmp_path, capsys, "load", "start", "--field", "north", "--crop", "corn")
-        assert answer == {"load": 2, "field": "north", "crop": "corn"}
+        parameters = {"crop": None, "version": 1, "changed": False}
+        assert answer == {"load": 2, "field": "north", "crop": "corn", "parameters": parameters}
         bench.play(5, GRAIN_MV)
         bench.played()
         assert ask(tmp_path, capsys, "load", "stop")["load"] == 2
@@ -386,7 +387,7 @@ def test_zero_and_sweep_commands_reach_the_engine(tmp_path, capsys):
         bench.play(1.5, GRAIN_MV)
         wait_for(lambda: bench.status["sweep"]["state"] == "waiting", "the sweep to wait for steady flow")
         assert cli.main(["sweep", "abort", "--socket", socket_path]) == 0
-        assert cli.main(["zero", "--socket", socket_path]) == 0
+        assert cli.main(["zero", "--force", "--socket", socket_path]) == 0
         bench.play(1.5, EMPTY_MV)
         wait_for(lambda: bench.status["state"] == "zeroing", "zeroing")
 
