@@ -30,6 +30,8 @@ VERBS = find_verbs()
 OF_A_DAEMON = ("status", "load", "ticket", "zero", "sweep")
 #: Lines that are only parsed here, and where they are run.
 PARSED = {
+    "install --rollback": "tests/service/test_installation.py",
+    "totals": "tests/service",
     "map": "tests/field",
     "run --config": "tests/service/test_run.py",
     "calibrate --loads": "tests/estimation, by weighed loads",

@@ -55,7 +55,8 @@ def content(draw: random.Random) -> bytes:
 
 def main(arguments: Sequence[str]) -> int:
     """Exit code 1 when something escaped."""
-    parser = argparse.ArgumentParser(prog="fuzz-network", description=__doc__.splitlines()[0] if __doc__ else "")
+    about = (__doc__ or "").splitlines()[0]
+    parser = argparse.ArgumentParser(prog="python -m tests.robustness fuzz-network", description=about)
     parser.add_argument("--count", type=int, default=1_000_000)
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args(arguments)
