@@ -55,6 +55,21 @@ def without(*messages: str) -> Callable[[Bench], None]:
     return provoke
 
 
+def widen_the_pulses(bench: Bench) -> None:
+    """Pulses that last three quarters of a paddle's pass, which no heap of the model makes."""
+    warm_up(bench)
+    passes_hz = 400.0 / 60.0 * 2.0 * math.pi * Machine().sprocket_pitch_radius_m / Machine().paddle_spacing_m
+
+    def change(frame: Frame) -> Frame:
+        if frame.message != frames.IMPACT_SENSOR_SAMPLES:
+            return frame
+        times = {f"Sample{k}": frame.time_s + 0.001 * k for k in range(frames.SAMPLES_PER_FRAME)}
+        wide = {name: ZERO_MV + (160.0 if (passes_hz * time) % 1.0 < 0.75 else 0.0) for name, time in times.items()}
+        return frame._replace(signals={**frame.signals, **wide})
+
+    send(bench, 20, change, GRAIN_MV)
+
+
 def with_samples(value_mv: float, duration_s: float) -> Callable[[Bench], None]:
     samples = {f"Sample{k}": value_mv for k in range(frames.SAMPLES_PER_FRAME)}
 
@@ -308,6 +323,9 @@ PROVOKED: dict[FaultCode, tuple[Case, ...]] = {
     C.OUTPUT_CONFLICT: (Case(forge),),
     C.SCALE_FAULT: (Case(fail_the_scale), Case(silence_the_scale)),
     C.NETWORK_FAULT: (Case(contest_the_address), Case(flood_with_requests), Case(begin_sessions), Case(speak_as_we_do)),
+    C.WAVEFORM_CONTRADICTS: (
+        Case(widen_the_pulses, "waveform: {enabled: true, contradiction_windows: 5}"),
+    ),
 }
 CASES = [pytest.param(code, case, id=f"{code.value}-{n}") for code, cases in PROVOKED.items() for n, case in enumerate(cases)]
 

@@ -23,6 +23,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     start = actions.add_parser("start", help="begin a new load")
     start.add_argument("--field", help="field name, for this load and the next ones")
     start.add_argument("--crop", help="crop, for this load and the next ones; measures with what is known of it")
+    start.add_argument(
+        "--thousand-kernel-weight", type=float, metavar="G",
+        help="mass of a thousand kernels, g, for this load and the next ones; the scale of flow from kernel noise",
+    )
     stop = actions.add_parser("stop", help="the load is complete")
     listing = actions.add_parser("list", help="list all loads, as measured and as corrected by tickets")
     for action in (start, stop, listing):
@@ -32,9 +36,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 when the daemon did it."""
-    request = {"command": "loads" if args.action == "list" else f"load-{args.action}"}
+    request: dict[str, object] = {"command": "loads" if args.action == "list" else f"load-{args.action}"}
     if args.action == "start":
         request |= {key: value for key in ("field", "crop") if (value := getattr(args, key)) is not None}
+        if args.thousand_kernel_weight is not None:
+            request["thousand_kernel_weight_g"] = args.thousand_kernel_weight
     answer = ask_daemon(args, request)
     if args.json:
         json.dump(answer, sys.stdout, indent=2)

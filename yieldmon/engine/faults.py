@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from yieldmon.engine.measurement import Reading
     from yieldmon.engine.records import CalibrationOutcome
     from yieldmon.engine.sweep import SweepMachine
+    from yieldmon.engine.waveform import WaveformReading
     from yieldmon.engine.windows import Window
 
 
@@ -52,6 +53,7 @@ class FaultCode(StrEnum):
     SCALE_FAULT = "ScaleFault"
     NETWORK_FAULT = "NetworkFault"
     ZERO_MISSING = "ZeroMissing"
+    WAVEFORM_CONTRADICTS = "WaveformContradicts"
 
 
 class Severity(int, Enum):
@@ -72,6 +74,7 @@ class Observation(NamedTuple):
     disagreement: Disagreement
     calibration_age_s: float | None
     settings: EngineSettings
+    waveform: WaveformReading
 
     @property
     def window(self) -> Window:
@@ -312,6 +315,13 @@ _TABLE = (
         "No flow is published and no mass is added until there is a zero.",
         "Run the elevator empty. If it is empty, the paddles shake the plate: check its mounting, then give the command zero.",
         _zero_missing,
+    ),
+    FaultDefinition(
+        _C.WAVEFORM_CONTRADICTS, 520208, 31, _W, 3, 10,
+        "Flow from the pulses' shape and from the mean force differ beyond their deviations, or no pulse of the model fits.",
+        "One of them is wrong; the standard deviation of the flow does not cover it.",
+        "Weigh a load; check plate and density; run diagnose on the store.",
+        lambda o: o.waveform.contradiction or None,
     ),
 )
 

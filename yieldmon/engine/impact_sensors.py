@@ -29,11 +29,13 @@ _INTO_BUILDER = {"elevator_speed": 1.0, "plate_angle": DEGREE}
 class ImpactSensors:
     """Forms the windows of all sensors; with one sensor its window is the window."""
 
-    def __init__(self, settings: WindowSettings, machine: Machine, sources: Sources) -> None:
+    def __init__(self, settings: WindowSettings, machine: Machine, sources: Sources, *, traces: bool = False) -> None:
+        """traces: windows keep their samples; only those of a single sensor do."""
         speed, angle = (_fixed(sources, name) for name in MOVING)
         at_start = float("nan") if angle is None else angle
         self._sensors = [
-            (source, WindowBuilder(settings, machine, source, speed_rad_s=speed, angle_rad=at_start)) for source in sources.impact
+            (source, WindowBuilder(settings, machine, source, speed_rad_s=speed, angle_rad=at_start, traces=traces))
+            for source in sources.impact
         ]
         self._of_message: dict[str, list[tuple[SampleSource, WindowBuilder]]] = {}
         for source, builder in self._sensors:
@@ -121,6 +123,7 @@ def combined(windows: Sequence[Window]) -> Window:
     harmonics: tuple[complex, ...] = tuple(sum(column) for column in zip(*(w.harmonics_mv for w in windows), strict=False))
     return replace(
         first,
+        trace=None,
         mean_mv=sum(w.mean_mv for w in windows),
         std_dev_mv=hypot(*(w.std_dev_mv for w in windows)),
         harmonics_mv=harmonics,

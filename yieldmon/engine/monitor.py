@@ -2,8 +2,8 @@
 
 The parts, each with one idea: `schedule` says when something is due, `inputs` holds the slow inputs, `impact_sensors` forms
 windows, `measurement` takes the zero off and sees the harvest, `flow` judges what the estimator says, `loads` counts mass,
-`plate` drives the sweep, `health` shows faults, `learning` changes parameters, `publishing` makes frames. The monitor is the
-order in which they work.
+`plate` drives the sweep, `health` shows faults, `waveform` looks at the samples themselves, `learning` changes parameters,
+`publishing` makes frames. The monitor is the order in which they work.
 
 `feed` and `feed_run` give the same bits for the same frames, one by one or in blocks. Nothing here raises on any sequence of
 frames: what cannot be used is left out, and quality and faults say so. One window ends each second,
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 from math import isfinite
 
 import numpy as np
@@ -41,6 +42,7 @@ from yieldmon.engine.sources import DEFAULT_SOURCES, Sources
 from yieldmon.engine.state import EngineState
 from yieldmon.engine.sweep import SweepMachine, SweepWindow, support_start_s
 from yieldmon.engine.totals import Totals
+from yieldmon.engine.waveform import NOTHING, Waveform, WaveformReading
 from yieldmon.frames import ActuatorState, Frame, OperatingState
 from yieldmon.physics.machine import Machine
 from yieldmon.signal_ranges import SignalRanges
@@ -98,7 +100,8 @@ class Monitor:
             grid_offset_s=windows.grid_offset_s,
         )
         self._inputs = Inputs(settings.inputs, sources)
-        self._sensors = ImpactSensors(windows, machine, sources)
+        self._sensors = ImpactSensors(windows, machine, sources, traces=settings.waveform.enabled)
+        self._waveform = Waveform(settings.waveform, machine) if settings.waveform.enabled else None
         self._measurement = Measurement(settings, machine, sources)
         self._flow_meter = FlowMeter(settings, machine.sensor.gain_n_per_mv)
         self._loads = Loads(settings)
@@ -163,6 +166,13 @@ class Monitor:
     def signs_of_grain(self) -> str:
         """What speaks against calibrating the zero now, "" where nothing does."""
         return self._measurement.signs_of_grain
+
+    def tell_kernel_weight(self, thousand_kernel_weight_g: float) -> bool:
+        """The mass of a thousand kernels of what is harvested from now on; False where the waveform is not looked at."""
+        if self._waveform is None:
+            return False
+        self._waveform.kernel_mass_kg = 1e-6 * thousand_kernel_weight_g
+        return True
 
     def calibrate_zero(self) -> None:
         """Zero-flow calibration: the operator vouches that the elevator runs empty for the next seconds."""
@@ -431,13 +441,16 @@ class Monitor:
         learning.grow_older(window.end_s - window.start_s)
         circumstances = Circumstances(self.sweep.visiting, self.faults.is_active(FaultCode.CALIBRATION_OLD))
         flow = self._flow_meter.flow(reading, estimate, self.estimator, circumstances)
+        seen = self._seen(reading, flow)
+        if self.settings.waveform.combine and seen.combined_kg_s > 0.0:
+            flow = replace(flow, rate_kg_s=seen.combined_kg_s, std_dev_kg_s=seen.combined_std_dev_kg_s)
         mass_kg = self._loads.count(window, flow, reading.inputs.fresh["moisture"])
         learning.weighed(window, reading.inputs, flow, self.totals.total_kg - mass_kg, mass_kg)
         step = self.sweep.window(self._sweep_window(reading, flow))
         bus_s = self._clock.bus_time(window.end_s)
-        shown = self.faults.observe_all(conditions(self._observation(reading, flow)), bus_s)
+        shown = self.faults.observe_all(conditions(self._observation(reading, flow, seen)), bus_s)
         published = self._flow_meter.published(flow, plate_rests_at_home=reading.still and reading.at_home)
-        record = self._record(bus_s, reading, published, mass_kg, step)
+        record = self._record(bus_s, reading, published, mass_kg, step, seen)
         if self._measurement.zero.before is not None:
             self._since_zero.append(record)
         learnt = learning.learn(window.end_s, record, self.sweep)
@@ -447,10 +460,15 @@ class Monitor:
         frames = self._publisher.frames(record, self._published()) if self._publishing else ()
         return WindowResult(record, frames, (*begun, *zero, *shown, *learnt, *ended))
 
-    def _observation(self, reading: Reading, flow: Flow) -> Observation:
+    def _seen(self, reading: Reading, flow: Flow) -> WaveformReading:
+        if self._waveform is None:
+            return NOTHING
+        return self._waveform.see(reading, flow.rate_kg_s, flow.std_dev_kg_s, self.estimator)
+
+    def _observation(self, reading: Reading, flow: Flow, seen: WaveformReading) -> Observation:
         learning = self._learning
         return Observation(
-            reading, flow, self.sweep, learning.outcome, learning.disagreement, learning.calibration_age_s, self.settings
+            reading, flow, self.sweep, learning.outcome, learning.disagreement, learning.calibration_age_s, self.settings, seen
         )
 
     def _published(self) -> Published:
@@ -463,7 +481,9 @@ class Monitor:
             window, support_start_s(window, self.machine, settings.max_ramp_s), flow.rate_kg_s, flow.force_n, whole, reading.still
         )
 
-    def _record(self, bus_s: float, reading: Reading, flow: Flow, mass_kg: float, sweep_step: int) -> WindowRecord:
+    def _record(
+        self, bus_s: float, reading: Reading, flow: Flow, mass_kg: float, sweep_step: int, seen: WaveformReading
+    ) -> WindowRecord:
         active, sweep, counts = self.faults.active, self.sweep, sweep_step >= 0
         return record_of(
             Second(
@@ -479,6 +499,7 @@ class Monitor:
                 sweep_step=sweep_step if counts else sweep.step,
                 usable_for_calibration=counts,
                 parameter_version=self.estimator.parameters.version,
+                waveform=seen,
             )
         )
 

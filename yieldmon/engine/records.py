@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from yieldmon.engine.flow import Flow
     from yieldmon.engine.measurement import Reading
     from yieldmon.engine.totals import Totals
+    from yieldmon.engine.waveform import WaveformReading
 
 
 class Second(NamedTuple):
@@ -41,6 +42,7 @@ class Second(NamedTuple):
     sweep_step: int
     usable_for_calibration: bool
     parameter_version: int
+    waveform: WaveformReading
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +124,7 @@ class WindowRecord:
     noise_std_dev_kg_s: the part of the measured flow's standard deviation that averages out. load_std_dev_kg and
     total_std_dev_kg: of
     the masses.
+    shape_*, kernel_*: flow from the pulses' shape and from kernel noise, beside that of the mean force.
     """
 
     window: int = second_field(lambda s: s.number, "whole", row=None)
@@ -168,6 +171,10 @@ class WindowRecord:
     total_std_dev_kg: float = second_field(
         lambda s: s.totals.total_budget.std_dev_kg, "known", since=5, published=("MassStdDev", "TotalMassStdDev")
     )
+    shape_flow_kg_s: float = second_field(lambda s: s.waveform.shape_kg_s, "known", since=6)
+    shape_std_dev_kg_s: float = second_field(lambda s: s.waveform.shape_std_dev_kg_s, "known", since=6)
+    kernel_flow_kg_s: float = second_field(lambda s: s.waveform.kernels_kg_s, "known", since=6)
+    kernel_std_dev_kg_s: float = second_field(lambda s: s.waveform.kernels_std_dev_kg_s, "known", since=6)
 
 
 _DECLARED = tuple((item.name, item.metadata["declared"]) for item in fields(WindowRecord))

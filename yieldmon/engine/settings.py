@@ -232,6 +232,43 @@ class AnchorSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class WaveformSettings:
+    """Flow from the pulses' shape and from kernel noise, beside the mean force (docs/internals/waveform.md)."""
+
+    enabled: bool = False
+    combine: bool = False
+    """Publish and count mean force and shape together, by their covariance."""
+    harmonics: int = 20
+    """Harmonics of the paddle pattern that are fitted."""
+    model_error: float = 0.05
+    """The pulse model's own error, relative, standard deviation."""
+    friction_sd: float = 0.3
+    """Relative standard deviation of friction beside the shape."""
+    shape_ratio_sd: float = 0.1
+    """Relative standard deviation of the heap's shape ratio."""
+    response_error: float = 0.05
+    """Relative standard deviation of the cell's time constant, which the machine file states."""
+    largest_misfit: float = 4.0
+    """Mean square of the fit's residuals, in their own standard deviations, above which the pulses are not the model's."""
+    contradiction_windows: int = 30
+    contradiction_z: float = 3.0
+    """Standard deviations between shape and mean force over those windows from which they contradict."""
+    thousand_kernel_weight_g: float = 0.0
+    """Mass of a thousand kernels; 0: not known, and kernel noise gives no flow."""
+    kernel_mass_sd: float = 0.03
+    kernel_low_hz: float = 200.0
+    kernel_high_hz: float = 800.0
+    kernel_bias: float = 1.2
+    """Impulse of a kernel over its mass times the impulse per kilogram (studies/waveform)."""
+    kernel_bias_sd: float = 0.15
+    quiet_error: float = 0.1
+    """Relative standard deviation of the background's noise between empty and harvesting."""
+    quiet_windows: int = 5
+    """Windows of the empty machine, and of harvest, before kernel noise says anything."""
+    kernel_windows: int = 60
+
+
+@dataclass(frozen=True, slots=True)
 class EngineSettings:
     """All of the above."""
 
@@ -248,3 +285,4 @@ class EngineSettings:
     faults: FaultSettings = field(default_factory=FaultSettings)
     disagreement: DisagreementSettings = field(default_factory=DisagreementSettings)
     anchors: AnchorSettings = field(default_factory=AnchorSettings)
+    waveform: WaveformSettings = field(default_factory=WaveformSettings)

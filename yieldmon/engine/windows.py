@@ -18,7 +18,7 @@ a time (`ufunc.reduceat`, or a running sum along a row), never over what is padd
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -46,6 +46,16 @@ _BUNCHING_S = 0.015
 
 _CROWDED_SHARE, _CROWDED_FRAMES = 0.1, 5.0
 """So many frames more than their interval allows are bunched by a gateway or a controller; beyond, a second node sends."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """The usable samples of a window in order: samples_mv and phase (n,), in turns of the paddle pattern from the first window's
+    start along the chain; interval_s between samples."""
+
+    samples_mv: Array
+    phase: Array
+    interval_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +98,7 @@ class Window:
     lost_frames: int
     surplus_frames: int
     repeated_frames: int
+    trace: Trace | None = field(default=None, compare=False, repr=False)
 
     @property
     def coverage(self) -> float:
@@ -212,9 +223,11 @@ class WindowBuilder:
         *,
         speed_rad_s: float | None = None,
         angle_rad: float = float("nan"),
+        traces: bool = False,
     ) -> None:
         """source: layout of the sample frames. speed_rad_s, angle_rad: before the first that is measured; speed_rad_s None: the
         machine's nominal speed."""
+        self._traces = traces
         if 2.0 * settings.max_ramp_s > settings.window_s:
             raise ValueError(f"max_ramp_s is {settings.max_ramp_s}; expected at most half of window_s, {settings.window_s}")
         self._settings = settings
@@ -320,7 +333,14 @@ class WindowBuilder:
             _segments(np.add, frames.fault.astype(np.intp), frames.bounds, 0), frames.lost, frames.surplus, frames.repeated,
         )  # fmt: skip
         lists = (column.tolist() if isinstance(column, np.ndarray) else column for column in columns)
-        return [Window(*row) for row in zip(*lists, strict=True)]
+        if not self._traces:
+            return [Window(*row) for row in zip(*lists, strict=True)]
+        travelled = phase + np.repeat(turns, sizes)[:, None]
+        traces = [
+            _trace(frames, travelled, slice(first, last), self._sample_interval_s)
+            for first, last in zip(frames.bounds[:-1].tolist(), frames.bounds[1:].tolist(), strict=True)
+        ]
+        return [Window(*row) for row in zip(*lists, traces, strict=True)]
 
     def _covered_s(self, total: Array, weight_s: Array) -> Array:
         """The part of each window's weight that has samples, s."""
@@ -488,6 +508,13 @@ class WindowBuilder:
         found = own + (before[:, 0] - np.nan_to_num(mean)[:, None] * before[:, 1])
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where((total > 0.0)[:, None], 2.0 * found / total[:, None], 0.0)
+
+
+def _trace(frames: _Frames, phase: Array, rows: slice, interval_s: float) -> Trace | None:
+    """The samples of some frames; None where one is not usable, for then they are not evenly spaced."""
+    if not frames.usable[rows].all() or rows.start == rows.stop:
+        return None
+    return Trace(frames.samples[rows].ravel(), phase[rows].ravel(), interval_s)
 
 
 def _window_bounds(times: Array, edges: Array) -> Counts:

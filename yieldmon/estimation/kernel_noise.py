@@ -16,6 +16,8 @@ import numpy as np
 from yieldmon.physics.numerics import Array
 
 _ALIASES = 64
+_CLEAR_OF_ALIASES = 0.4
+"""Share of the sampling rate up to which what the sampler folds back is small beside what is there."""
 _ITERATIONS = 6
 
 
@@ -187,7 +189,7 @@ def kernel_impulse(
         the deviation above `settings.largest_sd`.
     """
     s = settings or KernelNoiseSettings()
-    band = (loaded.frequency_hz >= s.low_hz) & (loaded.frequency_hz <= s.high_hz)
+    band = (loaded.frequency_hz >= s.low_hz) & (loaded.frequency_hz <= min(s.high_hz, _CLEAR_OF_ALIASES / sample_interval_s))
     if not band.any():
         return _unusable(f"no frequency of the samples lies in {s.low_hz:g} to {s.high_hz:g} Hz")
     if not mean_force_n > 0.0:

@@ -33,6 +33,7 @@ _LARGEST_STEP = 0.4
 _SCAN = np.geomspace(0.06, 0.9, 16)
 """Fills (load over a full paddle) at which a start is looked for."""
 _SHIFTS = 256
+_INDEX_REACH_S = 0.015
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,11 +51,21 @@ class ArrivalLaw:
         None: no tail.
     covariance : tuple of 3 float
         Of ln stretch and ln tail about the laws: variance, variance, covariance.
+    delay : tuple of 6 float
+        Mean delay (s) of the whole pulse, in the same terms; only where an index tells the paddles' place.
+    delay_sd_s : float
+        Standard deviation about it.
     """
 
     stretch: tuple[float, ...] = (0.0,) * 6
     tail: tuple[float, ...] | None = None
     covariance: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    delay: tuple[float, ...] = (0.0,) * 6
+    delay_sd_s: float = 0.0
+
+    def delay_s(self, fill: AnyArray, plate_angle_rad: float) -> Array:
+        """Mean delay at fills, s."""
+        return np.asarray(_features(fill, plate_angle_rad) @ np.asarray(self.delay))
 
     def log_stretch(self, fill: AnyArray, plate_angle_rad: float) -> Array:
         """ln stretch at fills."""
@@ -93,6 +104,8 @@ class PulseSettings:
         Amplitude of vibration at paddle passing that is not known, N.
     arrival : ArrivalLaw
         From a calibration (`calibrate_arrival`); straight paths where none was made.
+    indexed : bool
+        The phase of the pattern is counted from an index on the chain: shifts are small and the arrival law's delay holds.
     sd : mapping
         Prior standard deviations of the parameters by name (relative for log_*, s for shift_s); 0 holds one fixed.
     """
@@ -104,6 +117,7 @@ class PulseSettings:
     scatter: float = 0.07
     vibration_n: float = 3.0
     arrival: ArrivalLaw = field(default_factory=ArrivalLaw)
+    indexed: bool = False
     sd: Mapping[str, float] = field(
         default_factory=lambda: {
             "log_volume_flow": 1.5,
@@ -226,6 +240,8 @@ class PulseModel:
         sd |= {"log_stretch": np.sqrt(law[0]), "log_tail": np.sqrt(law[1])}
         if self.settings.cell_response_s <= 0.0:
             sd["log_cell"] = 0.0
+        if self.settings.indexed and self.settings.arrival.delay_sd_s > 0.0:
+            sd["shift_s"] = self.settings.arrival.delay_sd_s
         return np.array([*(float(sd[name]) for name in COMMON_NAMES), *np.full(len(self._gaps), own)])
 
     def prior_precision(self, patterns: float) -> Array:
@@ -252,6 +268,8 @@ class PulseModel:
         fill, law = mass / self.full_paddle_kg, self.settings.arrival
         waves = spectrum(parts, omega, stretch * np.exp(law.log_stretch(fill, plate_angle_rad)))
         late = (tail * law.tail_s(fill, plate_angle_rad))[..., None]
+        if self.settings.indexed:
+            waves = waves * np.exp(-1j * omega * law.delay_s(fill, plate_angle_rad)[..., None])
         return np.asarray(waves / (1.0 + 1j * omega * late))
 
     def _joined(self, shapes: AnyArray, theta: Array, elevator_speed_rad_s: float) -> tuple[AnyArray, AnyArray]:
@@ -332,15 +350,15 @@ def estimate(
         converged is False where no step settled; its values are then the last ones.
     """
     theta = look_for_start(pulses, wave) if start is None else np.array(start, dtype=float)
-    mean = (
-        pulses.start(float(np.exp(theta[_FLOW])), shift_s=float(theta[_SHIFT]), log_gain=float(theta[_GAIN]))
-        if centre is None
-        else centre
-    )
+    expected_shift_s = 0.0 if pulses.settings.indexed else float(theta[_SHIFT])
+    own = pulses.start(float(np.exp(theta[_FLOW])), shift_s=expected_shift_s, log_gain=float(theta[_GAIN]))
+    mean = own if centre is None else centre
     sd, precision = pulses.prior_sd(wave.patterns), pulses.prior_precision(wave.patterns)
     free = sd > 0.0
     prior = precision[np.ix_(free, free)]
     theta[~free] = mean[~free]
+    if not np.all(np.isfinite(theta[free])):
+        return _nothing(pulses, theta)
     speed, angle = wave.elevator_speed_rad_s, wave.plate_angle_rad
     limits = np.minimum(_LARGEST_STEP, 3.0 * np.where(free, sd, 1.0))
     limits[_SHIFT] = np.pi / (8.0 * pulses.fundamental_rad_s(speed))
@@ -388,21 +406,16 @@ def _covariances(pulses: PulseModel, at: _Linear, wave: PatternWave) -> tuple[Ar
     return full, averaging
 
 
+def _nothing(pulses: PulseModel, theta: Array) -> PulseEstimate:
+    nan, n = float("nan"), theta.size
+    values = dict(zip(pulses.names, theta.tolist(), strict=True))
+    return PulseEstimate(nan, nan, nan, values, pulses.names, np.full((n, n), nan), nan, nan, False)
+
+
 def _result(pulses: PulseModel, wave: PatternWave, theta: Array, converged: bool) -> PulseEstimate:
     at = pulses.linearised(theta, wave.elevator_speed_rad_s, wave.plate_angle_rad)
     if not np.all(np.isfinite(at.waves)):
-        n = theta.size
-        return PulseEstimate(
-            float("nan"),
-            float("nan"),
-            float("nan"),
-            dict(zip(pulses.names, theta.tolist(), strict=True)),
-            pulses.names,
-            np.full((n, n), np.nan),
-            float("nan"),
-            float("nan"),
-            False,
-        )
+        return _nothing(pulses, theta)
     covariance, averaging = _covariances(pulses, at, wave)
     variance = pulses.random_variance(wave) + pulses.lasting_variance(at.envelope)
     _, residual = _whitened(at, wave, variance)
@@ -455,7 +468,7 @@ def look_for_start(pulses: PulseModel, wave: PatternWave) -> Array:
     waves = pulses._joined(pulses.shapes(batch, speed, angle), pulses.start(1.0), speed)[0].sum(axis=1)
     known = np.all(np.isfinite(waves), axis=1)
     waves = np.where(known[:, None], waves, 0.0)
-    envelope = np.abs(waves).sum(axis=0).max() * 0.0 + np.abs(wave.amplitudes_n)
+    envelope = np.abs(wave.amplitudes_n)
     weight = 1.0 / (pulses.random_variance(wave) + pulses.lasting_variance(envelope) + 1e-6 * envelope.max() ** 2)
     shift = np.arange(_SHIFTS) * (2.0 * np.pi / pulses.fundamental_rad_s(speed) / _SHIFTS)
     omega = pulses.fundamental_rad_s(speed) * np.arange(1.0, wave.amplitudes_n.size + 1.0)
@@ -464,8 +477,14 @@ def look_for_start(pulses: PulseModel, wave: PatternWave) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         gain = np.where(known[:, None] & (product.real > 0.0), product.real / size[:, None], np.nan)
         fitted = np.where(np.isfinite(gain), gain * product.real, -np.inf)
+    if pulses.settings.indexed:
+        period = 2.0 * np.pi / pulses.fundamental_rad_s(speed)
+        shift = np.where(shift > 0.5 * period, shift - period, shift)
+        fitted = np.where(np.abs(shift) < _INDEX_REACH_S, fitted, -np.inf)
     row, column = np.unravel_index(int(np.argmax(fitted)), fitted.shape)
-    return pulses.start(float(flows[row]), shift_s=float(shift[column]), log_gain=float(np.log(gain[row, column])))
+    size_there = float(gain[row, column])
+    found = float(np.log(size_there)) if size_there > 0.0 else float("nan")
+    return pulses.start(float(flows[row]), shift_s=float(shift[column]), log_gain=found)
 
 
 def calibrate_arrival(
@@ -512,7 +531,16 @@ def calibrate_arrival(
     spread = left.T @ left / (len(left) - terms)
     pad = (0.0,) * (6 - terms)
     first, second = (tuple(float(c) for c in column) + pad for column in coefficients.T)
-    return ArrivalLaw(first, second, (float(spread[0, 0]), float(spread[1, 1]), float(spread[0, 1])))
+    shifts = np.array([fit.values["shift_s"] for fit in fits])
+    delay = np.linalg.lstsq(table, shifts, rcond=None)[0]
+    delay_sd = float(np.sqrt(((shifts - table @ delay) ** 2).sum() / (len(left) - terms)))
+    return ArrivalLaw(
+        first,
+        second,
+        (float(spread[0, 0]), float(spread[1, 1]), float(spread[0, 1])),
+        delay=(*delay.tolist(), *pad) if pulses.settings.indexed else (0.0,) * 6,
+        delay_sd_s=delay_sd if pulses.settings.indexed else 0.0,
+    )
 
 
 def _at_flow(pulses: PulseModel, wave: PatternWave, volume_flow_m3_s: float) -> PulseEstimate:

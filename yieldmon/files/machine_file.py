@@ -26,6 +26,9 @@ _ANGLES = ("home_plate_angle_deg", "min_plate_angle_deg", "max_plate_angle_deg")
 _SPEEDS = ("nominal_elevator_speed_rpm", "min_elevator_speed_rpm", "max_elevator_speed_rpm")
 _SENSOR = {"gain_n_per_mv": ("N/mV", 1e-4, 1e3), "full_scale_mv": ("mV", 1.0, 1e5)}
 
+#: Of the sensor, where it is stated.
+_SENSOR_OPTIONAL = {"response_s": ("s", 0.0, 0.1)}
+
 #: Of the optional section: unit and range.
 _IMPLEMENT = {
     "working_width_m": ("m", 0.1, 30.0),
@@ -74,6 +77,8 @@ def to_document(machine: Machine) -> dict[str, Any]:
     document |= {key: degrees(getattr(machine, key.replace("_deg", "_rad"))) for key in _ANGLES}
     document |= {key: getattr(machine, key.replace("_rpm", "_rad_s")) / RPM for key in _SPEEDS}
     document["sensor"] = {key: getattr(machine.sensor, key) for key in _SENSOR}
+    if machine.sensor.response_s != ImpactSensor().response_s:
+        document["sensor"]["response_s"] = machine.sensor.response_s
     implement = {key: getattr(machine.implement, key) for key in _IMPLEMENT}
     if machine.implement != Implement():
         document["implement"] = {key: value for key, value in implement.items() if value is not None}
@@ -95,6 +100,8 @@ def _implement(document: Any, path: str | Path) -> Implement:
 
 
 def _sensor(document: Any, path: str | Path) -> ImpactSensor:
-    if not isinstance(document, dict) or set(document) != set(_SENSOR):
-        raise InputError(f"{path}: sensor", f"is {document!r}", f"a mapping with {', '.join(_SENSOR)}")
-    return ImpactSensor(**{k: number(document[k], f"{path}: sensor.{k}", *limits) for k, limits in _SENSOR.items()})
+    if not isinstance(document, dict) or set(document) - set(_SENSOR_OPTIONAL) != set(_SENSOR):
+        expected = f"a mapping with {', '.join(_SENSOR)} (and {', '.join(_SENSOR_OPTIONAL)} where it is known)"
+        raise InputError(f"{path}: sensor", f"is {document!r}", expected)
+    limits = _SENSOR | _SENSOR_OPTIONAL
+    return ImpactSensor(**{key: number(value, f"{path}: sensor.{key}", *limits[key]) for key, value in document.items()})

@@ -29,6 +29,8 @@ class ImpactSensor:
 
     gain_n_per_mv: float = 0.4448
     full_scale_mv: float = 4000.0
+    response_s: float = 0.008
+    """Time constant of plate and cell, critically damped."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,7 @@ Answer = Mapping[str, Any]
 
 #: Standard deviation of a scale ticket where the operator names none, as a share of the mass (a certified platform scale).
 TICKET_RELATIVE_STD_DEV = 0.005
+_KERNEL_WEIGHTS_G = (1.0, 5000.0)
 _MIN_TICKET_KG, _MAX_TICKET_KG = 1e-3, 1e6
 _MAX_NAME = 80
 
@@ -41,6 +42,9 @@ def summary(status: Mapping[str, Any]) -> str:
 
 
 def _load_start(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
+    weight_g = _kernel_weight_g(request)
+    if weight_g is not None and not monitor.tell_kernel_weight(weight_g):
+        raise InputError("thousand_kernel_weight_g", "is of no use", "waveform.enabled: true in the configuration")
     crop = _name(request, "crop")
     in_use = monitor.estimator.parameters
     chosen = journal.change_crop(crop, in_use) if crop else None
@@ -174,6 +178,16 @@ def _name(request: Mapping[str, Any], key: str) -> str | None:
     if not isinstance(value, str) or len(value) > _MAX_NAME or not value.isprintable():
         raise InputError(key, repr(value)[:100], f"a name of at most {_MAX_NAME} printable characters")
     return value
+
+
+def _kernel_weight_g(request: Mapping[str, Any]) -> float | None:
+    value = request.get("thousand_kernel_weight_g")
+    if value is None:
+        return None
+    low, high = _KERNEL_WEIGHTS_G
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        raise InputError("thousand_kernel_weight_g", repr(value)[:100], f"a mass from {low:g} to {high:g} g")
+    return float(value)
 
 
 def _whole(request: Mapping[str, Any], key: str) -> int:

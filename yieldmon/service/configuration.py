@@ -228,6 +228,10 @@ def _contradictions(document: Document, machine: Machine) -> Iterator[tuple[str,
         yield "gate.grain_off_n", f"{gate.grain_off_n:g}", f"at most gate.grain_on_n, {gate.grain_on_n:g} N"
     if gate.certain_force_n < gate.grain_on_n:
         yield "gate.certain_force_n", f"{gate.certain_force_n:g}", f"at least gate.grain_on_n, {gate.grain_on_n:g} N"
+    waveform = document.waveform
+    if waveform.kernel_low_hz >= waveform.kernel_high_hz:
+        expected = f"below waveform.kernel_high_hz, {waveform.kernel_high_hz:g} Hz"
+        yield "waveform.kernel_low_hz", f"{waveform.kernel_low_hz:g}", expected
     windows = document.windows
     if windows.min_coverage > windows.full_coverage:
         expected = f"at most windows.full_coverage, {windows.full_coverage:g}"

@@ -406,6 +406,35 @@ class Disagreement(Section):
     end_p: float = quantity(_D.end_p, 0.0, 1.0, "1", "probability above which it is withdrawn")
 
 
+_V = _ENGINE.waveform
+
+
+class Waveform(Section):
+    """Flow from the pulses' shape and from kernel noise, beside the mean force; off until proven on the machine."""
+
+    enabled: bool = choice(_V.enabled, "look at the samples themselves")
+    combine: bool = choice(_V.combine, "publish and count mean force and shape together, by their covariance")
+    harmonics: int = quantity(_V.harmonics, 4, 21, "harmonics", "of the paddle pattern that are fitted")
+    model_error: float = quantity(_V.model_error, 0.001, 0.5, "1", "the pulse model's own error, relative")
+    friction_sd: float = quantity(_V.friction_sd, 0.001, 1.0, "1", "relative deviation of friction beside the shape")
+    shape_ratio_sd: float = quantity(_V.shape_ratio_sd, 0.001, 1.0, "1", "relative deviation of the heap's shape ratio")
+    response_error: float = quantity(_V.response_error, 0.001, 1.0, "1", "relative deviation of the cell's response_s")
+    largest_misfit: float = quantity(_V.largest_misfit, 1.0, 1000.0, "1", "misfit above which the pulses are not the model's")
+    contradiction_windows: int = quantity(_V.contradiction_windows, 5, 3600, "s", "windows that are compared together")
+    contradiction_z: float = quantity(_V.contradiction_z, 1.0, 20.0, "1", "standard deviations that count as a contradiction")
+    thousand_kernel_weight_g: float = quantity(
+        _V.thousand_kernel_weight_g, 0.0, 5000.0, "g", "mass of a thousand kernels; 0: not known; `load start` may tell it"
+    )
+    kernel_mass_sd: float = quantity(_V.kernel_mass_sd, 0.0, 1.0, "1", "relative deviation of that weight")
+    kernel_low_hz: float = quantity(_V.kernel_low_hz, 20.0, 5000.0, "Hz", "lowest frequency of kernel noise, above the pulses")
+    kernel_high_hz: float = quantity(_V.kernel_high_hz, 20.0, 5000.0, "Hz", "highest, below the inverse of a contact")
+    kernel_bias: float = quantity(_V.kernel_bias, 0.2, 3.0, "1", "impulse of a kernel over mass times impulse per kilogram")
+    kernel_bias_sd: float = quantity(_V.kernel_bias_sd, 0.0, 1.0, "1", "its deviation between crops and loads")
+    quiet_error: float = quantity(_V.quiet_error, 0.0, 1.0, "1", "relative deviation of background noise, empty to harvesting")
+    quiet_windows: int = quantity(_V.quiet_windows, 1, 3600, "s", "windows of each kind before kernel noise says anything")
+    kernel_windows: int = quantity(_V.kernel_windows, 5, 3600, "s", "windows that are averaged")
+
+
 _L = CalibratorSettings()
 _K = _L.closed_loop
 
@@ -512,6 +541,7 @@ class Document(Section):
     faults: Faults = Faults()
     anchors: Anchors = Anchors()
     disagreement: Disagreement = Disagreement()
+    waveform: Waveform = Waveform()
     learning: Learning = Learning()
     drift_per_root_hour: DriftPerRootHour = DriftPerRootHour()
     drift_per_root_kilotonne: DriftPerRootKilotonne = DriftPerRootKilotonne()
@@ -522,7 +552,7 @@ class Document(Section):
 #: Sections that hand their keys to the engine's settings of the same name.
 ENGINE_SECTIONS = (
     "clock", "windows", "inputs", "zero", "gate", "totals", "budget", "flow_filter", "plate", "sweep", "faults", "anchors",
-    "disagreement",
+    "disagreement", "waveform",
 )  # fmt: skip
 
 #: Settings of the engine that the protocol fixes; the file has no key for them.

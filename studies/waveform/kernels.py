@@ -1,0 +1,183 @@
+"""Kernel noise in discrete-element forces: impulse of a kernel by crop, load and restitution, and through cells."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.estimation.kernel_noise import Density, KernelImpulse, KernelNoiseSettings, expected_sd, kernel_impulse
+
+Array = NDArray[np.float64]
+FOLDER = Path(__file__).resolve().parent
+FORCES = FOLDER / "kernel_forces.npz"
+INTERVAL_S = 1e-4
+QUIET_N2_HZ = 1.33**2 * 1e-3
+"""3 mV of white noise in samples of 1 kHz."""
+_BINS = 700
+_PAD = 1500
+CELLS_S = (0.0, 0.0002, 0.001, 0.003, 0.008)
+
+
+def pack(ledgers: list[Path], out: Path) -> int:
+    """Force on the plate at 10 kHz of each row of the campaigns' ledgers; returns their number."""
+    rows: list[dict[str, float]] = []
+    forces = []
+    for ledger in ledgers:
+        for file in sorted((ledger / "rows").glob("*.json")):
+            row = json.loads(file.read_text())
+            plate = np.load(ledger / "throws" / row["throw_key"] / f"plate-{row['plate_angle_deg']:07.3f}.npz")
+            step = float(plate["time_step_s"])
+            force = plate["total_force_n"][:, 0]
+            arrived = np.concatenate(([0.0], np.cumsum(force) * step))
+            time = np.arange(arrived.size) * step + float(plate["start_s"])
+            begin = (np.floor((float(plate["start_s"]) + np.argmax(force != 0.0) * step) / INTERVAL_S) - 1.0) * INTERVAL_S
+            edges = begin + np.arange(_BINS + 1) * INTERVAL_S
+            forces.append(np.diff(np.interp(edges, time, arrived)) / INTERVAL_S)
+            mean_g = 1e3 * float(plate["mass_kg"].mean())
+            rows.append(
+                {
+                    "kernel_g": 0.4048 if mean_g < 0.6 else 0.8096, "load_kg": row["paddle_mass_kg"],
+                    "restitution": row["restitution"], "angle_deg": row["plate_angle_deg"], "seed": row["trial"],
+                    "impulse_n_s": float(arrived[-1]), "begin_s": begin,
+                }
+            )  # fmt: skip
+    columns = {name: np.array([row[name] for row in rows], dtype=np.float32) for name in rows[0]}
+    np.savez_compressed(out, force_n=np.array(forces, dtype=np.float16), interval_s=INTERVAL_S, **columns)  # type: ignore[arg-type]
+    return len(rows)
+
+
+def _through(force_n: Array, cell_s: float, every: int) -> Array:
+    padded = np.concatenate((force_n, np.zeros((len(force_n), _PAD))), axis=1)
+    if cell_s > 0.0:
+        frequency = np.fft.rfftfreq(padded.shape[1], INTERVAL_S)
+        wave = np.fft.rfft(padded, axis=1) / (1.0 + 2j * np.pi * frequency * cell_s) ** 2
+        padded = np.fft.irfft(wave, padded.shape[1], axis=1)
+    count = padded.shape[1] // every * every
+    return np.asarray(padded[:, :count].reshape(len(padded), -1, every).mean(axis=2))
+
+
+def measured(
+    force_n: Array, cell_s: float, rate_hz: float, settings: KernelNoiseSettings, noise: np.random.Generator | None
+) -> KernelImpulse:
+    """Impulse of a kernel from repeated pulses (n, bins): their mean is taken off, as the daemon takes off the mean pulse."""
+    every = round(1.0 / rate_hz / INTERVAL_S)
+    interval = every * INTERVAL_S
+    shown = _through(force_n, cell_s, every)
+    count = len(shown)
+    left = (shown - shown.mean(axis=0)) * np.sqrt(count / (count - 1.0))
+    quiet = 1e-9
+    if noise is not None:
+        quiet = QUIET_N2_HZ
+        left = left + np.sqrt(QUIET_N2_HZ / interval) * noise.standard_normal(left.shape)
+    duration = shown.shape[1] * interval
+    frequency = np.fft.rfftfreq(shown.shape[1], interval)[1:-1]
+    power = (np.abs(np.fft.rfft(left, axis=1)) ** 2).mean(axis=0)[1:-1] * interval**2 / duration
+    mean_force = float(force_n.sum(axis=1).mean() * INTERVAL_S / duration)
+    # A pulse fills a sixth of the padded stretch: so many fewer frequencies are independent.
+    averages = (count - 1.0) / 6.0
+    return kernel_impulse(
+        Density(frequency, power, averages),
+        Density(frequency, np.full(frequency.size, quiet), 1e6),
+        mean_force,
+        cell_response_s=cell_s,
+        sample_interval_s=interval,
+        settings=settings,
+    )
+
+
+def ratios(
+    cell_s: float, rate_hz: float, settings: KernelNoiseSettings, seed: int | None
+) -> dict[tuple[float, ...], tuple[float, KernelImpulse]]:
+    """J over (kernel mass times impulse per kilogram) for each (kernel_g, load_kg, restitution, angle_deg)."""
+    data = np.load(FORCES)
+    force = data["force_n"].astype(float)
+    keys = np.stack([data[name] for name in ("kernel_g", "load_kg", "restitution", "angle_deg")], axis=1).astype(float).round(4)
+    out = {}
+    for key in np.unique(keys, axis=0):
+        chosen = np.all(keys == key, axis=1)
+        if chosen.sum() < 3:
+            continue
+        noise = None if seed is None else np.random.default_rng([seed, *(np.asarray(key) * 1e4).astype(int)])
+        found = measured(force[chosen], cell_s, rate_hz, settings, noise)
+        per_kg = float(force[chosen].sum(axis=1).mean() * INTERVAL_S / key[1])
+        out[tuple(float(k) for k in key)] = (found.impulse_n_s / (1e-3 * key[0] * per_kg), found)
+    return out
+
+
+def pooled(
+    found: dict[tuple[float, ...], tuple[float, KernelImpulse]], places: tuple[int, ...]
+) -> dict[tuple[float, ...], tuple[float, float]]:
+    """Mean and standard deviation of the mean over cells that share the keys at `places`, weighted by their random error."""
+    groups: dict[tuple[float, ...], list[tuple[float, float]]] = defaultdict(list)
+    for key, (ratio, impulse) in found.items():
+        if np.isfinite(ratio):
+            groups[tuple(key[p] for p in places)].append((ratio, impulse.random_sd * ratio))
+    out = {}
+    for key, values in sorted(groups.items()):
+        ratio, sd = np.array(values).T
+        weight = sd**-2.0
+        out[key] = float((weight * ratio).sum() / weight.sum()), float(weight.sum() ** -0.5)
+    return out
+
+
+def report(seed: int) -> dict[str, Any]:
+    """Tables: bias by crop and load, by restitution and angle; calibrated on the other crop; through cells."""
+    full = KernelNoiseSettings(low_hz=200.0, high_hz=800.0, response_error=0.0)
+    found = ratios(0.0, 5000.0, full, None)
+    by_load = pooled(found, (0, 1))
+    crops = sorted({key[0] for key in by_load})
+    crossed = []
+    for crop in crops:
+        other = [(np.log(k[1]), v[0]) for k, v in by_load.items() if k[0] != crop]
+        slope, level = np.polyfit([x for x, _ in other], [y for _, y in other], 1)
+        for key, (ratio, sd) in by_load.items():
+            if key[0] == crop:
+                error = 100.0 * ((level + slope * np.log(key[1])) / ratio - 1.0)
+                crossed.append(
+                    {
+                        "kernel_g": crop,
+                        "load_kg": key[1],
+                        "flow_error_pct": round(error, 1),
+                        "sd_pct": round(100.0 * sd / ratio, 1),
+                    }
+                )
+    cells = []
+    for rate in (1000.0, 5000.0):
+        band = KernelNoiseSettings(low_hz=200.0, high_hz=800.0)
+        for cell in CELLS_S:
+            # 60 s of harvest at 8 kg/s: mean force 73 N, a kernel's impulse 3.6 mN s.
+            reach = expected_sd(
+                mean_force_n=73.0,
+                impulse_n_s=3.6e-3,
+                quiet_n2_hz=QUIET_N2_HZ,
+                cell_response_s=cell,
+                sample_interval_s=1.0 / rate,
+                duration_s=60.0,
+                settings=band,
+            )
+            values = [r for r, i in ratios(cell, rate, band, seed).values() if np.isfinite(r)]
+            cells.append(
+                {
+                    "rate_hz": rate, "cell_ms": 1e3 * cell, "ratio": round(float(np.median(values)), 3) if values else None,
+                    "expected_random_pct": round(100.0 * reach.random_sd, 1),
+                    "expected_lasting_pct": round(100.0 * reach.lasting_sd, 1),
+                    "usable": reach.usable, "reason": reach.reason,
+                }
+            )  # fmt: skip
+    return {
+        "rows": len(np.load(FORCES)["seed"]),
+        "by_crop_and_load": [
+            {"kernel_g": k[0], "load_kg": k[1], "ratio": round(r, 3), "sd": round(s, 3)} for k, (r, s) in by_load.items()
+        ],
+        "by_restitution": [
+            {"restitution": k[0], "ratio": round(r, 3), "sd": round(s, 3)} for k, (r, s) in pooled(found, (2,)).items()
+        ],
+        "by_angle": [{"angle_deg": k[0], "ratio": round(r, 3), "sd": round(s, 3)} for k, (r, s) in pooled(found, (3,)).items()],
+        "calibrated_on_the_other_crop": crossed,
+        "through_cells": cells,
+    }

@@ -1,0 +1,73 @@
+"""Two estimates of one flow, from mean force and from the pulses' shape: covariance, best mean, and whether they agree.
+
+Both lean on the bulk density: a denser grain makes the mean force's flow smaller and the shape's larger. That is the scale
+direction (flow, density, 1 + e) -> (a, a, 1/a), which mean forces leave open.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite, sqrt
+
+import numpy as np
+
+from .parameters import ParameterSet
+
+
+@dataclass(frozen=True, slots=True)
+class Combined:
+    """mass_flow_kg_s: the mean of least variance; relative_sd: of its logarithm. z: difference over its standard deviation.
+    weight: of the shape's flow."""
+
+    mass_flow_kg_s: float
+    relative_sd: float
+    z: float
+    weight: float
+
+
+def relative_covariance(parameters: ParameterSet) -> tuple[float, float]:
+    """Variance of ln(density) and its covariance with ln(1 + restitution); the latter 0 for parameters without restitution."""
+    names = ("density", "restitution") if "restitution" in parameters.values else ("density",)
+    block = parameters.covariance_of(names)
+    density = parameters.values["density"]
+    variance = float(block[0, 0]) / density**2
+    if len(names) == 1:
+        return variance, 0.0
+    return variance, float(block[0, 1]) / (density * (1.0 + parameters.values["restitution"]))
+
+
+def combine(
+    mean_flow_kg_s: float, mean_sd: float, shape_flow_kg_s: float, shape_sd: float, *, exponent: float, parameters: ParameterSet
+) -> Combined:
+    """Combine two flows by their covariance.
+
+    Parameters
+    ----------
+    mean_flow_kg_s, shape_flow_kg_s : float
+        From the mean force; from the shape, volume flow times density.
+    mean_sd, shape_sd : float
+        Relative standard deviations; shape_sd without that of the density.
+    exponent : float
+        d ln(force) / d ln(flow) at this flow: by it the mean force's flow leans on density.
+    parameters : ParameterSet
+        Its covariance of density and restitution.
+
+    Returns
+    -------
+    Combined
+        The mean force's alone where the shape gives nothing.
+    """
+    if not (isfinite(shape_flow_kg_s) and isfinite(shape_sd) and shape_flow_kg_s > 0.0 and mean_flow_kg_s > 0.0):
+        return Combined(mean_flow_kg_s, mean_sd, float("nan"), 0.0)
+    of_density, with_gain = relative_covariance(parameters)
+    first = mean_sd**2
+    second = shape_sd**2 + of_density
+    # ln flow of the mean force moves by -(1 - n) / n for ln density and by -1 / n for ln(1 + e).
+    both = -((1.0 - exponent) * of_density + with_gain) / exponent
+    limit = 0.95 * sqrt(first * second)
+    both = float(np.clip(both, -limit, limit))
+    spread = first + second - 2.0 * both
+    weight = float(np.clip((first - both) / spread, 0.0, 1.0))
+    difference = float(np.log(shape_flow_kg_s / mean_flow_kg_s))
+    variance = (1.0 - weight) ** 2 * first + weight**2 * second + 2.0 * weight * (1.0 - weight) * both
+    return Combined(mean_flow_kg_s * float(np.exp(weight * difference)), sqrt(variance), difference / sqrt(spread), weight)
