@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-
-import cantools
-from cantools.database.can import Database
-from cantools.database.can import Message as DbcMessage
-from cantools.database.can import Signal as DbcSignal
-from cantools.database.errors import Error as DbcError
+from typing import TYPE_CHECKING
 
 from yieldmon.bus.layout import largest_valid_raw, smallest_not_available_raw
 from yieldmon.errors import InputError
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message as DbcMessage
+    from cantools.database.can import Signal as DbcSignal
+
 
 _MOST_BYTES = 8
 NULL_ADDRESS = 0xFE
@@ -72,6 +72,11 @@ def load_messages(path: Path | str) -> dict[str, MessageBits]:
     Raises InputError, one line, for a file that cannot be read, is no DBC, is in an encoding other than UTF-8 or Windows-1252, or
     contradicts itself (signals that overlap).
     """
+    # Half a second of import, for those who read a DBC only.
+    import cantools
+    from cantools.database.can import Database
+    from cantools.database.errors import Error as DbcError
+
     where = str(path)
     try:
         data = Path(path).read_bytes()

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-
-import cantools
-from cantools.database.can import Database
-from cantools.database.can import Message as DbcMessage
-from cantools.database.can import Signal as DbcSignal
-from cantools.database.errors import Error as DbcError
+from typing import TYPE_CHECKING
 
 from yieldmon.errors import InputError
 from yieldmon.resources import shipped
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message as DbcMessage
+    from cantools.database.can import Signal as DbcSignal
+
 
 #: Priority is no part of a J1939 identity: parameter group and source address are compared.
 IDENTITY_MASK = 0x03FFFFFF
@@ -105,6 +105,11 @@ def load_layouts(dbc_path: Path | str | None = None) -> dict[str, MessageLayout]
     Raises InputError for a file that is missing, no DBC, or uses what these frames never do (11-bit identifiers,
     multiplexing, signed, float or big-endian signals, frames of other than 1 to 8 bytes).
     """
+    # Half a second of import, for those who read a DBC only.
+    import cantools
+    from cantools.database.can import Database
+    from cantools.database.errors import Error as DbcError
+
     path = Path(dbc_path) if dbc_path is not None else shipped("dbc/yieldmon.dbc")
     try:
         database = cantools.database.load_file(path, database_format="dbc")

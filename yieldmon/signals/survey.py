@@ -196,7 +196,7 @@ class Survey:
             if message.dbc is None or message.rate_hz is None or message.name is None:
                 continue
             for signal in message.signals.values():
-                for quantity in (*IMPACT, *QUANTITIES):
+                for quantity in _HINTS:
                     score = _score(quantity, message, signal)
                     if score > 0.0:
                         bits, share = signal.bits, signal.frames / message.frames
