@@ -200,6 +200,11 @@ def paddle_mass_kg(machine: Machine, mass_flow_kg_s: float, elevator_speed_rad_s
 def to_dict(value: Any) -> dict[str, Any]:
     """A dataclass as plain JSON-able values. The kernel of a throw's grain is named where it is not the sphere."""
     plain: dict[str, Any] = json.loads(json.dumps(asdict(value)))
+    machine = plain.get("machine")
+    if isinstance(machine, dict):
+        # Neither bears on a throw.
+        machine.pop("implement", None)
+        machine.get("sensor", {}).pop("response_s", None)
     if isinstance(value, Throw) and value.grain.kernel == "sphere":
         del plain["grain"]["kernel"]
     return plain

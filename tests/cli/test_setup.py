@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
 from pathlib import Path
 
@@ -21,6 +22,12 @@ ANSWERS = {
     "largest_flow_kg_s": 25, "cell_full_scale_mv": 4000, "cell_weights_kg": [0, 5, 10], "cell_readings_mv": [500, 597.6, 695.1],
     "plate_measured_deg": [46.5, 86.4], "plate_reported_deg": [45, 85], "crop": "wheat",
 }
+
+
+def interruptible() -> None:
+    """Ctrl-C ends the child also where the tests run in the background, which ignore it."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 
 
 def answers(folder: Path, **changes: object) -> str:
@@ -93,7 +100,7 @@ def test_through_a_terminal_of_80_by_24_with_a_break_between(tmp_path):
     def session(given: list[str], end: str) -> object:
         terminal = pexpect.spawn(
             sys.executable, ["-m", "yieldmon.cli.main", "setup", "--out", str(tmp_path / "new")], dimensions=(24, 80),
-            encoding="utf-8", timeout=60, env={**os.environ, "TERM": "xterm"},
+            encoding="utf-8", timeout=60, preexec_fn=interruptible, env={**os.environ, "TERM": "xterm"},
         )
         screen = pyte.Screen(80, 24)
         stream = pyte.Stream(screen)

@@ -7,12 +7,10 @@ import dataclasses
 import json
 import os
 import shutil
-import sqlite3
 import struct
 import subprocess
 import xml.etree.ElementTree as ET
 import zipfile
-from contextlib import closing
 from pathlib import Path
 
 import geopandas
@@ -28,6 +26,9 @@ from yieldmon.frames import EstimateQuality
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Batch, Load, Store
 from yieldmon.service.tables import open_table
+
+#: A store of version 0.1.0.
+STORE = Path(__file__).resolve().parents[1] / "golden" / "store-0.1.0.sqlite"
 
 ROOT = Path(__file__).parents[2]
 START_S = 1_760_000_000
@@ -306,10 +307,7 @@ def test_a_store_that_is_read_stays_as_it_is(words, folder, tmp_path):
     """Also one of the version before, which a daemon would bring up to date."""
     store, out = tmp_path / "store" / "r.sqlite", tmp_path / "x"
     store.parent.mkdir()
-    shutil.copy(folder / "r.sqlite", store)
-    with closing(sqlite3.connect(store)) as database:
-        database.execute("DROP INDEX second_of_sweep")
-        database.execute("PRAGMA user_version = 2")
+    shutil.copy(STORE, store)
     before = store.read_bytes()
     assert cli.main([word.format(store=store, out=out) for word in words]) == 0
     assert store.read_bytes() == before

@@ -36,7 +36,7 @@ STARTS = [
     (lambda *_: VIRTUAL + f"status: {{socket: {'x' * 200}}}", 2, "status.socket: "),
     (lambda *_: "bus: {interface: socketcan, channel: absent0}", 1, "socketcan channel absent0: "),
     (another_daemon, 1, "another daemon is using it"),
-    (a_store_that_cannot_be_read, 1, "unable to open database file"),
+    (a_store_that_cannot_be_read, 2, "is a folder; expected a store"),
 ]
 
 

@@ -178,16 +178,23 @@ class Recorded:
     signals: dict[str, Any]
 
 
+#: PDU formats of J1939-21 and -81: acknowledgement, request, transport data and connection, address claim.
+NETWORK_FORMATS = (0xE8, 0xEA, 0xEB, 0xEC, 0xEE)
+
+
 def read_back(log: Path, only: str | None = None) -> list[Recorded]:
     """A candump log through python-can's reader and cantools, without a line of the project's own decoding.
 
-    Fails at a frame that the database does not know or cannot decode; `only` leaves all but this message unread.
+    Frames of the network itself (address claims, requests, transport) are passed over. Fails at any other frame that the database
+    does not know or cannot decode; `only` leaves all but this message unread.
     """
     database = cantools.database.load_file(shipped("dbc/yieldmon.dbc"))
     wanted = database.get_message_by_name(only).frame_id if only else None
     found = []
     for message in can.LogReader(log):
         if wanted not in (None, message.arbitration_id):
+            continue
+        if message.arbitration_id >> 16 & 0xFF in NETWORK_FORMATS:
             continue
         known = database.get_message_by_frame_id(message.arbitration_id)
         signals = known.decode(bytes(message.data), decode_choices=False)

@@ -10,12 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.bus.codec import Codec
 from yieldmon.engine.aliasing import ALIAS_FREE_HZ, aliasing_share
 from yieldmon.engine.runs import FrameRun
 from yieldmon.engine.sources import QUANTITIES
 from yieldmon.physics.machine import RPM
-from yieldmon.service.bulk_processing import EndOfLog, Taking, stretches_of
 from yieldmon.service.configuration import Configuration
 
 Array = NDArray[np.float64]
@@ -74,6 +72,9 @@ def seen_in(configuration: Configuration, log: Path | str) -> dict[str, Quantity
     """Each quantity in a recording. Raises InputError for a log that cannot be read."""
     parts: dict[str, list[tuple[Array, Array]]] = {}
     sources = configuration.signals.sources
+    from yieldmon.bus.codec import Codec
+    from yieldmon.service.bulk_processing import EndOfLog, Taking, stretches_of
+
     for stretch in stretches_of([str(log)], Taking(Codec(), configuration.signals)):
         if not isinstance(stretch, EndOfLog):
             for run in stretch.runs:
