@@ -19,6 +19,8 @@ HOME_DEG, LOWEST_DEG, HIGHEST_DEG = 70.0, 40.0, 90.0
 TOLERANCE_DEG = 0.5 + 0.1
 #: A minute of traffic at least.
 LEAST_S = 60
+#: Address claims and answers that a drive may hold.
+NETWORK_FRAMES = 50
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +42,8 @@ def test_no_frame_and_no_sample_is_lost(nominal: Drive) -> None:
     assert (bus["dropped"], bus["kernel_drops"], bus["malformed"]) == (0, 0, 0)
     inputs = sum(1 for frame in nominal.log if frame.message in frames.INPUTS)
     # The status is as of the last window.
-    assert inputs - 600 < bus["received"] <= inputs
+    # What it heard beside its inputs: echoes of its own frames, and the network's.
+    assert inputs - 600 < bus["received"] <= len(nominal.log) + NETWORK_FRAMES
     assert sum(row.lost_frames + row.surplus_frames + row.repeated_frames for row in nominal.rows) == 0
     # The seconds in which the combine starts and ends lack a part.
     first_s, last_s = (next(f.time_s for f in log if f.message in frames.INPUTS) for log in (nominal.log, nominal.log[::-1]))
@@ -63,8 +66,9 @@ def test_mass_flow_comes_for_each_second(nominal: Drive) -> None:
 def test_what_is_published_is_what_is_stored(nominal: Drive) -> None:
     published = nominal.values(frames.ACCUMULATED_MASS, "TotalMass")
     stored = [row.total_kg for row in nominal.rows]
-    shared = min(len(published), len(stored))
-    assert published[:shared] == pytest.approx(stored[:shared], abs=0.06)
+    # Nothing is sent before the address claim stands, which costs the first seconds.
+    starts = [stored[unheard : unheard + len(published)] for unheard in range(3)]
+    assert any(published[: len(part)] == pytest.approx(part, abs=0.06) for part in starts)
     assert stored[-1] == pytest.approx(FLOW_KG_S * (len(stored) - EMPTY_S), rel=0.1)
 
 
