@@ -142,7 +142,7 @@ def test_a_table_of_seconds_is_no_log(tmp_path: Path, capsys: pytest.CaptureFixt
     log, table = DATA / "bench_log.log.gz", tmp_path / "seconds.parquet"
     assert main(["process", str(log), "--out", str(table)]) == 0
     assert main(["process", str(table), "--out", str(tmp_path / "again.csv")]) == 2
-    assert "a Parquet file without packed" in capsys.readouterr().err
+    assert "seconds.parquet: a Parquet file without packed CAN frames; expected a file" in capsys.readouterr().err
 
 
 def test_nothing_is_overwritten_unasked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

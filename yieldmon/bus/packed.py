@@ -185,6 +185,9 @@ def read_blocks(path: Path | str) -> Iterator[FrameBlock]:
             for group in range(source.num_row_groups):
                 columns = source.read_row_group(group).to_pydict()
                 yield _block(zip(*(columns[name] for name in _NAMES), strict=True))
+    except InputError:
+        # A ValueError too, which says all there is to say.
+        raise
     except FileNotFoundError as error:
         raise InputError(str(path), error.strerror or str(error), "a readable file of packed frames") from error
     except (pa.ArrowException, OSError, ValueError, KeyError) as error:
