@@ -49,6 +49,7 @@ SELF_CALIBRATION_STATUS = "SelfCalibrationStatus"
 YIELD_MONITOR_STATUS = "YieldMonitorStatus"
 ACTIVE_DIAGNOSTICS = "ActiveDiagnostics"
 HARVEST_STATE = "HarvestState"
+GRAIN_TANK = "GrainTank"
 VEHICLE_POSITION = "VehiclePosition"
 VEHICLE_DIRECTION_SPEED = "VehicleDirectionSpeed"
 #: No message of the DBC: what a factory's own yield monitor says, whatever its layout.
@@ -61,6 +62,7 @@ INPUTS = (
     GRAIN_CONDITION,
     TANK_SCALE,
     HARVEST_STATE,
+    GRAIN_TANK,
     VEHICLE_POSITION,
     VEHICLE_DIRECTION_SPEED,
 )
@@ -142,7 +144,7 @@ class SweepState(int, Enum):
     RETURNING = 5
     ABORTED = 6
     UPDATED = 7
-    """The last sweep taught something and the parameters moved."""
+    """The last sweep changed the parameters."""
     NOT_LEARNED = 8
     """The last sweep ended well and the parameters stay: it said nothing new."""
 
@@ -177,3 +179,10 @@ class WorkState(int, Enum):
 
     NOT_WORKING = 0
     WORKING = 1
+
+
+class Unloading(int, Enum):
+    """GrainTank.Unloading."""
+
+    OFF = 0
+    ON = 1

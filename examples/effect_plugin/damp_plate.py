@@ -4,12 +4,14 @@
 and to calibration and diagnosis as well.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 from yieldmon.api import Effect, EffectParameter
 
 
-def _impulse(impulse, values, setting):
+def _impulse(impulse: Any, values: Mapping[str, Any], setting: Any) -> Any:
     return replace(impulse, weight=impulse.weight * (1.0 - values["loss"]))
 
 

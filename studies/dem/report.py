@@ -565,7 +565,7 @@ def said(found: diagnosis.Diagnosis) -> str:
     fit = found.choice.best
     effects = []
     for step in found.choice.steps:
-        own = [p.name for p in fit.parameters if p.name.startswith(f"{step.added}.")]
+        own = [p.name for p in fit.parameters if p.name.startswith(f"{step.law}.")]
         values = ", ".join(f"{name.partition('.')[2]} = {fit.values[name]:.3g}" for name in own)
         ties = f"; or {', '.join(step.equivalent)}" if step.equivalent else ""
         effects.append(f"{step.added} ({values}; confidence {step.confidence:.2f}{ties})")

@@ -49,16 +49,18 @@ Effects = Mapping[str, float]
 """Name -> size; moisture_dependence stands for its friction rate, with density and restitution following."""
 
 
-def force(
+def force(  # noqa: PLR0915
     angle: Array, speed: Array, flow: Array, moisture: Array, grain: Grain, effects: Effects, machine: Geometry = Geometry(),
-    *, other_laws: bool = False,
+    *, other_laws: bool = False, third_laws: bool = False,
 ) -> Array:
     """Mean horizontal force, N, for arrays of one shape (rows,); nan where the paddles would overflow.
 
-    other_laws: the effects in `OTHER_LAWS` act by those laws, which neither the library nor the first set knows.
+    other_laws: the effects in `OTHER_LAWS` act by those laws; third_laws: those in `THIRD_LAWS` by a third set, which shares no
+    law with the library's.
     """
     size = dict(effects)
     other = frozenset(OTHER_LAWS) if other_laws else frozenset[str]()
+    third = frozenset(THIRD_LAWS) if third_laws else frozenset[str]()
     wetter = moisture - 15.0
     rate = size.get("moisture_dependence", 0.0)
     mu = grain.friction * (1.0 + rate * wetter)
@@ -68,12 +70,15 @@ def force(
     angle = angle + size.get("plate_angle_offset", 0.0)
     speed = speed * (1.0 - size.get("chain_slip", 0.0))
     faster = speed / machine.nominal_speed
-    shape = grain.shape * (1.0 + size.get("speed_dependent_shape", 0.0) * (faster - 1.0))
+    swifter = 0.5 * (faster**2 - 1.0) if "speed_dependent_shape" in third else faster - 1.0
+    shape = grain.shape * (1.0 + size.get("speed_dependent_shape", 0.0) * swifter) * (1.0 + size.get("heap_shape", 0.0))
     passes = speed * machine.pitch_radius / machine.spacing
     full = 0.5 * shape * density * machine.width * length**2
     mass = flow / passes
     fill = mass / full
-    if "paddle_leakage" in other:
+    if "paddle_leakage" in third:
+        mass = mass * (1.0 - 0.8 * size.get("paddle_leakage", 0.0) * np.minimum(fill, 1.0) ** 1.5 / faster**2)
+    elif "paddle_leakage" in other:
         mass = mass * (1.0 - size.get("paddle_leakage", 0.0) * np.maximum(fill - 0.15, 0.0))
     else:
         mass = mass * np.exp(-size.get("paddle_leakage", 0.0) * fill / faster)
@@ -83,33 +88,46 @@ def force(
     layer_mass *= (mass / np.sum(layer_mass, axis=1))[:, None]
 
     pull = size.get("gravity", 0.0)
-    start = 1.5 * np.pi + size.get("release_angle", 0.0)
+    start: Array | float = 1.5 * np.pi + size.get("release_angle", 0.0)
+    if "release_angle" in third and "release_angle" in size:
+        start = (1.5 * np.pi + size["release_angle"] * (0.75 + 0.5 * fill))[:, None]
     number = pull / (length * speed**2)
-    push = size.get("residual_radial_speed", 0.0) * (radius**2 if "residual_radial_speed" in other else np.sqrt(radius))
+    outwards = 0.7 * np.ones_like(radius) if "residual_radial_speed" in third else np.sqrt(radius)
+    push = size.get("residual_radial_speed", 0.0) * (radius**2 if "residual_radial_speed" in other else outwards)
     tau, outward = _slide(radius, push, mu[:, None], number[:, None], start)
     theta = start + tau
     tip = (length * speed)[:, None]
     vx, vy = tip * (outward * np.cos(theta) - np.sin(theta)), tip * (outward * np.sin(theta) + np.cos(theta))
     x, y = length * np.cos(theta), length * np.sin(theta)
     parts = _as_released(
-        x, y, vx, vy, size=size, radius=radius, psi=psi, inner=inner, push=push, tau=tau, speed=speed, tip=tip, start=start
+        x, y, vx, vy, size=size, radius=radius, psi=psi, inner=inner, push=push, tau=tau, speed=speed, tip=tip, start=start,
+        third=third,
     )
 
     fan = np.sqrt(3.0) * size.get("stream_spread", 0.0) * (np.linspace(-1.0, 1.0, 15) if "stream_spread" in size else np.zeros(1))
+    weights = np.full(len(fan), 1.0 / len(fan))
+    if "stream_spread" in third and "stream_spread" in size:
+        # A sharp middle with long tails: most grain keeps its path.
+        fan = size["stream_spread"] * np.linspace(-3.0, 3.0, 25)
+        weights = np.exp(-np.sqrt(2.0) * np.abs(np.linspace(-3.0, 3.0, 25)))
+        weights /= weights.sum()
     momentum = np.zeros(len(mass))
     landed_mass = np.zeros(len(mass))
     for share, (px, py, wx, wy) in parts:
-        for turn in fan:
+        for turn, weight in zip(fan, weights, strict=True):
             ux, uy = wx * np.cos(turn) - wy * np.sin(turn), wx * np.sin(turn) + wy * np.cos(turn)
             pulse, landed = _strike(
-                px, py, ux, uy, radius * psi * length, share * layer_mass, angle, e, size, machine, other=other, fill=fill
+                px, py, ux, uy, radius * psi * length, share * layer_mass, angle, e, size, machine,
+                other=other, third=third, fill=fill,
             )
-            momentum += pulse / len(fan)
-            landed_mass += landed / len(fan)
+            momentum += pulse * weight
+            landed_mass += landed * weight
     reading = momentum * passes
-    lies = np.cos(angle) if "resting_grain" in other else 1.0
+    lies = np.cos(angle) if "resting_grain" in other else 0.3 + 0.9 * np.cos(angle) ** 2 if "resting_grain" in third else 1.0
     reading = reading + landed_mass * passes * G * size.get("resting_grain", 0.0) * lies
-    if "cell_nonlinearity" in other:
+    if "cell_nonlinearity" in third:
+        reading = reading / (1.0 + 40.0 * size.get("cell_nonlinearity", 0.0) * np.log1p(np.maximum(reading, 0.0) / 20.0))
+    elif "cell_nonlinearity" in other:
         reading = reading - size.get("cell_nonlinearity", 0.0) * np.maximum(reading - 15.0, 0.0) * reading
     else:
         reading = _cell(reading, size)
@@ -119,7 +137,7 @@ def force(
 
 def _as_released(
     x: Array, y: Array, vx: Array, vy: Array, *, size: Mapping[str, float], radius: Array, psi: Array, inner: Array, push: Array,
-    tau: Array, speed: Array, tip: Array, start: float,
+    tau: Array, speed: Array, tip: Array, start: Array | float, third: frozenset[str],
 ) -> list[tuple[Array, tuple[Array, Array, Array, Array]]]:  # fmt: skip
     """Shares of each layer with the jet (x, y, vx, vy) that they make, after the effects that keep grain from its paddle."""
     since = tau / speed[:, None]
@@ -127,13 +145,15 @@ def _as_released(
     if "stream_rise" in size:
         # From the pressure of the grain inside, which goes as the difference of the radii's squares.
         rise = size["stream_rise"] * tip * (radius**2 - inner[:, None] ** 2) / (1.0 + inner[:, None])
+        if "stream_rise" in third:
+            rise = 0.6 * size["stream_rise"] * tip * np.sqrt(np.maximum(radius - inner[:, None], 0.0))
     carried = (x, y - rise * since, vx, vy - rise)
     if "unpushed_layers" not in size:
         return [(np.ones_like(radius), carried)]
     # A rational share of each layer; free grain starts from the housing's edge, where the paddle leaves it behind, and is
     # drawn along by what follows: half way to the tip's speed, as a geometric mean.
     ahead = size["unpushed_layers"] * psi
-    free = ahead / (1.0 + ahead)
+    free = np.clip(0.7 * ahead, 0.0, 1.0) ** 1.5 if "unpushed_layers" in third else ahead / (1.0 + ahead)
     pull, drawn = size.get("gravity", 0.0), np.sqrt(radius)
     length = tip / speed[:, None]
     c, d = np.cos(start), np.sin(start)
@@ -209,7 +229,7 @@ def _slide(rho: Array, push: Array, mu: Array, number: Array, start: float) -> t
     return tau, np.where(np.isnan(out), 0.0, out)
 
 
-def _strike(  # noqa: PLR0915
+def _strike(  # noqa: PLR0912, PLR0915
     x: Array,
     y: Array,
     vx: Array,
@@ -222,6 +242,7 @@ def _strike(  # noqa: PLR0915
     machine: Geometry,
     *,
     other: frozenset[str],
+    third: frozenset[str],
     fill: Array,
 ) -> tuple[Array, Array]:
     """Horizontal impulse per paddle and the mass that lands, for one direction of the fan."""
@@ -236,7 +257,8 @@ def _strike(  # noqa: PLR0915
     for _ in range(steps):
         speed = np.hypot(ux, uy)
         # Drag of a loose stream, a little below quadratic.
-        brake = drag * (speed / 6.0) ** 1.8 * 36.0 / np.maximum(speed, 1e-9)
+        power = 1.3 if "air_drag" in third else 1.8
+        brake = drag * (speed / 6.0) ** power * 36.0 / np.maximum(speed, 1e-9)
         wx, wy = ux - dt * brake * ux, uy + dt * (pull - brake * uy)
         qx, qy = px + 0.5 * dt * (ux + wx), py + 0.5 * dt * (uy + wy)
         before = (py - machine.pivot[1]) * cos - (px - machine.pivot[0]) * sin
@@ -256,13 +278,19 @@ def _strike(  # noqa: PLR0915
     towards = reached & (normal > 0.0)
     width = np.maximum(np.abs(np.gradient(kappa, axis=1)), 1e-6)
     lands = np.where(towards, np.clip(0.5 - kappa / width, 0.0, 1.0), 0.0)
-    lands = _caught(lands, mass, along, kappa, np.where(reached, normal, 0.0), tangent, size, other)
+    lands = _caught(lands, mass, along, kappa, np.where(reached, normal, 0.0), tangent, size, other, third)
     bounce = e[:, None] + 0.0 * normal
-    if "jet_shielding" in size and "jet_shielding" in other:
+    if "jet_shielding" in size and "jet_shielding" in third:
+        thick = thickness / (thickness + 0.02)
+        bounce = bounce * (1.0 - np.minimum(0.03 * size["jet_shielding"], 1.0) * thick)
+    elif "jet_shielding" in size and "jet_shielding" in other:
         bounce = bounce * np.exp(-0.05 * size["jet_shielding"] * fill)[:, None]
     elif "jet_shielding" in size:
         bounce = bounce * np.exp(-0.7 * thickness * size["jet_shielding"])
-    if "speed_dependent_restitution" in size and "speed_dependent_restitution" in other:
+    if "speed_dependent_restitution" in size and "speed_dependent_restitution" in third:
+        quicker = normal / (machine.length * machine.nominal_speed) - 1.0
+        bounce = np.clip(bounce * (1.0 - 0.8 * size["speed_dependent_restitution"] * quicker), 0.0, 1.0)
+    elif "speed_dependent_restitution" in size and "speed_dependent_restitution" in other:
         yielding = np.maximum(normal / (machine.length * machine.nominal_speed) - 0.7, 0.0)
         bounce = bounce / (1.0 + 2.0 * size["speed_dependent_restitution"] * yielding)
     elif "speed_dependent_restitution" in size:
@@ -274,14 +302,18 @@ def _strike(  # noqa: PLR0915
         )
     if "secondary_impact" in size:
         facing = np.maximum(normal, 0.0) / np.maximum(np.hypot(normal, tangent), 1e-9)
-        steep = 1.0 if "secondary_impact" in other else facing**3
+        steep = 1.0 if "secondary_impact" in other else facing**6 if "secondary_impact" in third else facing**3
         bounce = np.minimum(bounce + size["secondary_impact"] * steep * bounce * (1.0 - bounce), 1.0)
     push = (1.0 + bounce) * normal
     rub = np.zeros_like(push)
     if "plate_friction" in size:
         cap = 2.0 / 7.0 * tangent
         sliding = size["plate_friction"] * push
-        if "plate_friction" in other:
+        if "plate_friction" in third:
+            # Sliding friction that falls with speed, blended into rolling.
+            slow = sliding / (1.0 + np.abs(tangent) / 4.0)
+            rub = np.sign(tangent) * slow / np.sqrt(1.0 + (slow / np.maximum(np.abs(cap), 1e-9)) ** 2)
+        elif "plate_friction" in other:
             # A film that drags in proportion to the tangential speed, without a limit of rolling.
             rub = 0.7 * size["plate_friction"] * tangent
         else:
@@ -290,16 +322,22 @@ def _strike(  # noqa: PLR0915
     if "lever_arm" in size:
         place = np.clip(kappa / machine.plate + 0.5, -0.5, 0.5)
         weight = 1.0 + size["lever_arm"] * np.sin(2.0 * place) if "lever_arm" in other else np.exp(size["lever_arm"] * place)
+        if "lever_arm" in third:
+            weight = 1.0 + size["lever_arm"] * (place + 0.8 * place**2)
     landed = mass * lands
     return np.sum(landed * weight * (push * sin + rub * cos), axis=1), np.sum(landed, axis=1)
 
 
 def _caught(
     lands: Array, mass: Array, along: Array, kappa: Array, normal: Array, tangent: Array, size: Mapping[str, float],
-    other: frozenset[str],
+    other: frozenset[str], third: frozenset[str],
 ) -> Array:
     """Share that lands, after the effects that act on grain near the plate's edges."""
-    if "miss_capture" in size and "miss_capture" in other:
+    if "miss_capture" in size and "miss_capture" in third:
+        # What passes just below the edge is drawn on to the plate, the less the further below.
+        reach = np.clip(1.0 - kappa / 0.25, 0.0, 1.0)
+        lands = lands + np.where(normal > 0.0, (1.0 - lands) * size["miss_capture"] * reach, 0.0)
+    elif "miss_capture" in size and "miss_capture" in other:
         lands = lands + np.where(normal > 0.0, (1.0 - lands) * size["miss_capture"], 0.0)
     elif "miss_capture" in size:
         # By the part of the momentum on the plate that runs down it, fading below the edge.
@@ -309,7 +347,9 @@ def _caught(
         down = np.sum(momentum * cosine, axis=1, keepdims=True) / np.maximum(np.sum(momentum, axis=1, keepdims=True), 1e-12)
         reach = np.exp(-np.maximum(kappa, 0.0) / 0.6)
         lands = lands + np.where(towards, (1.0 - lands) * size["miss_capture"] * down * reach, 0.0)
-    if "plate_overshoot" in size:
+    if "plate_overshoot" in size and "plate_overshoot" in third:
+        lands = lands * (1.0 - np.exp(-((np.maximum(along + 0.004, 0.0) / (3.0 * size["plate_overshoot"])) ** 1.5)))
+    elif "plate_overshoot" in size:
         lands = lands * (1.0 - np.exp(-np.maximum(along + 0.004, 0.0) / (2.0 * size["plate_overshoot"])))
     if "stream_rise" in size:
         lands = lands * np.clip(0.5 + along / 0.03, 0.0, 1.0)
@@ -343,5 +383,16 @@ OTHER_LAWS = (
 )  # fmt: skip
 """Effects with a second law: a threshold of fill or force, another power of radius, weight by the plate's slope, a gain falling
 with exp(-fill), a share that does not depend on incidence or place, yielding above a speed, drag in proportion to speed."""
+
+THIRD_LAWS = (
+    "paddle_leakage", "residual_radial_speed", "resting_grain", "cell_nonlinearity", "jet_shielding", "secondary_impact",
+    "speed_dependent_restitution", "plate_friction", "lever_arm", "miss_capture", "stream_spread", "air_drag",
+    "speed_dependent_shape", "release_angle", "plate_overshoot", "unpushed_layers", "stream_rise",
+)  # fmt: skip
+"""Effects with a third law: loss by fill to the power 1.5 over speed squared, one radial speed for all layers, weight borne by a
+part that does not slope away, a logarithm of force, shielding that saturates with thickness, cos^6, e linear in speed, friction
+that falls with speed, a quadratic lever, capture that fades below the edge, a fan with long tails, drag with speed to 1.3, a heap
+by speed squared, a release that comes later with load, a stream that thins out faster than exponentially, a thresholded share of
+free layers, a rise by the root of depth."""
 
 OUTSIDE = ("speed_resonance", "bent_bracket", "lagging_sensor", "overfull_spill")

@@ -2,6 +2,8 @@
 
     python -m studies.season                                  # 60 h, seed 20261121; season.json and season.png here
     python -m studies.season --hours 12 --out /tmp/season     # shorter, elsewhere
+    python -m studies.season --combines all --seeds 3         # with and without sweeps on five combines; combines.json
+    python -m studies.season --combines "plate friction" --pattern-sd 0.004 --hours 12
 
 Windows of one second from the virtual combine: moisture 14 to 26 to 16 %, friction, restitution and paddle wear drifting, flow
 2-22 kg/s, loads of 4-9 t. Runs on two processes; `--json` prints the document.
@@ -36,6 +38,49 @@ def one(job: tuple[int, float, int, float]):  # type: ignore[no-untyped-def]
     season = seasons.simulate(settings, machine, scenario, seed)
     first = study.first_calibration(settings, machine, seed)
     return study.run(season, first, study.STRATEGIES[index], study.StudySettings())
+
+
+def compare(job: tuple[str, float, int, float]) -> dict[str, object]:
+    """A season of one combine with the moisture map alone and with sweeps beside it: name, hours, seed, pattern's size."""
+    from dataclasses import replace
+
+    from studies.season import season as seasons
+    from studies.season import study
+    from studies.season.combines import five
+    from yieldmon.physics.machine import Machine
+
+    name, hours, seed, pattern_sd = job
+    combine, machine = five()[name], Machine()
+    settings = seasons.SeasonSettings(hours=hours)
+    # The season applies its own moisture dependence; the scenario's would count it twice.
+    scenario = combine.scenario(study.scenario_of(settings)).model_copy(update={"effects": combine.effects})
+    season = seasons.simulate(settings, machine, scenario, seed, ratio=combine.ratio)
+    first = study.first_calibration(settings, machine, seed, combine)
+    kept = replace(study.StudySettings(), pattern_sd=pattern_sd)
+    found: dict[str, object] = {"combine": name, "seed": seed, "loads": len(season.loads.mass_kg)}
+    for label, strategy in (("map", study.STRATEGIES[1]), ("sweeps", study.STRATEGIES[2]), ("ticket", study.STRATEGIES[3])):
+        outcome = study.run(season, first, strategy, kept)
+        found[f"{label}_mean_abs_pct"] = round(outcome.mean_abs_load_error_pct, 2)
+        found[f"{label}_live_within_1_pct"] = round(outcome.loads_within_1_pct, 3)
+        found[f"{label}_posted_within_1_pct"] = round(outcome.posted_within_1_pct, 3)
+    return found
+
+
+def combines(args: argparse.Namespace) -> int:
+    """The table of `--combines`; 1 where sweeps made a season worse."""
+    from studies.season.combines import five
+
+    names = list(five()) if args.combines == ["all"] else args.combines
+    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False).stdout.strip()
+    rows = []
+    for name in names:
+        for seed in range(args.seed, args.seed + args.seeds):
+            rows.append(compare((name, args.hours, seed, args.pattern_sd)))
+            print(json.dumps(rows[-1]), flush=True)
+    found = {"hours": args.hours, "commit": commit, "pattern_sd": args.pattern_sd, "seasons": rows}
+    args.out.mkdir(parents=True, exist_ok=True)
+    (args.out / "combines.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    return int(any(row["sweeps_mean_abs_pct"] > row["map_mean_abs_pct"] for row in rows))
 
 
 def document(outcomes, hours: float, seed: int, took_s: float) -> dict:  # type: ignore[no-untyped-def]
@@ -84,6 +129,21 @@ def draw(outcomes, path: Path) -> None:  # type: ignore[no-untyped-def]
     figure.savefig(path, dpi=110)
 
 
+def posted_by_daemon(args: argparse.Namespace) -> int:
+    """A line for each seed, and the table of all in posted.json."""
+    from studies.season.posted import compare
+
+    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False).stdout.strip()
+    rows = []
+    for seed in range(args.seed, args.seed + args.posted_by_daemon):
+        rows.append(compare(args.hours, seed, args.drift_exponent))
+        print(json.dumps(rows[-1]), flush=True)
+    found = {"hours": args.hours, "drift_exponent": args.drift_exponent, "commit": commit, "seasons": rows}
+    args.out.mkdir(parents=True, exist_ok=True)
+    (args.out / "posted.json").write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+    return 0
+
+
 def main() -> int:
     from rich.console import Console
     from rich.table import Table
@@ -94,7 +154,18 @@ def main() -> int:
     parser.add_argument("--drift-exponent", type=float, default=1.0, help="power of the season's progress (default: 1, steady)")
     parser.add_argument("--out", type=Path, default=FOLDER, help="folder for season.json and season.png")
     parser.add_argument("--json", action="store_true")
+    parser.add_argument(
+        "--posted-by-daemon", type=int, metavar="N",
+        help="strategy (c) alone, kept and posted by the daemon's own code, for N seeds from --seed on; posted.json",
+    )
+    parser.add_argument("--combines", nargs="+", metavar="NAME", help='map and sweeps compared on these combines; "all": five')
+    parser.add_argument("--seeds", type=int, default=1, help="with --combines: seasons of each, from --seed on")
+    parser.add_argument("--pattern-sd", type=float, default=0.0, help="with --combines: size of the model's error in sweeps")
     args = parser.parse_args()
+    if args.posted_by_daemon is not None:
+        return posted_by_daemon(args)
+    if args.combines:
+        return combines(args)
     begun = time.monotonic()
     console = Console(stderr=True)
     outcomes = {}

@@ -7,6 +7,7 @@ shows at any angle, with noise that belongs to the window, so that strategies ca
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -68,6 +69,7 @@ class Season:
 
     time_s: end of the window. mass_flow_kg_s, friction, restitution, density_kg_m3, moisture_pct, paddle_length_m: true.
     elevator_speed_rpm, moisture_reading_pct, test_weight_kg_m3: as frames would tell. load: number of the window's load.
+    ratio: of the force to the virtual combine's, by plate angle (rad), paddle mass (kg) and friction; None: 1.
     """
 
     machine: Machine
@@ -88,6 +90,7 @@ class Season:
     loads: Loads
     zero_error_n: Array
     noise: Array
+    ratio: Callable[[Array, Array, Array], Array] | None = None
 
     def measure(self, windows: ArrayLike, plate_angle_deg: ArrayLike) -> tuple[Array, Array]:
         """Mean force (N) that the windows show with the plate at an angle, and the standard deviation of its noise.
@@ -99,7 +102,10 @@ class Season:
         angle = np.broadcast_to(np.deg2rad(np.asarray(plate_angle_deg, dtype=float)), chosen.shape)
         flow, speed = self.mass_flow_kg_s[chosen], self.elevator_speed_rpm[chosen] * RPM
         hours = self.time_s[chosen] / 3600.0
-        force = shown_force_n(
+        ratio = 1.0
+        if self.ratio is not None:
+            ratio = self.ratio(angle, flow / self.machine.passes_per_s(speed), self.friction[chosen])
+        force = ratio * shown_force_n(
             self.table, self.effects, flow, angle, speed, self.scenario.sensor.response_s, hours
         )
         sigma = window_sigma_n(
@@ -123,6 +129,7 @@ def simulate(
     scenario: Scenario | None = None,
     seed: int = 0,
     table: PulseTable | None = None,
+    ratio: Callable[[Array, Array, Array], Array] | None = None,
 ) -> Season:
     """Make a season. scenario: its crop (at the reference moisture), effects, elevator, sensor noise and scatter are used.
 
@@ -168,6 +175,7 @@ def simulate(
         loads=loads,
         zero_error_n=settings.zero_error_n * correlated_noise(count, 600.0, zero_rng),
         noise=noise_rng.standard_normal(count),
+        ratio=ratio,
     )
 
 

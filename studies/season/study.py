@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
 from studies.facility import facility
+from studies.season.combines import AS_MODELLED, Combine
 from studies.season.season import Season, SeasonSettings
 from yieldmon.engine.settings import SweepSettings
+from yieldmon.estimation.angle_pattern import with_pattern
 from yieldmon.estimation.calibration import Measurements, calibrate
-from yieldmon.estimation.closed_loop import ClosedLoopSettings, MassAnchor, SelfCalibrator, Sweep, believe_weights
+from yieldmon.estimation.closed_loop import ClosedLoopSettings, MassAnchor, SelfCalibrator, Sweep, update_from_tickets
 from yieldmon.estimation.closed_loop import Outcome as Lesson
 from yieldmon.estimation.drift import DriftRates
 from yieldmon.estimation.open_loop import OpenLoop
@@ -57,7 +59,7 @@ class StudySettings:
 
     wandering: the parameters' random walks. steady_per_kilotonne: of their steady rates, which begin at 0 and are learnt; empty:
     no rates. map_sd: of the moisture map's slopes, 1/%. learned_information, kept_ratio: as in ClosedLoopSettings; scraps may add
-    up here, because the virtual combine keeps to the model.
+    up here. pattern_sd: of the model's error away from home that sweeps separate from the grain; 0: none.
     """
 
     sweep_interval_s: float = 600.0
@@ -81,6 +83,7 @@ class StudySettings:
     map_mean: Mapping[str, float] = field(
         default_factory=lambda: {"friction_per_pct": 0.02, "restitution_per_pct": -0.01, "density_per_pct": -0.005}
     )
+    pattern_sd: float = 0.0
     map_sd: Mapping[str, float] = field(
         default_factory=lambda: {"friction_per_pct": 0.01, "restitution_per_pct": 0.005, "density_per_pct": 0.0025}
     )
@@ -135,14 +138,19 @@ def scenario_of(settings: SeasonSettings) -> Scenario:
     return base.model_copy(update={"effects": effects, "crop": crop})
 
 
-def first_calibration(settings: SeasonSettings, machine: Machine, seed: int) -> ParameterSet:
+def first_calibration(settings: SeasonSettings, machine: Machine, seed: int, combine: Combine = AS_MODELLED) -> ParameterSet:
     """The season's one manual calibration: ten flows, five angles, two speeds on the virtual facility, before the first load."""
+    scenario = combine.scenario(scenario_of(settings))
     rows = facility.measure(
-        scenario_of(settings), machine, (2, 4, 6, 8, 10, 12, 15, 18, 20, 22), (50, 60, 70, 80, 90), (380, 400),
+        scenario, machine, (2, 4, 6, 8, 10, 12, 15, 18, 20, 22), (50, 60, 70, 80, 90), (380, 400),
         averaging_s=20.0, seed=seed,
     )  # fmt: skip
     speed = rows["elevator_speed_rpm"] * RPM
     passes = machine.passes_per_s(speed)
+    if combine.ratio is not None:
+        grain = scenario.crop.grain.at_moisture(settings.moisture_pct[0], settings.moisture_dependence)
+        friction = np.full(speed.shape, grain.friction)
+        rows["force_n"] *= combine.ratio(np.radians(rows["plate_angle_deg"]), rows["mass_flow_kg_s"] / passes, friction)
     conditions = Conditions(np.radians(rows["plate_angle_deg"]), speed, mass_flow_kg_s=rows["mass_flow_kg_s"])
     model = ForwardModel(machine, ("gravity",))
     start = {"friction": 0.3, "density": 1000.0, "shape_ratio": 2.0, "restitution": 0.5, "gravity.acceleration_m_s2": 9.81}
@@ -159,7 +167,12 @@ def run(
     progress: Callable[[float], None] | None = None,
 ) -> Outcome:
     """Harvest the season under one strategy. first: as `first_calibration` gives it."""
-    keeper = _Keeper(season, first, strategy, settings)
+    return harvested(Keeper(season, first, strategy, settings), progress)
+
+
+def harvested(keeper: Keeper, progress: Callable[[float], None] | None = None) -> Outcome:
+    """All loads of the keeper's season."""
+    season = keeper.season
     for number in range(len(season.loads.start)):
         keeper.harvest(number)
         if progress is not None:
@@ -167,16 +180,17 @@ def run(
     return keeper.outcome()
 
 
-class _Keeper:
+class Keeper:
     """The monitor's side of a season: measures windows, keeps the parameters."""
 
     def __init__(self, season: Season, first: ParameterSet, strategy: Strategy, settings: StudySettings) -> None:
         self.season, self.strategy, self.settings = season, strategy, settings
         self.machine = season.machine
         self.home_deg = float(np.degrees(self.machine.home_plate_angle_rad))
-        effects = ("gravity", "moisture_dependence") if strategy.moisture_map else ("gravity",)
-        self.model = ForwardModel(self.machine, effects)
-        self.parameters = _with_map(first, settings, float(season.moisture_reading_pct[0])) if strategy.moisture_map else first
+        self.parameters = with_map(first, settings, float(season.moisture_reading_pct[0])) if strategy.moisture_map else first
+        if settings.pattern_sd and strategy.sweeps:
+            self.parameters = with_pattern(self.parameters, settings.pattern_sd)
+        self.model = ForwardModel(self.machine, self.parameters.effects)
         self.drifting = begin(self.parameters, settings.steady_per_kilotonne)
         self.steps: list[Advance] = []
         loop = ClosedLoopSettings(
@@ -300,6 +314,13 @@ class _Keeper:
         self.force[windows], self.force_sd[windows] = self.season.measure(windows, self.angle_deg[windows])
         self._measure(place, place + length)
         used = windows[np.concatenate([np.arange(n) >= k for n, k in zip(strides, lost, strict=True)])]
+        self._swept(used, place, length)
+        self.sweeps += 1
+        self.next_sweep_s = place + length + settings.sweep_interval_s
+        return place + length
+
+    def _swept(self, used: Array, place: int, length: int) -> None:
+        """What a sweep of `length` windows from `place` on teaches; used: the windows in which the plate stood still."""
         hour = float(self.season.time_s[place + length - 1]) / 3600.0
         self._grow(place + length)
         moisture = self._moisture(slice(place, place + length))
@@ -312,9 +333,6 @@ class _Keeper:
             None if moisture is None else np.full(used.size, float(np.mean(moisture))),
         )
         self._take(self.calibrator.update(self.parameters, [sweep]), hour)
-        self.sweeps += 1
-        self.next_sweep_s = place + length + settings.sweep_interval_s
-        return place + length
 
     def _weigh(self, number: int, mass_kg: float, sd_kg: float, hour: float) -> None:
         start, end = int(self.season.loads.start[number]), int(self.season.loads.end[number])
@@ -331,7 +349,7 @@ class _Keeper:
             moisture = float(np.mean(self.season.moisture_reading_pct[used]))
             anchor = replace(anchor, moisture_pct=np.full(anchor.force_n.shape, moisture))
         self._grow(end)
-        self._take(believe_weights(self.model, self.parameters, [anchor], settings=self.calibrator.settings), hour)
+        self._take(update_from_tickets(self.model, self.parameters, [anchor], settings=self.calibrator.settings), hour)
 
     def _take(self, lesson: Lesson, hour: float) -> None:
         if lesson.updated:
@@ -373,7 +391,7 @@ def _inverted(loop: OpenLoop, force_n: Array, angle_rad: float, speed_rad_s: Arr
     return np.asarray(spline.ev(np.maximum(force_n, 0.0), speed_rad_s))
 
 
-def _with_map(first: ParameterSet, settings: StudySettings, moisture_pct: float) -> ParameterSet:
+def with_map(first: ParameterSet, settings: StudySettings, moisture_pct: float) -> ParameterSet:
     """The set with a moisture map's slopes and their variances; the grain's own values moved to the map's reference moisture."""
     from yieldmon.physics.effects.moisture_dependence import REFERENCE_PCT
 

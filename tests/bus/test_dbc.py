@@ -33,6 +33,7 @@ SIGNALS = {
     },
     "YieldMonitorStatus": {"OperatingState": None, **dict.fromkeys(code.value for code in FaultCode)},
     "HarvestState": {"HeaderDown": None, "WorkState": None},
+    "GrainTank": {"Unloading": None},
     "VehiclePosition": {"Latitude": "deg", "Longitude": "deg"},
     "VehicleDirectionSpeed": {"CompassBearing": "deg", "NavigationSpeed": "km/h"},
     "ActiveDiagnostics": dict.fromkeys(
@@ -60,6 +61,7 @@ CODES = {
     ("YieldMonitorStatus", "OperatingState"): frames.OperatingState,
     ("HarvestState", "HeaderDown"): frames.HeaderDown,
     ("HarvestState", "WorkState"): frames.WorkState,
+    ("GrainTank", "Unloading"): frames.Unloading,
     **{("YieldMonitorStatus", fault): frames.FaultState for fault in (code.value for code in FaultCode)},
 }
 
@@ -75,8 +77,9 @@ RANGES = [
     ("PlateActuatorCommand", "TargetPlateAngle", 0.0, 180.0, 0.01),
     ("MassFlow", "MassFlowRate", 0.0, 60.0, 0.001),
     ("MassFlow", "MassFlowStdDev", 0.0, 60.0, 0.001),
-    ("AccumulatedMass", "LoadMass", 0.0, 100_000.0, 0.01),
-    ("AccumulatedMass", "TotalMass", 0.0, 10_000_000.0, 0.01),
+    # A day of 16 h at 100 t/h in one load; 10,000 h of a life at 42 t/h.
+    ("AccumulatedMass", "LoadMass", 0.0, 1_600_000.0, 0.1),
+    ("AccumulatedMass", "TotalMass", 0.0, 420_000_000.0, 0.1),
     ("MassStdDev", "LoadMassStdDev", 0.0, 100_000.0, 0.01),
     ("MassStdDev", "TotalMassStdDev", 0.0, 10_000_000.0, 0.01),
     ("SelfCalibrationStatus", "SweepProgress", 0.0, 100.0, 0.5),

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.schema_check import problems
 from yieldmon.cli.main import main
 from yieldmon.files import parameter_file
 
@@ -46,6 +47,7 @@ def test_three_loads_calibrate_and_a_fourth_of_another_truck_is_named(loads, tmp
     rows = [("load1", masses[0]), (2, masses[1]), (3, masses[2]), (4, 1.2 * masses[3])]
     assert main(["calibrate", "--loads", *logs, "--tickets", tickets(tmp_path, rows), "--out", str(out), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
+    assert problems(found, "calibrate-loads") == []
     assert [load["outlier"] for load in found["loads"]] == [False, False, False, True]
     assert found["residual"]["outlier_rows"] == [4]
     for load, true_kg in zip(found["loads"], masses, strict=True):
@@ -116,6 +118,6 @@ def test_a_log_that_begins_in_grain_says_why_there_is_no_mass_and_takes_a_zero(t
     assert main(["simulate", "--scenario", str(tmp_path / "s.yaml"), "--log", str(log)]) == 0
     capsys.readouterr()
     assert main(["process", str(log), "--out", str(out)]) == 0
-    assert "no mass: the log has no stretch with the elevator running empty" in capsys.readouterr().err
+    assert "no mass: the log begins in grain, with no stretch of the elevator running empty" in capsys.readouterr().err
     assert main(["process", str(log), "--out", str(out), "--force", "--zero-mv", "500", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["total_mass_kg"] == pytest.approx(12.0 * 29.0, rel=0.06)

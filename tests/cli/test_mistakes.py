@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import hashlib
+import os
+import re
+import signal
 import sqlite3
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
+from tests.cli import more_mistakes
 from yieldmon.cli.main import main
 from yieldmon.files import parameter_file
 
@@ -139,7 +147,8 @@ MISTAKES = {
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    for name, content in FILES.items():
+    (tmp_path / "folder").mkdir()
+    for name, content in (FILES | more_mistakes.FILES).items():
         (tmp_path / name).write_text(content)
     with sqlite3.connect(tmp_path / "other.db") as database:
         database.execute("CREATE TABLE cows (name TEXT)")
@@ -150,10 +159,14 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def hashes(folder: Path) -> dict[str, str]:
-    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir()}
+    return {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.rglob("*") if path.is_file()}
 
 
-@pytest.mark.parametrize(("words", "told"), MISTAKES.values(), ids=MISTAKES)
+ROWS = [(name, *row) for name, row in MISTAKES.items()]
+ROWS += [(words, words, told) for words, told in more_mistakes.MISTAKES.items()]
+
+
+@pytest.mark.parametrize(("words", "told"), [row[1:] for row in ROWS], ids=[row[0] for row in ROWS])
 def test_a_mistake_costs_a_line_and_no_file(folder: Path, capsys: pytest.CaptureFixture[str], words: str, told: str) -> None:
     before = hashes(folder)
     assert main(words.split()) == 2
@@ -162,6 +175,18 @@ def test_a_mistake_costs_a_line_and_no_file(folder: Path, capsys: pytest.Capture
     assert err.count("\n") == 1, err
     assert told in err
     assert err.startswith("yieldmon: ")
+    assert hashes(folder) == before
+
+
+@pytest.mark.parametrize("words", more_mistakes.USAGE)
+def test_words_that_do_not_fit_show_the_usage(folder: Path, capsys: pytest.CaptureFixture[str], words: str) -> None:
+    before = hashes(folder)
+    with pytest.raises(SystemExit) as caught:
+        main(words.split())
+    out, err = capsys.readouterr()
+    assert (caught.value.code, out) == (2, "")
+    assert err.startswith("usage: yieldmon")
+    assert ": error: " in err.splitlines()[-1]
     assert hashes(folder) == before
 
 
@@ -179,10 +204,15 @@ def test_a_prior_keeps_its_effects(folder: Path, capsys: pytest.CaptureFixture[s
 
 
 def test_what_predict_writes_estimate_reads(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["predict", "--mass-flow", "5", "19", "--params", "p.yaml"]) == 0
-    Path("predicted.csv").write_text(capsys.readouterr().out)
-    assert main(["estimate", "predicted.csv", "--params", "p.yaml"]) == 0
-    flows = [float(line.split(",")[1]) for line in capsys.readouterr().out.splitlines()[1:]]
+    for params in ([], ["--params", "p.yaml"]):
+        assert main(["predict", "--mass-flow", "5", "19", *params]) == 0
+        Path("predicted.csv").write_text(capsys.readouterr().out)
+        assert main(["estimate", "predicted.csv", *params]) == 0
+        _flows_are_back(capsys.readouterr().out)
+
+
+def _flows_are_back(written: str) -> None:
+    flows = [float(line.split(",")[1]) for line in written.splitlines()[1:]]
     assert flows == pytest.approx([5.0, 19.0], rel=1e-6)
 
 
@@ -193,3 +223,72 @@ def test_a_plate_that_stands_still_needs_no_sweep_angles(folder: Path, capsys: p
     Path("m.yaml").write_text(machine)
     Path("still.yaml").write_text("machine_file: m.yaml\nsweep: {enabled: false}\n")
     assert main(["check-config", "still.yaml"]) == 0
+
+
+def test_a_fit_that_is_not_determined_is_written_as_uncertain_as_its_bounds(folder: Path) -> None:
+    Path("same.csv").write_text(HEAD + "70,10,70\n" * 6)
+    assert main(["calibrate", "same.csv", "--starts", "3", "--bounds", "friction=0:0.6", "--out", "wide.yaml"]) == 0
+    known = parameter_file.load("wide.yaml")
+    # Six equal rows fix one direction of three: in the others the spread is that of a uniform distribution.
+    share = known.standard_deviation("friction") / (0.6 / 12.0**0.5)
+    assert 0.3 < share <= 1.0 + 1e-9
+
+
+WITHOUT_MF4 = (
+    "simulate --scenario scenario.yaml --log new.mf4",
+    "monitor log.log --once --record new.mf4",
+    "process bytes.mf4 --out x.csv",
+    "process bytes.mf4 --out x.csv --jobs 1",
+    "process bytes.mf4 --out tables --separate",
+    "signals bytes.mf4",
+)
+
+
+@pytest.mark.parametrize("words", WITHOUT_MF4)
+def test_mf4_without_its_package_names_the_extra(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], words: str
+) -> None:
+    monkeypatch.setitem(sys.modules, "asammdf", None)
+    Path("bytes.mf4").write_bytes(b"MDF     4.10")
+    before = hashes(folder)
+    assert main(words.split()) == 1
+    assert capfd.readouterr() == ("", "yieldmon: needs asammdf, which is not installed; pip install 'yieldmon[mf4]'\n")
+    assert hashes(folder) == before
+
+
+def interruptible() -> None:
+    """Ctrl-C ends the child also where the tests run in the background, which ignore it."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+INTERRUPTED = {
+    "simulate": (
+        "simulate --scenario demo --duration 90000 --log new.log", "new.log", r"yieldmon: interrupted; new.log holds \d+ s\n"
+    ),
+    "process": ("process long.log --out x.csv --jobs 1", "", "yieldmon: interrupted; x.csv is not written\n"),
+}
+
+
+@pytest.mark.parametrize(("words", "seen", "said"), INTERRUPTED.values(), ids=INTERRUPTED)
+def test_ctrl_c_says_what_is_kept(folder: Path, words: str, seen: str, said: str) -> None:
+    if not seen:
+        # A log that is still being written: its reader waits for more, as one of a day is busy when it is interrupted.
+        os.mkfifo("long.log")
+    command = [sys.executable, "-m", "yieldmon", *words.split()]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        command, stderr=pipe, stdout=pipe, text=True, preexec_fn=interruptible  # noqa: PLW1509 - no thread runs here
+    ) as process, ExitStack() as held:
+        if not seen:
+            held.enter_context(Path("long.log").open("w"))
+        while seen and not Path(seen).exists():
+            assert process.poll() is None
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        try:
+            out, err = process.communicate(timeout=60)
+        finally:
+            process.kill()
+    assert (process.returncode, out) == (130, "")
+    assert re.fullmatch(said, err)
+    assert not Path("x.csv").exists()

@@ -127,3 +127,12 @@ def test_through_a_terminal_of_80_by_24_with_a_break_between(tmp_path):
     assert known.machine.name == "9 m"
     assert known.machine.paddle_spacings_m == (0.1656, 0.2071)
     assert (tmp_path / "new" / "wheat.yaml").is_file()
+
+
+def test_the_recorded_session_of_the_docs_is_what_its_command_records():
+    from studies.setup import session
+
+    assert session.TARGET.read_text(encoding="utf-8") == session.record(), "python -m studies.setup.session"
+    header, *events = (json.loads(line) for line in session.TARGET.read_text(encoding="utf-8").splitlines())
+    assert (header["width"], header["height"]) == (80, 24)
+    assert max(len(line) for _, _, text in events for line in text.split("\r\n")) <= 80

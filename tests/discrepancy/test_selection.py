@@ -43,11 +43,11 @@ def test_an_effect_that_stuck_at_nothing_is_found_again_from_where_it_was(publis
 def test_other_starts_leave_a_poor_minimum_and_never_make_a_fit_worse(published) -> None:
     base, _ = published({"speed_dependent_shape": -1.0, "unpushed_layers": 4.0})
     effects = ("speed_dependent_shape", "unpushed_layers")
-    best = candidates.again(fit(base.frame, effects, base.values))
+    best = candidates.refit_from_restarts(fit(base.frame, effects, base.values))
     poor = fit(base.frame, effects, base.values | {"unpushed_layers.rate_per_rad": 15.0}, iterations=1)
-    assert candidates.again(poor).chi2 == pytest.approx(best.chi2, rel=0.02)
-    assert candidates.again(poor).chi2 < 0.5 * poor.chi2
-    assert candidates.again(best).chi2 <= best.chi2
+    assert candidates.refit_from_restarts(poor).chi2 == pytest.approx(best.chi2, rel=0.02)
+    assert candidates.refit_from_restarts(poor).chi2 < 0.5 * poor.chi2
+    assert candidates.refit_from_restarts(best).chi2 <= best.chi2
 
 
 def test_other_starts_take_no_effect_to_its_bound(published) -> None:
@@ -55,7 +55,7 @@ def test_other_starts_take_no_effect_to_its_bound(published) -> None:
     weight = "plate_buildup.weight_n"
     found = fit(base.frame, ("plate_buildup",), base.values | {weight: 1.0}, iterations=0)
     assert weight in fit(base.frame, ("plate_buildup",), found.values).at_bound
-    assert weight not in candidates.again(found).at_bound
+    assert weight not in candidates.refit_from_restarts(found).at_bound
 
 
 def search(base: Fit, noise, policy: Policy = USUAL, *, excess: float | None = None, effects=()) -> Search:
@@ -141,7 +141,7 @@ def test_beside_a_giant_a_further_effect_must_explain_half_of_what_is_left(publi
 
 
 @pytest.mark.parametrize(("complete_f", "gap_p", "left"), [(2.0, 0.01, ("zero_offset",)), (0.0, 2.0, None)])
-def test_a_further_effect_with_too_many_ties_is_spared_unless_the_data_refute_it(published, complete_f, gap_p, left) -> None:
+def test_a_further_effect_with_too_many_ties_is_pruned_unless_the_data_refute_it(published, complete_f, gap_p, left) -> None:
     base, noise = published({"zero_offset": 4.0})
     policy = Policy(tie=1e9, largest_class=2, complete_f=complete_f, gap_p=gap_p, exchanges=3)
     pair = ("release_angle", "zero_offset")
@@ -150,7 +150,7 @@ def test_a_further_effect_with_too_many_ties_is_spared_unless_the_data_refute_it
     reduced = fit(base.frame, ("zero_offset",), current.values)
     looking = search(base, noise, policy, excess=1e6, effects=(*library, "zero_offset"))
     places = {"release_angle": looking.candidates(reduced, library, 4), "zero_offset": ()}
-    found, steps, _ = looking.spared(current, ["zero_offset", "release_angle"], places, 0.0)
+    found, steps, _ = looking.prune_ambiguous(current, ["zero_offset", "release_angle"], places, 0.0)
     assert tuple(sorted(found.effects)) == (left or pair)
     assert {s.added for s in steps} == set(found.effects)
 

@@ -34,7 +34,7 @@ for k in range(1200):
     if k % 25 == 0:
         results += monitor.feed(Frame(at, "ElevatorSpeed", {"ElevatorSpeed": 400.0}))
         results += monitor.feed(Frame(at, "PlateActuatorFeedback", {"PlateAngle": 70.0, "ActuatorState": 0}))
-        results += monitor.feed(Frame(at, "GrainCondition", {"Moisture": 15.0, "GrainTemperature": 21.5, "TestWeight": 700.0}))
+        results += monitor.feed(Frame(at, "GrainCondition", {"Moisture": 15.0, "TestWeight": 700.0, "BrokenKernels": 2.5}))
 sent = {}
 for frame in frames_in(results):
     sent[frame.message] = dict(codec.decode(codec.encode(frame)).signals)
@@ -105,17 +105,17 @@ def fault_is_there(scratch: Scratch) -> None:
 
 
 def add_a_signal(scratch: Scratch) -> None:
-    """Grain temperature: taken in, recorded in every form, published."""
+    """Broken kernels: taken in, recorded in every form, published."""
     scratch.edit(
         "yieldmon/engine/sources.py",
         (
             '        Quantity("test_weight"',
-            '        Quantity("grain_temperature", "degC", _within(-50.0, 100.0), "condition_timeout_s", "of the grain"),\n'
+            '        Quantity("broken_kernels", "%", _within(0.0, 100.0), "condition_timeout_s", "share of mass"),\n'
             '        Quantity("test_weight"',
         ),
         (
             '        InputSource("test_weight"',
-            '        InputSource("grain_temperature", bus.GRAIN_CONDITION, "GrainTemperature"),\n'
+            '        InputSource("broken_kernels", bus.GRAIN_CONDITION, "BrokenKernels"),\n'
             '        InputSource("test_weight"',
         ),
     )
@@ -124,8 +124,8 @@ def add_a_signal(scratch: Scratch) -> None:
         (
             '    course_deg: float = second_field(lambda s: s.reading.inputs.fresh["course"], "known")\n',
             '    course_deg: float = second_field(lambda s: s.reading.inputs.fresh["course"], "known")\n'
-            '    grain_temperature_degc: float = second_field(lambda s: s.reading.inputs.fresh["grain_temperature"], "known",\n'
-            '                                                 since=9, published=("MassFlow", "GrainTemperature"))\n',
+            '    broken_kernels_pct: float = second_field(lambda s: s.reading.inputs.fresh["broken_kernels"], "known",\n'
+            '                                                 since=10, published=("MassFlow", "BrokenKernels"))\n',
         ),
     )
     scratch.edit(
@@ -133,7 +133,7 @@ def add_a_signal(scratch: Scratch) -> None:
         (
             ' SG_ WindowCounter : 40|8@1+ (1,0) [0|255] "" Combine\n',
             ' SG_ WindowCounter : 40|8@1+ (1,0) [0|255] "" Combine\n'
-            ' SG_ GrainTemperature : 48|16@1+ (0.03125,-273) [-273|1734.96875] "degC" Combine\n',
+            ' SG_ BrokenKernels : 48|16@1+ (0.01,0) [0|100] "%" Combine\n',
         ),
     )
 
@@ -145,7 +145,7 @@ def signal_is_there(scratch: Scratch) -> None:
 from pathlib import Path
 from yieldmon.service import tables
 with Store.reading(Path("old.sqlite")) as store:
-    read_as_it_is = store.seconds()[0].grain_temperature_degc
+    read_as_it_is = store.seconds()[0].broken_kernels_pct
 with Store(Path("old.sqlite")) as store:
     old, number = store.seconds()[-1], store.last_second().number
     kept = len(store.seconds())
@@ -153,12 +153,12 @@ with Store(Path("old.sqlite")) as store:
     store.commit([batch])
     new = store.last_second()
 print(json.dumps({
-    "row": rows[-1].grain_temperature_degc, "sent": sent["MassFlow"]["GrainTemperature"],
-    "column": "grain_temperature_degc" in tables.COLUMNS,
-    "read_as_it_is": read_as_it_is, "old": old.grain_temperature_degc, "new": new.grain_temperature_degc, "kept": kept,
+    "row": rows[-1].broken_kernels_pct, "sent": sent["MassFlow"]["BrokenKernels"],
+    "column": "broken_kernels_pct" in tables.COLUMNS,
+    "read_as_it_is": read_as_it_is, "old": old.broken_kernels_pct, "new": new.broken_kernels_pct, "kept": kept,
 }))
 """)
-    expected = {"row": 21.5, "sent": 21.5, "column": True, "old": None, "new": 21.5, "kept": 179}
+    expected = {"row": 2.5, "sent": 2.5, "column": True, "old": None, "new": 2.5, "kept": 179}
     assert found == expected | {"read_as_it_is": None}
 
 

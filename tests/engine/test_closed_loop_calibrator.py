@@ -189,11 +189,11 @@ def test_a_sweep_that_is_not_believed_teaches_nothing_and_takes_earlier_lessons_
     calibrator = ClosedLoopCalibrator(MODEL, EXACT)
     learnt = calibrator.update(records(12.0), (), before)
     assert learnt.estimator is not None
-    back = calibrator.update(records(12.0, start_s=3000.0), (), learnt.estimator, believe_sweep=False)
+    back = calibrator.update(records(12.0, start_s=3000.0), (), learnt.estimator, use_sweep=False)
     assert back.estimator is not None
     assert back.estimator.parameters.values == PRIOR.values
     assert back.estimator.parameters.version == PRIOR.version + 2
-    assert calibrator.update(records(12.0, start_s=5000.0), (), back.estimator, believe_sweep=False).estimator is None
+    assert calibrator.update(records(12.0, start_s=5000.0), (), back.estimator, use_sweep=False).estimator is None
 
 
 def test_what_a_reference_mass_has_taught_is_not_taken_back() -> None:
@@ -201,14 +201,14 @@ def test_what_a_reference_mass_has_taught_is_not_taken_back() -> None:
     calibrator = ClosedLoopCalibrator(MODEL, EXACT)
     anchored = calibrator.update(records(12.0), (ticket(before, 12.0, 0.0, 500.0),), before)
     assert anchored.estimator is not None
-    assert calibrator.update(records(12.0, start_s=3000.0), (), anchored.estimator, believe_sweep=False).estimator is None
+    assert calibrator.update(records(12.0, start_s=3000.0), (), anchored.estimator, use_sweep=False).estimator is None
 
 
 def test_a_reference_mass_teaches_beside_a_sweep_that_is_not_believed() -> None:
     before = OpenLoop(MODEL, PRIOR)
     wrong = [dataclasses.replace(r, force_n=1.2 * r.force_n) if r.plate_angle_rad < 1.0 else r for r in records(12.0)]
     outcome = ClosedLoopCalibrator(MODEL, EXACT).update(
-        wrong, (ticket(before, 12.0, 0.0, 500.0),), before, believe_sweep=False
+        wrong, (ticket(before, 12.0, 0.0, 500.0),), before, use_sweep=False
     )
     assert outcome.estimator is not None
     assert abs(home_error_pct(outcome.estimator, 12.0)) < 0.3  # type: ignore[arg-type]

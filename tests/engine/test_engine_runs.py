@@ -40,7 +40,7 @@ class Teacher:
         anchors: Sequence[ReferenceMass],
         estimator: FlowEstimator,
         *,
-        believe_sweep: bool = True,
+        use_sweep: bool = True,
     ) -> CalibrationOutcome:
         self.lessons += 1
         return CalibrationOutcome(ForceProportional(relative_std_dev=0.03 * (self.lessons + 1)), "learnt")

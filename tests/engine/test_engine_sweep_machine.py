@@ -364,14 +364,14 @@ def test_a_plate_that_never_moved_is_found_out() -> None:
         if rig.state is S.MEASURING:
             rig.tick(2.0)
             rig.window(flow_kg_s=10.0 * (1.0 + 0.01 * (HOME - rig.angle)), force_n=40.0)
-    assert machine.lying_feedback()
+    assert machine.implausible_feedback()
     machine.abort(rig.now, SweepAbort.FORCE_DOES_NOT_FOLLOW)
     rig.tick()
     assert (rig.state, machine.abort_reason, machine.not_following) == (S.ABORTED, A.FORCE_DOES_NOT_FOLLOW, True)
 
 
 def test_an_honest_plate_is_believed() -> None:
-    assert not complete().machine.lying_feedback()
+    assert not complete().machine.implausible_feedback()
 
 
 def test_disabled_sweeps_never_start_by_themselves() -> None:

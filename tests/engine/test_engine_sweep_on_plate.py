@@ -38,7 +38,7 @@ class Teacher:
         anchors: Sequence[ReferenceMass],
         estimator: FlowEstimator,
         *,
-        believe_sweep: bool = True,
+        use_sweep: bool = True,
     ) -> CalibrationOutcome:
         self.given.append(records)
         return self.outcome

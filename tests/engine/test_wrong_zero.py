@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from engine_bench import Bench, feed, monitor
 
+from yieldmon import frames as frames_of_bus
 from yieldmon.engine.faults import FaultCode
+from yieldmon.engine.settings import AnchorSettings, EngineSettings
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
+from yieldmon.frames import Frame
 from yieldmon.service import commands
 from yieldmon.service.journal import Journal, Memory
 
@@ -66,3 +71,23 @@ def test_a_ticket_for_the_open_load_is_refused() -> None:
     feed(target, BENCH.frames(40))
     with pytest.raises(InputError, match=r"ticket for load 1: it is still open.*load stop"):
         ask(target, "ticket", first_load=1, mass_kg=1000.0)
+
+
+def test_under_a_wrong_zero_the_tank_scale_keeps_the_mass_and_an_undo_does_not_count_it_twice() -> None:
+    def tank(time_s: float) -> Frame:
+        signals = {"TankMass": max(0.0, 14.0 * (time_s - 1020.0)), "TankScaleStatus": 0}
+        return Frame(time_s, frames_of_bus.TANK_SCALE, signals)
+
+    seconds = 300
+    target = monitor(replace(EngineSettings(), anchors=AnchorSettings(min_increment_kg=500.0)))
+    frames = sorted([*BENCH.frames(seconds), *(tank(1000.5 + i) for i in range(seconds - 1))], key=lambda f: f.time_s)
+    feed(target, [f for f in frames if f.time_s < 1041.0])
+    ask(target, "zero", force=True)
+    feed(target, [f for f in frames if f.time_s >= 1041.0])
+    true_kg = 14.0 * (seconds - 21)
+    assert FaultCode.ZERO_DRIFTED in target.faults.active
+    assert true_kg - 700.0 < target.totals.load_kg < 1.02 * true_kg
+    assert all(not anchor.complete for anchor in target.anchors if anchor.zero_doubted)
+    assert not target.loads[-1].complete
+    ask(target, "zero-undo")
+    assert target.totals.load_kg == pytest.approx(true_kg, rel=0.03)

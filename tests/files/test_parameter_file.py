@@ -29,7 +29,7 @@ def same(a: ParameterSet, b: ParameterSet) -> bool:
 @settings(max_examples=60, deadline=None)
 @given(
     friction=st.floats(min_value=0.0, max_value=5.0),
-    density=st.floats(min_value=1.0, max_value=20000.0),
+    density=st.floats(min_value=20.0, max_value=20000.0),
     impact=st.one_of(
         st.builds(lambda e: {"restitution": e}, st.floats(min_value=0.0, max_value=1.0)),
         st.builds(lambda a, b: {"k1": a, "k2": b}, finite, finite),

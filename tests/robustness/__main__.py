@@ -11,6 +11,7 @@ import sys
 RUNS = {
     "crash-test": "kill the daemon and cut the power at random instants; the store must add up",
     "daemon-cost": "share of a core and latency of the result",
+    "fleet-kill": "kill -9 of workers, client and scheduler of a fleet run; the dataset must be that of an undisturbed one",
     "fuzz-config": "mutated configuration, machine and parameter files",
     "fuzz-frames": "random and mutated frames through codec and engine",
     "fuzz-harvests": "damaged harvests of every kind through the map",
@@ -21,6 +22,7 @@ RUNS = {
     "signals": "signals in bursts at a running daemon: alive, and SIGTERM ends it",
     "fuzz-readers": "mutated logs, tables, stores and requests through every reader",
     "simulation": "the service on a disk, a clock and a process that fail at random; invariants after each life",
+    "web-page": "the page in a browser: heap at sixty times the pace, a large map, faults, and what pages cost the daemon",
     "soak": "a day of traffic with faults: neither growth nor drift",
 }
 

@@ -66,7 +66,9 @@ def live(folder: Path, seconds: int, broken: str = "") -> None:
     environment = {"STATE_DIRECTORY": str(folder), "RUNTIME_DIRECTORY": str(folder)}
     (folder / "c.yaml").write_text("sweep: {enabled: false}\nbus: {transmit_max_age_s: 60}\n")
 
-    class TellingStore(BROKEN[broken]):  # type: ignore[misc]
+    chosen: Any = BROKEN[broken]
+
+    class TellingStore(chosen):  # type: ignore[misc]
         def commit(self, batches: Sequence[Batch]) -> None:
             super().commit(batches)
             rows = [row for batch in batches for row in batch.seconds]

@@ -312,7 +312,10 @@ def check_power_cut(files: dict[str, bytearray], least: Account, folder: Path) -
         (folder / name).write_bytes(content)
     found = (folder / "yieldmon.sqlite").exists()
     if found or least.seconds:
-        check(folder / "yieldmon.sqlite", least)
+        try:
+            check(folder / "yieldmon.sqlite", least)
+        except (StoreError, sqlite3.Error) as error:
+            raise Broken(f"cannot be read; committed before: {least.seconds}, {least.total_kg} kg: {error}") from error
     shutil.rmtree(folder)
     return int(found)
 

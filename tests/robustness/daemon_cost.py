@@ -26,6 +26,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -97,7 +98,7 @@ def measure(folder: Path, seconds: float) -> list[Phase]:
     daemon = subprocess.Popen(command, cwd=ROOT, env={**os.environ, **folders})
     try:
 
-        def status() -> dict:
+        def status() -> dict[str, Any]:
             return ask(folder / "yieldmon.sock", {"command": "status"})
 
         deadline = time.monotonic() + START_LIMIT_S
@@ -132,7 +133,7 @@ def measure(folder: Path, seconds: float) -> list[Phase]:
         daemon.wait(START_LIMIT_S)
 
 
-def traffic(duration_s: float) -> list:
+def traffic(duration_s: float) -> list[Any]:
     """The virtual combine's frames, encoded, with the time of each from 0."""
     from yieldmon.bus.codec import Codec
     from yieldmon.physics.machine import Machine
@@ -148,7 +149,7 @@ def traffic(duration_s: float) -> list:
 class Player:
     """Sends frames against absolute deadlines, others' frames between them when told."""
 
-    def __init__(self, bus, messages: list) -> None:
+    def __init__(self, bus: Any, messages: list[Any]) -> None:
         import can
 
         self.sent = self.own_sent = 0
@@ -184,7 +185,7 @@ class Player:
                 self._owed -= 1.0
                 self._send(self._other)
 
-    def _send(self, message) -> None:
+    def _send(self, message: Any) -> None:
         self._bus.send(message)
         self.sent += 1
 
@@ -244,7 +245,9 @@ class Listener:
             message = self._bus.recv(0.2)
             if message is not None:
                 frame = self._codec.decode(message)
-                self._heard.append((message.timestamp, int(frame.signals["WindowCounter"])))
+                counter = frame.signals["WindowCounter"] if frame is not None else None
+                assert isinstance(counter, (int, float)), f"{message}: not a flow frame of ours"
+                self._heard.append((message.timestamp, int(counter)))
 
 
 def nearest_rank(ordered: list[float], share: float) -> float:

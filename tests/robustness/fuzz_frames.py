@@ -42,7 +42,7 @@ RATES = (0.001, 0.01, 0.1, 0.5, 1.0)
 SETTINGS = {
     "sweep": {
         "first_after_s": 5, "interval_s": 60, "backoff_s": 5, "min_flow_kg_s": 0.1, "steady_cv": 1.0, "flow_change": 1.0,
-        "flow_change_away": 10.0, "lying_spread": 5.0, "angles_deg": [40.0, 55.0, 90.0],
+        "flow_change_away": 10.0, "feedback_plausibility_flow_spread": 5.0, "angles_deg": [40.0, 55.0, 90.0],
     }
 }  # fmt: skip
 TIMES_S = (math.nan, math.inf, -math.inf, 0.0, -1.0, 1e10, 1e12, 1e300)
@@ -160,7 +160,7 @@ class Fuzzer:
             monitor.start_load, monitor.stop_load, monitor.calibrate_zero, monitor.request_sweep, monitor.abort_sweep,
             lambda: monitor.ticket(rng.randrange(4), rng.choice((0.0, 500.0, math.nan)), rng.choice((2.0, -1.0))),
             lambda: monitor.report_fault(rng.choice(list(FaultCode)), rng.random() < 0.5, "fuzz"),
-            lambda: self._send(monitor.tick(rng.choice((*TIMES_S, self._shift_s + rng.uniform(0.0, 1e4))))),
+            lambda: self._happened(monitor.tick(rng.choice((*TIMES_S, self._shift_s + rng.uniform(0.0, 1e4))))),
         )  # fmt: skip
         try:
             rng.choice(commands)()

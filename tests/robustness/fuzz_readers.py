@@ -1,38 +1,50 @@
 """Mutated files through every reader: logs, YAML, tables, stores, control requests. No traceback, no hang, bounded memory.
 
     python -m tests.robustness fuzz-readers --count 2000 --reader candump
+    python -m tests.robustness fuzz-readers --cpu-minutes 60 --reader candump      # guided by coverage
 
-Mutations of good files (bits, slices doubled, cut, swapped, long runs), without guidance by coverage. An escape is an exception
-that is no InputError, a file that takes more than --seconds of processor time, or a process above --memory-mb. Ends with 1 when
-there is one.
+Mutations of good files (bits, slices doubled, cut, swapped, long runs). With --cpu-minutes those that reach new steps of the
+reader's code, or of the package that it stands on, are mutated further, and inputs that escape are kept in out/fuzz. An escape is
+an exception that is no InputError, a file that takes more than --seconds of processor time, or a process above --memory-mb. Ends
+with 1 when there is one.
 """
 
 from __future__ import annotations
 
 import argparse
+import atexit
 import gzip
 import json
 import logging
 import random
 import resource
+import shutil
+import socket
 import sys
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
+from functools import cache
 from pathlib import Path
 
 import can
 
+from tests.robustness.guided import Corpus, Coverage, cpu_s, kept, spliced
 from yieldmon.bus.logs import LogNotes, read_log
 from yieldmon.errors import InputError
 from yieldmon.files import machine_file, parameter_file, table
 from yieldmon.resources import shipped
-from yieldmon.service import recorded
+from yieldmon.service import configuration, recorded
+from yieldmon.service.control import ControlServer
 from yieldmon.service.store import Store
 
 Seed = Callable[[Path], None]
 _FRAMES = 200
+#: Code whose steps guide: the project's, and what reads its files.
+TRACED = ("/yieldmon/", "/can/io/", "/yaml/")
+KEPT = Path("out/fuzz")
 
 
 def _log(path: Path) -> None:
@@ -47,8 +59,15 @@ def _log(path: Path) -> None:
                 time.sleep(0.01)
 
 
+def _zipped_log(path: Path) -> None:
+    path.write_bytes(gzip.compress(b"(1.000000) can0 123#01\n" * 400))
+
+
 def _copy(name: str) -> Seed:
-    return lambda path: path.write_bytes(shipped(name).read_bytes()) and None
+    def write(path: Path) -> None:
+        path.write_bytes(shipped(name).read_bytes())
+
+    return write
 
 
 def _store(path: Path) -> None:
@@ -62,6 +81,32 @@ def _table(path: Path) -> None:
     path.write_text("plate_angle_deg,mass_flow_kg_s,force_n,trial\n" + "60,5,12.5,a\n70,9,-,b\n" * 20)
 
 
+def _request(path: Path) -> None:
+    path.write_bytes(b'{"command": "ticket", "mass_kg": 12000.5, "loads": [1, 2], "note": "a"}\n')
+
+
+def _ask(path: Path) -> object:
+    """The file as a request to a control server, whose answer has to be JSON."""
+    with socket.socket(socket.AF_UNIX) as connection:
+        connection.settimeout(10.0)
+        connection.connect(str(_server().path))
+        with suppress(ConnectionError):
+            connection.sendall(path.read_bytes().split(b"\n")[0] + b"\n")
+        answer = connection.makefile("rb").readline()
+    return json.loads(answer)
+
+
+@cache
+def _server() -> ControlServer:
+    """One for the whole process, answering what the daemon's would look at first."""
+    place = Path(tempfile.mkdtemp())
+    server = ControlServer(place / "s", None, lambda request: {"ok": True, "seen": request["command"]})
+    server.start()
+    atexit.register(shutil.rmtree, place)
+    atexit.register(server.stop)
+    return server
+
+
 def _read(path: Path) -> object:
     return sum(1 for _ in read_log(path, LogNotes(on_damage=lambda damage: None)))
 
@@ -73,9 +118,11 @@ READERS: dict[str, tuple[str, Seed, Callable[[Path], object]]] = {
     "trc": ("x.trc", _log, _read),
     "csv": ("x.csv", _log, _read),
     "db": ("x.db", _log, _read),
-    "candump-gz": ("x.log.gz", lambda path: path.write_bytes(gzip.compress(b"(1.000000) can0 123#01\n" * 400)) and None, _read),
+    "candump-gz": ("x.log.gz", _zipped_log, _read),
     "parameters": ("x.yaml", _copy("config/parameters/corn.yaml"), parameter_file.load),
     "machine": ("x.yaml", _copy("config/machines/sprocket-8.yaml"), machine_file.load),
+    "configuration": ("x.yaml", _copy("config/yieldmon.yaml"), lambda path: configuration.load(path, {})),
+    "control": ("x.json", _request, _ask),
     "table": ("x.csv", _table, table.load),
     "store": ("x.sqlite", _store, recorded.read_seconds),
 }
@@ -130,17 +177,62 @@ def fuzz(name: str, count: int, seed: int, seconds: float) -> Counter[str]:
     return outcomes
 
 
+def guided(name: str, cpu_minutes: float, seed: int, seconds: float) -> Counter[str]:
+    """The same for so much processor time, guided by coverage."""
+    file, make, read = READERS[name]
+    rng, outcomes, coverage = random.Random(f"{seed}/{name}"), Counter[str](), Coverage(TRACED)
+    with tempfile.TemporaryDirectory() as place:
+        path = Path(place) / file
+        make(path)
+        good = path.read_bytes()
+        corpus = Corpus(good)
+        content, until_s = good, cpu_s() + 60.0 * cpu_minutes
+        while cpu_s() < until_s:
+            for left in Path(place).iterdir():
+                left.unlink()
+            path.write_bytes(content)
+            steps, raised = coverage.of(lambda: read(path))
+            outcomes["new"] += corpus.take(content, steps)
+            outcomes["refused" if isinstance(raised, InputError) else "read" if raised is None else "raised"] += 1
+            escape = "" if raised is None or isinstance(raised, InputError) else f"{type(raised).__name__}: {str(raised)[:80]}"
+            escape = escape or _slow(path, read, seconds)
+            if escape:
+                outcomes[f"escape {escape}"] += 1
+                if outcomes[f"escape {escape}"] == 1:
+                    print(f"{name}: {escape}: {kept(KEPT, name, content)}", file=sys.stderr)
+            base = corpus.chosen(rng)
+            content = spliced(base, corpus.chosen(rng), rng)[: 4 * len(good)] if rng.random() < 0.1 else base
+            content = mutated(content or good, rng)
+    outcomes["steps"] = len(corpus.reached)
+    return outcomes
+
+
+def _slow(path: Path, read: Callable[[Path], object], seconds: float) -> str:
+    """Whether reading takes too long, without the tracing that makes everything slow; only files of some size are asked."""
+    if path.stat().st_size < 4096:
+        return ""
+    began_s = cpu_s()
+    with suppress(Exception):
+        read(path)
+    return "too slow" if cpu_s() - began_s > seconds else ""
+
+
 def main(arguments: list[str]) -> int:
     """Prints the outcomes as JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--reader", choices=sorted(READERS), help="default: all")
     parser.add_argument("--count", type=int, default=500)
+    parser.add_argument("--cpu-minutes", type=float, help="guided by coverage, for so much processor time a reader")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=1.0)
     parser.add_argument("--memory-mb", type=float, default=500.0)
     args = parser.parse_args(arguments)
     logging.disable(logging.CRITICAL)
-    found = {name: dict(fuzz(name, args.count, args.seed, args.seconds)) for name in ([args.reader] if args.reader else READERS)}
+    names = [args.reader] if args.reader else list(READERS)
+    if args.cpu_minutes is not None:
+        found = {name: dict(guided(name, args.cpu_minutes, args.seed, args.seconds)) for name in names}
+    else:
+        found = {name: dict(fuzz(name, args.count, args.seed, args.seconds)) for name in names}
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     json.dump({"outcomes": found, "peak_memory_mb": round(peak_mb)}, sys.stdout, indent=2)
     print()

@@ -28,6 +28,7 @@ from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -63,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def measure(seconds: float, rate: float) -> dict:
+def measure(seconds: float, rate: float) -> dict[str, Any]:
     """Runs the monitor through the traffic."""
     import can
 
@@ -103,7 +104,7 @@ def measure(seconds: float, rate: float) -> dict:
     }
 
 
-def traffic(seconds: float, rate: float) -> list:
+def traffic(seconds: float, rate: float) -> list[Any]:
     """Frames, encoded, with the time of each from 0."""
     import can
 

@@ -16,6 +16,7 @@ import threading
 import uuid
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -57,7 +58,7 @@ def write(path: Path, count: int, rate: float) -> None:
     path.write_text("".join(f"({1_700_000_000 + k / rate:.6f}) can0 {frame_id:08X}#{k:016X}\n" for k in range(count)))
 
 
-def replayed(log: Path, speed: float) -> dict:
+def replayed(log: Path, speed: float) -> dict[str, Any]:
     """The log on a virtual bus of its own."""
     import can
 

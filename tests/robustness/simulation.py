@@ -10,8 +10,9 @@ writer's and the recovery's code is the daemon's own, stepped on one thread; the
 
 Invariants: a start always succeeds; the total after a start is that of the last commit, or something is said; no total is above
 what was measured, and none goes back unsaid; a state that is damaged alone, and a replacement that was interrupted, cost nothing;
-seconds are numbered without a gap or a double; the seconds kept add up; tickets that were committed are there once, or something
-is said; what could not be written says so. Ends with 1 when one is broken.
+seconds are numbered without a gap or a double; the seconds kept add up; what counts as committed is in the file of that name, or
+something is said; tickets that were committed are there once, or something is said; what could not be written says so.
+Ends with 1 when one is broken.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from __future__ import annotations
 import argparse
 import json
 import logging
+import os
 import random
 import shutil
 import sqlite3
@@ -59,6 +61,8 @@ class World:
     troubles: Counter[str] = field(default_factory=Counter)
     broken: list[str] = field(default_factory=list)
     tickets: int = 0
+    copied_kg: float = 0.0
+    """What had been measured when the copy that may be put back was made; a life that began at 0 since has measured less."""
     excused: bool = False
     """Seconds have been lost, and that was said."""
     harmless: bool = False
@@ -99,6 +103,10 @@ class Life:
         self.writer = StoreWriter(world.open_store, 3600, retry_s=0.0, path=world.path)
         self.whole = True
         self.entered: list[Ticket] = []
+        self.acceptable_kg = self.totals.total_kg
+        """Total of the last batch handed over that a store can take: one that none can take commits nothing."""
+        self.failing = False
+        """The writer says that it cannot use the store."""
 
     def _judge_start(self, note: str) -> None:
         world, total_kg = self.world, self.totals.total_kg
@@ -135,8 +143,9 @@ class Life:
 
     def _batch(self) -> Batch:
         world = self.world
-        tickets, self.entered = tuple(self.entered), []
-        versions = ()
+        tickets = entered = tuple(self.entered)
+        self.entered = []
+        versions: tuple[ParameterVersion, ...] = ()
         if not self.version or not self.whole:
             self.version = max(1, self.version)
             versions = (ParameterVersion(self.version, world.clock_s, "file", {**_PARAMETERS, "version": self.version}),)
@@ -147,9 +156,16 @@ class Life:
             "parameter_digest": "", "field": "", "crop": "", "faults": [],
         }  # fmt: skip
         load = Load(self.totals.load_number, "", "", None, None, self.totals.load_kg, None)
+        counters = {"starts": 1}
+        if world.rng.random() < 0.001:
+            # No store takes it, which is said: what it alone would have brought is not committed.
+            counters["huge"] = 10**20
+            self.tickets = [ticket for ticket in self.tickets if ticket not in entered]
+        else:
+            self.acceptable_kg = self.totals.total_kg
         return Batch(
             self.batch, world.clock_s, state, loads=(load,), tickets=tickets, parameter_versions=versions,
-            counters={"starts": 1, "huge": 10**20} if world.rng.random() < 0.001 else {"starts": 1},
+            counters=counters,
         )  # fmt: skip
 
     def submit(self, batch: Batch) -> None:
@@ -168,10 +184,11 @@ class Life:
             world.troubles["refused"] += 1
             self.said = True
         if not health.pending:
-            world.committed_kg = self.totals.total_kg if health.batches_refused == before.batches_refused else world.committed_kg
+            world.committed_kg = self.acceptable_kg
             world.tickets = len(self.tickets)
         elif not health.failing:
             world.wrong("batches wait and nothing is said")
+        self.failing = bool(health.pending)
 
     def end(self, kill: bool) -> None:
         """A stop, or a kill: files as they are, the writer's connection forgotten."""
@@ -188,12 +205,18 @@ class Life:
         else:
             self.writer.work()
             if not self.writer.health().pending:
-                world.committed_kg = self.totals.total_kg
+                world.committed_kg, self.failing = self.acceptable_kg, False
+            self.said |= bool(self.writer.health().replacements)
             self.writer.close()
 
     def look(self) -> None:
         """The seconds in the store are numbered and add up."""
-        if self.world.read_only or not self.world.path.exists():
+        if self.world.read_only:
+            return
+        if not self.world.path.exists():
+            # A writer that says it cannot use the store does not see that it is gone; the next start is held to say so.
+            if self.world.committed_kg and not self.said and not self.failing:
+                self.world.wrong(f"{self.world.committed_kg} kg count as committed, to a file that is gone, unsaid")
             return
         try:
             with Store.reading(self.world.path) as store:
@@ -202,6 +225,9 @@ class Life:
             self.world.troubles[f"unreadable {type(error).__name__}"] += 1
             return
         world = self.world
+        in_file_kg = rows[-1].total_kg if rows else 0.0
+        if not self.said and in_file_kg < world.committed_kg - 1e-6:
+            world.wrong(f"{in_file_kg} kg in the file where {world.committed_kg} kg count as committed, unsaid")
         world.excused |= self.said
         if not world.excused and [row.number for row in rows] != list(range(rows[0].number, rows[-1].number + 1) if rows else []):
             world.wrong("seconds with a gap or a double")
@@ -317,6 +343,7 @@ def _put_back(world: World) -> None:
     if copy.exists():
         world.path.with_name(world.path.name + "-wal").unlink(missing_ok=True)
         shutil.copyfile(copy, world.path)
+        world.measured_kg = max(world.measured_kg, world.copied_kg)
 
 
 def _interrupt(world: World) -> None:
@@ -355,6 +382,7 @@ def day(world: World) -> None:
         life.look()
         if rng.random() < 0.3 and world.path.exists() and not _read(world.path, "-wal"):
             shutil.copyfile(world.path, world.folder / "copy")
+            world.copied_kg = world.measured_kg
         if rng.random() < 0.4:
             harm = rng.choice(RESTING)
             world.troubles[harm.__name__.strip("_")] += 1
@@ -364,7 +392,7 @@ def day(world: World) -> None:
 def _clear(world: World) -> None:
     for left in world.folder.iterdir():
         left.unlink()
-    world.measured_kg = world.committed_kg = 0.0
+    world.measured_kg = world.committed_kg = world.copied_kg = 0.0
     world.tickets = 0
 
 
@@ -375,7 +403,9 @@ def simulate(days: int, seed: int) -> World:
     ticks = iter(range(10**12))
     # Time that the code waits for is the simulation's: a minute goes by between two looks.
     clock = mock.patch("yieldmon.service.writer.monotonic", side_effect=lambda: 100.0 * next(ticks))
-    with clock, tempfile.TemporaryDirectory() as place:
+    # In memory where there is such a file system: what a medium does to a file is the simulation's to say.
+    memory = Path("/dev/shm")
+    with clock, tempfile.TemporaryDirectory(dir=memory if os.access(memory, os.W_OK) else None) as place:
         world = World(Path(place), random.Random(seed))
         for number in range(days):
             if number % 20 == 0:

@@ -12,10 +12,13 @@ import can
 import pytest
 
 from tests.service.bench import CODEC, START_S, ZERO_MV, running, traffic
+from yieldmon import frames
+from yieldmon.bus.codec import Codec
 from yieldmon.bus.log_writing import writing
 from yieldmon.bus.logs import read_log
 from yieldmon.cli import main as cli
 from yieldmon.errors import InputError
+from yieldmon.frames import Frame
 from yieldmon.resources import shipped
 from yieldmon.service import configuration
 from yieldmon.service.assembly import build_monitor
@@ -169,6 +172,23 @@ def test_a_log_with_nothing_to_measure_is_refused(content, problem, ending, tmp_
     assert capsys.readouterr().err == f"yieldmon: {path}: {problem}; expected a log with sensor, speed and plate frames\n"
     assert not out.exists()
     with pytest.raises(InputError, match=problem):
+        rows_of(process_logs, [path])
+
+
+def tractor() -> list[can.Message]:
+    """Position and speed of a tractor, and an elevator's speed, but no impact sensor."""
+    position = [can.Message(timestamp=float(n), arbitration_id=0x18FEF31C, data=bytes(range(8))) for n in range(20)]
+    speed = [Frame(float(n), frames.ELEVATOR_SPEED, {"ElevatorSpeed": 400.0}) for n in range(20)]
+    return position + [Codec().encode(frame) for frame in speed]
+
+
+def test_a_log_without_an_impact_sensor_is_refused(tmp_path, capsys):
+    path, out = write(tmp_path / "tractor.log", tractor()), tmp_path / "out.csv"
+    assert cli.main(["process", str(path), "--out", str(out)]) == 2
+    problem = f"yieldmon: {path}: no impact sensor: none of 40 frames brings its samples; expected `signals` in the configuration"
+    assert capsys.readouterr().err.startswith(problem)
+    assert not out.exists()
+    with pytest.raises(InputError, match="no impact sensor"):
         rows_of(process_logs, [path])
 
 

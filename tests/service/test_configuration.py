@@ -21,6 +21,7 @@ from yieldmon.resources import shipped
 from yieldmon.service import configuration
 from yieldmon.service.configuration import ConfigurationError
 from yieldmon.service.document import ENGINE_SECTIONS, FIXED_BY_THE_FRAMES, Document, Section
+from yieldmon.service.former_keys import FORMER_KEYS
 
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = {"STATE_DIRECTORY": "/state", "RUNTIME_DIRECTORY": "/run/yieldmon"}
@@ -150,7 +151,7 @@ WRONG = [
     ("network: {preferred_address: 254}", "network.preferred_address: 254; expected a whole number from 0 to 253"),
     ("gate: {certain_force_n: 0.5}", "gate.certain_force_n: 0.5; expected at least gate.grain_on_n, 1 N"),
     ("windows: {min_coverage: 1}", "windows.min_coverage: 1; expected at most windows.full_coverage, 0.98"),
-    ("[]", "[]; expected keys machine_file, parameter_file, moisture_map_file, bus"),
+    ("[]", "[]; expected keys machine_file, parameter_file, moisture_map_file, units"),
 ]  # fmt: skip
 
 
@@ -219,7 +220,7 @@ def test_plate_range_of_the_machine_is_taken_exactly(written):
 
 def test_mutated_files_give_a_line_or_a_configuration():
     finished = subprocess.run(
-        [sys.executable, "-m", "tests.robustness", "fuzz-config", "--count", "150", "--seed", "1", "--json"],
+        [sys.executable, "-m", "tests.robustness", "fuzz-config", "--count", "200", "--seed", "1", "--json"],
         capture_output=True, text=True, cwd=ROOT, check=False,
     )  # fmt: skip
     assert finished.returncode == 0, finished.stderr
@@ -230,3 +231,24 @@ def test_mutated_files_give_a_line_or_a_configuration():
 
 def test_defaults_are_within_their_own_ranges():
     assert Document.model_validate(Document().model_dump()) == Document()
+
+
+@pytest.mark.parametrize(("section", "former", "present"), [(*key, present) for key, present in FORMER_KEYS.items()])
+def test_a_former_key_is_read_with_a_note(section, former, present, written):
+    value = 0.5 * getattr(getattr(Document(), section), present)
+    found = configuration.load(written(f"{section}: {{{former}: {value}}}\n"), ENVIRONMENT)
+    assert getattr(getattr(found.document, section), present) == value
+    assert f"{section}.{former} is now called {section}.{present}" in found.notes[0]
+    assert configuration.load(written(f"{section}: {{{present}: {value}}}\n"), ENVIRONMENT).notes == ()
+
+
+def test_a_key_under_both_names_is_refused(written):
+    path = written("sweep: {lying_ratio: 0.4, feedback_plausibility_force_ratio: 0.5}\n")
+    with pytest.raises(ConfigurationError, match=r"sweep\.lying_ratio: is there beside"):
+        configuration.load(path, ENVIRONMENT)
+
+
+def test_check_config_shows_the_note(written, capsys):
+    assert cli.main(["check-config", str(written("sweep: {lying_spread: 0.1}\n"))]) == 0
+    assert "note: " in (shown := capsys.readouterr().out)
+    assert "sweep.feedback_plausibility_flow_spread" in shown

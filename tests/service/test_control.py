@@ -5,6 +5,7 @@ from __future__ import annotations
 import grp
 import json
 import os
+import pwd
 import socket
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -43,7 +44,10 @@ def raw(path: Path, request: bytes) -> bytes:
 
 
 def test_question_and_answer(path):
-    assert ask(path, {"command": "status", "n": 1}) == {"echo": {"command": "status", "n": 1}}
+    me = pwd.getpwuid(os.getuid()).pw_name
+    asked = {"command": "status", "n": 1}
+    assert ask(path, asked) == {"echo": {**asked, "who": me}}
+    assert ask(path, {**asked, "who": "somebody else"}) == {"echo": {**asked, "who": me}}
 
 
 def test_a_refusal_is_one_line(path):

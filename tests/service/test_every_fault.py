@@ -18,6 +18,7 @@ import pytest
 from tests.service.bench import CODEC, ZERO_MV, Bench, running, traffic, wait_for
 from yieldmon import frames
 from yieldmon.engine.faults import FAULTS, FaultCode
+from yieldmon.engine.totals import Totals
 from yieldmon.files import parameter_file
 from yieldmon.frames import CommandMode, Frame, ScaleStatus
 from yieldmon.network import diagnostics
@@ -147,6 +148,19 @@ def lose_the_interface(bench: Bench) -> None:
     bench.play(3, EMPTY_MV)
 
 
+def weigh_a_third_too_much(bench: Bench) -> None:
+    bench.play(14, EMPTY_MV)
+    bench.played()
+    monitor = bench.daemon._monitor
+    monitor.start_load()
+    bench.play(20, GRAIN_MV)
+    bench.played()
+    load = monitor.open_load
+    assert load is not None
+    monitor.ticket(load.number, 1.33 * load.measured_kg, 1.0)
+    bench.play(4, GRAIN_MV)
+
+
 def lock_the_store(bench: Bench) -> None:
     bench.play(3, EMPTY_MV)
     blocker = sqlite3.connect(bench.daemon.configuration.store_path, isolation_level=None)
@@ -268,6 +282,13 @@ def sweep(count: int, force_at: Callable[[float], float]) -> Callable[[Bench], N
     return provoke
 
 
+def harvest_a_lifetime(bench: Bench) -> None:
+    """A monitor that has measured 410,000 t so far."""
+    monitor = bench.daemon._monitor
+    monitor.restore(replace(monitor.snapshot(), totals=Totals(total_kg=4.1e8)))
+    bench.play(3, EMPTY_MV)
+
+
 def hostile(identifier: int, datas: Callable[[int], bytes]) -> Callable[[Bench], None]:
     """A node that sends one thing 300 times a second, beside the traffic."""
 
@@ -323,6 +344,8 @@ PROVOKED: dict[FaultCode, tuple[Case, ...]] = {
     C.OUTPUT_CONFLICT: (Case(forge),),
     C.SCALE_FAULT: (Case(fail_the_scale), Case(silence_the_scale)),
     C.NETWORK_FAULT: (Case(contest_the_address), Case(flood_with_requests), Case(begin_sessions), Case(speak_as_we_do)),
+    C.MASS_NEAR_END: (Case(harvest_a_lifetime),),
+    C.SCALE_DISAGREES: (Case(weigh_a_third_too_much),),
     C.WAVEFORM_CONTRADICTS: (
         Case(widen_the_pulses, "waveform: {enabled: true, contradiction_windows: 5}"),
     ),

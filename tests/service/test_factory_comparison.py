@@ -9,6 +9,7 @@ from pathlib import Path
 import can
 import pytest
 
+from tests.schema_check import problems
 from tests.service.bench import CODEC, START_S, traffic
 from yieldmon.bus.log_writing import writing
 from yieldmon.cli import main as cli
@@ -66,7 +67,9 @@ def test_verbs_show_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
             message.channel = "can0"
             logger.on_message_received(message)
     assert cli.main(["process", str(log), "--out", str(table), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)["factory"]
+    document = json.loads(capsys.readouterr().out)
+    assert problems(document, "process") == []
+    told = document["factory"]
     assert told["factory_mean_kg_s"] == 9.0
     assert told["seconds"] >= 5
     assert told["our_mean_kg_s"] > 0.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -41,6 +42,41 @@ def test_what_is_written_and_taken_away(tmp_path: Path) -> None:
     assert files(tmp_path) == {CONFIGURATION}
     assert main(["install", "--root", str(tmp_path), "--uninstall", "--purge"]) == 0
     assert files(tmp_path) == set()
+
+
+def test_the_page_comes_when_asked_for(tmp_path: Path) -> None:
+    assert install(tmp_path, "--web") == 0
+    page = (tmp_path / "etc/systemd/system/yieldmon-web.service").read_text(encoding="utf-8")
+    assert "ExecStart=/usr/bin/yieldmon web --config /etc/yieldmon/yieldmon.yaml\n" in page
+    assert main(["install", "--root", str(tmp_path), "--uninstall"]) == 0
+    assert files(tmp_path) == {CONFIGURATION}
+
+
+@pytest.mark.parametrize(
+    ("source", "wanted"), [("x.whl", "x.whl[web]"), ("/a/b", "/a/b[web]"), ("yieldmon==1.0", "yieldmon[web]==1.0")]
+)
+def test_the_page_comes_with_its_dependencies(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], source: str, wanted: str
+) -> None:
+    arguments = ["install", "--root", str(tmp_path), "--dry-run", "--web", "--from", source]
+    assert main(arguments) == 0
+    assert f"--require-hashes --no-deps -r {ROOT}/requirements-web.lock\n" in capsys.readouterr().out
+    assert main([*arguments, "--no-lock"]) == 0
+    assert wanted in capsys.readouterr().out.replace("'", "")
+
+
+def test_the_page_may_do_less_than_the_daemon() -> None:
+    def settings(name: str) -> set[str]:
+        sandbox = re.compile(r"(Protect|Private|Restrict(?!art)|NoNew|Lock|Memory\w+Execute|Capab|Ambient|Syst)")
+        lines = shipped(f"systemd/{name}").read_text(encoding="utf-8").splitlines()
+        return {line for line in lines if sandbox.match(line)}
+
+    daemon, page = settings("yieldmon.service"), settings("yieldmon-web.service")
+    assert daemon - page == {"RestrictAddressFamilies=AF_CAN AF_UNIX", "SystemCallFilter=@chown"}
+    assert page - daemon == {
+        "RestrictAddressFamilies=AF_INET AF_INET6 AF_UNIX",
+        "SystemCallFilter=~kill tkill tgkill pidfd_send_signal process_vm_readv process_vm_writev ptrace",
+    }
 
 
 def test_a_configuration_that_is_there_is_kept(tmp_path: Path) -> None:
@@ -183,3 +219,15 @@ def test_the_bill_of_materials_names_all_that_the_lock_does() -> None:
     assert [part["name"] for part in bill["components"]] == names
     assert all(part["hashes"] and part["purl"].startswith("pkg:pypi/") for part in bill["components"])
     assert (bill["bomFormat"], bill["specVersion"]) == ("CycloneDX", "1.5")
+
+
+def test_a_planted_link_is_not_written_to(tmp_path: Path) -> None:
+    victim = tmp_path / "victim"
+    victim.write_text("somebody else's", encoding="utf-8")
+    root = tmp_path / "root"
+    unit = root / UNIT
+    unit.parent.mkdir(parents=True)
+    unit.with_name(f".{unit.name}.new").symlink_to(victim)
+    assert install(root) == 0
+    assert victim.read_text(encoding="utf-8") == "somebody else's"
+    assert not unit.is_symlink()

@@ -16,7 +16,7 @@ from yieldmon import frames
 from yieldmon.bus.receiver import BusEvent, BusEventKind
 from yieldmon.service import control
 from yieldmon.service.control import ControlServer, ask
-from yieldmon.service.store import Batch, Retention, Store, StoreDamagedError, StoreError
+from yieldmon.service.store import Batch, Load, Retention, Store, StoreDamagedError, StoreError
 from yieldmon.service.writer import StoreWriter
 
 
@@ -86,11 +86,12 @@ def test_a_fault_that_lasts_is_told_to_the_monitor_of_a_reload(tmp_path: Path):
         assert bench.faults["StoreFailing"] == "provoked"
 
 
-def test_the_newest_counters_are_kept_when_records_are_given_up(tmp_path: Path):
+@pytest.mark.parametrize("capacity", [1, 2])
+def test_the_newest_counters_are_kept_when_records_are_given_up(tmp_path: Path, capacity: int):
     def refuse() -> Store:
         raise StoreError("no disk")
 
-    writer = StoreWriter(refuse, 2)
+    writer = StoreWriter(refuse, capacity)
     for number in range(1, 11):
         writer.submit(batch(number, counters={"frames": number}))
     writer._open_store = lambda: Store(tmp_path / "s")
@@ -120,6 +121,28 @@ def test_every_small_table_is_looked_at_when_a_store_is_opened(tmp_path: Path, t
     database.close()
     content = bytearray(path.read_bytes())
     content[(root - 1) * 4096 : (root - 1) * 4096 + 12] = b"\x55" * 12
+    path.write_bytes(content)
+    with pytest.raises(StoreDamagedError):
+        Store(path)
+
+
+def test_loads_that_are_out_of_order_are_found_when_a_store_is_opened(tmp_path: Path):
+    """Each row is as it was written, and an update by number would go astray: the key of an inner page is wrong."""
+    path = tmp_path / "s"
+    with Store(path) as store:
+        store.commit([Batch(1, 1.0, {}, loads=tuple(Load(n, "f", "corn", 1.0, 2.0, 10.0, None) for n in range(1, 400)))])
+    database = sqlite3.connect(path)
+    (root,) = database.execute("SELECT rootpage FROM sqlite_schema WHERE name = 'load'").fetchone()
+    database.close()
+    content = bytearray(path.read_bytes())
+    page = (root - 1) * 4096
+    assert content[page] == 5, "an inner page"
+    cell = page + int.from_bytes(content[page + 12 : page + 14], "big")
+    # A child's number in four bytes, then the largest key below it, seven bits a byte.
+    key = cell + 4
+    while content[key] & 0x80:
+        key += 1
+    content[key] -= 5
     path.write_bytes(content)
     with pytest.raises(StoreDamagedError):
         Store(path)

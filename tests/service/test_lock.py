@@ -6,17 +6,30 @@ import re
 import tomllib
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 
 
-def test_every_dependency_is_pinned_with_hashes():
-    entries = re.split(r"\n(?=\S)", (ROOT / "requirements.lock").read_text())
+def pinned_in(name: str) -> dict[tuple[str, str], list[str]]:
+    """Package and version -> hashes."""
     pinned = {}
-    for entry in entries:
+    for entry in re.split(r"\n(?=\S)", (ROOT / name).read_text()):
         match = re.match(r"([a-z0-9-]+)==(\S+)", entry)
         if match:
-            pinned[match[1]] = re.findall(r"--hash=sha256:[0-9a-f]{64}", entry)
-    declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
-    names = {re.match(r"[A-Za-z0-9-]+", line)[0].lower() for line in declared}
-    assert names <= set(pinned)
+            pinned[match[1], match[2]] = re.findall(r"--hash=sha256:[0-9a-f]{64}", entry)
+    return pinned
+
+
+@pytest.mark.parametrize(("lock", "extras"), [("requirements.lock", ()), ("requirements-web.lock", ("web",))])
+def test_every_dependency_is_pinned_with_hashes(lock: str, extras: tuple[str, ...]) -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    declared = [*project["dependencies"], *(line for extra in extras for line in project["optional-dependencies"][extra])]
+    names = {found[0].lower() for line in declared if (found := re.match(r"[A-Za-z0-9-]+", line))}
+    pinned = pinned_in(lock)
+    assert names <= {name for name, _ in pinned}
     assert all(pinned.values())
+
+
+def test_the_page_changes_no_version() -> None:
+    assert pinned_in("requirements.lock").keys() <= pinned_in("requirements-web.lock").keys()

@@ -29,7 +29,7 @@ def test_a_number_that_no_second_has_is_one_line(tmp_path: Path, capsys, name, v
     words = [] if out == "x.csv" else ["--swath", "6", "--flow-delay", "0", "--start-delay", "0", "--end-delay", "0"]
     assert main(["export", str(path), "--out", str(tmp_path / out), *words]) == 2
     said = capsys.readouterr().err
-    assert f"row 1: {name}" in said
+    assert f"line 1: {name}" in said
     assert said.count("\n") == 1
     assert not (tmp_path / out).exists()
 

@@ -34,6 +34,7 @@ STARTS = [
     (lambda *_: "bus: {interface: udp_multicast, channel: 239.74.163.2, options: {port: 70000}}", 2, "udp_multicast channel"),
     (lambda *_: VIRTUAL + "status: {group: no-such-group}", 2, "status.group: 'no-such-group'"),
     (lambda *_: VIRTUAL + f"status: {{socket: {'x' * 200}}}", 2, "status.socket: "),
+    (lambda *_: VIRTUAL + "status: {socket: /proc/nope.sock}", 1, "/proc/nope.sock"),
     (lambda *_: "bus: {interface: socketcan, channel: absent0}", 1, "socketcan channel absent0: "),
     (another_daemon, 1, "another daemon is using it"),
     (a_store_that_cannot_be_read, 2, "is a folder; expected a store"),

@@ -22,7 +22,7 @@ def test_simulated_days_break_no_invariant():
     assert len(world.troubles) >= 8
 
 
-@pytest.mark.parametrize("mend", ["rescue", "witness of commits", "interrupted replacement"])
+@pytest.mark.parametrize("mend", ["rescue", "removed files", "witness of commits", "interrupted replacement"])
 def test_a_mend_undone_is_found(mend):
     with undone(mend):
         assert simulate(60, seed=7).broken

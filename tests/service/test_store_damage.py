@@ -12,6 +12,7 @@ from tests.robustness.store_damage import KINDS, attempt, original
 from tests.service.test_store import DATA, batch, second
 from yieldmon.engine.state import EngineState
 from yieldmon.engine.totals import Totals
+from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.service import rescue, schema
 from yieldmon.service.checksums import row_checksum
@@ -67,6 +68,27 @@ def damage(path: Path, table: str) -> None:
         file.write(random.Random(1).randbytes(4096))
 
 
+def overwrite_page_of_seconds(path: Path, last: int, pages_from_the_end: int) -> set[int]:
+    """Random bytes in place of a page of seconds, which are numbered to `last`; returns those that were there.
+
+    An interior page has 12 bytes, then where its cells are; a cell is a page's number and the last key in that page, of one byte
+    below 128 (https://www.sqlite.org/fileformat2.html, section 1.6).
+    """
+    database = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
+    (root,) = database.execute("SELECT rootpage FROM sqlite_schema WHERE name = 'second'").fetchone()
+    database.close()
+    content = bytearray(path.read_bytes())
+    page = content[(root - 1) * 4096 : root * 4096]
+    assert page[0] == 5
+    cells = [int.from_bytes(page[at : at + 2], "big") for at in range(12, 12 + 2 * int.from_bytes(page[3:5], "big"), 2)]
+    pages = [int.from_bytes(page[at : at + 4], "big") for at in cells] + [int.from_bytes(page[8:12], "big")]
+    bounds = [0, *(page[at + 4] for at in cells), last]
+    chosen = len(pages) - 1 - pages_from_the_end
+    content[(pages[chosen] - 1) * 4096 : pages[chosen] * 4096] = random.Random(1).randbytes(4096)
+    path.write_bytes(content)
+    return set(range(bounds[chosen] + 1, bounds[chosen + 1] + 1))
+
+
 def change(path: Path, sql: str, *values: object) -> None:
     """Alters a store behind its back."""
     database = sqlite3.connect(path)
@@ -109,6 +131,21 @@ def test_totals_follow_the_last_second_where_the_state_is_lost(path):
     assert recovery.memory.engine.totals.total_kg == second(40).total_kg
     assert recovery.memory.engine.totals.load_kg == second(40).load_kg
     assert "totals are those of the last second saved" in recovery.note
+
+
+@pytest.mark.parametrize("last", [91, 100])
+@pytest.mark.parametrize("pages_from_the_end", [0, 1, 2])
+def test_seconds_on_both_sides_of_a_damaged_page_are_saved(path, last, pages_from_the_end):
+    """The newest page of seconds holds a single one, or ten; the state is lost as well."""
+    with Store(path) as store:
+        store.commit([batch(n, state=state(n)) for n in range(41, last + 1)])
+    change(path, "UPDATE state SET document = replace(document, ':', ';')")
+    numbers, lost = list(range(1, last + 1)), overwrite_page_of_seconds(path, last, pages_from_the_end)
+    recovery = recover(path, Retention(), lambda: Store(path))
+    with Store(path) as store:
+        assert [row.number for row in store.seconds()] == [n for n in numbers if n not in lost]
+    assert recovery.memory.engine is not None
+    assert recovery.memory.engine.totals.total_kg == second(max(set(numbers) - lost)).total_kg
 
 
 @pytest.mark.parametrize("table", ["fault", "sweep"])
@@ -306,3 +343,27 @@ def test_random_damage_is_survived_and_never_silent(tmp_path):
     findings = [attempt(place, true, KINDS[n % len(KINDS)], rng) for n in range(60)]
     assert [f.problem for f in findings if f.problem] == []
     assert len({f.outcome for f in findings}) > 1
+
+
+def test_a_planted_link_is_not_written_to(path: Path, tmp_path: Path) -> None:
+    """The name under which a damaged header is mended is known beforehand."""
+    victim = tmp_path / "victim"
+    victim.write_bytes(b"somebody else's")
+    for suffix in (".mended", ".being-made"):
+        path.with_name(path.name + suffix).symlink_to(victim)
+    content = bytearray(path.read_bytes())
+    content[:16] = bytes(16)
+    path.write_bytes(content)
+    recover(path, Retention(), lambda: Store(path))
+    assert victim.read_bytes() == b"somebody else's"
+    with Store(path) as store:
+        assert len(store.seconds()) == 40
+
+
+def test_a_schema_that_is_no_text_is_refused_by_readers(path: Path) -> None:
+    """SQLite's message about it quotes the bytes, which Python cannot decode."""
+    content = path.read_bytes()
+    assert b"INTEGER PRIMARY KEY" in content
+    path.write_bytes(content.replace(b"INTEGER PRIMARY KEY", b"INTEGER PRIMARY \xb0\x9c\xab"))
+    with pytest.raises(InputError):
+        read_only(path).close()

@@ -6,6 +6,7 @@ import json
 import sqlite3
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -131,11 +132,18 @@ def test_reading_leaves_the_folder_as_it_was(tmp_path: Path) -> None:
 
 
 def test_a_store_of_the_version_before_is_read(tmp_path: Path) -> None:
-    path = fill(tmp_path / "s.sqlite", NONE, 6)
-    with closing(sqlite3.connect(path)) as database:
-        database.execute("DROP INDEX second_of_sweep")
+    now, path = fill(tmp_path / "now.sqlite", NONE, 6), tmp_path / "s.sqlite"
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        for step in schema.MIGRATIONS[:2]:
+            database.executescript(step)
+        database.execute(f"PRAGMA application_id = {schema.APPLICATION_ID}")
         database.execute("PRAGMA user_version = 2")
+        database.execute("ATTACH ? AS now", (str(now),))
+        for table in ("second", "parameter_set"):
+            columns = ", ".join(row[1] for row in database.execute(f"PRAGMA main.table_info({table})"))
+            database.execute(f"INSERT INTO main.{table} ({columns}) SELECT {columns} FROM now.{table}")
     assert sweep_table.read(path, MACHINE, SHIPPED).sweeps == 6
+    assert sweep_table.given_parameters(path).values == SHIPPED.values
 
 
 def write_text(path: Path) -> None:
@@ -239,3 +247,24 @@ def test_the_parameters_adopted_are_no_surer_of_the_scale_than_their_parents(str
 def test_nothing_is_named_in_a_machine_that_the_model_knows(clean: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["diagnose", str(clean), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["verdict"] == "none"
+
+
+@pytest.mark.parametrize(
+    ("harm", "look", "said"),
+    [
+        (
+            "UPDATE second SET force_n = force_n + 1 WHERE number = 40",
+            lambda path: sweep_table.read(path, MACHINE, SHIPPED),
+            "second 40 is damaged",
+        ),
+        ("UPDATE parameter_set SET origin = 'File'", sweep_table.given_parameters, "parameter_set '1' is damaged"),
+    ],
+    ids=["a force", "a parameter set"],
+)
+def test_what_is_not_as_it_was_written_is_refused(clean: Path, tmp_path: Path, harm: str, look: Any, said: str) -> None:
+    path = tmp_path / "s.sqlite"
+    path.write_bytes(clean.read_bytes())
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.execute(harm)
+    with pytest.raises(InputError, match=said):
+        look(path)

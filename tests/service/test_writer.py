@@ -82,7 +82,7 @@ def test_too_many_waiting_give_up_records_but_not_totals(disk):
     for number in range(2, 21):
         writer.submit(batch(number))
     assert disk.refusals.acquire(timeout=PATIENCE_S)
-    assert writer.health().records_given_up == 15
+    assert writer.health().records_dropped == 15
     disk.broken.clear()
     writer.stop()
     assert rows(disk) == list(range(16, 21))

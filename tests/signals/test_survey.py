@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import json
+from math import hypot
 from pathlib import Path
 
 import can
 import pytest
 
+from studies.sample_rates.__main__ import harvest, measured
 from tests.signals.layouts import COUNTS, MULTIPLEXED, NEWTONS, PROPRIETARY, Layout
 from yieldmon.cli.main import main
 from yieldmon.physics.machine import Machine
 from yieldmon.plant import scenario
 from yieldmon.plant.combine import VirtualCombine
+from yieldmon.service import configuration
+from yieldmon.service.mapping_check import aliasing_pct
 
 # The first 464 frames of start1.log, TractorHacking/CAN-data, MIT licence, converted from its CSV.
 TRACTOR = Path(__file__).parents[1] / "data" / "tractor_bus.log"
@@ -101,3 +105,14 @@ def test_what_a_slow_sensor_costs_is_said_before(tmp_path: Path, capsys: pytest.
     assert "10 samples per second" in notes
     assert "at 300 rpm" in notes
     assert "fixed at 70 deg" in notes
+
+
+@pytest.mark.parametrize("rpm", [400.0, 500.0])
+def test_what_is_said_covers_what_10_hz_samples_cost(rpm: float, tmp_path: Path) -> None:
+    """Of the virtual combine: scatter about the mean and the mean's own error, of the true flow."""
+    stated = aliasing_pct(configuration.load(NEWTONS.write(tmp_path)))[f"{rpm:g}"]
+    for seed in (1, 2):
+        frames, mass_kg = harvest(rpm, 60, 12.0, seed)
+        found = measured(frames, 10, mass_kg)
+        share = 1.0 + found["mass_error_pct"] / 100.0
+        assert 5.0 < hypot(found["scatter_pct"] * share, found["mass_error_pct"]) <= stated

@@ -55,7 +55,8 @@ def daemon_command(interpreter: Path) -> Path:
     """The yieldmon command of this checkout and environment."""
     packages = visible("/opt/python-packages", sysconfig.get_path("purelib"))
     project = visible("/opt/yieldmon-project", str(ROOT))
-    command = Path("/opt/yieldmon/bin/yieldmon")
+    # Not below /opt/yieldmon, which each module that uninstalls takes away.
+    command = Path("/opt/yieldmon-command/bin/yieldmon")
     command.parent.mkdir(parents=True)
     lines = [f"#!{interpreter} -IS", "import sys", f"sys.path += [{str(project)!r}, {str(packages)!r}]"]
     lines += ["from yieldmon.cli.main import main", "sys.exit(main())"]

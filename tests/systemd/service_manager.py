@@ -53,5 +53,6 @@ def install(command: Path) -> None:
     run(sys.executable, str(ROOT / "tools" / "install"), "--command", str(command))
 
 
-def uninstall() -> None:
-    run(sys.executable, str(ROOT / "tools" / "install"), "--uninstall", "--purge")
+def uninstall(*, purge: bool = True) -> None:
+    options = ["--purge"] if purge else []
+    run(sys.executable, str(ROOT / "tools" / "install"), "--uninstall", *options)

@@ -94,28 +94,31 @@ def sensor(channel: str) -> Iterator[None]:
     assert not thread.is_alive()
 
 
-@pytest.mark.slow
 def test_an_interface_pulled_and_put_back_50_times(pulled: str, tmp_path: Path, record_property) -> None:
     took_s = []
     with daemon(pulled, tmp_path) as node, sensor(pulled):
         eventually(lambda: node.windows > 1, "first windows")
-        for cycle in range(CYCLES):
+        for cycle in range(-1, CYCLES):
             deleted = cycle % DELETED_EVERY == DELETED_EVERY - 1
             away(pulled, deleted)
             # Counted there: a line that repeats itself is not printed each time.
-            eventually(lambda cycle=cycle: node.status["bus"]["interface_losses"] > cycle, f"loss {cycle} counted", every_s=0.1)
+            losses = cycle + 2
+            eventually(lambda n=losses: node.status["bus"]["interface_losses"] == n, f"loss {losses} counted", every_s=0.25)
             if cycle % LONG_EVERY == LONG_EVERY - 1:
                 time.sleep(LONG_S)
             back(pulled, deleted)
             back_s = time.monotonic()
             with open_bus("socketcan", pulled, filters=CODEC.filters([frames.MASS_FLOW])) as witness:
-                assert witness.recv(RECOVERY_S) is not None, f"cycle {cycle}: nothing heard of it\n{node.printed}"
-            took_s.append(time.monotonic() - back_s)
+                # The guest reads what a return needs from its disk the first time.
+                patience_s = RECOVERY_S if cycle >= 0 else PATIENCE_S
+                assert witness.recv(patience_s) is not None, f"cycle {cycle}: nothing heard of it\n{node.printed}"
+            if cycle >= 0:
+                took_s.append(time.monotonic() - back_s)
         assert "BusError" in node.faults
         eventually(lambda: "BusError" not in node.faults, "the fault's end")
         received = node.status["bus"]["received"]
         eventually(lambda: node.status["bus"]["received"] > received, "frames after the last return")
-        assert node.status["bus"]["interface_losses"] == CYCLES
+        assert node.status["bus"]["interface_losses"] == CYCLES + 1
     with node.store() as store:
         changes = [event.active for event in store.faults() if event.code == "BusError"]
     assert (changes[0], changes[-1]) == (True, False)

@@ -11,9 +11,15 @@ from typing import Any
 from yieldmon.cli.main import build_parser, find_verbs
 
 #: Said once at the top of the page: each with the further lines of its help.
-_COMMON = re.compile(r"^  --(?:json|force|socket|config|seed|machine)\b.*\n?(?:^ {9,}.*\n?)*", re.M)
-#: The same in every verb that opens a bus.
+_COMMON = re.compile(
+    r"^  --(?:(?:json|force|socket|config|seed|machine|set)\b|params F .*default: the shipped corn|out F +picture to write)"
+    r".*\n?(?:^ {9,}.*\n?)*",
+    re.M,
+)
+#: The same in every verb that opens a bus; python-can's lists are long.
 _BUS = re.compile(r"^bus arguments:\n(?:.+\n)+", re.M)
+#: Arguments stand without a dash, options with one: no heading is needed between them.
+_HEADINGS = re.compile(r"^(?:positional arguments|options):\n", re.M)
 
 
 def markdown() -> str:
@@ -35,7 +41,9 @@ def _markdown() -> str:
     for verb in verbs.values():
         parser, _ = build_parser(verbs, verb)
         for name, described in _with_children(verb.name, _children(parser)[verb.name]):
-            parts += [f"{'#' * (2 + name.count(' '))} {name}", "", "```text", _help(described), "```", ""]
+            nested = " " in name
+            if text := _help(described, nested=nested):
+                parts += [f"{'###' if nested else '##'} {name}", "", "```text", text, "```", ""]
     return "\n".join(parts)
 
 
@@ -50,10 +58,12 @@ def _children(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentPar
     return dict(actions[0].choices) if actions else {}
 
 
-def _help(parser: argparse.ArgumentParser) -> str:
-    """The help without the line of usage, which says the same as the options below it, and without python-can's long lists."""
+def _help(parser: argparse.ArgumentParser, *, nested: bool) -> str:
+    """The help without what stands elsewhere on the page: usage, common options, and what a list above says of a nested verb."""
     lines = parser.format_help().rstrip().splitlines()
     first = next(number for number, line in enumerate(lines) if not line.strip())
     text = "\n".join(line.rstrip() for line in lines[first + 1 :] if not line.startswith("  -h, --help"))
-    text = _COMMON.sub("", text)
-    return _BUS.sub("bus arguments of python-can: -i INTERFACE, -c CHANNEL, -b BITRATE, --fd, ...\n", text)
+    if nested and not _HEADINGS.match(text):
+        text = text.partition("\n\n")[2]
+    text = _BUS.sub("and the bus arguments\n", _COMMON.sub("", text))
+    return re.sub(r"\n{3,}", "\n\n", _HEADINGS.sub("", text)).strip("\n")

@@ -10,33 +10,33 @@ from cantools.database.can import Database
 from cantools.database.can import Message as DbcMessage
 from cantools.database.can import Signal as DbcSignal
 
-from yieldmon.bus.codec import Codec
 from yieldmon.frames import INPUTS
 from yieldmon.resources import shipped
 
 _BITRATE = 250_000
 #: 29-bit identifier, 8 bytes of data, worst-case stuffing and interframe space (ISO 11898-1: 8n + 67 + (53 + 8n) / 4).
 _LONGEST_FRAME_BITS = 160
+#: Said once on the page, of all codes.
+_EVERYWHERE = ("SignalError", "SignalNotAvailable")
 
 
 def markdown(dbc_path: Path | str | None = None) -> str:
-    """Overview, then a section for each message. Raises InputError for a DBC that cannot be used."""
+    """Overview, then a section for each message."""
     path = Path(dbc_path) if dbc_path is not None else shipped("dbc/yieldmon.dbc")
-    any_source = {layout.name for layout in Codec(path).layouts.values() if layout.any_source}
     database = cantools.database.load_file(path, database_format="dbc")
     assert isinstance(database, Database), "what the dbc format gives"
     parts = [_overview(database.messages), _load(database.messages)]
-    parts += [_section(message, message.name in any_source) for message in database.messages]
+    parts += [_section(message) for message in database.messages]
     return "\n".join(parts)
 
 
 def _overview(messages: Sequence[DbcMessage]) -> str:
     rows = [
         f"|`{message.name}`|{'in' if message.name in INPUTS else 'out'}|`0x{message.frame_id:08X}`"
-        f"|{_group(message)}|{', '.join(message.senders)}|{message.cycle_time} ms|"
+        f"|{message.frame_id >> 26}|{_group(message)}|{', '.join(message.senders)}|{message.length}|{message.cycle_time} ms|"
         for message in messages
     ]
-    head = "|message|yieldmon|identifier|parameter group|from|every|\n|---|---|---|---|---|---|"
+    head = "|message|yieldmon|identifier|priority|group|from|bytes|every|\n|---|---|---|---|---|---|---|---|"
     return "\n".join([head, *rows, ""])
 
 
@@ -49,15 +49,11 @@ def _load(messages: Sequence[DbcMessage]) -> str:
     )
 
 
-def _section(message: DbcMessage, any_source: bool) -> str:
-    source = "any source address" if any_source else f"source address 0x{message.frame_id & 0xFF:02X}"
+def _section(message: DbcMessage) -> str:
     lines = [
         f"### {message.name}",
         "",
         str(message.comment),
-        "",
-        f"Identifier `0x{message.frame_id:08X}`: priority {message.frame_id >> 26}, group {_group(message)}, {source}; "
-        f"{message.length} bytes.",
         "",
         "|signal|byte.bit|bits|unit|range|step|meaning|",
         "|---|---|---|---|---|---|---|",
@@ -71,8 +67,10 @@ def _row(signal: DbcSignal) -> str:
     place = f"{signal.start // 8 + 1}.{signal.start % 8 + 1}"
     meaning = str(signal.comment)
     if signal.choices:
-        meaning += " " + ", ".join(f"{raw} {name}" for raw, name in sorted(signal.choices.items()))
-        extent, step = "codes", ""
+        codes = [f"{raw} {name}" for raw, name in sorted(signal.choices.items()) if name not in _EVERYWHERE]
+        flag = codes == ["0 Off", "1 On"]
+        extent, step = "flag" if flag else "codes", ""
+        meaning += "" if flag else " " + ", ".join(codes)
     else:
         extent, step = f"{signal.minimum:.11g} to {signal.maximum:.11g}", f"{signal.scale:g}"
     return f"|`{signal.name}`|{place}|{signal.length}|{signal.unit or ''}|{extent}|{step}|{meaning}|"

@@ -18,7 +18,6 @@ _RUNS = {
     "predict": "predict --mass-flow 10 --plate-angle 70 --json",
     "estimate": "estimate forces.csv --json",
     "check-config": "check-config c.yaml --json",
-    "process": "process day.log --out day.csv --json",
     "monitor": "monitor day.log --once --speed 0 --json",
 }
 #: Keys whose values are shown no deeper: a configuration has a page of its own, others are one for each name.

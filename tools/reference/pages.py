@@ -6,10 +6,11 @@ import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from tools.reference import api, columns, commands, configuration, faults, frames, json_documents
+from tools.reference import api, columns, commands, configuration, faults, frames, json_documents, schemas
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
+SCHEMAS = DOCS / "reference" / "schemas"
 
 #: Name of a part -> what makes its Markdown.
 BLOCKS: dict[str, Callable[[], str]] = {
@@ -20,6 +21,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "faults": faults.markdown,
     "frames": frames.markdown,
     "json": json_documents.markdown,
+    "schemas": schemas.markdown,
 }
 
 _PART = re.compile(r"(<!-- made by tools/docs: (\S+) -->\n).*?(<!-- end of \2 -->)", re.S)
@@ -56,13 +58,22 @@ def pages() -> Iterator[Path]:
 
 
 def stale() -> list[Path]:
-    """Pages that are not what the code says."""
-    return [path for path in pages() if (text := path.read_text(encoding="utf-8")) != fill(text, path.name)]
+    """Pages and schemas that are not what the code says."""
+    wrong = [path for path in pages() if (text := path.read_text(encoding="utf-8")) != fill(text, path.name)]
+    made = schemas.files(SCHEMAS)
+    wrong += [path for path, text in made.items() if not path.is_file() or path.read_text(encoding="utf-8") != text]
+    return wrong + [path for path in sorted(SCHEMAS.glob("*")) if path not in made]
 
 
 def write() -> list[Path]:
-    """Make every page anew; returns those that changed."""
-    changed = stale()
+    """Make every page and schema anew; returns those that changed."""
+    changed, made = stale(), schemas.files(SCHEMAS)
+    SCHEMAS.mkdir(exist_ok=True)
     for path in changed:
-        path.write_text(fill(path.read_text(encoding="utf-8"), path.name), encoding="utf-8")
+        if path in made:
+            path.write_text(made[path], encoding="utf-8")
+        elif path.parent == SCHEMAS:
+            path.unlink()
+        else:
+            path.write_text(fill(path.read_text(encoding="utf-8"), path.name), encoding="utf-8")
     return changed

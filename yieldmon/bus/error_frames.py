@@ -51,7 +51,7 @@ class ErrorKind(Enum):
 
 
 def kind_of(message: can.Message) -> ErrorKind:
-    """Kind of an error frame; a frame whose class an interface does not tell counts as BUS_ERROR."""
+    """Kind of an error frame; a frame whose class an interface does not name counts as BUS_ERROR."""
     classes = message.arbitration_id
     if classes & _BUS_OFF:
         return ErrorKind.BUS_OFF

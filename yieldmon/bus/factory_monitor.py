@@ -1,7 +1,7 @@
 """What the factory's own yield monitor says on the bus, by DBC files of the layouts that are public.
 
 A signal whose attribute `Quantity` names a quantity is one of them; all others are passed over. Only the sender that the DBC
-names is believed. These values are recorded beside ours and are never an input.
+names is used. These values are recorded beside ours and are never an input.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class _Field:
 
 
 def identity_of(identifier: int) -> int:
-    """What tells the layouts apart: group and source, without priority and destination."""
+    """What distinguishes the layouts: group and source, without priority and destination."""
     identity = identifier & _PRIORITY_LEFT_OUT
     return identity & ~_DESTINATION if identifier >> 16 & 0xFF < _FIRST_BROADCAST_FORMAT else identity
 

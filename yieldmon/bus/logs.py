@@ -237,7 +237,7 @@ def line_problem(raw: bytes) -> str | None:
 
 
 def candump_frame(line: str, notes: LogNotes, damage: Callable[[str], None]) -> can.Message | None:
-    """The frame of a candump line; None for a blank line, a drop count (noted) and a damaged line (told to
+    """The frame of a candump line; None for a blank line, a drop count (noted) and a damaged line (reported to
     `damage`)."""
     text = line.strip()
     message = parse_line(text)

@@ -32,7 +32,7 @@ _MEMINFO = struct.Struct("9I")
 
 
 class BusUnavailable(can.CanError):
-    """A bus that is configured rightly, as far as can be told, and cannot be opened now."""
+    """A bus that is configured rightly, as far as can be known, and cannot be opened now."""
 
 
 def open_bus(
@@ -80,7 +80,7 @@ def prepared(
     """The same bus with its receive buffer enlarged, and rid of frames queued before the filters were set."""
     sock = can_socket(bus)
     if sock is not None:
-        # The kernel tells of a lost interface once: between select() and recv() a sending thread may take that away, and
+        # The kernel reports a lost interface once: between select() and recv() a sending thread may take that away, and
         # a blocking recv() would then wait for ever.
         sock.setblocking(False)
         _log.info("%s: receive buffer %d bytes", bus.channel_info, _enlarge_receive_buffer(sock, receive_buffer_bytes))
@@ -138,6 +138,16 @@ def kernel_drops_of(bus: can.BusABC) -> int | None:
     except OSError:
         return None
     return int(_MEMINFO.unpack(memory)[_SK_MEMINFO_DROPS]) if len(memory) == _MEMINFO.size else None
+
+
+#: python-can reads the kernel's software receive times (SO_TIMESTAMPNS) on these, and asks no driver for hardware times.
+_KERNEL_STAMPED = frozenset({"socketcan", "udp_multicast"})
+
+
+def time_stamps_of(interface: str) -> str:
+    """Who stamps the frames of a python-can interface, for people: the kernel as the driver hands them over, or the interface's
+    own driver, whose clock may be the adapter's or this program's."""
+    return "kernel, on receipt" if interface in _KERNEL_STAMPED else f"driver of {interface}"
 
 
 def kept_by_the_kernel(bus: can.BusABC) -> bool:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from yieldmon.bus.bulk import FrameBlock, concatenate
 from yieldmon.bus.candump import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from yieldmon.bus.layout import MessageLayout
-from yieldmon.bus.packed_columns import Coded, Column, decode, encode
+from yieldmon.bus.packed_columns import CONSTANT, Coded, Column, decode, encode
 from yieldmon.errors import InputError
 
 if TYPE_CHECKING:
@@ -30,7 +30,11 @@ if TYPE_CHECKING:
 #: Frames that are packed together.
 BLOCK_FRAMES = 1 << 17
 _FORMAT = b"yieldmon.frames"
-_VERSION = b"1"
+_VERSION = b"2"
+_ALL_COMPRESSED = b"1"
+"""The format before, in which no column was kept as it is."""
+_PLAIN_BYTES = 128
+"""Columns up to this size are kept as they are: calling the decompressor takes longer than reading them."""
 _LEVEL = 12
 _EXPECTED = "a file that `yieldmon pack` wrote"
 _TIME, _PLACE = "time", "place"
@@ -143,7 +147,7 @@ class Writer:
         rows = _rows(self._blocks, block, self._layouts)
         self._blocks += 1
         codec = pa.Codec("zstd", _LEVEL)
-        rows = [(*row[:-1], len(row[-1]), codec.compress(row[-1], asbytes=True)) for row in rows]
+        rows = [(*row[:-1], len(row[-1]), _compressed(row[-1], codec)) for row in rows]
         columns = dict(zip(_NAMES, zip(*rows, strict=True), strict=True)) if rows else dict.fromkeys(_NAMES, ())
         self._writer.write_table(pa.table({name: list(columns[name]) for name in _NAMES}, schema=self._schema))
 
@@ -180,11 +184,12 @@ def read_blocks(path: Path | str) -> Iterator[FrameBlock]:
     try:
         with parquet.ParquetFile(path) as source:
             metadata = source.schema_arrow.metadata or {}
-            if metadata.get(_FORMAT) != _VERSION:
+            version = metadata.get(_FORMAT)
+            if version not in (_VERSION, _ALL_COMPRESSED):
                 raise InputError(str(path), "a Parquet file without packed CAN frames", _EXPECTED)
             for group in range(source.num_row_groups):
                 columns = source.read_row_group(group).to_pydict()
-                yield _block(zip(*(columns[name] for name in _NAMES), strict=True))
+                yield _block(zip(*(columns[name] for name in _NAMES), strict=True), all_compressed=version == _ALL_COMPRESSED)
     except InputError:
         # A ValueError too, which says all there is to say.
         raise
@@ -291,7 +296,15 @@ def _signal_fields(layout: MessageLayout) -> list[_Field]:
     return [_Field(name.strip(), tuple(starts), bits) for (name, bits), starts in series.items()]
 
 
-def _block(rows: Iterable[tuple[Any, ...]]) -> FrameBlock:
+def _compressed(data: bytes, codec: Any) -> bytes:
+    """The data compressed, or as they are; what is as long as the data is the data."""
+    if len(data) <= _PLAIN_BYTES:
+        return data
+    found: bytes = codec.compress(data, asbytes=True)
+    return found if len(found) < len(data) else data
+
+
+def _block(rows: Iterable[tuple[Any, ...]], *, all_compressed: bool) -> FrameBlock:
     import pyarrow as pa
 
     codec = pa.Codec("zstd")
@@ -310,7 +323,11 @@ def _block(rows: Iterable[tuple[Any, ...]]) -> FrameBlock:
             last = head
         values = parts[-1]
         per_frame = start.count(",") + 1 if name not in (_TIME, _PLACE) else 1
-        data = codec.decompress(packed, decompressed_size=size, asbytes=True)
+        whole = len(packed) == size and not all_compressed
+        data = packed if whole else codec.decompress(packed, decompressed_size=size, asbytes=True)
+        if coding == CONSTANT and name not in (_TIME, _PLACE) and per_frame == 1:
+            values[1] |= np.uint64(int.from_bytes(data, "little") << int(start))
+            continue
         column = decode(Coded(coding, width, data), count * per_frame, bits)
         if name == _TIME:
             values[0], values[7] = column, start

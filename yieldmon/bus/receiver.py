@@ -28,7 +28,7 @@ _log = logging.getLogger(__name__)
 #: Frames: over 10 s of a 250 kbit/s bus that is full.
 DEFAULT_CAPACITY = 20_000
 _POLL_S = 0.1
-#: The kernel tells a socket once that its interface has gone: if sending was told, receiving would wait for ever.
+#: The kernel reports a lost interface to a socket once: if sending got the report, receiving would wait for ever.
 _INTERFACE_GONE = frozenset({errno.ENETDOWN, errno.ENODEV, errno.ENXIO})
 _FIRST_RETRY_S = 0.05
 _LAST_RETRY_S = 0.8
@@ -56,7 +56,7 @@ class BusEventKind(Enum):
     FRAMES_DROPPED = "frames dropped"
     """The consumer did not keep up, or the kernel or the controller lost frames; `count` of them at this place."""
     RECEIVER_FAILED = "receiver failed"
-    """An error nobody foresaw; the receiver closes the bus, opens it again and goes on."""
+    """An unforeseen error; the receiver closes the bus, opens it again and goes on."""
 
 
 @dataclass(frozen=True)
@@ -263,7 +263,7 @@ class Receiver:
         return len(messages)
 
     def _reopen(self) -> None:
-        """Tries until the interface is back and readable, then says so; returns with no bus when told to stop."""
+        """Tries until the interface is back and readable, then says so; returns with no bus when asked to stop."""
         delay_s = _FIRST_RETRY_S
         while not self._stopping.wait(delay_s):
             delay_s = min(2 * delay_s, _LAST_RETRY_S)

@@ -9,10 +9,10 @@ import sys
 from datetime import UTC, datetime
 from math import isfinite
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from yieldmon.documents import CalibratedParameter, LoadCalibrationDocument
 from yieldmon.errors import InputError
 from yieldmon.estimation.loads import LoadCalibration, calibrate_loads
 from yieldmon.estimation.parameters import ParameterSet
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--config", metavar="F", help="configuration that measured them; default: the shipped one")
 
 
-def run(args: argparse.Namespace) -> dict[str, Any]:
+def run(args: argparse.Namespace) -> LoadCalibrationDocument:
     """The report as plain data. Raises InputError."""
     if args.tickets is None:
         raise InputError("--tickets", "is missing", "a table with the columns load and weighed_kg beside --loads")
@@ -84,10 +84,10 @@ def _prior(args: argparse.Namespace, measured: tuple[weighed_loads.MeasuredLoad,
     return newest.parameters.get(newest.seconds[-1].parameter_version, configured.parameters)
 
 
-def report(found: LoadCalibration, args: argparse.Namespace) -> dict[str, Any]:
+def report(found: LoadCalibration, args: argparse.Namespace) -> LoadCalibrationDocument:
     """The result as plain data, as `calibrate` reports a table's."""
     known = found.parameter_set
-    parameters = {}
+    parameters: dict[str, CalibratedParameter] = {}
     for name in found.names:
         value, sd = known.values[name], known.standard_deviation(name)
         parameters[name] = {
@@ -132,16 +132,17 @@ def report(found: LoadCalibration, args: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def text(document: dict[str, Any]) -> str:
+def text(document: LoadCalibrationDocument) -> str:
     """The report for people."""
     lines = [f"{'load':<12}{'weighed kg':>12}{'before kg':>12}{'':>9}{'after kg':>12}{'':>9}{'left out':>10}"]
     for load in document["loads"]:
         before, after = (100.0 * (load[key] / load["weighed_kg"] - 1.0) for key in ("before_kg", "after_kg"))
         left = load["left_out_error_pct"]
+        apart = f"{'-':>10}" if left is None or not isfinite(left) else f"{left:>+8.2f} %"
         end = "  contradicts the others" if load["outlier"] else ""
         lines.append(
             f"{load['load'][:12]:<12}{load['weighed_kg']:>12.0f}{load['before_kg']:>12.0f}{before:>+7.2f} %"
-            f"{load['after_kg']:>12.0f}{after:>+7.2f} %" + (f"{left:>+8.2f} %" if isfinite(left) else f"{'-':>10}") + end
+            f"{load['after_kg']:>12.0f}{after:>+7.2f} %" + apart + end
         )
     lines += [f"{name:<34}{p['value']:>13.6g}{p['standard_error']:>13.3g}" for name, p in document["parameters"].items()]
     lines += [f"{name:<34}{value:>13.6g}        held" for name, value in document["fixed"].items()]

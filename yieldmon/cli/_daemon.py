@@ -13,6 +13,7 @@ from typing import Any
 from yieldmon.errors import InputError
 from yieldmon.service.control import ControlError, ask
 from yieldmon.service.folders import runtime_folder
+from yieldmon.units import KG_PER_LB, KG_PER_T
 
 SYSTEM_SOCKET = Path("/run/yieldmon/yieldmon.sock")
 
@@ -27,13 +28,14 @@ def add_daemon_arguments(parser: argparse.ArgumentParser) -> None:
 def ask_daemon(args: argparse.Namespace, request: Mapping[str, Any]) -> dict[str, Any]:
     """The daemon's answer; ends the program with one line and exit code 1 when there is none."""
     try:
-        return ask(_socket(args), request)
+        return ask(daemon_socket(args), request)
     except ControlError as error:
         print(f"yieldmon: {error}", file=sys.stderr)
         raise SystemExit(1) from error
 
 
-def _socket(args: argparse.Namespace) -> Path:
+def daemon_socket(args: argparse.Namespace) -> Path:
+    """Where the daemon that the arguments name answers."""
     if args.socket is not None:
         return Path(args.socket)
     if args.config is not None:
@@ -46,9 +48,9 @@ def _socket(args: argparse.Namespace) -> Path:
 
 
 def mass(text: str) -> float:
-    """A mass in kg from the command line: a number above 0, with or without its unit kg or t. Raises InputError."""
+    """A mass in kg from the command line: a number above 0, with or without its unit kg, t or lb. Raises InputError."""
     number, scale = text.strip(), 1.0
-    for unit, factor in (("kg", 1.0), ("t", 1000.0)):
+    for unit, factor in (("kg", 1.0), ("t", KG_PER_T), ("lb", KG_PER_LB)):
         if number.endswith(unit):
             number, scale = number.removesuffix(unit).strip(), factor
             break
@@ -57,5 +59,5 @@ def mass(text: str) -> float:
     except ValueError:
         mass_kg = nan
     if not 0.0 < mass_kg < inf:
-        raise InputError("mass", repr(text), "kilograms above 0, such as 9120, 9120kg or 9.12t")
+        raise InputError("mass", repr(text), "kilograms above 0, such as 9120, 9120kg, 9.12t or 20106lb")
     return mass_kg

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from yieldmon.cli import _by_loads, _outputs, model_options
+from yieldmon.documents import CalibrationDocument, ComparedModel
 from yieldmon.errors import InputError
 from yieldmon.estimation import empirical, identifiability
 from yieldmon.estimation.calibration import (
@@ -68,7 +69,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--robust", action="store_true", help="soft-L1 loss: outliers lose weight")
     parser.add_argument("--by-moisture", action="store_true", help="a fit for each moisture_pct and a map; --out names a folder")
     parser.add_argument("--compare", action="store_true", help="beside the empirical models, by cross-validation over loads")
-    parser.add_argument("--identifiability", action="store_true", help="what these rows can tell, and what would tell more")
+    parser.add_argument("--identifiability", action="store_true", help="what these rows determine, what would add to it")
     parser.add_argument(
         "--profiles", metavar="F", help="draw how the misfit grows with each parameter (*.png or *.svg; needs the plot extra)"
     )
@@ -106,6 +107,7 @@ def _of_table(args: argparse.Namespace) -> int:
     rows = model_options.measurements(data, machine, args.response_scale)
     left_out = np.ones(len(data), dtype=bool)
     left_out[np.arange(len(data)) if rows.places is None else rows.places] = False
+    model_options.check_force(data, rows, machine)
     if note := data.unread(left_out):
         print(f"yieldmon: {note}", file=sys.stderr)
     if args.plate_angle is not None:
@@ -133,7 +135,7 @@ def _of_table(args: argparse.Namespace) -> int:
     return 0
 
 
-def report(result: Calibration, data: table.Table, rows: Measurements) -> dict[str, Any]:
+def report(result: Calibration, data: table.Table, rows: Measurements) -> CalibrationDocument:
     """The result as plain data."""
     return {
         "file": data.path,
@@ -162,7 +164,7 @@ def report(result: Calibration, data: table.Table, rows: Measurements) -> dict[s
     }
 
 
-def text(document: Mapping[str, Any]) -> str:
+def text(document: CalibrationDocument) -> str:
     """The report for people."""
     unit = document["response_unit"]
     lines = [f"{document['file']}: {document['rows']} rows, {document['starts']} starts"]
@@ -248,12 +250,12 @@ def _fit_form(
     if not free:
         raise InputError("--fix", "leaves nothing to fit", "at least one parameter that is free")
     try:
-        with progress_bar("calibrating") as tell:
+        with progress_bar("calibrating") as progress:
             result = calibrate(
                 model, rows, start, free,
                 prior=Prior.of(known, free) if known is not None else None,
                 bounds=_bounds(args.bounds), starts=args.starts, rng=np.random.default_rng(args.seed), robust=args.robust,
-                response_unit=model_options.RESPONSE if scaled else "N", progress=tell,
+                response_unit=model_options.RESPONSE if scaled else "N", progress=progress,
             )
     except ValueError as error:
         raise InputError(data.path, str(error)) from error
@@ -301,7 +303,8 @@ def _by_moisture(args: argparse.Namespace, machine: Machine, data: table.Table, 
     for value in np.unique(moisture):
         part = rows.select(moisture == value)
         result = _fit(args, machine, data, part)
-        document = report(result, data, part) | {"moisture_pct": float(value)}
+        document = report(result, data, part)
+        document["moisture_pct"] = float(value)
         if args.out is not None:
             folder = Path(args.out)
             folder.mkdir(parents=True, exist_ok=True)
@@ -336,7 +339,7 @@ def _profiles(args: argparse.Namespace, result: Calibration, machine: Machine, r
     ]
 
 
-def _compare(args: argparse.Namespace, result: Calibration, machine: Machine, rows: Measurements) -> list[dict[str, Any]]:
+def _compare(args: argparse.Namespace, result: Calibration, machine: Machine, rows: Measurements) -> list[ComparedModel]:
     model = ForwardModel(machine, result.parameter_set.effects)
 
     def physical(part: Measurements) -> empirical.LoadModel:
@@ -365,7 +368,7 @@ def progress_bar(label: str) -> Iterator[Callable[[float], None]]:
     begin, task = monotonic(), bar.add_task(label, total=1.0)
     started = False
 
-    def tell(share: float) -> None:
+    def report(share: float) -> None:
         nonlocal started
         if not started and monotonic() - begin > PROGRESS_AFTER_S and sys.stderr.isatty():
             bar.start()
@@ -373,7 +376,7 @@ def progress_bar(label: str) -> Iterator[Callable[[float], None]]:
         bar.update(task, completed=share)
 
     try:
-        yield tell
+        yield report
     finally:
         if started:
             bar.stop()

@@ -71,14 +71,15 @@ def _held_against(
     loaded: configuration.Configuration, log: str | None
 ) -> tuple[dict[str, Any] | None, list[str], list[InputError]]:
     """What a recording shows of the mapping's quantities, what is to be known of the mapping, and what is wrong with it."""
-    from yieldmon.service import mapping_check
+    from yieldmon.service import mapping_check, plausible
 
-    notes = mapping_check.notes(loaded)
+    notes = [*loaded.notes, *mapping_check.notes(loaded)]
+    problems = plausible.implausible(loaded)
     if log is None:
-        return None, notes, []
+        return None, notes, [InputError(*problem) for problem in problems]
     found = mapping_check.seen_in(loaded, log)
-    problems = [InputError(*problem) for problem in mapping_check.problems(loaded, found, log)]
-    return mapping_check.as_json(found), notes, problems
+    problems += mapping_check.problems(loaded, found, log)
+    return mapping_check.as_json(found), notes, [InputError(*problem) for problem in problems]
 
 
 def _show(seen: dict[str, Any]) -> None:

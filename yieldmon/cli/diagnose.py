@@ -63,7 +63,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--plan", metavar="OUT.csv", help="write the next experiment, and beside it the daemon's sweep section")
     parser.add_argument("--report", metavar="DIR", help="write an HTML page with pictures")
     parser.add_argument("--json", action="store_true", help="print one JSON document")
-    _outputs.add_force(parser, "table")
+    _outputs.add_force(parser, "table", "plan")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -84,8 +84,8 @@ def run(args: argparse.Namespace) -> int:
         seed=args.seed,
         keep_effects=source.keep_effects,
     )
-    with _progress() as tell:
-        found = diagnosis.diagnose(data, machine, parameters, options, tell)
+    with _progress() as progress:
+        found = diagnosis.diagnose(data, machine, parameters, options, progress)
     for note in data.notes:
         print(note, file=sys.stderr)
     if args.json:
@@ -121,6 +121,8 @@ def _check(args: argparse.Namespace) -> None:
     unknown = [name for name in args.without if name not in registry()]
     if unknown:
         raise InputError("--without", f"{unknown[0]!r} is no effect", f"one of {', '.join(registry())}")
+    if args.report is not None and Path(args.report).is_file():
+        raise InputError(f"--report {args.report}", "is a file", "a folder")
     for place in (args.table, args.plan, args.adopt):
         if place is not None:
             check_place(place)
@@ -174,10 +176,10 @@ def _print_text(found: diagnosis.Diagnosis) -> None:
     document = diagnosis.to_document(found)
     print(f"\nverdict: {found.verdict}")
     for step in found.choice.steps if found.verdict == "effect" else ():
-        ties = f"; cannot be told from {', '.join(step.equivalent)}" if step.equivalent else ""
+        ties = f"; not distinguishable from {', '.join(step.equivalent)}" if step.equivalent else ""
         print(f"  {step.added} (confidence {step.confidence:.2f}{ties})")
         for p, sd in zip(found.best.parameters, found.best.covariance().diagonal() ** 0.5, strict=True):
-            if p.name.startswith(f"{step.added}."):
+            if p.name.startswith(f"{step.law}."):
                 print(f"    {p.name.partition('.')[2]} = {found.best.values[p.name]:.4g} +- {sd:.2g} {p.unit}")
     for name, measure in (("before", found.before), ("after", found.after)):
         print(
@@ -187,7 +189,7 @@ def _print_text(found: diagnosis.Diagnosis) -> None:
     if found.held_out is not None:
         held = found.held_out
         print(f"  {report.unseen(held)} (rms {held.before.rms:.4g} -> {held.after.rms:.4g}, noise {held.noise_floor_rms:.4g})")
-    for region in document["where"]:  # type: ignore[attr-defined]
+    for region in document["where"]:
         print(f"  where: {region}")
     print("\n".join(report.plan_lines(found.plan)))
     for note in found.notes:

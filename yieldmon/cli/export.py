@@ -14,8 +14,8 @@ from yieldmon.errors import InputError
 from yieldmon.export import agleader, columns, geojson, geopackage, taskdata
 from yieldmon.export.points import PointSettings, YieldPoint, yield_points
 from yieldmon.service import recorded
+from yieldmon.service.ledger import LoadRecord
 from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Load
 
 ENDINGS = {
     ".csv": "csv", ".parquet": "parquet", ".geojson": "geojson", ".gpkg": "geopackage", ".txt": "agleader", ".zip": "taskdata",
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--what", f"{what} as {kind}", f"{what} as {' or '.join(TABLES)}")
     if what == "loads":
         loads = recorded.read_loads(args.record)
-        _table(kind)(out, Load, loads)
+        _table(kind)(out, LoadRecord, loads)
         print(f"{out}: {len(loads)} loads", file=sys.stderr)
         return 0
     rows = recorded.read_seconds(args.record)

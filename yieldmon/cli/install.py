@@ -11,12 +11,8 @@ from yieldmon.errors import InputError
 from yieldmon.service.installation import Installer, check_interface, install, package_source, roll_back, uninstall
 
 _TEXT = """
-The command goes into a new virtual environment below /opt/yieldmon, with the dependencies of the lock file by their hashes,
-from the checkout that this program runs in, or from where it was itself installed; once it is whole, /opt/yieldmon/bin points
-to it, and --rollback takes that back; --command names one that is there already (the service cannot see home folders). Written
-are
-the unit, the interface's bit rate, the receive buffer's size and the configuration; an existing configuration is kept.
---uninstall keeps /etc/yieldmon and /var/lib/yieldmon.
+The command goes into a new virtual environment below /opt/yieldmon, with the lock file's dependencies by their hashes. An
+existing configuration is kept. --uninstall keeps /etc/yieldmon and /var/lib/yieldmon.
 """
 
 
@@ -28,11 +24,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         epilog="example: yieldmon install --interface can1",
     )
     parser.add_argument("--uninstall", action="store_true", help="take everything away, except configuration and records")
+    parser.add_argument("--web", action="store_true", help="with the page (`yieldmon web`), as a unit of its own")
     parser.add_argument("--rollback", action="store_true", help="go back to what was installed before; once more: forth again")
     parser.add_argument("--no-lock", action="store_true", help="dependencies as pip finds them, not those of the lock file")
     parser.add_argument("--purge", action="store_true", help="with --uninstall: configuration and records, too")
     parser.add_argument("--interface", default="can0", help="CAN interface of the combine (default can0)")
-    parser.add_argument("--command", type=Path, help="an installed yieldmon command, absolute; default: makes /opt/yieldmon")
+    parser.add_argument("--command", type=Path, help="an installed command, outside home folders; default: makes /opt/yieldmon")
     parser.add_argument("--from", dest="source", metavar="PACKAGE", help="a wheel or folder for pip to install there")
     parser.add_argument("--python", default=sys.executable, help="Python of /opt/yieldmon (default: this one)")
     parser.add_argument("--root", type=Path, default=Path("/"), help="install below this folder instead; runs no systemctl")
@@ -61,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
         roll_back(installer)
     else:
         source = args.source or package_source()
-        install(installer, args.interface, args.command, args.python, source, locked=not args.no_lock)
+        install(installer, args.interface, args.command, args.python, source, locked=not args.no_lock, web=args.web)
     for failure in installer.failures:
         print(f"yieldmon install: {failure}", file=sys.stderr)
     return 1 if installer.failures else 0

@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-
-from rich.console import Console
-from rich.table import Table
+from typing import Any
 
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
+from yieldmon.cli._records import show
+from yieldmon.cli._units import add_units, units_of
+from yieldmon.units import UNKNOWN, crop_yield_kg_m2
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -31,6 +32,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     listing = actions.add_parser("list", help="list all loads, as measured and as corrected by tickets")
     for action in (start, stop, listing):
         add_daemon_arguments(action)
+        add_units(action, "the daemon's configuration")
         action.add_argument("--json", action="store_true", help="print the answer as one JSON document")
 
 
@@ -46,17 +48,30 @@ def run(args: argparse.Namespace) -> int:
         json.dump(answer, sys.stdout, indent=2)
         print()
     elif args.action == "list":
-        table = Table("load", "field", "crop", "measured kg", "dry kg", "ticket kg", "corrected kg", box=None)
-        for load in answer["loads"]:
-            masses = ("mass_kg", "dry_mass_kg", "ticket_mass_kg", "corrected_mass_kg")
-            cells = ("-" if load[key] is None else f"{load[key]:.1f}" for key in masses)
-            table.add_row(str(load["number"]), load["field"] or "-", load["crop"] or "-", *cells)
-        Console(highlight=False, markup=False, emoji=False).print(table)
+        show(*_rows(answer["loads"], args.units or answer.get("units", "metric")))
     elif args.action == "start":
         names = " ".join(name for name in (answer["field"], answer["crop"]) if name)
         print(f"load {answer['load']} started" + (f": {names}" if names else ""))
         if answer["parameters"]["changed"]:
             print(f"measuring with the parameters of {answer['crop']}, version {answer['parameters']['version']}")
     else:
-        print(f"load {answer['load']} complete: {answer['mass_kg']:.1f} kg")
+        units = units_of(args.units, answer.get("units", "metric"), answer.get("crop", ""))
+        print(f"load {answer['load']} complete: {units.mass_with_bushels(answer['mass_kg'])}")
     return 0
+
+
+def _rows(loads: list[dict[str, Any]], system: str) -> tuple[list[str], list[list[str]]]:
+    """Heads and rows of all loads; yields where the area is known, by the corrected mass."""
+    units = units_of(system)
+    mass, area = units.mass_unit, units.area_unit
+    masses = (f"{name} {mass.name}" for name in ("measured", "dry", "again", "ticket", "corrected"))
+    heads = ["load", "field", "crop", *masses, f"area {area.name}", "yield"]
+    rows = []
+    for load in loads:
+        found = (load[key] for key in ("mass_kg", "dry_mass_kg", "posted_mass_kg", "ticket_mass_kg", "corrected_mass_kg"))
+        cells = [UNKNOWN if kg is None else f"{mass.of(kg):,.0f}" for kg in found]
+        cells.append(UNKNOWN if load["area_m2"] is None else f"{area.of(load['area_m2']):,.2f}")
+        known = units_of(system, crop=load["crop"])
+        cells.append(known.crop_yield(crop_yield_kg_m2(load["corrected_mass_kg"], load["area_m2"])))
+        rows.append([str(load["number"]), load["field"] or UNKNOWN, load["crop"] or UNKNOWN, *cells])
+    return heads, rows

@@ -6,10 +6,12 @@ import argparse
 import json
 import sys
 import time
+from dataclasses import replace
 from datetime import date
 from math import isfinite
 from pathlib import Path
 
+from yieldmon.cli._units import add_units
 from yieldmon.errors import InputError
 from yieldmon.field import harvest, loads, sources, summary
 from yieldmon.field.cleaning import NAMES, NEEDED
@@ -17,6 +19,7 @@ from yieldmon.field.products import FORMATS, write_products
 from yieldmon.field.sources.options import ReadOptions
 from yieldmon.field.swath import HeaderPlace
 from yieldmon.field.table import HarvestTable, joined
+from yieldmon.units import UnitSystem
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -46,6 +49,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--transport", action="store_true", help="undo the machine's smear of the flow, where that beats a plain smoother"
     )
+    add_units(parser, "metric")
     what = parser.add_argument_group("what the data do not say")
     what.add_argument("--flow-delay", type=float, metavar="S", help="instead of the estimate")
     what.add_argument("--moisture-delay", type=float, metavar="S", help="instead of the estimate")
@@ -82,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"{time.monotonic() - started:6.1f} s  {text}", file=sys.stderr, flush=True)
 
     table = _read([Path(name) for name in args.sources], read_options, progress)
-    result = harvest.make_map(table, map_options, progress)
+    result = replace(harvest.make_map(table, map_options, progress), system=UnitSystem(args.units or UnitSystem.METRIC))
     out.mkdir(parents=True, exist_ok=True)
     written = write_products(out, result, formats, args.grid, progress)
     document = summary.document(result) | {"files": [str(path) for path in written]}
@@ -111,10 +115,13 @@ def _tell(document: dict[str, object], result: harvest.HarvestMap) -> None:
     lines = [summary.delay_line(result.flow_delay, "flow"), summary.delay_line(result.moisture_delay, "moisture")]
     if result.transport is not None:
         lines.append(summary.transport_line(result.transport))
+    units = result.units
+    mass, crop_yield = units.mass_unit, units.yield_unit
+    middle, low, high = (crop_yield.of(value) for value in (totals.yield_kg_m2, totals.low_kg_m2, totals.high_kg_m2))
     lines.append(
-        f"{len(result.table)} points, {int(result.cleaned.kept.sum())} kept; {totals.corrected_kg:.0f} kg measured, "
-        f"{totals.by_reason.get('kept', 0.0):.0f} kg kept; {totals.area_m2 / 1e4:.2f} ha cut; "
-        f"{totals.yield_kg_m2 * 10:.2f} t/ha ({totals.low_kg_m2 * 10:.2f} to {totals.high_kg_m2 * 10:.2f})"
+        f"{len(result.table)} points, {int(result.cleaned.kept.sum())} kept; {mass.of(totals.corrected_kg):.0f} {mass.name} "
+        f"measured, {mass.of(totals.by_reason.get('kept', 0.0)):.0f} {mass.name} kept; {units.area(totals.area_m2)} cut; "
+        f"{middle:.2f} {crop_yield.name} ({low:.2f} to {high:.2f})"
     )
     for line in lines:
         print(f"yieldmon: {line}", file=sys.stderr)

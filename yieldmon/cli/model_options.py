@@ -15,16 +15,20 @@ from yieldmon.estimation.calibration import Measurements
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file
 from yieldmon.files.parameter_file import GRAIN_LIMITS
-from yieldmon.files.table import Table
+from yieldmon.files.table import LEAST_SPEED_RPM, Table
 from yieldmon.physics.effects import effect_parameter, get_effect
 from yieldmon.physics.grain import GRAIN
 from yieldmon.physics.machine import Machine
-from yieldmon.physics.model import Conditions
+from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
 from yieldmon.resources import shipped
 
 RESPONSE = "response"
 """response_unit of parameters fitted to a table of `response`; N, and kg m/s per paddle, go together as "N"."""
+
+_FORCE_FACTOR = 5.0
+_LEAST_MOMENTUM_KG_M_S = 0.05
+"""Below it an offset of the reading outweighs the grain."""
 
 
 def add_model_arguments(parser: argparse.ArgumentParser, default: str = parameter_file.DEFAULT) -> None:
@@ -137,6 +141,10 @@ def check_operating_points(flow_kg_s: np.ndarray, angle_deg: np.ndarray, speed_r
     check_each(flow_kg_s >= 0.0, flow_kg_s, "--mass-flow", "0 kg/s or more")
     check_each((angle_deg > 0.0) & (angle_deg < 180.0), angle_deg, "--plate-angle", "0 to 180 deg, both excluded")
     check_each((speed_rpm > 0.0) & (speed_rpm < np.inf), speed_rpm, "--elevator-speed", "above 0 rpm")
+    slow = f"{LEAST_SPEED_RPM:g} rpm or more, of the upper shaft: slower, no paddle throws"
+    check_each(speed_rpm >= LEAST_SPEED_RPM, speed_rpm, "--elevator-speed", slow)
+    if float(angle_deg.max()) <= np.pi:
+        raise InputError("--plate-angle", f"has nothing above {angle_deg.max():g}", "degrees; these look like radians")
 
 
 def numbers(texts: Sequence[str], option: str) -> Array:
@@ -195,6 +203,27 @@ def measurements(data: Table, machine: Machine, response_scale: float | None = N
         if getattr(conditions, name) is not None
     }
     return Measurements(Conditions(**chosen), values[usable], sigma[usable] if np.all(known) else None, np.flatnonzero(usable))
+
+
+def check_force(data: Table, rows: Measurements, machine: Machine) -> None:
+    """Raises InputError for readings in N or kg m/s that no grain can give, typically because of their unit.
+
+    Held against the shipped parameters: grains differ by a factor of two or less, a newton and a kilogram-force by ten.
+    """
+    if data.reading == RESPONSE:
+        return
+    known = parameter_file.load(shipped(parameter_file.DEFAULT))
+    predicted = ForwardModel(machine, known.effects).paddle_momentum(rows.conditions, known.values, overfull="nan").real
+    load = rows.columns()[2]
+    told = np.isfinite(predicted) & (load > 0.0) & (np.abs(predicted) > _LEAST_MOMENTUM_KG_M_S)
+    if not np.any(told):
+        return
+    ratio = float(np.median(rows.momentum[told] / predicted[told]))
+    if 1.0 / _FORCE_FACTOR <= ratio <= _FORCE_FACTOR:
+        return
+    unit = {"force_n": "newtons", "momentum_kg_m_s": "kg m/s for each paddle"}[data.reading]
+    hint = "; these look like kilograms-force (1 kgf is 9.807 N)" if 0.05 <= ratio <= 0.2 and data.reading == "force_n" else ""
+    raise InputError(f"{data.path}: {data.reading}", f"is {ratio:.2g} times that of grain on this machine", unit + hint)
 
 
 def check_unit(known: ParameterSet, data: Table) -> None:

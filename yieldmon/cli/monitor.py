@@ -1,4 +1,4 @@
-"""Live frame monitor: every frame decoded, with rate, age and count, and the mass flow large."""
+"""Live monitor: every frame decoded, with rate, age, bytes and range; or the cab's view of load, yield, flow and faults."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import json
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from math import inf
 from pathlib import Path
 
 import can
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.live import Live
 
 from yieldmon.bus.codec import Codec
@@ -22,13 +22,22 @@ from yieldmon.bus.opening import add_bus_arguments, open_bus_from
 from yieldmon.bus.replay import Schedule
 from yieldmon.bus.waiting import receive
 from yieldmon.cli import _outputs
+from yieldmon.cli._cab import DaemonLink, Status
+from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon, daemon_socket, mass
+from yieldmon.cli._units import add_units, units_of
 from yieldmon.errors import InputError
 from yieldmon.frames import Unusable
 from yieldmon.screen import keys
+from yieldmon.screen.cab import Cab, from_frames
+from yieldmon.screen.dialog import Dialog
 from yieldmon.screen.panels import ORDERS, Screen, View
 from yieldmon.screen.traffic import Row, Traffic
+from yieldmon.service.control import ControlError, ask
+from yieldmon.units import UnitSystem
 
 REFRESH_S = 0.25
+_UNBOUND_LINES = 24
+"""Beside the rows, where the output is no terminal."""
 Source = Iterator[can.Message | None]
 """Frames as they come; None where none came within a refresh period. Ends with a log."""
 
@@ -38,8 +47,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "monitor",
         help="watch the bus: every frame decoded, mass flow large",
-        description="Shows a bus, or a log at its own speed. Keys: q quit, space pause, s sort, / filter, j and k scroll, "
-        "r record to a log. Frames that are not ours are shown as bytes.",
+        description="Shows a bus, or a log at its own speed. Keys: q quit, space pause, s sort, / filter, j and k choose a row, "
+        "r record to a log, u units, c the cab's view and back. There l, t, z and w ask the daemon for a load, ticket, zero "
+        "or sweep, each after a question.",
         epilog="example: yieldmon monitor -i socketcan -c can0    or: yieldmon monitor drive.log --once --json",
     )
     parser.add_argument("log", nargs="?", metavar="LOG", help="show this log instead of a bus")
@@ -51,6 +61,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--filter", default="", metavar="TEXT", help="only rows whose name or identifier holds this")
     parser.add_argument("--record", type=Path, metavar="F", help="write every frame to this log (any format of python-can)")
     _outputs.add_force(parser, "record")
+    parser.add_argument("--cab", action="store_true", help="begin with the cab's view; without -i it needs a daemon alone")
+    add_units(parser, "the daemon's, else metric")
+    add_daemon_arguments(parser)
     add_bus_arguments(parser)
 
 
@@ -63,19 +76,21 @@ def run(args: argparse.Namespace) -> int:
     codec = Codec()
     traffic = Traffic(codec)
     with ExitStack() as stack:
-        source, view = _source(args, stack), View(args.sort, args.filter)
-        view.source = args.log or f"{args.interface or 'bus'} {args.channel or ''}".strip()
+        source, view = _source(args, stack), View(args.sort, args.filter, cab=args.cab)
+        interface, channel = getattr(args, "interface", None), getattr(args, "channel", None)
+        view.source = args.log or f"{interface or ('no bus' if args.cab else 'bus')} {channel or ''}".strip()
+        cab = _Cab(args, view, None if args.log or args.json or not _may_ask(args) else DaemonLink(daemon_socket(args)))
         record = _Recorder(stack)
         if args.record:
             view.recording = record.start(args.record)
         if args.once:
             _listen(source, traffic, record, time.monotonic() + (float("inf") if args.log else args.seconds))
             _refuse_empty(args.log, traffic)
-            _print_once(traffic, codec, view, args.json)
+            _print_once(traffic, codec, cab, args.json)
         elif args.json:
             _print_lines(source, traffic, codec, record)
         else:
-            _show(source, traffic, codec, view, record)
+            _show(source, traffic, codec, cab, record, stack)
         _refuse_empty(args.log, traffic)
     return 0
 
@@ -110,10 +125,73 @@ class _Recorder:
             self._logger.on_message_received(message)
 
 
+def _may_ask(args: argparse.Namespace) -> bool:
+    """Whether a screen is shown that a daemon may stand behind."""
+    return not args.once or args.cab
+
+
+class _Cab:
+    """The cab's view: the daemon's status, or what the frames tell, with the dialog of its keys."""
+
+    def __init__(self, args: argparse.Namespace, view: View, daemon: DaemonLink | None) -> None:
+        self.view = view
+        self.daemon = daemon
+        self.dialog = Dialog(mass)
+        self._system: str | None = args.units
+        self._status: Status | None = None
+
+    def look(self) -> None:
+        """Take what the daemon has said since."""
+        for news in self.daemon.news() if self.daemon is not None else ():
+            if isinstance(news, str):
+                self.dialog.tell(news)
+            else:
+                self._status = news
+
+    def know(self, status: Status) -> None:
+        """A status that was asked for."""
+        self._status = status
+
+    def screen(self, traffic: Traffic, codec: Codec) -> RenderableType:
+        """What to draw now."""
+        status = self._status
+        crop = status["crop"]["name"] if status is not None else ""
+        self.view.units = units_of(self._system, status["units"] if status is not None else "metric", crop)
+        if not self.view.cab:
+            return Screen(traffic, codec, self.view)
+        return Cab(status if status is not None else from_frames(traffic), self.view.units, self.dialog.prompt, self.view)
+
+    def press(self, key: str) -> str | None:
+        """Apply a key; what the caller has to do."""
+        if self.view.cab:
+            if key in ("q", "\x03") and not self.dialog.open:
+                return "quit"
+            asked = key in "ltzw" or self.dialog.open
+            request = self.dialog.press(key, self._status, self.view.units) if asked else None
+            if request is not None and self.daemon is not None:
+                self.daemon.request(request)
+            if asked or key not in "cu ":
+                return None
+        what = keys.press(self.view, key)
+        if what == "units":
+            self._system = str(UnitSystem.METRIC if self.view.units.system is UnitSystem.US else UnitSystem.US)
+            return None
+        return what
+
+
+def _no_bus() -> Source:
+    while True:
+        time.sleep(REFRESH_S)
+        yield None
+
+
 def _source(args: argparse.Namespace, stack: ExitStack) -> Source:
     if args.log:
         require_log(args.log)
         return _log_source(args.log, 0.0 if args.once else args.speed)
+    if args.cab and "interface" not in args:
+        ask_daemon(args, {"command": "status"})
+        return _no_bus()
     return _bus_source(stack.enter_context(open_bus_from(args)))
 
 
@@ -170,51 +248,56 @@ def _refreshes(source: Source, traffic: Traffic, record: _Recorder, act: Callabl
                 return
 
 
-def _show(source: Source, traffic: Traffic, codec: Codec, view: View, record: _Recorder) -> None:
-    screen = Screen(traffic, codec, view)
+def _show(source: Source, traffic: Traffic, codec: Codec, cab: _Cab, record: _Recorder, stack: ExitStack) -> None:
     console = Console()
-    with keys.raw_keys(), Live(screen, console=console, screen=True, auto_refresh=False) as live:
+    if cab.daemon is not None:
+        stack.enter_context(cab.daemon)
+    with keys.raw_keys(), Live(cab.screen(traffic, codec), console=console, screen=True, auto_refresh=False) as live:
 
         def act() -> bool:
+            cab.look()
             for key in keys.waiting():
-                match keys.press(view, key):
+                match cab.press(key):
                     case "quit":
                         return False
                     case "record":
-                        view.recording = record.toggle()
-            if not view.paused:
-                live.refresh()
+                        cab.view.recording = record.toggle()
+            if not cab.view.paused or cab.dialog.open:
+                live.update(cab.screen(traffic, codec), refresh=True)
             return True
 
         _refreshes(source, traffic, record, act)
 
 
 def _print_lines(source: Source, traffic: Traffic, codec: Codec, record: _Recorder) -> None:
-    told, told_frames = -float("inf"), 0
+    reported_s, reported_frames = -float("inf"), 0
 
-    def tell() -> None:
-        nonlocal told, told_frames
-        told, told_frames = traffic.now_s, traffic.frames
+    def report() -> None:
+        nonlocal reported_s, reported_frames
+        reported_s, reported_frames = traffic.now_s, traffic.frames
         print(json.dumps(_document(traffic, View())), flush=True)
 
     def act() -> bool:
-        if traffic.now_s - told >= 1.0 - 0.5 * REFRESH_S:
-            tell()
+        if traffic.now_s - reported_s >= 1.0 - 0.5 * REFRESH_S:
+            report()
         return True
 
     _refreshes(source, traffic, record, act)
-    if traffic.frames > told_frames:
+    if traffic.frames > reported_frames:
         traffic.mark(traffic.now_s)
-        tell()
+        report()
 
 
-def _print_once(traffic: Traffic, codec: Codec, view: View, as_json: bool) -> None:
+def _print_once(traffic: Traffic, codec: Codec, cab: _Cab, as_json: bool) -> None:
     if as_json:
-        print(json.dumps(_document(traffic, view), indent=2))
+        print(json.dumps(_document(traffic, cab.view), indent=2))
         return
+    if cab.daemon is not None:
+        with suppress(ControlError):
+            cab.know(ask(cab.daemon.path, {"command": "status"}))
     console = Console()
-    height = max(console.height, 8 + len(traffic.rows) + 2) if not sys.stdout.isatty() else console.height
-    console.print(Screen(traffic, codec, view), height=height)
+    height = max(console.height, _UNBOUND_LINES + len(traffic.rows)) if not sys.stdout.isatty() else console.height
+    console.print(cab.screen(traffic, codec), height=height)
 
 
 def _document(traffic: Traffic, view: View) -> dict[str, object]:

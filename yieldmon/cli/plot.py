@@ -13,16 +13,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from yieldmon.cli import _outputs, model_options
+from yieldmon.cli._units import add_units, units_of
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file, strict_yaml, table, whole_file
 from yieldmon.physics.machine import RPM
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
-from yieldmon.plots import canvas, curves, errors, flow, parameters, published, residuals, sensitivity, sweeps
+from yieldmon.plots import alignment, canvas, curves, errors, flow, parameters, published, residuals, sensitivity, sweeps
 from yieldmon.service import recorded
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Load, Ticket
+from yieldmon.units import Units
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,14 +46,17 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     record = _picture(kinds, "flow", _flow, "mass flow and accumulated mass, beside the truth or the tickets")
     record.add_argument("record", metavar="RECORD", help=RECORD_HELP)
     record.add_argument("--truth", metavar="F", help="CSV with time_s, mass_flow_kg_s, total_mass_kg (as simulate writes)")
+    _add_units(record)
 
     record = _picture(kinds, "errors", _errors, "error of the seconds by band of true flow")
     record.add_argument("record", metavar="RECORD", help=RECORD_HELP)
     record.add_argument("--truth", metavar="F", required=True, help="CSV with time_s, mass_flow_kg_s, total_mass_kg")
     record.add_argument("--bands", nargs="+", default=["1:29:4"], metavar="KG_S", help="edges (default: 1:29:4)")
+    _add_units(record)
 
     record = _picture(kinds, "sweeps", _sweeps, "force by plate angle in each sweep, and the flow around it")
     record.add_argument("record", metavar="RECORD", help=RECORD_HELP)
+    _add_units(record)
 
     record = _picture(kinds, "parameters", _parameters, "parameters over time with their 90 %% intervals")
     record.add_argument("record", metavar="STORE", help="a daemon's store (.sqlite, .db)")
@@ -64,7 +69,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     curve.add_argument("--elevator-speed", type=float, metavar="RPM", help="default: the machine's")
     curve.add_argument("--moisture", type=float, default=15.0, metavar="PCT", help="default: 15")
 
-    missed = _picture(kinds, "residuals", _residuals, "what the model misses, over plate angle and load")
+    missed = _picture(kinds, "residuals", _residuals, "model less measured, over plate angle and load")
     missed.add_argument("data", metavar="DATA.csv", help="measurement table with a load and a reading")
     model_options.add_model_arguments(missed)
 
@@ -98,6 +103,15 @@ def _picture(
     return parser
 
 
+def _add_units(parser: argparse.ArgumentParser) -> None:
+    add_units(parser, "metric")
+    parser.add_argument("--crop", default="", metavar="NAME", help="crop, for bushels")
+
+
+def _units(args: argparse.Namespace) -> Units:
+    return units_of(args.units, crop=args.crop)
+
+
 def _column(rows: list[SecondRow], name: str) -> Array:
     return np.array([np.nan if (value := getattr(row, name)) is None else value for row in rows], dtype=float)
 
@@ -125,8 +139,9 @@ def _beside(truth: tuple[Array, Array, Array], rows: list[SecondRow]) -> tuple[A
     """The truth in the record's time: a simulated log counts from --start-time, its truth from 0."""
     time_s = truth[0]
     if time_s[-1] < rows[0].time_s or time_s[0] > rows[-1].time_s:
-        # Windows and truth both end on full seconds, the first window a second or two into the log.
-        time_s = time_s + np.round(rows[-1].time_s - time_s[-1])
+        time_s = time_s + alignment.shift_s(
+            _column(rows, "time_s"), _column(rows, "mass_flow_kg_s"), time_s, truth[1]
+        )
     return time_s, truth[1], truth[2]
 
 
@@ -139,7 +154,8 @@ def _flow(args: argparse.Namespace) -> Figure:
             weighed = _weighed(store.loads(), store.tickets())
     names = ("time_s", "mass_flow_kg_s", "std_dev_kg_s", "total_kg")
     time_s, rate, spread, total = (_column(rows, name) for name in names)
-    return flow.draw(time_s, rate, spread, total, truth, weighed, _column(rows, "factory_mass_flow_kg_s"))
+    factory = _column(rows, "factory_mass_flow_kg_s")
+    return flow.draw(time_s, rate, spread, total, truth, weighed, factory, _units(args))
 
 
 def _weighed(loads: list[Load], tickets: list[Ticket]) -> list[tuple[float, float, float]]:
@@ -158,7 +174,11 @@ def _errors(args: argparse.Namespace) -> Figure:
     edges = model_options.numbers(args.bands, "--bands")
     if len(edges) < 2 or np.any(np.diff(edges) <= 0.0):
         raise InputError("--bands", f"is {' '.join(args.bands)!r}", "two or more rising numbers")
-    return errors.draw(true, _column(rows, "mass_flow_kg_s"), edges)
+    edge = errors.at_edges(seconds, time_s, rate)
+    measured = _column(rows, "mass_flow_kg_s")
+    edge &= np.isfinite(measured)
+    measured[edge] = np.nan
+    return errors.draw(true, measured, edges, units=_units(args), left_out=int(np.count_nonzero(edge)))
 
 
 def _sweeps(args: argparse.Namespace) -> Figure:
@@ -168,7 +188,8 @@ def _sweeps(args: argparse.Namespace) -> Figure:
     names = ("time_s", "plate_angle_deg", "force_n", "force_std_dev_n", "mass_flow_kg_s")
     columns = [_column(rows, name) for name in names]
     sweep_id = np.array([row.sweep_id for row in rows])
-    return sweeps.draw(sweep_id, np.array([bool(row.usable_for_calibration) for row in rows]), *columns)
+    usable = np.array([bool(row.usable_for_calibration) for row in rows])
+    return sweeps.draw(sweep_id, usable, *columns, _units(args))  # type: ignore[call-arg,arg-type]
 
 
 def _parameters(args: argparse.Namespace) -> Figure:
@@ -224,7 +245,7 @@ def _residuals(args: argparse.Namespace) -> Figure:
     data = table.load(args.data)
     model_options.check_unit(known, data)
     rows = model_options.measurements(data, model.machine)
-    missed = rows.momentum - np.real(model.paddle_momentum(rows.conditions, known.values))
+    missed = np.real(model.paddle_momentum(rows.conditions, known.values)) - rows.momentum
     label = "mass flow, kg/s" if data.load == "mass_flow_kg_s" else "mass on a paddle, kg"
     angle, _, load, _ = rows.columns()
     return residuals.draw(np.degrees(angle), load, label, 100.0 * missed / np.abs(rows.momentum).max())

@@ -14,7 +14,6 @@ from yieldmon.errors import InputError
 from yieldmon.physics.machine import RPM
 from yieldmon.physics.model import Conditions, ForwardModel
 
-PUBLISHED_EXAMPLE = "config/parameters/published-example.yaml"
 COLUMNS = ("mass_flow_kg_s", "plate_angle_deg", "elevator_speed_rpm", "paddle_mass_kg", "paddle_momentum_kg_m_s", "force_n")
 
 
@@ -29,7 +28,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--plate-angle", nargs="+", metavar="DEG", help="e.g. 40:90:5 (deg); default: home")
     parser.add_argument("--elevator-speed", nargs="+", metavar="RPM", help="default: the machine's nominal speed")
     parser.add_argument("--moisture", type=float, metavar="PCT", help="for effects that need it (%%)")
-    model_options.add_model_arguments(parser, PUBLISHED_EXAMPLE)
+    model_options.add_model_arguments(parser)
     parser.add_argument("--json", action="store_true", help='one JSON document, {"rows": [...]}; default: CSV')
 
 

@@ -3,35 +3,38 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import multiprocessing
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
-from yieldmon.bus.codec import Codec
+from yieldmon.bus import mf4
 from yieldmon.bus.logs import SUFFIXES
 from yieldmon.cli import _outputs
-from yieldmon.engine.faults import FaultCode
-from yieldmon.engine.monitor import Monitor
-from yieldmon.engine.zero import ZeroState
+from yieldmon.cli._units import add_units, units_of
+from yieldmon.documents import ProcessSummary, ReprocessSummary
 from yieldmon.errors import InputError
+from yieldmon.files import parameter_file
 from yieldmon.resources import shipped
-from yieldmon.service import configuration
-from yieldmon.service.assembly import monitor_of
-from yieldmon.service.bulk_processing import EndOfLog, Stretch, process_in_bulk
+from yieldmon.service import configuration, log_record, recorded
+from yieldmon.service.bulk_processing import EndOfLog, Stretch
 from yieldmon.service.factory_comparison import FactoryComparison
-from yieldmon.service.processing import Summary
+from yieldmon.service.log_record import Progress
+from yieldmon.service.record_check import RecordCheck, record_lines
+from yieldmon.service.reprocessing import loads_of_rows, measured_again
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.tables import FORMATS, open_table
+from yieldmon.service.weighed_loads import is_store
+from yieldmon.units import Units
 
-Progress = Callable[[Stretch | EndOfLog], None]
+_LONGEST_DELAY_S = 60
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -42,7 +45,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description=__doc__,
         epilog="example: yieldmon process monday-*.log.gz --out monday.parquet --json",
     )
-    parser.add_argument("logs", nargs="+", metavar="LOG", help="candump or any log of python-can; several are one record")
+    parser.add_argument(
+        "logs", nargs="+", metavar="LOG", help="candump or any log of python-can; several are one record; or a daemon's store"
+    )
+    parser.add_argument("--params", metavar="F", help="parameter file; default: the configuration's; of a store its newest")
     parser.add_argument("--config", metavar="F", help="configuration (YAML); default: the shipped one")
     parser.add_argument(
         "--out",
@@ -53,13 +59,43 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--format", choices=[kind[1:] for kind in FORMATS], help="kind of table; default: by the name's ending")
     parser.add_argument("--separate", action="store_true", help="each log is a record of its own, with a table of its own")
     parser.add_argument("--jobs", type=int, metavar="N", default=os.cpu_count() or 1, help="processes (default: one a core)")
-    parser.add_argument("--zero-mv", type=float, metavar="MV", help="zero-load voltage of a log that begins in grain")
+    parser.add_argument("--zero-mv", type=float, metavar="MV", help="zero-load voltage of a log that begins in grain, or a store")
+    parser.add_argument(
+        "--delay", type=int, metavar="S", default=0, help="of a store: place and ground speed belong to the flow S seconds later"
+    )
+    add_units(parser, "the configuration")
     parser.add_argument("--json", action="store_true", help="print a summary as one JSON document")
     _outputs.add_force(parser, "out")
 
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 when every log was read to its end, damaged places aside."""
+    _check(args)
+    config = args.config if args.config is not None else shipped("config/yieldmon.yaml")
+    loaded = configuration.load(config)
+    for note in loaded.notes:
+        print(f"note: {note}", file=sys.stderr)
+    if args.params is not None:
+        loaded = replace(loaded, parameters=parameter_file.load(args.params))
+    units = units_of(args.units, loaded.document.units, loaded.parameters.provenance.get("crop", ""))
+    if any(is_store(log) for log in args.logs):
+        return _store_again(args, loaded, units)
+    if args.delay:
+        raise InputError("--delay", "is of no use with a log", "a store; with the table of a log `yieldmon export --flow-delay`")
+    _refuse_copies(args.logs)
+    if args.separate:
+        return _separately(args, config, units)
+    with _progress(args.logs) as progress, _says_what_is_kept(args.out):
+        document = _one_record(args.logs, args.out, args.format, loaded, args.jobs > 1, progress, args.zero_mv)
+    if args.json:
+        print(json.dumps(document, indent=2))
+    else:
+        print(_line(document, units), file=sys.stderr)
+    return 0
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Raises InputError for arguments that do not go together, ModuleNotFoundError for a log that needs an extra."""
     if args.json and args.out == "-":
         raise InputError("--json", "standard output is taken by --out -", "a file for --out")
     resolved = [Path(log).resolve() for log in args.logs]
@@ -68,22 +104,69 @@ def run(args: argparse.Namespace) -> int:
             raise InputError(args.logs[index], "is named twice, which would double its mass", "each log once")
     if args.zero_mv is not None and not 0.0 <= args.zero_mv <= 100_000.0:
         raise InputError("--zero-mv", f"is {args.zero_mv:g}", "0 to 100000 mV, as a table of an earlier log has it (zero_mv)")
+    if any(".mf4" in path.suffixes for path in resolved):
+        # Here, where a package that is not installed costs one line: processes that read would print tracebacks.
+        mf4.provide()
     if args.jobs < 1:
         raise InputError("--jobs", f"is {args.jobs}", "a whole number from 1")
-    config = args.config if args.config is not None else shipped("config/yieldmon.yaml")
-    loaded = configuration.load(config)
-    if args.separate:
-        return _separately(args, config)
-    with _progress(args.logs) as progress:
-        document = _one_record(args.logs, args.out, args.format, loaded, args.jobs > 1, progress, args.zero_mv)
+
+
+def _store_again(args: argparse.Namespace, loaded: configuration.Configuration, units: Units) -> int:
+    """A store's seconds, measured again with what is known of them."""
+    if len(args.logs) > 1 or args.separate:
+        raise InputError("LOG", "names a store beside others", "one store alone")
+    if not 0 <= args.delay <= _LONGEST_DELAY_S:
+        raise InputError("--delay", f"is {args.delay}", f"0 to {_LONGEST_DELAY_S} s")
+    if args.params is None and args.zero_mv is None and not args.delay:
+        raise InputError(args.logs[0], "is a store, measured already", "--params, --zero-mv or --delay to measure it again")
+    rows = recorded.read_seconds(args.logs[0])
+    parameters = loaded.parameters
+    if args.params is None:
+        with recorded.opened(Path(args.logs[0])) as store:
+            versions = store.parameter_versions()
+        if not versions:
+            raise InputError(args.logs[0], "holds no parameters", "--params")
+        parameters = parameter_file.from_document(versions[-1].document, args.logs[0])
+    found = measured_again(
+        rows, loaded.machine, parameters, loaded.engine, zero_mv=args.zero_mv, delay_s=args.delay
+    )
+    with open_table(args.out, f".{args.format}" if args.format else None) as table:
+        for row in found.rows:
+            table.write(row)
+    loads = loads_of_rows(rows, found.rows)
     if args.json:
+        document: ReprocessSummary = {
+            "windows": len(rows), "before_mass_kg": found.before_kg, "total_mass_kg": found.after_kg, "loads": loads,
+            "seconds_unusable": found.unusable,
+        }  # fmt: skip
         print(json.dumps(document, indent=2))
-    else:
-        print(_line(document), file=sys.stderr)
+        return 0
+    before, after = units.mass_with_bushels(found.before_kg), units.mass_with_bushels(found.after_kg)
+    print(f"{len(rows)} s, {after}; as measured {before}", file=sys.stderr)
+    for load in loads:
+        now, was = units.mass(load["after_kg"]), units.mass(load["before_kg"])
+        print(f"load {load['load']}: {now}; as measured {was}", file=sys.stderr)
+    if found.unusable:
+        print(f"{found.unusable} s without a known force, angle or speed stay as they were", file=sys.stderr)
     return 0
 
 
-def _separately(args: argparse.Namespace, config: str | Path) -> int:
+def _refuse_copies(logs: list[str]) -> None:
+    """Raises InputError for logs of the same content."""
+    known: dict[tuple[int, str], str] = {}
+    for log in logs if len(logs) > 1 else []:
+        path = Path(log)
+        if not path.is_file():
+            continue
+        with path.open("rb") as stream:
+            digest = hashlib.file_digest(stream, "sha256").hexdigest()
+        key = path.stat().st_size, digest
+        if key in known:
+            raise InputError(log, f"is a copy of {known[key]}, which would double its mass", "each log once")
+        known[key] = log
+
+
+def _separately(args: argparse.Namespace, config: str | Path, units: Units) -> int:
     if args.out == "-":
         raise InputError("--out", "is standard output", "a folder, with --separate")
     folder, kind = Path(args.out), args.format or "csv"
@@ -92,32 +175,39 @@ def _separately(args: argparse.Namespace, config: str | Path) -> int:
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError("--separate", f"several logs are named {twice}", "logs whose names differ")
     folder.mkdir(parents=True, exist_ok=True)
-    work = partial(_separate_record, folder=folder, kind=kind, config=config, zero_mv=args.zero_mv)
+    work = partial(_separate_record, folder=folder, kind=kind, config=config, params=args.params, zero_mv=args.zero_mv)
     context = multiprocessing.get_context("fork")
-    documents: dict[str, Any] = {}
-    with _progress(args.logs) as progress, context.Pool(min(args.jobs, len(args.logs)), _leave_interrupts) as pool:
+    documents: dict[str, ProcessSummary] = {}
+    with (
+        _says_what_is_kept(args.out, documents),
+        _progress(args.logs) as progress,
+        context.Pool(min(args.jobs, len(args.logs)), _leave_interrupts) as pool,
+    ):
         for log, (document, error) in zip(args.logs, pool.imap(work, args.logs), strict=True):
-            if error is not None:
+            if document is None:
+                assert error is not None, "a record has its summary or an error"
                 raise InputError(*error)
             documents[log] = document
             if progress is not None:
                 progress(EndOfLog(log, []))
             if not args.json:
-                print(f"{log}: {_line(document)}", file=sys.stderr)
+                print(f"{log}: {_line(document, units)}", file=sys.stderr)
     if args.json:
         print(json.dumps(documents, indent=2))
     return 0
 
 
 def _separate_record(
-    log: str, folder: Path, kind: str, config: str | Path, zero_mv: float | None
-) -> tuple[dict[str, Any], tuple[str, str, str] | None]:
+    log: str, folder: Path, kind: str, config: str | Path, params: str | None, zero_mv: float | None
+) -> tuple[ProcessSummary | None, tuple[str, str, str] | None]:
     """The record's summary, or what InputError was raised with."""
     try:
         loaded = configuration.load(config)
+        if params is not None:
+            loaded = replace(loaded, parameters=parameter_file.load(params))
         return _one_record([log], str(folder / f"{_stem(log)}.{kind}"), kind, loaded, False, None, zero_mv), None
     except InputError as error:
-        return {}, (error.where, error.problem, error.expected)
+        return None, (error.where, error.problem, error.expected)
 
 
 def _leave_interrupts() -> None:
@@ -137,50 +227,52 @@ def _one_record(
     reads_ahead: bool,
     progress: Progress | None,
     zero_mv: float | None,
-) -> dict[str, Any]:
-    monitor = monitor_of(loaded)
-    if zero_mv is not None:
-        known = ZeroState(
-            zero_mv, zero_mv, loaded.machine.nominal_elevator_speed_rad_s, loaded.engine.zero.first_pulse_limit_mv
-        )
-        monitor.restore(replace(monitor.snapshot(), zero=known))
-    factory = FactoryComparison()
+) -> ProcessSummary:
+    factory, check = FactoryComparison(), RecordCheck()
     with open_table(out, f".{kind}" if kind else None) as table:
 
         def take(row: SecondRow) -> None:
             table.write(row)
             factory.take(row)
+            check.take(row)
 
-        summary = process_in_bulk(
-            logs, monitor, Codec(), take, signals=loaded.signals, reads_ahead=reads_ahead, progress=progress
-        )
-    return _document(summary, monitor) | ({"factory": factory.document} if factory.document is not None else {})
-
-
-def _document(summary: Summary, monitor: Monitor) -> dict[str, Any]:
-    totals = monitor.totals
-    return {
-        "frames": summary.frames,
-        "frames_of_ours": summary.ours,
-        "frames_malformed": summary.malformed,
-        "windows": summary.windows,
-        "total_mass_kg": totals.total_kg,
-        "dry_mass_kg": totals.total_dry_kg if totals.total_unknown_moisture_kg == 0.0 else None,
-        "faults": {code.value: count for code in FaultCode if (count := monitor.faults.occurrences(code))},
-        "damages": summary.damages,
-        "zero_known": monitor.snapshot().zero is not None,
-    }
+        measured = log_record.measure(logs, loaded, take, zero_mv=zero_mv, reads_ahead=reads_ahead, progress=progress)
+    document = log_record.document(*measured)
+    document |= {
+        "gaps": check.gaps, "gap_s": check.gap_s, "overlap_s": check.overlap_s, "overlap_kg": check.overlap_kg,
+        "missing": check.missing,
+    }  # fmt: skip
+    if factory.document is not None:
+        document["factory"] = factory.document
+    return document
 
 
-def _line(document: dict[str, Any]) -> str:
-    line = f"{document['frames']} frames, {document['windows']} s, {document['total_mass_kg']:.1f} kg"
+@contextmanager
+def _says_what_is_kept(out: str, done: Mapping[str, object] | None = None) -> Iterator[None]:
+    """One line at Ctrl-C; done: the records whose tables are in the folder `out`."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        kept = f"{out} is not written" if done is None else f"{out} holds the tables of {len(done)} logs"
+        print(f"yieldmon: interrupted; {'the table is incomplete' if out == '-' else kept}", file=sys.stderr)
+        raise
+
+
+def _line(document: ProcessSummary, units: Units) -> str:
+    line = f"{document['frames']} frames, {document['windows']} s, {units.mass_with_bushels(document['total_mass_kg'])}"
+    if document["dry_mass_kg"] is not None and document["total_mass_kg"] > 0.0:
+        line += f" ({units.mass_with_bushels(document['dry_mass_kg'])} dry)"
+    if document["area_m2"] is not None:
+        line += f" on {units.area(document['area_m2'])}, {units.crop_yield(document['yield_kg_m2'])}"
     line += f", {document['frames_malformed']} malformed frames" if document["frames_malformed"] else ""
     lines = [line, *(f"damaged: {damage}" for damage in document["damages"])]
     if document["faults"]:
         lines.append("faults: " + ", ".join(f"{code} {count} x" for code, count in document["faults"].items()))
+    lines += record_lines(document)
     if not document["zero_known"]:
         lines.append(
-            "no mass: the log has no stretch with the elevator running empty, so there is no zero; --zero-mv gives a known one"
+            "no mass: the log begins in grain, with no stretch of the elevator running empty, so there is no zero; --zero-mv "
+            "gives a known one, as the table of an earlier log or `yieldmon status` has it"
         )
     return "\n".join(lines)
 

@@ -31,7 +31,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "replay",
         help="log onto a bus with its own timing",
         description="Sends the frames of one or more logs, one after the other, with the logs' own timing. Error frames are "
-        "not sent, CAN FD frames only with --fd. Damaged places are told and passed over.",
+        "not sent, CAN FD frames only with --fd. Damaged records are reported and skipped.",
         epilog="example: yieldmon replay drive.log -i socketcan -c vcan0 --inputs-only --skip-gaps 10",
     )
     parser.add_argument("logs", nargs="+", metavar="LOG", help=".log .asc .blf .csv .db .mf4 .trc, each also with .gz")
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     )
     if not selection.from_s < selection.to_s:
         raise InputError("--to", f"is {args.to_s:g}", f"more than --from, {args.from_s:g}")
-    notes = LogNotes(on_damage=_tell_damage_sparingly())
+    notes = LogNotes(on_damage=_sparing_damage_report())
     progress = Progress()
     codec = Codec()
 
@@ -127,17 +127,17 @@ def _open_buses(args: argparse.Namespace, channels: dict[str, str], stack: ExitS
     return {source: opened[target] for source, target in channels.items()}
 
 
-def _tell_damage_sparingly() -> Callable[[Damage], None]:
-    told = count(1)
+def _sparing_damage_report() -> Callable[[Damage], None]:
+    reported = count(1)
 
-    def tell(damage: Damage) -> None:
-        number = next(told)
+    def report(damage: Damage) -> None:
+        number = next(reported)
         if number <= _DAMAGES_SHOWN:
             print(f"yieldmon: {damage}", file=sys.stderr)
         elif number == _DAMAGES_SHOWN + 1:
             print("yieldmon: further damaged places are counted only", file=sys.stderr)
 
-    return tell
+    return report
 
 
 class _Line:

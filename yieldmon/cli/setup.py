@@ -21,10 +21,12 @@ from yieldmon.service import configuration
 CONFIGURATION, MACHINE, RECORD = "yieldmon.yaml", "machine.yaml", "setup-record.yaml"
 AFTER = """\
 Next, on the machine:
-  1. start the daemon with the elevator running empty for 20 s: it learns the zero and
-     the vibration (yieldmon status shows "zeroing" until it has)
+  1. start the daemon with the elevator running empty for 20 s: it learns the
+     zero and the vibration (until then yieldmon status shows "zeroing", and
+     what it waits for)
   2. harvest a load and weigh it; two more at other flows
-  3. yieldmon calibrate --loads STORE --tickets tickets.csv --out {parameters}.new.yaml"""
+  3. yieldmon calibrate --loads STORE --tickets tickets.csv \\
+         --out {parameters}.new.yaml"""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

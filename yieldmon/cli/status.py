@@ -5,14 +5,17 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from yieldmon import units as read
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
+from yieldmon.cli._units import add_units, units_of
+from yieldmon.units import Units
 
 _SHOWN_WINDOWS = 5
 
@@ -25,6 +28,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         epilog="example: yieldmon status --json",
     )
     add_daemon_arguments(parser)
+    add_units(parser, "the daemon's configuration")
     parser.add_argument("--json", action="store_true", help="print everything as one JSON document")
 
 
@@ -35,30 +39,31 @@ def run(args: argparse.Namespace) -> int:
         json.dump(status, sys.stdout, indent=2)
         print()
     else:
-        _show(status, Console(highlight=False, markup=False, emoji=False))
+        units = units_of(args.units, status["units"], status["crop"]["name"])
+        _show(status, units, Console(highlight=False, markup=False, emoji=False))
     return 0
 
 
-def _show(status: Mapping[str, Any], console: Console) -> None:
+def _show(status: Mapping[str, Any], units: Units, console: Console) -> None:
     load, total, bus, store = (status[key] for key in ("load", "total", "bus", "store"))
     sweep, parameters = status["sweep"], status["parameters"]
     facts = Table(show_header=False, box=None, pad_edge=False)
-    names = " ".join(name for name in (load["field"], load["crop"]) if name)
     dropped = bus["dropped"] + bus["kernel_drops"]
     state = f"{status['state'].replace('_', ' ')}, up {_span(status['uptime_s'])}"
     facts.add_row("state", f"STALE, as it was {_span(status['age_s'])} ago: {state}" if status["stale"] else state)
-    facts.add_row(
-        "load",
-        f"{load['number']}{'' if load['open'] else ' (closed)'} {names}: {load['mass_kg']:.1f} kg, "
-        f"dry {_mass(load['dry_mass_kg'])}",
-    )
+    if status["zero_waits_for"]:
+        facts.add_row("zero", f"waits for {status['zero_waits_for']}")
+    facts.add_row("now", _now(status["now"], units))
+    for name, text in _load(load, status["crop"], units):
+        facts.add_row(name, text)
     contested_kg = total["contested_mass_kg"]
-    apart = f", and {contested_kg:.1f} kg contested (more than one node sent samples)" if contested_kg else ""
-    facts.add_row("total", f"{total['mass_kg']:.1f} kg{apart}")
+    apart = f", and {units.mass(contested_kg)} contested (more than one node sent samples)" if contested_kg else ""
+    facts.add_row("total", f"{units.mass(total['mass_kg'])}{apart}")
     facts.add_row(
         "bus",
         f"{bus['interface']} {bus['channel']}: {bus['frames_per_s']:.0f} frames/s, {dropped} dropped, "
-        f"{bus['error_frames']} error frames, {bus['sent']} sent, {bus['late'] + bus['refused']} not sent",
+        f"{bus['error_frames']} error frames, {bus['sent']} sent, {bus['late'] + bus['refused']} not sent; "
+        f"time stamps: {bus['time_stamps']}",
     )
     facts.add_row("store", f"{store['file']}: {store['failing'] or store['note'] or 'writing'}, {store['pending']} waiting")
     facts.add_row("sweep", f"{sweep['state'].replace('_', ' ')}, {_due(sweep['due_in_s'])}, {sweep['sweeps']} so far")
@@ -70,10 +75,14 @@ def _show(status: Mapping[str, Any], console: Console) -> None:
     facts.add_row("reload", status["configuration"]["reload"])
     console.print(facts)
     if status["windows"]:
-        windows = Table("window", "flow kg/s", "± kg/s", "quality", "force N", "plate deg", "speed rpm", "lost", box=None)
+        flow = units.flow_unit
+        windows = Table(
+            "window", f"flow {flow.name}", f"± {flow.name}", "quality", "force N", "plate deg", "speed rpm", "lost", box=None
+        )
         for row in status["windows"][-_SHOWN_WINDOWS:]:
-            numbers = ("mass_flow_kg_s", "std_dev_kg_s", "quality", "force_n", "plate_angle_deg", "elevator_speed_rpm")
-            windows.add_row(str(row["number"]), *(_cell(row[key]) for key in numbers), str(row["lost_frames"]))
+            flows = (_number(row[key], flow.si) for key in ("mass_flow_kg_s", "std_dev_kg_s"))
+            numbers = (_number(row[key]) for key in ("force_n", "plate_angle_deg", "elevator_speed_rpm"))
+            windows.add_row(str(row["number"]), *flows, row["quality"].replace("_", " "), *numbers, str(row["lost_frames"]))
         console.print(windows)
     for fault in status["faults"]:
         detail = f" ({fault['detail']})" if fault["detail"] else ""
@@ -82,14 +91,34 @@ def _show(status: Mapping[str, Any], console: Console) -> None:
         console.print("no faults")
 
 
-def _cell(value: float | str | None) -> str:
-    if value is None:
-        return "-"
-    return value.replace("_", " ") if isinstance(value, str) else f"{value:.2f}"
+def _now(now: Mapping[str, Any], units: Units) -> str:
+    parts = [units.flow(now["mass_flow_kg_s"]) if now["mass_flow_kg_s"] is not None else "no flow"]
+    if now["yield_kg_m2"] is not None:
+        parts.append(units.crop_yield(now["yield_kg_m2"]))
+    if now["moisture_pct"] is not None:
+        parts.append(f"moisture {read.moisture(now['moisture_pct'])}")
+    if now["ground_speed_m_s"] is not None:
+        parts.append(units.speed(now["ground_speed_m_s"]))
+    return ", ".join(parts)
 
 
-def _mass(mass_kg: float | None) -> str:
-    return "not known" if mass_kg is None else f"{mass_kg:.1f} kg"
+def _load(load: Mapping[str, Any], crop: Mapping[str, Any], units: Units) -> Iterator[tuple[str, str]]:
+    """The load's rows: its masses, and its area and yields where they are known."""
+    names = " ".join(name for name in (load["field"], load["crop"]) if name)
+    spread = load["std_dev_kg"]
+    around = f" ± {units.mass(spread)}" if spread is not None else ""
+    dry = "not known" if load["dry_mass_kg"] is None else units.mass_with_bushels(load["dry_mass_kg"])
+    at = f" at {crop['market_moisture_pct']:g} %"
+    title = f"{load['number']}{'' if load['open'] else ' (closed)'}{' ' if names else ''}{names}"
+    yield "load", f"{title}: {units.mass_with_bushels(load['mass_kg'])}{around} wet, dry {dry}{at}"
+    if load["area_m2"] is not None:
+        dry_yield = load["dry_yield_kg_m2"]
+        text = f"{units.area(load['area_m2'])}, {units.crop_yield(load['yield_kg_m2'])} wet"
+        yield "", text + (f", {units.crop_yield(dry_yield)} dry" if dry_yield is not None else "")
+
+
+def _number(value: float | None, unit_si: float = 1.0) -> str:
+    return read.UNKNOWN if value is None else read.rounded(value / unit_si)
 
 
 def _due(seconds: float | None) -> str:

@@ -1,7 +1,7 @@
-"""Correct one or several past loads by a weighed mass.
+"""Correct one or several past loads by a weighed mass, list the tickets, or take one back.
 
 What was measured stays on record beside the correction. A ticket for loads that the running daemon measured also becomes a
-reference mass for its calibration.
+reference mass for its calibration, and the loads of the day are measured again with the new parameters.
 """
 
 from __future__ import annotations
@@ -11,6 +11,8 @@ import json
 import sys
 
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon, mass
+from yieldmon.cli._records import back, show, undone, when
+from yieldmon.cli._units import add_units, units_of
 from yieldmon.errors import InputError
 
 #: A correction beyond this is a wrong unit or load rather than a drifted calibration.
@@ -22,19 +24,24 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "ticket", help="correct past loads by a weighed mass",
         description=__doc__,
-        epilog="example: yieldmon ticket 3-5 27.4t --note \"elevator scale\"",
+        epilog="example: yieldmon ticket 3-5 27.4t    also: yieldmon ticket list, and yieldmon ticket undo 2",
     )
-    parser.add_argument("loads", metavar="LOAD", help="number of the load, or FIRST-LAST for several on one ticket")
-    parser.add_argument("mass", metavar="MASS", help="weighed mass: 9120, 9120kg or 9.12t")
+    parser.add_argument("loads", metavar="LOAD|list|undo", help="number of the load, or FIRST-LAST for several on one ticket")
+    parser.add_argument("mass", metavar="MASS|N", nargs="?", help="weighed mass: 9120, 9120kg, 9.12t or 20106lb; undo: a ticket")
     parser.add_argument("--std-dev", metavar="MASS", help="standard deviation of the weighing (default: 0.5 %% of it)")
     parser.add_argument("--note", help="a note to keep with it")
     add_daemon_arguments(parser)
+    add_units(parser, "the daemon's configuration")
     parser.add_argument("--json", action="store_true", help="print the answer as one JSON document")
 
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 when the ticket was taken."""
+    if args.loads in ("list", "undo"):
+        return _listed(args) if args.loads == "list" else _undone(args)
     first, last = _loads(args.loads)
+    if args.mass is None:
+        raise InputError("MASS", "is missing", "the weighed mass: 9120, 9120kg or 9.12t")
     request = {"command": "ticket", "first_load": first, "last_load": last, "mass_kg": mass(args.mass), "note": args.note}
     if args.std_dev is not None:
         request["std_dev_kg"] = mass(args.std_dev)
@@ -50,10 +57,43 @@ def run(args: argparse.Namespace) -> int:
     else:
         why_not = "no reference: not measured whole since the last start or reload"
         use = "a reference for the calibration" if answer["anchor"] else why_not
-        print(
-            f"{which}: measured {answer['measured_mass_kg']:.1f} kg, weighed "
-            f"{answer['weighed_mass_kg']:.1f} kg ({change_pct:+.2f} %); {use}"
+        units = units_of(args.units, answer.get("units", "metric"), answer.get("crop", ""))
+        measured, weighed = (units.mass_with_bushels(answer[key]) for key in ("measured_mass_kg", "weighed_mass_kg"))
+        print(f"{which}: measured {measured}, weighed {weighed} ({change_pct:+.2f} %); {use}")
+        if answer["anchor"]:
+            print("the loads of the last 24 h are measured again with what it teaches: `yieldmon load list`")
+    return 0
+
+
+def _listed(args: argparse.Namespace) -> int:
+    if args.mass is not None:
+        raise InputError("ticket list", f"{args.mass!r} has no meaning here", "no further word")
+    answer = ask_daemon(args, {"command": "tickets"})
+    if args.json:
+        print(json.dumps(answer, indent=2))
+        return 0
+    rows = (
+        (
+            str(t["number"]), when(t["time_s"]), t["who"] or "-",
+            str(t["first_load"]) if t["first_load"] == t["last_load"] else f"{t['first_load']}-{t['last_load']}",
+            f"{t['measured_mass_kg']:.1f}", f"{t['weighed_mass_kg']:.1f}", undone(t["undone_s"], t["undone_by"]),
+            t["note"] or "-",
         )
+        for t in answer["tickets"]
+    )  # fmt: skip
+    show(("ticket", "entered", "by", "loads", "measured kg", "weighed kg", "undone", "note"), rows)
+    return 0
+
+
+def _undone(args: argparse.Namespace) -> int:
+    if args.mass is None or not args.mass.isdecimal():
+        given = "no number" if args.mass is None else f"is {args.mass!r}"
+        raise InputError("ticket undo", given, "the number of a ticket, as `yieldmon ticket list` shows it")
+    answer = ask_daemon(args, {"command": "ticket-undo", "ticket": int(args.mass)})
+    if args.json:
+        print(json.dumps(answer, indent=2))
+        return 0
+    print(f"ticket {answer['ticket']} undone" + (f"; {back(answer)}" if "undone" in answer else ""))
     return 0
 
 
@@ -61,4 +101,6 @@ def _loads(text: str) -> tuple[int, int]:
     first, dash, last = text.partition("-")
     if not first.isdecimal() or (dash and not last.isdecimal()):
         raise InputError("LOAD", repr(text), "a number such as 7, or FIRST-LAST such as 7-9")
+    if dash and int(last) < int(first):
+        raise InputError("LOAD", repr(text), "the first load before the last, such as 7-9")
     return int(first), int(last) if dash else int(first)

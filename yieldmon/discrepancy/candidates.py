@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from yieldmon.physics.effects import registry
+from yieldmon.physics.effects import laws, registry
 from yieldmon.physics.grain import evenly
 from yieldmon.physics.numerics import Array, real
 
@@ -56,6 +56,11 @@ def library(frame: Frame, without: Iterable[str] = ()) -> tuple[str, ...]:
     if not np.all(np.isfinite(frame.cells.moisture_pct)):
         out = [name for name in out if registry()[name].stage != "crop"]
     return tuple(out)
+
+
+def lawful(effects: Iterable[str]) -> tuple[str, ...]:
+    """Every law of the effects; an effect given by one of its laws stands for itself alone."""
+    return tuple(law for e in effects for law in (laws(e) if e in registry() else (e,)))
 
 
 def signature(current: Fit, effect: str) -> Signature:
@@ -114,7 +119,9 @@ def score(current: Fit, drawn: Signature) -> Score:
     return Score(drawn.effect, best_gain, best)
 
 
-def refit(current: Fit, found: Score, *, starts: int = 1, beside: Mapping[str, float] | None = None) -> Fit | None:
+def refit(
+    current: Fit, found: Score, *, starts: int = 1, beside: Mapping[str, float] | None = None, iterations: int = 60
+) -> Fit | None:
     """The model with the effect added, fitted from where the linear guess points (and, with more starts, from typical sizes).
 
     beside: another point of the present parameters to start from as well; what lies at its null value in `current`, where its
@@ -129,11 +136,17 @@ def refit(current: Fit, found: Score, *, starts: int = 1, beside: Mapping[str, f
     points = [_moved(current, found.effect, values | option) for option in options]
     if beside is not None:
         points.append(values | dict(beside) | found.start)
-    fits = [f for f in fit_all(current.frame, effects, points) if f is not None]
+    fits = [f for f in fit_all(current.frame, effects, points, iterations=iterations) if f is not None]
     return min(fits, key=lambda f: f.chi2) if fits else None
 
 
-def again(found: Fit) -> Fit:
+def polished(rough: Fit) -> Fit:
+    """The same model fitted to the end from where a short search left it."""
+    found = fit(rough.frame, rough.effects, rough.values)
+    return found if found is not None and found.chi2 <= rough.chi2 else rough
+
+
+def refit_from_restarts(found: Fit) -> Fit:
     """The same model from other frictions, densities and sizes of its effects: the best of the fits, `found` among them.
 
     A fit that needs a bound of an effect's leading parameter, where `found` does not, is no better.
@@ -142,8 +155,11 @@ def again(found: Fit) -> Fit:
     null = {p.name: p.start for p in found.parameters}
     points = [{"friction": mu, "density": rho} for mu in evenly("friction", 3) for rho in evenly("density", 2)]
     points += [{name: null[name] + share * (found.values[name] - null[name])} for name in names for share in (0.4, 2.0)]
+    # A few steps tell which starts are worth the rest of the way.
+    begun = [f for f in fit_all(found.frame, found.effects, [found.values | p for p in points], iterations=5) if f is not None]
+    begun = sorted(begun, key=lambda f: f.chi2)[:3]
     best = found
-    for other in fit_all(found.frame, found.effects, [found.values | point for point in points], iterations=25):
+    for other in fit_all(found.frame, found.effects, [f.values for f in begun], iterations=25):
         if other is None or set(names) & (set(other.at_bound) - set(found.at_bound)):
             continue
         if other.chi2 < best.chi2 - 0.5:
@@ -174,7 +190,10 @@ def only_at_bound(found: Fit, effect: str, allowance: float) -> str:
 
 def leading(effect: str, unit: float) -> str:
     """Qualified name of an effect's first parameter, the one that it is known by; "" for a base parameter's name."""
-    return effect_parameters(effect, unit)[0].name if effect in registry() else ""
+    try:
+        return effect_parameters(effect, unit)[0].name
+    except ValueError:
+        return ""
 
 
 def _moved(current: Fit, effect: str, start: dict[str, float]) -> dict[str, float]:

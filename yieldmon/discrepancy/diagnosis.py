@@ -11,18 +11,20 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.linalg import block_diag
 
+from yieldmon.documents import DiagnosisDocument, MeasureDocument, NamedEffect, RegionDocument, Verdict
 from yieldmon.errors import InputError
 from yieldmon.estimation import model_error
 from yieldmon.estimation.identifiability import scale_tangent
 from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
 from yieldmon.estimation.priors import EXCHANGED, at_bound_sentence
 from yieldmon.files.table import Table
-from yieldmon.physics.effects import registry
+from yieldmon.physics.effects import family_of, get_effect, registry
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.numerics import Array
 
 from . import observations as obs
 from .candidates import Signature, library, signature
+from .confidence import calibrated, doubted, shipped
 from .experiment import Plan, plan
 from .fit import Fit, Frame, base_frame, fit, fit_base
 from .gap import LackOfFit, Region, fills, lack_of_fit, noise_floor, row_rms, where
@@ -103,7 +105,7 @@ class Diagnosis:
     notes: tuple[str, ...] = field(default=())
 
     @property
-    def verdict(self) -> str:
+    def verdict(self) -> Verdict:
         """ "effect", "none" or "unknown"."""
         return self.choice.verdict
 
@@ -128,8 +130,8 @@ def diagnose_rows(
     rows: obs.Rows, parameters: ParameterSet, options: Options = Options(), progress: Progress | None = None, name: str = "table"
 ) -> Diagnosis:
     """`diagnose` on rows already in memory."""
-    tell = progress or (lambda text, share: None)
-    seen = examine(rows, parameters, options, tell, name)
+    report = progress or (lambda text, share: None)
+    seen = examine(rows, parameters, options, report, name)
     chosen, noise, base = seen.choice, seen.noise, seen.choice.base
     rng = np.random.default_rng([options.seed, 3])
     found = chosen.best if chosen.verdict == "effect" else chosen.base
@@ -138,13 +140,13 @@ def diagnose_rows(
     whole = base.frame.with_cells(grouped, noise.of_cells(grouped))
     base_all = _refit(whole, (), base, name)
     best_all = _refit(whole, found.effects, found, name) if found.effects else base_all
-    tell("where", 0.9)
+    report("where", 0.9)
     regions = where(base_all, noise, rng)
     remaining = where(best_all, noise, rng) if found.effects else regions
-    tell("next experiment", 0.95)
+    report("next experiment", 0.95)
     signatures = [signature(base_all, e) for e in library(whole, options.without)]
     detectable = minimum_detectable(signatures)
-    spoken_of = {*found.effects, *(e for step in chosen.steps for e in step.equivalent)}
+    spoken_of = {*map(family_of, found.effects), *(e for step in chosen.steps for e in step.equivalent)}
     undetectable = tuple(
         s.effect
         for s in signatures
@@ -192,24 +194,24 @@ def examine(
     rows: obs.Rows, parameters: ParameterSet, options: Options = Options(), progress: Progress | None = None, name: str = "table"
 ) -> Examination:
     """Seal rows, fit the published model, choose effects; then the unseen rows decide. Raises InputError as `diagnose`."""
-    tell = progress or (lambda text, share: None)
+    report = progress or (lambda text, share: None)
     rng = np.random.default_rng([options.seed, 2])
     sealed = obs.seal(rows, options.hold_out, options.seed)
-    tell("noise", 0.0)
-    noise, odd = estimate(rows.take(~sealed))
+    report("noise", 0.0)
+    noise, outlying = estimate(rows.take(~sealed))
     outlier = np.zeros(len(rows), dtype=bool)
-    outlier[np.flatnonzero(~sealed)[odd]] = True
+    outlier[np.flatnonzero(~sealed)[outlying]] = True
     training = rows.take(~sealed & ~outlier)
-    tell("published model", 0.05)
+    report("published model", 0.05)
     form, frame, base, why = _published(
         training, noise, parameters, options.form, name, options.keep_effects
     )
     chosen = choose(
-        base, noise, library(frame, options.without), rng, options.policy, lambda text, share: tell(text, 0.1 + 0.7 * share)
+        base, noise, library(frame, options.without), rng, options.policy, lambda text, share: report(text, 0.1 + 0.7 * share)
     )
-    tell("sealed rows", 0.85)
-    held_out, odd_sealed = _open(rows, sealed, chosen.base, chosen.best, noise)
-    outlier |= odd_sealed
+    report("sealed rows", 0.85)
+    held_out, outlying_sealed = _open(rows, sealed, chosen.base, chosen.best, noise)
+    outlier |= outlying_sealed
     notes = [*_noise_notes(noise, int(outlier.sum())), *why, *_overfull_note(sealed & ~outlier, held_out)]
     proof = None
     if chosen.verdict == "effect":
@@ -217,8 +219,11 @@ def examine(
         if not proof.agrees:
             notes.append(_refuted(chosen.named, proof))
             chosen = withdrawn(chosen, options.policy)
-            held_out, _ = _open(rows, sealed, chosen.base, chosen.base, noise)
-    elif held_out is not None:
+    chosen = calibrated(chosen, shipped())
+    if doubted(chosen, options.policy):
+        notes.append(_doubted(chosen))
+        chosen = withdrawn(chosen, options.policy)
+    if chosen.verdict != "effect" and held_out is not None:
         held_out, _ = _open(rows, sealed, chosen.base, chosen.base, noise)
     return Examination(form, noise, chosen, held_out, sealed, outlier, tuple(notes), proof)
 
@@ -318,9 +323,9 @@ def _published(
 def _open(
     rows: obs.Rows, sealed: NDArray[np.bool_], base: Fit, best: Fit, noise: Noise
 ) -> tuple[HeldOut | None, NDArray[np.bool_]]:
-    odd = np.zeros(len(rows), dtype=bool)
+    outlying = np.zeros(len(rows), dtype=bool)
     if not np.any(sealed):
-        return None, odd
+        return None, outlying
     kept = rows.take(sealed)
     before, after = base.predict(kept), best.predict(kept)
     sd = noise.of_rows(kept, after)
@@ -328,12 +333,12 @@ def _open(
     with np.errstate(invalid="ignore"):
         nearest = np.minimum(np.abs(before - kept.value), np.abs(after - kept.value))
     same_cell = np.array([np.median(kept.value[kept.cell == c]) for c in kept.cell])
-    lonely = np.array([np.count_nonzero(kept.cell == c) for c in kept.cell]) < 3
-    wild = (nearest > 8.0 * sd) & (lonely | (np.abs(kept.value - same_cell) > 5.0 * sd))
-    usable = np.isfinite(before) & np.isfinite(after) & ~wild
-    odd[np.flatnonzero(sealed)[wild]] = True
+    unreplicated = np.array([np.count_nonzero(kept.cell == c) for c in kept.cell]) < 3
+    contradicted = (nearest > 8.0 * sd) & (unreplicated | (np.abs(kept.value - same_cell) > 5.0 * sd))
+    usable = np.isfinite(before) & np.isfinite(after) & ~contradicted
+    outlying[np.flatnonzero(sealed)[contradicted]] = True
     if not np.any(usable):
-        return None, odd
+        return None, outlying
     top = float(np.max(np.abs(rows.value)))
     rms = [float(np.sqrt(np.mean((p[usable] - kept.value[usable]) ** 2))) for p in (before, after)]
     floor = float(np.sqrt(np.mean(sd[usable] ** 2)))
@@ -354,7 +359,7 @@ def _open(
         interval = (100.0 * ends[0], 100.0 * ends[1])
     intervals = (mean_square_interval(square[0], count), mean_square_interval(square[1], count))
     closed = _closed(rms[0], rms[1], floor)
-    return HeldOut(count, measures[0], measures[1], floor, closed, interval, intervals, found), odd
+    return HeldOut(count, measures[0], measures[1], floor, closed, interval, intervals, found), outlying
 
 
 def _refuted(names: tuple[str, ...], proof: Proof) -> str:
@@ -366,6 +371,12 @@ def _refuted(names: tuple[str, ...], proof: Proof) -> str:
     )
 
 
+def _doubted(choice: Choice) -> str:
+    first = choice.steps[0]
+    names = " or ".join((first.added, *first.equivalent))
+    return f"{names}: not named, right in {100.0 * first.confidence:.0f} of 100 cases that look like this one"
+
+
 def _closed(before: float, after: float, floor: float) -> float | None:
     return 100.0 * (before - after) / (before - floor) if before > floor else None
 
@@ -374,9 +385,9 @@ def _refit(frame: Frame, effects: tuple[str, ...], start: Fit, name: str) -> Fit
     """The model fitted to every row, from the densest grain where the loads overfill the paddles at `start`'s density."""
     densest = {p.name: p.upper for p in frame.base if p.name == "density"}
     for values in (start.values, start.values | densest):
-        again = fit(frame, effects, values, tolerance=1e-6)
-        if again is not None:
-            return again
+        refitted = fit(frame, effects, values, tolerance=1e-6)
+        if refitted is not None:
+            return refitted
     raise InputError(
         name, "has loads that overfill the paddles at every admissible density", "loads that a paddle of this machine can hold"
     )
@@ -389,11 +400,12 @@ def _measure(fitted: Fit, rows: obs.Rows, noise: Noise) -> Measure:
 
 
 def _to_separate(choice: Choice) -> tuple[Fit, list[Fit]]:
-    """The leading explanation and those to tell it from: its ties, else the next best in its place."""
+    """The leading explanation and those to distinguish it from: its ties, else the next best in its place."""
     if choice.rivals:
         return choice.best, list(choice.rivals)
     if choice.steps:
-        seconds = [c.fit for c in choice.steps[0].candidates if c.effect not in choice.best.effects]
+        named = {family_of(e) for e in choice.best.effects}
+        seconds = [c.fit for c in choice.steps[0].candidates if family_of(c.effect) not in named]
         return choice.best, seconds[:1]
     if choice.verdict == "unknown" and choice.looked_at:
         return choice.looked_at[0].fit, [c.fit for c in choice.looked_at[1:3]]
@@ -425,28 +437,30 @@ def _span(values: Array) -> tuple[float, float]:
     return float(values.min()), float(values.max())
 
 
-def to_document(diagnosis: Diagnosis) -> dict[str, object]:
+def to_document(diagnosis: Diagnosis) -> DiagnosisDocument:
     """The JSON document of ``yieldmon diagnose --json``: angles in degrees, speeds in rpm."""
     choice = diagnosis.choice
     confidence = {s.added: s for s in choice.steps}
     sds = dict(zip((p.name for p in diagnosis.best.parameters), np.sqrt(np.diag(diagnosis.best.covariance())), strict=True))
-    effects = []
+    effects: list[NamedEffect] = []
     for name in choice.named:
         effects.append(
             {
                 "name": name,
+                "law": get_effect(confidence[name].law).law,
                 "stage": registry()[name].stage,
                 "parameters": {
                     p.name.partition(".")[2]: {"value": diagnosis.best.values[p.name], "sd": float(sds[p.name]), "unit": p.unit}
                     for p in diagnosis.best.parameters
-                    if p.name.startswith(f"{name}.")
+                    if p.name.startswith(f"{confidence[name].law}.")
                 },
                 "confidence": confidence[name].confidence,
+                "name_confidence": confidence[name].name_confidence,
                 "equivalent": list(confidence[name].equivalent),
             }
         )
     held = diagnosis.held_out
-    document: dict[str, object] = {
+    document: DiagnosisDocument = {
         "verdict": diagnosis.verdict,
         "effects": effects,
         "where": [_region(r) for r in diagnosis.regions],
@@ -482,7 +496,8 @@ def to_document(diagnosis: Diagnosis) -> dict[str, object]:
         "base": {"form": diagnosis.form, "parameters": diagnosis.base.values, "p_any_effect": choice.p_any},
         "candidates": [
             {
-                "name": c.effect,
+                "name": family_of(c.effect),
+                "law": get_effect(c.effect).law,
                 "lack_of_fit_f": c.fit.chi2 / max(c.fit.dof, 1),
                 "cross_validated": c.cross_validated,
                 "p_value": c.p_value,
@@ -522,7 +537,7 @@ def _correction_cells(found: Correction, base: Fit) -> list[dict[str, float]]:
     ]
 
 
-def _measure_document(measure: Measure) -> dict[str, float | None]:
+def _measure_document(measure: Measure) -> MeasureDocument:
     return {
         "rms": measure.rms,
         "rms_over_max_pct": measure.rms_over_max_pct,
@@ -531,7 +546,7 @@ def _measure_document(measure: Measure) -> dict[str, float | None]:
     }
 
 
-def _region(region: Region) -> dict[str, object]:
+def _region(region: Region) -> RegionDocument:
     return {
         "plate_angle_deg": [round(degrees(v), 3) for v in region.plate_angle_rad],
         "fill": [round(v, 4) for v in region.fill],

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
+from yieldmon.physics.effects import family_of
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import COMPLEX_STEP, Array, real
 
@@ -87,8 +88,8 @@ def plan(best: Fit, rivals: Sequence[Fit], noise: Noise, *, rows: int = 8) -> Pl
 
 
 def _different(best: Fit, rival: Fit) -> tuple[str, str]:
-    ours = [e for e in best.effects if e not in rival.effects]
-    theirs = [e for e in rival.effects if e not in best.effects]
+    ours = [family_of(e) for e in best.effects if e not in rival.effects]
+    theirs = [family_of(e) for e in rival.effects if e not in best.effects]
     return "+".join(ours), "+".join(theirs)
 
 

@@ -64,11 +64,11 @@ def _from_replicates(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
     form = 0.15 * float(np.max(np.abs(median))) + np.abs(median)
     robust = 1.4826 * float(np.median(deviation[repeated] / form[repeated]))
     sd = 2.0 * max(robust, 1e-12) * form
-    outlier = _guilty(rows, repeated & (deviation > _OUTLIER_SD * sd), sd)
+    outlier = _outliers_of_cells(rows, repeated & (deviation > _OUTLIER_SD * sd), sd)
     noise = _variance_model(cells(rows.take(~outlier)), robust * float(form.mean()))
     for _ in range(4):
         sd = np.maximum(noise.sd(median), 1e-300)
-        found = _guilty(rows, repeated & (deviation > _OUTLIER_SD * sd), sd)
+        found = _outliers_of_cells(rows, repeated & (deviation > _OUTLIER_SD * sd), sd)
         if np.array_equal(found, outlier):
             break
         outlier = found
@@ -76,11 +76,11 @@ def _from_replicates(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
     return noise, outlier
 
 
-def _guilty(rows: Rows, suspect: NDArray[np.bool_], sd: Array) -> NDArray[np.bool_]:
+def _outliers_of_cells(rows: Rows, suspect: NDArray[np.bool_], sd: Array) -> NDArray[np.bool_]:
     """The outliers of cells that hold suspects.
 
     Where few rows repeat, the majority of a cell may be wrong: the row nearest to a smooth surface through the cells without
-    suspects is believed (over a majority only where it is five times nearer), and those that contradict it are not.
+    suspects is trusted (over a majority only where it is five times nearer), and those that contradict it are not.
     """
     count = np.bincount(rows.cell)[rows.cell]
     out = suspect & (count > 4)
@@ -97,8 +97,8 @@ def _guilty(rows: Rows, suspect: NDArray[np.bool_], sd: Array) -> NDArray[np.boo
         places = np.flatnonzero(rows.cell == number)
         off = np.abs(rows.value[places] - surface[places])
         middle = np.argsort(rows.value[places])[(len(places) - 1) // 2]
-        believed = places[middle if len(places) > 2 and off.min() > 0.2 * off[middle] else np.argmin(off)]
-        out[places] = np.abs(rows.value[places] - rows.value[believed]) > _OUTLIER_SD * np.sqrt(2.0) * sd[places]
+        trusted = places[middle if len(places) > 2 and off.min() > 0.2 * off[middle] else np.argmin(off)]
+        out[places] = np.abs(rows.value[places] - rows.value[trusted]) > _OUTLIER_SD * np.sqrt(2.0) * sd[places]
     return out
 
 

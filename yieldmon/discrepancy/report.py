@@ -12,7 +12,7 @@ import numpy as np
 
 from yieldmon.errors import InputError
 from yieldmon.files.whole_file import scratch_for
-from yieldmon.physics.effects import registry
+from yieldmon.physics.effects import get_effect, registry
 from yieldmon.physics.machine import RPM
 from yieldmon.physics.numerics import Array
 
@@ -262,12 +262,16 @@ def _step(step: Step, diagnosis: Diagnosis) -> str:
     values = ", ".join(
         f"{p.name.partition('.')[2]} = {fitted.values[p.name]:.4g} ± {sd:.2g} {html.escape(p.unit)}".rstrip()
         for p, sd in zip(fitted.parameters, np.sqrt(np.diag(fitted.covariance())), strict=True)
-        if p.name.startswith(f"{step.added}.")
+        if p.name.startswith(f"{step.law}.")
     )
     ties = f" Not distinguishable here from: {', '.join(step.equivalent)}." if step.equivalent else ""
+    law = get_effect(step.law).law
+    how = f" Law: {html.escape(law)}." if law else ""
+    what = "" if diagnosis.choice.named else "partial candidate, "
     return (
-        f"<h3>{step.added} ({effect.stage})</h3><p>{html.escape(effect.summary)} {values}. "
-        f"Confidence {step.confidence:.2f}.{ties} Signature: {html.escape(effect.signature)}.</p>"
+        f"<h3>{step.added} ({what}{effect.stage})</h3><p>{html.escape(effect.summary)}{how} {values}. "
+        f"Confidence {step.confidence:.2f}: the share of names like this one, ties included, that were right on cases with "
+        f"known answers.{ties} Signature: {html.escape(effect.signature)}.</p>"
     )
 
 

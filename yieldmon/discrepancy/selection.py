@@ -6,14 +6,28 @@ error, so neither a tie nor a gap rests on one way to write it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from yieldmon.documents import Verdict
+from yieldmon.physics.effects import family_of
 from yieldmon.physics.numerics import Array
 
-from .candidates import Score, again, errors, false_alarm, leading, only_at_bound, refit, score, signature
+from .candidates import (
+    Score,
+    errors,
+    false_alarm,
+    lawful,
+    leading,
+    only_at_bound,
+    polished,
+    refit,
+    refit_from_restarts,
+    score,
+    signature,
+)
 from .crossvalidation import grouped_error
 from .fit import Fit, fit
 from .gap import LackOfFit, lack_of_fit
@@ -30,6 +44,8 @@ class Policy:
     """Global false-alarm rate of naming anything at all."""
     next_p: float = 0.002
     """The same for each further effect, where the model so far may be complete."""
+    least_confidence: float = 0.5
+    """Probability of being right below which the first effect is a partial candidate and no name."""
     complete_f: float = 2.0
     """Lack of fit up to which it may be: above, p below `gap_p`, that is refuted, and `first_p` holds for a further effect."""
     gap_p: float = 0.01
@@ -39,7 +55,9 @@ class Policy:
     least_of_rest: float = 0.5
     """this share of what is left, where the data refute that nothing is missing any more."""
     unexplained_f: float = 3.5
-    """Lack of fit above which a gap is never called explained."""
+    """Lack of fit above which a gap is not called explained, unless it is less than"""
+    unexplained_of_f: float = 0.01
+    """this share of the published model's: a cause whose law is off by so little is named all the same."""
     unexplained_share: float = 0.15
     """Share of the original excess chi-square that may remain, significant, under a named verdict."""
     tie: float = 6.0
@@ -49,7 +67,7 @@ class Policy:
     nearest: int = 6
     """At most so many of them, the best first."""
     largest_class: int = 5
-    """Effects that a class may hold and still count as a name (see `Search.spared` for a further effect's)."""
+    """Effects that a class may hold and still count as a name (see `Search.prune_ambiguous` for a further effect's)."""
     per_parameter: float = 3.0
     """Chi-square that each further parameter must earn."""
     refits: int = 24
@@ -64,6 +82,12 @@ class Policy:
     """Candidates refitted at each exchange."""
     starts: int = 1
     """Starts of each refit."""
+    law_share: float = 0.5
+    """Share of an effect's best screened gain that another of its laws must promise to be fitted."""
+    short_search: int = 6
+    """Steps after which a candidate's refit is judged for the first time."""
+    hopeless: float = 60.0
+    """Chi-square (over the misfit), beside a quarter of the best one's gain, behind the best from which it is not taken on."""
 
 
 @dataclass(frozen=True)
@@ -86,13 +110,21 @@ class Step:
     candidates: tuple[Candidate, ...]
     equivalent: tuple[str, ...]
     confidence: float
+    law: str
+    """The law by which it was fitted, as in `Fit.effects`."""
+    stability: float = 1.0
+    """Share of samples, with errors drawn anew, in which the effect, or one tied with it, still wins."""
+    margin: float = float("inf")
+    """-2 log evidence by which the nearest candidate that is not tied is worse; inf where there is none."""
+    name_confidence: float = float("nan")
+    """Probability that the cause is this effect, and not one tied with it."""
 
 
 @dataclass(frozen=True)
 class Choice:
     """The verdict ("effect", "none", "unknown") with the fits behind it; `partial` holds what helps but does not explain."""
 
-    verdict: str
+    verdict: Verdict
     base: Fit
     best: Fit
     base_gap: LackOfFit
@@ -156,14 +188,14 @@ class Search:
         """Chi-square of the published model above its degrees of freedom."""
         return max(self.base.chi2 - self.base.dof, 1e-9)
 
-    def run(self, tell: Progress) -> Choice:
+    def run(self, report: Progress) -> Choice:
         """The whole search."""
         base_gap = lack_of_fit(self.base, self.noise)
         current, order, places = self.base, list[str](), Places()
         looked_at: tuple[Candidate, ...] = ()
         p_any = 1.0
         for number in range(self.policy.most_effects):
-            tell(f"step {number + 1}: {len(self.effects) - number} candidates", number / self.policy.most_effects)
+            report(f"step {number + 1}: {len(self.effects) - number} candidates", number / self.policy.most_effects)
             found = self.candidates(current, self._others(current), self.policy.refits)
             if number == 0:
                 looked_at = found
@@ -171,7 +203,7 @@ class Search:
             good = self.admissible(found, current)
             leader = order
             if number == 1 and lack_of_fit(current, self.noise).p_value < self.policy.gap_p:
-                tell("step 2: all pairs", 0.45)
+                report("step 2: all pairs", 0.45)
                 better = self._better_pair(looked_at, order[0], good)
                 if better is not None:
                     leader, good, found = better
@@ -179,14 +211,14 @@ class Search:
                 break
             current, order, places = good[0].fit, [*leader, good[0].effect], {good[0].effect: found}
             if number > 0:
-                tell(f"step {number + 1}: exchange", (number + 0.6) / self.policy.most_effects)
+                report(f"step {number + 1}: exchange", (number + 0.6) / self.policy.most_effects)
                 current, order, places = self._exchange(current, order, places)
             if lack_of_fit(current, self.noise).p_value < self.policy.gap_p:
-                current = again(current)
+                current = refit_from_restarts(current)
         if not order:
-            verdict = "unknown" if base_gap.p_value < self.policy.gap_p else "none"
+            verdict: Verdict = "unknown" if base_gap.p_value < self.policy.gap_p else "none"
             return Choice(verdict, self.base, self.base, base_gap, base_gap, (), looked_at, p_any)
-        current, steps, rivals = self.spared(current, order, places, p_any)
+        current, steps, rivals = self.prune_ambiguous(current, order, places, p_any)
         undecided = 1 + len(steps[0].equivalent) > self.policy.largest_class
         verdict = "unknown" if self._unexplained(current) or undecided else "effect"
         return Choice(verdict, self.base, current, base_gap, lack_of_fit(current, self.noise), steps, looked_at, p_any, rivals)
@@ -199,16 +231,16 @@ class Search:
         *,
         beside: Mapping[str, float] | None = None,
     ) -> tuple[Candidate, ...]:
-        """The `refits` most promising effects, refitted (also from `beside`, see `candidates.refit`), best first."""
-        signatures = [signature(current, e) for e in effects]
+        """The `refits` most promising effects, refitted (also from `beside`, see `candidates.refit`), best first.
+
+        Each stands in its best law.
+        """
+        signatures = [signature(current, law) for law in lawful(effects)]
         p_value = false_alarm(signatures, current, self.noise, self.rng)
-        worth: list[Score] = sorted((score(current, s) for s in signatures), key=lambda s: -s.gain)[:refits]
+        worth = self._by_family([score(current, s) for s in signatures])[:refits]
         groups = current.frame.cells.groups()
         out = []
-        for s in worth:
-            added = refit(current, s, starts=self.policy.starts, beside=beside)
-            if added is None:
-                continue
+        for s, added in self._fitted(current, worth, beside):
             gain = current.chi2 - added.chi2
             # A bound that the data do not refute is no evidence against the effect.
             complete = lack_of_fit(added, self.noise).p_value >= self.policy.gap_p
@@ -218,6 +250,29 @@ class Search:
             out.append(Candidate(s.effect, added, gain, p_value(gain), unseen, refused))
         scale = misfit([c.fit for c in out])
         return tuple(sorted(out, key=lambda c: merit(c.fit, scale, self.policy)))
+
+    def _by_family(self, scores: Iterable[Score]) -> list[list[Score]]:
+        """Scores of each effect's laws together, the most promising effect and law first; laws far behind are left out."""
+        families: dict[str, list[Score]] = {}
+        for s in sorted(scores, key=lambda s: -s.gain):
+            families.setdefault(family_of(s.effect), []).append(s)
+        return [[s for s in of if s.gain >= self.policy.law_share * of[0].gain] for of in families.values()]
+
+    def _fitted(
+        self, current: Fit, worth: Sequence[Sequence[Score]], beside: Mapping[str, float] | None
+    ) -> list[tuple[Score, Fit]]:
+        """Each effect's refit by its best law; one that a few steps leave far behind the best is not taken to the end."""
+        short = self.policy.short_search
+        begun = []
+        for of_family in worth:
+            rough = [(s, refit(current, s, starts=self.policy.starts, beside=beside, iterations=short)) for s in of_family]
+            fits = [(s, f) for s, f in rough if f is not None]
+            if fits:
+                begun.append(min(fits, key=lambda found: found[1].chi2))
+        scale = misfit([f for _, f in begun])
+        least = min((f.chi2 for _, f in begun), default=0.0)
+        limit = least + self.policy.hopeless * scale + 0.25 * (current.chi2 - least)
+        return [(s, polished(f) if f.chi2 <= limit else f) for s, f in begun]
 
     def admissible(self, found: Sequence[Candidate], current: Fit) -> list[Candidate]:
         """Those that may be added to `current`: significant, large enough, predictive, within bounds."""
@@ -238,13 +293,15 @@ class Search:
         return out
 
     def _others(self, current: Fit) -> tuple[str, ...]:
-        return tuple(e for e in self.effects if e not in current.effects)
+        present = {family_of(e) for e in current.effects}
+        return tuple(e for e in self.effects if e not in present)
 
     def _unexplained(self, current: Fit) -> bool:
         """Whether what is left is significant, and too much to call the gap explained, whatever the effects' laws are."""
         gap = lack_of_fit(current, self.noise, laws=False)
         family = lack_of_fit(current, self.noise)
-        much = family.f > self.policy.unexplained_f or current.chi2 - current.dof > self.policy.unexplained_share * self.excess
+        most = max(self.policy.unexplained_f, self.policy.unexplained_of_f * lack_of_fit(self.base, self.noise).f)
+        much = family.f > most or current.chi2 - current.dof > self.policy.unexplained_share * self.excess
         return gap.p_value < self.policy.gap_p and much
 
     def _incomplete(self, current: Fit) -> bool:
@@ -260,12 +317,13 @@ class Search:
             scale = misfit([pair, *(c.fit for c in good[:1])])
             if good and merit(pair, scale, self.policy) >= merit(good[0].fit, scale, self.policy) - 1.0:
                 return None
-            others = tuple(e for e in self.effects if e != alone.effect)
+            others = tuple(e for e in self.effects if e != family_of(alone.effect))
             second = tuple(e for e in pair.effects if e != alone.effect)
             found = self.candidates(alone.fit, others, self.policy.exchanges, beside=pair.values)
-            if second[0] not in {c.effect for c in found}:
+            if family_of(second[0]) not in {family_of(c.effect) for c in found}:
                 found = (*found, *self.candidates(alone.fit, second, 1, beside=pair.values))
-            usable = [c for c in self.admissible(found, alone.fit) if c.effect in pair.effects]
+            paired = {family_of(e) for e in pair.effects}
+            usable = [c for c in self.admissible(found, alone.fit) if family_of(c.effect) in paired]
             if usable:
                 return [alone.effect], usable, found
         return None
@@ -276,7 +334,8 @@ class Search:
         Each comes with the better of its two alone. Those that need a bound are left out.
         """
         alone = {c.effect: c for c in looked_at}
-        others = [e for e in self.effects if e != leader]
+        stands_for = {family_of(e): e for e in alone}
+        others = [stands_for.get(e, e) for e in self.effects if e != family_of(leader)]
         singles = [
             (c.fit, [score(c.fit, signature(c.fit, e)) for e in others if e != c.effect])
             for c in looked_at[: self.policy.beam]
@@ -323,16 +382,18 @@ class Search:
         steps, all_rivals = [], []
         for name in order:
             found = self.refined(places.get(name, ()), name, current)
-            usable = [c for c in found if not c.refused and c.effect != name]
+            usable = [c for c in found if not c.refused and family_of(c.effect) != family_of(name)]
             scale = misfit([current, *(c.fit for c in usable)])
             limit = merit(current, scale, self.policy) + self.policy.tie
             tied = tuple(c.effect for c in usable if merit(c.fit, scale, self.policy) <= limit)
+            beyond = [merit(c.fit, scale, self.policy) - limit + self.policy.tie for c in usable if c.effect not in tied]
             stays = self._stability(current, [c.fit for c in usable], [c.effect in tied for c in usable])
-            steps.append(Step(name, found, tied, stays * (1.0 - p_any)))
+            margin = min(beyond, default=np.inf)
+            steps.append(Step(family_of(name), found, tuple(map(family_of, tied)), stays * (1.0 - p_any), name, stays, margin))
             all_rivals += [c.fit for c in usable if c.effect in tied]
         return tuple(steps), tuple(all_rivals)
 
-    def spared(
+    def prune_ambiguous(
         self, current: Fit, order: list[str], places: Places, p_any: float
     ) -> tuple[Fit, tuple[Step, ...], tuple[Fit, ...]]:
         """The fit and its steps, less the further effects that are no name, being tied with too many.
@@ -341,7 +402,7 @@ class Search:
         """
         steps, rivals = self._steps(current, by_weight(current, order), places, p_any)
         while crowded := [s.added for s in steps[1:] if 1 + len(s.equivalent) > self.policy.largest_class]:
-            kept = [s.added for s in steps if s.added != crowded[-1]]
+            kept = [s.law for s in steps if s.added != crowded[-1]]
             fewer = fit(current.frame, kept, current.values)
             if fewer is None or self._incomplete(fewer) or self._unexplained(fewer):
                 break
@@ -359,7 +420,7 @@ class Search:
             beyond = merit(c.fit, scale, self.policy) - limit
             if c.effect != name and not c.refused and 0.0 < beyond < self.policy.near and tries:
                 tries -= 1
-                better = again(c.fit)
+                better = refit_from_restarts(c.fit)
                 if merit(better, scale, self.policy) <= limit:
                     c = replace(c, fit=better, gain=c.gain + c.fit.chi2 - better.chi2)
             out.append(c)
@@ -387,7 +448,7 @@ class Search:
 
 def withdrawn(choice: Choice, policy: Policy) -> Choice:
     """The choice whose named effects unseen rows do not confirm: "unknown" where a gap is left, else "none"."""
-    verdict = "unknown" if choice.base_gap.p_value < policy.gap_p else "none"
+    verdict: Verdict = "unknown" if choice.base_gap.p_value < policy.gap_p else "none"
     return replace(choice, verdict=verdict)
 
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
+from yieldmon.engine.budget import EMPTY, MassBudget
+from yieldmon.engine.load_forces import LoadForces
 from yieldmon.engine.settings import AnchorSettings
 
 
@@ -20,7 +22,8 @@ class AnchorSource(StrEnum):
 class ReferenceMass:
     """A weighed mass and the mass measured over the same time, kg; times are bus time, s.
 
-    complete: every second in between was measured. load_number is 0 where the weighing belongs to no load.
+    complete: every second in between was measured. load_number is 0 where the weighing belongs to no load. budget: standard
+    deviations of measured_kg. forces: measured over the load, None where they were not kept.
     """
 
     source: AnchorSource
@@ -31,6 +34,10 @@ class ReferenceMass:
     measured_kg: float
     complete: bool
     load_number: int = 0
+    budget: MassBudget = EMPTY
+    zero_doubted: bool = False
+    """Whether part of measured_kg rests on a zero that is doubted."""
+    forces: LoadForces | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +45,7 @@ class _Weighing:
     time_s: float
     mass_kg: float
     measured_kg: float
+    budget: MassBudget
 
 
 class TankScale:
@@ -48,36 +56,48 @@ class TankScale:
         self._pending: tuple[float, float] | None = None
         self._start: _Weighing | None = None
         self._complete = True
+        self._zero_doubted = False
         self.anchors: deque[ReferenceMass] = deque(maxlen=settings.keep)
 
     def reading(self, time_s: float, mass_kg: float) -> None:
         """A stable reading; it is matched with the measured total when the window around it closes."""
         self._pending = (time_s, mass_kg)
 
-    def window(self, start_s: float, end_s: float, total_before_kg: float, mass_kg: float, measured: bool) -> bool:
-        """A window that measured (or failed to measure) mass_kg between two times; the total before it.
+    def doubt_zero(self) -> None:
+        """What is measured now rests on a zero that is doubted: no lesson, but the scale still tells the mass."""
+        self._complete, self._zero_doubted = False, True
 
-        Returns whether a reference mass has come of it.
+    def counted(self, mass_kg: float) -> None:
+        """So much joined the total without having been measured."""
+        if self._start is not None:
+            self._start = replace(self._start, measured_kg=self._start.measured_kg + mass_kg)
+
+    def window(
+        self, start_s: float, end_s: float, total_before_kg: float, mass_kg: float, measured: bool, budget: MassBudget = EMPTY
+    ) -> ReferenceMass | None:
+        """A window that measured (or failed to measure) mass_kg between two times; the total before it, its budget after it.
+
+        Returns the reference mass that has come of it.
         """
         if not measured:
             self._complete = False
         if self._pending is None:
-            return False
+            return None
         time_s, scale_kg = self._pending
         if time_s > end_s:
-            return False
+            return None
         self._pending = None
         share = min(1.0, max(0.0, (time_s - start_s) / (end_s - start_s))) if end_s > start_s else 1.0
-        return self._weigh(_Weighing(time_s, scale_kg, total_before_kg + share * mass_kg))
+        return self._weigh(_Weighing(time_s, scale_kg, total_before_kg + share * mass_kg, budget))
 
-    def _weigh(self, now: _Weighing) -> bool:
+    def _weigh(self, now: _Weighing) -> ReferenceMass | None:
         start = self._start
         if start is None or now.mass_kg < start.mass_kg - self._settings.unloading_kg:
-            self._start, self._complete = now, True
-            return False
+            self._start, self._complete, self._zero_doubted = now, True, False
+            return None
         increment = now.mass_kg - start.mass_kg
         if increment < self._settings.min_increment_kg:
-            return False
+            return None
         self.anchors.append(
             ReferenceMass(
                 source=AnchorSource.TANK_SCALE,
@@ -87,7 +107,9 @@ class TankScale:
                 std_dev_kg=2.0**0.5 * self._settings.scale_std_dev_kg,
                 measured_kg=now.measured_kg - start.measured_kg,
                 complete=self._complete,
+                budget=now.budget.minus(start.budget),
+                zero_doubted=self._zero_doubted,
             )
         )
-        self._start, self._complete = now, True
-        return True
+        self._start, self._complete, self._zero_doubted = now, True, False
+        return self.anchors[-1]

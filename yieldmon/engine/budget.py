@@ -72,10 +72,24 @@ class MassBudget:
             moisture_kg=self.moisture_kg + flow.moisture_kg_s * seconds,
         )
 
+    def minus(self, before: MassBudget) -> MassBudget:
+        """The budget of what came after `before`."""
+        return MassBudget(
+            noise_kg2=max(self.noise_kg2 - before.noise_kg2, 0.0),
+            parameters_kg=max(self.parameters_kg - before.parameters_kg, 0.0),
+            zero_kg=max(self.zero_kg - before.zero_kg, 0.0),
+            moisture_kg=max(self.moisture_kg - before.moisture_kg, 0.0),
+        )
+
     @property
     def std_dev_kg(self) -> float:
         """All causes together."""
         return hypot(sqrt(self.noise_kg2), self.parameters_kg, self.zero_kg, self.moisture_kg)
+
+    @property
+    def beside_parameters_kg(self) -> float:
+        """All causes but the parameters."""
+        return hypot(sqrt(self.noise_kg2), self.zero_kg, self.moisture_kg)
 
     @classmethod
     def unknown(cls) -> MassBudget:

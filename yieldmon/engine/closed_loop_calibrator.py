@@ -1,6 +1,6 @@
 """Self-calibration for the monitor: sweeps and reference masses in, parameters out.
 
-Between sweeps the parameters' covariance grows (drift), and moisture moves the prior; what a sweep or a weighed load teaches is
+Between sweeps the parameters' covariance grows (drift), and moisture moves the prior; what a sweep or a weighed load changes is
 `estimation.closed_loop`'s matter. Bus time comes with the records.
 """
 
@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import isfinite
+from math import hypot, isfinite
 
 import numpy as np
 
 from yieldmon.engine.anchors import ReferenceMass
-from yieldmon.engine.records import CalibrationOutcome, CalibratorState, FlowEstimator, WindowRecord
+from yieldmon.engine.records import CalibrationOutcome, CalibrationStep, CalibratorState, FlowEstimator, WindowRecord
+from yieldmon.engine.scale_alarm import ScaleCheck, as_stated, name_of
+from yieldmon.estimation.angle_pattern import EFFECT, with_pattern
 from yieldmon.estimation.closed_loop import (
     ClosedLoopSettings,
     DensityAnchor,
@@ -21,25 +23,27 @@ from yieldmon.estimation.closed_loop import (
     Outcome,
     ScaleReport,
     Sweep,
-    believe_weights,
     self_calibrate,
+    update_from_tickets,
 )
 from yieldmon.estimation.drift import DriftRates, steady_defaults
-from yieldmon.estimation.loads import LoadSettings, WeighedLoad, calibrate_loads, contradicted
+from yieldmon.estimation.loads import LoadSettings, WeighedLoad, calibrate_loads, contradicted, departure
 from yieldmon.estimation.moisture import MoistureMap
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.steady_drift import DriftingParameters, advance, begin, carried, learn
+from yieldmon.estimation.steady_drift import Advance, DriftingParameters, advance, begin, carried, learn
 from yieldmon.physics.model import ForwardModel
 
 
 @dataclass(frozen=True, slots=True)
 class CalibratorSettings:
-    """What the self-calibration believes.
+    """Settings of the self-calibration.
 
     anchor_error: relative error of a weighed load that is not the scale's (flow spread, model), added in quadrature.
     drift, steady_per_kilotonne: how parameters wander, and the standard deviations of their steady rates (`steady_drift`).
     moisture_map: moves the prior when the moisture changes; None: moisture is not used.
+    pattern_sd: relative standard deviation of the model's error away from the home angle that sweeps separate from the grain
+    (`estimation.angle_pattern`); 0: none is looked for.
     density_ratio: parameter density over test weight, from a calibration in which both were known; None: test weight is not used.
     """
 
@@ -49,6 +53,7 @@ class CalibratorSettings:
     drift: DriftRates = field(default_factory=DriftRates)
     steady_per_kilotonne: Mapping[str, float] = field(default_factory=steady_defaults)
     anchor_error: float = 0.005
+    pattern_sd: float = 0.0
     density_ratio: float | None = None
     density_ratio_std_dev: float = 0.1
     test_weight_std_dev_kg_m3: float = 10.0
@@ -62,13 +67,14 @@ _KEPT_WEIGHINGS = 6
 class ClosedLoopCalibrator:
     """A `records.SelfCalibrator`. Each reference mass is used once.
 
-    A weighed load is believed, however far it is from the parameters. Only where it contradicts several others does it wait until
+    A weighed load counts, however far it is from the parameters. Only where it contradicts several others does it wait until
     a further one agrees with it; then both count, and those before them no more.
     """
 
     def __init__(self, model: ForwardModel, settings: CalibratorSettings | None = None) -> None:
-        self._model = model
         self._settings = CalibratorSettings() if settings is None else settings
+        looks = self._settings.pattern_sd > 0.0 and EFFECT not in model.effects
+        self._model = model.with_effects((*model.effects, EFFECT)) if looks else model
         self._map = self._settings.moisture_map
         self._moisture_pct = float("nan")
         self._at_s = float("nan")
@@ -76,15 +82,16 @@ class ClosedLoopCalibrator:
         self._used: frozenset[ReferenceMass] = frozenset()
         self._history: list[tuple[float, ParameterSet]] = []
         self._given: ParameterSet | None = None
-        """As they came from outside, for as long as no reference mass has taught anything since."""
-        self._taught: ParameterSet | None = None
+        """As they came from outside, for as long as no reference mass has changed them since."""
+        self._updated: ParameterSet | None = None
         """The last set that was handed back."""
         self._drifting: DriftingParameters | None = None
         """The same with the rates of its drift."""
         self._waited_s = 0.0
-        """Time since the last lesson before a restart."""
+        """Time since the last update before a restart."""
         self._weighings: list[WeighedLoad] = []
         self._doubted: WeighedLoad | None = None
+        self._checked: frozenset[ReferenceMass] = frozenset()
         self.last: Outcome | None = None
 
     def update(
@@ -93,60 +100,74 @@ class ClosedLoopCalibrator:
         anchors: Sequence[ReferenceMass],
         estimator: FlowEstimator,
         *,
-        believe_sweep: bool = True,
+        use_sweep: bool = True,
     ) -> CalibrationOutcome:
         """See records.SelfCalibrator."""
         if not records:
             return CalibrationOutcome(None, "the sweep has no usable window; the parameters stay", identifiable=False)
         now_s, total_kg = records[-1].time_s, records[-1].total_kg
-        used = estimator.parameters
+        used = self._in_use(estimator)
         moisture_pct = _median(r.moisture_pct for r in records)
-        drifting = self._prior(used, moisture_pct, now_s, total_kg)
+        drifting, step = self._prior(used, moisture_pct, now_s, total_kg)
         prior = drifting.parameters
-        masses, doubt = self._accepted(self._mass_anchors(anchors, used), prior)
+        found = self._mass_anchors(anchors, used)
+        checks = self._checks(found, prior)
+        masses, doubt = self._accepted(found, prior)
         if doubt:
             self._used = frozenset(anchors)
         density = self._density(records, prior)
-        if used is not self._taught:
+        if used is not self._updated:
             self._given = used
         if masses or density is not None:
             self._given = None
-        if not believe_sweep and not masses and density is None:
-            return self._without_sweeps(used, now_s)
+        if not use_sweep and not masses and density is None:
+            return replace(self._without_sweeps(used, now_s), checks=checks)
         try:
-            sweeps = [_sweep(records)] if believe_sweep else []
+            sweeps = [_sweep(records)] if use_sweep else []
             outcome = self_calibrate(
                 self._model, prior, sweeps, anchors=masses, density=density, settings=self._settings.closed_loop
             )
             if not outcome.consistent and (masses or density is not None):
                 outcome = self._believe(prior, masses, density)
         except ValueError as error:
-            return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False)
-        return self._taken(outcome, drifting, used, anchors, (now_s, total_kg, moisture_pct))
+            return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False, checks=checks)
+        return replace(self._taken(outcome, drifting, used, anchors, (now_s, total_kg, moisture_pct), step), checks=checks)
 
     def weigh(
         self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator
     ) -> CalibrationOutcome:
         """See records.SelfCalibrator."""
-        used = estimator.parameters
+        used = self._in_use(estimator)
         moment = (record.time_s, record.total_kg, record.moisture_pct if self._map is not None else float("nan"))
-        drifting = self._prior(used, moment[2], moment[0], moment[1])
+        drifting, step = self._prior(used, moment[2], moment[0], moment[1])
         prior = drifting.parameters
-        masses, doubt = self._accepted(self._mass_anchors(anchors, used), prior)
+        found = self._mass_anchors(anchors, used)
+        checks = self._checks(found, prior)
+        masses, doubt = self._accepted(found, prior)
         if doubt and not masses:
             self._used = frozenset(anchors)
-            return CalibrationOutcome(None, doubt, identifiable=False, weighed=True)
+            return CalibrationOutcome(None, doubt, identifiable=False, weighed=True, checks=checks)
         if not masses:
             return CalibrationOutcome(None, "no weighed mass that was measured whole; the parameters stay", identifiable=False)
         self._given = None
         try:
             outcome = self._believe(prior, masses, None)
         except ValueError as error:
-            return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False)
-        return replace(self._taken(outcome, drifting, used, anchors, moment), weighed=True)
+            return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False, checks=checks)
+        return replace(self._taken(outcome, drifting, used, anchors, moment, step), weighed=True, checks=checks)
+
+    def _in_use(self, estimator: FlowEstimator) -> ParameterSet:
+        """The parameters in use; with other effects than those before, another model explains them."""
+        used = estimator.parameters
+        if used.effects != self._model.effects:
+            self._model = self._model.with_effects(used.effects)
+        return used
+
+    def _patterned(self, parameters: ParameterSet) -> ParameterSet:
+        return with_pattern(parameters, self._settings.pattern_sd) if self._settings.pattern_sd > 0.0 else parameters
 
     def _believe(self, prior: ParameterSet, masses: Sequence[MassAnchor], density: DensityAnchor | None) -> Outcome:
-        outcome = believe_weights(self._model, prior, masses, density, self._settings.closed_loop)
+        outcome = update_from_tickets(self._model, prior, masses, density, self._settings.closed_loop)
         if (outcome.consistent and outcome.prior_widening == 1.0) or not masses:
             return outcome
         # Further off than the parameters' own doubts reach: only the loads know the scale.
@@ -166,16 +187,15 @@ class ClosedLoopCalibrator:
     def _accepted(
         self, found: Sequence[tuple[ReferenceMass, MassAnchor]], prior: ParameterSet
     ) -> tuple[list[MassAnchor], str]:
-        """The masses that may teach, and one sentence about one that the loads before it contradict ("" where there is none)."""
+        """The masses to update from, and one sentence about one that the loads before it contradict ("" where there is none)."""
         accepted, doubt = [], ""
         for reference, mass in found:
-            number, kg = reference.load_number, mass.reference_kg
-            name = f"load {number}" if number else f"the {reference.source}'s {kg:.0f} kg"
+            name = name_of(reference)
             load = WeighedLoad(
                 name, mass.reference_kg, mass.std_dev_kg, mass.duration_s, mass.force_n, mass.plate_angle_rad,
-                mass.elevator_speed_rad_s,
+                mass.elevator_speed_rad_s, mass.moisture_pct,
             )
-            error = contradicted(self._model, prior, self._weighings, load, self._load_settings)
+            error = self._contradiction(prior, load)
             if error is None:
                 self._weighings = [*self._weighings[1 - _KEPT_WEIGHINGS :], load]
             elif self._doubted is not None and contradicted(
@@ -186,24 +206,35 @@ class ClosedLoopCalibrator:
             else:
                 self._doubted = load
                 doubt = (
-                    f"{name} contradicts the {len(self._weighings)} weighed before it by {100.0 * error:+.1f} % and teaches "
+                    f"{name} contradicts the {len(self._weighings)} weighed before it by {100.0 * error:+.1f} % and counts for "
                     "nothing until another agrees with it"
                 )
                 continue
             accepted.append(mass)
         return accepted, doubt
 
+    def _contradiction(self, prior: ParameterSet, load: WeighedLoad) -> float | None:
+        """Relative error of a weighed mass by the loads before it, where neither scatter nor drift since then explains it."""
+        settings = self._load_settings
+        error = contradicted(self._model, prior, self._weighings, load, settings)
+        if error is None:
+            return None
+        away, std_dev = departure(self._model, prior, load, settings)
+        # The loads before may be of other grain and less wear; what is known by now allows for that.
+        return None if abs(away) < settings.outlier_sds * std_dev else error
+
     def _taken(
         self, outcome: Outcome, drifting: DriftingParameters, used: ParameterSet, anchors: Sequence[ReferenceMass],
-        moment: tuple[float, float, float],
+        moment: tuple[float, float, float], step: Advance,
     ) -> CalibrationOutcome:
-        """The new parameters, remembered with the moment (bus time s, total kg, moisture %) they hold from."""
+        """The new parameters, remembered with the moment (bus time s, total kg, moisture %) they hold from; step led to it."""
         self.last = outcome
         self._used = frozenset(anchors)
         prior = drifting.parameters
-        if not outcome.updated and prior.values == used.values:
+        if not outcome.updated and prior.values == self._patterned(used).values:
             return CalibrationOutcome(None, outcome.reason, identifiable=False)
-        # Without a lesson the moisture map or the drift alone has moved the values; the new prior is what is known.
+        # Without an update the moisture map or the drift alone has moved the values; the new prior is what is known.
+        begun_s = self._at_s
         self._at_s, self._at_kg, self._moisture_pct = moment
         self._history = [*self._history[-7:], (moment[0], used)]
         if outcome.updated and outcome.parameter_set.covariance_names != drifting.parameters.covariance_names:
@@ -214,20 +245,30 @@ class ClosedLoopCalibrator:
             self._drifting = carried(drifting, replace(prior, version=used.version + 1))
         known = self._drifting.parameters
         reason = outcome.reason if outcome.updated else "moved by moisture or steady drift; the data said too little"
-        self._taught = known
-        return CalibrationOutcome(OpenLoop(self._model, known), reason, outcome.updated)
+        self._updated = known
+        follows = self._drifting.state.shape == step.after.shape and known.covariance_names == prior.covariance_names
+        led = CalibrationStep(used.version, begun_s, moment[0], step, tuple(map(float, self._drifting.state)))
+        return CalibrationOutcome(OpenLoop(self._model, known), reason, outcome.updated, step=led if follows else None)
 
     def _without_sweeps(self, used: ParameterSet, now_s: float) -> CalibrationOutcome:
-        """The model lacks something, so sweeps have taught the wrong lesson: back to what was given, where nothing else taught.
+        """The model lacks something, so updates from sweeps were wrong: back to what was given, unless changed otherwise.
 
         With a moisture map the values given hold at another moisture, and those in use stay.
         """
         if self._given is None or self._given is used or self._map is not None:
-            return CalibrationOutcome(None, "the model disagrees with the sweeps; they teach nothing")
+            return CalibrationOutcome(None, "the model disagrees with the sweeps; they change nothing")
         self._history = [*self._history[-7:], (now_s, used)]
-        self._taught = self._given = replace(self._given, version=used.version + 1)
-        reason = "the model disagrees with the sweeps; what they have taught is taken back"
-        return CalibrationOutcome(OpenLoop(self._model, self._taught), reason)
+        self._updated = self._given = replace(self._given, version=used.version + 1)
+        reason = "the model disagrees with the sweeps; what rests on them is undone"
+        return CalibrationOutcome(OpenLoop(self._model.with_effects(self._updated.effects), self._updated), reason)
+
+    def forget(self, load_numbers: frozenset[int], again: Sequence[ReferenceMass]) -> None:
+        """See records.SelfCalibrator."""
+        names = {f"load {number}" for number in (*load_numbers, *(a.load_number for a in again))}
+        self._weighings = [load for load in self._weighings if load.name not in names]
+        if self._doubted is not None and self._doubted.name in names:
+            self._doubted = None
+        self._used = self._used - frozenset(again)
 
     def snapshot(self, now_s: float, total_kg: float) -> CalibratorState | None:
         """See records.SelfCalibrator."""
@@ -256,11 +297,14 @@ class ClosedLoopCalibrator:
         joint[:, -len(rows) :] = rows.T
         self._drifting = replace(fresh, rates=np.array(state.rates), joint=joint)
 
-    def _prior(self, used: ParameterSet, moisture_pct: float, now_s: float, total_kg: float) -> DriftingParameters:
-        """What is known now: the parameters in use, moved by moisture and their steady rates, widened by what wanders."""
+    def _prior(
+        self, used: ParameterSet, moisture_pct: float, now_s: float, total_kg: float
+    ) -> tuple[DriftingParameters, Advance]:
+        """What is known now: the parameters in use, moved by moisture and steady rates, widened by what wanders; and how."""
         known = self._drifting
         if known is None or known.parameters is not used:
-            known = begin(used, self._settings.steady_per_kilotonne)
+            known = begin(self._patterned(used), self._settings.steady_per_kilotonne)
+        start = known
         if self._map is not None and isfinite(moisture_pct):
             if isfinite(self._moisture_pct):
                 known = carried(known, self._map.moved(known.parameters, self._moisture_pct, moisture_pct))
@@ -271,8 +315,35 @@ class ClosedLoopCalibrator:
         if not isfinite(self._at_kg):
             self._at_kg = total_kg
         hours = max(now_s - self._at_s, 0.0) / 3600.0
-        later, _ = advance(known, self._settings.drift, hours, max(total_kg - self._at_kg, 0.0))
-        return later
+        later, step = advance(known, self._settings.drift, hours, max(total_kg - self._at_kg, 0.0))
+        before, moved = start.state, known.state
+        carry = np.divide(moved, before, out=np.ones_like(moved), where=before != 0.0)
+        return later, replace(
+            step, before=before, covariance_before=start.joint, transition=step.transition * carry,
+        )
+
+    def _checks(self, found: Sequence[tuple[ReferenceMass, MassAnchor]], prior: ParameterSet) -> tuple[ScaleCheck, ...]:
+        """New masses held against what is known now; each mass once, although a refused lesson may come again."""
+        new = [pair for pair in found if pair[0] not in self._checked]
+        self._checked = frozenset((*self._used, *(reference for reference, _ in found)))
+        return tuple(check for check in (self._check(*pair, prior) for pair in new) if check is not None)
+
+    def _check(self, reference: ReferenceMass, mass: MassAnchor, prior: ParameterSet) -> ScaleCheck | None:
+        moisture = self._moisture_pct if mass.moisture_pct is None else mass.moisture_pct
+        flow = OpenLoop(self._model, prior).estimate(
+            mass.force_n, mass.plate_angle_rad, mass.elevator_speed_rad_s, moisture_pct=moisture
+        )
+        measured_kg = float(mass.duration_s @ flow.mass_flow_kg_s)
+        if not isfinite(measured_kg):
+            return as_stated(reference)
+        beside_kg = reference.budget.beside_parameters_kg
+        std_dev_kg = hypot(
+            mass.std_dev_kg,
+            float(mass.duration_s @ flow.std_dev_kg_s),
+            self._settings.closed_loop.model_error * measured_kg,
+            beside_kg if isfinite(beside_kg) else 0.0,
+        )
+        return ScaleCheck(name_of(reference), reference.start_s, mass.reference_kg, measured_kg, std_dev_kg)
 
     def _mass_anchors(
         self, anchors: Sequence[ReferenceMass], used: ParameterSet
@@ -289,6 +360,14 @@ class ClosedLoopCalibrator:
     def _mass_anchor(self, anchor: ReferenceMass, used: ParameterSet, span_s: float) -> MassAnchor:
         """The total in pieces, each with the parameters that made it."""
         machine = self._model.machine
+        sd = float(np.hypot(anchor.std_dev_kg, self._settings.anchor_error * anchor.reference_kg))
+        forces = anchor.forces
+        if forces is not None and (not self._model.needs_moisture or np.all(np.isfinite(forces.moisture_pct))):
+            moisture = forces.moisture_pct if self._model.needs_moisture else None
+            return MassAnchor(
+                anchor.reference_kg, sd, forces.duration_s, forces.force_n, forces.plate_angle_rad, forces.elevator_speed_rad_s,
+                moisture,
+            )
         pieces: list[MassAnchor] = []
         begin = anchor.start_s
         for until_s, parameters in (*self._history, (float("inf"), used)):
@@ -299,12 +378,12 @@ class ClosedLoopCalibrator:
             flow = max(anchor.measured_kg / span_s, 1.0)
             pieces.append(
                 MassAnchor.from_total(
-                    anchor.reference_kg, anchor.std_dev_kg, share * anchor.measured_kg, self._model, parameters, flow,
+                    anchor.reference_kg, anchor.std_dev_kg, share * anchor.measured_kg, self._model,
+                    self._patterned(parameters), flow,
                     machine.home_plate_angle_rad, machine.nominal_elevator_speed_rad_s,
                 )
             )
             begin = end
-        sd = float(np.hypot(anchor.std_dev_kg, self._settings.anchor_error * anchor.reference_kg))
         return MassAnchor(
             anchor.reference_kg, sd, *(
                 np.concatenate([getattr(p, name) for p in pieces])

@@ -10,6 +10,7 @@ import numpy as np
 
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.settings import DisagreementSettings
+from yieldmon.estimation.angle_pattern import without_pattern
 from yieldmon.estimation.misfit import NO_MISFIT, Misfit, ReducedSweep, common_misfit, pooled_residuals, reduce_sweep
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import Machine
@@ -92,11 +93,12 @@ class Disagreement:
     def restore(self, state: DisagreementState, parameters: ParameterSet) -> None:
         """Go on from what was kept, with the parameters now in use."""
         self._state = state
-        self._region = _in_words(self._misfit(state, parameters), len(state.patterns))
+        self._region = _in_words(self._misfit(state, without_pattern(parameters)), len(state.patterns))
 
     def add(self, records: Sequence[WindowRecord], parameters: ParameterSet) -> None:
-        """Take the usable windows of one whole sweep, with the parameters in use; one that tells of no pattern is passed over."""
+        """Take the usable windows of one whole sweep, with the parameters in use; one without a pattern is passed over."""
         columns = {name: np.array([getattr(record, name) for record in records]) for name in _COLUMNS}
+        parameters = without_pattern(parameters)
         reduced = reduce_sweep(self._model(parameters), parameters, **columns) if records else None
         if reduced is None:
             return

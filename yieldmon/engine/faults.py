@@ -54,6 +54,8 @@ class FaultCode(StrEnum):
     NETWORK_FAULT = "NetworkFault"
     ZERO_MISSING = "ZeroMissing"
     WAVEFORM_CONTRADICTS = "WaveformContradicts"
+    MASS_NEAR_END = "MassNearEnd"
+    SCALE_DISAGREES = "ScaleDisagrees"
 
 
 class Severity(int, Enum):
@@ -75,6 +77,8 @@ class Observation(NamedTuple):
     calibration_age_s: float | None
     settings: EngineSettings
     waveform: WaveformReading
+    mass_near_end: str | None
+    scale_alarm: str | None
 
     @property
     def window(self) -> Window:
@@ -254,7 +258,7 @@ _TABLE = (
     FaultDefinition(
         _C.MODEL_DISAGREES, 520200, 31, _W, 1, 1,
         "The residuals of several sweeps show a pattern that the model cannot make.",
-        "Flow may be biased at some angles and loads; sweeps teach nothing, and what they alone had taught is taken back.",
+        "Flow may be biased at some angles and loads; sweeps change no parameter, and what rests on them alone is undone.",
         "Run diagnose on the store and adopt the effect that it proves.",
         lambda o: o.disagreement.region if o.disagreement.present else None,
     ),
@@ -277,7 +281,7 @@ _TABLE = (
     FaultDefinition(
         _C.CLOCK_JUMPED, 520203, 2, _N, 1, 1,
         "Frame time stepped back or leapt forward.",
-        "Windows and totals go on; records near the step carry odd times.",
+        "Windows and totals go on; records near the step have wrong times.",
         "None; check the logger's clock if it repeats.",
         lambda o: _if(o.reading.windows_since_jump < o.settings.faults.clock_jump_hold_windows),
     ),
@@ -322,6 +326,20 @@ _TABLE = (
         "One of them is wrong; the standard deviation of the flow does not cover it.",
         "Weigh a load; check plate and density; run diagnose on the store.",
         lambda o: o.waveform.contradiction or None,
+    ),
+    FaultDefinition(
+        _C.MASS_NEAR_END, 520209, 0, _W, 1, 1,
+        "The load's or the total mass is near the largest that its signal in AccumulatedMass carries.",
+        "Beyond that the signal is not available; the store and status go on counting.",
+        "Start a new load; archive the totals.",
+        lambda o: o.mass_near_end,
+    ),
+    FaultDefinition(
+        _C.SCALE_DISAGREES, 520210, 31, _W, 1, 1,
+        "A weighed mass contradicts the calibration (p < 0.001).",
+        "Mass since the load named is off by about what is said; the scale is learnt from the weighed masses.",
+        "Check the ticket, then chain slip, paddle wear and sensor gain. Ends with a weighed mass that agrees or a calibration.",
+        lambda o: o.scale_alarm,
     ),
 )
 

@@ -41,7 +41,7 @@ class Flow:
 
 
 class Estimate(NamedTuple):
-    """One row of a FlowEstimate; noise_kg_s is None where the estimator does not tell it apart."""
+    """One row of a FlowEstimate; noise_kg_s is None where the estimator does not state it."""
 
     rate_kg_s: float
     std_dev_kg_s: float
@@ -185,7 +185,7 @@ def _noise(rate: float, own: float | None, reading: Reading) -> float:
     """The part of the standard deviation that changes from window to window."""
     if own is not None:
         return own
-    # An estimator that does not tell them apart: flow is nearly proportional to force, so a share of one is one of the other.
+    # An estimator that does not state it: flow is nearly proportional to force, so a share of one is one of the other.
     return rate * reading.force_std_dev_n / reading.force_n if reading.force_n > 0.0 else _NAN
 
 

@@ -7,11 +7,15 @@ from dataclasses import dataclass
 from math import isfinite
 
 from yieldmon.engine.anchors import AnchorSource, ReferenceMass, TankScale
+from yieldmon.engine.budget import MassBudget
 from yieldmon.engine.disagreement import Disagreement
 from yieldmon.engine.flow import Flow
 from yieldmon.engine.inputs import InputSnapshot
+from yieldmon.engine.load_forces import LoadForceSums
 from yieldmon.engine.loads import LoadSummary
-from yieldmon.engine.records import CalibrationOutcome, FlowEstimator, SelfCalibrator, WindowRecord
+from yieldmon.engine.measurement import Reading
+from yieldmon.engine.records import CalibrationOutcome, CalibrationStep, FlowEstimator, SelfCalibrator, WindowRecord
+from yieldmon.engine.scale_alarm import ScaleAlarm, as_stated
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sweep import SweepAbort, SweepMachine
 from yieldmon.engine.windows import Window
@@ -21,11 +25,13 @@ from yieldmon.physics.machine import Machine
 
 @dataclass(frozen=True, slots=True)
 class ParametersChanged:
-    """Other parameters from now on. origin: "sweep" or "ticket" (a reference mass alone); reason: one sentence."""
+    """Other parameters from now on. origin: "sweep" or "ticket" (a reference mass alone); reason: one sentence; step: see
+    `records.CalibrationOutcome`."""
 
     parameters: ParameterSet
     origin: str
     reason: str
+    step: CalibrationStep | None = None
 
 
 class Learning:
@@ -38,11 +44,14 @@ class Learning:
         self.calibrator = calibrator
         self.calibration_age_s: float | None = None
         self.outcome: CalibrationOutcome | None = None
-        """What the last whole sweep or weighed mass taught."""
+        """What the last whole sweep or weighed mass changed."""
         self.disagreement = Disagreement(settings.disagreement, machine)
+        self.scale_alarm = ScaleAlarm(settings.faults)
         self._scale = TankScale(settings.anchors)
         self._tickets: deque[ReferenceMass] = deque(maxlen=settings.anchors.keep)
         self._masses_new = False
+        self._compared: frozenset[ReferenceMass] = frozenset()
+        self.forces = LoadForceSums()
         self._weighed_s = float("-inf")
         self._sweep_records: list[WindowRecord] = []
 
@@ -52,8 +61,24 @@ class Learning:
         return tuple(sorted((*self._scale.anchors, *self._tickets), key=lambda anchor: anchor.end_s))
 
     @property
-    def lesson(self) -> str:
-        """What the last whole sweep or weighed mass taught, in a sentence."""
+    def masses_wait(self) -> bool:
+        """Whether a reference mass has come that was not handed to the calibrator yet."""
+        return self._masses_new and self.calibrator is not None
+
+    def forget_ticket(self, load_numbers: frozenset[int]) -> None:
+        """A ticket for these loads was taken back; those entered since then teach anew."""
+        gone = [i for i, anchor in enumerate(self._tickets) if anchor.load_number in load_numbers]
+        if not gone:
+            return
+        later = [a for i, a in enumerate(self._tickets) if i > gone[0] and i not in gone]
+        self._tickets = deque((a for i, a in enumerate(self._tickets) if i not in gone), maxlen=self._tickets.maxlen)
+        if self.calibrator is not None:
+            self.calibrator.forget(load_numbers, later)
+            self._masses_new = bool(later)
+
+    @property
+    def last_update(self) -> str:
+        """What the last whole sweep or weighed mass changed, in a sentence."""
         return self.outcome.reason if self.outcome is not None else "no calibrator"
 
     def use(self, estimator: FlowEstimator, calibration_age_s: float | None) -> None:
@@ -66,13 +91,37 @@ class Learning:
         if self.calibration_age_s is not None:
             self.calibration_age_s += seconds
 
-    def weighed(self, window: Window, inputs: InputSnapshot, flow: Flow, total_before_kg: float, mass_kg: float) -> None:
-        """Match the tank scale's stable readings with what a window measured."""
+    def weighed(
+        self, window: Window, inputs: InputSnapshot, flow: Flow, total_before_kg: float, mass_kg: float, budget: MassBudget,
+        *, zero_doubted: bool
+    ) -> float:
+        """Match the tank scale's stable readings with what a window measured; budget: of the total after it.
+
+        Returns kg that were missed, by the scale, while the zero was doubted.
+        """
+        if zero_doubted:
+            self._scale.doubt_zero()
         if inputs.tank_time_s != self._weighed_s:
             self._weighed_s = inputs.tank_time_s
             self._scale.reading(inputs.tank_time_s, inputs.tank_kg)
-        if self._scale.window(window.start_s, window.end_s, total_before_kg, mass_kg, flow.measured):
+        weighed = self._scale.window(window.start_s, window.end_s, total_before_kg, mass_kg, flow.measured, budget)
+        if weighed is None:
+            return 0.0
+        if not weighed.zero_doubted:
             self._masses_new = True
+            return 0.0
+        missed_kg = max(0.0, weighed.reference_kg - weighed.measured_kg)
+        self._scale.counted(missed_kg)
+        return missed_kg
+
+    def measured(self, load_number: int, reading: Reading, flow: Flow, mass_kg: float) -> None:
+        """A window that added mass to a load."""
+        if mass_kg > 0.0:
+            window = reading.window
+            self.forces.add(
+                load_number, mass_kg, mass_kg / flow.rate_kg_s, flow.force_n, window.plate_angle_rad, window.speed_rad_s,
+                reading.inputs.fresh["moisture"],
+            )
 
     def ticket(
         self, load_number: int, mass_kg: float, std_dev_kg: float, loads: tuple[LoadSummary, ...], now_s: float
@@ -88,14 +137,16 @@ class Learning:
             raise ValueError(f"ticket for load {load_number}: no such load; expected one of {known}")
         end_s = load.end_s if isfinite(load.end_s) else now_s
         anchor = ReferenceMass(
-            AnchorSource.TICKET, load.start_s, end_s, mass_kg, std_dev_kg, load.measured_kg, load.complete, load_number
+            AnchorSource.TICKET, load.start_s, end_s, mass_kg, std_dev_kg, load.measured_kg, load.complete, load_number,
+            load.budget,
+            forces=self.forces.of(load_number),
         )
         self._tickets.append(anchor)
         self._masses_new = True
         return anchor
 
     def learn(self, at_s: float, record: WindowRecord, sweep: SweepMachine) -> tuple[ParametersChanged, ...]:
-        """Collect a sweep's windows, and at its end hand them to the calibrator; between sweeps reference masses teach."""
+        """Collect a sweep's windows, and at its end hand them to the calibrator; between sweeps reference masses update."""
         if not sweep.visiting and not sweep.completed:
             self._sweep_records.clear()
             return self._learn_from_masses(record)
@@ -104,7 +155,7 @@ class Learning:
         if not sweep.completed:
             return ()
         records, self._sweep_records = self._sweep_records, []
-        if sweep.lying_feedback():
+        if sweep.implausible_feedback():
             sweep.abort(at_s, SweepAbort.FORCE_DOES_NOT_FOLLOW)
             return ()
         self.disagreement.add(records, self.estimator.parameters)
@@ -112,7 +163,7 @@ class Learning:
         if self.calibrator is not None:
             self._masses_new = False
             outcome = self.calibrator.update(
-                records, self.anchors, self.estimator, believe_sweep=not self.disagreement.present
+                records, self.anchors, self.estimator, use_sweep=not self.disagreement.present
             )
             changed = self._take(outcome)
         sweep.finish(at_s, bool(changed))
@@ -120,14 +171,25 @@ class Learning:
 
     def _learn_from_masses(self, record: WindowRecord) -> tuple[ParametersChanged, ...]:
         """Hand reference masses that have come since the last update to the calibrator."""
-        if self.calibrator is None or not self._masses_new:
+        if not self._masses_new:
             return ()
         self._masses_new = False
+        if self.calibrator is None:
+            self._compare()
+            return ()
         return self._take(self.calibrator.weigh(record, self.anchors, self.estimator))
+
+    def _compare(self) -> None:
+        """Nothing learns: hold new masses against what was counted."""
+        checks = [as_stated(anchor) for anchor in self.anchors if anchor not in self._compared]
+        self._compared = frozenset(self.anchors)
+        self.scale_alarm.see([check for check in checks if check is not None])
 
     def _take(self, outcome: CalibrationOutcome) -> tuple[ParametersChanged, ...]:
         self.outcome = outcome
+        self.scale_alarm.see(outcome.checks)
         if outcome.estimator is None:
             return ()
         self.use(outcome.estimator, 0.0)
-        return (ParametersChanged(outcome.estimator.parameters, "ticket" if outcome.weighed else "sweep", outcome.reason),)
+        origin = "ticket" if outcome.weighed else "sweep"
+        return (ParametersChanged(outcome.estimator.parameters, origin, outcome.reason, outcome.step),)

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import isfinite
 
+from yieldmon.engine.budget import EMPTY, MassBudget
 from yieldmon.engine.flow import Flow
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.totals import Totals, dry_mass
@@ -26,7 +27,8 @@ _KEPT_LOADS = 256
 @dataclass(frozen=True, slots=True)
 class LoadSummary:
     """One load: bus times of its start and end (nan while open), masses in kg. complete: every second of it was measured.
-    std_dev_kg: of measured_kg, nan where it is not known."""
+    std_dev_kg: of measured_kg, nan where it is not known; budget: the same by cause. area_m2: harvested for it; unknown_area_kg:
+    mass whose area is not known."""
 
     number: int
     start_s: float
@@ -36,6 +38,9 @@ class LoadSummary:
     unknown_moisture_kg: float
     complete: bool
     std_dev_kg: float = _NAN
+    budget: MassBudget = EMPTY
+    area_m2: float = 0.0
+    unknown_area_kg: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,8 +64,8 @@ class Loads:
     """The loads of one machine. Times are bus time, s; nan before the first frame."""
 
     def __init__(self, settings: EngineSettings) -> None:
-        self.totals = Totals()
         self._settings = settings
+        self.totals = self._at_market(Totals())
         self._closed: deque[LoadSummary] = deque(maxlen=_KEPT_LOADS)
         self._start_s = _NAN
         self._complete = True
@@ -94,7 +99,7 @@ class Loads:
     def reset(self, now_s: float) -> LoadEvents:
         """All masses from 0, in a load with the next number."""
         closed = self._close(now_s)
-        self.totals = Totals(load_number=self.totals.load_number + 1)
+        self.totals = Totals(load_number=self.totals.load_number + 1, market_moisture_pct=self.totals.market_moisture_pct)
         self._start_s = now_s
         self._complete = True
         return (*closed, LoadOpened(self._summary(_NAN)))
@@ -105,8 +110,13 @@ class Loads:
         self.totals = self.totals.stop_load()
         return closed
 
-    def count(self, window: Window, flow: Flow, moisture_pct: float) -> float:
-        """Add a window to the totals; returns its mass, kg."""
+    def count(self, window: Window, flow: Flow, moisture_pct: float, area_m2: float = _NAN) -> float:
+        """Add a window and its area to the totals; returns its mass, kg."""
+        mass_kg = self._count_mass(window, flow, moisture_pct)
+        self.totals = self.totals.with_area(area_m2, mass_kg)
+        return mass_kg
+
+    def _count_mass(self, window: Window, flow: Flow, moisture_pct: float) -> float:
         if not flow.measured:
             if flow.quality is EstimateQuality.NOT_AVAILABLE:
                 self._complete = False
@@ -117,21 +127,25 @@ class Loads:
         if not enough:
             self._complete = False
         if window.surplus_frames > 0:
-            # Whose samples they were nobody can tell.
+            # Whose samples they were is not known.
             self._complete = False
             self.totals = self.totals.with_contested(mass_kg)
             return 0.0
-        dry_kg = dry_mass(mass_kg, moisture_pct, self._settings.totals)
+        dry_kg = dry_mass(mass_kg, moisture_pct, self._settings.totals, self.totals.market_moisture_pct)
         self.totals = self.totals.with_mass(mass_kg, dry_kg, flow.budget, seconds)
         return mass_kg
 
+    def doubt(self) -> None:
+        """What was counted last may be wrong: the load is no reference."""
+        self._complete = False
+
     def restore(self, totals: Totals) -> None:
         """Go on from totals that were kept; what passed since was not measured."""
-        self.totals = totals
+        self.totals = self._at_market(totals)
         self._complete = not (totals.load_open and totals.load_kg > 0.0)
 
     def correct(self, missed: Mapping[int, float]) -> LoadEvents:
-        """Mass that was missed, kg by load, joins its loads and the totals, of unknown moisture; closed loads are told again."""
+        """Mass that was missed, kg by load, joins its loads and the totals, of unknown moisture; closed loads are returned."""
         events: list[LoadClosed | LoadOpened] = []
         for number, kg in missed.items():
             totals = self.totals
@@ -152,6 +166,14 @@ class Loads:
                     events.append(LoadClosed(self._closed[place]))
         return tuple(events)
 
+    def set_market_moisture(self, moisture_pct: float) -> None:
+        """Of the dry masses that are counted from now on; what the settings say goes before it."""
+        self.totals = self._at_market(replace(self.totals, market_moisture_pct=moisture_pct))
+
+    def _at_market(self, totals: Totals) -> Totals:
+        given = self._settings.totals.moisture_reference_pct
+        return totals if given is None else replace(totals, market_moisture_pct=given)
+
     def _summary(self, end_s: float) -> LoadSummary:
         totals = self.totals
         return LoadSummary(
@@ -163,6 +185,9 @@ class Loads:
             unknown_moisture_kg=totals.load_unknown_moisture_kg,
             complete=self._complete,
             std_dev_kg=totals.load_budget.std_dev_kg,
+            budget=totals.load_budget,
+            area_m2=totals.load_area_m2,
+            unknown_area_kg=totals.load_unknown_area_kg,
         )
 
     def _close(self, now_s: float) -> LoadEvents:

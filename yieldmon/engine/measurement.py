@@ -7,17 +7,17 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from math import hypot, isfinite, radians
+from math import degrees, hypot, isfinite, radians
 
 from yieldmon.engine.aliasing import ALIAS_FREE_HZ, aliasing_share
 from yieldmon.engine.gates import GateInputs, HarvestGate
 from yieldmon.engine.inputs import InputSnapshot
-from yieldmon.engine.settings import EngineSettings
+from yieldmon.engine.settings import EngineSettings, WindowSettings
 from yieldmon.engine.sources import Sources
 from yieldmon.engine.windows import Window
 from yieldmon.engine.zero import ZeroRefusal, ZeroState, ZeroTracker
 from yieldmon.frames import EstimateQuality
-from yieldmon.physics.machine import Machine
+from yieldmon.physics.machine import RPM, Machine
 
 _NAN = float("nan")
 _NEVER = 1 << 62
@@ -55,10 +55,38 @@ class Reading:
     zero_refusal: ZeroRefusal | None
 
 
+_LARGEST_RATIO = 4.0
+"""A window's squared scatter counts for no more than this times what is known."""
 _TANK_S = 60.0
 """Stable readings of the tank's scale within this time are compared."""
 _TANK_RISE = 3.0
 """Rise between them that is grain, in standard deviations of the scale."""
+
+
+class PaddleScatter:
+    """Squared relative standard deviation of one paddle's momentum, learnt over the windows.
+
+    It begins at the prior with the prior's weight; older windows count less, so that another crop or chain is followed.
+    """
+
+    def __init__(self, settings: WindowSettings) -> None:
+        self._settings = settings
+        self._sum = settings.scatter_prior_patterns * settings.paddle_scatter**2
+        self.patterns = settings.scatter_prior_patterns
+        """Weight of what is known, in paddle patterns."""
+
+    @property
+    def square(self) -> float:
+        """As known now."""
+        return self._sum / self.patterns
+
+    def see(self, square: float, patterns: float) -> None:
+        """A window's own, from so many paddle patterns."""
+        # A step of the flow inside the window is no scatter.
+        taken = min(square, _LARGEST_RATIO * self.square)
+        kept = 1.0 - patterns / self._settings.scatter_memory_patterns
+        self._sum = kept * self._sum + patterns * taken
+        self.patterns = kept * self.patterns + patterns
 
 
 class Measurement:
@@ -73,13 +101,34 @@ class Measurement:
         self._rest_rad = radians(2.0 * settings.plate.at_target_tolerance_deg)
         self._idle_since_s: float | None = None
         self._cutting_s = float("-inf")
+        self._obstacle = ""
+        """Why the last window could not be shown to the zero."""
         self._stuck_s = 0
+        self._scatter = PaddleScatter(settings.windows)
         self._sampled = False
         self._jumps = 0
         self._since_jump = _NEVER
         self._started_s: float = _NAN
         self._tank: deque[tuple[float, float]] = deque()
         self._last: tuple[Window, float] | None = None
+
+    @property
+    def zero_waits_for(self) -> str:
+        """What the zero that is wanted waits for, "" where none is."""
+        seen, wanted = self.zero.progress
+        if not wanted:
+            return ""
+        if self._obstacle:
+            return self._obstacle
+        refusal = self.zero.refusal
+        if refusal is not None and seen == wanted:
+            limits = self._settings.zero
+            return (
+                f"an elevator that runs empty: the paddles throw pulses of {refusal.pulse_mv:.1f} mV (at most "
+                f"{limits.first_pulse_limit_mv:g}) and the level ranges over {refusal.level_range_mv:.1f} mV (at most "
+                f"{limits.level_range_mv:g}) in the last {wanted} s; stop taking in crop"
+            )
+        return f"the elevator running empty: {seen} of {wanted} s"
 
     @property
     def signs_of_grain(self) -> str:
@@ -163,15 +212,17 @@ class Measurement:
         return quality.NOT_AVAILABLE if held_long else None, force, noise
 
     def _force_std_dev(self, window: Window, force_n: float) -> float:
-        """Standard deviation of the mean force: scatter within the window, drawn towards the prior for paddle scatter, N."""
+        """Standard deviation of the mean force: scatter within the window, drawn towards that of the windows before it, N."""
         settings, machine = self._settings.windows, self._machine
         gain = machine.sensor.gain_n_per_mv
         paddles = window.speed_rad_s * machine.sprocket_pitch_radius_m / machine.paddle_spacing_m * window.covered_s
-        expected = settings.paddle_scatter * abs(force_n) / max(1.0, paddles) ** 0.5
-        variance = expected**2
+        per_scatter = (force_n / max(1.0, paddles) ** 0.5) ** 2
+        variance = self._scatter.square * per_scatter
         if isfinite(window.std_dev_mv):
-            seen = (window.std_dev_mv * gain) ** 2
-            own, prior = float(window.patterns - 1), settings.scatter_prior_patterns
+            seen, own = (window.std_dev_mv * gain) ** 2, float(window.patterns - 1)
+            prior = self._scatter.patterns
+            if abs(force_n) > self._settings.gate.certain_force_n:
+                self._scatter.see(seen / per_scatter, own)
             variance = (own * seen + prior * variance) / (own + prior)
         variance /= max(window.coverage, 1e-3)
         noise = hypot(variance**0.5, settings.min_force_std_dev_n)
@@ -203,10 +254,30 @@ class Measurement:
         whole = window.coverage >= self._settings.windows.full_coverage
         if inputs.fresh["header_down"] == 1.0 and inputs.fresh["work_state"] != 0.0:
             self._cutting_s = window.end_s
-        if not (elevator_runs and whole and plate_rests_at_home):
+        self._obstacle = self._zero_obstacle(window, inputs, elevator_runs, whole, plate_rests_at_home)
+        if self._obstacle:
             self.zero.interrupt()
             return False
         emptied = window.end_s - self._cutting_s >= self._settings.gate.emptying_s
         wanted = self.zero.calibrating or self.zero.state is None
         self.zero.see(window, may_be_empty=not self._gate.harvesting and emptied)
         return wanted and self.zero.state is not None and not self.zero.calibrating
+
+    def _zero_obstacle(
+        self, window: Window, inputs: InputSnapshot, elevator_runs: bool, whole: bool, plate_rests_at_home: bool
+    ) -> str:
+        """What a window lacks for a zero, "" where it lacks nothing."""
+        machine = self._machine
+        if not inputs.speed_known:
+            return "the elevator's speed, which no frame tells"
+        if not elevator_runs:
+            low, high = (speed / RPM for speed in (machine.min_elevator_speed_rad_s, machine.max_elevator_speed_rad_s))
+            return f"the elevator to run at {low:.0f} to {high:.0f} rpm: it turns at {window.speed_rad_s / RPM:.0f} rpm"
+        if not whole:
+            return "all samples of a second from the impact sensor"
+        if not plate_rests_at_home:
+            home = degrees(machine.home_plate_angle_rad)
+            angle = degrees(window.plate_angle_rad)
+            where = f"it is at {angle:.1f} deg" if isfinite(angle) else "no frame tells where it is"
+            return f"the plate to rest at home, {home:.0f} deg: {where}"
+        return ""

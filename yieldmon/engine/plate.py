@@ -45,14 +45,14 @@ class Plate:
         self.driving = demand.mode is not CommandMode.RELEASE
         return self._commander.command(demand, angle_deg)
 
-    def ended(self, lesson: str, parameter_version: int) -> tuple[SweepEnded, ...]:
-        """The sweep's end, once for each: a plate that is fetched home later on ends no sweep again. lesson: what it taught."""
+    def ended(self, last_update: str, parameter_version: int) -> tuple[SweepEnded, ...]:
+        """The sweep's end, once for each: a plate fetched home later ends no sweep again. last_update: what it changed."""
         sweep = self.sweep
         if sweep.sweep_id == self._ended_id or sweep.state not in _ENDS:
             return ()
         self._ended_id = sweep.sweep_id
         aborted = sweep.abort_reason.value if sweep.abort_reason is not None else ""
-        reason = aborted if sweep.state is SweepState.ABORTED else lesson
+        reason = aborted if sweep.state is SweepState.ABORTED else last_update
         return (SweepEnded(sweep.sweep_id, sweep.state, reason, tuple(sweep.sequence), parameter_version),)
 
     def restore(self, sweep_id: int, due_in_s: float, first_after_s: float) -> None:

@@ -10,6 +10,7 @@ from yieldmon.engine.faults import FAULTS
 from yieldmon.engine.health import FaultBook
 from yieldmon.engine.records import COLUMNS, WindowRecord
 from yieldmon.engine.sweep import SweepMachine
+from yieldmon.engine.totals import Totals
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.frames import NOT_AVAILABLE, EstimateQuality, Frame, Value
 from yieldmon.signal_ranges import SignalRanges, signal_ranges
@@ -20,7 +21,7 @@ _PUBLISHED = tuple((column, *column.published) for column in COLUMNS if column.p
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """What the frames of a window tell beside its record. parameters: in use. calibration_age_s: None where it is not known."""
+    """What the frames of a window hold beside its record. parameters: in use. calibration_age_s: None where it is not known."""
 
     sweep: SweepMachine
     parameters: ParameterSet
@@ -48,6 +49,15 @@ class Publisher:
             known = NOT_AVAILABLE if value is None else self._fitting(message, signal, value)
             signals.setdefault(message, {})[signal] = known
         return tuple(Frame(record.time_s, message, values) for message, values in signals.items())
+
+    def mass_near_end(self, totals: Totals, share: float) -> str | None:
+        """What is to be said of masses above this share of the largest that their signals carry; None where there is none."""
+        ranges = self._ranges[bus.ACCUMULATED_MASS]
+        masses = (("LoadMass", totals.load_kg, "load start"), ("TotalMass", totals.total_kg, "totals archive"))
+        return "; ".join(
+            f"{signal} {kg:.0f} kg of at most {ranges[signal][1]:.0f} kg: {command}"
+            for signal, kg, command in masses if kg >= share * ranges[signal][1]
+        ) or None  # fmt: skip
 
     def _mass_flow(self, record: WindowRecord) -> dict[str, Value]:
         known = isfinite(record.mass_flow_kg_s) and record.coverage >= self._min_coverage

@@ -15,8 +15,10 @@ from numpy.typing import ArrayLike
 
 from yieldmon.engine.anchors import ReferenceMass
 from yieldmon.engine.faults import FaultCode
+from yieldmon.engine.scale_alarm import ScaleCheck
 from yieldmon.estimation.open_loop import FlowEstimate
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.steady_drift import Advance
 from yieldmon.frames import EstimateQuality, OperatingState
 from yieldmon.physics.machine import RPM
 
@@ -35,6 +37,7 @@ class Second(NamedTuple):
     reading: Reading
     flow: Flow
     mass_kg: float
+    area_m2: float
     totals: Totals
     operating_state: OperatingState
     faults: tuple[FaultCode, ...]
@@ -124,6 +127,7 @@ class WindowRecord:
     noise_std_dev_kg_s: the part of the measured flow's standard deviation that averages out. load_std_dev_kg and
     total_std_dev_kg: of
     the masses.
+    area_m2: harvested for the second's grain (engine.area).
     shape_*, kernel_*: flow from the pulses' shape and from kernel noise, beside that of the mean force.
     """
 
@@ -175,6 +179,8 @@ class WindowRecord:
     shape_std_dev_kg_s: float = second_field(lambda s: s.waveform.shape_std_dev_kg_s, "known", since=6)
     kernel_flow_kg_s: float = second_field(lambda s: s.waveform.kernels_kg_s, "known", since=6)
     kernel_std_dev_kg_s: float = second_field(lambda s: s.waveform.kernels_std_dev_kg_s, "known", since=6)
+    area_m2: float = second_field(lambda s: s.area_m2, "known", since=7)
+    grain_temperature_degc: float = second_field(lambda s: s.reading.inputs.fresh["grain_temperature"], "known", since=9)
 
 
 _DECLARED = tuple((item.name, item.metadata["declared"]) for item in fields(WindowRecord))
@@ -220,24 +226,42 @@ class FlowEstimator(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class CalibrationStep:
+    """From one lesson to the next, as a smoother needs it to correct the time between.
+
+    from_version: parameters in use between them. begin_s, end_s: bus time. advance: states (parameters, then their rates) and
+    covariances at both ends, before the second lesson; state: what that made of them.
+    """
+
+    from_version: int
+    begin_s: float
+    end_s: float
+    advance: Advance
+    state: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class CalibrationOutcome:
-    """What a sweep or a weighed mass taught. estimator: the one to use from now on, or None where the parameters stay.
+    """What a sweep or a weighed mass changed. estimator: the one to use from now on, or None where the parameters stay.
 
     reason: one sentence for the operator. identifiable: what was to be determined was narrowed. weighed: a reference mass alone
-    taught, no sweep.
+    changed it, no sweep. checks: masses weighed since the last call, held against the parameters as they were before it.
+    step: what a smoother needs to correct the time before; None where the update does not follow on the one before it.
     """
 
     estimator: FlowEstimator | None
     reason: str
     identifiable: bool = True
     weighed: bool = False
+    checks: tuple[ScaleCheck, ...] = ()
+    step: CalibrationStep | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class CalibratorState:
     """What self-calibration knows beside the parameters.
 
-    waited_s, harvested_kg: since the last lesson. moisture_pct: of the grain for which the parameters hold. drifting: the r
+    waited_s, harvested_kg: since the last update. moisture_pct: of the grain for which the parameters hold. drifting: the r
     parameters that have a steady rate; rates: (r,), per kilotonne; covariance: (r, n + r) of the rates with the n parameters that
     have a variance, and with each other.
     """
@@ -259,17 +283,20 @@ class SelfCalibrator(Protocol):
         anchors: Sequence[ReferenceMass],
         estimator: FlowEstimator,
         *,
-        believe_sweep: bool = True,
+        use_sweep: bool = True,
     ) -> CalibrationOutcome:
         """records: the usable windows of one whole sweep. anchors: all reference masses kept. estimator: the one in use.
 
-        believe_sweep: False while the model disagrees with what sweeps show; then only reference masses teach.
+        use_sweep: False while the model disagrees with what sweeps show; then only reference masses update.
         """
 
     def weigh(
         self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator
     ) -> CalibrationOutcome:
-        """What reference masses alone teach, between sweeps. record: the last window; anchors: all reference masses kept."""
+        """What reference masses alone change, between sweeps. record: the last window; anchors: all reference masses kept."""
+
+    def forget(self, load_numbers: frozenset[int], again: Sequence[ReferenceMass]) -> None:
+        """The weighings of these loads were wrong; those in `again` have taught nothing that counts and may teach anew."""
 
     def snapshot(self, now_s: float, total_kg: float) -> CalibratorState | None:
         """What is to outlive a restart beside the parameters; None: nothing."""

@@ -12,7 +12,7 @@ from yieldmon.engine.flow_filter import FlowFilterSettings
 
 @dataclass(frozen=True, slots=True)
 class ClockSettings:
-    """What the engine believes about the bus's time stamps."""
+    """Which time stamps of the bus are plausible."""
 
     max_gap_s: float = 60.0
     """A longer forward step between two frames is a clock jump (or a hole in a log), not a silent bus."""
@@ -43,6 +43,8 @@ class WindowSettings:
     """Prior for the standard deviation of one paddle's momentum, as a share of its mean."""
     scatter_prior_patterns: float = 6.0
     """Weight of that prior, in paddle patterns, against the scatter seen within the window."""
+    scatter_memory_patterns: float = 300.0
+    """Paddle patterns over which the scatter is learnt: the windows of about a minute."""
     min_force_std_dev_n: float = 0.05
     """Floor for the standard deviation of a window's mean force, N (electrical noise, zero)."""
 
@@ -114,10 +116,15 @@ class GateSettings:
 class TotalsSettings:
     """Load and total mass."""
 
-    moisture_reference_pct: float = 15.5
+    moisture_reference_pct: float | None = None
     """Market moisture for dry mass, % wet basis (corn)."""
     credit_below_reference: bool = False
     """True: grain drier than the reference counts as more than its wet mass; False: its dry mass is its wet mass."""
+    new_load: str = "switch"
+    """What ends a load and begins the next, beside the command: "switch", the input `unloading`; "tank_scale", a stable tank mass
+    that has fallen to half or less; "command", nothing."""
+    unloading_s: float = 10.0
+    """Unloading shorter than this ends no load; it is over when it has not gone on for this long, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +144,7 @@ class BudgetSettings:
 
 @dataclass(frozen=True, slots=True)
 class PlateSettings:
-    """Limits on what the plate can be told. The range itself is the machine's."""
+    """Limits of plate commands. The range itself is the machine's."""
 
     fixed_angle_deg: float | None = None
     """Of a plate that is bolted on; None: the plate turns."""
@@ -180,14 +187,14 @@ class SweepSettings:
     """A window whose first and second half differ by more standard errors than this has not settled."""
     return_timeout_s: float = 10.0
     home_rest_s: float = 3.0
-    """Time the plate may rest away from home with nobody driving it before it is taken home."""
+    """Time the plate may rest away from home undriven before it is taken home."""
     home_retry_s: float = 20.0
     """Wait before the plate is taken home again after it did not get there."""
     backoff_s: float = 60.0
     """Wait after an aborted sweep; doubles with each abort in a row, up to the interval."""
-    lying_spread: float = 0.08
+    feedback_plausibility_flow_spread: float = 0.08
     """Spread of ln(flow) over a whole sweep from which it is asked whether the plate moved at all."""
-    lying_ratio: float = 0.5
+    feedback_plausibility_force_ratio: float = 0.5
     """The plate did not move if the force itself spreads less than this share of that."""
     max_std_dev_factor: float = 1.5
     """Widening of the standard deviation of flow measured away from home."""
@@ -203,6 +210,12 @@ class FaultSettings:
     zero_missing_s: float = 60.0
     """Time with the elevator running, the plate at home and no first zero after which that is a fault."""
     clock_jump_hold_windows: int = 10
+    mass_near_end: float = 0.95
+    """Share of the largest mass that a signal carries from which that is a fault."""
+    scale_disagrees_p: float = 0.001
+    """Probability of so large a difference by chance below which a weighed mass contradicts the calibration."""
+    scale_agrees_p: float = 0.05
+    """Probability from which a weighed mass agrees again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,7 +226,7 @@ class DisagreementSettings:
     """Newest sweeps that are looked at together."""
     least_sweeps: int = 4
     tolerance: float = 0.005
-    """Relative error of the model at one plate angle that is nobody's concern (standard deviation)."""
+    """Tolerated relative error of the model at one plate angle (standard deviation)."""
     begin_p: float = 0.001
     """Probability of so strong a pattern by chance below which the model is said to disagree."""
     end_p: float = 0.05

@@ -18,6 +18,7 @@ _KMH = 1.0 / 3.6
 _MAX_PLAUSIBLE_RPM = 3000.0
 _MAX_PLAUSIBLE_ANGLE_DEG = 180.0
 _MAX_PLAUSIBLE_KG_S = 200.0
+_PLAUSIBLE_DEGC = (-50.0, 100.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,11 +66,13 @@ QUANTITIES: Mapping[str, Quantity] = {
         Quantity("actuator_state", "", _is_actuator_state, "feedback_timeout_s", "0 idle, 1 moving, 2 fault, 3 manual"),
         Quantity("plate_angle", "deg", _within(0.0, _MAX_PLAUSIBLE_ANGLE_DEG), "feedback_timeout_s", "of the impact plate"),
         Quantity("moisture", "%", lambda value: (value >= 0.0) & (value < 100.0), "condition_timeout_s", "wet basis"),
+        Quantity("grain_temperature", "degC", _within(*_PLAUSIBLE_DEGC), "condition_timeout_s", "of the grain"),
         Quantity("test_weight", "kg/m3", lambda value: value > 0.0, "condition_timeout_s", "bulk density at rest"),
         Quantity("tank_scale_status", "", _is_number, "scale_timeout_s", "0 stable, 1 unstable, 2 fault"),
         Quantity("tank_mass", "kg", _is_number, "scale_timeout_s", "grain in the tank"),
         Quantity("header_down", "", _is_flag, "vehicle_timeout_s", "1 at cutting height"),
         Quantity("work_state", "", _is_flag, "vehicle_timeout_s", "1 threshing and header drives engaged"),
+        Quantity("unloading", "", _is_flag, "vehicle_timeout_s", "1 while the grain tank is being emptied"),
         Quantity("course", "deg", _within(0.0, 360.0), "vehicle_timeout_s", "over ground, clockwise from north"),
         Quantity("ground_speed", "km/h", lambda value: value >= 0.0, "vehicle_timeout_s", "over ground", _KMH),
         Quantity("latitude", "deg", lambda value: abs(value) <= 90.0, "vehicle_timeout_s", "positive north, WGS 84"),
@@ -85,7 +88,7 @@ CONDITIONS: Mapping[str, tuple[str, float, bool]] = {
     "plate_angle": ("actuator_state", float(ActuatorState.FAULT), False),
     "tank_mass": ("tank_scale_status", float(ScaleStatus.STABLE), True),
 }
-"""Quantity -> (another, its value, whether it must have that value or must not) for the first to be believed."""
+"""Quantity -> (another, its value, whether it must have that value or must not) for the first to be used."""
 
 PAIRS: Mapping[str, str] = {"latitude": "longitude", "longitude": "latitude"}
 """Quantities that are used only together where one message brings both."""
@@ -162,11 +165,13 @@ DEFAULT_SOURCES = Sources(
         InputSource("actuator_state", bus.PLATE_ACTUATOR_FEEDBACK, "ActuatorState"),
         InputSource("plate_angle", bus.PLATE_ACTUATOR_FEEDBACK, "PlateAngle"),
         InputSource("moisture", bus.GRAIN_CONDITION, "Moisture"),
+        InputSource("grain_temperature", bus.GRAIN_CONDITION, "GrainTemperature"),
         InputSource("test_weight", bus.GRAIN_CONDITION, "TestWeight"),
         InputSource("tank_scale_status", bus.TANK_SCALE, "TankScaleStatus"),
         InputSource("tank_mass", bus.TANK_SCALE, "TankMass"),
         InputSource("header_down", bus.HARVEST_STATE, "HeaderDown"),
         InputSource("work_state", bus.HARVEST_STATE, "WorkState"),
+        InputSource("unloading", bus.GRAIN_TANK, "Unloading"),
         InputSource("latitude", bus.VEHICLE_POSITION, "Latitude"),
         InputSource("longitude", bus.VEHICLE_POSITION, "Longitude"),
         InputSource("course", bus.VEHICLE_DIRECTION_SPEED, "CompassBearing"),

@@ -10,13 +10,25 @@ from typing import Any
 from yieldmon.engine.budget import MassBudget
 from yieldmon.engine.disagreement import DisagreementState, SweepPattern
 from yieldmon.engine.records import CalibratorState
+from yieldmon.engine.scale_alarm import ScaleAlarmState, ScaleCheck
 from yieldmon.engine.totals import Totals
 from yieldmon.engine.zero import ZeroState
 
 
 @dataclass(frozen=True, slots=True)
+class ZeroUndo:
+    """What an undo of the operator's zero calibration needs: the zero before it, whether the one in use is suspect, and mass, kg,
+    that joined loads (by number) because the tank scale showed it."""
+
+    before: ZeroState
+    suspect: bool
+    by_scale: tuple[tuple[int, float], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class EngineState:
-    """windows: closed so far. sweep_due_in_s and calibration_age_s (None: not known) count from the moment of the snapshot."""
+    """windows: closed so far. sweep_due_in_s and calibration_age_s (None: not known) count from the moment of the snapshot.
+    zero_undo: None where there is no zero calibration to take back."""
 
     totals: Totals = field(default_factory=Totals)
     zero: ZeroState | None = None
@@ -27,6 +39,8 @@ class EngineState:
     parameter_version: int = 0
     disagreement: DisagreementState = field(default_factory=DisagreementState)
     calibrator: CalibratorState | None = None
+    scale_alarm: ScaleAlarmState = field(default_factory=ScaleAlarmState)
+    zero_undo: ZeroUndo | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Nested plain dict of numbers, fit for JSON."""
@@ -41,24 +55,34 @@ class EngineState:
     def from_dict(cls, data: Mapping[str, Any]) -> EngineState:
         """Inverse of `as_dict`. Raises ValueError when a key is missing, unknown or of the wrong kind.
 
-        A state from before sweeps' patterns or the calibrator's were kept has none.
+        A state from before sweeps' patterns, the calibrator's or the scale's alarm were kept has none.
         """
-        data = {"disagreement": {"patterns": (), "present": False}, "calibrator": None, **data}
+        later: dict[str, Any] = {"calibrator": None, "scale_alarm": {}, "zero_undo": None}
+        data = {"disagreement": {"patterns": (), "present": False}, **later, **data}
         known = {item.name for item in fields(cls)}
         if set(data) != known:
             raise ValueError(f"engine state has keys {sorted(data)}; expected {sorted(known)}")
         try:
-            zero = data["zero"]
-            if zero is not None:
-                zero = ZeroState(**{**zero, "vibration_mv": tuple(zero.get("vibration_mv", ()))})
+            zero = None if data["zero"] is None else _zero(data["zero"])
+            undo = data["zero_undo"]
+            if undo is not None:
+                by_scale = tuple((int(number), float(kg)) for number, kg in undo["by_scale"])
+                undo = ZeroUndo(_zero(undo["before"]), bool(undo["suspect"]), by_scale)
             disagreement = DisagreementState(
                 tuple(_pattern(pattern) for pattern in data["disagreement"]["patterns"]), data["disagreement"]["present"]
             )
             calibrator = None if data["calibrator"] is None else _calibrator(data["calibrator"])
-            parts = {"totals": _totals(data["totals"]), "zero": zero, "disagreement": disagreement, "calibrator": calibrator}
-            return cls(**{**data, **parts})
+            parts = {
+                "totals": _totals(data["totals"]), "zero": zero, "disagreement": disagreement, "calibrator": calibrator,
+                "scale_alarm": _scale_alarm(data["scale_alarm"]),
+            }
+            return cls(**{**data, **parts, "zero_undo": undo})
         except (KeyError, TypeError) as error:
             raise ValueError(f"engine state: {error}") from error
+
+
+def _zero(data: Mapping[str, Any]) -> ZeroState:
+    return ZeroState(**{**data, "vibration_mv": tuple(data.get("vibration_mv", ()))})
 
 
 def _totals(data: Mapping[str, Any]) -> Totals:
@@ -73,6 +97,11 @@ def _totals(data: Mapping[str, Any]) -> Totals:
 def _pattern(data: Mapping[str, Any]) -> SweepPattern:
     plain: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in data.items()}
     return SweepPattern(**plain)
+
+
+def _scale_alarm(data: Mapping[str, Any]) -> ScaleAlarmState:
+    check = data.get("contradiction")
+    return ScaleAlarmState(**{**data, "contradiction": None if check is None else ScaleCheck(**check)})
 
 
 def _calibrator(data: Mapping[str, Any]) -> CalibratorState:

@@ -1,6 +1,6 @@
 """The plate sweep as a state machine: it sees ticks and windows and says what it wants of the plate (docs/internals/sweep.md).
 
-    IDLE, ABORTED, UPDATED, NOT_LEARNED    at rest, the plate is nobody's
+    IDLE, ABORTED, UPDATED, NOT_LEARNED    at rest, the plate is not driven
     WAITING                                due; conditions do not hold yet
     MOVING -> SETTLING -> MEASURING        for each angle of the sequence, which begins and ends at home
     RETURNING                              on the way home after an abort, or because the plate was found away from home
@@ -179,23 +179,25 @@ class SweepMachine:
             self.schedule(now_s, self._settings.interval_s)
 
     def finish(self, now_s: float, updated: bool) -> None:
-        """After `completed`: whether the sweep taught something."""
+        """After `completed`: whether the sweep changed the parameters."""
         self.completed = False
         self._aborts = 0
         self.step = -1
         self.schedule(now_s, self._settings.interval_s)
         self._enter(SweepState.UPDATED if updated else SweepState.NOT_LEARNED)
 
-    def lying_feedback(self) -> bool:
+    def implausible_feedback(self) -> bool:
         """Whether a plate that never moved explains the whole sweep: the force is steadier than the flow made from it."""
         if any(flow <= 0.0 or force <= 0.0 for flow, force in self._seen):
             return False
         flow_spread = _spread([log(flow) for flow, _ in self._seen])
         force_spread = _spread([log(force) for _, force in self._seen])
-        return flow_spread > self._settings.lying_spread and force_spread < self._settings.lying_ratio * flow_spread
+        limits = self._settings
+        least, share = limits.feedback_plausibility_flow_spread, limits.feedback_plausibility_force_ratio
+        return flow_spread > least and force_spread < share * flow_spread
 
     def tick(self, plate: PlateReading) -> PlateDemand | None:
-        """Time passes; what is wanted of the plate now (None: nothing, nobody drives)."""
+        """Time passes; what is wanted of the plate now (None: nothing, it is not driven)."""
         now = plate.time_s
         if self._due_s is None:
             self.schedule(now, self.first_after_s)
@@ -277,7 +279,7 @@ class SweepMachine:
         return self._demand(plate)
 
     def _found_away(self, plate: PlateReading) -> bool:
-        """At rest away from home for long, with nobody else driving it: left there by a sweep that could not end well."""
+        """At rest away from home for long, and not driven by others: left there by a sweep that could not end well."""
         away = (
             isfinite(plate.angle_deg)
             and plate.state is ActuatorState.IDLE

@@ -8,12 +8,17 @@ from math import isfinite
 from yieldmon.engine.budget import EMPTY, NO_BUDGET, FlowBudget, MassBudget
 from yieldmon.engine.settings import TotalsSettings
 
+CORN_MARKET_MOISTURE_PCT = 15.5
+"""Where neither the configuration nor a crop says another."""
+
 
 @dataclass(frozen=True, slots=True)
 class Totals:
     """Masses in kg, wet and dry. unknown_moisture_kg: wet mass missing from the dry figures, its moisture not being known.
     contested_kg: mass of seconds that more than one node sent samples for; it is in none of the others.
-    total_budget, load_budget: standard deviations of the wet masses."""
+    total_budget, load_budget: standard deviations of the wet masses. load_area_m2: harvested for the load's mass;
+    load_unknown_area_kg: mass of the load whose area is not known. market_moisture_pct: of the dry masses
+    that are counted from now on."""
 
     total_kg: float = 0.0
     total_dry_kg: float = 0.0
@@ -27,6 +32,9 @@ class Totals:
     load_contested_kg: float = 0.0
     total_budget: MassBudget = EMPTY
     load_budget: MassBudget = EMPTY
+    load_area_m2: float = 0.0
+    load_unknown_area_kg: float = 0.0
+    market_moisture_pct: float = CORN_MARKET_MOISTURE_PCT
 
     def with_contested(self, mass_kg: float) -> Totals:
         """Mass of a window that more than one node sent samples for: counted here and nowhere else."""
@@ -79,6 +87,14 @@ class Totals:
             load_budget=self.load_budget.plus(budget, seconds) if self.load_open else self.load_budget,
         )
 
+    def with_area(self, area_m2: float, mass_kg: float) -> Totals:
+        """Totals after a second's area, m2 (nan: not known), whose grain weighs mass_kg."""
+        if not self.load_open:
+            return self
+        if isfinite(area_m2):
+            return replace(self, load_area_m2=self.load_area_m2 + area_m2) if area_m2 else self
+        return replace(self, load_unknown_area_kg=self.load_unknown_area_kg + mass_kg) if mass_kg else self
+
     def start_load(self) -> Totals:
         """A new load, empty, with the next number."""
         return replace(
@@ -90,6 +106,8 @@ class Totals:
             load_number=self.load_number + 1,
             load_open=True,
             load_budget=EMPTY,
+            load_area_m2=0.0,
+            load_unknown_area_kg=0.0,
         )
 
     def stop_load(self) -> Totals:
@@ -97,11 +115,17 @@ class Totals:
         return replace(self, load_open=False)
 
 
-def dry_mass(wet_kg: float, moisture_pct: float, settings: TotalsSettings) -> float | None:
-    """Mass at the reference moisture (same dry matter), kg; None where the moisture is not known."""
+def dry_mass(
+    wet_kg: float, moisture_pct: float, settings: TotalsSettings, market_moisture_pct: float = CORN_MARKET_MOISTURE_PCT
+) -> float | None:
+    """Mass at market moisture (same dry matter), kg; None where the moisture is not known.
+
+    market_moisture_pct: where the settings name none.
+    """
     if not isfinite(moisture_pct):
         return None
-    factor = (100.0 - moisture_pct) / (100.0 - settings.moisture_reference_pct)
+    given = settings.moisture_reference_pct
+    factor = (100.0 - moisture_pct) / (100.0 - (market_moisture_pct if given is None else given))
     if not settings.credit_below_reference:
         factor = min(1.0, factor)
     return wet_kg * factor

@@ -405,11 +405,11 @@ class WindowBuilder:
         return found
 
     def _frame_steps(self, times: Array, counters: Array) -> Array:
-        """Frames from each frame to the one before by counter, the counter's turns told by time; 0 is a repeat."""
+        """Frames from each frame to the one before by counter, the counter's turns known by time; 0 is a repeat."""
         modulus = self._counter_modulus
         by_time = np.rint(np.diff(times, prepend=self._last_frame_s) / self._frame_interval_s)
         if not self._counted:
-            # Without a counter only a gap tells of lost frames; frames that bunch up on a busy bus are no gap.
+            # Without a counter only a gap indicates lost frames; frames that bunch up on a busy bus are no gap.
             gap_s = max(1.5 * self._frame_interval_s, self._frame_interval_s + _BUNCHING_S)
             since = np.diff(times, prepend=self._last_frame_s)
             with np.errstate(invalid="ignore"):

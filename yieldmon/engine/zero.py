@@ -1,6 +1,6 @@
 """Zero-load voltage of the sensor, followed while the elevator runs empty.
 
-Whether it runs empty is told by the paddles, not by the level: grain comes in pulses that keep step with the chain. The
+Whether it runs empty is seen from the paddles, not from the level: grain comes in pulses that keep step with the chain. The
 amplitudes of the paddle pattern's harmonics, averaged coherently over several windows, must be those that vibration alone was
 found to make, no more and no less, each by itself. Shaft and engine vibration do not keep step with the pattern and average out;
 a drifted zero has no pulses at all; a trickle of grain shows in some harmonic, whatever its phase against the vibration, so the
@@ -88,6 +88,10 @@ class ZeroTracker:
         """What an undo brings back."""
         return self._before
 
+    def resume(self, before: ZeroState, *, suspect: bool) -> None:
+        """After a restart: what an undo brings back, and whether the zero in use is suspect."""
+        self._before, self.suspect = before, suspect
+
     def undo(self) -> None:
         """The zero before the operator's last calibration again."""
         self.state, self._before = self._before, None
@@ -103,6 +107,16 @@ class ZeroTracker:
     def refusal(self) -> ZeroRefusal | None:
         """Why there is no first zero although the elevator runs; None where there is one, or nothing has been seen yet."""
         return None if self.state is not None else self._refusal
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Windows seen of the zero that is wanted, and how many it takes; (0, 0) while none is wanted."""
+        if self._calibrating:
+            return len(self._recent), self._settings.settle_windows
+        if self.state is not None:
+            return 0, 0
+        wanted = self._settings.first_zero_windows
+        return min(len(self._recent), wanted), wanted
 
     @property
     def looks_empty(self) -> bool:
@@ -194,7 +208,7 @@ class ZeroTracker:
 
     def _follow(self, state: ZeroState, window: Window) -> None:
         settings = self._settings
-        # The oldest window's level: at the onset of a trickle the newest are loaded before their mean amplitude tells.
+        # The oldest window's level: at the onset of a trickle the newest are loaded before their mean amplitude shows it.
         step = self._recent[0].mean_mv - state.zero_mv
         if not self.looks_empty or abs(step) > settings.max_step_mv:
             return

@@ -11,7 +11,7 @@ from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import COMPLEX_STEP, Array
 
 _CHUNK = 3000
-"""Throws worked out in one go: few enough for the processor's cache, many enough to hide Python's own cost."""
+"""Throws worked out in one go: few enough for the CPU's cache, many enough to hide Python's own cost."""
 
 
 LOAD = "load"

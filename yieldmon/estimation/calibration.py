@@ -33,7 +33,7 @@ _ROBUST_SCALE = 1.5
 _OUTLIER = 5.0
 """Residual, in robust standard deviations, from which a row is named as an outlier."""
 _LEAST_PURE_DOF = 8
-"""Degrees of freedom of the replicates from which they tell noise from the model's own error."""
+"""Degrees of freedom of the replicates from which they separate noise from the model's own error."""
 _SAME_BASIN = 1e-3
 """Largest distance, as a share of the bounds' width, between two solutions that count as one."""
 
@@ -440,6 +440,8 @@ class _Problem:
         # In the file a parameter is never less certain than anywhere between its bounds.
         bounded = np.diag(12.0 / (self.upper - self.lower) ** 2)
         covariance, _ = _inverse(information + bounded, self.unit)
+        if np.any(singular):
+            covariance = _bounded_inverse(information, self.upper - self.lower)
         size = self._learnt_error(error, jacobian[0])
         if size > model_error.FLOOR:
             angle, speed, load, _ = self.data.columns()
@@ -482,7 +484,7 @@ class _Problem:
         )
 
     def _learnt_error(self, error: Array, slopes: Array) -> float:
-        """Relative size of the model's own error, from angles and loads left out, where replicates tell it from noise; else 0.
+        """Relative size of the model's own error, from angles and loads left out, where replicates part it from noise; else 0.
 
         error: of each row. slopes: of each cell.
         """
@@ -578,7 +580,7 @@ class _Problem:
             weight = weight * (1.0 + (error * weight / _ROBUST_SCALE) ** 2) ** -0.25
         dof = max(error.size - width + len(self.prior_white), 1)
         inflation = float(np.sum((error * weight) ** 2) / dof)
-        # A given sigma is believed unless the residuals say it is too small (Birge's ratio).
+        # A given sigma counts unless the residuals say it is too small (Birge's ratio).
         return weight, max(inflation, 1.0) if self.given_sigma else inflation, dof
 
     def _profile(self, theta: Array, errors: Array, weight: Array, factor: float, dof: int) -> Array:
@@ -654,6 +656,18 @@ def _inverse(information: Array, unit: Array) -> tuple[Array, NDArray[np.bool_]]
     covariance = (vectors * inverse) @ vectors.T / np.outer(size, size) * unit[:, None] * unit[None, :]
     loose = np.any(np.abs(vectors[:, free]) > 1e-3, axis=1) | (np.diag(scaled) <= 0.0)
     return 0.5 * (covariance + covariance.T), loose
+
+
+def _bounded_inverse(information: Array, span: Array) -> Array:
+    """Covariance where the information leaves directions free: in those, that of anywhere between the bounds.
+
+    The information of rows without noise is so large that the bounds' own, added to it, would be lost in rounding.
+    """
+    sd = span / np.sqrt(12.0)
+    values, vectors = np.linalg.eigh(information * np.outer(sd, sd))
+    values = np.where(values <= 1e-13 * max(float(values[-1]), 0.0), 0.0, values)
+    covariance = (vectors / (1.0 + values)) @ vectors.T * np.outer(sd, sd)
+    return np.asarray(0.5 * (covariance + covariance.T))
 
 
 def _span(values: Iterable[float]) -> tuple[float, float]:

@@ -1,8 +1,8 @@
 """Closed loop: flow and parameters together from sweeps of the plate, with all that was known before.
 
 A sweep leaves the scale (mass flow, density, impact gain) -> (a, a, 1/a) exactly unobservable, so the estimate is a maximum a
-posteriori with the prior's full covariance, and what a sweep did not tell stays as it was. Shared parameters, one free flow a
-sweep; weighed masses and a known density join as further measurements. Posterior by Laplace's approximation.
+posteriori with the prior's full covariance, and what a sweep did not determine stays as it was. Shared parameters, one free flow
+a sweep; weighed masses and a known density join as further measurements. Posterior by Laplace's approximation.
 
 Sources: thesis section 9.3 for the idea of the sweep; Gelman et al., "Bayesian Data Analysis" (normal approximation of the
 posterior); Schmidt, "Application of state-space methods to navigation problems" (1966), for keeping a parameter while its error
@@ -244,7 +244,7 @@ class Outcome:
     residuals: tuple[Array, ...] = field(repr=False)
     """Of each sweep, N: measured less predicted force, in the order of its windows."""
     prior_widening: float = 1.0
-    """What `believe_weights` multiplied the prior's covariance by before it agreed with the weighed masses."""
+    """What `update_from_tickets` multiplied the prior's covariance by before it agreed with the weighed masses."""
 
     def learned(self) -> tuple[str, ...]:
         """Names of the parameters that moved."""
@@ -291,14 +291,14 @@ def self_calibrate(
 _WIDENINGS = 4
 
 
-def believe_weights(
+def update_from_tickets(
     model: ForwardModel,
     prior: ParameterSet,
     anchors: Sequence[MassAnchor],
     density: DensityAnchor | None = None,
     settings: ClosedLoopSettings | None = None,
 ) -> Outcome:
-    """`self_calibrate` from weighed masses alone. A scale is believed: where it contradicts the parameters, they were less
+    """`self_calibrate` from weighed masses alone. A scale counts: where it contradicts the parameters, they were less
     certain than they claimed, and their standard deviations are doubled until both agree, up to 16 times. Raises as
     `self_calibrate`.
     """
@@ -398,7 +398,7 @@ class _Problem:
         loop = OpenLoop(self.model, self.prior_set)
         flows = np.empty(len(self.sweeps))
         for i, sweep in enumerate(self.sweeps):
-            # The largest force tells best; a median over the sweep's better half stands up to a bad window.
+            # The largest force determines it best; a median over the sweep's better half stands up to a bad window.
             order = np.argsort(sweep.force_n)[-max(1, sweep.force_n.size // 2):]
             moisture = None if sweep.moisture_pct is None else sweep.moisture_pct[order]
             each = loop.invert(sweep.force_n[order], sweep.plate_angle_rad[order], sweep.elevator_speed_rad_s[order], moisture)
@@ -660,9 +660,9 @@ class _Problem:
             )
         if not updated:
             return "the data say too little beside what was known; the parameters stay"
-        told = ", ".join(f"{p.name} to {100.0 * p.ratio:.0f} %" for p in learning if p.learned)
+        narrowed = ", ".join(f"{p.name} to {100.0 * p.ratio:.0f} %" for p in learning if p.learned)
         end = "" if scale.observable else "; the scale (flow, density, 1/impact gain) rests on the prior"
-        return f"width narrowed: {told}{end}"
+        return f"width narrowed: {narrowed}{end}"
 
     def _worst_angle(self, residuals: Sequence[Array]) -> str:
         angle = np.degrees(np.concatenate([s.plate_angle_rad for s in self.sweeps])) if self.sweeps else np.zeros(0)
@@ -688,6 +688,16 @@ def _split(values: Array, rows: Sequence[slice]) -> list[Array]:
 
 
 __all__ = [
-    "ClosedLoopSettings", "DensityAnchor", "FlowPosterior", "Learning", "MassAnchor", "Outcome", "ScaleReport", "SelfCalibrator",
-    "Sweep", "believe_weights", "scaled", "self_calibrate",
+    "ClosedLoopSettings",
+    "DensityAnchor",
+    "FlowPosterior",
+    "Learning",
+    "MassAnchor",
+    "Outcome",
+    "ScaleReport",
+    "SelfCalibrator",
+    "Sweep",
+    "scaled",
+    "self_calibrate",
+    "update_from_tickets",
 ]

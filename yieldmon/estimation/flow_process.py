@@ -1,4 +1,4 @@
-"""How much the flow wandered during a sweep, told by windows at like plate angles alone.
+"""How much the flow wandered during a sweep, from windows at like plate angles alone.
 
 Differences between windows at one angle hold window noise and the flow's own wandering, but nothing of the model's error and of
 the grain's parameters, which are the same in both. The wandering is an Ornstein-Uhlenbeck process of known correlation time; its

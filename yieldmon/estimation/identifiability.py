@@ -1,4 +1,4 @@
-"""What a set of rows can and cannot tell, from the model's own Fisher information.
+"""What a set of rows can and cannot determine, from the model's own Fisher information.
 
 Parameters enter by their relative change (1 + restitution stands for restitution, as the momentum knows it), so that directions
 compare. A direction is a combination of changes; its standard deviation says how far one may go along it unnoticed.
@@ -156,7 +156,7 @@ def report(
     known = directions(relative, names)
     loads = MomentumBatch(model, conditions, (), values).load
     free = np.unique(loads)
-    # One free relative change of the load for each distinct load, projected out: what is left tells of the parameters.
+    # One free relative change of the load for each distinct load, projected out: what is left determines the parameters.
     nuisance = by_load * (loads[:, None] == free[None, :])
     together = np.hstack((nuisance, relative))
     unknown = share_flow(directions(together, flow_names(free.size, names)), free.size, names)

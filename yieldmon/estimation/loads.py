@@ -1,11 +1,11 @@
-"""Calibration by loads: what weighed loads tell of a machine that measured them.
+"""Calibration by loads: what weighed loads determine of a machine that measured them.
 
-Loads at one plate angle tell two things: how much the monitor weighs altogether, and how that changes with the flow. Both live in
-the grain's density and the impact gain (1 + restitution, or k1 and k2), which move in their logarithms; every other parameter is
-held with its own standard deviation, and goes on counting in the result's covariance (Schmidt's consider filter). A direction
+Loads at one plate angle determine two things: how much the monitor weighs altogether, and how that changes with the flow. Both
+live in density and impact gain (1 + restitution, or k1 and k2), which move in their logarithms; all others are held with their
+standard deviations, and go on counting in the covariance of the result (a consider filter after Schmidt). A direction
 about which the loads say less than was known before is held as well.
 
-A scale is believed: density and gain start with the standard deviations in `LoadSettings`, whatever the parameters claim. One
+The scale counts: density and gain start with the standard deviations in `LoadSettings`, whatever the parameters claim. One
 load among four or more that the others contradict is named and left out; smaller departures lose weight (Huber).
 
 Sources: Huber and Ronchetti, "Robust Statistics"; Schmidt, "Application of state-space methods to navigation problems" (1966);
@@ -37,7 +37,7 @@ _PRIOR_LOADS = 4.0
 
 @dataclass(frozen=True, slots=True)
 class LoadSettings:
-    """What is believed before the loads.
+    """What is assumed before the loads.
 
     load_error: relative standard deviation of a load's measured mass beside the scale's. density_sd, gain_sd: relative, of a
     machine that was never calibrated. least_information: of the loads on a direction, over what was known; below it, it is held.
@@ -50,7 +50,7 @@ class LoadSettings:
     least_information: float = 1.0
     outlier_sds: float = 4.0
     outlier_least: int = 4
-    """Loads below which it cannot be told which one is wrong."""
+    """Loads below which it is not known which one is wrong."""
     huber_sds: float = 1.5
 
 
@@ -107,7 +107,7 @@ class WeighedLoad:
 class LoadResult:
     """One load, kg. left_out_error: relative error of the mass as the other loads alone would have it, nan for the only load.
 
-    outlier: the other loads contradict it, and it taught nothing.
+    outlier: the other loads contradict it, and it changed nothing.
     """
 
     name: str
@@ -124,7 +124,7 @@ class LoadCalibration:
 
     parameter_set: to use from now on; the one given where refused. names: the parameters that moved. scale: measured mass after
     over before, of all loads. next_load_sd: relative standard deviation of a further load like these. load_dependence: whether
-    the loads told how the error changes with flow. held: parameters that stayed as they were.
+    the loads determine how the error changes with flow. held: parameters that stayed as they were.
     """
 
     parameter_set: ParameterSet
@@ -156,7 +156,7 @@ def calibrate_loads(
     settings: LoadSettings | None = None,
     sweep_settings: ClosedLoopSettings | None = None,
 ) -> LoadCalibration:
-    """Density and impact gain from weighed loads, and with `sweeps` what these tell of the rest first.
+    """Density and impact gain from weighed loads, and with `sweeps` what these determine of the rest first.
 
     Parameters
     ----------
@@ -206,6 +206,19 @@ def contradicted(
     settings = LoadSettings() if settings is None else settings
     problem = _Problem(model, prior, _widened(prior, settings), [w.condensed() for w in (*before, load)], settings)
     return problem.last_against_others()
+
+
+def departure(
+    model: ForwardModel, known: ParameterSet, load: WeighedLoad, settings: LoadSettings | None = None
+) -> tuple[float, float]:
+    """Relative error of a load as these parameters measure it, and its standard deviation by their covariance and the scale.
+
+    Both are nan where the load holds more force than a full paddle gives.
+    """
+    settings = LoadSettings() if settings is None else settings
+    problem = _Problem(model, known, known, [load.condensed()], settings)
+    error = float(np.log(problem.mass(known)[0] / load.weighed_kg))
+    return float(np.expm1(error)), float(np.hypot(problem.spread(known, np.ones(1, dtype=bool))[1], problem.sd[0]))
 
 
 def _widened(prior: ParameterSet, settings: LoadSettings) -> ParameterSet:
@@ -311,7 +324,7 @@ class _Problem:
         return self.total(shift) / self.total(flow) / step
 
     def fit(self, active: NDArray[np.bool_], directions: int, near: _Fit | None = None) -> _Fit:
-        """Most likely step from the active loads, along the best told `directions` (0, 1 or 2). near: where to begin."""
+        """Most likely step from the active loads, along the best determined `directions` (0, 1 or 2). near: where to begin."""
         step = np.zeros(2) if near is None else near.step
         error, slope = self._slopes(step) if near is None else (near.error, near.by_step)
         weight = active.astype(float)
@@ -347,7 +360,7 @@ class _Problem:
         return error, np.stack(slopes, axis=1)
 
     def _basis(self, slope: Array, weight: Array) -> Array:
-        """(2, 2): directions of unit prior standard deviation, the one that the loads tell best first."""
+        """(2, 2): directions of unit prior standard deviation, the one that the loads determine best first."""
         root = np.linalg.cholesky(self.prior[-2:, -2:])
         _, vectors = np.linalg.eigh(root.T @ slope.T @ (slope * (weight / self.sd**2)[:, None]) @ root)
         return np.asarray(root @ vectors[:, ::-1])
@@ -389,7 +402,7 @@ class _Problem:
         return float(np.expm1(-error)) if abs(error) >= self.settings.outlier_sds * deviation else None
 
     def _predicted_sd(self, fit: _Fit, others: NDArray[np.bool_], k: int) -> float:
-        """Of the ln error of load k, by what the others tell."""
+        """Of the ln error of load k, by the others."""
         h = fit.by_step @ self._basis(fit.by_step, others.astype(float))
         information = h[others].T @ (h[others] / self.sd[others, None] ** 2) + np.eye(2)
         return float(np.sqrt(h[k] @ np.linalg.solve(information, h[k]) + self.sd[k] ** 2))
@@ -411,14 +424,14 @@ class _Problem:
     def solve(self, sweeps: Sequence[Sweep], sweep_settings: ClosedLoopSettings) -> LoadCalibration:
         """See `calibrate_loads`."""
         active = self.inliers()
-        fit, told, errors = self._told(active)
-        posterior, next_sd, level_sd = self._posterior(fit, active, told)
+        fit, directions, errors = self._fitted(active)
+        posterior, next_sd, level_sd = self._posterior(fit, active, directions)
         after = self.weighed * np.exp(fit.error)
         together = self._together(fit, sweeps, active, sweep_settings) if sweeps else None
         if together is not None:
             posterior, after = together, self.mass(together)
             errors = self._left_out_together(fit, sweeps, active, sweep_settings)
-            next_sd, level_sd = self._spread(posterior, active)
+            next_sd, level_sd = self.spread(posterior, active)
         before = self.mass(self.given)
         rms_before, rms_after = _rms(np.log(before / self.weighed)[active]), _rms(errors[active])
         refused = bool(active.sum() > 1 and rms_after > rms_before)
@@ -431,21 +444,21 @@ class _Problem:
         calibration = LoadCalibration(
             parameter_set=chosen, names=moving, held=tuple(n for n in chosen.values if n not in moving), loads=results,
             scale=float(after[active].sum() / before[active].sum()), scale_sd=level_sd,
-            load_dependence=told == 2 and not refused, next_load_sd=next_sd, rms_before=rms_before, rms_left_out=rms_after,
+            load_dependence=directions == 2 and not refused, next_load_sd=next_sd, rms_before=rms_before, rms_left_out=rms_after,
             refused=refused, sweeps_used=0 if together is None else len(sweeps),
         )
         return replace(calibration, sentences=tuple(_sentences(calibration, len(sweeps))))
 
-    def _told(self, active: NDArray[np.bool_]) -> tuple[_Fit, int, Array]:
-        """The fit along as many directions as the loads tell, how many these are, and the errors of loads left out."""
+    def _fitted(self, active: NDArray[np.bool_]) -> tuple[_Fit, int, Array]:
+        """The fit along as many directions as the loads determine, how many these are, and the errors of loads left out."""
         both = self.fit(active, 2)
-        told = int(np.sum(self.information(both, active) >= self.settings.least_information))
-        errors = self.left_out(active, told).error
-        if told == 2:
+        directions = int(np.sum(self.information(both, active) >= self.settings.least_information))
+        errors = self.left_out(active, directions).error
+        if directions == 2:
             simpler = self.left_out(active, 1).error
             if _rms(simpler[active]) < _rms(errors[active]):
-                told, errors = 1, simpler
-        return (both if told == 2 else self.fit(active, told)), told, errors
+                directions, errors = 1, simpler
+        return (both if directions == 2 else self.fit(active, directions)), directions, errors
 
     def _together(
         self, near: _Fit, sweeps: Sequence[Sweep], active: NDArray[np.bool_], settings: ClosedLoopSettings
@@ -475,7 +488,7 @@ class _Problem:
                 errors[k] = np.log(self.mass(found)[k] / self.weighed[k])
         return errors
 
-    def _spread(self, known: ParameterSet, active: NDArray[np.bool_]) -> tuple[float, float]:
+    def spread(self, known: ParameterSet, active: NDArray[np.bool_]) -> tuple[float, float]:
         """Relative standard deviations of a further load and of these loads' common level, from a set's own covariance."""
         flow, by_flow = self.flow(known)
         columns = []
@@ -488,18 +501,18 @@ class _Problem:
         mean = rows.mean(axis=0)
         return float(np.sqrt(spread.mean() + self.settings.load_error**2)), float(np.sqrt(mean @ known.covariance @ mean))
 
-    def _posterior(self, fit: _Fit, active: NDArray[np.bool_], told: int) -> tuple[ParameterSet, float, float]:
+    def _posterior(self, fit: _Fit, active: NDArray[np.bool_], directions: int) -> tuple[ParameterSet, float, float]:
         """The new set, and relative standard deviations of a further load and of these loads' common level."""
         centre = moved(self.start, *map(float, fit.step))
         h = np.column_stack((self._held_slopes(centre), fit.by_step))
         rows = h[active]
-        basis = np.zeros((h.shape[1], told))
-        basis[-2:] = self._basis(fit.by_step, active.astype(float))[:, :told]
+        basis = np.zeros((h.shape[1], directions))
+        basis[-2:] = self._basis(fit.by_step, active.astype(float))[:, :directions]
         noise = self.sd[active] ** 2
         moving = rows @ basis
         gain = basis @ moving.T @ np.linalg.inv(moving @ moving.T + np.diag(noise))
         left = np.eye(h.shape[1]) - gain @ rows
-        chi2, dof = float(np.sum(fit.error[active] ** 2 / noise)), max(int(active.sum()) - told, 0)
+        chi2, dof = float(np.sum(fit.error[active] ** 2 / noise)), max(int(active.sum()) - directions, 0)
         inflation = (_PRIOR_LOADS + chi2) / (_PRIOR_LOADS + dof)
         covariance = left @ self.prior @ left.T + inflation * gain @ np.diag(noise) @ gain.T
         spread = np.einsum("ki,ij,kj->k", rows, covariance, rows)
@@ -554,8 +567,8 @@ def _sentences(found: LoadCalibration, sweeps: int) -> list[str]:
     for load in found.loads:
         if load.outlier:
             out.append(
-                f"load {load.name} contradicts the others by {-100.0 * load.left_out_error:+.1f} % and taught nothing: another "
-                "truck's grain, a wrong number or a part of the load that was not measured?"
+                f"load {load.name} contradicts the others by {-100.0 * load.left_out_error:+.1f} % and counts for nothing: "
+                "another truck's grain, a wrong number or a part of the load that was not measured?"
             )
     if found.refused:
         out.append(
@@ -565,9 +578,9 @@ def _sentences(found: LoadCalibration, sweeps: int) -> list[str]:
         return out
     out.append(f"the loads weigh {100.0 * (found.scale - 1.0):+.2f} % against what was measured.")
     if found.load_dependence:
-        out.append("they also tell how the error changes with the flow: density and impact gain moved apart.")
+        out.append("they also determine how the error changes with the flow: density and impact gain moved apart.")
     else:
-        out.append("they do not tell how the error changes with the flow: held; a load at another flow would tell.")
+        out.append("they do not determine how the error changes with the flow: held; weigh a load at another flow.")
     if found.sweeps_used:
         out.append(f"{found.sweeps_used} sweeps of the plate are fitted with them; held: {', '.join(found.held)}.")
     else:

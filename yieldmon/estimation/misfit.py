@@ -7,7 +7,7 @@ is the contiguous run of angles whose normalised sum is largest.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.model import Conditions, ForwardModel
-from yieldmon.physics.numerics import Array, real
+from yieldmon.physics.numerics import Array
 
 from .clusters import cluster
-from .home_flow import Visits, bracketed, wander_per_s
 from .least_squares import levenberg_marquardt
-from .open_loop import OpenLoop
 from .parameters import ParameterSet
 from .priors import search_bounds
+from .sweep_flow import SweepWindows, window_flows
+from .sweep_flow import force_n as model_force_n
 
 _FREE = ("friction", "density")
 _MOST_LOG_GAIN = 2.0
@@ -91,29 +91,27 @@ def reduce_sweep(
         return None
     with np.errstate(invalid="ignore"):
         usable = np.isfinite(plate_angle_rad) & (elevator_speed_rad_s > 0.0) & (force_n > 0.0) & (force_std_dev_n > 0.0)
-        home = usable & (np.abs(plate_angle_rad - model.machine.home_plate_angle_rad) <= SAME_ANGLE_RAD)
-    if not np.any(home):
+    windows = SweepWindows(
+        time_s[usable], plate_angle_rad[usable], elevator_speed_rad_s[usable], force_n[usable],
+        force_std_dev_n[usable] / force_n[usable], moisture,
+    )  # fmt: skip
+    if not np.any(windows.at_home(model.machine.home_plate_angle_rad)):
         return None
-    relative_sd = np.divide(force_std_dev_n, force_n, out=np.full(force_n.shape, np.nan), where=usable)
-    loop = OpenLoop(model, parameters)
-    home_flow = loop.invert(
-        force_n[home], plate_angle_rad[home], elevator_speed_rad_s[home], np.full(np.count_nonzero(home), moisture)
-    )
-    visits = Visits.of(time_s[home], home_flow, relative_sd[home])
-    log_flow, flow_sd = bracketed(visits, time_s, wander_per_s([visits]), at_home=home)
-    usable &= np.isfinite(log_flow)
-    if not np.any(usable):
+    (flows,) = window_flows(model, parameters, [windows])
+    known_flow = np.isfinite(flows.log_flow)
+    if not np.any(known_flow):
         return None
-    angle, speed, flow = plate_angle_rad[usable], elevator_speed_rad_s[usable], np.exp(log_flow[usable])
-    mean_flow, mean_speed = float(np.exp(np.mean(visits.log_flow))), float(np.mean(speed))
-    there = _force(model, parameters.values, angle, speed, flow, moisture)
-    here = _force(model, parameters.values, angle, mean_speed, mean_flow, moisture)
+    angle, speed = windows.plate_angle_rad[known_flow], windows.elevator_speed_rad_s[known_flow]
+    force, relative_sd = windows.force_n[known_flow], windows.relative_sd[known_flow]
+    mean_flow, mean_speed = float(np.exp(np.mean(flows.visits.log_flow))), float(np.mean(speed))
+    there = model_force_n(model, parameters.values, angle, speed, np.exp(flows.log_flow[known_flow]), moisture)
+    here = model_force_n(model, parameters.values, angle, mean_speed, mean_flow, moisture)
     with np.errstate(invalid="ignore", divide="ignore"):
-        log_force = np.log(force_n[usable] * here / there)
+        log_force = np.log(force * here / there)
     good = np.isfinite(log_force)
     if not np.any(good):
         return None
-    means = _by_angle(angle[good], log_force[good], relative_sd[usable][good], flow_sd[usable][good])
+    means = _by_angle(angle[good], log_force[good], relative_sd[good], flows.sd[known_flow][good])
     return ReducedSweep(*means, mean_flow, mean_speed, moisture)
 
 
@@ -154,18 +152,6 @@ def pooled_residuals(
     parts = np.split(difference(found)[0], np.cumsum(sizes)[:-1])
     left = [SweepResiduals(s.plate_angle_rad, r, s.sd, 0) for s, r in zip(sweeps, parts, strict=True)]
     return left, int(np.count_nonzero((found > low) & (found < high)))
-
-
-def _force(
-    model: ForwardModel, values: Mapping[str, float], angle: Array, speed: Array | float, flow: Array | float, moisture: float
-) -> Array:
-    conditions = Conditions(
-        angle,
-        np.broadcast_to(speed, angle.shape),
-        mass_flow_kg_s=np.broadcast_to(flow, angle.shape),
-        moisture_pct=np.full(angle.shape, moisture),
-    )
-    return real(np.asarray(model.force(conditions, values, overfull="nan")))
 
 
 def _by_angle(angle: Array, values: Array, noise: Array, bracket: Array) -> tuple[Array, Array, Array]:

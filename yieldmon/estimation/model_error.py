@@ -101,10 +101,10 @@ def learnt(residual: Array, tangent: Array, relative_sd: Array, groups: Sequence
     residual: whitened, (n,). relative_sd: sd of each row over its level, (n,). groups: for each way of leaving out, the number of
     each row's group; ways that leave fewer than three groups say nothing.
     """
-    told = [g for g in groups if int(g.max(initial=0)) >= 2]
-    if not told:
+    replicated = [g for g in groups if int(g.max(initial=0)) >= 2]
+    if not replicated:
         return FLOOR
-    excess = np.mean([np.mean(left_out(residual, tangent, g) ** 2) - expected_left_out(tangent, g) for g in told])
+    excess = np.mean([np.mean(left_out(residual, tangent, g) ** 2) - expected_left_out(tangent, g) for g in replicated])
     return float(max(FLOOR, np.sqrt(max(excess, 0.0) / np.mean(relative_sd**-2.0))))
 
 

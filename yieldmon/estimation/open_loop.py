@@ -8,6 +8,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.model import ForwardModel, Throw
 from yieldmon.physics.numerics import Array, chebyshev_points
 
@@ -203,14 +204,15 @@ class OpenLoop:
     def _outside(self, flow: Array, angle: Array, speed: Array, moisture: Array) -> NDArray[np.bool_]:
         outside = np.zeros(flow.shape, dtype=bool)
         calibrated = self.parameters.calibrated
-        for value, limits in (
-            (flow, calibrated.mass_flow_kg_s),
-            (angle, calibrated.plate_angle_rad),
-            (speed, calibrated.elevator_speed_rad_s),
-            (moisture, calibrated.moisture_pct),
+        for value, limits, same in (
+            (flow, calibrated.mass_flow_kg_s, 0.0),
+            # A sweep's outermost angle is reached to the actuator's accuracy only.
+            (angle, calibrated.plate_angle_rad, SAME_ANGLE_RAD),
+            (speed, calibrated.elevator_speed_rad_s, 0.0),
+            (moisture, calibrated.moisture_pct, 0.0),
         ):
             if limits is not None:
-                slack = 1e-9 * max(abs(limits[0]), abs(limits[1]))
+                slack = same + 1e-9 * max(abs(limits[0]), abs(limits[1]))
                 outside |= (value < limits[0] - slack) | (value > limits[1] + slack)
         return outside
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -64,6 +65,13 @@ class ParameterSet:
             raise ValueError("parameters need either restitution, or k1 and k2")
         for name in self.effects:
             get_effect(name)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Read-only views of mappings cannot be pickled as they are.
+        return ParameterSet, (
+            dict(self.values), self.covariance_names, np.array(self.covariance), self.calibrated, self.response_unit,
+            self.version, dict(self.provenance), self.model_error,
+        )  # fmt: skip
 
     @property
     def effects(self) -> tuple[str, ...]:

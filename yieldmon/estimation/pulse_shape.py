@@ -1,6 +1,6 @@
 """Volume flow of grain from the shape of the paddles' pulses.
 
-The mean force tells flow only together with density and impact gain: (flow, density, 1 + e) -> (a, a, 1/a) changes no sample. But
+The mean force gives flow only together with density and impact gain: (flow, density, 1 + e) -> (a, a, 1/a) changes no sample. But
 how deep a heap is, and with it when its grain arrives, depends on flow / density alone. This module fits the forward model's
 pulses (`yieldmon.physics.pulse`) to the harmonics of the paddle pattern and gives that quotient, the volume flow, with its
 covariance; the pulses' size is left free. Source: Gauss-Newton with Gaussian priors; for the term of the model's own
@@ -52,7 +52,7 @@ class ArrivalLaw:
     covariance : tuple of 3 float
         Of ln stretch and ln tail about the laws: variance, variance, covariance.
     delay : tuple of 6 float
-        Mean delay (s) of the whole pulse, in the same terms; only where an index tells the paddles' place.
+        Mean delay (s) of the whole pulse, in the same terms; only where an index gives the paddles' place.
     delay_sd_s : float
         Standard deviation about it.
     """
@@ -437,7 +437,7 @@ def _result(pulses: PulseModel, wave: PatternWave, theta: Array, converged: bool
 def information(
     pulses: PulseModel, theta: Array, *, elevator_speed_rad_s: float, plate_angle_rad: float, noise_n: Array, patterns: float
 ) -> tuple[Array, Array]:
-    """What a window can tell before it is measured: posterior covariance and its part that averages out, both (n, n).
+    """What a window can determine, before it is measured: posterior covariance and its part that averages out, both (n, n).
 
     Parameters
     ----------
@@ -499,7 +499,7 @@ def calibrate_arrival(
     waves, volume_flows_m3_s : sequences
         More than terms.
     terms : int
-        How many coefficients of each law are free, in the order of `ArrivalLaw`; 1 to 6. One plate angle tells two.
+        How many coefficients of each law are free, in the order of `ArrivalLaw`; 1 to 6. One plate angle determines two.
 
     Returns
     -------

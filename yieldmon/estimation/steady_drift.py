@@ -1,4 +1,4 @@
-"""Parameters that drift at a steady, unknown rate: the rates are learnt along with them, and later lessons correct the past.
+"""Parameters that drift at a steady, unknown rate: the rates are learnt along with them, and later updates correct the past.
 
 Wear and a ripening crop move friction, impact gain and density in one direction for weeks. A random walk alone (`drift.grow`)
 forgets at every step what the steps before had in common; with rates as further states, hundreds of sweeps and a few weighed
@@ -130,9 +130,9 @@ def carried(known: DriftingParameters, parameters: ParameterSet) -> DriftingPara
 
 
 def learn(known: DriftingParameters, posterior: ParameterSet, *, widening: float = 1.0) -> DriftingParameters:
-    """After a lesson whose prior was `known.parameters`: the rates follow by their covariance with the parameters.
+    """After an update whose prior was `known.parameters`: the rates follow by their covariance with the parameters.
 
-    widening: what the lesson multiplied the prior's covariance by (`closed_loop.Outcome.prior_widening`). Raises ValueError when
+    widening: what the update multiplied the prior's covariance by (`closed_loop.Outcome.prior_widening`). Raises ValueError when
     the posterior is of other parameters.
     """
     names = known.parameters.covariance_names
@@ -151,9 +151,9 @@ def learn(known: DriftingParameters, posterior: ParameterSet, *, widening: float
 
 
 def smoothed(steps: Sequence[Advance], last: DriftingParameters) -> list[Mapping[str, float]]:
-    """Parameter values at the beginning of each step, as all lessons up to `last` have them; and `last`'s own at the end.
+    """Parameter values at the beginning of each step, as all updates up to `last` have them; and `last`'s own at the end.
 
-    steps: all of one run, in order. Fixed-interval smoother; a lesson between two steps is what changed the state between them.
+    steps: all of one run, in order. Fixed-interval smoother; an update between two steps is what changed the state between them.
     """
     names = last.parameters.covariance_names
     state = last.state

@@ -270,7 +270,7 @@ def _peak(correlation: Array, about: float | None = None) -> float:
 
 
 def _objection(curve: Array, drawn: Array, peak: float) -> str:
-    """Why the curve is not to be believed; empty if it is."""
+    """Why the curve cannot be trusted; empty if it can."""
     known = SHIFTS_S[np.isfinite(curve)]
     if peak <= known[0] + EDGE_S or peak >= known[-1] - EDGE_S:
         return f"the curve is highest at the end of its range, {peak:.0f} s"

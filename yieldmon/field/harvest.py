@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from yieldmon.units import KG_PER_LB, M2_PER_ACRE, Units, UnitSystem
+
 from .cleaning import Cleaned, Context, clean, mass_by_reason
 from .delay import Delay, estimate_delay, given_delay
 from .loads import LoadResult, Ticket, correct
@@ -16,7 +18,7 @@ from .swath import HeaderPlace, Swaths, swaths
 from .table import Array, HarvestTable
 from .tracks import Tracks, tracks
 from .transport import Transport, assess, filtered
-from .units import KG_PER_LB, M2_PER_ACRE, crop
+from .units import crop
 
 KG_M2_TO_T_HA = 10.0
 SEED = 1
@@ -105,6 +107,12 @@ class HarvestMap:
     bushel_kg: float | None
     transport: Transport | None
     notes: tuple[str, ...] = field(default=())
+    system: UnitSystem = UnitSystem.METRIC
+
+    @property
+    def units(self) -> Units:
+        """What people read."""
+        return Units(self.system, self.bushel_kg)
 
     def bushels_per_acre(self, yield_kg_m2: float) -> float | None:
         """None where the crop's bushel is not known."""
@@ -175,7 +183,7 @@ def make_map(table: HarvestTable, options: MapOptions, progress: Callable[[str],
         transport,
         ()
         if flow_delay.decision != "cannot tell"
-        else (f"the flow delay cannot be told from these data ({flow_delay.why}); {flow_delay.value_s:g} s is used",),
+        else (f"the flow delay cannot be estimated from these data ({flow_delay.why}); {flow_delay.value_s:g} s is used",),
     )
 
 
@@ -193,7 +201,7 @@ def inverted(table: HarvestTable, steps: Tracks, transport: Transport) -> Harves
 
 
 def delays(table: HarvestTable, steps: Tracks, pairs: Pairs, options: MapOptions) -> tuple[Delay, Delay]:
-    """Of flow and of moisture; a moisture delay that cannot be told is taken as that of the flow."""
+    """Of flow and of moisture; a moisture delay that cannot be estimated is taken as that of the flow."""
     out: list[Delay] = []
     default_s = table.default_flow_s if table.declared_flow_s is None else table.declared_flow_s
     for quantity, given, declared in (

@@ -63,7 +63,7 @@ def place(
         mass = mass * factor
     target = _targets(table, steps, flow_delay_s)
     again = repeated(table, steps)
-    # A row told twice was cut once: the second stays where it is, and cleaning says why it is left out.
+    # A row recorded twice was cut once: the second stays where it is, and cleaning says why it is left out.
     target[again] = np.flatnonzero(again)
     going = target >= 0
     count = len(table)

@@ -5,11 +5,12 @@ from __future__ import annotations
 from math import isfinite
 from typing import Any
 
+from yieldmon.units import M2_PER_HA
+
 from .cleaning import KEPT
 from .delay import Delay
 from .harvest import KG_M2_TO_T_HA, HarvestMap
 from .transport import Transport
-from .units import M2_PER_HA
 
 
 def document(result: HarvestMap) -> dict[str, Any]:

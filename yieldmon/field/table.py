@@ -124,7 +124,7 @@ class HarvestTable:
     declared_flow_s, declared_moisture_s : float or None
         Delays that the machine says it has (and has not taken out of the rows).
     default_flow_s : float
-        Delay that such sources usually still have in them; kept where neither the data nor the machine tell.
+        Delay that such sources usually still have in them; kept where neither the data nor the machine give one.
     extra : mapping of str to array
         Columns that the source has and this table does not know (proprietary DDIs), raw.
     """

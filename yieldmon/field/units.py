@@ -2,21 +2,23 @@
 
 A unit is looked up, never guessed: a spelling that is not here is an error that names it.
 
-Sources: NIST Special Publication 811, appendix B (pound, foot, acre); USDA test weights of a bushel (lb), 7 CFR 810.
+Sources: NIST Special Publication 811, appendix B (pound, foot, acre). Bushel weights and market
+moistures: config/crops.yaml; of oats, rye and peas USDA test weights, 7 CFR 810.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
+from types import MappingProxyType
 
 from yieldmon.errors import InputError
+from yieldmon.files.crops import crops
+from yieldmon.units import KG_PER_LB, M2_PER_ACRE, M2_PER_HA, M_S_PER_KMH, M_S_PER_MPH
 
-KG_PER_LB = 0.45359237
 M_PER_IN = 0.0254
 M_PER_FT = 0.3048
-M2_PER_ACRE = 4046.8564224
-M2_PER_HA = 10_000.0
-KG_PER_T = 1000.0
 
 
 @dataclass(frozen=True)
@@ -38,23 +40,30 @@ class Crop:
     market_moisture_pct: float
 
 
-#: Name -> crop. Aliases are in other languages and spellings that monitors write.
-CROPS = {
-    crop.name: crop
-    for crop in (
-        Crop("corn", 56.0, 15.5),
-        Crop("soybeans", 60.0, 13.0),
-        Crop("wheat", 60.0, 13.5),
-        Crop("barley", 48.0, 14.5),
-        Crop("oats", 32.0, 14.0),
-        Crop("rye", 56.0, 14.0),
-        Crop("sorghum", 56.0, 14.0),
-        Crop("canola", 50.0, 9.0),
-        Crop("rice", 45.0, 13.5),
-        Crop("sunflower", 25.0, 10.0),
-        Crop("peas", 60.0, 14.0),
-    )
+#: Crops that are shipped: their name in harvest files -> their name in config/crops.yaml, which has their figures.
+_SHIPPED = {
+    "corn": "corn",
+    "soybeans": "soybean",
+    "wheat": "wheat",
+    "barley": "barley",
+    "sorghum": "sorghum",
+    "canola": "rapeseed",
+    "rice": "rice",
+    "sunflower": "sunflower",
 }
+#: Crops that harvest files name and that no parameters are shipped for.
+_FURTHER = (Crop("oats", 32.0, 14.0), Crop("rye", 56.0, 14.0), Crop("peas", 60.0, 14.0))
+
+
+@cache
+def known_crops() -> Mapping[str, Crop]:
+    """Name -> crop."""
+    figures = crops()
+    found = {name: Crop(name, figures[of].bushel_lb, figures[of].market_moisture_pct) for name, of in _SHIPPED.items()}
+    return MappingProxyType(found | {crop.name: crop for crop in _FURTHER})
+
+
+#: Names in other languages and spellings that monitors write.
 _ALIASES = {
     "maize": "corn",
     "mais": "corn",
@@ -85,7 +94,7 @@ _ALIASES = {
 def crop(name: str) -> Crop | None:
     """The crop that a file's name means, None for one that is not known (its bushel is then not known either)."""
     plain = " ".join(name.lower().replace("_", " ").split())
-    return CROPS.get(_ALIASES.get(plain, plain))
+    return known_crops().get(_ALIASES.get(plain, plain))
 
 
 _MASS = {"kg": 1.0, "g": 1e-3, "t": 1e3, "lb": KG_PER_LB, "lbs": KG_PER_LB, "mg": 1e-6, "ton": 2000 * KG_PER_LB, "tonne": 1e3}
@@ -108,7 +117,7 @@ FACTORS: dict[str, dict[str, float]] = {
     "area": _AREA,  # m2
     "mass_flow": _ratios(_MASS, _TIME),  # kg/s
     "mass_per_area": _ratios(_MASS, _AREA),  # kg/m2
-    "speed": _ratios(_LENGTH, _TIME) | {"km/h": 1 / 3.6, "kmh": 1 / 3.6, "mph": 0.44704},  # m/s
+    "speed": _ratios(_LENGTH, _TIME) | {"km/h": M_S_PER_KMH, "kmh": M_S_PER_KMH, "mph": M_S_PER_MPH},  # m/s
     "percent": _PERCENT,  # %
     "angle": _ANGLE,  # deg
     "none": {"": 1.0},
@@ -155,7 +164,8 @@ def factor(unit: str, kind: str, where: str, crop_name: str = "") -> float:
     if plain in _BUSHELS and kind in ("mass_per_area", "mass_flow"):
         of = crop(crop_name)
         if of is None:
-            raise InputError(where, f"is in {unit} of {crop_name or 'an unknown crop'}", f"--crop, one of {', '.join(CROPS)}")
+            names = ", ".join(known_crops())
+            raise InputError(where, f"is in {unit} of {crop_name or 'an unknown crop'}", f"--crop, one of {names}")
         below = plain.removeprefix("bu/")
         per = (_AREA | _TIME).get(below)
         if per is not None and (below in _AREA) == (kind == "mass_per_area"):

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from functools import cache
+from types import MappingProxyType
 
 import numpy as np
 
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.resources import shipped
+from yieldmon.units import KG_PER_LB
 
 from . import strict_yaml
 
 _FILE = "config/crops.yaml"
 _HEAP_OVER_TEST_WEIGHT = 1.49
 _DENSITY_SD = 0.15
-_KG_PER_LB = 0.45359237
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,10 +41,10 @@ class Crop:
     @property
     def bushel_kg(self) -> float:
         """Mass of a bushel."""
-        return self.bushel_lb * _KG_PER_LB
+        return self.bushel_lb * KG_PER_LB
 
     def parameters(self) -> ParameterSet:
-        """Parameters with standard deviations of a machine and a field that nobody has calibrated."""
+        """Parameters with standard deviations of an uncalibrated machine and field."""
         density = _HEAP_OVER_TEST_WEIGHT * self.test_weight_kg_m3
         return ParameterSet(
             {
@@ -55,14 +57,15 @@ class Crop:
         )
 
 
+@cache
 def crops() -> Mapping[str, Crop]:
     """By name."""
     found = strict_yaml.load(shipped(_FILE))
     numbers = {f.name for f in fields(Crop)} - {"name", "sources"}
-    return {
+    return MappingProxyType({
         name: Crop(name=name, sources=str(values["sources"]), **{key: float(values[key]) for key in numbers})
         for name, values in found.items()
-    }
+    })  # fmt: skip
 
 
 def crop(name: str) -> Crop:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import degrees, radians
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,11 @@ _IMPLEMENT = {
 def load(path: str | Path | None = None) -> Machine:
     """The machine in a YAML file, or the shipped 8-tooth machine. Raises InputError naming file, key, value and range."""
     path = shipped(DEFAULT) if path is None else path
-    document = load_mapping(path)
+    return from_document(load_mapping(path), path)
+
+
+def from_document(document: Mapping[str, Any], path: str | Path) -> Machine:
+    """Machine from the mapping of a file; path: for errors. Raises InputError as `load`."""
     known = {"name", "paddle_spacings_m", "sensor", *_LENGTHS, *_ANGLES, *_SPEEDS}
     for key in document:
         if key not in known | {"implement"}:

@@ -37,13 +37,18 @@ _RANGES = {
     "elevator_speed_rpm": ("elevator_speed_rad_s", "rpm", RPM),
     "moisture_pct": ("moisture_pct", "%", 1.0),
 }
+_LEAST_DENSITY_KG_M3 = 20.0
+"""No grain is lighter; a number below it is in another unit."""
 _KEYS = ("format", "version", "effects", "covariance", "calibrated_range", "response_unit", "model_error", "provenance")
 
 
 def load(path: str | Path | None = None) -> ParameterSet:
     """The parameters in a YAML file, or the shipped corn. Raises InputError naming file, key, value and range."""
     path = shipped(DEFAULT) if path is None else path
-    return from_document(load_mapping(path), str(path))
+    known = from_document(load_mapping(path), str(path))
+    if known.values["density"] < _LEAST_DENSITY_KG_M3:
+        raise InputError(f"{path}: density", f"is {known.values['density']:g}", "kg/m3; this looks like g/cm3 or t/m3")
+    return known
 
 
 def from_document(document: Mapping[str, Any], where: str) -> ParameterSet:

@@ -17,6 +17,8 @@ from . import delimited
 
 LOADS = ("mass_flow_kg_s", "paddle_mass_kg")
 READINGS = ("force_n", "momentum_kg_m_s", "response")
+LEAST_SPEED_RPM = 150.0
+"""Of the upper sprocket's shaft: slower, no paddle throws grain; rad/s and the speed of another shaft are below it."""
 _LIMITS = {
     "plate_angle_deg": (0.0, 180.0, "deg"),
     "mass_flow_kg_s": (0.0, 1000.0, "kg/s"),
@@ -105,6 +107,10 @@ def load(path: str | Path, *, need_load: bool = True) -> Table:
     angles = columns["plate_angle_deg"]
     if len(angles) > 1 and float(angles.max()) <= np.pi:
         raise InputError(f"{where}: plate_angle_deg", f"has nothing above {angles.max():g}", "degrees; these look like radians")
+    speeds = columns.get("elevator_speed_rpm", np.full(1, np.nan))
+    if np.any(speeds < LEAST_SPEED_RPM):
+        slowest = f"is {float(np.nanmin(speeds)):g}"
+        raise InputError(f"{where}: elevator_speed_rpm", slowest, f"{LEAST_SPEED_RPM:g} rpm or more, of the upper shaft")
     return Table(where, source.sha256, load_name, reading, columns, texts, tuple(notes), source.lines)
 
 

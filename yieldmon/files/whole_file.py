@@ -64,7 +64,7 @@ def scratch_for(path: str | Path, *, durable: bool = False, mode: int | None = N
 
 
 def _private_folder(target: Path, path: str | Path) -> Path:
-    """A new folder of our own beside `target`, with a name that nobody can foresee and nobody else may look into."""
+    """A new folder of our own beside `target`, with an unpredictable name and for this user alone."""
     try:
         return Path(tempfile.mkdtemp(prefix=f".{target.stem[:_STEM]}.", dir=target.parent))
     except OSError as error:

@@ -194,7 +194,7 @@ class AddressClaim:
         return []
 
     def _another(self) -> int | None:
-        """A self-configurable address that nobody holds, else one whose holder must yield to us."""
+        """A self-configurable address that is free, else one whose holder must yield to us."""
         span = LAST_FREE_ADDRESS - FIRST_FREE_ADDRESS + 1
         # From a place of our own, so that several who lost do not all try the same one.
         order = [FIRST_FREE_ADDRESS + (self.name.identity_number + k) % span for k in range(span)]

@@ -12,7 +12,7 @@ TIMEOUT_S = 0.75
 MAX_SESSIONS = 32
 _FIRST_PART_BYTES, _PART_BYTES = 6, 7
 
-#: Groups that come as fast packets, as far as this program reads them: a group's number does not tell.
+#: Groups that come as fast packets, as far as this program reads them: a group's number does not say it.
 FAST_PACKET_GROUPS = frozenset({126208, 126996, 127489, 129029, 129038, 129039, 129284, 129540, 129794, 129809, 129810})
 
 

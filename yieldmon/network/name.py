@@ -1,4 +1,4 @@
-"""NAMEs of SAE J1939-81: 64 bits that tell every node of a network from every other."""
+"""NAMEs of SAE J1939-81: 64 bits that distinguish every node of a network."""
 
 from __future__ import annotations
 

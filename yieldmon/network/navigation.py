@@ -16,7 +16,7 @@ from .identifier import Payload
 
 
 class Quantity(StrEnum):
-    """What these messages tell, by name and unit."""
+    """What these messages hold, by name and unit."""
 
     LATITUDE = "latitude_deg"
     LONGITUDE = "longitude_deg"

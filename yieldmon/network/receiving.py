@@ -67,7 +67,7 @@ class TransportReceiver:
         self._max_sessions = max_sessions
         self._sessions: dict[tuple[int, int], _Session] = {}
         self.refused = 0
-        """Sessions that found no room."""
+        """Sessions for which there was no space."""
         self.abandoned = 0
         """Sessions that were begun and not ended in time."""
 

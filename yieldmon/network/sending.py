@@ -42,7 +42,7 @@ class TransportSender:
         self._max_waiting = max_waiting
         self._queues: dict[int, deque[_Message]] = {}
         self.refused = 0
-        """Messages that found no room."""
+        """Messages for which there was no space."""
         self.failed = 0
         """Connections that were aborted or not answered."""
 
@@ -59,7 +59,7 @@ class TransportSender:
         return any(message.group == group for message in self._queues.get(destination, ()))
 
     def submit(self, group: int, data: bytes, source: int, destination: int, now_s: float) -> list[RawFrame]:
-        """Begin to send, or queue behind what is under way to the same destination; [] too where there is no room."""
+        """Begin to send, or queue behind what is under way to the same destination; [] too where there is no space."""
         if not 8 < len(data) <= MAX_BYTES:
             raise ValueError(f"message of {len(data)} bytes, expected 9 to {MAX_BYTES}")
         if len(self) >= self._max_waiting:
@@ -91,7 +91,7 @@ class TransportSender:
         return []
 
     def poll(self, source: int, now_s: float) -> list[RawFrame]:
-        """Parts of broadcasts that are due, and aborts of connections that nobody answered."""
+        """Parts of broadcasts that are due, and aborts of connections without an answer."""
         out: list[RawFrame] = []
         for destination in [d for d, queue in self._queues.items() if now_s >= queue[0].due_s]:
             message = self._queues[destination][0]

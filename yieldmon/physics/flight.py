@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .numerics import AnyArray, real
+from .numerics import AnyArray, real, sin_cos, sqrt
 from .stages import Setting
 
 
@@ -33,7 +33,7 @@ class _Start:
 
 
 def _start(x_m: AnyArray, y_m: AnyArray, vx_m_s: AnyArray, vy_m_s: AnyArray, setting: Setting) -> _Start:
-    sin, cos = np.sin(setting.plate_angle_rad), np.cos(setting.plate_angle_rad)
+    sin, cos = sin_cos(setting.plate_angle_rad)
     rx, ry = x_m - setting.plate_pivot_x_m, y_m - setting.plate_pivot_y_m
     return _Start(
         ry * cos - rx * sin, rx * cos + ry * sin, vx_m_s * sin - vy_m_s * cos, vx_m_s * cos + vy_m_s * sin, sin, cos
@@ -44,7 +44,7 @@ def _closing(start: _Start, g: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
     """Under gravity: whether the path reaches the line, its mean and its final speed towards it."""
     square = start.vn_m_s * start.vn_m_s - 2.0 * g * start.cos * start.gap_m
     reaches = (real(square) >= 0.0) & (real(start.vn_m_s) > 0.0)
-    final = np.sqrt(np.where(reaches, square, 0.0))
+    final = sqrt(np.where(reaches, square, 0.0))
     return reaches, 0.5 * (start.vn_m_s + final), final
 
 

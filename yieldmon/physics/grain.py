@@ -53,7 +53,7 @@ class GrainParameter:
     step
         A change that matters; the unit of a fit's steps.
     fitted
-        Whether a calibration and a diagnosis fit it unless told otherwise.
+        Whether a calibration and a diagnosis fit it unless asked otherwise.
     form
         "" for grain itself, else the form of the impact gain that it belongs to.
     default

@@ -35,7 +35,7 @@ class ImpactSensor:
 
 @dataclass(frozen=True, slots=True)
 class Implement:
-    """The combine around the elevator, as a task controller is told of it; None: not known.
+    """The combine around the elevator, as a task controller learns of it; None: not known.
 
     working_width_m: of the header. header_offset_m: its cutting edge ahead of the connector. connector_type: ISO 11783-11
     DDI 157, 0 is unknown. grain_delay_s: from the cutting edge to the impact plate.

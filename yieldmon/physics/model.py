@@ -315,11 +315,12 @@ class Throw:
         if setting.radial_speed is not None:
             upper = upper + 0.5 * setting.radial_speed
 
-        def miss(tau: AnyArray) -> AnyArray:
+        def miss(tau: AnyArray, setting: Setting = setting) -> AnyArray:
             flow = release.outflow(tau, setting)
             return flight.miss_measure(*release.at_tip(flow, setting), setting)
 
-        return first_root(miss, upper)
+        still = setting.unperturbed()
+        return first_root(miss, upper, unperturbed=lambda tau: miss(tau, still))
 
 
 def _with_nodes(value: ArrayLike) -> AnyArray:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .numerics import AnyArray, real
+from .numerics import AnyArray, distinct, exp, real, sin_cos
 from .stages import Setting
 
 TOP = 1.5 * np.pi
@@ -36,8 +36,8 @@ def outflow(tau: AnyArray, setting: Setting) -> Outflow:
     """Closed-form solution for the grain that leaves at rotation tau [8.13-8.15], gravity and radial speed included."""
     mu = setting.friction
     s = np.sqrt(1.0 + mu * mu)
-    damping = np.exp(-mu * tau)
-    grow = np.exp(s * tau)
+    damping = exp(-mu * tau)
+    grow = exp(s * tau)
     cosh, sinh = 0.5 * (grow + 1.0 / grow), 0.5 * (grow - 1.0 / grow)
     position = damping * (cosh + mu / s * sinh)
     velocity = damping * sinh / s
@@ -49,7 +49,7 @@ def outflow(tau: AnyArray, setting: Setting) -> Outflow:
         release = 1.0 / position
         radial = release * velocity
         return Outflow(release, radial, radial * release, angle, None)
-    sin, cos = np.sin(angle), np.cos(angle)
+    sin, cos = sin_cos(angle)
     forced, forced_rate = _forced(sin, cos, mu, s, damping, cosh, sinh, setting)
     release = (1.0 - forced) / position
     radial = release * velocity + forced_rate
@@ -94,17 +94,20 @@ def rotation_to_empty(inner_radius: AnyArray, setting: Setting, limit: AnyArray)
     Newton on log rho_0, kept inside a bracket; complex perturbations are carried by a last step. What has settled stays as it is,
     so that no value depends on those beside it.
     """
-    goal = np.maximum(real(inner_radius), 1e-12)
-    end = real(limit)
+    perturbed = any(map(np.iscomplexobj, (inner_radius, limit))) or setting.perturbed
+    goal, end = np.maximum(real(inner_radius), 1e-12), real(limit)
+    still = setting
+    if perturbed:
+        goal, end, still = distinct(goal), distinct(end), setting.unperturbed()
     plain = np.arccosh(np.maximum(1.0 / goal, 1.0))
     # Exact without friction; the factor is friction's first order near the tip.
-    tau = np.minimum(plain * (1.0 + real(setting.friction) * plain / 3.0), end)
-    shape = np.broadcast_shapes(tau.shape, setting.friction.shape, setting.elevator_speed_rad_s.shape)
+    tau = np.minimum(plain * (1.0 + still.friction * plain / 3.0), end)
+    shape = np.broadcast_shapes(tau.shape, still.friction.shape, still.elevator_speed_rad_s.shape)
     low, high = np.zeros(shape), end
     settled = np.zeros(shape, dtype=bool)
     for _ in range(60):
-        flow = outflow(tau, setting)
-        rho, rate = real(flow.release_radius), real(flow.inward_rate)
+        flow = outflow(tau, still)
+        rho, rate = flow.release_radius, flow.inward_rate
         late = rho < goal
         low, high = np.where(late, low, tau), np.where(late, tau, high)
         trial = np.minimum(tau + rho * np.log(np.maximum(rho, 1e-300) / goal) / np.maximum(rate, 1e-300), end)
@@ -115,7 +118,7 @@ def rotation_to_empty(inner_radius: AnyArray, setting: Setting, limit: AnyArray)
         settled = settled | small
         if settled.all():
             break
-    if any(map(np.iscomplexobj, (flow.release_radius, inner_radius, limit))):
+    if perturbed:
         flow = outflow(tau, setting)
         rate = real(flow.inward_rate)
         inside = (tau < end) & (rate > 0.0)
@@ -126,7 +129,7 @@ def rotation_to_empty(inner_radius: AnyArray, setting: Setting, limit: AnyArray)
 
 def at_tip(flow: Outflow, setting: Setting) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
     """Place (x, y) in m and velocity (x, y) in m/s of the grain as it leaves the tip [8.16]."""
-    sin, cos = flow.direction or (np.sin(flow.angle), np.cos(flow.angle))
+    sin, cos = flow.direction or sin_cos(flow.angle)
     length = setting.paddle_length_m
     tip_speed = length * setting.elevator_speed_rad_s
     u = flow.radial_speed

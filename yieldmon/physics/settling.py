@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from .numerics import AnyArray, real
+from .numerics import AnyArray, arccos, distinct, real, sin_cos
 
 
 def filled_fraction(x: AnyArray, shape_ratio: AnyArray) -> AnyArray:
     """M / (eta w l^2) of a heap with inner radius x: h_f (1-x) / 2 - (x/2) sin(h_f (1-x)) [8.8]."""
     psi = shape_ratio * (1.0 - x)
-    return 0.5 * psi - 0.5 * x * np.sin(psi)
+    return 0.5 * psi - 0.5 * x * sin_cos(psi)[0]
 
 
 def inner_radius(fraction: AnyArray, shape_ratio: AnyArray) -> AnyArray:
@@ -24,7 +24,10 @@ def inner_radius(fraction: AnyArray, shape_ratio: AnyArray) -> AnyArray:
     thin heaps; steps that leave [0, 1] are halved back. Complex perturbations are carried by a last step. What has settled
     stays as it is, so that no value depends on those beside it.
     """
+    perturbed = np.iscomplexobj(fraction) or np.iscomplexobj(shape_ratio)
     a, h = real(fraction), real(shape_ratio)
+    if perturbed:
+        a, h = distinct(a), distinct(h)
     with np.errstate(invalid="ignore", divide="ignore"):
         thin = np.sqrt(2.0 * a / h)
         thickness = np.minimum(thin, 1.0)
@@ -47,7 +50,7 @@ def inner_radius(fraction: AnyArray, shape_ratio: AnyArray) -> AnyArray:
     # Rounding may ask for a hair more than a full paddle; beyond that the heap does not exist.
     thickness = np.where((a >= 0.0) & (a <= 0.5 * h * (1.0 + 1e-12)), thickness, np.nan)
     x: AnyArray = 1.0 - thickness
-    if np.iscomplexobj(fraction) or np.iscomplexobj(shape_ratio):
+    if perturbed:
         psi = h * thickness
         slope = -(0.5 * h + 0.5 * np.sin(psi) - 0.5 * x * h * np.cos(psi))
         x = x - 1j * np.imag(filled_fraction(x, shape_ratio) - fraction) / np.where(slope == 0.0, 1.0, slope)
@@ -61,13 +64,14 @@ def opening_angle(rho: AnyArray, x: AnyArray, shape_ratio: AnyArray) -> AnyArray
     angle alpha, rho cos(psi - alpha) = p.
     """
     psi_f = shape_ratio * (1.0 - x)
-    dx, dy = np.cos(psi_f) - x, np.sin(psi_f)
+    dy, along = sin_cos(psi_f)
+    dx = along - x
     length = np.sqrt(dx * dx + dy * dy)
     distance = x * dy / np.where(real(length) > 0.0, length, 1.0)
     foot_angle = _arctan2(-dx, dy)
     # Rounding may put the innermost node a hair inside the line's nearest point.
     ratio = distance / rho
-    angle: AnyArray = foot_angle + np.arccos(np.where(real(ratio) > 1.0, 1.0, ratio))
+    angle: AnyArray = foot_angle + arccos(np.where(real(ratio) > 1.0, 1.0, ratio))
     return angle
 
 

@@ -7,12 +7,13 @@ anything broadcasts with anything. SI units and radians.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 
 from .machine import Machine
-from .numerics import AnyArray
+from .numerics import AnyArray, distinct
 
 STAGES = ("setting", "load", "jet", "arrival", "impulse", "reading")
 
@@ -44,6 +45,20 @@ class Setting:
     """Paddle angle at release, past the vertical in the sense of rotation; None in the published model: at the vertical."""
     radial_speed: AnyArray | None = None
     """Radial speed at release over (elevator speed x radius of the grain); None in the published model: at rest."""
+
+    @property
+    def perturbed(self) -> bool:
+        """Whether a quantity carries a complex perturbation."""
+        return any(np.iscomplexobj(getattr(self, item.name)) for item in fields(self))
+
+    def unperturbed(self) -> Setting:
+        """The same setting without complex perturbations; one of several that differ in nothing else is kept."""
+        changed: dict[str, Any] = {}
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if isinstance(value, np.ndarray) and np.iscomplexobj(value):
+                changed[item.name] = distinct(value.real)
+        return replace(self, **changed) if changed else self
 
     @property
     def paddle_speed_m_s(self) -> AnyArray:

@@ -23,7 +23,7 @@ class ActuatorFault(StrEnum):
     SILENT = "silent"
     """No feedback frames."""
     LYING = "lying"
-    """Feedback tells the target at once and the plate does not move."""
+    """Feedback reports the target at once and the plate does not move."""
     NOISY = "noisy"
     """Feedback jumps about by a degree."""
     FAULT = "fault"
@@ -92,7 +92,7 @@ class PlateActuator:
         return self.angle_deg
 
     def feedback(self) -> tuple[float, ActuatorState] | None:
-        """Measured angle (deg) and state as the feedback frame tells them; None when silent."""
+        """Measured angle (deg) and state as the feedback frame states them; None when silent."""
         if self.fault is ActuatorFault.SILENT:
             return None
         noise = self._settings.feedback_noise_deg * float(self._rng.standard_normal())

@@ -91,7 +91,7 @@ class VirtualCombine:
     """A combine on a bus. Bus time starts at 0; the same scenario, machine, seed and commands give the same frames.
 
     :meth:`frames_until` and :meth:`samples_until` advance it (use one of them); :meth:`handle` takes PlateActuatorCommand
-    frames; :attr:`truth` tells what really happened so far. The combine ends at the scenario's duration.
+    frames; :attr:`truth` is what really happened so far. The combine ends at the scenario's duration.
     """
 
     def __init__(

@@ -32,7 +32,7 @@ class ElevatorSettings(BaseModel):
 class Run:
     """Elevator on the grid of SAMPLE_INTERVAL_S.
 
-    speed_rad_s: sprocket, as the speed frame tells it. chain_m: chain travel since the start. flow: the harvest's.
+    speed_rad_s: sprocket, as the speed frame states it. chain_m: chain travel since the start. flow: the harvest's.
     """
 
     speed_rad_s: Array

@@ -44,7 +44,7 @@ class Track:
         self._was_working = False
 
     def step(self, interval_s: float, working: bool) -> Position:
-        """Drive on for an interval and tell where the machine is then."""
+        """Drive on for an interval; where the machine is then."""
         settings = self._settings
         if self._was_working and not working:
             self._passes += 1

@@ -39,7 +39,7 @@ class Crop(_Section):
     temperature_degc: Annotated[float, Field(ge=-30, le=60)] = 20.0
     end_temperature_degc: Annotated[float, Field(ge=-30, le=60)] | None = None
     test_weight_share: Annotated[float, Field(ge=0.2, le=1.5)] = 0.655
-    """Test weight (what GrainCondition frames tell) over the bulk density of the heap on a paddle."""
+    """Test weight (what GrainCondition frames state) over the bulk density of the heap on a paddle."""
     moisture_noise_pct: Annotated[float, Field(ge=0, le=5)] = 0.2
 
     @property

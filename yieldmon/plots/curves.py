@@ -75,7 +75,7 @@ def draw(
 
 
 def some(values: Array) -> Array:
-    """The distinct values, thinned out to as many as a picture can tell apart."""
+    """The distinct values, thinned out to as many as a picture can show apart."""
     distinct = np.unique(values)
     if len(distinct) <= _MOST_CURVES:
         return distinct

@@ -6,15 +6,43 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.units import Units, rounded
 
 from .canvas import MEASURED, Array, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_EDGE = 0.5
 
-def draw(true_kg_s: Array, measured_kg_s: Array, edges_kg_s: Array, limit_pct: float = 5.0) -> Figure:
-    """A box for each band between neighbouring edges that holds seconds: quartiles, 5th to 95th percentile, and their number."""
+
+def at_edges(seconds_s: Array, time_s: Array, true_kg_s: Array) -> NDArray[np.bool_]:
+    """Seconds (n,) in which the true flow starts or stops: there a fraction of a second decides on the error in per cent.
+
+    time_s, true_kg_s: the truth, of any length. An edge is a change by more than _EDGE of the larger flow within a second on
+    either side.
+    """
+    before, at, after = (np.interp(seconds_s + step, time_s, true_kg_s) for step in (-1.0, 0.0, 1.0))
+    largest = np.maximum(np.maximum(before, at), after)
+    least = np.minimum(np.minimum(before, at), after)
+    return np.asarray(largest - least > _EDGE * largest)
+
+
+def draw(
+    true_kg_s: Array,
+    measured_kg_s: Array,
+    edges_kg_s: Array,
+    limit_pct: float = 5.0,
+    units: Units = Units(),  # noqa: B008 - frozen
+    left_out: int = 0,
+) -> Figure:
+    """A box for each band between neighbouring edges that holds seconds: quartiles, 5th to 95th percentile, and their number.
+
+    Errors are measured less true, as everywhere. left_out: seconds that are not drawn, for the title.
+    """
+    unit = units.flow_unit
     figure, axes = new_figure()
     with np.errstate(divide="ignore", invalid="ignore"):
         error_pct = 100.0 * (measured_kg_s / true_kg_s - 1.0)
@@ -39,9 +67,12 @@ def draw(true_kg_s: Array, measured_kg_s: Array, edges_kg_s: Array, limit_pct: f
     for centre, _, errors in bands:
         axes.annotate(f"n={len(errors)}", (centre, 0.98), xycoords=("data", "axes fraction"), ha="center", va="top", fontsize=8)
     axes.set_xlim(edges_kg_s[0], edges_kg_s[-1])
-    axes.set_xticks(edges_kg_s)
-    axes.set_title("box: quartiles and median; whiskers: 5th and 95th percentile; n: seconds", fontsize=9, loc="right")
-    axes.set_xlabel("true mass flow, kg/s")
+    axes.set_xticks(edges_kg_s, [rounded(unit.of(edge)) for edge in edges_kg_s] if unit.si != 1.0 else None)
+    title = "box: quartiles and median; whiskers: 5th and 95th percentile; n: seconds"
+    if left_out:
+        title += f"; {left_out} s in which the flow starts or stops are left out"
+    axes.set_title(title, fontsize=9, loc="right")
+    axes.set_xlabel(f"true mass flow, {unit.name}")
     axes.set_ylabel("error of a second, %")
     axes.legend(loc="lower right")
     return figure

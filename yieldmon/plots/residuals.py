@@ -1,4 +1,4 @@
-"""Residual map: what the model misses, over plate angle and load."""
+"""Residual map: model less measured, as in diagnose and its report, over plate angle and load."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def draw(plate_angle_deg: Array, load: Array, load_label: str, residual_pct: Arr
         text = f"{round(value, digits) + 0.0:.{digits}f}"
         colour = "white" if abs(value) > 0.6 * largest else "black"
         axes.annotate(text, (angle, mass), ha="center", va="center", fontsize=7, color=colour)
-    figure.colorbar(shown, ax=axes, label="measured less model, % of the largest reading")
+    figure.colorbar(shown, ax=axes, label="model less measured, % of the largest reading")
     axes.set_title(f"rms {np.sqrt(np.mean(residual_pct**2)):.2f} % over {len(residual_pct)} rows", fontsize=10)
     axes.margins(0.08)
     axes.set_axisbelow(True)

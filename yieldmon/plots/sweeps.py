@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.units import Units
+
 from .canvas import Array, band, new_figure
 
 if TYPE_CHECKING:
@@ -21,6 +23,7 @@ def draw(
     force_n: Array,
     force_std_dev_n: Array,
     mass_flow_kg_s: Array,
+    units: Units = Units(),  # noqa: B008 - frozen
 ) -> Figure:
     """Columns of seconds (n,). sweep_id 0: outside sweeps. usable: counts for its step."""
     from matplotlib import colormaps
@@ -40,11 +43,11 @@ def draw(
         band(curve, angles, force, spread, color=colour)
         inside = np.flatnonzero(sweep_id == number)
         shown = slice(max(0, inside[0] - 20), inside[-1] + 21)
-        course.plot(time_s[shown] - time_s[inside[0]], mass_flow_kg_s[shown], color=colour, lw=1.0)
+        course.plot(time_s[shown] - time_s[inside[0]], mass_flow_kg_s[shown] / units.flow_unit.si, color=colour, lw=1.0)
     curve.set_xlabel("plate angle, deg")
     curve.set_ylabel("horizontal force, N")
     course.set_xlabel("time from the sweep's start, s")
-    course.set_ylabel("mass flow, kg/s")
+    course.set_ylabel(f"mass flow, {units.flow_unit.name}")
     if sweeps:
         curve.legend(fontsize=8)
     return figure

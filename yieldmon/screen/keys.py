@@ -12,9 +12,11 @@ from contextlib import contextmanager
 
 from .panels import ORDERS, View
 
+_FOR_THE_CALLER = {"q": "quit", "\x03": "quit", "r": "record", "u": "units"}
+
 
 def press(view: View, key: str) -> str | None:
-    """Apply a key. Returns "quit" or "record" where the caller has to act, else None."""
+    """Apply a key. Returns "quit", "record" or "units" where the caller has to act, else None."""
     if view.typing:
         if key in ("\r", "\n", "\x1b"):
             view.typing = False
@@ -25,11 +27,11 @@ def press(view: View, key: str) -> str | None:
         elif key.isprintable():
             view.needle += key
         return None
+    if key in _FOR_THE_CALLER:
+        return _FOR_THE_CALLER[key]
     match key:
-        case "q" | "\x03":
-            return "quit"
-        case "r":
-            return "record"
+        case "c":
+            view.cab = not view.cab
         case " ":
             view.paused = not view.paused
         case "s":
@@ -37,9 +39,9 @@ def press(view: View, key: str) -> str | None:
         case "/":
             view.typing, view.needle = True, ""
         case "j":
-            view.offset += 1
+            view.selected += 1
         case "k":
-            view.offset = max(0, view.offset - 1)
+            view.selected = max(0, view.selected - 1)
     return None
 
 

@@ -1,12 +1,15 @@
-"""The screen, drawn with rich from a Traffic and a View: 80 x 24 upwards, rows that stay where they are."""
+"""The frames' screen, drawn with rich from a Traffic and a View: 80 x 24 upwards, rows that stay where they are.
+
+The list has a row for each identifier, with its bytes; those that have just changed stand out. The row chosen with j and k shows
+its signals: below the list, or beside it from `WIDE` columns on, where the rows after it show theirs as well. No value is cut.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import isfinite
 
 from rich.console import Console, ConsoleOptions, Group, RenderResult
-from rich.table import Table
 from rich.text import Text
 
 from yieldmon.bus.codec import Codec
@@ -18,45 +21,40 @@ from yieldmon.frames import (
     YIELD_MONITOR_STATUS,
     Value,
 )
+from yieldmon.units import UNKNOWN, Units
 
 from . import values
+from .blocks import fitted, large, rule, sparkline, wrapped
+from .details import card
 from .traffic import Row, Traffic
 
 ORDERS = ("id", "name", "rate", "count")
-HEAD_LINES = 6
-FOOT_LINES = 2
-_BARS = " ▁▂▃▄▅▆▇█"
-_DIGITS = {
-    "0": ("█▀█", "█ █", "▀▀▀"),
-    "1": (" ▀█", "  █", "  ▀"),
-    "2": ("▀▀█", "█▀▀", "▀▀▀"),
-    "3": ("▀▀█", " ▀█", "▀▀▀"),
-    "4": ("█ █", "▀▀█", "  ▀"),
-    "5": ("█▀▀", "▀▀█", "▀▀▀"),
-    "6": ("█▀▀", "█▀█", "▀▀▀"),
-    "7": ("▀▀█", "  █", "  ▀"),
-    "8": ("█▀█", "█▀█", "▀▀▀"),
-    "9": ("█▀█", "▀▀█", "▀▀▀"),
-    ".": (" ", " ", "▄"),
-    "-": ("   ", "▀▀▀", "   "),
-}
+WIDE = 118
+"""Columns from which on the signals stand beside the list."""
+_LIST = 80
+_CHANGE_SHOWN_S = 1.0
+_BYTES = 8
+_BYTES_W = 3 * _BYTES - 1
+_LEAST_ROWS = 3
 
 
 @dataclass(slots=True)
 class View:
-    """What the operator of the screen has chosen."""
+    """What the operator of the screen has chosen. selected: place in the list."""
 
     order: str = "id"
     needle: str = ""
     typing: bool = False
     paused: bool = False
-    offset: int = 0
+    selected: int = 0
     recording: str = ""
     source: str = ""
+    cab: bool = False
+    units: Units = field(default_factory=Units)
 
 
 class Screen:
-    """Renderable: head with the figures, a table of frames, a line of keys."""
+    """Renderable: head with the figures, the list of frames, signals of the chosen one, a line of keys."""
 
     def __init__(self, traffic: Traffic, codec: Codec, view: View) -> None:
         self._traffic = traffic
@@ -64,42 +62,52 @@ class Screen:
         self._view = view
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        height = (options.height or console.height) - HEAD_LINES - FOOT_LINES - 1
-        width = options.max_width
-        yield Group(self._head(width, plain=options.ascii_only), self._table(max(height, 1), width), self._foot(width))
+        width, plain = options.max_width, options.ascii_only
+        head, foot = self._head(width, plain=plain), self._foot(width)
+        height = max((options.height or console.height) - len(head) - len(foot) - 1, 1)
+        rows = self._traffic.sorted_rows(self._view.order, self._view.needle)
+        self._view.selected = max(0, min(self._view.selected, len(rows) - 1))
+        body = self._beside(rows, width, height) if width >= WIDE else self._below(rows, width, height, plain=plain)
+        body += [Text("")] * (height - len(body))
+        yield Group(*fitted([*head, *body[:height], *foot], width))
 
-    def _head(self, width: int, *, plain: bool) -> Group:
-        """plain: the terminal's encoding has neither blocks nor lines."""
-        traffic = self._traffic
+    # Head and foot
+
+    def _head(self, width: int, *, plain: bool) -> list[Text]:
+        traffic, units = self._traffic, self._view.units
         flow, quality = self._flow()
-        big = _big(flow, plain=plain)
+        unit = units.flow_unit
         mass, calibration = traffic.latest(ACCUMULATED_MASS), traffic.latest(SELF_CALIBRATION_STATUS)
         plate, status = traffic.latest(PLATE_ACTUATOR_FEEDBACK), traffic.latest(YIELD_MONITOR_STATUS)
         spread = traffic.latest(MASS_FLOW)
+        around = units.flow(_number(spread.signals["MassFlowStdDev"])) if spread else f"{UNKNOWN} {unit.name}"
         side = [
-            f"{'+-' if plain else '±'} {_number(spread.signals['MassFlowStdDev'], 2) if spread else '-'} kg/s   {quality}",
-            f"plate {_number(plate.signals['PlateAngle'], 1) if plate else '-'} deg   sweep {_sweep(calibration)}",
-            f"load {_number(mass.signals['LoadMass'], 0) if mass else '-'} kg"
-            f"   total {_number(mass.signals['TotalMass'], 0) if mass else '-'} kg",
+            f"{'+-' if plain else '±'} {around}   {quality}",
+            f"plate {_fixed(plate.signals['PlateAngle'], 1) if plate else UNKNOWN} deg   sweep {_sweep(calibration)}",
+            f"load {units.mass(_number(mass.signals['LoadMass']) if mass else None)}"
+            f"   total {units.mass(_number(mass.signals['TotalMass']) if mass else None)}",
         ]
         if traffic.factory_kg_s is not None:
-            side[0] += f"   factory {traffic.factory_kg_s:.2f} kg/s"
+            side[0] += f"   factory {units.flow(traffic.factory_kg_s)}"
+        shown = "--.-" if flow is None else f"{unit.of(flow):.1f}" if unit.of(flow) < 1000.0 else f"{unit.of(flow):.0f}"
+        digits = large(shown, plain=plain)
+        column = max(20, max(map(len, digits)) + 2)
         lines = []
-        for digits, beside in zip(big, side, strict=True):
-            line = Text(no_wrap=True, overflow="crop")
-            line.append(f" {digits:<20}", style="bold green" if flow is not None else "bold yellow")
+        for piece, beside in zip(digits, side, strict=True):
+            line = Text(no_wrap=True)
+            line.append(f" {piece:<{column}}", style="bold green" if flow is not None else "bold yellow")
             line.append(beside)
-            line.truncate(width)
             lines.append(line)
-        state = values.code_name("OperatingState", status.signals["OperatingState"]) if status else "no monitor on the bus"
-        on = [name for name, value in status.signals.items() if name != "OperatingState" and value == 1] if status else []
         flows = [] if plain else list(traffic.flow_kg_s)[-(width - 8) :]
-        trend = Text(f" kg/s {_sparkline(flows)}", no_wrap=True, overflow="crop")
-        faults = Text(f" {state}   ", no_wrap=True, overflow="ellipsis")
-        if status is not None:
-            faults.append("faults: " + ", ".join(on) if on else "no faults", style="bold red" if on else "green")
-        faults.truncate(width, overflow="ellipsis")
-        return Group(*lines, trend, faults, Text(("-" if plain else "─") * width, style="dim"))
+        lines.append(Text(f" {unit.name} {sparkline(flows)}", no_wrap=True))
+        state = values.code_name("OperatingState", status.signals["OperatingState"]) if status else "no monitor on the bus"
+        if status is None:
+            lines += wrapped(state, width)
+        else:
+            on = [name for name, value in status.signals.items() if name != "OperatingState" and value == 1]
+            told = f"faults: {', '.join(on)}" if on else "no faults"
+            lines += wrapped(f"{state}   {told}", width, style="bold red" if on else "green")
+        return [*lines, rule(width, plain=plain)]
 
     def _flow(self) -> tuple[float | None, str]:
         frame = self._traffic.latest(MASS_FLOW)
@@ -109,82 +117,118 @@ class Screen:
         quality = values.code_name("EstimateQuality", frame.signals["EstimateQuality"])
         if row.is_stale(self._traffic.now_s):
             return None, f"stale, {row.age_s(self._traffic.now_s):.0f} s old"
-        rate = frame.signals["MassFlowRate"]
-        return (float(rate) if isinstance(rate, (int, float)) else None), quality
+        return _number(frame.signals["MassFlowRate"]), quality
 
-    def _table(self, height: int, width: int) -> Table:
-        view, traffic = self._view, self._traffic
-        rows = traffic.sorted_rows(view.order, view.needle)
-        view.offset = max(0, min(view.offset, len(rows) - (height - 1)))
-        table = Table(box=None, padding=(0, 1, 0, 0), width=width, header_style="bold", pad_edge=False)
-        table.add_column(" id", width=9, no_wrap=True)
-        table.add_column("message", width=22, no_wrap=True, overflow="ellipsis")
-        table.add_column("Hz", width=6, justify="right", no_wrap=True)
-        table.add_column("age s", width=6, justify="right", no_wrap=True)
-        table.add_column("count", width=9, justify="right", no_wrap=True)
-        table.add_column("signals", no_wrap=True, overflow="ellipsis", ratio=1)
-        for row in rows[view.offset : view.offset + height - 1]:
-            table.add_row(*self._cells(row), style="dim" if row.is_stale(traffic.now_s) else "")
-        for _ in range(height - 1 - len(rows[view.offset : view.offset + height - 1])):
-            table.add_row("")
-        return table
-
-    def _cells(self, row: Row) -> tuple[str, ...]:
-        now = self._traffic.now_s
-        frame = self._traffic.decoded(row)
-        layout = self._codec.layout_of(row.key[0]) if row.key[1] else None
-        if frame is not None and layout is not None:
-            signals = values.line(layout, frame)
-        else:
-            signals = bytes(row.last.data).hex(" ").upper() if row.last is not None else ""
-            if layout is not None:
-                signals = f"wrong length: {signals}"
-        age = row.age_s(now)
-        stale = "!" if row.is_stale(now) else ""
-        shown = f"{age:.1f}" if isfinite(age) and age < 1000.0 else ">999"
-        identifier = f" {row.key[0]:0{8 if row.key[1] else 3}X}"
-        return identifier, row.name, f"{row.rate_hz(now):.1f}", shown + stale, str(row.count), signals
-
-    def _foot(self, width: int) -> Text:
+    def _foot(self, width: int) -> list[Text]:
         view, traffic = self._view, self._traffic
         total = sum(row.rate_hz(traffic.now_s) for row in traffic.rows.values())
-        line = Text(no_wrap=True, overflow="crop")
-        line.append(f" {view.source}  {traffic.frames} frames  {total:.0f}/s  {traffic.error_frames} error frames")
-        line.append(f"  by {view.order}")
+        parts = [
+            view.source, f"{traffic.frames} frames", f"{total:.0f}/s", f"{traffic.error_frames} error frames", f"by {view.order}"
+        ]
         if view.needle or view.typing:
-            line.append(f"  filter: {view.needle}{'_' if view.typing else ''}", style="bold")
+            parts.append(f"filter: {view.needle}{'_' if view.typing else ''}")
         if view.paused:
-            line.append("  PAUSED", style="bold yellow")
+            parts.append("PAUSED")
         if view.recording:
-            line.append(f"  recording {view.recording}", style="bold red")
-        line.truncate(width)
-        keys = Text(" q quit  space pause  s sort  / filter  j k scroll  r record", style="dim", no_wrap=True)
-        keys.truncate(width)
-        return Text("\n").join((line, keys))
+            parts.append(f"recording {view.recording}")
+        lines = wrapped("  ".join(part for part in parts if part), width, hanging=" ")
+        for line in lines:
+            line.highlight_words(["PAUSED"], "bold yellow")
+            line.highlight_words([f"recording {view.recording}", f"filter: {view.needle}"], "bold red")
+        keys = "q quit  space pause  s sort  / filter  j k choose  r record  c cab  u units"
+        return [*lines, *wrapped(keys, width, hanging=" ", style="dim")]
+
+    # List and signals
+
+    def _below(self, rows: list[Row], width: int, height: int, *, plain: bool) -> list[Text]:
+        if not rows:
+            return [self._titles(width, rows)]
+        below = self._card(rows[self._view.selected], width)
+        room = max(_LEAST_ROWS, min(len(rows) + 1, height - len(below) - 1))
+        shown = self._list(rows, width, room)
+        line = [rule(width, plain=plain)]
+        left = height - len(shown) - 1
+        if len(below) > left > 0:
+            below = [*below[: left - 1], Text("   more: a taller window shows it", style="dim")]
+        return [*shown, *line, *below] if left > 1 else shown
+
+    def _beside(self, rows: list[Row], width: int, height: int) -> list[Text]:
+        left = self._list(rows, _LIST, height)
+        pane = width - _LIST - 1
+        right: list[Text] = []
+        for place, row in enumerate(rows[self._view.selected :]):
+            found = self._card(row, pane, ranges=place == 0)
+            if right and len(right) + len(found) > height:
+                break
+            right += found
+        lines = []
+        for number in range(max(len(left), len(right))):
+            line = left[number].copy() if number < len(left) else Text("")
+            line.pad_right(_LIST - line.cell_len)
+            if number < len(right):
+                line.append(" ")
+                line.append_text(right[number])
+            lines.append(line)
+        return lines
+
+    def _card(self, row: Row, width: int, *, ranges: bool = True) -> list[Text]:
+        layout = self._codec.layout_of(row.key[0]) if row.key[1] else None
+        return card(row, layout, self._traffic.decoded(row), width, ranges=ranges)
+
+    def _widths(self, width: int, rows: list[Row]) -> tuple[int, int, bool]:
+        """Of the name and of the count, and whether there is room for bytes."""
+        count = max([7, *(len(str(row.count)) for row in rows)])
+        name = max([12, *(len(row.name) for row in rows)])
+        fixed = 10 + 7 + 8 + count + 1
+        bytes_fit = fixed + name + 1 + _BYTES_W <= width
+        return (name if bytes_fit else max(4, min(name, width - fixed))), count, bytes_fit
+
+    def _titles(self, width: int, rows: list[Row]) -> Text:
+        name, count, bytes_fit = self._widths(width, rows)
+        text = f" {'id':<8} {'message':<{name}} {'Hz':>6} {'age s':>7} {'count':>{count}}"
+        return Text(text + (" bytes" if bytes_fit else ""), style="bold")
+
+    def _list(self, rows: list[Row], width: int, height: int) -> list[Text]:
+        """Titles and the rows around the chosen one, `height` lines at most."""
+        room, chosen = max(height - 1, 1), self._view.selected
+        first = max(0, min(chosen - room // 2, len(rows) - room))
+        name, count, bytes_fit = self._widths(width, rows)
+        lines = [self._titles(width, rows)]
+        for place, row in enumerate(rows[first : first + room], first):
+            lines.append(self._row(row, name, count, bytes_fit, chosen=place == chosen))
+        return lines
+
+    def _row(self, row: Row, name: int, count: int, bytes_fit: bool, *, chosen: bool) -> Text:
+        now = self._traffic.now_s
+        age = row.age_s(now)
+        stale = row.is_stale(now)
+        shown = (f"{age:.1f}" if isfinite(age) and age < 1000.0 else ">999") + ("!" if stale else "")
+        identifier = f"{row.key[0]:0{8 if row.key[1] else 3}X}"
+        line = Text(no_wrap=True, style="dim" if stale else "")
+        line.append(">" if chosen else " ", style="bold")
+        line.append(f"{identifier:<8} {row.name[:name]:<{name}} {row.rate_hz(now):>6.1f} {shown:>7} {row.count:>{count}}")
+        if bytes_fit and row.last is not None:
+            data = bytes(row.last.data)
+            for place, byte in enumerate(data[: _BYTES - 1 if len(data) > _BYTES else _BYTES]):
+                fresh = place < len(row.changed_s) and now - row.changed_s[place] < _CHANGE_SHOWN_S
+                line.append(" ")
+                line.append(f"{byte:02X}", style="bold reverse" if fresh else "")
+            line.append(f" +{len(data) - _BYTES + 1}" if len(data) > _BYTES else "")
+        return line
 
 
-def _big(flow_kg_s: float | None, *, plain: bool) -> tuple[str, str, str]:
-    text = f"{flow_kg_s:.1f}" if flow_kg_s is not None else "--.-"
-    if plain:
-        return "", text, ""
-    top, middle, bottom = (" ".join(_DIGITS[c][i] for c in text) for i in range(3))
-    return top, middle, bottom
+def _number(value: Value) -> float | None:
+    return float(value) if isinstance(value, int | float) else None
 
 
-def _sparkline(flows: list[float | None]) -> str:
-    known = [f for f in flows if f is not None]
-    top = max([*known, 1.0])
-    return "".join("·" if f is None else _BARS[min(8, max(0, round(8.0 * f / top)))] for f in flows)
-
-
-def _number(value: Value, digits: int) -> str:
-    return f"{value:.{digits}f}" if isinstance(value, (int, float)) else "-"
+def _fixed(value: Value, digits: int) -> str:
+    return f"{value:.{digits}f}" if isinstance(value, int | float) else UNKNOWN
 
 
 def _sweep(frame: object) -> str:
     signals = getattr(frame, "signals", None)
     if signals is None:
-        return "-"
+        return UNKNOWN
     state, progress = signals["SweepState"], signals["SweepProgress"]
     name = values.code_name("SweepState", state)
-    return f"{name} {progress:.0f} %" if isinstance(progress, (int, float)) and progress > 0 else name
+    return f"{name} {progress:.0f} %" if isinstance(progress, int | float) and progress > 0 else name

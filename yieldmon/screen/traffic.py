@@ -18,6 +18,8 @@ RATE_SPAN_S = 3.0
 TREND_WINDOWS = 60
 FACTORY_TIMEOUT_S = 5.0
 _UNKNOWN_PERIOD_S = 1.0
+_UNREAD = 4096
+"""Contents of a message between two marks, for the extremes."""
 
 Key = tuple[int, bool]
 """Identifier, and whether it is a 29-bit one."""
@@ -34,6 +36,36 @@ class Row:
     last: can.Message | None = None
     marks: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=64))
     is_factory: bool = False
+    is_ours: bool = False
+    changed_s: list[float] = field(default_factory=list)
+    """When each byte was last seen changed."""
+    extremes: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """Least and greatest value of each signal so far."""
+    _marked: bytes = b""
+    _unread: dict[bytes, can.Message] = field(default_factory=dict)
+
+    def take(self, message: can.Message) -> None:
+        """Count a frame."""
+        self.count += 1
+        self.last = message
+        if self.is_ours and len(self._unread) < _UNREAD:
+            self._unread[bytes(message.data)] = message
+
+    def mark_bytes(self, now_s: float) -> None:
+        """Note which bytes are others than at the last mark."""
+        data = bytes(self.last.data) if self.last is not None else b""
+        if len(self.changed_s) != len(data):
+            self.changed_s = [-inf] * len(data)
+        elif data != self._marked:
+            for place, (before, after) in enumerate(zip(self._marked, data, strict=True)):
+                if before != after:
+                    self.changed_s[place] = now_s
+        self._marked = data
+
+    def unread(self) -> list[can.Message]:
+        """One frame of each content since the last call."""
+        found, self._unread = list(self._unread.values()), {}
+        return found
 
     def age_s(self, now_s: float) -> float:
         """Seconds since the last frame."""
@@ -73,7 +105,7 @@ class Traffic:
         self._by_name: dict[str, Row] = {}
         self._factory = FactoryMonitor()
         self._factory_flow: tuple[float, float] | None = None
-        """Time and value of the last flow that a factory monitor told."""
+        """Time and value of the last flow that a factory monitor sent."""
 
     def observe(self, message: can.Message) -> None:
         """Take a frame of the bus."""
@@ -88,8 +120,7 @@ class Traffic:
         row = self.rows.get(key)
         if row is None:
             row = self.rows[key] = self._new_row(key)
-        row.count += 1
-        row.last = message
+        row.take(message)
         if row.is_factory:
             flow = self._factory.decode(message.arbitration_id, bytes(message.data)).get(FACTORY_FLOW)
             self._factory_flow = (message.timestamp, flow) if flow is not None else self._factory_flow
@@ -104,8 +135,21 @@ class Traffic:
         for row in self.rows.values():
             if row.last is not None and (not row.marks or row.marks[-1][1] != row.count):
                 row.marks.append((row.last.timestamp, row.count))
+                row.mark_bytes(now_s)
+                self._widen(row)
             while len(row.marks) > 2 and now_s - row.marks[1][0] >= RATE_SPAN_S:
                 row.marks.popleft()
+
+    def _widen(self, row: Row) -> None:
+        for message in row.unread():
+            try:
+                frame = self._codec.decode(message)
+            except FrameError:
+                continue
+            for name, value in frame.signals.items() if frame is not None else ():
+                if isinstance(value, int | float):
+                    low, high = row.extremes.get(name, (value, value))
+                    row.extremes[name] = min(low, value), max(high, value)
 
     def decoded(self, row: Row) -> Frame | None:
         """The row's last frame, None where it is not one of ours or has the wrong length."""
@@ -145,7 +189,7 @@ class Traffic:
         layout = self._codec.layout_of(key[0]) if key[1] else None
         factory = self._factory.name_of(key[0]) if key[1] and layout is None else None
         name = layout.name if layout else factory or ""
-        row = Row(key, name, layout.cycle_time_s if layout else 0.0, is_factory=factory is not None)
+        row = Row(key, name, layout.cycle_time_s if layout else 0.0, is_factory=factory is not None, is_ours=layout is not None)
         if layout:
             self._by_name[layout.name] = row
         return row

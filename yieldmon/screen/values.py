@@ -8,6 +8,9 @@ from yieldmon import frames
 from yieldmon.bus.layout import MessageLayout, SignalLayout
 from yieldmon.frames import Frame, Unusable, Value
 
+_PLACE_SCALE_DEG = 1e-5
+"""Of latitude and longitude: a centimetre is 1e-7 deg."""
+
 CODES: dict[str, type[IntEnum] | type] = {
     "SensorStatus": frames.SensorStatus,
     "ActuatorState": frames.ActuatorState,
@@ -38,8 +41,17 @@ def text(signal: SignalLayout, value: Value) -> str:
         return code_name(signal.name, value)
     if isinstance(value, int):
         return f"{value}{signal.unit}"
-    digits = max(0, min(6, len(f"{signal.scale:.7f}".rstrip("0").partition(".")[2])))
-    return f"{value:.{digits}f} {signal.unit}".rstrip()
+    return f"{number(signal, value)} {signal.unit}".rstrip()
+
+
+def number(signal: SignalLayout, value: float) -> str:
+    """A value to as many digits as its resolution has, and no more than a reader wants; places on earth keep all of theirs."""
+    finest = max(0, min(7, len(f"{signal.scale:.7f}".rstrip("0").partition(".")[2])))
+    if signal.scale <= _PLACE_SCALE_DEG and signal.unit == "deg":
+        return f"{value:.{finest}f}"
+    size = abs(value)
+    wanted = 1 if size >= 99.95 else 2 if size >= 9.995 else 3
+    return f"{value:.{min(finest, wanted)}f}"
 
 
 def line(layout: MessageLayout, frame: Frame) -> str:

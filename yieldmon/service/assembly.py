@@ -10,6 +10,7 @@ from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sources import DEFAULT_SOURCES, Sources
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.files.crops import crops
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.service.configuration import Configuration
@@ -36,7 +37,11 @@ def build_monitor(
     """A monitor that starts from these parameters and, with a calibrator, learns from sweeps and weighed loads."""
     estimator = build_estimator(machine, parameters)
     learner = ClosedLoopCalibrator(estimator.model, calibrator) if calibrator is not None else None
-    return Monitor(settings, machine, estimator, learner, sources=sources)
+    monitor = Monitor(settings, machine, estimator, learner, sources=sources)
+    known = crops().get(parameters.provenance.get("crop", ""))
+    if known is not None:
+        monitor.set_market_moisture(known.market_moisture_pct)
+    return monitor
 
 
 def build_estimator(machine: Machine, parameters: ParameterSet) -> OpenLoop:

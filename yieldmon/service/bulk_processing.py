@@ -25,6 +25,7 @@ from yieldmon.bus.codec import Codec
 from yieldmon.bus.loading import iter_blocks
 from yieldmon.bus.logs import LogNotes
 from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.results import Result
 from yieldmon.engine.runs import FrameRun, SampleRun, SignalRun, in_millivolts, sample_columns
 from yieldmon.engine.sources import SampleSource, Sources
 from yieldmon.errors import InputError
@@ -36,7 +37,7 @@ from yieldmon.signals.mapping import SignalMap, default_map
 
 #: Frames of a log fed at a time: windows enough to be closed in groups. Where the recorder's clock steps, the frames of one run
 #: are fed one by one.
-_RUN_FRAMES = 16_384
+_RUN_FRAMES = 131_072
 #: A run must not bring windows without bound.
 _RUN_S = 3600.0
 
@@ -69,11 +70,13 @@ def process_in_bulk(
     signals: SignalMap | None = None,
     reads_ahead: bool = False,
     progress: Callable[[Stretch | EndOfLog], None] | None = None,
+    take_results: Callable[[Sequence[Result]], None] | None = None,
 ) -> Summary:
     """What processing.process_logs() does, and the same rows and summary. Raises InputError as that does.
 
     signals: where the engine's quantities come from, None: the shipped DBC.
-    reads_ahead: read and decode in a second process. progress: called with each stretch that is done.
+    reads_ahead: read and decode in a second process. progress: called with each stretch that is done. take_results: called with
+    what the monitor handed back, events included, before its rows.
     """
     names = [str(path) for path in paths]
     summary = Summary()
@@ -87,7 +90,8 @@ def process_in_bulk(
                 summary.ours += stretch.ours
                 summary.malformed += stretch.malformed
                 for run in stretch.runs:
-                    hand_over(monitor.feed_run(run, reports=False), take_row, summary)
+                    summary.samples += sum(part.places.size for part in run.samples)
+                    hand_over(monitor.feed_run(run, reports=False), take_row, summary, take_results)
             if progress is not None:
                 progress(stretch)
     refuse_nothing(names, summary)
@@ -142,7 +146,10 @@ def _decoded(taking: Taking, decoder: MapDecoder, side: SideInputs, block: Frame
 
 def _stretch(found: dict[str, _Columns], refused: int, block: FrameBlock, sources: Sources) -> Stretch:
     inputs = {name: found[name] for name in sources.messages if name in found}
-    rows = np.unique(np.concatenate([np.empty(0, np.intp), *(columns.rows for columns in inputs.values())]))
+    taken = np.zeros(len(block), bool)
+    for columns in inputs.values():
+        taken[columns.rows] = True
+    rows = np.flatnonzero(taken)
     times = block.time_s[rows]
     runs = [_run(inputs, rows[part], times[part], sources) for part in _parts(times)]
     return Stretch(len(block), len(rows), refused, runs)
@@ -223,7 +230,7 @@ def _stretches_ahead(paths: list[str], taking: Taking) -> Iterator[Iterator[Stre
 
 def _read(paths: list[str], taking: Taking, sending: Connection, receiving: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # With this end open here too, a reader whose parent was killed would wait for ever instead of finding nobody there.
+    # With this end open here too, a reader whose parent was killed would wait for ever instead of finding it gone.
     receiving.close()
     try:
         for stretch in stretches_of(paths, taking):

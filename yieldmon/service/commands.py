@@ -8,6 +8,8 @@ from typing import Any
 
 from yieldmon.engine.monitor import Monitor
 from yieldmon.errors import InputError
+from yieldmon.files.crops import crops
+from yieldmon.service import ledger
 from yieldmon.service.assembly import build_estimator, calibration_age_s
 from yieldmon.service.journal import Journal
 from yieldmon.service.store import Load, Ticket
@@ -43,15 +45,16 @@ def summary(status: Mapping[str, Any]) -> str:
 
 def _load_start(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
     weight_g = _kernel_weight_g(request)
-    if weight_g is not None and not monitor.tell_kernel_weight(weight_g):
+    if weight_g is not None and not monitor.set_kernel_weight(weight_g):
         raise InputError("thousand_kernel_weight_g", "is of no use", "waveform.enabled: true in the configuration")
     crop = _name(request, "crop")
     in_use = monitor.estimator.parameters
-    chosen = journal.change_crop(crop, in_use) if crop else None
+    chosen = journal.change_crop(crop, in_use, _who(request)) if crop else None
     if chosen is not None:
         monitor.set_estimator(build_estimator(monitor.machine, chosen), calibration_age_s(chosen, now_s))
     journal.name_load(_name(request, "field"), crop)
     journal.happened(monitor.start_load())
+    set_market(monitor, journal)
     parameters = monitor.estimator.parameters
     return {
         "load": monitor.totals.load_number, "field": journal.field, "crop": journal.crop,
@@ -59,10 +62,18 @@ def _load_start(request: Mapping[str, Any], monitor: Monitor, journal: Journal, 
     }
 
 
+def set_market(monitor: Monitor, journal: Journal) -> None:
+    """Dry mass from now on at the market moisture of the crop in use."""
+    known = crops().get(journal.crop_in_use(monitor.estimator.parameters).lower())
+    if known is not None:
+        monitor.set_market_moisture(known.market_moisture_pct)
+
+
 def _totals_reset(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
     before_kg = monitor.totals.total_kg
     if request.get("total_kg") != round(before_kg):
         raise InputError("totals reset", f"the total is {before_kg:.0f} kg", "that figure, so that nothing is reset by mistake")
+    journal.act(ledger.TOTALS_RESET, _who(request), {"total_kg": before_kg}, now_s)
     journal.happened(monitor.reset_totals())
     return {"total_kg": before_kg, "load": monitor.totals.load_number}
 
@@ -71,7 +82,8 @@ def _load_stop(request: Mapping[str, Any], monitor: Monitor, journal: Journal, n
     if not monitor.totals.load_open:
         raise InputError("load stop", "no load is open")
     journal.happened(monitor.stop_load())
-    return {"load": monitor.totals.load_number, "mass_kg": monitor.totals.load_kg}
+    crop = journal.crop_in_use(monitor.estimator.parameters)
+    return {"load": monitor.totals.load_number, "mass_kg": monitor.totals.load_kg, "crop": crop}
 
 
 def _loads(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
@@ -94,20 +106,53 @@ def _ticket(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_
     if not measured_kg > 0.0:
         raise InputError(f"ticket for load {first}", "nothing was measured for it", "a load with a measured mass")
     ticket = Ticket(now_s, first, last, weighed_kg, measured_kg, _name(request, "note") or "")
-    journal.ticket(ticket)
+    teaches = _anchor(monitor, covered, ticket, std_dev_kg)
+    number = journal.ticket(ticket, _who(request), teaches=teaches)
     return {
+        "crop": covered[-1].crop,
+        "ticket": number,
         "first_load": first,
         "last_load": last,
         "weighed_mass_kg": weighed_kg,
         "measured_mass_kg": measured_kg,
         "factor": ticket.factor,
-        "anchor": _anchor(monitor, covered, ticket, std_dev_kg),
+        "anchor": teaches,
     }
+
+
+def _tickets(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
+    return {"tickets": journal.ticket_table()}
+
+
+def _ticket_undo(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
+    number = _whole(request, "ticket")
+    ticket, taught = journal.undo_ticket(number, _who(request), now_s)
+    monitor.forget_ticket(range(ticket.first_load, ticket.last_load + 1))
+    given_up = None
+    if taught is not None:
+        given_up = _back_before(taught, request, monitor, journal, now_s)
+    return {"ticket": number, "first_load": ticket.first_load, "last_load": ticket.last_load, **(given_up or {})}
+
+
+def _calibrations(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
+    return {"calibrations": journal.calibration_table()}
+
+
+def _calibration_undo(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
+    return _back_before(_whole(request, "version"), request, monitor, journal, now_s)
+
+
+def _back_before(version: int, request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> dict[str, Any]:
+    """The parameters before a version again, as a new version."""
+    last = monitor.estimator.parameters.version
+    chosen = journal.undo_parameters(version, _who(request), now_s)
+    monitor.set_estimator(build_estimator(monitor.machine, chosen), calibration_age_s(chosen, now_s))
+    return {"undone": version, "until": last, "version": chosen.version, "effects": list(chosen.effects)}
 
 
 def _anchor(monitor: Monitor, covered: list[Load], ticket: Ticket, std_dev_kg: float) -> bool:
     """Hands the ticket to the calibration as a reference mass, shared out over its loads; False when one of them was not
-    measured whole since the last start or reload, and then no part of the ticket can teach."""
+    measured whole since the last start or reload, and then no part of the ticket is a reference mass."""
     whole = {load.number for load in monitor.loads if load.complete}
     if not all(load.number in whole for load in covered):
         return False
@@ -133,17 +178,20 @@ def _zero(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s:
     signs = monitor.signs_of_grain
     if signs and request.get("force") is not True:
         raise InputError("zero", f"there is grain: {signs}", "the elevator running empty; --force if it does")
+    journal.zero(_who(request), signs, now_s)
     monitor.calibrate_zero()
     return {"zero": "started; keep the elevator running empty"}
 
 
 def _zero_undo(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
     try:
-        missed_kg, events = monitor.undo_zero()
+        restored, events = monitor.undo_zero()
     except ValueError as error:
         raise InputError("zero --undo", str(error), "an undo after `yieldmon zero`") from error
     journal.happened(events)
-    return {"zero": "undone", "restored_kg": missed_kg}
+    told = {event.load.number for event in events} | ({monitor.totals.load_number} if monitor.totals.load_open else set())
+    journal.zero_undone(_who(request), restored, told, now_s)
+    return {"zero": "undone", "restored_kg": sum(restored.values())}
 
 
 def _sweep_start(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
@@ -164,11 +212,20 @@ _COMMANDS: Mapping[str, Callable[[Mapping[str, Any], Monitor, Journal, float], A
     "totals-reset": _totals_reset,
     "loads": _loads,
     "ticket": _ticket,
+    "tickets": _tickets,
+    "ticket-undo": _ticket_undo,
+    "calibrations": _calibrations,
+    "calibration-undo": _calibration_undo,
     "zero": _zero,
     "zero-undo": _zero_undo,
     "sweep-start": _sweep_start,
     "sweep-abort": _sweep_abort,
 }
+
+
+def _who(request: Mapping[str, Any]) -> str:
+    """The user at the other end of the control socket."""
+    return str(request.get("who", ""))
 
 
 def _name(request: Mapping[str, Any], key: str) -> str | None:

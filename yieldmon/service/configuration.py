@@ -30,6 +30,7 @@ from yieldmon.physics.machine import Machine
 from yieldmon.resources import shipped
 from yieldmon.service.document import ENGINE_SECTIONS, Document, Section
 from yieldmon.service.folders import runtime_folder, state_folder
+from yieldmon.service.former_keys import with_present_keys
 from yieldmon.service.signal_section import signal_map
 from yieldmon.service.store import Retention
 from yieldmon.signals.mapping import SignalMap
@@ -49,7 +50,8 @@ class ConfigurationError(InputError):
 
 @dataclass(frozen=True)
 class Configuration:
-    """All that the daemon runs with. Paths are absolute. calibrator is None where nothing may be learnt."""
+    """All that the daemon runs with. Paths are absolute. calibrator is None where nothing may be learnt. notes: a sentence
+    for each key that the file has under a former name."""
 
     path: Path
     document: Document
@@ -65,6 +67,7 @@ class Configuration:
     retention: Retention
     socket_path: Path
     prometheus_path: Path | None
+    notes: tuple[str, ...] = ()
 
 
 def load(path: Path | str, environment: Mapping[str, str] = os.environ) -> Configuration:
@@ -84,6 +87,10 @@ def load(path: Path | str, environment: Mapping[str, str] = os.environ) -> Confi
 
 def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ) -> Configuration:
     """Configuration from the content of the file at `path`, as load() does."""
+    try:
+        content, renamed = with_present_keys(content, str(path))
+    except InputError as error:
+        raise ConfigurationError([error]) from error
     try:
         document = Document.model_validate(content)
     except ValidationError as error:
@@ -113,6 +120,7 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
         retention=Retention(document.store.record_hours, document.store.size_mb, document.store.event_rows),
         socket_path=runtime_folder(environment) / document.status.socket,
         prometheus_path=runtime_folder(environment) / prometheus if prometheus is not None else None,
+        notes=renamed,
     )
 
 

@@ -11,8 +11,10 @@ import grp
 import json
 import logging
 import os
+import pwd
 import selectors
 import socket
+import struct
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -89,6 +91,9 @@ class ControlServer:
             if error.errno is None or error.errno in _WRONG_PATH:
                 problem = f"{path}: {error.strerror or error}"
                 raise InputError("status.socket", problem, "a path that can be bound") from error
+            if error.filename is None:
+                # bind() does not say what it was asked to bind.
+                raise OSError(error.errno, error.strerror, str(path)) from error
             raise
         self._server = _Server(listening, answer)
         self._thread = threading.Thread(target=self._server.run, name="control", daemon=True)
@@ -133,7 +138,7 @@ class _Server:
     """One thread collects the requests of all connections, a few others answer those that are whole.
 
     A request has to be whole within _PATIENCE_S of the connection, whatever comes meanwhile, and so has the taking of the answer.
-    Beyond _CONNECTIONS the one that has waited longest is cut off, so peers that ask nothing shut nobody out.
+    Beyond _CONNECTIONS the one that has waited longest is cut off, so idle peers keep no other out.
     """
 
     def __init__(self, listening: socket.socket, answer: Callable[[Mapping[str, Any]], Answer]) -> None:
@@ -207,7 +212,7 @@ class _Server:
     def _reply(self, asking: _Asking) -> None:
         try:
             with asking.connection:
-                answer = self._answer_to(bytes(asking.request).partition(b"\n")[0])
+                answer = self._answer_to(bytes(asking.request).partition(b"\n")[0], _user(asking.connection))
                 asking.connection.settimeout(_PATIENCE_S)
                 asking.connection.sendall(json.dumps(answer, allow_nan=False).encode() + b"\n")
         except OSError as error:
@@ -217,7 +222,7 @@ class _Server:
         finally:
             self._answering.release()
 
-    def _answer_to(self, line: bytes) -> Answer:
+    def _answer_to(self, line: bytes, who: str) -> Answer:
         if len(line) > MAX_REQUEST_BYTES:
             return {"ok": False, "error": "the request is not one line of JSON"}
         try:
@@ -227,13 +232,25 @@ class _Server:
         if not isinstance(request, dict) or not isinstance(request.get("command"), str):
             return {"ok": False, "error": "the request names no command"}
         try:
-            return {"ok": True, **self._answer(request)}
+            return {"ok": True, **self._answer({**request, "who": who})}
         except (InputError, ControlError) as error:
             return {"ok": False, "error": str(error)}
 
 
+def _user(connection: socket.socket) -> str:
+    """The user of this computer at the other end, as the kernel knows him; "" where it does not say."""
+    try:
+        _, user, _ = struct.unpack("3i", connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i")))
+    except (OSError, AttributeError, struct.error):
+        return ""
+    try:
+        return pwd.getpwuid(user).pw_name
+    except KeyError:
+        return f"user {user}"
+
+
 def _connect(connection: socket.socket, path: Path, end_s: float) -> None:
-    """Waits where more peers wait than the socket has room for; a socket with a time limit is told so at once."""
+    """Waits where more peers wait than the socket has room for; a socket with a time limit gets the error at once."""
     while True:
         try:
             connection.connect(str(path))

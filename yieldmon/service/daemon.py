@@ -44,8 +44,9 @@ from yieldmon.service.link import link_for
 from yieldmon.service.metrics import MetricsFile
 from yieldmon.service.notify import ServiceManager
 from yieldmon.service.ownership import owned
+from yieldmon.service.posting import Poster
 from yieldmon.service.recovery import recover
-from yieldmon.service.rows import SecondRow
+from yieldmon.service.rows import SecondRow, kept_second
 from yieldmon.service.snapshot import Rates, snapshot
 from yieldmon.service.store import Store
 from yieldmon.service.transmit import ASKED_ECHO_S, ECHO_S, Transmitter
@@ -146,6 +147,7 @@ class Daemon:
         self._writer = StoreWriter(
             self._open_store, configuration.document.store.pending_seconds, path=configuration.store_path
         )
+        self._poster = Poster(configuration.store_path, self._writer.wait_until_written)
         self._rates = Rates()
         self._threads: Mapping[str, _Alive] = {
             "receive": self._receiver, "transmit": self._transmitter, "store": self._writer,
@@ -162,7 +164,7 @@ class Daemon:
         self._reload_wanted = True
 
     def run(self) -> int:
-        """Run until told to stop; returns the exit code.
+        """Run until asked to stop; returns the exit code.
 
         Raises can.CanError or InputError when the bus cannot be opened at the start, StoreError when the store can be
         neither made nor read, OccupiedError when another daemon uses it or the control socket, InputError when that cannot be
@@ -179,6 +181,7 @@ class Daemon:
         self._journal.new_monitor(parameters, self._origin)
         self._monitor = _monitor_for(self.configuration, parameters)
         self._resume(memory)
+        commands.set_market(self._monitor, self._journal)
         self._answer = self._snapshot()
         self._receiver.start()
         try:
@@ -195,6 +198,8 @@ class Daemon:
         self._submit(self._link.start(self._network_clock()))
         self.started.set()
         self._manager.ready()
+        for note in self.configuration.notes:
+            _log.warning("%s", note)
         _log.info("running on %s %s", self.configuration.document.bus.interface, self.configuration.document.bus.channel)
         try:
             while not self._stop_wanted:
@@ -254,6 +259,7 @@ class Daemon:
         elif age_s is not None:
             age_s += max(0.0, now_s - memory.saved_s)
         self._monitor.restore(dataclasses.replace(memory.engine, calibration_age_s=age_s))
+        self._monitor.remember_since_zero([kept_second(row) for row in memory.since_zero])
 
     # The engine's thread
 
@@ -275,6 +281,8 @@ class Daemon:
             self._answer = self._snapshot()
         self._tell_faults(monotonic())
         self._do_commands()
+        if self._window_closed:
+            self._post()
         # Between two windows, where a new monitor has least to miss; a quiet bus has none.
         if self._reload_wanted and (self._window_closed or not items):
             self._reload_wanted = False
@@ -353,7 +361,7 @@ class Daemon:
         replacements = self._writer.health().replacements
         if replacements != self._replacements:
             self._replacements = replacements
-            self._journal.tell_all_again()
+            self._journal.report_all()
         self._tell_network()
         self._commit()
         if max(self._receiver.hangs_s(), self._transmitter.hangs_s()) < _HANGS_FOR_GOOD_S:
@@ -474,13 +482,26 @@ class Daemon:
             if not job.answer.set_running_or_notify_cancel():
                 continue
             try:
-                job.answer.set_result(commands.execute(job.request, self._monitor, self._journal, time.time()))
+                answer = commands.execute(job.request, self._monitor, self._journal, time.time())
+                job.answer.set_result({**answer, "units": self.configuration.document.units})
                 done = True
             except InputError as error:
                 job.answer.set_exception(error)
         if done:
             self._commit()
             self._answer = self._snapshot()
+
+    def _post(self) -> None:
+        """After a ticket has taught, the loads of the last day are measured again; what comes of it goes to the store."""
+        posted = self._poster.take()
+        if posted is not None and posted.factors:
+            self._journal.posted(posted.tickets, posted.version, posted.factors)
+            self._commit()
+        if self._journal.tickets_wait and not self._monitor.masses_wait and not self._poster.busy:
+            totals, now_s = self._monitor.totals, self._monitor.bus_time_s
+            version = self._monitor.estimator.parameters.version
+            open_load = totals.load_number if totals.load_open else None
+            self._poster.start(self._monitor.machine, self._journal.take_taught(), version, open_load, now_s)
 
     def _do_reload(self) -> None:
         """Takes the configuration anew, or goes on with the old one and says so."""
@@ -508,6 +529,7 @@ class Daemon:
             state = dataclasses.replace(state, calibration_age_s=calibration_age_s(fresh, time.time()))
         monitor = _monitor_for(new, fresh or self._monitor.estimator.parameters)
         monitor.restore(state)
+        commands.set_market(monitor, self._journal)
         self._monitor, self._record = monitor, None
         # The next batch brings the parameters.
         self._journal.new_monitor(monitor.estimator.parameters, "file")
@@ -516,6 +538,8 @@ class Daemon:
         logging.getLogger("yieldmon").setLevel(new.document.logging.level.upper())
         self._reload_note = "taken" + (f"; {', '.join(fixed)} will be at the next start" if fixed else "")
         _log.info("configuration reloaded: %s", self._reload_note)
+        for note in new.notes:
+            _log.warning("%s", note)
 
     def _snapshot(self) -> Answer:
         self._answered_s = monotonic()

@@ -80,7 +80,7 @@ class Store(Section):
 
 
 class Status(Section):
-    """What the daemon tells on this machine."""
+    """Status of the daemon, for this machine."""
 
     socket: str = text("yieldmon.sock", "UNIX socket of `yieldmon status`; relative paths are under the runtime folder")
     group: str | None = text(None, "group that may use the socket (mode 0660); null: the daemon's user only (0600)")
@@ -106,7 +106,7 @@ class Network(Section):
     )
     manufacturer_code: int = quantity(0, 0, 2047, "1", "of the NAME, as SAE assigns them")
     ecu_instance: int = quantity(0, 0, 7, "1", "of the NAME")
-    function_instance: int = quantity(0, 0, 31, "1", "of the NAME; tells several monitors on one machine apart")
+    function_instance: int = quantity(0, 0, 31, "1", "of the NAME; distinguishes several monitors on one machine")
     function: int = quantity(135, 0, 255, "1", "of the NAME; 135 with vehicle system 17: product mass")
     vehicle_system: int = quantity(17, 0, 127, "1", "of the NAME, ISO 11783's device class; 17: sensor systems")
     vehicle_system_instance: int = quantity(0, 0, 15, "1", "of the NAME")
@@ -172,6 +172,9 @@ class Windows(Section):
         "patterns",
         "weight of that expectation, in repeats of the paddle pattern",
     )
+    scatter_memory_patterns: float = quantity(
+        _W.scatter_memory_patterns, 50.0, 1e5, "patterns", "repeats of the pattern over which the scatter is learnt"
+    )
     min_force_std_dev_n: float = quantity(
         _W.min_force_std_dev_n, 0.0, 10.0, "N", "floor for the standard deviation of a window's mean force"
     )
@@ -183,12 +186,12 @@ _I = _ENGINE.inputs
 class Inputs(Section):
     """How long the last value of an input may be used."""
 
-    sensor_timeout_s: float = quantity(_I.sensor_timeout_s, 0.01, 1.0, "s", "ImpactSensorSamples")
-    speed_timeout_s: float = quantity(_I.speed_timeout_s, 0.1, 10.0, "s", "ElevatorSpeed")
-    feedback_timeout_s: float = quantity(_I.feedback_timeout_s, 0.1, 10.0, "s", "PlateActuatorFeedback")
-    condition_timeout_s: float = quantity(_I.condition_timeout_s, 1.0, 600.0, "s", "GrainCondition")
-    scale_timeout_s: float = quantity(_I.scale_timeout_s, 1.0, 600.0, "s", "TankScale")
-    vehicle_timeout_s: float = quantity(_I.vehicle_timeout_s, 0.2, 600.0, "s", "HarvestState and vehicle speed")
+    sensor_timeout_s: float = quantity(_I.sensor_timeout_s, 0.01, 1.0, "s", "impact samples")
+    speed_timeout_s: float = quantity(_I.speed_timeout_s, 0.1, 10.0, "s", "elevator speed")
+    feedback_timeout_s: float = quantity(_I.feedback_timeout_s, 0.1, 10.0, "s", "plate angle and actuator state")
+    condition_timeout_s: float = quantity(_I.condition_timeout_s, 1.0, 600.0, "s", "moisture, temperature and test weight")
+    scale_timeout_s: float = quantity(_I.scale_timeout_s, 1.0, 600.0, "s", "tank mass and its status")
+    vehicle_timeout_s: float = quantity(_I.vehicle_timeout_s, 0.2, 600.0, "s", "position, course, speed, states of the machine")
     held_angle_std_dev_deg: float = quantity(
         _I.held_angle_std_dev_deg,
         0.0,
@@ -261,12 +264,19 @@ _T = _ENGINE.totals
 class Totals(Section):
     """Load and total mass."""
 
-    moisture_reference_pct: float = quantity(
-        _T.moisture_reference_pct, 0.0, 40.0, "%", "market moisture for dry mass, wet basis"
+    moisture_reference_pct: float | None = quantity(
+        _T.moisture_reference_pct, 0.0, 40.0, "%",
+        "market moisture for dry mass, wet basis; null: the crop's, corn's where none is named",
     )
     credit_below_reference: bool = choice(
         _T.credit_below_reference,
         "true: grain drier than that counts as more than its wet mass; false: as its wet mass",
+    )
+    new_load: Literal["switch", "tank_scale", "command"] = choice(
+        _T.new_load, "what begins a load, beside the command: input unloading, tank mass fallen to half, nothing"
+    )
+    unloading_s: float = quantity(
+        _T.unloading_s, 1.0, 600.0, "s", "shorter unloading ends no load; without any for this long it is over"
     )
 
 
@@ -306,7 +316,7 @@ _P = _ENGINE.plate
 
 
 class Plate(Section):
-    """Limits on what the plate is told, inside the range of the machine file."""
+    """Limits of plate commands, inside the range of the machine file."""
 
     fixed_angle_deg: float | None = quantity(
         _P.fixed_angle_deg, 10.0, 170.0, "deg", "angle of a plate that is bolted on: no feedback wanted, no sweep; null: it turns"
@@ -352,11 +362,12 @@ class Sweep(Section):
         _S.home_retry_s, 1.0, 1e5, "s", "wait before the plate is taken home again after it did not get there"
     )
     backoff_s: float = quantity(_S.backoff_s, 1.0, 1e5, "s", "wait after an aborted sweep; doubles up to the interval")
-    lying_spread: float = quantity(
-        _S.lying_spread, 0.0, 5.0, "1", "spread of ln(flow) over a sweep from which the feedback is doubted"
+    feedback_plausibility_flow_spread: float = quantity(
+        _S.feedback_plausibility_flow_spread, 0.0, 5.0, "1", "spread of ln(flow) over a sweep from which the feedback is doubted"
     )
-    lying_ratio: float = quantity(
-        _S.lying_ratio, 0.0, 1.0, "1", "the plate did not move if the force spreads less than this share of that"
+    feedback_plausibility_force_ratio: float = quantity(
+        _S.feedback_plausibility_force_ratio, 0.0, 1.0, "1",
+        "the plate did not move if the force spreads less than this share of that",
     )
     max_std_dev_factor: float = quantity(
         _S.max_std_dev_factor, 1.0, 10.0, "1", "widening of the standard deviation of flow away from home"
@@ -373,7 +384,16 @@ class Faults(Section):
         _F.stuck_windows, 1, 600, "s", "seconds of equal samples before the sensor counts as stuck"
     )
     calibration_old_s: float = quantity(_F.calibration_old_s, 3600.0, 1e9, "s", "age from which the calibration is old")
+    mass_near_end: float = quantity(
+        _F.mass_near_end, 0.1, 1.0, "1", "share of the largest mass that a signal carries from which that is a fault"
+    )
     clock_jump_hold_windows: int = quantity(_F.clock_jump_hold_windows, 1, 3600, "s", "how long ClockJumped is shown")
+    scale_disagrees_p: float = quantity(
+        _F.scale_disagrees_p, 1e-9, 0.05, "1", "probability below which a weighed mass contradicts the calibration"
+    )
+    scale_agrees_p: float = quantity(
+        _F.scale_agrees_p, 1e-6, 0.5, "1", "probability from which a weighed mass agrees with the calibration again"
+    )
     zero_missing_s: float = quantity(
         _F.zero_missing_s, 5.0, 3600.0, "s", "time with the elevator running and no zero after which that is a fault"
     )
@@ -401,7 +421,7 @@ class Disagreement(Section):
 
     keep_sweeps: int = quantity(_D.keep_sweeps, 2, 200, "sweeps", "newest sweeps that are looked at together")
     least_sweeps: int = quantity(_D.least_sweeps, 2, 200, "sweeps", "fewer say nothing")
-    tolerance: float = quantity(_D.tolerance, 0.0, 0.5, "1", "relative error of the model at an angle that is nobody's concern")
+    tolerance: float = quantity(_D.tolerance, 0.0, 0.5, "1", "tolerated relative model error at a plate angle")
     begin_p: float = quantity(_D.begin_p, 0.0, 0.5, "1", "probability of such a pattern by chance below which the fault is shown")
     end_p: float = quantity(_D.end_p, 0.0, 1.0, "1", "probability above which it is withdrawn")
 
@@ -423,7 +443,7 @@ class Waveform(Section):
     contradiction_windows: int = quantity(_V.contradiction_windows, 5, 3600, "s", "windows that are compared together")
     contradiction_z: float = quantity(_V.contradiction_z, 1.0, 20.0, "1", "standard deviations that count as a contradiction")
     thousand_kernel_weight_g: float = quantity(
-        _V.thousand_kernel_weight_g, 0.0, 5000.0, "g", "mass of a thousand kernels; 0: not known; `load start` may tell it"
+        _V.thousand_kernel_weight_g, 0.0, 5000.0, "g", "mass of a thousand kernels; 0: not known; `load start` may give it"
     )
     kernel_mass_sd: float = quantity(_V.kernel_mass_sd, 0.0, 1.0, "1", "relative deviation of that weight")
     kernel_low_hz: float = quantity(_V.kernel_low_hz, 20.0, 5000.0, "Hz", "lowest frequency of kernel noise, above the pulses")
@@ -440,7 +460,7 @@ _K = _L.closed_loop
 
 
 class Learning(Section):
-    """What sweeps and weighed loads may teach."""
+    """How sweeps and weighed loads update the parameters."""
 
     enabled: bool = choice(True, "let sweeps and weighed loads move the parameters")
     flow_model: Literal["constant", "linear", "process"] = choice(_K.flow, "how the flow may change during a sweep")
@@ -452,7 +472,10 @@ class Learning(Section):
         _K.learned_information, 0.0, 100.0, "1", "data over prior information below which nothing is taken from the data"
     )
     kept_ratio: float = quantity(_K.kept_ratio, 0.5, 1.0, "1", "a parameter that keeps more than this share of its width stays")
-    consistent_p: float = quantity(_K.consistent_p, 0.0, 0.5, "1", "probability of a misfit below which a sweep teaches nothing")
+    consistent_p: float = quantity(_K.consistent_p, 0.0, 0.5, "1", "probability of a misfit below which a sweep changes nothing")
+    pattern_sd: float = quantity(
+        _L.pattern_sd, 0.0, 0.2, "1", "relative error of the model away from home that sweeps separate from the grain; 0: none"
+    )
     anchor_error: float = quantity(_L.anchor_error, 0.0, 0.5, "1", "relative error of a weighed load beside the scale's own")
     density_ratio: float | None = quantity(
         _L.density_ratio, 0.1, 10.0, "1", "density in the paddles over test weight, where known; null: test weight is not used"
@@ -488,7 +511,7 @@ if TYPE_CHECKING:
 else:
     DriftPerRootHour = _by_parameter(
         "DriftPerRootHour",
-        "Growth of what is not known: relative standard deviation after one hour without a lesson.",
+        "Growth of what is not known: relative standard deviation after one hour without an update.",
         _R.per_root_hour, 1.0,
     )  # fmt: skip
     DriftPerRootKilotonne = _by_parameter(
@@ -517,6 +540,9 @@ class Document(Section):
     parameter_file: str | None = text(None, "grain parameters; null: the shipped corn; relative to this file")
     moisture_map_file: str | None = text(
         None, "how parameters change with moisture (`calibrate --by-moisture`); null: they do not; relative to this file"
+    )
+    units: Literal["metric", "us"] = choice(
+        "metric", "that people are shown; documents (JSON), tables and frames stay in SI"
     )
     bus: Bus = Bus()
     signals: dict[str, Any] = Field(

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from math import sqrt
-from typing import Any
 
+from yieldmon.documents import FactoryComparisonSummary
 from yieldmon.service.rows import SecondRow
 
 
@@ -28,7 +28,7 @@ class FactoryComparison:
         self._products += ours * theirs
 
     @property
-    def document(self) -> dict[str, Any] | None:
+    def document(self) -> FactoryComparisonSummary | None:
         """Seconds, mean flows (kg/s), how much more the factory's says (%), and the correlation (None: one does not vary)."""
         n = self._count
         if not n:

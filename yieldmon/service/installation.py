@@ -30,8 +30,11 @@ COMMAND = HOME / "bin" / "yieldmon"
 RELEASES = HOME / "releases"
 PREVIOUS = HOME / "previous"
 LOCK = "requirements.lock"
+WEB_LOCK = "requirements-web.lock"
+WEB_UNIT = "yieldmon-web.service"
 LINK = Path("/usr/local/bin/yieldmon")
 CONFIGURATION = Path("/etc/yieldmon")
+UNITS = Path("/etc/systemd/system")
 _PLAIN_IN_UNITS = frozenset(string.ascii_letters + string.digits + ":_.")
 STATE = (Path("/var/lib/yieldmon"), Path("/var/lib/private/yieldmon"))
 
@@ -56,7 +59,10 @@ class Installer:
         if not self.dry_run:
             target.parent.mkdir(parents=True, exist_ok=True)
             fresh = target.with_name(f".{target.name}.new")
-            fresh.write_text(text, encoding="utf-8")
+            fresh.unlink(missing_ok=True)
+            # Made for it: what stood there, a link to another file say, is not written to.
+            with fresh.open("x", encoding="utf-8") as file:
+                file.write(text)
             fresh.chmod(0o644)
             fresh.replace(target)
 
@@ -118,7 +124,7 @@ class Installer:
 def places(interface: str) -> dict[str, Path]:
     """Shipped file in systemd/ -> where it goes."""
     return {
-        "yieldmon.service": Path("/etc/systemd/system/yieldmon.service"),
+        "yieldmon.service": UNITS / "yieldmon.service",
         "80-can0.network": Path(f"/etc/systemd/network/80-{interface}.network"),
         "80-yieldmon.conf": Path("/etc/sysctl.d/80-yieldmon.conf"),
     }
@@ -156,7 +162,14 @@ def check_interface(interface: str) -> None:
 
 
 def install(
-    installer: Installer, interface: str, command: Path | None, python: str, source: str, *, locked: bool = True
+    installer: Installer,
+    interface: str,
+    command: Path | None,
+    python: str,
+    source: str,
+    *,
+    locked: bool = True,
+    web: bool = False,
 ) -> None:
     """Command, unit, interface and configuration in their places, and the service started.
 
@@ -174,12 +187,16 @@ def install(
         What pip installs into it.
     locked : bool
         Whether its dependencies are those of the lock file, by hash; else what pip finds.
+    web : bool
+        Whether the page comes with it, with its dependencies and its unit.
     """
     before = os.umask(0o022)
     try:
-        if command is None and not _new_release(installer, python, source, locked=locked):
+        if command is None and not _new_release(installer, python, source, locked=locked, web=web):
             return
         _place(installer, interface, command)
+        if web:
+            _place_page(installer, command)
     finally:
         os.umask(before)
 
@@ -200,7 +217,33 @@ def _place(installer: Installer, interface: str, command: Path | None) -> None:
         bring_up(installer, interface)
 
 
-def _new_release(installer: Installer, python: str, source: str, *, locked: bool) -> bool:
+def _place_page(installer: Installer, command: Path | None) -> None:
+    """The page's unit, started; it waits for no interface."""
+    text = shipped(f"systemd/{WEB_UNIT}").read_text(encoding="utf-8").replace(str(COMMAND), str(command or COMMAND))
+    installer.write(UNITS / WEB_UNIT, text)
+    installer.run("systemctl", "daemon-reload")
+    installer.run("systemctl", "enable", WEB_UNIT)
+    installer.run("systemctl", "restart", WEB_UNIT)
+
+
+def with_page(source: str) -> str:
+    """A source for pip with the extra of the page.
+
+    Parameters
+    ----------
+    source : str
+        A path or a requirement.
+
+    Returns
+    -------
+    str
+        The same with ``[web]`` in its place.
+    """
+    name, equals, version = source.partition("==")
+    return f"{name}[web]{equals}{version}"
+
+
+def _new_release(installer: Installer, python: str, source: str, *, locked: bool, web: bool) -> bool:
     """Make an environment, try it, and switch to it; what was in use stays so when anything fails."""
     releases = installer.at(RELEASES)
     number = 1 + max((int(path.name) for path in releases.glob("[0-9]*") if path.name.isdigit()), default=0)
@@ -210,9 +253,10 @@ def _new_release(installer: Installer, python: str, source: str, *, locked: bool
     )  # fmt: skip
     steps: list[tuple[str, ...]] = [(python, "-m", "venv", str(installer.at(release)))]
     if locked:
-        steps += [(*pip, "--require-hashes", "--no-deps", "-r", str(shipped(LOCK))), (*pip, "--no-deps", source)]
+        lock = str(shipped(WEB_LOCK if web else LOCK))
+        steps += [(*pip, "--require-hashes", "--no-deps", "-r", lock), (*pip, "--no-deps", source)]
     else:
-        steps.append((*pip, source))
+        steps.append((*pip, with_page(source) if web else source))
     steps.append((str(installer.at(release) / "bin/yieldmon"), "--version"))
     for step in steps:
         if not installer.run(*step, live_only=False):
@@ -254,6 +298,8 @@ def roll_back(installer: Installer) -> None:
     installer.point(HOME / "bin", Path("releases") / name / "bin")
     installer.point(PREVIOUS, Path("releases") / str(in_use))
     installer.run("systemctl", "try-restart", "yieldmon.service")
+    if installer.at(UNITS / WEB_UNIT).exists():
+        installer.run("systemctl", "try-restart", WEB_UNIT)
 
 
 def bring_up(installer: Installer, interface: str) -> None:
@@ -273,10 +319,12 @@ def bring_up(installer: Installer, interface: str) -> None:
 
 def uninstall(installer: Installer, interface: str, *, purge: bool) -> None:
     """Take everything away; configuration and records only with `purge`."""
+    if installer.at(UNITS / WEB_UNIT).exists():
+        installer.run("systemctl", "disable", "--now", "--no-reload", WEB_UNIT)
     installer.run("systemctl", "disable", "--now", "--no-reload", "yieldmon.service")
     # A unit that was never there is no failure to take it away.
     installer.failures.clear()
-    for path in places(interface).values():
+    for path in (*places(interface).values(), UNITS / WEB_UNIT):
         installer.remove(path)
     link = installer.at(LINK)
     if link.is_symlink():

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from dataclasses import field as dataclass_field
 from math import isfinite
 from typing import Any
@@ -15,18 +15,25 @@ from yieldmon.engine.learning import ParametersChanged
 from yieldmon.engine.loads import LoadClosed, LoadOpened, LoadSummary
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.plate import SweepEnded
-from yieldmon.engine.records import WindowRecord
+from yieldmon.engine.records import CalibrationStep, WindowRecord
 from yieldmon.engine.results import Event, Result, WindowResult
+from yieldmon.engine.since_zero import KEPT_S
 from yieldmon.engine.state import EngineState
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
 from yieldmon.files.crops import crops
+from yieldmon.service import ledger as ledgers
 from yieldmon.service import store as rows_of
+from yieldmon.service.lesson_steps import step_document
 from yieldmon.service.rows import SecondRow, second_row
-from yieldmon.service.store import Batch, Load, ParameterVersion, Store, StoreDamagedError, SweepRecord, Ticket
+from yieldmon.service.store import Action, Batch, Load, ParameterVersion, Step, Store, StoreDamagedError, SweepRecord, Ticket
 
 _UNKNOWN_MOISTURE_KG = 1e-6
+_UNKNOWN_AREA_SHARE = 0.02
+"""Share of a load's mass without a known area above which the load's area counts as not known."""
+_KEPT_VERSIONS = 200
+"""Newest parameter versions that an undo can go back to."""
 _SHIPPED_CROP = "corn"
 """Of the shipped parameter file."""
 
@@ -58,6 +65,11 @@ class Memory:
     counters: Mapping[str, int] | None = None
     of_crop: Mapping[str, ParameterSet] = dataclass_field(default_factory=dict)
     """The newest parameters of each crop."""
+    versions: Mapping[int, ParameterSet] = dataclass_field(default_factory=dict)
+    """The newest parameter versions."""
+    actions: tuple[Action, ...] = ()
+    since_zero: tuple[SecondRow, ...] = ()
+    """Seconds since the operator's last zero calibration, where that can be undone."""
 
 
 def recall(store: Store) -> Memory:
@@ -68,8 +80,9 @@ def recall(store: Store) -> Memory:
     versions = store.parameter_versions()
     last_second = store.last_second()
     try:
+        engine, actions = EngineState.from_dict(document["engine"]), tuple(store.actions())
         return Memory(
-            engine=EngineState.from_dict(document["engine"]),
+            engine=engine,
             saved_s=float(document["saved_s"]),
             parameters=parameter_file.from_document(versions[-1].document, str(store.path)),
             parameter_origin=versions[-1].origin,
@@ -84,9 +97,23 @@ def recall(store: Store) -> Memory:
             faults=tuple(document["faults"]),
             counters=store.counters(),
             of_crop=_by_crop(versions, str(store.path)),
+            versions={
+                v.version: parameter_file.from_document(v.document, str(store.path)) for v in versions[-_KEPT_VERSIONS:]
+            },
+            actions=actions,
+            since_zero=_since_zero(store, actions) if engine.zero_undo is not None else (),
         )
     except (KeyError, IndexError, TypeError, ValueError, InputError) as error:
         raise StoreDamagedError(f"{store.path}: the state cannot be used: {error!r}") from error
+
+
+def _since_zero(store: Store, actions: Sequence[Action]) -> tuple[SecondRow, ...]:
+    last = next((a for a in reversed(actions) if a.kind == ledgers.ZERO), None)
+    if last is None:
+        return ()
+    newest = store.last_second()
+    first = max(int(last.document["second"]) + 1, (newest.number if newest is not None else 0) - KEPT_S)
+    return tuple(store.seconds(first, on_damage=lambda number: None))
 
 
 def choose_parameters(memory: Memory, configured: ParameterSet) -> tuple[ParameterSet, str]:
@@ -118,6 +145,7 @@ class Journal:
         self.field = memory.field or field
         self.crop = memory.crop or crop
         self._digest = digest(configured)
+        self._shipped_digest = digest(parameter_file.load())
         self._batch = memory.last_batch
         self._second = memory.last_second
         self._version = memory.last_version
@@ -132,6 +160,11 @@ class Journal:
             self._in_use = (memory.parameters, memory.parameter_origin)
         self._pending = _Pending()
         self._of_crop = dict(memory.of_crop)
+        self._versions = dict(memory.versions)
+        self._actions = list(memory.actions)
+        self._now_s = memory.saved_s
+        self._waiting_tickets: list[int] = []
+        """Numbers of tickets that are to teach."""
 
     @property
     def loads(self) -> tuple[Load, ...]:
@@ -143,15 +176,13 @@ class Journal:
         self.field = self.field if field is None else field
         self.crop = self.crop if crop is None else crop
 
-    def change_crop(self, crop: str, in_use: ParameterSet) -> ParameterSet | None:
+    def change_crop(self, crop: str, in_use: ParameterSet, who: str = "") -> ParameterSet | None:
         """The parameters for another crop: what was last known of it, else what is shipped. None where those in use stay: they
-        are this crop's, nobody has said yet whose they are, or nothing is known of this one.
+        are this crop's, whose they are is not stated, or nothing is known of this one.
 
         What is known of the crop before is kept.
         """
-        before = in_use.provenance.get("crop", self.crop)
-        if not before and self._digest == digest(parameter_file.load()):
-            before = _SHIPPED_CROP
+        before = self._crop_of(in_use)
         if crop == before or not before:
             return None
         known = self._of_crop.get(crop)
@@ -164,10 +195,19 @@ class Journal:
                 in_use, version=self._version + 1, provenance={**in_use.provenance, "crop": before}
             )
             self._of_crop[before] = kept
-            self._use(kept, "crop")
+            self._use(kept, "crop", who, f"what is known of {before} is kept")
         chosen = replace(known, version=self._version + 1)
-        self._use(chosen, "crop")
+        self._use(chosen, "crop", who, f"what is known of {crop}")
         return chosen
+
+    def _crop_of(self, in_use: ParameterSet) -> str:
+        """Whose crop the parameters are, "" where nobody said."""
+        before = in_use.provenance.get("crop", self.crop)
+        return before or (_SHIPPED_CROP if self._digest == self._shipped_digest else "")
+
+    def crop_in_use(self, in_use: ParameterSet) -> str:
+        """The crop that is harvested: as named, else that of the parameters in use; "" where neither says."""
+        return self.crop or self._crop_of(in_use)
 
     def use_parameter_file(self, configured: ParameterSet) -> ParameterSet | None:
         """A parameter file read anew: the set to use from now on, None when it is the one that is in use."""
@@ -177,31 +217,117 @@ class Journal:
         self._digest = found
         return replace(configured, version=self._version + 1)
 
-    def ticket(self, ticket: Ticket) -> None:
-        """A ticket for the next batch."""
+    # What operators tell
+
+    def act(self, kind: str, who: str, document: Mapping[str, Any], now_s: float | None = None) -> Action:
+        """Something that was told or taken back, with who and when (Unix time; None: of the last batch)."""
+        number = self._actions[-1].number + 1 if self._actions else 1
+        action = Action(number, self._now_s if now_s is None else now_s, kind, who, document)
+        self._actions.append(action)
+        self._pending.actions.append(action)
+        return action
+
+    def ticket(self, ticket: Ticket, who: str = "", *, teaches: bool = False) -> int:
+        """A ticket for the next batch; returns its number. teaches: it was handed to the calibration."""
         self._pending.tickets.append(ticket)
         self._all_tickets.append(ticket)
+        number = len(self._all_tickets)
+        self.act(ledgers.TICKET, who, {"ticket": number}, ticket.time_s)
+        if teaches:
+            self._waiting_tickets.append(number)
+        return number
 
-    def tell_all_again(self) -> None:
+    def undo_ticket(self, number: int, who: str, now_s: float) -> tuple[Ticket, int | None]:
+        """Take a ticket back; returns it, and the version of the parameters that it taught. Raises InputError."""
+        standing = self.ledger.tickets
+        if number not in standing:
+            known = ", ".join(map(str, standing)) or "a ticket that was entered; there is none"
+            done = "is undone already" if 1 <= number <= len(self._all_tickets) else "no such ticket"
+            raise InputError(f"ticket {number}", done, known)
+        self.act(ledgers.TICKET_UNDO, who, {"ticket": number}, now_s)
+        if number in self._waiting_tickets:
+            self._waiting_tickets.remove(number)
+        lessons = [a for a in self._actions if a.kind == ledgers.PARAMETERS and number in a.document.get("tickets", ())]
+        undone = self._undone_versions()
+        taught = next((int(a.document["version"]) for a in lessons if int(a.document["version"]) not in undone), None)
+        return standing[number], taught
+
+    def undo_parameters(self, version: int, who: str, now_s: float) -> ParameterSet:
+        """The parameters before a version, as a new version in use. Raises InputError."""
+        changes = {int(a.document["version"]): a for a in self._actions if a.kind == ledgers.PARAMETERS}
+        if version not in changes:
+            raise InputError(f"version {version}", "no such calibration", "a version that `yieldmon calibrations list` shows")
+        before = int(changes[version].document.get("from_version", 0))
+        if version in self._undone_versions():
+            raise InputError(f"version {version}", "is undone already", "one that stands")
+        if before not in self._versions:
+            raise InputError(f"version {version}", "the parameters before it are not known", "a later version")
+        self.act(ledgers.PARAMETERS_UNDO, who, {"version": version}, now_s)
+        chosen = replace(self._versions[before], version=self._version + 1)
+        self._use(chosen, "undo", who, f"version {version} undone: as version {before}")
+        return chosen
+
+    def _undone_versions(self) -> set[int]:
+        return {int(a.document["version"]) for a in self._actions if a.kind == ledgers.PARAMETERS_UNDO}
+
+    def zero(self, who: str, signs: str, now_s: float) -> None:
+        """An operator's zero calibration; signs: what spoke of grain."""
+        self.act(ledgers.ZERO, who, {"second": self._second, "signs": signs}, now_s)
+
+    def zero_undone(self, who: str, restored: Mapping[int, float], told: Iterable[int], now_s: float) -> None:
+        """It was taken back. restored: load number -> kg; told: loads whose new mass the monitor has told itself."""
+        last = next((a.number for a in reversed(self._actions) if a.kind == ledgers.ZERO), 0)
+        self.act(ledgers.ZERO_UNDO, who, {"action": last, "restored_kg": sum(restored.values())}, now_s)
+        for number in set(restored) - set(told):
+            known = self._loads.get(number)
+            if known is not None:
+                mass = max(0.0, known.mass_kg + restored[number])
+                self._loads[number] = self._pending.loads[number] = replace(known, mass_kg=mass)
+
+    def take_taught(self) -> tuple[int, ...]:
+        """Tickets that have taught and whose loads are to be measured again; each is returned once."""
+        numbers, self._waiting_tickets = tuple(self._waiting_tickets), []
+        return numbers
+
+    @property
+    def tickets_wait(self) -> bool:
+        """Whether a ticket is to teach, or has taught and its loads are not measured again yet."""
+        return bool(self._waiting_tickets)
+
+    def posted(self, tickets: Sequence[int], version: int, factors: Mapping[int, float]) -> None:
+        """Loads were measured again after these tickets."""
+        document = {
+            "tickets": list(tickets), "version": version, "factors": {str(n): factor for n, factor in sorted(factors.items())}
+        }  # fmt: skip
+        self.act(ledgers.POSTING, "", document)
+
+    # What stands
+
+    @property
+    def ledger(self) -> ledgers.Ledger:
+        """Tickets and postings that stand."""
+        return ledgers.ledger(self._all_tickets, self._actions)
+
+    def load_table(self) -> list[dict[str, Any]]:
+        """All loads as measured, as measured again, as weighed, and the best of these."""
+        standing = self.ledger
+        return [standing.row(load) for load in self.loads]
+
+    def ticket_table(self) -> list[dict[str, Any]]:
+        """All tickets, with who entered them and who took them back."""
+        return ledgers.ticket_rows(self._all_tickets, self._actions)
+
+    def calibration_table(self) -> list[dict[str, Any]]:
+        """All changes of parameters and zeros by an operator, with who and when."""
+        return ledgers.calibration_rows(self._actions, self._version)
+
+    def report_all(self) -> None:
         """For a store that was made anew while in use: the next batch brings all that this run knows."""
         self._pending.loads = dict(self._loads) | self._pending.loads
         self._pending.tickets = list(self._all_tickets)
+        self._pending.actions = list(self._actions)
         if self._in_use is not None and self._in_use not in self._pending.parameters:
             self._pending.parameters.insert(0, self._in_use)
-
-    def load_table(self) -> list[dict[str, Any]]:
-        """All loads as measured, and corrected by the newest ticket that covers each."""
-        table = []
-        for load in self.loads:
-            ticket = next((t for t in reversed(self._all_tickets) if t.first_load <= load.number <= t.last_load), None)
-            factor = 1.0 if ticket is None else ticket.factor
-            corrected = {
-                "corrected_mass_kg": load.mass_kg * factor,
-                "corrected_dry_mass_kg": None if load.dry_mass_kg is None else load.dry_mass_kg * factor,
-                "ticket_mass_kg": None if ticket is None else ticket.weighed_mass_kg,
-            }
-            table.append(asdict(load) | corrected)
-        return table
 
     def new_monitor(self, parameters: ParameterSet, origin: str) -> None:
         """A monitor begins, or begins anew after a reload, with these parameters; origin: where they come from."""
@@ -229,13 +355,14 @@ class Journal:
             elif isinstance(event, LoadOpened | LoadClosed):
                 self._load(event.load)
             elif isinstance(event, ParametersChanged):
-                self._use(event.parameters, event.origin)
+                self._use(event.parameters, event.origin, "", event.reason, self._waiting_tickets, event.step)
             elif isinstance(event, SweepEnded):
                 self._pending.sweeps.append(event)
 
     def batch(self, monitor: Monitor, time_s: float, counters: Mapping[str, int]) -> Batch:
         """All that came since the last one. time_s: Unix time."""
         self._batch += 1
+        self._now_s = time_s
         if monitor.open_load is not None:
             self._load(monitor.open_load)
         pending, self._pending = self._pending, _Pending()
@@ -252,6 +379,8 @@ class Journal:
             ),
             faults=tuple(rows_of.FaultEvent(time_s, code, active, detail) for code, active, detail in pending.faults),
             tickets=tuple(pending.tickets),
+            actions=tuple(pending.actions),
+            steps=tuple(Step(version, step.end_s, step_document(step)) for version, step in pending.steps),
             counters={name: self._counters_before.get(name, 0) + value for name, value in counters.items()},
         )
 
@@ -270,6 +399,7 @@ class Journal:
         known = self._loads.get(summary.number)
         started_s = known.started_s if known is not None else None
         dry_known = summary.unknown_moisture_kg <= _UNKNOWN_MOISTURE_KG
+        area_known = summary.area_m2 > 0.0 and summary.unknown_area_kg <= _UNKNOWN_AREA_SHARE * summary.measured_kg
         load = Load(
             number=summary.number,
             field=known.field if known is not None else self.field,
@@ -278,11 +408,25 @@ class Journal:
             ended_s=_known(summary.end_s),
             mass_kg=summary.measured_kg,
             dry_mass_kg=summary.dry_kg if dry_known else None,
+            area_m2=summary.area_m2 if area_known else None,
         )
         if load != known:
             self._loads[load.number] = self._pending.loads[load.number] = load
 
-    def _use(self, parameters: ParameterSet, origin: str) -> None:
+    def _use(
+        self, parameters: ParameterSet, origin: str, who: str = "", reason: str = "", tickets: Sequence[int] = (),
+        step: CalibrationStep | None = None,
+    ) -> None:
+        document = {
+            "version": parameters.version, "from_version": self._version, "origin": origin, "reason": reason,
+            "effects": list(parameters.effects), "tickets": list(tickets),
+        }  # fmt: skip
+        self.act(ledgers.PARAMETERS, who, document)
+        self._versions[parameters.version] = parameters
+        while len(self._versions) > _KEPT_VERSIONS:
+            del self._versions[min(self._versions)]
+        if step is not None:
+            self._pending.steps.append((parameters.version, step))
         self._version = parameters.version
         self._in_use = (parameters, origin)
         self._pending.parameters.append(self._in_use)
@@ -310,6 +454,8 @@ class _Pending:
     parameters: list[tuple[ParameterSet, str]] = dataclass_field(default_factory=list)
     faults: list[tuple[str, bool, str]] = dataclass_field(default_factory=list)
     tickets: list[Ticket] = dataclass_field(default_factory=list)
+    actions: list[Action] = dataclass_field(default_factory=list)
+    steps: list[tuple[int, CalibrationStep]] = dataclass_field(default_factory=list)
 
 
 def _sweep_row(sweep: SweepEnded, time_s: float) -> SweepRecord:

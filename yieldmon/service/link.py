@@ -9,12 +9,13 @@ import hashlib
 from collections.abc import Iterable
 from math import isfinite
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import can
 from can.typechecking import CanFilter
 
 import yieldmon
+from yieldmon.documents import StatusNetwork
 from yieldmon.engine.faults import FAULTS, FaultCode, Severity
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.settings import TotalsSettings
@@ -119,7 +120,7 @@ class Link(Protocol):
     def troubles(self, now_s: float) -> tuple[str, ...]:
         """What is wrong with the network, a sentence each."""
 
-    def status(self) -> dict[str, Any]:
+    def status(self) -> StatusNetwork:
         """For `yieldmon status`."""
 
 
@@ -192,7 +193,7 @@ class FixedLink:
         """See Link."""
         return ()
 
-    def status(self) -> dict[str, Any]:
+    def status(self) -> StatusNetwork:
         """See Link."""
         return {"name": None, "address": self._address, "claim": "off", "partners": [], "task_controller": None}
 
@@ -205,7 +206,7 @@ class NetworkLink:
     section : Network
         NAME, address and what is switched on.
     machine : Machine
-        What a task controller is told of the combine.
+        What a task controller learns of the combine.
     totals : TotalsSettings
         Market moisture, for dry figures.
     """
@@ -299,7 +300,7 @@ class NetworkLink:
         """See Link."""
         return self._node.troubles(now_s)
 
-    def status(self) -> dict[str, Any]:
+    def status(self) -> StatusNetwork:
         """See Link."""
         client = self._client
         return {
@@ -333,13 +334,13 @@ class NetworkLink:
 
 
 def second_of(record: WindowRecord, totals: Totals, settings: TotalsSettings) -> Second:
-    """A record as a task controller is told it; dry figures where the moisture is known."""
+    """A record as a task controller gets it; dry figures where the moisture is known."""
     flow = _known(record.mass_flow_kg_s)
     return Second(
         flow_kg_s=flow,
         total_kg=record.total_kg,
         harvesting=record.operating_state in (OperatingState.HARVESTING, OperatingState.SWEEPING),
-        dry_flow_kg_s=None if flow is None else dry_mass(flow, record.moisture_pct, settings),
+        dry_flow_kg_s=None if flow is None else dry_mass(flow, record.moisture_pct, settings, totals.market_moisture_pct),
         dry_total_kg=totals.total_dry_kg if totals.total_unknown_moisture_kg == 0.0 else None,
         moisture_pct=_known(record.moisture_pct),
         ground_speed_m_s=_known(record.ground_speed_m_s),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from math import degrees
 from pathlib import Path
@@ -12,8 +13,9 @@ from numpy.typing import NDArray
 
 from yieldmon.engine.aliasing import ALIAS_FREE_HZ, aliasing_share
 from yieldmon.engine.runs import FrameRun
-from yieldmon.engine.sources import QUANTITIES
-from yieldmon.physics.machine import RPM
+from yieldmon.engine.sources import QUANTITIES, SampleSource
+from yieldmon.physics.machine import RPM, Machine
+from yieldmon.service.assembly import build_estimator
 from yieldmon.service.configuration import Configuration
 
 Array = NDArray[np.float64]
@@ -23,6 +25,9 @@ RATE_TOLERANCE = 0.05
 """Relative difference of a stated sample rate from the recorded one that is a problem."""
 _FIRST = 5
 _WORTH_SAYING_PCT = 0.1
+_SPEED_BAND = np.linspace(0.98, 1.02, 9)
+"""A loaded elevator turns up to this share off its stated speed: enough to fold a harmonic onto 0."""
+_FORCES_N = np.geomspace(5.0, 500.0, 24)
 
 
 @dataclass(frozen=True)
@@ -41,14 +46,29 @@ class QuantitySeen:
 
 
 def aliasing_pct(configuration: Configuration) -> dict[str, float]:
-    """Standard deviation of a second's flow from aliasing, %, by elevator speed; empty where the rate leaves none."""
+    """Largest standard deviation of a second's flow from aliasing, %, near each elevator speed; empty where there is none."""
     sources = [source for source in configuration.signals.sources.impact if source.rate_hz < ALIAS_FREE_HZ]
-    found = {
-        f"{rpm:g}": 100.0 * max((aliasing_share(source, configuration.machine, rpm * RPM) for source in sources), default=0.0)
-        for rpm in SPEEDS_RPM
-    }
-    worth_saying = max(found.values()) >= _WORTH_SAYING_PCT
-    return {rpm: round(share, 2) for rpm, share in found.items()} if worth_saying else {}
+    found = {f"{rpm:g}": 100.0 * _largest_share(sources, configuration.machine, rpm * RPM) for rpm in SPEEDS_RPM}
+    if max(found.values()) < _WORTH_SAYING_PCT:
+        return {}
+    return {rpm: round(share * _flow_per_force(configuration, float(rpm) * RPM), 2) for rpm, share in found.items()}
+
+
+def _largest_share(sources: Sequence[SampleSource], machine: Machine, speed_rad_s: float) -> float:
+    """Of the mean force, for speeds of the band."""
+    speeds = (float(speed) for speed in speed_rad_s * _SPEED_BAND)
+    return max((aliasing_share(source, machine, speed) for speed in speeds for source in sources), default=0.0)
+
+
+def _flow_per_force(configuration: Configuration, speed_rad_s: float) -> float:
+    """Largest relative change of the flow over that of the force, for any flow that the elevator can carry."""
+    machine = configuration.machine
+    estimator = build_estimator(machine, configuration.parameters)
+    angles, speeds = (np.full(_FORCES_N.shape, value) for value in (machine.home_plate_angle_rad, speed_rad_s))
+    flow_kg_s = estimator.estimate(_FORCES_N, angles, speeds).mass_flow_kg_s
+    known = flow_kg_s > 0.0
+    slopes = np.diff(np.log(flow_kg_s[known])) / np.diff(np.log(_FORCES_N[known]))
+    return max(1.0, float(slopes.max(initial=1.0)))
 
 
 def notes(configuration: Configuration) -> list[str]:
@@ -58,7 +78,8 @@ def notes(configuration: Configuration) -> list[str]:
     if aliasing:
         rate_hz = min(source.rate_hz for source in configuration.signals.sources.impact)
         parts = ", ".join(f"{share:g} % at {rpm} rpm" for rpm, share in aliasing.items())
-        found.append(f"{rate_hz:g} samples per second alias the paddle passes: standard deviation of a second's flow {parts}")
+        cost = f"standard deviation of a second's flow up to {parts}"
+        found.append(f"{rate_hz:g} samples per second alias the paddle passes: {cost}")
     if configuration.document.plate.fixed_angle_deg is not None:
         home = degrees(configuration.machine.home_plate_angle_rad)
         found.append(f"the plate is fixed at {home:g} deg: no feedback is wanted and no sweep runs")

@@ -87,7 +87,7 @@ def lines(status: Mapping[str, Any]) -> Iterator[str]:
     yield from _metric("calibration_age_seconds", "gauge", "Age of the parameters", status["parameters"]["age_s"])
     yield from _metric("uptime_seconds", "gauge", "Time since the start", status["uptime_s"])
     yield from _metric("status_age_seconds", "gauge", "Age of these figures when they were written", status["age_s"])
-    yield from _metric("status_stale", "gauge", "1 when the measuring has stopped telling", float(status["stale"]))
+    yield from _metric("status_stale", "gauge", "1 when the figures are no longer fresh", float(status["stale"]))
     yield from _metric("written_timestamp_seconds", "gauge", "When this file was written, Unix time", time.time())
     yield "# HELP yieldmon_fault 1 while the fault is shown"
     yield "# TYPE yieldmon_fault gauge"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,10 +18,12 @@ from yieldmon.signals.mapping import SignalMap, default_map
 
 @dataclass
 class Summary:
-    """What a pass over logs met. frames: all in the logs; ours: those that the engine was fed."""
+    """What a pass over logs met. frames: all in the logs; ours: those that the engine was fed; samples: those among them that
+    bring an impact sensor's samples."""
 
     frames: int = 0
     ours: int = 0
+    samples: int = 0
     malformed: int = 0
     windows: int = 0
     damages: list[str] = field(default_factory=list)
@@ -41,7 +43,9 @@ def process_logs(
     InputError for a log that cannot be read, and as refuse_nothing().
     """
     summary = Summary()
-    bus = InputFrames(codec, default_map() if signals is None else signals)
+    mapping = default_map() if signals is None else signals
+    bus = InputFrames(codec, mapping)
+    sensors = {source.message for source in mapping.sources.impact}
     for path in paths:
         notes = LogNotes()
         for message in read_log(path, notes):
@@ -51,6 +55,7 @@ def process_logs(
                 summary.malformed += 1
                 continue
             summary.ours += bool(frames)
+            summary.samples += any(frame.message in sensors for frame in frames)
             for frame in frames:
                 hand_over(monitor.feed(frame), take_row, summary)
         summary.frames += notes.frames
@@ -60,15 +65,26 @@ def process_logs(
 
 
 def refuse_nothing(paths: Sequence[Path | str], summary: Summary) -> None:
-    """Raises InputError when there was nothing in all the logs that the engine could take."""
+    """Raises InputError when there was nothing in all the logs that the engine could take, or nothing to weigh."""
     if not summary.ours:
         found = f"none of {summary.frames} frames is one that yieldmon takes in" if summary.frames else "no frame at all"
         wrong = f", {summary.malformed} of wrong length" if summary.malformed else ""
         raise InputError(", ".join(map(str, paths)), found + wrong, "a log with sensor, speed and plate frames")
+    if not summary.samples:
+        where = ", ".join(map(str, paths))
+        problem = f"no impact sensor: none of {summary.frames} frames brings its samples"
+        raise InputError(where, problem, "`signals` in the configuration; `yieldmon signals LOG` lists what there is")
 
 
-def hand_over(results: Iterable[Result], take_row: Callable[[SecondRow], None], summary: Summary) -> None:
-    """The rows of the windows that closed."""
+def hand_over(
+    results: Sequence[Result],
+    take_row: Callable[[SecondRow], None],
+    summary: Summary,
+    take_results: Callable[[Sequence[Result]], None] | None = None,
+) -> None:
+    """The rows of the windows that closed; take_results: asked with all that the monitor handed back."""
+    if take_results is not None:
+        take_results(results)
     for record in records_in(results):
         summary.windows += 1
         take_row(second_row(summary.windows, record))

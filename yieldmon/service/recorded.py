@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from yieldmon.errors import InputError
+from yieldmon.service.ledger import LoadRecord
 from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Load, Store, StoreError
+from yieldmon.service.store import Store, StoreError
 
 _log = logging.getLogger(__name__)
 
@@ -59,13 +60,15 @@ def read_seconds(path: Path | str) -> list[SecondRow]:
         for row in rows:
             _check(row, f"{path}: second {row.number}")
         return rows
-    return [_row(values, f"{path}: row {number}") for number, values in enumerate(_tables(path, suffix), 1)]
+    # A CSV's header is its first line; Parquet has rows alone.
+    first, said = {".csv": (2, "line"), ".jsonl": (1, "line")}.get(suffix, (1, "row"))
+    return [_row(values, f"{path}: {said} {number}") for number, values in enumerate(_tables(path, suffix), first)]
 
 
-def read_loads(path: Path | str) -> list[Load]:
-    """The loads of a store. Raises InputError."""
+def read_loads(path: Path | str) -> list[LoadRecord]:
+    """The loads of a store, as measured, measured again and weighed. Raises InputError."""
     with opened(Path(path)) as store:
-        return store.loads()
+        return [LoadRecord(**row) for row in store.corrected_loads()]
 
 
 @contextmanager

@@ -115,6 +115,7 @@ def _without_state(store: Store, last: SecondRow) -> Memory:
         last_version=max((version.version for version in versions), default=0),
         loads=tuple(loads),
         tickets=tuple(store.tickets()),
+        actions=tuple(store.actions()),
         field=open_load.field if open_load is not None else "",
         crop=open_load.crop if open_load is not None else "",
         counters=store.counters(),

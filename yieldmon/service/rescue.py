@@ -27,7 +27,7 @@ from yieldmon.service.store_file import header_problem, parts, prepared, set_asi
 SECONDS_BUDGET_S = 1.5
 _SECOND = tuple(item.name for item in fields(SecondRow))
 _COLUMNS = {**schema.COLUMNS, "second": _SECOND}
-_ROWS_AT_ONCE = 500
+_ROWS_BETWEEN_LOOKS = 500
 _STEPS_BETWEEN_LOOKS = 10_000
 _HEADER_BYTES, _PAGE_BYTES = 100, 4096
 _INTERIOR = 5
@@ -153,10 +153,12 @@ def _opened(path: Path, model: Path) -> Iterator[sqlite3.Connection | None]:
         if database is None and path.exists() and path.stat().st_size <= _MENDED_AT_MOST_BYTES:
             content = path.read_bytes()
             for candidate in (content, _with_the_schema_of(model.read_bytes(), content)):
-                mended.write_bytes(_with_a_sound_header(candidate))
+                for part in parts(mended):
+                    part.unlink(missing_ok=True)
+                _write_new(mended, _with_a_sound_header(candidate))
                 journal = parts(path)[1]
                 if journal.exists():
-                    parts(mended)[1].write_bytes(journal.read_bytes())
+                    _write_new(parts(mended)[1], journal.read_bytes())
                 database = database or _readable(mended)
         try:
             yield database
@@ -166,6 +168,12 @@ def _opened(path: Path, model: Path) -> Iterator[sqlite3.Connection | None]:
     finally:
         for part in parts(mended):
             part.unlink(missing_ok=True)
+
+
+def _write_new(path: Path, content: bytes) -> None:
+    """Into a file that is made for it: what somebody put there meanwhile, a link to another file say, is not written to."""
+    with path.open("xb") as file:
+        file.write(content)
 
 
 def _readable(path: Path) -> sqlite3.Connection | None:
@@ -260,11 +268,13 @@ def _rows(
     without_dry = old and "ticket" not in _tables(damaged)
     later = _later_columns(damaged) if table == "second" else {}
     for order in ("DESC", "ASC"):
+        query, count = _query(table, names, key, order, old, without_dry, later), 0
         try:
-            cursor = damaged.execute(_query(table, names, key, order, old, without_dry, later))
-            while rows := cursor.fetchmany(_ROWS_AT_ONCE):
-                yield from (_with_checksum(table, row, old) for row in rows)
-                if monotonic() > end_s:
+            # One by one: rows fetched together are lost together when the last of them cannot be reached.
+            for row in damaged.execute(query):
+                yield _with_checksum(table, row, old)
+                count += 1
+                if count % _ROWS_BETWEEN_LOOKS == 0 and monotonic() > end_s:
                     rescued.left_behind |= table == "second"
                     return
             return
@@ -274,6 +284,10 @@ def _rows(
                 return
             if table not in rescued.unreadable:
                 rescued.unreadable.append(table)
+        # The cursor is a row ahead of what it hands out, so the last row before the damage has not been seen.
+        with suppress(sqlite3.Error, MemoryError, UnicodeDecodeError):
+            for row in damaged.execute(f"{query} LIMIT 1 OFFSET {count}"):
+                yield _with_checksum(table, row, old)
 
 
 def _later_columns(damaged: sqlite3.Connection) -> dict[str, str]:

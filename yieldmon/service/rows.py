@@ -6,10 +6,13 @@ The columns are those that `engine.records.WindowRecord` declares, after the row
 from __future__ import annotations
 
 from dataclasses import field, make_dataclass
+from math import nan, radians
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from yieldmon.engine.records import COLUMNS, WindowRecord
+from yieldmon.engine.since_zero import KeptSecond
+from yieldmon.physics.machine import RPM
 
 if TYPE_CHECKING:
 
@@ -41,3 +44,23 @@ _CONVERSIONS = tuple(column.convert for column in COLUMNS)
 def second_row(number: int, record: WindowRecord) -> SecondRow:
     """The row of a window record."""
     return SecondRow(number, *[convert(value) for convert, value in zip(_CONVERSIONS, _values(record), strict=True)])
+
+
+def kept_second(row: SecondRow) -> KeptSecond:
+    """What of a row it takes to measure its second again."""
+
+    def known(value: float | None) -> float:
+        return nan if value is None else value
+
+    return KeptSecond(
+        load_number=row.load_number,
+        duration_s=row.duration_s,
+        mass_kg=row.mass_kg,
+        coverage=row.coverage,
+        zero_mv=known(row.zero_mv),
+        force_n=known(row.force_n),
+        force_std_dev_n=known(row.force_std_dev_n),
+        plate_angle_rad=radians(known(row.plate_angle_deg)),
+        elevator_speed_rad_s=known(row.elevator_speed_rpm) * RPM,
+        moisture_pct=known(row.moisture_pct),
+    )

@@ -120,10 +120,56 @@ INSERT INTO mark SELECT 'unchecked_seconds', coalesce(max(number), 0),
     row_checksum('mark', 'unchecked_seconds', coalesce(max(number), 0)) FROM second;
 """
 
+# Area harvested for a load; a load without a row has none that is known.
+_VERSION_7 = """
+CREATE TABLE load_area (
+    number INTEGER PRIMARY KEY,
+    area_m2 REAL NOT NULL,
+    checksum INTEGER NOT NULL
+) STRICT;
+"""
+
+# What was told and taught with who did it and when, and the steps between lessons.
+_VERSION_8 = """
+CREATE TABLE action (              -- what an operator told, what the monitor learnt, and what took either back
+    number INTEGER PRIMARY KEY,
+    time_s REAL NOT NULL,
+    kind TEXT NOT NULL,            -- ticket, ticket-undo, zero, zero-undo, parameters, posting, totals-reset
+    who TEXT NOT NULL,             -- user of this computer; empty for the monitor itself
+    document TEXT NOT NULL,        -- JSON
+    checksum INTEGER NOT NULL
+) STRICT;
+CREATE TABLE step (                -- from one lesson to the next, as a smoother needs it
+    version INTEGER PRIMARY KEY,   -- of the parameters that came of it
+    time_s REAL NOT NULL,
+    document TEXT NOT NULL,        -- JSON: states and covariances
+    checksum INTEGER NOT NULL
+) STRICT;
+DROP VIEW load_corrected;
+CREATE VIEW load_corrected AS      -- the newest ticket that stands counts, else the newest posting, else what was measured
+SELECT *, mass_kg * factor AS corrected_mass_kg, dry_mass_kg * factor AS corrected_dry_mass_kg FROM (
+    SELECT load.number, load.field, load.crop, load.started_s, load.ended_s, load.mass_kg, load.dry_mass_kg,
+           COALESCE(ticket.weighed_mass_kg / ticket.measured_mass_kg, posting.factor, 1.0) AS factor, ticket.id AS ticket_id
+    FROM load
+    LEFT JOIN ticket ON ticket.id = (
+        SELECT max(id) FROM ticket WHERE load.number BETWEEN ticket.first_load AND ticket.last_load AND id NOT IN (
+            SELECT json_extract(document, '$.ticket') FROM action WHERE kind = 'ticket-undo'))
+    LEFT JOIN (
+        SELECT load_factor.key AS number, load_factor.value AS factor, max(action.number)
+        FROM action, json_each(action.document, '$.factors') AS load_factor
+        WHERE action.kind = 'posting' AND NOT EXISTS (
+            SELECT 1 FROM json_each(action.document, '$.tickets') AS of_ticket, action AS undo
+            WHERE undo.kind = 'ticket-undo' AND json_extract(undo.document, '$.ticket') = of_ticket.value)
+        GROUP BY load_factor.key) AS posting ON posting.number = CAST(load.number AS TEXT));
+"""
+
 #: From this version on rows carry checksums.
 CHECKED_FROM = 4
 
-_SCRIPTS = (_VERSION_1, _VERSION_2, _VERSION_3, _VERSION_4)
+#: From this version on there are actions and steps.
+ACTIONS_FROM = 8
+
+_SCRIPTS = (_VERSION_1, _VERSION_2, _VERSION_3, _VERSION_4, "", "", _VERSION_7, _VERSION_8)
 _SQL_KINDS = {float: "REAL", int: "INTEGER", str: "TEXT"}
 _WITHOUT = {float: "0.0", int: "0", str: "''"}
 
@@ -171,12 +217,15 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "mark": ("name", "value"),
     "parameter_set": ("version", "time_s", "origin", "document"),
     "load": ("number", "field", "crop", "started_s", "ended_s", "mass_kg", "dry_mass_kg"),
+    "load_area": ("number", "area_m2"),
     "ticket": ("time_s", "first_load", "last_load", "weighed_mass_kg", "measured_mass_kg", "note"),
     "counter": ("name", "value"),
     "sweep": ("time_s", "outcome", "reason", "document"),
     "fault": ("time_s", "code", "active", "detail"),
+    "action": ("number", "time_s", "kind", "who", "document"),
+    "step": ("version", "time_s", "document"),
 }
 KEYS: dict[str, str] = {
-    "state": "slot", "mark": "name", "parameter_set": "version", "load": "number", "ticket": "id", "counter": "name",
-    "sweep": "id", "fault": "id", "second": "number",
+    "state": "slot", "mark": "name", "parameter_set": "version", "load": "number", "load_area": "number", "ticket": "id",
+    "counter": "name", "sweep": "id", "fault": "id", "second": "number", "action": "number", "step": "version",
 }  # fmt: skip

@@ -1,26 +1,31 @@
-"""What `yieldmon status` shows, as one JSON document, made once a second on the engine's thread."""
+"""What `yieldmon status` shows, made once a second on the engine's thread."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
 from math import isfinite
-from typing import Any
 
 import yieldmon
+from yieldmon.bus.opening import time_stamps_of
 from yieldmon.bus.receiver import ReceiverCounters
+from yieldmon.documents import StatusCrop, StatusFigures, StatusNetwork, StatusNow, StdDevByCause
 from yieldmon.engine.budget import MassBudget
 from yieldmon.engine.faults import FAULTS
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord
+from yieldmon.files.crops import crops
 from yieldmon.frames import EstimateQuality, OperatingState
 from yieldmon.service.configuration import Configuration
+from yieldmon.service.harvested import harvested
 from yieldmon.service.journal import Journal
 from yieldmon.service.mapping_check import aliasing_pct, notes
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.transmit import TransmitCounters
 from yieldmon.service.writer import StoreHealth
+from yieldmon.units import crop_yield_kg_m2
 
 _SPAN_S = 5.0
+_RECENT_LOADS = 10
 
 
 class Rates:
@@ -53,8 +58,8 @@ def snapshot(
     reload_note: str,
     reloads: int,
     uptime_s: float,
-    network: dict[str, Any],
-) -> dict[str, Any]:
+    network: StatusNetwork,
+) -> StatusFigures:
     """The state of a running daemon; every value is fit for JSON, None where it is not known."""
     totals = monitor.totals
     parameters = monitor.estimator.parameters
@@ -63,7 +68,12 @@ def snapshot(
         "version": yieldmon.__version__,
         "uptime_s": round(uptime_s, 1),
         "state": (record.operating_state if record is not None else OperatingState.STARTING).name.lower(),
-        "configuration": {"file": str(configuration.path), "reload": reload_note, "reloads": reloads},
+        "units": configuration.document.units,
+        "crop": _crop(journal.crop_in_use(parameters), totals.market_moisture_pct),
+        "now": _now(rows),
+        "configuration": {
+            "file": str(configuration.path), "reload": reload_note, "reloads": reloads, "notes": list(configuration.notes),
+        },
         "load": {
             "number": totals.load_number,
             "open": totals.load_open,
@@ -71,17 +81,22 @@ def snapshot(
             "crop": journal.crop,
             "mass_kg": totals.load_kg,
             "contested_mass_kg": totals.load_contested_kg,
-            **_budget(totals.load_budget),
+            "std_dev_kg": _finite(totals.load_budget.std_dev_kg),
+            "std_dev_by_cause_kg": _by_cause(totals.load_budget),
             "dry_mass_kg": totals.load_dry_kg if totals.load_unknown_moisture_kg == 0.0 else None,
+            **harvested(totals),
         },
+        "loads": journal.load_table()[-_RECENT_LOADS:],
         "total": {
             "mass_kg": totals.total_kg,
-            **_budget(totals.total_budget),
+            "std_dev_kg": _finite(totals.total_budget.std_dev_kg),
+            "std_dev_by_cause_kg": _by_cause(totals.total_budget),
             "dry_mass_kg": totals.total_dry_kg,
             "contested_mass_kg": totals.total_contested_kg,
             "mass_of_unknown_moisture_kg": totals.total_unknown_moisture_kg,
         },
         "windows": [_window(row) for row in rows],
+        "zero_waits_for": monitor.zero_waits_for or None,
         "zero_mv": engine.zero.zero_mv if engine.zero is not None else None,
         "sweep": {
             "state": monitor.sweep.state.name.lower(),
@@ -89,7 +104,7 @@ def snapshot(
             "sweeps": monitor.sweep.sweep_id,
             "due_in_s": _finite(engine.sweep_due_in_s),
             "aborted_because": monitor.sweep.abort_reason.value if monitor.sweep.abort_reason is not None else None,
-            "taught": monitor.outcome.reason if monitor.outcome is not None else None,
+            "last_update": monitor.outcome.reason if monitor.outcome is not None else None,
         },
         "parameters": {
             "version": parameters.version,
@@ -116,8 +131,15 @@ def snapshot(
         "bus": {
             "interface": configuration.document.bus.interface,
             "channel": configuration.document.bus.channel,
+            "time_stamps": time_stamps_of(configuration.document.bus.interface),
             "frames_per_s": round(frames_per_s, 1),
-            **asdict(received),
+            "received": received.received,
+            "dropped": received.dropped,
+            "kernel_drops": received.kernel_drops,
+            "error_frames": received.error_frames,
+            "bus_offs": received.bus_offs,
+            "interface_losses": received.interface_losses,
+            "failures": received.failures,
             "malformed": malformed,
             "sent": sent.sent,
             "late": sent.late,
@@ -131,22 +153,55 @@ def snapshot(
             "fixed": dict(configuration.signals.sources.fixed),
             "notes": notes(configuration),
         },
-        "store": {"file": str(configuration.store_path), "note": store_note or None, **asdict(store)},
+        "store": {
+            "file": str(configuration.store_path),
+            "note": store_note or None,
+            "failing": store.failing,
+            "pending": store.pending,
+            "waiting_s": store.waiting_s,
+            "committed": store.committed,
+            "records_dropped": store.records_dropped,
+            "batches_refused": store.batches_refused,
+            "replacements": store.replacements,
+            "replaced_because": store.replaced_because,
+        },
     }
 
 
-def _budget(budget: MassBudget) -> dict[str, Any]:
-    """Standard deviation of a mass, and its parts by cause."""
-    parts = {
+def _crop(name: str, market_moisture_pct: float) -> StatusCrop:
+    known = crops().get(name.lower())
+    return {
+        "name": name, "bushel_kg": known.bushel_kg if known is not None else None, "market_moisture_pct": market_moisture_pct,
+    }  # fmt: skip
+
+
+def _now(rows: tuple[SecondRow, ...]) -> StatusNow:
+    """What a driver looks at: the last second's flow, moisture and speed, and the yield of the last seconds."""
+    last = rows[-1] if rows else None
+    placed = [row for row in rows if row.area_m2 is not None]
+    area_m2 = sum(row.area_m2 or 0.0 for row in placed)
+    return {
+        "mass_flow_kg_s": last.mass_flow_kg_s if last is not None else None,
+        "std_dev_kg_s": last.std_dev_kg_s if last is not None else None,
+        "quality": EstimateQuality(last.quality).name.lower() if last is not None else None,
+        "yield_kg_m2": crop_yield_kg_m2(sum(row.mass_kg for row in placed), area_m2) if len(placed) == len(rows) else None,
+        "moisture_pct": last.moisture_pct if last is not None else None,
+        "ground_speed_m_s": last.ground_speed_m_s if last is not None else None,
+        "plate_angle_deg": last.plate_angle_deg if last is not None else None,
+        "elevator_speed_rpm": last.elevator_speed_rpm if last is not None else None,
+    }
+
+
+def _by_cause(budget: MassBudget) -> StdDevByCause:
+    return {
         "noise": _finite(budget.noise_kg2**0.5),
         "parameters": _finite(budget.parameters_kg),
         "zero": _finite(budget.zero_kg),
         "moisture": _finite(budget.moisture_kg),
     }
-    return {"std_dev_kg": _finite(budget.std_dev_kg), "std_dev_by_cause_kg": parts}
 
 
-def _window(row: SecondRow) -> dict[str, Any]:
+def _window(row: SecondRow) -> dict[str, float | str | None]:
     window = asdict(row)
     window["quality"] = EstimateQuality(row.quality).name.lower()
     window["operating_state"] = OperatingState(row.operating_state).name.lower()

@@ -18,20 +18,22 @@ import os
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, astuple, dataclass, field, fields
+from dataclasses import astuple, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 from yieldmon.errors import InputError
 from yieldmon.service import schema
 from yieldmon.service.checksums import UNCHECKED, row_checksum
+from yieldmon.service.ledger import ledger
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store_file import header_problem, looks_like_a_store, parts, prepared, read_only, witness
 
 
 @dataclass(frozen=True)
 class Load:
-    """A load: from one emptying of the tank, or one `load start`, to the next. `ended_s` is None while it is open."""
+    """A load: from one emptying of the tank, or one `load start`, to the next. `ended_s` is None while it is open, `area_m2`
+    where the area of its grain is not known."""
 
     number: int
     field: str
@@ -40,6 +42,7 @@ class Load:
     ended_s: float | None
     mass_kg: float
     dry_mass_kg: float | None
+    area_m2: float | None = None
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,27 @@ class Ticket:
 
 
 @dataclass(frozen=True)
+class Action:
+    """What an operator told, what the monitor learnt, or what took either back. who: a user of this computer, "" for the
+    monitor itself."""
+
+    number: int
+    time_s: float
+    kind: str
+    who: str
+    document: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Step:
+    """How the parameters of a version came of those before them, for a smoother."""
+
+    version: int
+    time_s: float
+    document: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
 class Batch:
     """All that one second brought. `number` rises by one from batch to batch over the store's life."""
 
@@ -102,6 +126,8 @@ class Batch:
     parameter_versions: tuple[ParameterVersion, ...] = ()
     faults: tuple[FaultEvent, ...] = ()
     tickets: tuple[Ticket, ...] = ()
+    actions: tuple[Action, ...] = ()
+    steps: tuple[Step, ...] = ()
     counters: Mapping[str, int] = field(default_factory=dict)
 
 
@@ -148,8 +174,10 @@ def _json(document: Mapping[str, Any]) -> str:
 
 _COLUMNS: Mapping[str, tuple[str, ...]] = {**schema.COLUMNS, "second": tuple(f.name for f in fields(SecondRow))}
 #: Tables whose rows a start depends on: read, and held against their checksums, at opening.
-_NEEDED = ("mark", "state", "counter", "load", "parameter_set", "ticket")
-_EVENTS = ("sweep", "fault")
+_NEEDED = ("mark", "state", "counter", "load", "parameter_set", "ticket", "action")
+_EVENTS = ("sweep", "fault", "step")
+#: Schema version that brought the loads' areas.
+_AREAS_FROM = 7
 
 
 def _put(table: str, verb: str = "INSERT") -> str:
@@ -158,10 +186,11 @@ def _put(table: str, verb: str = "INSERT") -> str:
 
 
 _INSERT_SECOND, _INSERT_SWEEP, _INSERT_FAULT = (_put(table) for table in ("second", "sweep", "fault"))
-_UPSERT_LOAD, _UPSERT_PARAMETERS, _UPSERT_COUNTER, _UPSERT_STATE, _UPSERT_MARK = (
-    _put(table, "INSERT OR REPLACE") for table in ("load", "parameter_set", "counter", "state", "mark")
+_UPSERT_LOAD, _UPSERT_AREA, _UPSERT_PARAMETERS, _UPSERT_COUNTER, _UPSERT_STATE, _UPSERT_MARK, _UPSERT_ACTION, _UPSERT_STEP = (
+    _put(table, "INSERT OR REPLACE")
+    for table in ("load", "load_area", "parameter_set", "counter", "state", "mark", "action", "step")
 )
-# A batch that is told again, to a store made anew, does not enter a ticket twice.
+# A batch that is written again, to a store made anew, does not enter a ticket twice.
 _INSERT_TICKET = (
     f"INSERT INTO ticket ({', '.join(_COLUMNS['ticket'])}, checksum) SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7 WHERE NOT EXISTS "
     "(SELECT 1 FROM ticket WHERE time_s = ?1 AND first_load = ?2 AND last_load = ?3 AND weighed_mass_kg = ?4 AND note = ?6)"
@@ -169,6 +198,8 @@ _INSERT_TICKET = (
 
 #: Rows taken away at a time, so that making room never holds up a second's commit for long.
 _PRUNE_ROWS = 2000
+#: Lessons that a posting may reach back over.
+_KEPT_STEPS = 5000
 
 
 #: Results of SQLite that speak of the file's content. A schema that lacks what the version has is SQLITE_ERROR.
@@ -198,7 +229,7 @@ def _failures_of(path: Path) -> Iterator[None]:
 
 @contextmanager
 def _refusals(path: Path) -> Iterator[None]:
-    """For what is written: numbers and texts that SQLite or JSON has no room for."""
+    """For what is written: numbers and texts that SQLite or JSON cannot hold."""
     try:
         yield
     except UnicodeDecodeError:
@@ -370,7 +401,9 @@ class Store:
     def _write(self, batch: Batch) -> None:
         execute, executemany = self._database.execute, self._database.executemany
         executemany(_INSERT_SECOND, (_summed("second", astuple(row)) for row in batch.seconds))
-        executemany(_UPSERT_LOAD, (_summed("load", astuple(load)) for load in batch.loads))
+        executemany(_UPSERT_LOAD, (_summed("load", astuple(load)[:-1]) for load in batch.loads))
+        areas = ((load.number, load.area_m2) for load in batch.loads if load.area_m2 is not None)
+        executemany(_UPSERT_AREA, (_summed("load_area", area) for area in areas))
         executemany(
             _INSERT_SWEEP, (_summed("sweep", (s.time_s, s.outcome, s.reason, _json(s.document))) for s in batch.sweeps)
         )
@@ -380,6 +413,10 @@ class Store:
         )
         executemany(_INSERT_FAULT, (_summed("fault", astuple(fault)) for fault in batch.faults))
         executemany(_INSERT_TICKET, (_summed("ticket", astuple(ticket)) for ticket in batch.tickets))
+        executemany(
+            _UPSERT_ACTION, (_summed("action", (a.number, a.time_s, a.kind, a.who, _json(a.document))) for a in batch.actions)
+        )
+        executemany(_UPSERT_STEP, (_summed("step", (s.version, s.time_s, _json(s.document))) for s in batch.steps))
         executemany(_UPSERT_COUNTER, (_summed("counter", item) for item in batch.counters.items()))
         execute(_UPSERT_STATE, _summed("state", (batch.number % 2, batch.number, batch.time_s, _json(batch.state))))
 
@@ -394,7 +431,7 @@ class Store:
                     raise StoreDetachedError(f"{part}: removed while in use") from None
                 continue
             except OSError:
-                # A medium that fails is told by the commit.
+                # A medium that fails is reported by the commit.
                 continue
             identity = (found.st_dev, found.st_ino)
             if self._identities.setdefault(part, identity) != identity or not found.st_nlink:
@@ -415,8 +452,9 @@ class Store:
             gone = self._delete_oldest("second", "number", int(self.retention.record_hours * 3600))
             if self.size_bytes() > self.retention.size_mb * 1e6:
                 gone += self._delete_oldest("second", "number", 0)
-            for table in ("sweep", "fault", "ticket"):
-                gone += self._delete_oldest(table, "id", self.retention.event_rows)
+            for table in ("sweep", "fault", "ticket", "action"):
+                gone += self._delete_oldest(table, schema.KEYS[table], self.retention.event_rows)
+            gone += self._delete_oldest("step", "version", _KEPT_STEPS)
         return gone
 
     def _delete_oldest(self, table: str, key: str, keep: int) -> int:
@@ -458,6 +496,10 @@ class Store:
         row raises StoreDamagedError.
         """
         return self._seconds("WHERE number >= ? ORDER BY number", (first_number,), on_damage)
+
+    def seconds_of_sweeps(self) -> list[SecondRow]:
+        """The records that a sweep may use, in order. Raises StoreDamagedError for one that is not as it was written."""
+        return self._seconds("WHERE usable_for_calibration = 1 ORDER BY number")
 
     def last_second(self) -> SecondRow | None:
         """The newest one-second record."""
@@ -502,26 +544,30 @@ class Store:
         if self._version() < 2:
             columns = ", ".join(_COLUMNS["load"][:-1])
             return self._of_kind(Load, ((*row, None) for row in self._rows_of(columns, "load ORDER BY number")))
-        return self._of_kind(Load, self._checked("load"))
+        areas = dict(self._checked("load_area")) if self._version() >= _AREAS_FROM else {}
+        return self._of_kind(Load, ((*row, areas.get(row[0])) for row in self._checked("load")))
 
     def corrected_loads(self) -> list[dict[str, Any]]:
-        """All loads with the mass measured and the mass corrected by the newest ticket that covers each."""
-        tickets = list(enumerate(self.tickets(), 1))
-        table = []
-        for load in self.loads():
-            covering = [(number, t) for number, t in tickets if t.first_load <= load.number <= t.last_load]
-            number, factor = (covering[-1][0], covering[-1][1].factor) if covering else (None, 1.0)
-            corrected = {
-                "corrected_mass_kg": load.mass_kg * factor,
-                "corrected_dry_mass_kg": None if load.dry_mass_kg is None else load.dry_mass_kg * factor,
-                "ticket_id": number,
-            }
-            table.append(asdict(load) | corrected)
-        return table
+        """All loads as measured, as measured again, as weighed, and the best of these."""
+        standing = ledger(self.tickets(), self.actions())
+        return [standing.row(load) for load in self.loads()]
 
     def tickets(self) -> list[Ticket]:
         """All tickets in the order they were entered."""
         return [] if self._version() < 2 else self._of_kind(Ticket, self._checked("ticket"))
+
+    def actions(self) -> list[Action]:
+        """What was told, learnt and taken back, in order."""
+        return self._with_documents(Action, "action")
+
+    def steps(self) -> list[Step]:
+        """The steps between lessons, in order."""
+        return self._with_documents(Step, "step")
+
+    def _with_documents(self, row_type: type, table: str) -> list[Any]:
+        if self._version() < schema.ACTIONS_FROM:
+            return []
+        return self._of_kind(row_type, ((*rest, self._document(text)) for *rest, text in self._checked(table)))
 
     def faults(self, limit: int = 100) -> list[FaultEvent]:
         """The newest `limit` fault events, oldest first."""

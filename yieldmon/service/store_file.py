@@ -1,4 +1,4 @@
-"""The files of a store: what they are called, what can be told of them before they are opened, and opening one that anybody may
+"""The files of a store: what they are called, what can be known of them before they are opened, and opening one that anybody may
 have made."""
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def header_problem(path: Path) -> str | None:
 
 def witness(path: Path, batch: int) -> None:
     """Note beside the store that a batch was committed. A journal that is cut short, or a store put back from a copy, looks like
-    a sound one: this tells how far it had come. What cannot be noted is not."""
+    a sound one: this says how far it had come. What cannot be noted is not."""
     line = f"{batch} {row_checksum('witness', batch)}\n".encode()
     with suppress(OSError):
         descriptor = os.open(_witness(path), os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
@@ -115,7 +115,8 @@ def read_only(path: Path) -> sqlite3.Connection:
             database.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version")
         )
         strange = database.execute(_STRANGE).fetchall()
-    except sqlite3.DatabaseError as error:
+    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
+        # SQLite's own message about a damaged schema may be no text.
         database.close()
         raise InputError(str(path), str(error), "a daemon's store") from error
     problem = ""
@@ -141,7 +142,7 @@ WHERE name IN ({", ".join(repr(name) for name in schema.KEYS)})
 
 def _distrust(database: sqlite3.Connection, path: Path) -> None:
     """For a file that anybody may have made: nothing in it runs, no value is larger than any store has, and all reading together
-    takes processor time in proportion to its size at most."""
+    takes CPU time in proportion to its size at most."""
     database.execute("PRAGMA trusted_schema = OFF")
     database.execute("PRAGMA cell_size_check = ON")
     database.setlimit(_LIMIT_LENGTH, _LARGEST_VALUE_BYTES)

@@ -13,11 +13,9 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
-import json
-import sqlite3
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,16 +23,18 @@ from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
 from yieldmon.estimation.clusters import cluster
-from yieldmon.estimation.home_flow import Visits, bracketed, wander_per_s
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.scatter_law import scatter_law
+from yieldmon.estimation.sweep_flow import SweepWindows, window_flows
+from yieldmon.estimation.sweep_flow import force_n as model_force_n
 from yieldmon.files import parameter_file
 from yieldmon.files.table import Table
 from yieldmon.physics.machine import RPM, SAME_ANGLE_RAD, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
-from yieldmon.physics.numerics import Array, real
-from yieldmon.service.store_file import read_only
+from yieldmon.physics.numerics import Array
+from yieldmon.service.rows import SecondRow
+from yieldmon.service.store import Store, StoreError
 
 SUFFIXES = (".sqlite", ".sqlite3", ".db")
 LEAST_ANGLES = 4
@@ -42,14 +42,6 @@ _SPEED_STEP = np.log(1.02)
 _FLOW_STEP = np.log(1.1)
 _MOISTURE_STEP_PCT = 2.0
 _LEAST_DOF = 20
-
-_WINDOWS = """
-SELECT sweep_id, sweep_step, time_s, plate_angle_deg, elevator_speed_rpm, force_n, force_std_dev_n, moisture_pct
-FROM second
-WHERE usable_for_calibration = 1 AND plate_angle_deg IS NOT NULL AND elevator_speed_rpm > 0 AND force_n > 0
-  AND force_std_dev_n > 0
-ORDER BY number
-"""
 
 
 @dataclass(frozen=True)
@@ -67,17 +59,12 @@ class SweepTable:
 
 
 @dataclass(frozen=True)
-class _Windows:
-    """Usable windows of one sweep, arrays (windows,); moisture is the sweep's, nan where unknown."""
+class _Sweep:
+    """One sweep with the step of each window, (windows,)."""
 
     sweep_id: int
     step: NDArray[np.int64]
-    time_s: Array
-    angle_rad: Array
-    speed_rad_s: Array
-    force_n: Array
-    relative_sd: Array
-    moisture_pct: float
+    windows: SweepWindows
 
 
 @dataclass(frozen=True)
@@ -99,17 +86,15 @@ def is_store(path: Path | str) -> bool:
 
 
 def given_parameters(path: Path | str) -> ParameterSet:
-    """The parameters that the daemon was given last, without what sweeps taught since: that rests on the model in question.
+    """The parameters that the daemon was given last, without what sweeps changed since: that rests on the model in question.
 
     Raises InputError when the store holds none.
     """
-    with _opened(path) as database:
-        row = database.execute(
-            "SELECT document FROM parameter_set WHERE origin = 'file' ORDER BY version DESC LIMIT 1"
-        ).fetchone()
-    if row is None:
+    with _opened(path) as store:
+        given = [version.document for version in store.parameter_versions() if version.origin == "file"]
+    if not given:
         raise InputError(str(path), "holds no parameters that came from a file", "such parameters, or --params P.yaml")
-    return parameter_file.from_document(json.loads(row[0]), str(path))
+    return parameter_file.from_document(given[-1], str(path))
 
 
 def read(path: Path | str, machine: Machine, parameters: ParameterSet, last: int | None = None) -> SweepTable:
@@ -117,11 +102,25 @@ def read(path: Path | str, machine: Machine, parameters: ParameterSet, last: int
 
     Raises InputError when it is no store of this version or an older one, or its sweeps do not say enough.
     """
-    with _opened(path) as database:
-        rows = database.execute(_WINDOWS).fetchall()
-    sweeps = _by_sweep(rows)[-last if last is not None else 0 :]
+    with _opened(path) as store:
+        rows = store.seconds_of_sweeps()
+    return of_seconds([rows], str(path), machine, parameters, last)
+
+
+def of_seconds(
+    records: Sequence[Sequence[SecondRow]], where: str, machine: Machine, parameters: ParameterSet, last: int | None = None
+) -> SweepTable:
+    """The table of one or several records' seconds that count for a sweep; where: for errors. See `read`.
+
+    The sweeps of several records are numbered anew.
+    """
+    every = [sweep for rows in records for sweep in _by_sweep([_values(row) for row in rows if _usable(row)])]
+    if len(records) > 1:
+        every = [replace(sweep, sweep_id=number) for number, sweep in enumerate(every, 1)]
+    sweeps = every[-last if last is not None else 0 :]
+    path = where
     if not sweeps:
-        raise InputError(str(path), "holds no sweep", "a store in which a sweep of the plate was measured")
+        raise InputError(path, "holds no sweep", "a store in which a sweep of the plate was measured")
     model = ForwardModel(machine, parameters.effects)
     visits = _visits(sweeps, model, parameters)
     angle_deg = _same(np.degrees([v.angle_rad for v in visits]), np.degrees(SAME_ANGLE_RAD))
@@ -129,7 +128,7 @@ def read(path: Path | str, machine: Machine, parameters: ParameterSet, last: int
     if angles.size < LEAST_ANGLES:
         found = ", ".join(f"{a:g}" for a in angles) or "none"
         raise InputError(
-            str(path), f"has sweeps with a known flow at {angles.size} plate angles ({found} deg)", f"at least {LEAST_ANGLES}"
+            path, f"has sweeps with a known flow at {angles.size} plate angles ({found} deg)", f"at least {LEAST_ANGLES}"
         )
     columns = _standardised(visits, angle_deg, model, parameters)
     # A visit's few windows say little of their own scatter: weights made of it would favour what happens to agree.
@@ -144,21 +143,34 @@ def read(path: Path | str, machine: Machine, parameters: ParameterSet, last: int
         f"of the force at the home angle, so the scale of flow and gain is theirs (good to {100.0 * scale_sd:.1f} %)"
     )
     table = Table(
-        str(path), hashlib.sha256(text.encode()).hexdigest(), "mass_flow_kg_s", "force_n", columns, {"trial": trial}, (note,)
+        path, hashlib.sha256(text.encode()).hexdigest(), "mass_flow_kg_s", "force_n", columns, {"trial": trial}, (note,)
     )
     return SweepTable(table, text, used, scale_sd)
 
 
 @contextmanager
-def _opened(path: Path | str) -> Iterator[sqlite3.Connection]:
-    with closing(read_only(Path(path))) as database:
-        try:
-            yield database
-        except sqlite3.DatabaseError as error:
-            raise InputError(str(path), str(error), "a daemon's store") from error
+def _opened(path: Path | str) -> Iterator[Store]:
+    try:
+        with Store.reading(Path(path)) as store:
+            yield store
+    except StoreError as error:
+        found = str(error).removeprefix(f"{path}: ")
+        raise InputError(str(path), found, "a sound store: a daemon puts it right when it starts") from error
 
 
-def _by_sweep(rows: Sequence[tuple[float | None, ...]]) -> list[_Windows]:
+def _usable(row: SecondRow) -> bool:
+    force = row.force_n or 0.0, row.force_std_dev_n or 0.0
+    return row.plate_angle_deg is not None and (row.elevator_speed_rpm or 0.0) > 0.0 and min(force) > 0.0
+
+
+def _values(row: SecondRow) -> tuple[float | None, ...]:
+    return (
+        row.sweep_id, row.sweep_step, row.time_s, row.plate_angle_deg, row.elevator_speed_rpm, row.force_n, row.force_std_dev_n,
+        row.moisture_pct,
+    )  # fmt: skip
+
+
+def _by_sweep(rows: Sequence[tuple[float | None, ...]]) -> list[_Sweep]:
     if not rows:
         return []
     values = np.array([[np.nan if v is None else v for v in row] for row in rows], dtype=float)
@@ -169,49 +181,31 @@ def _by_sweep(rows: Sequence[tuple[float | None, ...]]) -> list[_Windows]:
     for part in np.split(values, starts[1:]):
         _, step, time_s, angle, rpm, force, sd, moisture = part.T
         known = moisture[np.isfinite(moisture)]
-        out.append(
-            _Windows(
-                sweep_id=int(part[0, 0]),
-                step=step.astype(int),
-                time_s=time_s,
-                angle_rad=np.radians(angle),
-                speed_rad_s=rpm * RPM,
-                force_n=force,
-                relative_sd=sd / force,
-                moisture_pct=float(np.median(known)) if known.size else float("nan"),
-            )
-        )
+        moisture_pct = float(np.median(known)) if known.size else float("nan")
+        windows = SweepWindows(time_s, np.radians(angle), rpm * RPM, force, sd / force, moisture_pct)
+        out.append(_Sweep(int(part[0, 0]), step.astype(int), windows))
     return out
 
 
-def _visits(sweeps: Sequence[_Windows], model: ForwardModel, parameters: ParameterSet) -> list[_Visit]:
+def _visits(sweeps: Sequence[_Sweep], model: ForwardModel, parameters: ParameterSet) -> list[_Visit]:
     """Visits whose flow is known from visits home before and after."""
-    loop = OpenLoop(model, parameters)
-    home_rad = model.machine.home_plate_angle_rad
-    at_home = [np.abs(w.angle_rad - home_rad) <= SAME_ANGLE_RAD for w in sweeps]
-    brackets = []
-    for w, home in zip(sweeps, at_home, strict=True):
-        moisture = np.full(np.count_nonzero(home), w.moisture_pct)
-        usable = not model.needs_moisture or np.isfinite(w.moisture_pct)
-        flow = loop.invert(w.force_n[home], w.angle_rad[home], w.speed_rad_s[home], moisture) if usable else moisture * np.nan
-        brackets.append(Visits.of(w.time_s[home], flow, w.relative_sd[home]))
-    wander = wander_per_s(brackets)
+    flows = window_flows(model, parameters, [sweep.windows for sweep in sweeps])
     out = []
-    for w, home, visits in zip(sweeps, at_home, brackets, strict=True):
-        log_flow, flow_sd = bracketed(visits, w.time_s, wander, at_home=home)
-        for step in np.unique(w.step):
-            here = (w.step == step) & np.isfinite(log_flow)
+    for sweep, found in zip(sweeps, flows, strict=True):
+        w = sweep.windows
+        for step in np.unique(sweep.step):
+            here = (sweep.step == step) & np.isfinite(found.log_flow)
             if not np.any(here):
                 continue
             noise = float(np.sqrt(np.sum(w.relative_sd[here] ** 2))) / np.count_nonzero(here)
             out.append(
                 _Visit(
-                    sweep_id=w.sweep_id,
-                    angle_rad=float(np.mean(w.angle_rad[here])),
-                    speed_rad_s=float(np.mean(w.speed_rad_s[here])),
-                    flow_kg_s=float(np.exp(np.mean(log_flow[here]))),
+                    sweep_id=sweep.sweep_id,
+                    angle_rad=float(np.mean(w.plate_angle_rad[here])),
+                    speed_rad_s=float(np.mean(w.elevator_speed_rad_s[here])),
+                    flow_kg_s=float(np.exp(np.mean(found.log_flow[here]))),
                     force_n=float(np.mean(w.force_n[here])),
-                    relative_sd=float(np.hypot(noise, np.mean(flow_sd[here]))),
+                    relative_sd=float(np.hypot(noise, np.mean(found.sd[here]))),
                     moisture_pct=w.moisture_pct,
                 )
             )
@@ -231,11 +225,8 @@ def _standardised(
     near_flow = np.exp(np.round(np.log(flow) / _FLOW_STEP) * _FLOW_STEP)
     near_moisture = np.round(moisture / _MOISTURE_STEP_PCT) * _MOISTURE_STEP_PCT
 
-    def predicted(speed_rad_s: Array, flow_kg_s: Array) -> Array:
-        conditions = Conditions(angle, speed_rad_s, mass_flow_kg_s=flow_kg_s, moisture_pct=moisture)
-        return real(np.asarray(model.force(conditions, parameters.values, overfull="nan")))
-
-    there, here = predicted(near_speed, near_flow), predicted(speed, flow)
+    there = model_force_n(model, parameters.values, angle, near_speed, near_flow, moisture)
+    here = model_force_n(model, parameters.values, angle, speed, flow, moisture)
     # Beyond the model's full paddle its slope is no help; force goes about as flow and speed.
     plain = near_flow * near_speed / (flow * speed)
     ratio = np.divide(there, here, out=plain, where=np.isfinite(there) & np.isfinite(here) & (here > 0.0))

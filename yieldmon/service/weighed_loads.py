@@ -71,7 +71,7 @@ def _of_store(path: Path) -> tuple[MeasuredLoad, ...]:
     with opened(path) as store:
         rows = store.seconds()
         versions = {v.version: parameter_file.from_document(v.document, str(path)) for v in store.parameter_versions()}
-    return _loads(rows, "", versions)
+    return loads_of(rows, versions)
 
 
 def _of_logs(
@@ -96,6 +96,11 @@ def _why_no_mass(rows: Sequence[SecondRow]) -> str:
     if not any(row.zero_mv is not None for row in rows):
         return "holds no measured mass: it has no stretch with the elevator running empty, so there is no zero"
     return "holds no measured mass"
+
+
+def loads_of(rows: Iterable[SecondRow], versions: Mapping[int, ParameterSet]) -> tuple[MeasuredLoad, ...]:
+    """The loads in a store's seconds, by number; versions: the parameters that measured them."""
+    return _loads(rows, "", versions)
 
 
 def _loads(
@@ -157,7 +162,7 @@ def _weighed(name: str, ticket: WeighedTicket, covered: Sequence[MeasuredLoad], 
             if version not in load.parameters:
                 raise InputError(ticket.where, f"load {load.name} was measured with parameters version {version}",
                                  "a store that still holds them")
-            parts.append(_columns(rows, load.parameters[version], machine))
+            parts.append(force_columns(rows, load.parameters[version], machine))
     columns = np.concatenate(parts, axis=1)
     counted = columns[:, np.isfinite(columns[0]) & (columns[0] > 0.0)]
     kept_kg = float(counted[5].sum())
@@ -174,7 +179,7 @@ def _weighed(name: str, ticket: WeighedTicket, covered: Sequence[MeasuredLoad], 
     )
 
 
-def _columns(rows: Sequence[SecondRow], parameters: ParameterSet, machine: Machine) -> np.ndarray:
+def force_columns(rows: Sequence[SecondRow], parameters: ParameterSet, machine: Machine) -> np.ndarray:
     """(6, n): time that each second stands for (nan where unknown), force N, angle rad, speed rad/s, moisture %, mass kg."""
     def column(attribute: str) -> np.ndarray:
         return np.array([np.nan if (v := getattr(row, attribute)) is None else v for row in rows], dtype=float)

@@ -27,7 +27,7 @@ _EVENTS_KEPT = 1000
 @dataclass(frozen=True)
 class StoreHealth:
     """`failing` says what is wrong, None while all is well. `pending` batches wait, the first of them for
-    `waiting_s`; `records_given_up` one-second records were dropped because too many waited (their mass is in the totals);
+    `waiting_s`; `records_dropped` one-second records were dropped because too many waited (their mass is in the totals);
     `batches_refused` broke the schema. `replacements`: how often a store that was damaged, removed or replaced while in
     use was put in order, and why the last time."""
 
@@ -35,7 +35,7 @@ class StoreHealth:
     pending: int = 0
     waiting_s: float = 0.0
     committed: int = 0
-    records_given_up: int = 0
+    records_dropped: int = 0
     batches_refused: int = 0
     replacements: int = 0
     replaced_because: str = ""
@@ -79,8 +79,8 @@ class StoreWriter:
                 oldest = self._pending[self._in_flight]
                 del self._pending[self._in_flight]
                 self._pending[self._in_flight] = _without_record(oldest, self._pending[self._in_flight])
-                given_up = self._health.records_given_up + len(oldest.seconds)
-                self._health = replace(self._health, records_given_up=given_up)
+                dropped = self._health.records_dropped + len(oldest.seconds)
+                self._health = replace(self._health, records_dropped=dropped)
             self._changed.notify_all()
 
     @property
@@ -225,5 +225,7 @@ def _without_record(oldest: Batch, following: Batch) -> Batch:
         parameter_versions=(oldest.parameter_versions + following.parameter_versions)[-_EVENTS_KEPT:],
         faults=(oldest.faults + following.faults)[-_EVENTS_KEPT:],
         tickets=oldest.tickets + following.tickets,
+        actions=oldest.actions + following.actions,
+        steps=oldest.steps + following.steps,
         counters={**oldest.counters, **following.counters},
     )

@@ -34,7 +34,7 @@ class Match:
 
 
 def match_of(group: Group) -> Match:
-    """The identifiers of a group's frames. With a source of its own a J1939 group is told by parameter group and source."""
+    """The identifiers of a group's frames. With a source of its own a J1939 group is known by parameter group and source."""
     message, source = group.message, group.source
     if not message.extended:
         return Match(message.frame_id, 0x7FF | EXTENDED, None)

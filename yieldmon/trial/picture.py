@@ -23,12 +23,13 @@ def draw(accuracy: Accuracy, path: Path) -> None:
     flow.plot(t, true, color="black", lw=1.5, label="true")
     flow.plot(t, measured, color="tab:orange", lw=1.2, marker=".", ms=3, label="measured, 1 Hz")
     flow.set_ylabel("mass flow, kg/s")
-    flow.legend(loc="upper right")
     flow.set_title(
         f"|error| from {RATED_FROM_KG_S:g} kg/s: mean {accuracy.mean_abs_pct:.2f} %, "
         f"95th percentile {accuracy.p95_abs_pct:.2f} %;"
-        f" accumulated mass {accuracy.mass_error_pct:+.2f} %"
+        f" accumulated mass {accuracy.mass_error_pct:+.2f} %",
+        pad=26,
     )
+    canvas.legend_above(flow)
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = np.where(true >= RATED_FROM_KG_S, 100.0 * (measured - true) / true, np.nan)
     error.axhspan(-5.0, 5.0, color="tab:green", alpha=0.12, lw=0)

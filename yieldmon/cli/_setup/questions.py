@@ -7,10 +7,10 @@ from dataclasses import dataclass
 SIDE = """\
              plate pivot (x, y from the sprocket's centre)
                       o
-          tip  ,       \\\\   plate, length L
-       paddle /|         \\\\
-             / |  grain ->\\\\  plate angle, from level, 90 = upright
-            (sprocket)      \\\\
+          tip  ,       \\   plate, length L
+       paddle /|         \\
+             / |  grain ->\\  plate angle, from level, 90 = upright
+            (sprocket)      \\
      elevator, seen from the side; x to the outlet, y upwards here
 """
 CHAIN = """\

@@ -14,8 +14,9 @@ from yieldmon.field.grid import Grid
 from yieldmon.field.harvest import HarvestMap
 from yieldmon.field.table import Array
 from yieldmon.field.tracks import Index
-from yieldmon.field.units import KG_PER_LB, M_PER_FT, M_PER_IN
+from yieldmon.field.units import M_PER_FT, M_PER_IN
 from yieldmon.files.whole_file import scratch_for
+from yieldmon.units import KG_PER_LB
 
 CHUNK = 50_000
 DOWN, UP = 33, 32

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from yieldmon.field.harvest import KG_M2_TO_T_HA, HarvestMap
 from yieldmon.field.tracks import Index
-from yieldmon.field.units import M2_PER_ACRE
+from yieldmon.units import M2_PER_ACRE
 
 SHORT_NAMES: Mapping[str, str] = {
     "point": "POINT",

@@ -15,6 +15,7 @@ from yieldmon.field.harvest import KG_M2_TO_T_HA, HarvestMap
 from yieldmon.field.summary import delay_line, transport_line
 from yieldmon.field.table import Array
 from yieldmon.files.whole_file import scratch_for
+from yieldmon.units import KG_PER_T, Units, UnitSystem
 
 TEMPLATE = Path(__file__).with_name("report.html")
 MAX_POINTS = 250_000
@@ -55,13 +56,17 @@ def content(result: HarvestMap) -> dict[str, Any]:
     """What the page shows, as JSON takes it."""
     low, high = colour_scale(result)
     totals, flow, moisture = result.totals, result.flow_delay, result.moisture_delay
-    area_ha = totals.area_m2 / 1e4
-    bushels = result.bushels_per_acre(totals.yield_kg_m2)
+    units = result.units
+    shown, mass = units.yield_unit, units.mass_unit
+    middle, lowest, highest = (
+        _number(shown.of(value), 2) for value in (totals.yield_kg_m2, totals.low_kg_m2, totals.high_kg_m2)
+    )
+    bushels = result.bushels_per_acre(totals.yield_kg_m2) if shown.name == "t/ha" else None
     name = " ".join(dict.fromkeys(_plain(text) for text in result.table.labels["field"].names if text)) or "Harvest"
     span = (
         ""
         if totals.low_kg is None or totals.high_kg is None
-        else f", {totals.low_kg / 1000:.1f} to {totals.high_kg / 1000:.1f} t"
+        else f", {_grain(totals.low_kg, units)} to {_grain(totals.high_kg, units)}"
     )
     return {
         "title": f"{name}{', ' + result.crop if result.crop else ''}: yield map",
@@ -70,15 +75,16 @@ def content(result: HarvestMap) -> dict[str, Any]:
         ),
         "numbers": [
             [
-                f"{_number(totals.yield_kg_m2 * 10, 2)} t/ha",
-                f"yield; {_number(totals.low_kg_m2 * 10, 2)} to {_number(totals.high_kg_m2 * 10, 2)} by passes drawn again",
+                f"{middle} {shown.name}",
+                f"yield; {lowest} to {highest} by passes drawn again",
             ],
             *([[f"{_number(bushels, 1)} bu/ac", "the same in bushels"]] if bushels is not None else []),
-            [f"{totals.corrected_kg / 1000:.1f} t", f"grain{' by weighed loads' if span else ' as measured, not weighed'}{span}"],
-            [f"{area_ha:.2f} ha", "ground newly cut"],
+            [_grain(totals.corrected_kg, units), f"grain{' by weighed loads' if span else ' as measured, not weighed'}{span}"],
+            [units.area(totals.area_m2), "ground newly cut"],
             [f"{flow.value_s:.1f} s", _delay_words(result)],
             [f"{100 * result.cleaned.kept.mean() if len(result.table) else 0:.0f} %", f"of {len(result.table)} points kept"],
         ],
+        "unit": {"name": shown.name, "per_t_ha": shown.of(1.0 / KG_M2_TO_T_HA), "mass": mass.name, "per_kg": mass.of(1.0)},
         "scale": [low, high],
         "points": _points(result),
         "reasons": _reasons(result),
@@ -214,17 +220,26 @@ def _worst(result: HarvestMap) -> list[dict[str, Any]]:
     ]
 
 
+def _grain(kg: float, units: Units) -> str:
+    """Grain of a field: tonnes, or pounds."""
+    return f"{kg / KG_PER_T:.1f} t" if units.system is UnitSystem.METRIC else units.mass(kg)
+
+
 def _totals(result: HarvestMap) -> list[list[str]]:
-    totals = result.totals
-    rows = [["measured, all points", f"{totals.measured_kg:,.0f}", ""]]
+    totals, units = result.totals, result.units
+
+    def mass(kg: float) -> str:
+        return f"{units.mass_unit.of(kg):,.0f}"
+
+    rows = [["measured, all points", mass(totals.measured_kg), ""]]
     if totals.machine_kg is not None:
-        rows.append(["the machine's own total", f"{totals.machine_kg:,.0f}", ""])
+        rows.append(["the machine's own total", mass(totals.machine_kg), ""])
     if totals.low_kg is not None and totals.high_kg is not None:
-        rows.append([f"by weighed loads ({totals.low_kg:,.0f} to {totals.high_kg:,.0f})", f"{totals.corrected_kg:,.0f}", ""])
+        rows.append([f"by weighed loads ({mass(totals.low_kg)} to {mass(totals.high_kg)})", mass(totals.corrected_kg), ""])
     kept = totals.by_reason.get(KEPT, 0.0)
-    rows.append(["on the points kept", f"{kept:,.0f}", _number(totals.yield_kg_m2 * KG_M2_TO_T_HA, 2)])
-    rows.append(["left out, reasons beside", f"{totals.corrected_kg - kept:,.0f}", ""])
-    rows.append([f"ground cut {totals.area_m2 / 1e4:.2f} ha, kept {totals.kept_area_m2 / 1e4:.2f} ha", "", ""])
+    rows.append(["on the points kept", mass(kept), _number(units.yield_unit.of(totals.yield_kg_m2), 2)])
+    rows.append(["left out, reasons beside", mass(totals.corrected_kg - kept), ""])
+    rows.append([f"ground cut {units.area(totals.area_m2)}, kept {units.area(totals.kept_area_m2)}", "", ""])
     return rows
 
 

@@ -17,7 +17,8 @@ import numpy as np
 
 from yieldmon.errors import InputError
 from yieldmon.field.table import DEFAULT_FLOW_S, HarvestTable, Label, Source, build
-from yieldmon.field.units import KG_PER_LB, M_PER_IN
+from yieldmon.field.units import M_PER_IN
+from yieldmon.units import KG_PER_LB
 
 from . import clocks
 from .delimited import Rows, delimiter_of, encoding_of, number, read_rows, rows_of

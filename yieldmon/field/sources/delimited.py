@@ -61,7 +61,7 @@ def delimiter_of(line: str) -> str:
 
 
 def rows_of(path: Path, encoding: str, delimiter: str) -> Iterator[tuple[int, list[str]]]:
-    """Number (from 1) and fields of each row that is not empty. Raises InputError for what no row can be told in."""
+    """Number (from 1) and fields of each row that is not empty. Raises InputError for content without rows."""
     csv.field_size_limit(1 << 20)
     with path.open(encoding=encoding, errors="replace", newline="") as stream:
         reader = csv.reader(stream, delimiter=delimiter, skipinitialspace=True)

@@ -161,9 +161,9 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
         except InputError as error:
             skipped.append(Skipped(task.log, _reason(error)))
     if not parts:
-        told = "; ".join(f"{one.part}: {one.why}" for one in skipped[:3])
+        reasons = "; ".join(f"{one.part}: {one.why}" for one in skipped[:3])
         raise InputError(
-            str(path), f"has no log that can be read ({told or 'none is named'})", "a time log with yield and position"
+            str(path), f"has no log that can be read ({reasons or 'none is named'})", "a time log with yield and position"
         )
     whole = joined(parts)
     masses = [source.mass_kg for source in whole.sources]

@@ -146,7 +146,7 @@ def columns_of(
     Raises
     ------
     InputError
-        For a quantity or name that does not exist, or a column whose unit nobody says.
+        For a quantity or name that does not exist, or a column without a unit.
     """
     out: dict[str, Column] = {}
     notes = []

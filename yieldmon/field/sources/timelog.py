@@ -91,7 +91,7 @@ def header(data: bytes, where: str) -> Header:
 
 
 def read(data: bytes, head: Header) -> TimeLog:
-    """All records that can be told; after a damaged stretch, from the next record that fits the one before."""
+    """All records that can be read; after a damaged stretch, from the next record that fits the one before."""
     fixed = np.dtype([("ms", "<u4"), ("day", "<u2"), *((name, kind) for name, kind in head.fields)])
     starts, problem = _starts(data, fixed, len(head.values))
     raw = np.frombuffer(data, np.uint8)

@@ -52,8 +52,8 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
             except _DAMAGE as error:
                 skipped.append(Skipped(info.filename, f"cannot be unpacked: {error}"))
     if not tables:
-        told = "; ".join(f"{one.part}: {one.why}" for one in skipped[:3]) or "it is empty"
-        raise InputError(str(path), f"holds no harvest ({told})", "a zip with one")
+        reasons = "; ".join(f"{one.part}: {one.why}" for one in skipped[:3]) or "it is empty"
+        raise InputError(str(path), f"holds no harvest ({reasons})", "a zip with one")
     table = joined(tables)
     sources = tuple(
         replace(source, path=f"{path}: {Path(source.path).name}", skipped=(*source.skipped, *(skipped if number == 0 else ())))

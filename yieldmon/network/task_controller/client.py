@@ -82,7 +82,7 @@ class TaskControllerClient:
     Parameters
     ----------
     device : Device
-        What the server is told of us.
+        What the server learns of us.
     working_width_m : float or None
         Of the header, for areas.
     """

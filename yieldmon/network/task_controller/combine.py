@@ -40,7 +40,7 @@ def combine(implement: Implement, name: Name, *, designator: str, software_versi
     if implement.working_width_m is not None:
         properties.append(Property(WIDTH, "Working width", round(implement.working_width_m * 1000), _METRES))
     if implement.grain_delay_s is not None:
-        # The value was true this long before it is told.
+        # The value was true this long before it is sent.
         properties.append(Property(LATENCY, "Grain delay", -round(implement.grain_delay_s * 1000), _SECONDS))
     measured = [
         Variable(FLOW, "Mass flow", _KG_PER_S),
@@ -69,7 +69,7 @@ def combine(implement: Implement, name: Name, *, designator: str, software_versi
 
 @dataclass(frozen=True, slots=True)
 class Second:
-    """What the monitor has to tell of one second; None: not known. Totals are its own, ever growing."""
+    """What the monitor reports of one second; None: not known. Totals are its own, ever growing."""
 
     flow_kg_s: float | None
     total_kg: float

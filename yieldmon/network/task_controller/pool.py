@@ -1,4 +1,4 @@
-"""Device descriptor object pools of ISO 11783-10 annex A: what a task controller is told of a device."""
+"""Device descriptor object pools of ISO 11783-10 annex A: a device described to a task controller."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """Named physical effects, one module each.
 
 A module here holds one `EFFECT = Effect(...)`; that alone makes it known to the forward model, calibration, diagnosis,
-configuration and docs. Other packages add theirs by entry points of the group `yieldmon.effects`, each naming an `Effect`.
+configuration and docs. Where one cause is written by several laws, `LAWS` has the others. Other packages add theirs by entry
+points of the group `yieldmon.effects`, each naming an `Effect`.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from yieldmon.errors import InputError
 
 from .effect import Effect, EffectParameter
 
-__all__ = ["Effect", "EffectParameter", "effect_parameter", "get_effect", "registry"]
+__all__ = ["Effect", "EffectParameter", "effect_parameter", "family_of", "get_effect", "laws", "registry"]
 
 
 GROUP = "yieldmon.effects"
@@ -31,6 +32,12 @@ def _own() -> dict[str, Effect]:
         if isinstance(effect, Effect):
             found[effect.name] = effect
     return found
+
+
+@lru_cache(maxsize=1)
+def _other_laws() -> dict[str, Effect]:
+    modules = (importlib.import_module(f"{__name__}.{module.name}") for module in pkgutil.iter_modules(__path__))
+    return {law.name: law for module in modules for law in getattr(module, "LAWS", ())}
 
 
 @lru_cache(maxsize=1)
@@ -62,10 +69,22 @@ def registry() -> MappingProxyType[str, Effect]:
     return MappingProxyType(dict(sorted((_own() | _of_others()).items())))
 
 
+def laws(family: str) -> tuple[str, ...]:
+    """Names of the laws by which an effect may act: its own, then the others, such as `jet_shielding-by_fill`."""
+    return (family, *sorted(name for name, effect in _other_laws().items() if effect.family == family))
+
+
+def family_of(name: str) -> str:
+    """The effect of which `name` is a law."""
+    return get_effect(name).family
+
+
 def get_effect(name: str) -> Effect:
-    """The effect of that name. Raises ValueError naming those that exist."""
+    """The effect of that name, or a law's. Raises ValueError naming the effects that exist."""
     if name in _own():
         return _own()[name]
+    if name in _other_laws():
+        return _other_laws()[name]
     try:
         return registry()[name]
     except KeyError:

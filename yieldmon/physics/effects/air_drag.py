@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from yieldmon.physics.numerics import real
+from yieldmon.physics.numerics import exp, real
 from yieldmon.physics.stages import Arrival, Setting
 
 from .effect import Effect, EffectParameter, Values
@@ -15,7 +15,18 @@ from .effect import Effect, EffectParameter, Values
 def _arrival(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
     finite = np.isfinite(real(arrival.flight_length_m))
     length = np.where(finite, arrival.flight_length_m, 0.0)
-    kept = np.exp(-values["rate_per_m"] * np.where(real(length) > 0.0, length, 0.0))
+    kept = exp(-values["rate_per_m"] * np.where(real(length) > 0.0, length, 0.0))
+    return replace(
+        arrival,
+        normal_speed_m_s=arrival.normal_speed_m_s * kept,
+        tangential_speed_m_s=arrival.tangential_speed_m_s * kept,
+    )
+
+
+def _by_time(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
+    finite = np.isfinite(real(arrival.flight_time_s))
+    time = np.where(finite, arrival.flight_time_s, 0.0)
+    kept = exp(-values["rate_per_s"] * np.where(real(time) > 0.0, time, 0.0))
     return replace(
         arrival,
         normal_speed_m_s=arrival.normal_speed_m_s * kept,
@@ -34,4 +45,15 @@ EFFECT = Effect(
         EffectParameter("rate_per_m", "1/m", 0.0, 0.0, 0.6, 0.08, "g over the terminal speed squared", 0.2),
     ),
     arrival=_arrival,
+)
+
+LAWS = (
+    replace(
+        EFFECT,
+        name="air_drag-by_time",
+        law="in proportion to speed: a fixed share a second",
+        source="Stokes's limit; a loose stream that carries its air along",
+        parameters=(EffectParameter("rate_per_s", "1/s", 0.0, 0.0, 4.0, 0.5, "share of its speed lost a second", 1.2),),
+        arrival=_by_time,
+    ),
 )

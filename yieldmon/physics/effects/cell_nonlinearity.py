@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from yieldmon.physics.numerics import sqrt
 from yieldmon.physics.stages import Reading, Setting
 
 from .effect import Effect, EffectParameter, Values
@@ -12,6 +13,11 @@ from .effect import Effect, EffectParameter, Values
 def _reading(reading: Reading, values: Values, setting: Setting) -> Reading:
     force = reading.momentum_kg_m_s * setting.passes_per_s
     return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s / (1.0 + values["softening_per_n"] * force))
+
+
+def _saturating(reading: Reading, values: Values, setting: Setting) -> Reading:
+    share = values["softening_per_n"] * reading.momentum_kg_m_s * setting.passes_per_s
+    return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s / sqrt(1.0 + share * share))
 
 
 EFFECT = Effect(
@@ -25,4 +31,15 @@ EFFECT = Effect(
     ),
     reading=_reading,
     unit_follows_response=True,
+)
+
+LAWS = (
+    replace(
+        EFFECT,
+        name="cell_nonlinearity-saturating",
+        law="straight at small forces, saturating at large ones",
+        source="cell characteristic F / sqrt(1 + (c F)^2)",
+        parameters=(EffectParameter("softening_per_n", "1/N", 0.0, 0.0, 0.02, 0.002, "1 / force at saturation", 0.004),),
+        reading=_saturating,
+    ),
 )

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from yieldmon.physics.numerics import AnyArray, real
+from yieldmon.physics.numerics import AnyArray, erf, real
 from yieldmon.physics.stages import Arrival
 
 KERNEL_M = 0.01
@@ -16,10 +16,6 @@ KERNEL_M = 0.01
 def share_beyond(distance_m: AnyArray, width_m: AnyArray) -> AnyArray:
     """Share of a stream that lies beyond an edge, its path `distance_m` beyond it: 1/2 (1 + erf(distance / width))."""
     z = distance_m / width_m
-    # erf is 1 to rounding from 6 on, and its complex continuation overflows far out.
-    z = np.where(real(z) > 6.0, 6.0, np.where(real(z) < -6.0, -6.0, z))
-    from scipy.special import erf
-
     share: AnyArray = 0.5 * (1.0 + erf(z))
     return share
 

@@ -54,6 +54,13 @@ class Effect:
     rank: int = 2
     """Effects of a lower rank act first within a stage: 0 and 1 settle which grain passes the low edge, the rest build on it."""
     measured: bool = False
-    """True where the size is a dimension that one measures: it is given with the parameters and never inferred from readings."""
+    """True for what no diagnosis names: a dimension that one measures, or the model's own error, for which there is no cause."""
+    law: str = ""
+    """What another law of an effect says; "" for the first. Such an effect's name is the effect's, a hyphen and the law's."""
     unit_follows_response: bool = False
     """True where a parameter is in the reading's own unit, so that it scales with the table's response unit."""
+
+    @property
+    def family(self) -> str:
+        """Name of the effect of which this is one law."""
+        return self.name.partition("-")[0]

@@ -19,6 +19,11 @@ def _impulse(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
     return replace(impulse, normal_gain=scale_restitution(impulse, factor, setting))
 
 
+def _by_fill(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
+    fill = impulse.arrival.jet.load.paddle_mass_kg / setting.full_paddle_mass_kg
+    return replace(impulse, normal_gain=scale_restitution(impulse, 1.0 / (1.0 + values["rate"] * fill), setting))
+
+
 EFFECT = Effect(
     name="jet_shielding",
     stage="impact",
@@ -29,4 +34,15 @@ EFFECT = Effect(
         EffectParameter("rate_per_m", "1/m", 0.0, 0.0, 300.0, 20.0, "1 / stream thickness that halves rebound", 20.0),
     ),
     impulse=_impulse,
+)
+
+LAWS = (
+    replace(
+        EFFECT,
+        name="jet_shielding-by_fill",
+        law="by the fill of the paddle instead of the thickness of each layer",
+        source="the stream as one body, its thickness in proportion to the load",
+        parameters=(EffectParameter("rate", "", 0.0, 0.0, 20.0, 1.0, "1 / fill that halves rebound", 1.5),),
+        impulse=_by_fill,
+    ),
 )

@@ -28,6 +28,12 @@ def _arrival(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
     return replace(arrival, landing_share=arrival.landing_share + np.where(towards, caught * missing, 0.0))
 
 
+def _any_incidence(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
+    towards = np.isfinite(real(arrival.from_low_edge_m)) & (real(arrival.normal_speed_m_s) > 0.0)
+    missing = 1.0 - arrival.landing_share
+    return replace(arrival, landing_share=arrival.landing_share + np.where(towards, values["share"] * missing, 0.0))
+
+
 EFFECT = Effect(
     name="miss_capture",
     stage="flight",
@@ -38,4 +44,14 @@ EFFECT = Effect(
     parameters=(EffectParameter("share", "", 0.0, 0.0, 1.0, 0.3, "share of missing grain that hits, at grazing incidence", 0.4),),
     arrival=_arrival,
     needs_misses=True,
+)
+
+LAWS = (
+    replace(
+        EFFECT,
+        name="miss_capture-any_incidence",
+        law="the same share of what misses, whatever the incidence",
+        source="limit of a thick stream that carries along all that it meets",
+        arrival=_any_incidence,
+    ),
 )

@@ -15,6 +15,16 @@ def _load(load: Load, values: Values, setting: Setting) -> Load:
     return replace(load, paddle_mass_kg=load.paddle_mass_kg / (1.0 + values["loss_at_full"] * fill * slowness))
 
 
+def _any_speed(load: Load, values: Values, setting: Setting) -> Load:
+    fill = load.paddle_mass_kg / setting.full_paddle_mass_kg
+    return replace(load, paddle_mass_kg=load.paddle_mass_kg / (1.0 + values["loss_at_full"] * fill))
+
+
+def _overfull(load: Load, values: Values, setting: Setting) -> Load:
+    fill = load.paddle_mass_kg / setting.full_paddle_mass_kg
+    return replace(load, paddle_mass_kg=load.paddle_mass_kg / (1.0 + values["loss_at_full"] * fill * fill))
+
+
 EFFECT = Effect(
     name="paddle_leakage",
     stage="fill",
@@ -27,4 +37,22 @@ EFFECT = Effect(
         ),
     ),
     load=_load,
+)
+
+LAWS = (
+    replace(
+        EFFECT,
+        name="paddle_leakage-any_speed",
+        law="by fill alone, whatever the speed",
+        source="what lies above the paddle's edge falls back at once",
+        load=_any_speed,
+    ),
+    replace(
+        EFFECT,
+        name="paddle_leakage-overfull",
+        law="by the square of fill, whatever the speed: little is lost until the paddle is well filled",
+        source="height above the edge times width of the heap, each in proportion to fill",
+        parameters=(EffectParameter("loss_at_full", "", 0.0, 0.0, 2.0, 0.1, "mass lost over mass kept, at full", 0.3),),
+        load=_overfull,
+    ),
 )

@@ -27,6 +27,12 @@ def _impulse(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
     return replace(impulse, tangential_m_s=impulse.tangential_m_s + sense * rubbed)
 
 
+def _by_speed(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
+    unit = 1.0 if setting.restitution is not None else impulse.normal_gain
+    dragged = values["share"] * impulse.arrival.tangential_speed_m_s * unit
+    return replace(impulse, tangential_m_s=impulse.tangential_m_s + dragged)
+
+
 EFFECT = Effect(
     name="plate_friction",
     stage="impact",
@@ -35,4 +41,17 @@ EFFECT = Effect(
     source="oblique impact of spheres: Walton and Braun, Journal of Rheology 30 (1986); Maw, Barber, Fawcett, Wear 38 (1976)",
     parameters=(EffectParameter("coefficient", "", 0.0, 0.0, 1.0, 0.2, "friction between grain and plate", 0.15),),
     impulse=_impulse,
+)
+
+LAWS = (
+    replace(
+        EFFECT,
+        name="plate_friction-by_speed",
+        law="in proportion to the speed along the plate",
+        source="viscous limit: a film of dust or juice on the plate",
+        parameters=(
+            EffectParameter("share", "", 0.0, 0.0, 0.8, 0.1, "share of the speed along the plate that is given up", 0.1),
+        ),
+        impulse=_by_speed,
+    ),
 )

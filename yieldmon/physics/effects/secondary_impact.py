@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
+from yieldmon.physics.numerics import real, sqrt
 from yieldmon.physics.stages import Impulse, Setting
 
 from .effect import Effect, EffectParameter, Values
@@ -20,6 +23,16 @@ def _impulse(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
     return replace(impulse, normal_gain=scale_restitution(impulse, factor, setting))
 
 
+def _by_cosine(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
+    arrival = impulse.arrival
+    normal, tangential = arrival.normal_speed_m_s, arrival.tangential_speed_m_s
+    towards = real(normal) > 0.0
+    length = sqrt(np.where(towards, normal * normal + tangential * tangential, 1.0))
+    facing = np.where(towards, normal / length, 0.0)
+    factor = 1.0 + values["share"] * facing * (1.0 - restitution(impulse, setting))
+    return replace(impulse, normal_gain=scale_restitution(impulse, factor, setting))
+
+
 EFFECT = Effect(
     name="secondary_impact",
     stage="impact",
@@ -30,4 +43,14 @@ EFFECT = Effect(
         EffectParameter("share", "", 0.0, 0.0, 1.0, 0.2, "share of rebounding grain at normal incidence", 0.4),
     ),
     impulse=_impulse,
+)
+
+LAWS = (
+    replace(
+        EFFECT,
+        name="secondary_impact-by_cosine",
+        law="by the cosine of incidence",
+        source="what rebounds straight, in proportion to its normal momentum",
+        impulse=_by_cosine,
+    ),
 )

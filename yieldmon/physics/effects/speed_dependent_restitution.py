@@ -12,6 +12,9 @@ from yieldmon.physics.stages import Impulse, Setting
 from .effect import Effect, EffectParameter, Values
 from .rebound import restitution, scale_restitution
 
+_YIELD_SPEED = 0.75
+"""Speed from which contact yields, in nominal tip speeds, under `_yielding`."""
+
 
 def _impulse(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
     machine = setting.machine
@@ -21,6 +24,14 @@ def _impulse(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
     e = restitution(impulse, setting)
     limit = 1.0 / maximum(e, np.asarray(1e-9))
     return replace(impulse, normal_gain=scale_restitution(impulse, minimum(factor, limit), setting))
+
+
+def _yielding(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
+    machine = setting.machine
+    nominal_m_s = machine.paddle_length_m * machine.nominal_elevator_speed_rad_s
+    excess = maximum(impulse.arrival.normal_speed_m_s / nominal_m_s - _YIELD_SPEED, np.asarray(0.0))
+    factor = 1.0 / (1.0 + values["rate"] * excess)
+    return replace(impulse, normal_gain=scale_restitution(impulse, factor, setting))
 
 
 EFFECT = Effect(
@@ -33,4 +44,15 @@ EFFECT = Effect(
         EffectParameter("exponent", "", 0.0, 0.0, 1.0, 0.2, "-d(log e) / d(log normal speed), e given at tip speed", 0.5),
     ),
     impulse=_impulse,
+)
+
+LAWS = (
+    replace(
+        EFFECT,
+        name="speed_dependent_restitution-yielding",
+        law="elastic up to three quarters of the tip's speed, less and less above",
+        source="yield velocity of contact: Thornton, J. Appl. Mech. 64 (1997)",
+        parameters=(EffectParameter("rate", "", 0.0, 0.0, 4.0, 0.5, "1 / excess speed (in tip speeds) that halves e", 0.7),),
+        impulse=_yielding,
+    ),
 )

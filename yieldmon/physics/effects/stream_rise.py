@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from yieldmon.physics.numerics import AnyArray, real
+from yieldmon.physics.numerics import AnyArray, exp, real
 from yieldmon.physics.stages import Arrival, Impulse, Jet, Setting
 
 from .edges import KERNEL_M, blur_low_edge, share_beyond
@@ -24,7 +24,7 @@ def _jet(jet: Jet, values: Values, setting: Setting) -> Jet:
 
 
 def _blur_m(values: Values) -> AnyArray:
-    width: AnyArray = KERNEL_M * (1.0 - np.exp(-values["ratio"] / _FULL_BLUR_RATIO))
+    width: AnyArray = KERNEL_M * (1.0 - exp(-values["ratio"] / _FULL_BLUR_RATIO))
     return width
 
 

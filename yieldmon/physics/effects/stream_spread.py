@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from yieldmon.physics.numerics import maximum, real
+from yieldmon.physics.numerics import AnyArray, arctan, erf, exp, maximum, real, sin_cos, sqrt
 from yieldmon.physics.stages import Arrival, Setting
 
 from .effect import Effect, EffectParameter, Values
@@ -15,36 +15,39 @@ _FAR = 7.0
 """Standard deviations beyond which the low edge no longer cuts the fan (1e-12 of the grain)."""
 
 
+def _gaussian(edge: AnyArray, spread: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
+    """Share, mean and variance of what lies below `edge` of a normal distribution of directions."""
+    z = edge / spread
+    z = np.where(real(z) > _FAR, _FAR, np.where(real(z) < -_FAR, -_FAR, z))
+    lands = 0.5 * (1.0 + erf(z / np.sqrt(2.0)))
+    hazard = exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) / lands
+    return lands, -spread * hazard, spread * spread * (1.0 - z * hazard - hazard * hazard)
+
+
 def _arrival(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
     spread = values["spread_rad"]
     meets = np.isfinite(real(arrival.from_low_edge_m)) & (real(arrival.normal_speed_m_s) > 0.0)
     fans_out = real(spread) > 0.0
     normal = np.where(meets, arrival.normal_speed_m_s, 1.0)
     tangential = np.where(meets, arrival.tangential_speed_m_s, 0.0)
-    speed = np.sqrt(normal**2 + tangential**2)
+    speed = sqrt(normal * normal + tangential * tangential)
     length = maximum(np.where(meets, arrival.flight_length_m, 1.0), np.asarray(1e-3))
     kappa = np.where(meets, arrival.from_low_edge_m, 0.0)
-    incidence = np.arctan(tangential / normal)
+    incidence = arctan(tangential / normal)
     # Seen from where the path comes from, the low edge lies this far round from the path, towards the low edge.
-    edge = np.arctan((length * tangential / speed - kappa) * speed / (length * normal)) - incidence
-    width = np.where(fans_out, spread, 1.0)
-    z = edge / width
-    z = np.where(real(z) > _FAR, _FAR, np.where(real(z) < -_FAR, -_FAR, z))
-    from scipy.special import erf
-
-    lands = 0.5 * (1.0 + erf(z / np.sqrt(2.0)))
-    # Mean and variance of a normal variable below z: what lands is turned towards the top.
-    hazard = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi) / lands
-    turned = incidence - width * hazard
-    kept = speed * np.exp(-0.5 * width**2 * (1.0 - z * hazard - hazard**2))
+    edge = arctan((length * tangential / speed - kappa) * speed / (length * normal)) - incidence
+    # What lands is turned towards the top.
+    lands, turn, variance = _gaussian(edge, np.where(fans_out, spread, 1.0))
+    kept = speed * exp(-0.5 * variance)
+    sin, cos = sin_cos(incidence + turn)
     fan = meets & fans_out
     # The series of which this is the start may pass a right angle where next to nothing lands.
-    into = maximum(kept * np.cos(turned), np.asarray(1e-9))
+    into = maximum(kept * cos, np.asarray(1e-9))
     return replace(
         arrival,
         landing_share=np.where(fans_out, np.where(meets, lands, 0.0), arrival.landing_share),
         normal_speed_m_s=np.where(fan, into, arrival.normal_speed_m_s),
-        tangential_speed_m_s=np.where(fan, kept * np.sin(turned), arrival.tangential_speed_m_s),
+        tangential_speed_m_s=np.where(fan, kept * sin, arrival.tangential_speed_m_s),
     )
 
 

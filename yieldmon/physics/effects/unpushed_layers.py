@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from yieldmon.physics import release, settling
-from yieldmon.physics.numerics import AnyArray, real
+from yieldmon.physics.numerics import AnyArray, exp, real
 from yieldmon.physics.stages import Arrival, Jet, Setting
 
 from .edges import KERNEL_M, blur_low_edge
@@ -18,7 +18,7 @@ _DRAWN_ALONG = 0.5
 
 
 def _free_share(angle_rad: AnyArray, rate_per_rad: AnyArray) -> AnyArray:
-    share: AnyArray = 1.0 - np.exp(-rate_per_rad * np.where(real(angle_rad) > 0.0, angle_rad, 0.0))
+    share: AnyArray = 1.0 - exp(-rate_per_rad * np.where(real(angle_rad) > 0.0, angle_rad, 0.0))
     return share
 
 

@@ -1,0 +1,181 @@
+"""How many frames a second go from a log to rows with flow: our frames with real traffic of a tractor between them.
+
+    python -m studies.bulk_speed RECORDINGS [--frames N] [--keep FOLDER] [--json]
+
+RECORDINGS is a folder of candump logs of other nodes' traffic (the excerpts in tests/data/tractor_bus do as well). They are
+laid end to end, as often as it takes, beside a simulated harvest, each at its own rate; the same frames are written as candump
+text and packed. CPU time of one process, in one run; beside it python-can and cantools on a sample of the same text.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import can
+import cantools
+import numpy as np
+
+from yieldmon.bus.bulk import FrameBlock, block_of, concatenate
+from yieldmon.bus.candump import EXTENDED_FLAG
+from yieldmon.bus.codec import Codec
+from yieldmon.bus.loading import iter_blocks, load_frames
+from yieldmon.bus.packed import pack
+from yieldmon.plant import scenario as scenarios
+from yieldmon.plant.combine import VirtualCombine
+from yieldmon.resources import shipped
+from yieldmon.service import configuration, log_record
+from yieldmon.service.rows import SecondRow
+
+WANTED_FRAMES = 69_000_000
+TILE_S = 600.0
+START_S = 1_760_000_000.0
+SEED = 11
+SAMPLE_FRAMES = 40_000
+
+
+def ours() -> FrameBlock:
+    """A simulated harvest's frames, from 0 s."""
+    loaded = configuration.load(shipped("config/yieldmon.yaml"))
+    scenario = scenarios.load(shipped("config/scenarios/harvest-day.yaml")).model_copy(update={"duration_s": TILE_S})
+    combine, codec = VirtualCombine(scenario, loaded.machine, SEED), Codec()
+    return block_of(codec.encode(frame) for frame in combine.frames_until(TILE_S))
+
+
+def foreign(folder: Path) -> FrameBlock:
+    """The recordings, one after the other from 0 s, as often as it takes; frames of at most 8 bytes."""
+    parts, at_s = [], 0.0
+    recorded = [load_frames(path) for path in sorted(folder.glob("*.log"))]
+    if not recorded:
+        raise SystemExit(f"{folder}: no *.log")
+    while at_s < TILE_S:
+        for block in recorded:
+            times = np.maximum.accumulate(block.time_s - block.time_s[0])
+            kept = block.take(block.length <= 8)
+            parts.append(FrameBlock(times[block.length <= 8] + at_s, kept.can_id, kept.length, kept.payload, kept.channel, ("",)))
+            at_s += float(times[-1]) + 0.01
+    whole = concatenate(parts)
+    return whole.take(whole.time_s < TILE_S)
+
+
+def tile(folder: Path) -> tuple[FrameBlock, float]:
+    """TILE_S of both, in order of time, and the share of ours."""
+    parts = ours(), foreign(folder)
+    on_one = [FrameBlock(b.time_s, b.can_id, b.length, b.payload, np.zeros_like(b.channel), ("can0",)) for b in parts]
+    both = concatenate(on_one)
+    return both.take(np.argsort(both.time_s, kind="stable")), len(parts[0]) / len(both)
+
+
+def tiled(one: FrameBlock, frames: int) -> Iterator[FrameBlock]:
+    """The tile again and again, to `frames` frames."""
+    for number in range(-(-frames // len(one))):
+        times = np.rint((one.time_s + START_S + number * TILE_S) * 1e6) / 1e6
+        block = FrameBlock(times, one.can_id, one.length, one.payload, one.channel, one.channels)
+        yield block.take(slice(0, min(len(one), frames - number * len(one))))
+
+
+def write_text(blocks: Iterator[FrameBlock], path: Path) -> None:
+    """As candump -l writes it."""
+    with path.open("w") as file:
+        for block in blocks:
+            columns = (block.time_s, block.can_id, block.length, block.payload)
+            for time_s, can_id, length, payload in zip(*(column.tolist() for column in columns), strict=True):
+                name = f"{can_id & 0x1FFFFFFF:08X}" if can_id & EXTENDED_FLAG else f"{can_id:03X}"
+                file.write(f"({time_s:.6f}) can0 {name}#{payload.to_bytes(8, 'little')[:length].hex().upper()}\n")
+
+
+def to_rows(path: Path) -> tuple[float, list[SecondRow]]:
+    """CPU seconds and rows, as `process --jobs 1` makes them."""
+    loaded = configuration.load(shipped("config/yieldmon.yaml"))
+    rows: list[SecondRow] = []
+    began = time.process_time()
+    log_record.measure([str(path)], loaded, rows.append)
+    return time.process_time() - began, rows
+
+
+def reading_alone(path: Path) -> float:
+    """CPU seconds to frames as arrays."""
+    began = time.process_time()
+    for _ in iter_blocks(path):
+        pass
+    return time.process_time() - began
+
+
+def obvious_loop(path: Path) -> tuple[float, int]:
+    """CPU seconds and frames: python-can reads, cantools decodes what is ours; no engine."""
+    database = cantools.database.load_file(shipped("dbc/yieldmon.dbc"))
+    names = {message.frame_id for message in database.messages}
+    began, count = time.process_time(), 0
+    with can.LogReader(path) as reader:
+        for message in reader:
+            count += 1
+            if message.arbitration_id in names:
+                database.decode_message(message.arbitration_id, message.data, decode_choices=False)
+            if count >= SAMPLE_FRAMES:
+                break
+    return time.process_time() - began, count
+
+
+def main() -> int:
+    """Exit code 0 when rows from text and packed frames are the same."""
+    parser = argparse.ArgumentParser(prog="python -m studies.bulk_speed", description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("recordings", type=Path)
+    parser.add_argument("--frames", type=int, default=2_000_000)
+    parser.add_argument("--keep", type=Path, help="folder that keeps the files made; default: none")
+    parser.add_argument("--json", action="store_true")
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = args.keep or Path(scratch)
+        one, share = tile(args.recordings)
+        text, packed = folder / "bulk.log", folder / "bulk.parquet"
+        write_text(tiled(one, args.frames), text)
+        size = pack(tiled(one, args.frames), packed, Codec().layouts).size_bytes
+        to_rows(packed)  # compiled code is made once
+        found = {name: (to_rows(path), reading_alone(path)) for name, path in (("packed", packed), ("text", text))}
+        same = found["packed"][0][1] == found["text"][0][1]
+        loop_s, loop_frames = obvious_loop(text)
+        document = {
+            "frames": args.frames, "share_of_ours": share, "tile_frames": len(one), "seconds_of_log": len(found["text"][0][1]),
+            "text_bytes": text.stat().st_size, "packed_bytes": size, "rows_equal": same,
+            "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
+            **{name: _figures(rows_s, read_s, args.frames) for name, ((rows_s, _), read_s) in found.items()},
+            "python_can_cantools": {"frames": loop_frames, "mframes_s": loop_frames / loop_s / 1e6,
+                                    "cpu_s_scaled": WANTED_FRAMES * loop_s / loop_frames},
+        }  # fmt: skip
+    print(json.dumps(document, indent=2) if args.json else _text(document))
+    return 0 if same else 1
+
+
+def _figures(rows_s: float, read_s: float, frames: int) -> dict[str, float]:
+    return {"cpu_s": rows_s, "mframes_s": frames / rows_s / 1e6, "reading_mframes_s": frames / read_s / 1e6,
+            "cpu_s_scaled": WANTED_FRAMES * rows_s / frames}
+
+
+def _text(document: dict) -> str:
+    lines = [
+        f"{document['frames']} frames, {100 * document['share_of_ours']:.0f} % ours, {document['seconds_of_log']} s of log; "
+        f"rows from text and packed frames equal: {document['rows_equal']}; peak memory {document['peak_memory_mb']:.0f} MB",
+    ]
+    for name in ("packed", "text"):
+        f = document[name]
+        lines.append(
+            f"{name:8} {f['cpu_s']:7.2f} CPU-s, {f['mframes_s']:.2f} M frames/s (reading alone {f['reading_mframes_s']:.2f}); "
+            f"{WANTED_FRAMES / 1e6:.0f} M frames scaled: {f['cpu_s_scaled']:.0f} CPU-s"
+        )
+    loop = document["python_can_cantools"]
+    lines.append(
+        f"python-can and cantools, no engine, on {loop['frames']} frames: {loop['mframes_s']:.4f} M frames/s; "
+        f"scaled: {loop['cpu_s_scaled']:.0f} CPU-s"
+    )
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Whether published standard deviations hold."""

@@ -1,0 +1,201 @@
+"""Tables from the cases of `law_cases`, and the map of confidence that ships.
+
+    python -m studies.hidden_effects.law_report RESULTS.jsonl... [--page STUDY.md] [--ship]
+
+A confidence is only judged on a generator that it was not learnt on: each generator's names get theirs from the others' cases.
+--page rewrites the part of a page between `<!-- laws -->` and `<!-- /laws -->`. --ship writes the map learnt on all generators.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from studies.hidden_effects import law_cases, study
+from yieldmon.discrepancy import confidence
+from yieldmon.discrepancy.confidence import Calibration
+from yieldmon.discrepancy.selection import Policy
+
+SHIPPED = Path(confidence.__file__).with_name("confidence.json")
+LARGEST_CLASS = 4
+LEAST_NAMES = 5
+Record = dict[str, Any]
+
+
+def family(kind: str) -> str:
+    """The generator behind a kind of case."""
+    return "combine" if kind == "clean" else kind.partition("-")[0]
+
+
+def steps_of(records: Sequence[Record]) -> list[tuple[Record, int]]:
+    """Every name given, whatever the confidence in it."""
+    return [(r, i) for r in records if r["verdict"] == "effect" for i in range(len(r["classes"]))]
+
+
+def right(steps: Sequence[tuple[Record, int]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Whether what is hidden is the name or tied with it, and whether it is the name; 0 or 1."""
+    removed = [r["generator"].endswith("removed") for r, _ in steps]
+    truth = [set() if gone else set(r["hidden"]) for gone, (r, _) in zip(removed, steps, strict=True)]
+    within = [float(bool(t & set(r["classes"][i]))) for t, (r, i) in zip(truth, steps, strict=True)]
+    name = [float(r["classes"][i][0] in t) for t, (r, i) in zip(truth, steps, strict=True)]
+    return np.array(within), np.array(name)
+
+
+def learn(records: Sequence[Record], provenance: dict[str, Any]) -> Calibration:
+    """The map from cases with known answers. Raises ValueError where too few names were given."""
+    steps = steps_of(records)
+    if len(steps) < LEAST_NAMES:
+        raise ValueError(f"{len(steps)} names: at least {LEAST_NAMES} are needed")
+    rows = confidence.as_rows([r["features"][i] for r, i in steps])
+    within, name = right(steps)
+    tied = np.array([len(r["classes"][i]) > 1 for r, i in steps]) & (within > 0.5)
+    if np.count_nonzero(tied) < 5:
+        tied = within > 0.5
+    return Calibration(confidence.learnt(rows, within), confidence.learnt(rows[tied], name[tied]), provenance)
+
+
+def crossed(records: Sequence[Record]) -> dict[str, list[tuple[float, float]]]:
+    """For each case its steps' confidences (within, name) by the map that the other generators' cases teach."""
+    out: dict[str, list[tuple[float, float]]] = {}
+    for left_out in sorted({family(r["generator"]) for r in records}):
+        by = learn([r for r in records if family(r["generator"]) != left_out], {})
+        for r in records:
+            if family(r["generator"]) == left_out and r["classes"]:
+                rows = confidence.as_rows(r["features"])
+                within = by.within(rows)
+                tied = np.array([len(c) > 1 for c in r["classes"]])
+                names = within * np.where(tied, by.name(rows), 1.0)
+                out[r["case"]] = [(float(w), float(n)) for w, n in zip(within, names, strict=True)]
+    return out
+
+
+def named(record: Record, stated: dict[str, list[tuple[float, float]]]) -> bool:
+    """Whether a case's verdict names an effect, doubtful ones left out."""
+    return record["verdict"] == "effect" and stated[record["case"]][0][0] >= Policy().least_confidence
+
+
+def table(records: Sequence[Record]) -> list[str]:
+    """The page's part, as Markdown."""
+    stated = crossed(records)
+    commits = ", ".join(sorted({r["commit"] for r in records}))
+    salts = ", ".join(sorted({str(r["salt"]) for r in records}))
+    lines = [
+        f"{len(records)} cases, salt {salts}, commit {commits}; each name's confidence from the other generators' cases.",
+        f"Visible: the published model leaves {law_cases.VISIBLE:g} sd or more. Within: in the first class, of at most",
+        f"{LARGEST_CLASS}.",
+        "",
+        "| cases | number | within class | first | a wrong name | unknown | none |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    singles = [r for r in records if r["generator"] in ("third", "combine", "engine") and r["visible_sd"] >= law_cases.VISIBLE]
+    for kind in ("third", "combine", "engine", "all"):
+        lines.append(_single_line(kind, [r for r in singles if kind in ("all", r["generator"])], stated))
+    lines += ["", "| cases | number | an effect named | unknown | none |", "|---|---|---|---|---|"]
+    for kind, what in (
+        ("clean", "virtual combine, nothing hidden"),
+        ("third-clean", "study's generator, nothing hidden"),
+        ("engine-clean", "discrete elements, nothing put in (its own differences remain)"),
+        ("third-removed", "visible, the effect taken from the library"),
+    ):
+        least = law_cases.VISIBLE if kind == "third-removed" else 0.0
+        chosen = [r for r in records if r["generator"] == kind and r["visible_sd"] >= least]
+        lines.append(_verdict_line(what, chosen, stated))
+    pairs = [r for r in records if r["generator"] == "third-pair"]
+    hits = [_pair_hits(r) if named(r, stated) else 0 for r in pairs]
+    both, one = sum(h == 2 for h in hits), sum(h >= 1 for h in hits)
+    lines += ["", f"Pairs: both named in {both} of {len(pairs)}, at least one in {one}."]
+    return [*lines, "", *reliability(records, stated)]
+
+
+def _single_line(kind: str, chosen: Sequence[Record], stated: dict[str, list[tuple[float, float]]]) -> str:
+    given = [r for r in chosen if named(r, stated)]
+    within = sum(r["hidden"][0] in r["classes"][0] and len(r["classes"][0]) <= LARGEST_CLASS for r in given)
+    first = sum(r["classes"][0][0] == r["hidden"][0] for r in given)
+    wrong = sum(all(r["hidden"][0] not in c for c in r["classes"]) for r in given)
+    verdicts = Counter("effect" if r in given else "none" if r["verdict"] == "none" else "unknown" for r in chosen)
+    cells = (within, first, wrong, verdicts["unknown"], verdicts["none"])
+    return f"| {kind} | {len(chosen)} | " + " | ".join(_share(n, len(chosen)) for n in cells) + " |"
+
+
+def _verdict_line(what: str, chosen: Sequence[Record], stated: dict[str, list[tuple[float, float]]]) -> str:
+    given = sum(named(r, stated) for r in chosen)
+    none = sum(r["verdict"] == "none" for r in chosen)
+    return f"| {what} | {len(chosen)} | {given} | {len(chosen) - given - none} | {none} |"
+
+
+def _share(count: int, of: int) -> str:
+    return f"{count} ({100.0 * count / of:.0f} %)" if of else "-"
+
+
+def _pair_hits(record: Record) -> int:
+    found = [
+        {i for i, c in enumerate(record["classes"]) if name == c[0] or (name in c and len(c) <= LARGEST_CLASS)}
+        for name in record["hidden"]
+    ]
+    return min(sum(map(bool, found)), len(set().union(*found)))
+
+
+def reliability(records: Sequence[Record], stated: dict[str, list[tuple[float, float]]]) -> list[str]:
+    """Reliability diagram as a table, and expected calibration errors, over every name given."""
+    steps = [(r, i) for r, i in steps_of(records) if named(r, stated)]
+    within, name = right(steps)
+    ours = np.array([stated[r["case"]][i][0] for r, i in steps])
+    names = np.array([stated[r["case"]][i][1] for r, i in steps])
+    raw = np.array([r["features"][i]["stability"] for r, i in steps])
+    lines = ["| stated | names | mean stated | right |", "|---|---|---|---|"]
+    for low in np.arange(0.0, 1.0, 0.1):
+        inside = (ours >= low) & (ours < low + 0.1 + 1e-9 * (low > 0.85))
+        if inside.any():
+            means = f"{ours[inside].mean():.2f} | {within[inside].mean():.2f}"
+            lines.append(f"| {low:.1f} to {low + 0.1:.1f} | {inside.sum()} | {means} |")
+    error = confidence.expected_calibration_error
+    return [
+        *lines,
+        "",
+        f"Expected calibration error over {len(steps)} names, 10 bins: {error(ours, within):.3f} (effect or one tied with it), "
+        f"{error(names, name):.3f} (the effect itself); of the bootstrap's share that it replaces {error(raw, within):.3f}.",
+        f"A name's highest confidence that was wrong: {max(ours[within < 0.5], default=0.0):.2f}.",
+    ]
+
+
+def provenance(records: Sequence[Record]) -> dict[str, Any]:
+    """Of the map that ships."""
+    return {
+        "method": "python -m studies.hidden_effects.law_report RESULTS.jsonl --ship",
+        "generators": dict(sorted(Counter(r["generator"] for r in records).items())),
+        "cases": len(records),
+        "names": len(steps_of(records)),
+        "salt": sorted({r["salt"] for r in records}),
+        "commit": sorted({r["commit"] for r in records}),
+    }
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("results", type=Path, nargs="+")
+    parser.add_argument("--page", type=Path, help="page to rewrite")
+    parser.add_argument("--ship", action="store_true", help="write the map that yieldmon uses")
+    args = parser.parse_args()
+    records = [r for path in args.results for r in study.read(path)]
+    text = "\n".join(table(records))
+    print(text)
+    if args.page is not None:
+        before, _, rest = args.page.read_text(encoding="utf-8").partition("<!-- laws -->")
+        _, _, after = rest.partition("<!-- /laws -->")
+        args.page.write_text(f"{before}<!-- laws -->\n{text}\n<!-- /laws -->{after}", encoding="utf-8")
+    if args.ship:
+        document = confidence.to_document(learn(records, provenance(records)))
+        SHIPPED.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

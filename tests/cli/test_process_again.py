@@ -1,0 +1,150 @@
+"""A stored day measured again, and what `process` says of logs that begin in grain, have gaps, overlap or come twice."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import can
+import pytest
+
+from tests.service.bench import CODEC, START_S, ZERO_MV, traffic
+from yieldmon.cli.main import main
+from yieldmon.files import parameter_file
+from yieldmon.service.recorded import read_seconds
+from yieldmon.service.store import Store
+
+STORE = Path(__file__).parents[1] / "golden" / "store-0.1.0.sqlite"
+
+
+def write(path: Path, *parts: tuple[float, float, float]) -> Path:
+    """A candump log of (start after START_S, duration s, mean mV above the zero)."""
+    with can.CanutilsLogWriter(str(path)) as writer:
+        for start_s, duration_s, force_mv in parts:
+            for frame in traffic(START_S + start_s, duration_s, force_mv):
+                message = CODEC.encode(frame)
+                message.timestamp, message.channel = frame.time_s, "can0"
+                writer.on_message_received(message)
+    return path
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("logs")
+    return {
+        "whole": write(folder / "whole.log", (0.0, 14.0, 0.0), (14.0, 8.0, 60.0)),
+        "grain": write(folder / "grain.log", (0.0, 8.0, 60.0)),
+        "later": write(folder / "later.log", (40.0, 6.0, 60.0)),
+    }
+
+
+def process(capsys, tmp_path, *words: object) -> tuple[int, str, str]:
+    code = main(["process", *map(str, words), "--out", str(tmp_path / "out.csv"), "--force", "--jobs", "1"])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def again(capsys, tmp_path, *words: object) -> dict:
+    code, out, err = process(capsys, tmp_path, STORE, *words, "--json")
+    assert code == 0, err
+    return json.loads(out)
+
+
+@pytest.fixture
+def own(tmp_path) -> Path:
+    """The parameters that measured the store."""
+    shutil.copy(STORE, tmp_path / "s.sqlite")
+    with Store(tmp_path / "s.sqlite") as store:
+        known = parameter_file.from_document(store.parameter_versions()[-1].document, "")
+    parameter_file.save(known, tmp_path / "own.yaml")
+    return tmp_path / "own.yaml"
+
+
+def test_a_store_measured_again_with_its_own_parameters_weighs_the_same(capsys, tmp_path, own) -> None:
+    found = again(capsys, tmp_path, "--params", own)
+    assert found["before_mass_kg"] == pytest.approx(sum(row.mass_kg for row in read_seconds(STORE)))
+    assert found["total_mass_kg"] == pytest.approx(found["before_mass_kg"], rel=2e-3)
+    assert sum(load["after_kg"] for load in found["loads"]) == pytest.approx(found["total_mass_kg"])
+    rows = read_seconds(tmp_path / "out.csv")
+    assert rows[-1].total_kg == pytest.approx(found["total_mass_kg"])
+    assert len(rows) == found["windows"]
+
+
+def test_a_store_measured_again_follows_parameters_zero_and_delay(capsys, tmp_path, own) -> None:
+    before = again(capsys, tmp_path, "--params", own)["total_mass_kg"]
+    known = parameter_file.load(own)
+    heavier = replace(known, values={**known.values, "restitution": known.values["restitution"] - 0.15})
+    parameter_file.save(heavier, tmp_path / "heavier.yaml")
+    assert again(capsys, tmp_path, "--params", tmp_path / "heavier.yaml")["total_mass_kg"] > 1.05 * before
+    zero_mv = next(row.zero_mv for row in read_seconds(STORE) if row.zero_mv is not None and row.mass_kg > 0.0)
+    assert again(capsys, tmp_path, "--params", own, "--zero-mv", zero_mv)["total_mass_kg"] == pytest.approx(before, rel=0.02)
+    assert again(capsys, tmp_path, "--params", own, "--zero-mv", zero_mv - 5.0)["total_mass_kg"] > before
+    again(capsys, tmp_path, "--delay", 7)
+    moved, placed = read_seconds(tmp_path / "out.csv"), read_seconds(STORE)
+    assert [row.ground_speed_m_s for row in moved[7:20]] == [row.ground_speed_m_s for row in placed[:13]]
+    assert moved[0].ground_speed_m_s is None
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ((STORE,), "is a store, measured already; expected --params, --zero-mv or --delay"),
+        ((STORE, STORE.with_name("x.sqlite"), "--delay", 3), "names a store beside others; expected one store alone"),
+        ((STORE, "--delay", 900), "--delay: is 900; expected 0 to 60 s"),
+        ((STORE, "--params", "none.yaml"), "none.yaml"),
+        ((STORE, "--zero-mv", -4), "--zero-mv: is -4"),
+    ],
+)
+def test_what_cannot_be_measured_again_is_one_line(capsys, tmp_path, words, said) -> None:
+    code, _, err = process(capsys, tmp_path, *words)
+    assert (code, err.count("\n")) == (2, 1)
+    assert said in err
+    assert not (tmp_path / "out.csv").exists()
+
+
+def test_a_log_that_begins_in_grain_says_why_there_is_no_mass_and_takes_a_known_zero(capsys, tmp_path, logs) -> None:
+    _, _, err = process(capsys, tmp_path, logs["grain"])
+    assert "no mass: the log begins in grain" in err
+    assert "--zero-mv" in err
+    _, _, err = process(capsys, tmp_path, logs["grain"], "--zero-mv", ZERO_MV)
+    assert "no mass" not in err
+    assert sum(row.mass_kg for row in read_seconds(tmp_path / "out.csv")) > 10.0
+
+
+def test_the_same_log_twice_is_refused_and_an_overlap_is_named(capsys, tmp_path, logs) -> None:
+    copy = tmp_path / "copy.log"
+    shutil.copy(logs["whole"], copy)
+    code, _, err = process(capsys, tmp_path, logs["whole"], copy)
+    assert code == 2
+    assert "is a copy of" in err
+    packed = tmp_path / "packed.log.gz"
+    packed.write_bytes(gzip.compress(logs["whole"].read_bytes()))
+    code, _, err = process(capsys, tmp_path, logs["whole"], packed)
+    assert code == 0
+    assert "overlap: " in err
+    assert "count their mass twice" in err
+
+
+def test_gaps_and_missing_inputs_are_named(capsys, tmp_path, logs) -> None:
+    _, _, err = process(capsys, tmp_path, logs["whole"])
+    assert "gaps" not in err
+    assert "missing: position in 100 % of the seconds" in err
+    code, out, _ = process(capsys, tmp_path, logs["whole"], logs["later"], "--json")
+    document = json.loads(out)
+    assert code == 0
+    assert document["overlap_s"] == 0.0
+    assert document["missing"]["position"] == 1.0
+    assert "moisture" not in document["missing"]
+    assert (document["gaps"], document["gap_s"]) == (1, pytest.approx(17.0, abs=1.01))
+
+
+def test_parameters_of_a_file_measure_a_log(capsys, tmp_path, logs, own) -> None:
+    process(capsys, tmp_path, logs["whole"], "--params", own)
+    first = read_seconds(tmp_path / "out.csv")[-1].total_kg
+    known = parameter_file.load(own)
+    parameter_file.save(replace(known, values={**known.values, "restitution": known.values["restitution"] - 0.15}), own)
+    process(capsys, tmp_path, logs["whole"], "--params", own)
+    assert read_seconds(tmp_path / "out.csv")[-1].total_kg > 1.05 * first

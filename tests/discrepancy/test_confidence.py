@@ -1,0 +1,65 @@
+"""Confidence as a probability: learning, its error, the shipped map, and what is done with a doubtful name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from yieldmon.discrepancy import confidence, diagnosis
+from yieldmon.discrepancy.selection import Policy
+
+
+def _cases(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Names whose chance of being right rises with the margin and falls with the misfit, and with nothing else."""
+    rng = np.random.default_rng(seed)
+    rows = rng.standard_normal((count, len(confidence.FEATURES)))
+    margin, misfit = (confidence.FEATURES.index(name) for name in ("margin", "misfit"))
+    p = 1.0 / (1.0 + np.exp(-(0.5 + 1.5 * rows[:, margin] - rows[:, misfit])))
+    return rows, (rng.random(count) < p).astype(float)
+
+
+def test_learnt_on_some_cases_it_is_calibrated_on_others() -> None:
+    found = confidence.learnt(*_cases(1500, 1))
+    rows, right = _cases(4000, 2)
+    assert confidence.expected_calibration_error(found(rows), right) < 0.05
+    assert confidence.expected_calibration_error(np.ones(len(right)), right) > 0.3
+
+
+def test_the_error_of_known_statements() -> None:
+    stated, right = np.array([0.95] * 20 + [0.55] * 20), np.array([1.0] * 15 + [0.0] * 5 + [1.0] * 11 + [0.0] * 9)
+    assert confidence.expected_calibration_error(stated, right) == pytest.approx(0.5 * 0.2)
+
+
+def test_all_right_is_no_proof_of_certainty() -> None:
+    rows, _ = _cases(30, 3)
+    assert confidence.learnt(rows, np.ones(30))(rows).max() < 0.99
+
+
+def test_a_map_survives_its_file() -> None:
+    shipped = confidence.shipped()
+    again = confidence.from_document(confidence.to_document(shipped))
+    rows, _ = _cases(20, 4)
+    np.testing.assert_array_equal(again.within(rows), shipped.within(rows))
+    np.testing.assert_array_equal(again.name(rows), shipped.name(rows))
+    assert {"generators", "cases", "commit", "salt"} <= set(shipped.provenance)
+
+
+def test_what_ships_never_says_certain() -> None:
+    best = {
+        "stability": 1.0, "margin": np.log1p(60.0), "misfit": 0.0, "left_share": 0.0, "strength": 4.0, "ties": 0.0,
+        "further": 0.0, "effects": 1.0,
+    }  # fmt: skip
+    assert 0.5 < confidence.shipped().within(confidence.as_rows([best]))[0] < 0.995
+
+
+def test_a_doubtful_name_is_a_partial_candidate(make_rows, start) -> None:
+    rows = make_rows({"plate_friction": 0.2})
+    sure = diagnosis.examine(rows, start, diagnosis.Options())
+    assert sure.choice.named[0] == "plate_friction"
+    assert 0.5 < sure.choice.steps[0].confidence < 1.0
+    unsure = diagnosis.examine(rows, start, diagnosis.Options(policy=replace(Policy(), least_confidence=1.0)))
+    assert unsure.choice.verdict == "unknown"
+    assert unsure.choice.steps[0].added == "plate_friction"
+    assert any("of 100 cases" in note for note in unsure.notes)

@@ -1,0 +1,63 @@
+"""A crop's prior from many machines' loads: what the fleet shares is found, what differs stays in the deviation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from yieldmon.estimation.fleet_prior import MachineLoads, load_deviation, load_errors, pooled
+from yieldmon.estimation.loads import WeighedLoad
+from yieldmon.files.crops import crop
+from yieldmon.physics.machine import Machine
+from yieldmon.physics.model import Conditions, ForwardModel
+
+SHIPPED = crop("corn").parameters()
+MODEL = ForwardModel(Machine(), SHIPPED.effects)
+
+
+def fleet(count: int, gain_sd: float, density: float, seed: int) -> list[MachineLoads]:
+    """Machines whose sensors differ in gain, in a crop whose density is `density` times the shipped one."""
+    chance = np.random.default_rng(seed)
+    values = dict(SHIPPED.values) | {"density": density * SHIPPED.values["density"]}
+    angle, speed = MODEL.machine.home_plate_angle_rad, MODEL.machine.nominal_elevator_speed_rad_s
+    machines = []
+    for number in range(count):
+        gain = float(np.exp(chance.normal(0.0, gain_sd)))
+        loads = []
+        for load, rate in enumerate((6.0, 8.0, 10.0)):
+            flow = np.full(6, rate)
+            force = np.real(MODEL.force(Conditions(np.full(6, angle), np.full(6, speed), mass_flow_kg_s=flow), values)) * gain
+            weighed = float(np.sum(flow)) * 100.0 * float(np.exp(chance.normal(0.0, 0.003)))
+            loads.append(
+                WeighedLoad(str(load), weighed, 0.003 * weighed, np.full(6, 100.0), force, np.full(6, angle), np.full(6, speed))
+            )
+        machines.append(MachineLoads(f"m{number}", MODEL, tuple(loads)))
+    return machines
+
+
+def test_what_all_share_is_taken_off_the_next_machines_error() -> None:
+    machines = fleet(8, 0.01, 1.2, 3)
+    found = pooled(SHIPPED, machines[:7])
+    before = np.abs(load_errors(MODEL, SHIPPED, machines[7].loads))
+    after = load_errors(MODEL, found.parameter_set, machines[7].loads)
+    assert np.mean(np.abs(after)) <= 0.5 * np.mean(before)
+    assert np.all(np.abs(after) < 3.0 * load_deviation(MODEL, found.parameter_set, machines[7].loads))
+
+
+def test_machines_that_differ_more_leave_more_to_be_expected() -> None:
+    alike, different = (pooled(SHIPPED, fleet(8, sd, 1.0, 5)) for sd in (0.005, 0.08))
+    loads = fleet(1, 0.0, 1.0, 1)[0].loads
+    narrow, wide = (load_deviation(MODEL, found.parameter_set, loads).mean() for found in (alike, different))
+    assert wide > 1.5 * narrow
+    assert np.trace(different.between) > np.trace(alike.between)
+
+
+def test_one_machine_more_makes_the_crop_better_known() -> None:
+    machines = fleet(9, 0.02, 1.1, 8)
+    few, many = (pooled(SHIPPED, machines[:count]) for count in (3, 9))
+    assert np.trace(many.of_crop) < np.trace(few.of_crop)
+
+
+def test_two_machines_are_no_fleet() -> None:
+    with pytest.raises(ValueError, match="2 machines"):
+        pooled(SHIPPED, fleet(2, 0.01, 1.0, 1))

@@ -1,0 +1,155 @@
+"""What is read of datasets: the report, the comparison, and both from an object store."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.fleet import logs
+from yieldmon.cli.main import main
+from yieldmon.files.parameter_file import load as load_parameters
+from yieldmon.fleet.comparison import compare
+from yieldmon.fleet.html import page
+from yieldmon.fleet.summary import summarise
+
+PARAMETERS = """\
+format: 1
+version: 2
+friction: 0.25
+density: 1090.0
+shape_ratio: 2.0
+restitution: 0.55
+"""
+
+
+def measure(source: Path, out: str, *options: str) -> int:
+    return main(["fleet", "run", str(source), "--out", out, "--workers", "0", *options])
+
+
+@pytest.fixture(scope="module")
+def season(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("season")
+    source = logs.tree(folder / "tree")
+    (source / "m0" / "2026-10-01" / "tickets.csv").write_text("load,weighed_kg\na.log,80\n")
+    (source / "m1" / "2026-10-02" / "broken.log").write_text("<script>\n")
+    (folder / "p.yaml").write_text(PARAMETERS)
+    assert measure(source, str(folder / "first")) == 1
+    assert measure(source, str(folder / "second"), "--params", str(folder / "p.yaml")) == 1
+    return folder
+
+
+def test_report(season: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fleet", "report", str(season / "first"), "--json", "--html", str(tmp_path / "r.html")]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [(m["machine"], m["days"]) for m in found["machines"]] == [("m0", 2), ("m1", 2)]
+    assert found["totals"]["machine_days"] == 4
+    assert found["totals"]["mass_kg"] == pytest.approx(sum(day["mass_kg"] for day in found["days"]))
+    [ticket] = found["tickets"]
+    assert ticket["error_pct"] == pytest.approx(100.0 * (ticket["measured_kg"] / 80.0 - 1.0))
+    assert found["machines"][0]["tickets"]["count"] == 1
+    assert found["machines"][0]["parameters"]["friction"]["change_pct"] == 0.0
+    assert [item["where"] for item in found["poisoned"]] == ["broken.log"]
+    text = (tmp_path / "r.html").read_text()
+    assert "<script>" not in text
+    assert "http" not in text
+    assert "2026-10-02" in text
+
+
+def test_report_counts_faults(season: Path) -> None:
+    days = summarise(str(season / "first"))["days"]
+    machines = summarise(str(season / "first"))["machines"]
+    for machine in machines:
+        for code, entry in machine["faults"].items():
+            own = [day["faults"].get(code, 0) for day in days if day["machine"] == machine["machine"]]
+            assert entry["count"] == sum(own)
+            assert entry["days"] == sum(count > 0 for count in own)
+
+
+def test_names_from_files_cannot_break_the_page(season: Path) -> None:
+    summary = summarise(str(season / "first"))
+    summary["dataset"] = "<img src=x>"
+    assert "<img" not in page(summary)
+
+
+def test_comparison(season: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, second = str(season / "first"), str(season / "second")
+    assert main(["fleet", "compare", first, first]) == 0
+    assert main(["fleet", "compare", first, second]) == 1
+    capsys.readouterr()
+    found = compare(first, second)
+    assert found["equal"] == 0
+    assert found["because"] == {"parameters_sha256": 4}
+    for item in found["different"]:
+        assert item["mass_kg"][0] > 0.0
+        assert item["mass_change_pct"] == pytest.approx(100.0 * (item["mass_kg"][1] / item["mass_kg"][0] - 1.0))
+        assert {"records", "parameters", "loads"} <= set(item["tables"])
+        assert "mass_flow_kg_s" in item["columns"]
+        assert "elevator_speed_rpm" not in item["columns"]
+
+
+@pytest.fixture
+def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """A server that speaks S3, with an empty bucket."""
+    moto = pytest.importorskip("moto.server")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    server = moto.ThreadedMotoServer(ip_address="127.0.0.1", port=port)
+    server.start()
+    for name, value in (("AWS_ENDPOINT_URL", f"http://127.0.0.1:{port}"), ("AWS_ACCESS_KEY_ID", "test"),
+                        ("AWS_SECRET_ACCESS_KEY", "test"), ("AWS_DEFAULT_REGION", "us-east-1")):
+        monkeypatch.setenv(name, value)
+    import s3fs
+
+    s3fs.S3FileSystem.clear_instance_cache()
+    s3fs.S3FileSystem().mkdir("fleet")
+    yield "s3://fleet"
+    s3fs.S3FileSystem.clear_instance_cache()
+    server.stop()
+
+
+def test_object_store(season: Path, bucket: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import s3fs
+
+    files = s3fs.S3FileSystem()
+    for path in sorted((season / "tree").rglob("*.*")):
+        if path.is_file():
+            files.put_file(str(path), f"fleet/logs/{path.relative_to(season / 'tree').as_posix()}")
+    assert main(["fleet", "run", f"{bucket}/logs", "--out", f"{bucket}/season", "--workers", "0", "--json"]) == 1
+    document = json.loads(capsys.readouterr().out)
+    assert (document["done"], document["failed"]) == (4, 0)
+    # Whatever a run that was killed has left between is gone with the next.
+    files.pipe_file("fleet/season/machine=m0/day=2026-10-01/stray.parquet", b"half")
+    files.rm_file("fleet/season/machine=m1/day=2026-10-01/_COMMITTED")
+    assert main(["fleet", "run", f"{bucket}/logs", "--out", f"{bucket}/season", "--workers", "0", "--json"]) == 1
+    document = json.loads(capsys.readouterr().out)
+    assert (document["done"], document["skipped"]) == (1, 3)
+    here = season / "first"
+    there = {path.removeprefix("fleet/season/"): files.cat_file(path) for path in files.find("fleet/season")}
+    assert there == {path.relative_to(here).as_posix(): path.read_bytes() for path in here.rglob("*") if path.is_file()}
+    first, second = summarise(str(here)), summarise(f"{bucket}/season")
+    assert {**first, "dataset": ""} == {**second, "dataset": ""}
+    assert compare(str(here), f"{bucket}/season")["equal"] == 4
+
+
+def test_prior_from_the_tickets_of_a_dataset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for number, weighed in enumerate((20.0, 21.0, 22.0)):
+        day = tmp_path / "tree" / f"m{number}" / "d"
+        logs.write(day / "a.log", 60.0)
+        (day / "tickets.csv").write_text(f"load,weighed_kg\na.log,{weighed}\n")
+    dataset, out = str(tmp_path / "season"), tmp_path / "corn.yaml"
+    assert measure(tmp_path / "tree", dataset, "--crop", "corn") == 0
+    assert main(["fleet", "prior", dataset, "--crop", "corn", "--out", str(out), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {name: entry["loads"] for name, entry in found["machines"].items()} == {"m0": 1, "m1": 1, "m2": 1}
+    # A machine that weighs heavier for the same force has denser grain or a smaller gain.
+    shifts = [entry["density_pct"] - entry["gain_pct"] for entry in found["machines"].values()]
+    assert shifts == sorted(shifts)
+    assert found["parameters"]["density"]["standard_deviation"] > 0.0
+    assert load_parameters(out).provenance["machines"] == "3"
+    assert main(["fleet", "prior", dataset, "--crop", "wheat"]) == 2
+    assert main(["fleet", "prior", dataset, "--crop", "grass"]) == 2

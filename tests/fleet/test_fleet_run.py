@@ -1,0 +1,233 @@
+"""`yieldmon fleet run`: the same results as `process`, each partition whole and once, whatever happens to logs and runs."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import random
+import re
+import shutil
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from tests.fleet import logs
+from yieldmon.cli.main import main
+from yieldmon.errors import InputError
+from yieldmon.fleet import manifest
+from yieldmon.fleet.dataset import MARK, Dataset, Superseded
+from yieldmon.fleet.identity import parameters_sha256, software
+from yieldmon.fleet.worker import DONE, FAILED, SKIPPED, Outcome, Task, work
+from yieldmon.resources import shipped
+from yieldmon.service import configuration
+
+LOADED = configuration.load(shipped("config/yieldmon.yaml"))
+HASH = parameters_sha256(LOADED)
+
+
+def tasks(source: Path, out: Path) -> list[Task]:
+    dataset = Dataset(str(out))
+    token = dataset.begin()
+    return [
+        Task(partition, dataset.address, token, LOADED, HASH, software())
+        for partition in manifest.load(str(source)).partitions
+    ]
+
+
+def files(out: Path) -> dict[str, bytes]:
+    return {path.relative_to(out).as_posix(): path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return logs.tree(tmp_path_factory.mktemp("fleet") / "tree")
+
+
+@pytest.fixture(scope="module")
+def measured(tree: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("fleet") / "dataset"
+    assert [work(task).status for task in tasks(tree, out)] == [DONE] * 4
+    return out
+
+
+def test_command_measures_and_skips(
+    tree: Path, measured: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for done, skipped in ((4, 0), (0, 4)):
+        assert main(["fleet", "run", str(tree), "--out", str(tmp_path / "out"), "--workers", "0", "--json"]) == 0
+        printed = capsys.readouterr()
+        document = json.loads(printed.out)
+        assert (document["done"], document["skipped"], document["failed"]) == (done, skipped, 0)
+        assert "dashboard: http://" in printed.err
+    made, same = files(tmp_path / "out"), files(measured)
+    assert {name: made[name] for name in made} == {name: same[name] for name in same if name != "_run"}
+
+
+def test_records_are_those_of_process(tree: Path, measured: Path, tmp_path: Path) -> None:
+    log, out = tree / "m1" / "2026-10-02" / "a.log", tmp_path / "rows.parquet"
+    assert main(["process", str(log), "--out", str(out), "--jobs", "1"]) == 0
+    assert out.read_bytes() == (measured / "machine=m1" / "day=2026-10-02" / "records.parquet").read_bytes()
+
+
+@pytest.mark.parametrize("what", ["log", "parameters", "software"])
+def test_what_changed_is_measured_again(tree: Path, measured: Path, tmp_path: Path, what: str) -> None:
+    source, out = shutil.copytree(tree, tmp_path / "tree"), shutil.copytree(measured, tmp_path / "out")
+    first, second, *_ = tasks(source, out)
+    assert work(first).status == SKIPPED
+    if what == "log":
+        path = Path(first.partition.logs[0])
+        content = path.read_bytes()
+        path.write_bytes(content[:-2] + (b"0\n" if content[-2:-1] != b"0" else b"1\n"))
+        assert path.stat().st_size == len(content)
+    elif what == "parameters":
+        values = {**LOADED.parameters.values, "friction": 0.3}
+        changed = replace(LOADED, parameters=replace(LOADED.parameters, values=values))
+        first = replace(first, configured=changed, parameters_sha256=parameters_sha256(changed))
+    else:
+        # A worker elsewhere whose software is another is no worker of this run.
+        first = replace(first, software=replace(software(), source_sha256="0" * 64))
+    outcome = work(first)
+    assert outcome.status == (FAILED if what == "software" else DONE)
+    assert work(second).status == SKIPPED
+    before, after = ({n: b for n, b in files(d).items() if n.startswith(first.partition.name)} for d in (measured, out))
+    assert (before == after) is (what == "software")
+
+
+def test_poisoned_logs_are_named_and_the_rest_goes_on(
+    tree: Path, measured: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, out = shutil.copytree(tree, tmp_path / "tree"), tmp_path / "out"
+    (source / "m0" / "2026-10-01" / "b.log").write_text("nonsense\n")
+    (source / "m1" / "2026-10-01" / "a.log").write_bytes(b"")
+    for _ in range(2):
+        assert main(["fleet", "run", str(source), "--out", str(out), "--workers", "0", "--json"]) == 1
+        document = json.loads(capsys.readouterr().out)
+        assert document["failed"] == 1
+        assert {(item["partition"], item["where"]) for item in document["poisoned"]} == {
+            ("machine=m0/day=2026-10-01", "b.log"), ("machine=m1/day=2026-10-01", "machine=m1/day=2026-10-01"),
+        }  # fmt: skip
+    made, same = files(out), files(measured)
+    for name in ("machine=m0/day=2026-10-01/records.parquet", "machine=m0/day=2026-10-02/loads.parquet"):
+        assert made[name] == same[name]
+    assert not (out / "machine=m1" / "day=2026-10-01").exists()
+    failure = json.loads(made["_failed/machine=m1/day=2026-10-01.json"])
+    assert failure["machine"] == "m1"
+    assert "a.log" in failure["problem"]
+    assert str(tmp_path) not in failure["problem"]
+    logs.write(source / "m1" / "2026-10-01" / "a.log", 70.0)
+    (source / "m0" / "2026-10-01" / "b.log").unlink()
+    assert main(["fleet", "run", str(source), "--out", str(out), "--workers", "0"]) == 0
+    assert files(out) == {name: content for name, content in same.items() if name != "_run"}
+
+
+def test_remains_of_killed_runs_go(tree: Path, measured: Path, tmp_path: Path) -> None:
+    out = shutil.copytree(measured, tmp_path / "out")
+    whole = files(measured)
+    (out / "_temporary" / "x").mkdir(parents=True)
+    (out / "_temporary" / "x" / "records.parquet").write_bytes(b"half")
+    (out / "machine=m0" / "day=2026-10-01" / "records-1.parquet").write_bytes(b"stray")
+    (out / "machine=m0" / "day=2026-10-02" / MARK).unlink()
+    (out / "machine=m7" / "day=1").mkdir(parents=True)
+    (out / "machine=m7" / "day=1" / "loads.parquet").write_bytes(b"half")
+    assert [work(task).status for task in tasks(tree, out)] == [SKIPPED, DONE, SKIPPED, SKIPPED]
+    Dataset(str(out)).end((out / "_run").read_text())
+    assert files(out) == {name: content for name, content in whole.items() if name != "_run"}
+
+
+def test_a_run_that_was_taken_over_writes_nothing(tree: Path, tmp_path: Path) -> None:
+    old, *_ = tasks(tree, tmp_path / "out")
+    Dataset(str(tmp_path / "out")).begin()
+    before = files(tmp_path / "out")
+    with pytest.raises(Superseded):
+        work(old)
+    assert files(tmp_path / "out") == before
+
+
+def test_loads_and_tickets(tmp_path: Path) -> None:
+    day = tmp_path / "tree" / "m" / "1"
+    for place, (mv, name) in enumerate(((60.0, "a.log"), (80.0, "b.log.gz"), (50.0, "c.log"))):
+        logs.write(day / name, mv, logs.START_S + 100.0 * place)
+    (day / "tickets.csv").write_text("load,weighed_kg\n1,90\nb,120\n2-3,200\nz.log,30\n")
+    outcome: Outcome = work(tasks(tmp_path / "tree", tmp_path / "out")[0])
+    assert [item.problem for item in outcome.poisoned] == ["tickets.csv: line 5, load: no log that was measured is z.log"]
+    folder = tmp_path / "out" / "machine=m" / "day=1"
+    rows = pq.ParquetFile(folder / "loads.parquet").read().to_pylist()
+    records = pq.ParquetFile(folder / "records.parquet").read().to_pylist()
+    of = {(row["kind"], row["name"]): row for row in rows}
+    parts = [of["log", name] for name in ("a.log", "b.log.gz", "c.log")]
+    for place, row in enumerate(parts):
+        begin = logs.START_S + 100.0 * place
+        inside = [r["mass_kg"] for r in records if begin < r["time_s"] - 0.5 < begin + 100.0]
+        assert row["measured_kg"] == pytest.approx(sum(inside), rel=1e-12)
+        assert row["measured_kg"] > 10.0
+    assert of["ticket", "1"]["measured_kg"] == parts[0]["measured_kg"]
+    assert of["ticket", "b"]["weighed_kg"] == 120.0
+    assert of["ticket", "2-3"]["measured_kg"] == pytest.approx(parts[1]["measured_kg"] + parts[2]["measured_kg"], rel=1e-12)
+    assert of["load", "1"]["measured_kg"] == pytest.approx(sum(part["measured_kg"] for part in parts), rel=1e-12)
+    [known] = pq.ParquetFile(folder / "provenance.parquet").read().to_pylist()
+    assert known["crop"] == ""
+    assert [name for name, _ in json.loads(known["logs"])] == ["a.log", "b.log.gz", "c.log"]
+
+
+def test_a_manifest_is_a_tree_in_a_table(tree: Path, tmp_path: Path) -> None:
+    table = tmp_path / "fleet.csv"
+    rows = [f"{m},{d},{tree / m / d / 'a.log'}" for m in ("m0", "m1") for d in ("2026-10-01", "2026-10-02")]
+    table.write_text("machine,day,log\n" + "\n".join(rows) + "\n")
+    assert manifest.load(str(table)) == manifest.load(str(tree))
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("machine,log\nm,x.log\n", "has no column day"),
+        ("machine,day,log,colour\nm,1,x.log,red\n", "has colour"),
+        ("machine,day,log\nm/../n,1,x.log\n", "is 'm/../n'"),
+        ("machine,day,log\nm,1,x.log\nm,2,x.log\n", "a second time"),
+        ("machine,day,log,crop\nm,1,x.log,corn\nm,1,y.log,wheat\n", "differs from a row above"),
+        ("machine,day,log\n", "row"),
+    ],
+)
+def test_manifests_that_make_no_sense(tmp_path: Path, content: str, said: str) -> None:
+    path = tmp_path / "fleet.csv"
+    path.write_text(content)
+    with pytest.raises(InputError, match=re.escape(said)):
+        manifest.load(str(path))
+
+
+def test_nothing_is_written_over_what_is_no_dataset(tree: Path, tmp_path: Path) -> None:
+    (tmp_path / "photographs.txt").write_text("mine")
+    with pytest.raises(InputError, match="holds photographs"):
+        Dataset(str(tmp_path)).begin()
+    assert main(["fleet", "run", str(tree), "--out", str(tmp_path), "--workers", "0"]) == 2
+    assert main(["fleet", "run", str(tmp_path / "nowhere"), "--out", str(tmp_path / "o")]) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["photographs.txt"]
+
+
+def test_kill_at_any_instant_leaves_whole_partitions(tree: Path, measured: Path, tmp_path: Path) -> None:
+    """kill -9 of the process that works, at random instants; the next run makes good what is missing."""
+    out, chance, context = tmp_path / "out", random.Random(7), multiprocessing.get_context("fork")
+    whole = {name: content for name, content in files(measured).items() if name != "_run"}
+    for _ in range(8):
+        todo = tasks(tree, out)
+        worker = context.Process(target=_all, args=(todo,))
+        worker.start()
+        time.sleep(chance.uniform(0.05, 0.8))
+        worker.kill()
+        worker.join()
+        made = files(out)
+        there = {path.rpartition("/")[0] for path in made if path.endswith(MARK)}
+        for path, content in made.items():
+            if path.startswith("machine="):
+                assert path.rpartition("/")[0] in there, "a partition is there whole or not at all"
+                assert content == whole[path]
+    _all(tasks(tree, out))
+    Dataset(str(out)).end((out / "_run").read_text())
+    assert files(out) == whole
+
+
+def _all(todo: list[Task]) -> None:
+    for task in todo:
+        work(task)

@@ -1,0 +1,138 @@
+"""Kill -9 of workers, client and scheduler of a fleet run at random; the dataset must be that of an undisturbed run, to the byte.
+
+    python -m tests.robustness fleet-kill [--partitions N] [--workers-killed N] [--clients-killed N] [--schedulers-killed N]
+
+Scheduler and workers are Dask's own commands, as on a cluster. Whoever was killed is started again, as a service manager does.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+from tests.fleet import logs
+
+_WORKERS = 2
+_QUIET = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+
+
+class Cluster:
+    """A scheduler, workers and a client, each a process of its own, by name."""
+
+    def __init__(self, source: Path, out: Path, folder: Path) -> None:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        address = f"tcp://127.0.0.1:{port}"
+        dask, yieldmon = ([sys.executable, "-m", module] for module in ("dask", "yieldmon.cli.main"))
+        self._commands = {
+            "scheduler": [*dask, "scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"],
+            "client": [*yieldmon, "fleet", "run", str(source), "--out", str(out), "--scheduler", address],
+        }
+        for number in range(_WORKERS):
+            home = folder / f"worker-{number}"
+            home.mkdir()
+            self._commands[f"worker-{number}"] = [
+                *dask, "worker", address, "--no-nanny", "--nthreads", "1", "--no-dashboard", "--local-directory", str(home),
+                "--memory-limit", "0",
+            ]  # fmt: skip
+        self.said = folder / "client.txt"
+        self._running: dict[str, subprocess.Popen[bytes]] = {}
+        self.starts: Counter[str] = Counter()
+
+    def keep_up(self) -> int | None:
+        """Start whoever is not there; the client's exit code once it has come to its end by itself."""
+        for name, command in self._commands.items():
+            process = self._running.get(name)
+            if process is not None and process.poll() is None:
+                continue
+            if name == "client" and process is not None and process.returncode >= 0:
+                return process.returncode
+            environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+            with self.said.open("ab") as said:
+                streams = {"stdout": subprocess.DEVNULL, "stderr": said if name == "client" else subprocess.DEVNULL}
+                self._running[name] = subprocess.Popen(command, env=environment, **streams)  # type: ignore[call-overload]
+            self.starts[name] += 1
+        return None
+
+    def kill(self, name: str) -> None:
+        """Kill -9, now."""
+        process = self._running.get(name)
+        if process is not None:
+            process.kill()
+            process.wait()
+
+    def stop(self) -> None:
+        """End all."""
+        for name in self._running:
+            self.kill(name)
+
+
+def content(out: Path) -> dict[str, bytes]:
+    """All files of a dataset."""
+    return {path.relative_to(out).as_posix(): path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}
+
+
+def main(arguments: list[str]) -> int:
+    """Exit code 0 when the disturbed run made the same dataset."""
+    parser = argparse.ArgumentParser(prog="python -m tests.robustness fleet-kill", description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--partitions", type=int, default=1000)
+    parser.add_argument("--workers-killed", type=int, default=100)
+    parser.add_argument("--clients-killed", type=int, default=10)
+    parser.add_argument("--schedulers-killed", type=int, default=5)
+    parser.add_argument("--seed", type=int, default=1)
+    args = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as name:
+        return _run(args, Path(name))
+
+
+def _run(args: argparse.Namespace, folder: Path) -> int:
+    chance = random.Random(args.seed)
+    source, undisturbed, out = folder / "tree", folder / "undisturbed", folder / "disturbed"
+    kinds = [logs.write(folder / f"kind-{mv}.log", float(mv)) for mv in (40, 50, 60, 70)]
+    for number in range(args.partitions):
+        day = source / f"m{number % 10}" / f"d{number // 10:04d}"
+        day.mkdir(parents=True)
+        shutil.copyfile(kinds[number % len(kinds)], day / "a.log")
+    command = [sys.executable, "-m", "yieldmon.cli.main", "fleet", "run", str(source), "--out", str(undisturbed)]
+    subprocess.run([*command, "--workers", "0"], check=True, **_QUIET)  # type: ignore[call-overload]
+    kills = ["worker"] * args.workers_killed + ["client"] * args.clients_killed + ["scheduler"] * args.schedulers_killed
+    chance.shuffle(kills)
+    # Each when a certain share is done, so that all of them meet a run at work.
+    at = sorted(chance.uniform(0.0, 0.95) * args.partitions for _ in kills)
+    cluster, done = Cluster(source, out, folder), Counter[str]()
+    try:
+        code = None
+        while code is None:
+            code = cluster.keep_up()
+            time.sleep(chance.uniform(0.0, 0.3))
+            if at and len(list(out.glob("machine=*/day=*/_COMMITTED"))) >= at[0]:
+                at.pop(0)
+                kind = kills.pop()
+                done[kind] += 1
+                cluster.kill(f"worker-{chance.randrange(_WORKERS)}" if kind == "worker" else kind)
+            if cluster.starts["client"] > args.clients_killed + 20:
+                break
+    finally:
+        cluster.stop()
+    expected, found = content(undisturbed), content(out)
+    differ = [path for path in expected if found.get(path) != expected[path]]
+    orphans = [path for path in found if path not in expected]
+    starts = cluster.starts["client"]
+    print(f"{args.partitions} partitions; killed: {dict(done)}; client's exit code {code}, started {starts} times")
+    print(f"{len(expected) - len(differ)} of {len(expected)} files equal to the undisturbed run, {len(orphans)} orphans")
+    for path in (*differ[:5], *orphans[:5]):
+        print(f"  {path}")
+    if code != 0:
+        print("\n".join(cluster.said.read_text().splitlines()[-10:]))
+    return 0 if code == 0 and not differ and not orphans and not kills else 1

@@ -1,0 +1,175 @@
+"""Loads measured again after a ticket: what the lessons together say of the hours before, and what stays as it was."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.service.bench import START_S, running, wait_for
+from yieldmon.cli import main as cli
+from yieldmon.engine.records import CalibrationStep
+from yieldmon.estimation.drift import DriftRates
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.steady_drift import advance, begin
+from yieldmon.files import parameter_file
+from yieldmon.physics.machine import RPM, Machine
+from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.service import posting
+from yieldmon.service.lesson_steps import step_document, step_from_document
+from yieldmon.service.rows import SecondRow
+from yieldmon.service.store import Step, Store
+from yieldmon.service.weighed_loads import loads_of
+
+MACHINE = Machine()
+HOUR_S = 3600.0
+
+
+def known(version: int = 1, density: float = 800.0) -> ParameterSet:
+    values = {"friction": 0.3, "density": density, "shape_ratio": 2.0, "restitution": 0.5}
+    return ParameterSet(values, ("density",), np.array([[30.0**2]]), version=version)
+
+
+def lesson(hours: float, wandering: float, learnt: ParameterSet) -> Step:
+    """A density that wandered by `wandering` (relative, per root hour) for some hours, then a lesson."""
+    _, step = advance(begin(known(), {}), DriftRates({"density": wandering}, {}, {}), hours, 0.0)
+    kept = CalibrationStep(1, 0.0, hours * HOUR_S, step, (learnt.values["density"],))
+    return Step(2, hours * HOUR_S, step_document(kept))
+
+
+def rows(load: int, begin_s: float, version: int = 1, seconds: int = 5, flow: float = 10.0) -> list[SecondRow]:
+    force = float(np.real(ForwardModel(MACHINE, ()).force(
+        Conditions(MACHINE.home_plate_angle_rad, 400.0 * RPM, mass_flow_kg_s=flow), known().values)))  # fmt: skip
+    names = SecondRow.__dataclass_fields__
+    plain = {name: 0 if field.type in (int, float) else "" if field.type is str else None for name, field in names.items()}
+    return [
+        SecondRow(**plain | {
+            "number": i + 1, "time_s": begin_s + i, "duration_s": 1.0, "mass_kg": flow, "mass_flow_kg_s": flow,
+            "load_number": load,
+            "force_n": force, "plate_angle_deg": float(np.degrees(MACHINE.home_plate_angle_rad)), "elevator_speed_rpm": 400.0,
+            "parameter_version": version, "coverage": 1.0,
+        })
+        for i in range(seconds)
+    ]
+
+
+def test_a_step_is_the_same_after_the_store() -> None:
+    step = lesson(3.0, 0.02, known(2, 830.0))
+    found = step_from_document(json.loads(json.dumps(step.document)))
+    assert found is not None
+    assert step_document(found) == step.document
+    assert step_from_document({**step.document, "state": [1.0, 2.0]}) is None
+    assert step_from_document({}) is None
+
+
+@pytest.mark.parametrize("wandering", [0.0, 0.02, 0.2])
+def test_a_lesson_corrects_the_hours_before_it_by_as_much_as_they_have_in_common(wandering: float) -> None:
+    early = 30.0**2 / (30.0**2 + (wandering * 800.0) ** 2 * 4.0)
+    learnt = known(2, 840.0)
+    line = posting.timeline([lesson(4.0, wandering, learnt)], learnt)
+    moved = [line.at(t).values["density"] - 800.0 for t in (0.0, 2.0 * HOUR_S, 4.0 * HOUR_S)]
+    assert moved[2] == pytest.approx(40.0)
+    assert moved[0] == pytest.approx(40.0 * early, rel=1e-6)
+    assert moved[0] <= moved[1] <= moved[2]
+
+
+def test_loads_of_other_parameters_stay_as_they_were_measured() -> None:
+    learnt = known(2, 840.0)
+    line = posting.timeline([lesson(4.0, 0.0, learnt)], learnt)
+    seconds = [*rows(1, 100.0), *rows(2, 9000.0), *rows(3, 9100.0, version=7)]
+    found = posting.factors(loads_of(seconds, {1: known(), 2: learnt, 7: known(7)}), line, MACHINE)
+    assert sorted(found) == [1, 2]
+    assert found[1] == pytest.approx(found[2])
+    assert 0.94 < found[1] < 1.06
+    assert found[1] != 1.0
+
+
+def test_a_lesson_that_does_not_follow_on_the_one_before_speaks_for_its_own_time_only() -> None:
+    learnt = known(5, 840.0)
+    line = posting.timeline([lesson(4.0, 0.0, known(2, 820.0))], learnt)
+    assert line.versions == {5}
+    assert line.at(0.0).values["density"] == 840.0
+
+
+def test_loads_that_are_cut_or_open_are_left_alone() -> None:
+    seconds = [*rows(1, 0.0), *rows(2, 50.0), *rows(3, 100.0)]
+    assert {r.load_number for r in posting.whole(seconds, 2.0, 3)} == {2}
+    later = [replace(r, number=r.number + 500) for r in seconds]
+    assert {r.load_number for r in posting.whole(later, -1.0, None)} == {2, 3}
+
+
+def ask(tmp_path, capsys, *words: str) -> dict:
+    assert cli.main([*words, "--socket", str(tmp_path / "yieldmon.sock"), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_the_daemon_posts_after_a_ticket_lists_who_told_it_and_takes_it_back(tmp_path, capsys) -> None:
+    with running(tmp_path) as bench:
+        bench.play(14, 0.0)
+        for _ in range(2):
+            ask(tmp_path, capsys, "load", "start")
+            bench.play(6, 60.0)
+            bench.played()
+        ask(tmp_path, capsys, "load", "stop")
+        before = {load["number"]: load for load in ask(tmp_path, capsys, "load", "list")["loads"]}
+        weighed_kg = 1.1 * before[3]["mass_kg"]
+        assert ask(tmp_path, capsys, "ticket", "3", f"{weighed_kg}kg", "--std-dev", f"{weighed_kg / 1000}kg")["ticket"] == 1
+
+        def posted() -> bool:
+            bench.play(1, 0.0)
+            return ask(tmp_path, capsys, "load", "list")["loads"][1]["posted_mass_kg"] is not None
+
+        wait_for(posted, "the loads to be measured again")
+        after = {load["number"]: load for load in ask(tmp_path, capsys, "load", "list")["loads"]}
+        assert [after[n]["mass_kg"] for n in (2, 3)] == [before[n]["mass_kg"] for n in (2, 3)]
+        assert after[2]["posted_mass_kg"] == pytest.approx(1.1 * before[2]["mass_kg"], rel=0.02)
+        assert after[2]["corrected_mass_kg"] == after[2]["posted_mass_kg"]
+        assert after[3]["corrected_mass_kg"] == pytest.approx(weighed_kg)
+        assert bench.status["loads"][-1]["posted_mass_kg"] == after[3]["posted_mass_kg"]
+        (ticket,) = ask(tmp_path, capsys, "ticket", "list")["tickets"]
+        assert (ticket["number"], ticket["undone_s"]) == (1, None)
+        assert ticket["who"]
+        calibrations = ask(tmp_path, capsys, "calibrations", "list")["calibrations"]
+        assert [(c["version"], c["origin"], c["state"]) for c in calibrations] == [(1, "file", ""), (2, "ticket", "in use")]
+    with Store(tmp_path / "yieldmon.sqlite") as store:
+        assert store.corrected_loads()[1]["corrected_mass_kg"] == after[2]["corrected_mass_kg"]
+        view = store._database.execute("SELECT number, corrected_mass_kg FROM load_corrected ORDER BY number").fetchall()
+        assert view[1:] == [(n, pytest.approx(after[n]["corrected_mass_kg"])) for n in (2, 3)]
+    with running(tmp_path, start_s=START_S + 600) as bench:
+        undone = ask(tmp_path, capsys, "ticket", "undo", "1")
+        assert (undone["undone"], undone["version"]) == (2, 3)
+        loads = {load["number"]: load for load in ask(tmp_path, capsys, "load", "list")["loads"]}
+        assert all(loads[n]["corrected_mass_kg"] == loads[n]["mass_kg"] == before[n]["mass_kg"] for n in (2, 3))
+        assert ask(tmp_path, capsys, "ticket", "list")["tickets"][0]["undone_by"]
+        states = {c["version"]: c["state"] for c in ask(tmp_path, capsys, "calibrations", "list")["calibrations"]}
+        assert states == {1: "", 2: "undone", 3: "in use"}
+        with pytest.raises(SystemExit):
+            cli.main(["ticket", "undo", "1", "--socket", str(tmp_path / "yieldmon.sock")])
+        assert "ticket 1: is undone already; expected a ticket that was entered" in capsys.readouterr().err
+    with Store(tmp_path / "yieldmon.sqlite") as store:
+        assert store.corrected_loads()[1]["corrected_mass_kg"] == before[2]["mass_kg"]
+        versions = {v.version: parameter_file.from_document(v.document, "").values for v in store.parameter_versions()}
+        assert versions[3] == versions[1] != versions[2]
+
+
+def test_a_zero_is_taken_back_across_a_restart(tmp_path, capsys) -> None:
+    with running(tmp_path) as bench:
+        bench.play(14, 0.0)
+        bench.play(6, 60.0)
+        bench.played()
+        expected_kg = bench.status["load"]["mass_kg"] + 40.0 * bench.rows[-1]["mass_kg"]
+        assert ask(tmp_path, capsys, "zero", "--force")["zero"].startswith("started")
+        bench.play(40, 60.0)
+        bench.played()
+        assert bench.status["load"]["mass_kg"] < 0.7 * expected_kg
+        assert "ZeroDrifted" in bench.faults
+    with running(tmp_path, start_s=START_S + 600) as bench:
+        (row,) = [c for c in ask(tmp_path, capsys, "calibrations", "list")["calibrations"] if c["kind"] == "zero"]
+        assert row["who"]
+        assert "forced although" in row["what"]
+        assert ask(tmp_path, capsys, "zero", "--undo")["restored_kg"] > 0.3 * expected_kg
+        wait_for(lambda: bench.status["load"]["mass_kg"] == pytest.approx(expected_kg, rel=0.03), "the mass that was missed")
+        states = [c["state"] for c in ask(tmp_path, capsys, "calibrations", "list")["calibrations"] if c["kind"] == "zero"]
+        assert states == ["undone"]

@@ -1,0 +1,47 @@
+"""The daemon on SocketCAN beside a tractor's recorded bus, at its pace and ten times that: nothing lost, wrong or answered."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.vcan.drives import SCENARIO
+from tests.vcan.nodes import Command, candump, combine, daemon, eventually
+from yieldmon.bus.logs import read_log
+from yieldmon.network.identifier import Identifier
+
+pytestmark = [pytest.mark.vcan, pytest.mark.slow]
+
+RECORDING = Path(__file__).parent.parent / "data" / "tractor_bus" / "in_gear_5s.log.gz"
+US, EVERYBODY = 0x83, 0xFF
+WINDOWS = 25
+NO_SWEEP = "sweep: {enabled: false}\n"
+WRONG = {
+    "FramesLost", "SensorMissing", "SpeedMissing", "PlateFeedbackStale", "ClockJumped", "BusError", "OutputConflict",
+    "NetworkFault",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("speed", ["1", "10"])
+def test_a_tractors_bus_beside_ours(vcan0: str, tmp_path: Path, speed: str) -> None:
+    log = tmp_path / "candump.log"
+    words = ["replay", str(RECORDING), "-i", "socketcan", "-c", vcan0, "--speed", speed, "--loop"]
+    with daemon(vcan0, tmp_path, NO_SWEEP) as node, candump(vcan0, log), combine(vcan0, tmp_path, SCENARIO):
+        tractor = Command(words, tmp_path / "replay.txt", {})
+        try:
+            eventually(lambda: node.windows >= WINDOWS, "the end of the drive")
+            status = node.status
+        finally:
+            tractor.process.terminate()
+            tractor.process.join()
+    bus = status["bus"]
+    assert (bus["dropped"], bus["kernel_drops"], bus["malformed"]) == (0, 0, 0)
+    assert not {fault["code"] for fault in status["faults"]} & WRONG
+    with node.store() as store:
+        rows = store.seconds()
+    # The seconds in which combine and tractor start lack a part.
+    assert sum(row.lost_frames + row.surplus_frames for row in rows[5:WINDOWS]) == 0
+    assert min(row.coverage for row in rows[5:WINDOWS]) > 0.999
+    told = [Identifier.of(m.arbitration_id) for m in read_log(str(log)) if m.is_extended_id]
+    assert {parts.destination for parts in told if parts.source == US} <= {EVERYBODY}

@@ -1,0 +1,73 @@
+"""Debian's chromium, driven by playwright."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+CAB, OFFICE = {"width": 1024, "height": 600}, {"width": 1920, "height": 1080}
+
+
+def chromium() -> str | None:
+    """The browser's path, None where there is none."""
+    return next((path for name in ("chromium", "chromium-browser") if (path := shutil.which(name))), None)
+
+
+@contextmanager
+def opened() -> Iterator[Browser]:
+    """The browser, without windows."""
+    from playwright.sync_api import sync_playwright
+
+    # Chromium's own sandbox does not run for root.
+    arguments = ["--no-sandbox"] if os.geteuid() == 0 else []
+    arguments += ["--enable-precise-memory-info", "--js-flags=--expose-gc", "--disable-background-networking"]
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=chromium(), args=arguments)
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+class Watched:
+    """A page, and what it asked for and complained of."""
+
+    def __init__(self, browser: Browser, size: dict[str, int] = CAB, **context: Any) -> None:
+        self.context = browser.new_context(viewport=size, locale="en-GB", timezone_id="UTC", **context)
+        self.page: Page = self.context.new_page()
+        self.asked: list[str] = []
+        self.complaints: list[str] = []
+        self.page.on("request", lambda request: self.asked.append(request.url))
+        self.page.on("console", lambda message: self.complaints.append(message.text) if message.type == "error" else None)
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+
+    def wait(self, condition: str, patience_s: float = 20.0) -> None:
+        """Until an expression holds; playwright's own waiting evaluates text, which the page's policy forbids."""
+        end_s = time.monotonic() + patience_s
+        while not self._holds(condition):
+            assert time.monotonic() < end_s, f"still waiting for {condition}; {self.complaints}"
+            self.page.wait_for_timeout(25)
+
+    def _holds(self, condition: str) -> bool:
+        from playwright.sync_api import Error
+
+        try:
+            return bool(self.page.evaluate(condition))
+        except Error as error:
+            # Asked on the way from one page to the next.
+            if "context was destroyed" in str(error):
+                return False
+            raise
+
+    def __enter__(self) -> Watched:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.context.close()

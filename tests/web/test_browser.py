@@ -1,0 +1,363 @@
+"""The page in a real browser: every button, faults, markup in names, accessibility, a large map, and sixty times the pace."""
+
+from __future__ import annotations
+
+import json
+import re
+import sqlite3
+import struct
+import threading
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from tests.service.bench import running
+from tests.web.browser import CAB, OFFICE, Watched, chromium, opened
+from tests.web.standin import StandIn, fault, page, standing_in
+from yieldmon.service.store import FaultEvent, Load, SweepRecord
+
+pytest.importorskip("playwright")
+pytestmark = pytest.mark.skipif(chromium() is None, reason="needs chromium (Debian: apt-get install chromium)")
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+AXE = (Path(__file__).parent / "data" / "axe.min.js").read_text(encoding="utf-8")
+TOKEN = "correct-horse-battery"
+MARKUP = "<img src=x onerror=\"document.title='run'\"><b>&amp;"
+TEXT = "(document.body?.innerText ?? '')"
+READY = "!document.getElementById('buttons').hidden && document.getElementById('load-name').textContent !== 'Load'"
+ASKED = "!document.querySelector('dialog[open]') || document.querySelector('dialog[open] .problem').textContent !== ''"
+FITS = "document.documentElement.scrollHeight <= innerHeight && document.documentElement.scrollWidth <= innerWidth"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with opened() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StandIn]:
+    with standing_in(tmp_path_factory.mktemp("daemon")) as found:
+        found.seconds(1500)
+        yield found
+
+
+@pytest.fixture(scope="module")
+def site(daemon: StandIn) -> Iterator[str]:
+    with page(daemon.socket) as url:
+        yield url
+
+
+def same_site(watched: Watched, site: str) -> None:
+    """Nothing was asked of anybody else, and nothing went wrong."""
+    assert watched.asked
+    assert [url for url in watched.asked if not url.startswith(site + "/")] == []
+    assert watched.complaints == []
+
+
+@pytest.mark.parametrize("size", [CAB, OFFICE], ids=["cab", "office"])
+def test_the_live_page_shows_what_the_daemon_says(browser: Browser, daemon: StandIn, site: str, size: dict[str, int]) -> None:
+    with Watched(browser, size) as watched:
+        watched.page.goto(site)
+        watched.wait("Number(document.querySelector('#map canvas')?.dataset.points) > 1400")
+        shown = {name: watched.page.inner_text(f"#{name}") for name in ("flow", "load", "total", "moisture", "elevator", "plate")}
+        last = daemon.windows[-1]
+        assert shown == {
+            "flow": f"{last.mass_flow_kg_s:.2f}", "load": "10,500", "total": "10.50", "moisture": f"{last.moisture_pct:.1f}",
+            "elevator": "402", "plate": "70.0",
+        }  # fmt: skip
+        assert watched.page.inner_text("#state") == "harvesting"
+        assert watched.page.inner_text("#flow-band") == "± 0.25 kg/s"
+        # All of it on one screen, and large enough for a thumb in a glove.
+        assert watched.page.evaluate(FITS)
+        for button in watched.page.query_selector_all("button:visible"):
+            box = button.bounding_box()
+            assert box is not None
+            assert min(box["width"], box["height"]) >= 44
+        same_site(watched, site)
+
+
+def test_a_fault_comes_and_goes(browser: Browser, daemon: StandIn, site: str) -> None:
+    with Watched(browser) as watched:
+        watched.page.goto(site)
+        watched.wait(f"{TEXT}.includes('harvesting')")
+        try:
+            daemon.faults = [fault("FramesLost", MARKUP)]
+            watched.wait("document.querySelectorAll('.fault').length === 1")
+            assert watched.page.inner_text(".fault") == f"FramesLost ({MARKUP}) What it does. What to do."
+            assert watched.page.evaluate("document.querySelector('.fault').closest('[role=alert]') !== null")
+        finally:
+            daemon.faults = []
+        watched.wait("document.querySelectorAll('.fault').length === 0")
+        same_site(watched, site)
+
+
+def test_markup_in_names_stays_text(browser: Browser, tmp_path: Path) -> None:
+    name = MARKUP[:80]
+    with standing_in(tmp_path, field_name=name, crop=name) as daemon:
+        daemon.seconds(30)
+        sweep = SweepRecord(5.0, "aborted", name, {"angles_deg": []})
+        load, came = Load(1, name, name, 1.0, 2.0, 10.0, None), FaultEvent(1.0, name, True, name)
+        daemon.commit(loads=(load,), sweeps=(sweep,), faults=(came,))
+        with page(daemon.socket) as site, Watched(browser) as watched:
+            watched.page.goto(site)
+            watched.wait(f"document.getElementById('load-name').textContent.includes({json.dumps(name)})")
+            watched.page.click("text=Ticket")
+            watched.page.keyboard.press("Escape")
+            watched.page.goto(site + "/history")
+            watched.wait("document.querySelectorAll('#faults-table td').length === 4")
+            assert watched.page.evaluate("document.querySelectorAll('main img, main b').length") == 0
+            assert watched.page.inner_text("#sweeps-table").count(name) == 1
+            assert watched.page.title() == "yieldmon: history"
+            assert [url for url in watched.asked if not url.startswith(site + "/")] == []
+
+
+def test_every_button_with_a_real_daemon(browser: Browser, tmp_path: Path) -> None:
+    with running(tmp_path) as bench:
+        # Empty first, so that the zero is found, then grain.
+        bench.play(30.0, 0.0)
+        bench.play(20.0, 150.0)
+        bench.played()
+        with page(bench.daemon.configuration.socket_path) as site, Watched(browser) as watched:
+            tab = watched.page
+            tab.goto(site)
+            watched.wait(READY)
+
+            def press(name: str, confirm: str, **fields: str) -> str:
+                """What the page says after a button, its dialog's fields and the confirmation."""
+                tab.get_by_role("group", name="Commands").get_by_role("button", name=name, exact=True).click()
+                dialog = tab.locator("dialog[open]")
+                for field, text in fields.items():
+                    dialog.locator(f"[name={field}]").fill(text)
+                before = tab.inner_text("#answer")
+                dialog.get_by_role("button", name=confirm, exact=True).click()
+                watched.wait(ASKED)
+                problem = dialog.locator(".problem").inner_text() if dialog.count() else ""
+                if dialog.count():
+                    tab.keyboard.press("Escape")
+                else:
+                    assert tab.inner_text("#answer") != before
+                return problem or tab.inner_text("#answer")
+
+            def ticket(mass_kg: float) -> str:
+                text = str(number)
+                return press("Ticket", "Correct the loads", first_load=text, last_load=text, mass_kg=str(mass_kg))
+
+            number = bench.status["load"]["number"]
+            measured_kg = bench.status["load"]["mass_kg"]
+            assert measured_kg > 10.0
+            assert press("Zero", "Calibrate zero").startswith("zero: there is grain")
+            assert f"load {number}" in ticket(9000.0)
+            assert press("End load", "End load").startswith(f"Load {number} ended:")
+            assert "no load is open" in press("End load", "End load")
+            said = ticket(2.0 * measured_kg)
+            assert "That is a lot" in said
+            assert press("New load", "Begin load", field="south <b>", crop="") == f"Load {number + 1} begun."
+            assert bench.status["load"]["field"] == "south <b>"
+            assert "as soon as the conditions hold" in press("Sweep", "Start sweep")
+            assert "ended" in press("End sweep", "End sweep now")
+            assert press("Undo zero", "Undo zero") != ""
+            # The daemon's answer is what decides; nothing is pressed by opening and closing.
+            loads = bench.status["load"]["number"]
+            tab.get_by_role("button", name="New load").click()
+            tab.locator("dialog[open]").get_by_role("button", name="Cancel").click()
+            tab.get_by_role("button", name="New load").click()
+            tab.keyboard.press("Escape")
+            assert tab.locator("dialog[open]").count() == 0
+            assert bench.status["load"]["number"] == loads
+
+
+def test_a_button_by_keyboard_alone(browser: Browser, daemon: StandIn, site: str) -> None:
+    daemon.asked.clear()
+    with Watched(browser) as watched:
+        watched.page.goto(site)
+        watched.wait(READY)
+        for _ in range(40):
+            watched.page.keyboard.press("Tab")
+            if watched.page.evaluate("document.activeElement.textContent") == "End load":
+                break
+        watched.page.keyboard.press("Enter")
+        for _ in range(5):
+            if watched.page.evaluate("document.activeElement.className") == "yes":
+                break
+            watched.page.keyboard.press("Tab")
+        watched.page.keyboard.press("Enter")
+        watched.wait("document.getElementById('answer').textContent.startsWith('Load 1 ended')")
+        assert watched.page.evaluate("document.activeElement.textContent") == "End load"
+    assert daemon.asked == [{"command": "load-stop"}]
+
+
+def test_a_read_only_page_has_no_buttons(browser: Browser, daemon: StandIn) -> None:
+    with page(daemon.socket, "--read-only") as site, Watched(browser) as watched:
+        watched.page.goto(site)
+        watched.wait(f"{TEXT}.includes('harvesting')")
+        assert watched.page.query_selector_all(".buttons button:visible") == []
+
+
+def test_signing_in(browser: Browser, daemon: StandIn, tmp_path: Path) -> None:
+    path = tmp_path / "token"
+    path.write_text(TOKEN)
+    path.chmod(0o600)
+    with page(daemon.socket, "--token-file", str(path)) as site, Watched(browser) as watched:
+        watched.page.goto(site)
+        assert watched.page.url.endswith("/sign-in")
+        watched.page.fill("[name=token]", "not the token, but long")
+        watched.page.keyboard.press("Enter")
+        watched.wait(f"{TEXT}.includes('not the token')")
+        watched.page.fill("[name=token]", TOKEN)
+        watched.page.keyboard.press("Enter")
+        watched.wait(f"{TEXT}.includes('harvesting')")
+        assert [url for url in watched.asked if not url.startswith(site + "/")] == []
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_no_serious_fault(browser: Browser, daemon: StandIn, site: str, scheme: str) -> None:
+    def faults_of(watched: Watched) -> list[str]:
+        watched.page.evaluate(AXE)
+        result = watched.page.evaluate("axe.run(document, {resultTypes: ['violations']})")
+        serious = [found for found in result["violations"] if found["impact"] in ("serious", "critical")]
+        return [f"{found['id']}: {[node['target'] for node in found['nodes']]}" for found in serious]
+
+    daemon.faults = [fault(), fault("MoistureMissing") | {"severity": "warning"}, fault("Other") | {"severity": "note"}]
+    try:
+        with Watched(browser, color_scheme=scheme) as watched:
+            watched.page.goto(site)
+            watched.wait("document.querySelectorAll('.fault').length === 3")
+            assert faults_of(watched) == []
+            for button in watched.page.query_selector_all("[data-dialog]" if scheme == "light" else "[data-dialog$=ticket]"):
+                button.click()
+                assert faults_of(watched) == []
+                watched.page.keyboard.press("Escape")
+            for path, ready in (("/history", "document.querySelectorAll('#days-table td').length > 1"), ("/sign-in", "true")):
+                watched.page.goto(site + path)
+                watched.wait(ready)
+                assert faults_of(watched) == []
+    finally:
+        daemon.faults = []
+
+
+def many_points(count: int) -> bytes:
+    """An answer of /api/points: passes of 500 points."""
+    number = np.arange(count)
+    longitude, latitude = 12.15 + 1e-4 * (number // 500), 51.05 + 1.6e-5 * (number % 500)
+    places = [np.round(column * 1e7).astype("<i4").tobytes() for column in (longitude, latitude)]
+    return b"".join((struct.pack("<II", count, count), *places, np.sin(number / 50.0).astype("<f4").tobytes()))
+
+
+def test_110_000_points_are_drawn_and_moved(browser: Browser, tmp_path: Path) -> None:
+    with standing_in(tmp_path) as daemon:
+        daemon.seconds(60)
+        with page(daemon.socket) as site, Watched(browser) as watched:
+            # A store of so many seconds takes a minute to make: `python -m tests.robustness web-page` does.
+            watched.page.route("**/api/points*", lambda route: route.fulfill(body=many_points(110_000)))
+            watched.page.goto(site + "/history")
+            watched.wait("document.querySelector('#map-of')?.options.length > 1")
+            watched.page.select_option("#map-of", "all")
+            watched.wait("document.querySelector('#map canvas').dataset.points === '110000'")
+            picture = (
+                "(() => { const c = document.querySelector('#map canvas'); const d = c.getContext('2d')"
+                ".getImageData(0, 0, c.width, c.height).data; let n = 0, x = 0; for (let i = 3; i < d.length; i += 4)"
+                " if (d[i]) { n++; x += (i >> 2) % c.width; } return [n, x / n]; })()"
+            )
+            painted, middle = watched.page.evaluate(picture)
+            assert painted > 5000
+            canvas = watched.page.locator("#map canvas")
+            canvas.scroll_into_view_if_needed()
+            box = canvas.bounding_box()
+            assert box is not None
+            x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+            drawn = "Number(document.querySelector('#map canvas').dataset.drawn)"
+            for act, shift in (("mouse", 40.0), ("keyboard", -60.0)):
+                before = watched.page.evaluate(drawn)
+                if act == "mouse":
+                    watched.page.mouse.move(x, y)
+                    watched.page.mouse.down()
+                    watched.page.mouse.move(x + shift, y)
+                    watched.page.mouse.up()
+                else:
+                    canvas.focus()
+                    watched.page.keyboard.press("ArrowRight")
+                watched.wait(f"{drawn} > {before}")
+                _, moved = watched.page.evaluate(picture)
+                assert moved - middle == pytest.approx(shift, abs=2.0)
+                middle = moved
+            same_site(watched, site)
+
+
+def test_sixty_times_as_fast_no_second_is_missed(browser: Browser, tmp_path: Path) -> None:
+    with standing_in(tmp_path) as daemon:
+        daemon.seconds(3600)
+        with page(daemon.socket) as site, Watched(browser) as watched:
+            watched.page.goto(site)
+            watched.wait("Number(document.body.dataset.last) >= 3600")
+            stop = threading.Event()
+
+            def play() -> None:
+                while not stop.wait(0.25):
+                    daemon.seconds(15)
+
+            playing = threading.Thread(target=play)
+            playing.start()
+            try:
+                heap = "(gc(), performance.memory.usedJSHeapSize)"
+                watched.wait("Number(document.body.dataset.last) >= 3700")
+                before = watched.page.evaluate(heap)
+                watched.wait("Number(document.body.dataset.last) >= 4200", patience_s=60.0)
+                after = watched.page.evaluate(heap)
+            finally:
+                stop.set()
+                playing.join()
+            watched.wait(f"Number(document.body.dataset.last) === {daemon.number}")
+            assert watched.page.evaluate("document.body.dataset.missed") == "0"
+            assert after - before < 5e6
+            same_site(watched, site)
+
+
+def test_a_daemon_that_ends_and_comes_back(browser: Browser, tmp_path: Path) -> None:
+    with standing_in(tmp_path) as daemon:
+        daemon.seconds(20)
+        with page(daemon.socket) as site, Watched(browser) as watched:
+            watched.page.goto(site)
+            watched.wait(f"{TEXT}.includes('harvesting')")
+            daemon.socket.rename(tmp_path / "away")
+            watched.wait(f"{TEXT}.includes('no daemon answers') && document.body.classList.contains('stale')")
+            (tmp_path / "away").rename(daemon.socket)
+            watched.wait(f"{TEXT}.includes('harvesting') && !document.body.classList.contains('stale')")
+
+
+def png() -> bytes:
+    """A picture of 256 by 256 pixels in one colour."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    lines = (b"\0" + b"\x80\xa0\x80" * 256) * 256
+    header = struct.pack(">IIBBBBB", 256, 256, 8, 2, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(lines)) + chunk(b"IEND", b"")
+
+
+def test_tiles_come_from_the_file(browser: Browser, daemon: StandIn, tmp_path: Path) -> None:
+    path = tmp_path / "field.mbtiles"
+    database = sqlite3.connect(path)
+    database.execute("CREATE TABLE metadata (name TEXT, value TEXT)")
+    database.execute("CREATE TABLE tiles (zoom_level INTEGER, tile_column INTEGER, tile_row INTEGER, tile_data BLOB)")
+    # All of one zoom around the field: 12.15 E, 51.05 N.
+    for column in range(4370, 4375):
+        for north in range(2736, 2742):
+            database.execute("INSERT INTO tiles VALUES (13, ?, ?, ?)", (column, (1 << 13) - 1 - north, png()))
+    database.commit()
+    database.close()
+    with page(daemon.socket, "--tiles", str(path)) as site, Watched(browser) as watched:
+        answers: list[int] = []
+        watched.page.on("response", lambda answer: answers.append(answer.status) if "/tiles/" in answer.url else None)
+        watched.page.goto(site)
+        watched.wait("Number(document.querySelector('#map canvas')?.dataset.points) > 1400")
+        watched.page.wait_for_timeout(300)
+        assert 200 in answers
+        assert all(re.match(rf"{site}/(tiles/13/|static/|api/|$)", url) for url in watched.asked)

@@ -1,0 +1,163 @@
+"""What the live pages get: each second once, whoever watches and however fast time goes."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator, Iterator
+from contextlib import aclosing
+from pathlib import Path
+
+import pytest
+
+from tests.web.standin import StandIn, fault, standing_in
+from yieldmon.web.feed import HOUR, WATCHERS, Feed
+
+
+@pytest.fixture
+def daemon(tmp_path: Path) -> Iterator[StandIn]:
+    with standing_in(tmp_path) as found:
+        yield found
+
+
+async def next_event(events: AsyncIterator[str]) -> dict:
+    """The next event that is more than a sign of life."""
+    async for text in events:
+        if not text.startswith(":"):
+            lines = dict(line.split(": ", 1) for line in text.strip().splitlines())
+            assert lines["event"] == "live"
+            return {"id": int(lines["id"]), **json.loads(lines["data"])}
+    raise AssertionError("the stream ended")
+
+
+def numbers(event: dict) -> list[int]:
+    return [row[0] for row in event["rows"]]
+
+
+def test_a_page_gets_the_last_hour_first_and_then_each_second_once(daemon: StandIn) -> None:
+    daemon.seconds(HOUR + 200)
+
+    async def drive() -> None:
+        async with aclosing(Feed(daemon.socket).watch()) as events:
+            first = await next_event(events)
+            assert numbers(first) == list(range(201, HOUR + 201))
+            assert first["id"] == HOUR + 200
+            assert first["state"] == "harvesting"
+            seen = []
+            for count in (1, 60, 60, 1):
+                daemon.seconds(count)
+                seen += numbers(await next_event(events))
+            assert seen == list(range(HOUR + 201, HOUR + 201 + 122))
+
+    asyncio.run(drive())
+
+
+def test_a_page_that_comes_back_gets_what_it_missed(daemon: StandIn) -> None:
+    daemon.seconds(100)
+
+    async def drive() -> None:
+        feed = Feed(daemon.socket)
+        async with aclosing(feed.watch(after=90)) as events:
+            assert numbers(await next_event(events)) == list(range(91, 101))
+        # Of another life of the store it gets everything.
+        async with aclosing(feed.watch(after=5000)) as events:
+            event = await next_event(events)
+            assert event["begins"] is True
+            assert numbers(event) == list(range(1, 101))
+
+    asyncio.run(drive())
+
+
+def test_many_pages_cost_the_daemon_no_more_than_one(daemon: StandIn) -> None:
+    daemon.seconds(5)
+
+    async def drive() -> list[int]:
+        feed = Feed(daemon.socket)
+        counts = []
+        for pages in (1, 8):
+            streams = [feed.watch() for _ in range(pages)]
+            before = daemon.statuses
+            for _ in range(3):
+                daemon.seconds(1)
+                await asyncio.gather(*(next_event(stream) for stream in streams))
+            counts.append(daemon.statuses - before)
+            for stream in streams:
+                await stream.aclose()
+        return counts
+
+    alone, together = asyncio.run(drive())
+    assert together <= alone + 2 <= 8
+
+
+def test_nobody_watches_and_nobody_asks(daemon: StandIn) -> None:
+    async def drive() -> int:
+        feed = Feed(daemon.socket)
+        async with aclosing(feed.watch()) as events:
+            await next_event(events)
+        await asyncio.sleep(1.5)
+        before = daemon.statuses
+        await asyncio.sleep(1.5)
+        return daemon.statuses - before
+
+    assert asyncio.run(drive()) == 0
+
+
+def test_watchers_are_bounded(daemon: StandIn) -> None:
+    async def drive() -> None:
+        feed = Feed(daemon.socket)
+        streams = [feed.watch() for _ in range(WATCHERS)]
+        await asyncio.gather(*(next_event(stream) for stream in streams))
+        assert feed.full
+        await streams.pop().aclose()
+        assert not feed.full
+        feed.stop()
+        for stream in streams:
+            assert [event async for event in stream] == []
+
+    asyncio.run(drive())
+
+
+def test_faults_and_the_daemons_end_are_told(daemon: StandIn) -> None:
+    async def drive() -> None:
+        async with aclosing(Feed(daemon.socket).watch()) as events:
+            assert (await next_event(events))["faults"] == []
+            daemon.faults = [fault("FramesLost", "<b>3 frames</b>")]
+            assert (await next_event(events))["faults"] == daemon.faults
+
+    asyncio.run(drive())
+
+    async def alone() -> list[str]:
+        feed = Feed(daemon.folder / "nowhere.sock")
+        async with aclosing(feed.watch()) as events, aclosing(feed.watch()) as later:
+            return [(await next_event(stream))["problem"] for stream in (events, later)]
+
+    assert all("no daemon answers" in problem for problem in asyncio.run(alone()))
+
+
+def test_a_store_begun_anew_begins_the_rows_anew(daemon: StandIn) -> None:
+    daemon.seconds(50)
+
+    async def drive() -> None:
+        async with aclosing(Feed(daemon.socket).watch()) as events:
+            await next_event(events)
+            daemon.store_path.unlink()
+            daemon.number, daemon.windows = 0, []
+            daemon.seconds(3)
+            event = await next_event(events)
+            assert event["begins"] is True
+            assert numbers(event) == [1, 2, 3]
+
+    asyncio.run(drive())
+
+
+def test_a_store_that_cannot_be_read_leaves_what_the_daemon_shows(daemon: StandIn) -> None:
+    daemon.seconds(50)
+    daemon.store_path.write_bytes(b"no store")
+
+    async def drive() -> dict:
+        async with aclosing(Feed(daemon.socket).watch()) as events:
+            return await next_event(events)
+
+    event = asyncio.run(drive())
+    assert event["problem"] is None
+    assert numbers(event) == list(range(41, 51))

@@ -1,0 +1,298 @@
+"""What the page refuses, and what it says of itself in each answer."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.web.standin import StandIn, standing_in
+
+pytest.importorskip("starlette")
+from starlette.testclient import TestClient
+
+from yieldmon.cli.main import main
+from yieldmon.web.addresses import parse_listen
+from yieldmon.web.app import MOST_BODY_BYTES, STATIC, Sources, build_app
+from yieldmon.web.guard import COMMANDS, HEADERS, REQUESTS, WRONG_TOKENS, Access
+from yieldmon.web.tokens import COOKIE_LIFE_S, cookie, cookie_is_good, read_token
+
+SITE = "http://127.0.0.1:8090"
+TOKEN = "correct-horse-battery"
+PATHS = ("/", "/history", "/sign-in", "/static/live.js", "/api/page", "/api/history", "/api/points", "/nowhere")
+
+
+class Clock:
+    """A clock that stands still."""
+
+    def __init__(self) -> None:
+        self.now_s = 1000.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture(scope="module")
+def one_daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StandIn]:
+    with standing_in(tmp_path_factory.mktemp("daemon")) as found:
+        found.seconds(30)
+        yield found
+
+
+@pytest.fixture
+def daemon(one_daemon: StandIn) -> StandIn:
+    one_daemon.asked.clear()
+    one_daemon.refuses = ""
+    return one_daemon
+
+
+def client(daemon: StandIn, clock: Clock, token: str | None = None, *, read_only: bool = False) -> TestClient:
+    """Somebody who asks, from the page's own site."""
+    access = Access(parse_listen("127.0.0.1:8090"), token, read_only)
+    app = build_app(access, Sources(daemon.socket), clock=clock, unix_clock=lambda: 1e9 + clock.now_s)
+    return TestClient(app, base_url=SITE, headers={"origin": SITE}, follow_redirects=False)
+
+
+def test_every_answer_has_the_headers(daemon: StandIn, clock: Clock) -> None:
+    asking = client(daemon, clock)
+    answers = [asking.get(path) for path in PATHS]
+    answers += [asking.get("/", headers={"host": "evil.example"}), asking.put("/"), asking.post("/api/command", json={})]
+    assert {answer.status_code for answer in answers} == {200, 404, 405, 409, 421}
+    for answer in answers:
+        assert {name: answer.headers[name] for name in HEADERS} == dict(HEADERS)
+        assert "server" not in answer.headers
+
+
+def test_the_policy_lets_nothing_of_another_origin_in() -> None:
+    policy = dict(part.strip().split(" ", 1) for part in HEADERS["content-security-policy"].split(";"))
+    assert policy["default-src"] == "'none'"
+    assert {policy[name] for name in ("script-src", "style-src", "img-src", "connect-src")} == {"'self'"}
+    assert {policy[name] for name in ("base-uri", "form-action", "frame-ancestors")} == {"'none'"}
+
+
+def test_no_file_names_another_machine() -> None:
+    ours = [path for path in STATIC.rglob("*") if path.suffix in (".html", ".css", ".js") and "vendor" not in path.parts]
+    assert len(ours) > 8
+    for path in ours:
+        text = path.read_text()
+        assert "//" not in text.replace("// ", "").replace("http://www.w3.org/2000/svg", ""), path
+        assert "style=" not in text, path
+        assert "innerHTML" not in text, path
+        assert "onclick" not in text, path
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_dns_rebinding_is_refused(daemon: StandIn, clock: Clock, path: str) -> None:
+    asking = client(daemon, clock)
+    for host in ("evil.example", "evil.example:8090", "127.0.0.1.nip.io", "192.168.1.5", ""):
+        assert asking.get(path, headers={"host": host}).status_code == 421
+    two = [(b"host", b"127.0.0.1:8090"), (b"host", b"evil.example")]
+    assert asking.get(path, headers=two).status_code == 421
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({"origin": "http://evil.example"}, 403), ({"origin": "null"}, 403), ({"origin": "http://127.0.0.1:9999"}, 403),
+        ({"origin": "http://localhost:8090"}, 403), ({"origin": SITE}, 200),
+    ],
+)  # fmt: skip
+def test_commands_come_from_the_page_itself(daemon: StandIn, clock: Clock, headers: dict[str, str], status: int) -> None:
+    answer = client(daemon, clock).post("/api/command", json={"command": "sweep-start"}, headers=headers)
+    assert answer.status_code == status
+    assert len(daemon.asked) == (status == 200)
+
+
+def test_a_command_without_an_origin_shows_who_it_is(daemon: StandIn, clock: Clock) -> None:
+    asking = client(daemon, clock, TOKEN)
+    del asking.headers["origin"]
+    request = {"command": "sweep-start"}
+    assert asking.post("/api/command", json=request).status_code == 403
+    asking.cookies.set("yieldmon", cookie(TOKEN, 1e9))
+    assert asking.post("/api/command", json=request).status_code == 403
+    assert asking.post("/api/command", json=request, headers={"authorization": f"Bearer {TOKEN}"}).status_code == 200
+
+
+@pytest.mark.parametrize("site", ["cross-site", "same-site"])
+def test_other_sites_may_link_to_the_page_and_nothing_else(daemon: StandIn, clock: Clock, site: str) -> None:
+    asking = client(daemon, clock)
+    fetched = {"sec-fetch-site": site, "sec-fetch-mode": "no-cors", "sec-fetch-dest": "image"}
+    assert {asking.get(path, headers=fetched).status_code for path in PATHS} == {403}
+    framed = {"sec-fetch-site": site, "sec-fetch-mode": "navigate", "sec-fetch-dest": "iframe"}
+    assert asking.get("/", headers=framed).status_code == 403
+    opened = {"sec-fetch-site": site, "sec-fetch-mode": "navigate", "sec-fetch-dest": "document"}
+    assert asking.get("/", headers=opened).status_code == 200
+
+
+@pytest.mark.parametrize("kind", ["text/plain", "application/x-www-form-urlencoded", "multipart/form-data", ""])
+def test_what_a_form_can_send_is_no_command(daemon: StandIn, clock: Clock, kind: str) -> None:
+    body = json.dumps({"command": "sweep-start"})
+    assert client(daemon, clock).post("/api/command", content=body, headers={"content-type": kind}).status_code == 409
+    assert not daemon.asked
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b"", b"{", b"[]", b"null", b'"status"', b'{"command": 1}', b'{"command": "status"}',
+        b'{"command": "totals-reset", "total_kg": 1}',
+        b'{"command": "zero", "force": true}', b'{"command": "load-start", "shown_load": 1, "thousand_kernel_weight_g": 3}',
+        b"[" * 4000, b" " * (MOST_BODY_BYTES + 1), b'{"command": "load-stop"}',
+        b'{"command": "load-stop", "shown_load": 2}', b"\xff\xfe",
+    ],
+)  # fmt: skip
+def test_what_a_page_may_not_ask_never_reaches_the_daemon(daemon: StandIn, clock: Clock, body: bytes) -> None:
+    answer = client(daemon, clock).post("/api/command", content=body, headers={"content-type": "application/json"})
+    assert answer.status_code == 409
+    assert answer.json()["error"]
+    assert not daemon.asked
+
+
+def test_commands_reach_the_daemon_and_its_refusals_come_back(daemon: StandIn, clock: Clock) -> None:
+    asking = client(daemon, clock)
+    requests = [
+        {"command": "load-start", "field": "<b>north</b>", "crop": "corn"}, {"command": "load-stop"},
+        {"command": "ticket", "first_load": 1, "last_load": 1, "mass_kg": 200.0, "note": "n"},
+    ]  # fmt: skip
+    for request in requests:
+        assert asking.post("/api/command", json={**request, "shown_load": 1}).status_code == 200
+    assert daemon.asked == requests
+    daemon.refuses = "there is grain"
+    answer = asking.post("/api/command", json={"command": "zero"})
+    assert (answer.status_code, answer.json()) == (409, {"error": "zero: there is grain"})
+
+
+def test_a_read_only_page_commands_nothing(daemon: StandIn, clock: Clock) -> None:
+    asking = client(daemon, clock, read_only=True)
+    assert asking.get("/api/page").json()["read_only"] is True
+    assert asking.post("/api/command", json={"command": "sweep-start"}).status_code == 403
+    assert not daemon.asked
+
+
+def test_commands_are_for_thumbs(daemon: StandIn, clock: Clock) -> None:
+    asking = client(daemon, clock)
+    codes = [asking.post("/api/command", json={"command": "sweep-start"}).status_code for _ in range(20)]
+    assert codes.count(200) == len(daemon.asked) == COMMANDS.burst
+    assert set(codes) == {200, 429}
+    clock.now_s += 1 / COMMANDS.per_s
+    assert asking.post("/api/command", json={"command": "sweep-start"}).status_code == 200
+
+
+def test_too_many_requests_are_refused_for_a_while(daemon: StandIn, clock: Clock) -> None:
+    asking = client(daemon, clock)
+    codes = [asking.get("/api/page").status_code for _ in range(int(REQUESTS.burst) + 5)]
+    assert codes.count(200) == REQUESTS.burst
+    refused = asking.get("/api/page")
+    assert refused.status_code == 429
+    clock.now_s += float(refused.headers["retry-after"])
+    assert asking.get("/api/page").status_code == 200
+
+
+def test_without_the_token_there_is_a_door_and_no_more(daemon: StandIn, clock: Clock) -> None:
+    asking = client(daemon, clock, TOKEN)
+    codes = {path: asking.get(path).status_code for path in (*PATHS, "/api/live", "/api/residuals", "/tiles/1/1/1")}
+    assert {path for path, code in codes.items() if code == 200} == {"/sign-in", "/static/live.js"}
+    assert set(codes.values()) == {200, 303, 401}
+    assert asking.get("/").headers["location"] == "/sign-in"
+    assert asking.post("/api/command", json={"command": "sweep-start"}).status_code == 401
+    assert not daemon.asked
+
+
+def test_the_token_opens_the_page_by_cookie(daemon: StandIn, clock: Clock) -> None:
+    asking = client(daemon, clock, TOKEN)
+    answer = asking.post("/sign-in", json={"token": TOKEN})
+    assert answer.status_code == 204
+    said = answer.headers["set-cookie"].lower()
+    assert "httponly" in said
+    assert "samesite=strict" in said
+    assert TOKEN not in said
+    assert asking.get("/api/page").status_code == 200
+    clock.now_s += COOKIE_LIFE_S + 1
+    assert asking.get("/api/page").status_code == 401
+
+
+def test_a_cookie_outlives_a_restart_but_not_another_token(daemon: StandIn, clock: Clock) -> None:
+    asking = client(daemon, clock, TOKEN)
+    asking.post("/sign-in", json={"token": TOKEN})
+    for token, status in ((TOKEN, 200), ("another-token-another", 401)):
+        after = client(daemon, clock, token)
+        after.cookies.update(asking.cookies)
+        assert after.get("/api/page").status_code == status
+
+
+@pytest.mark.parametrize(
+    "value", ["", ".", "9999999999.", "9999999999.00", "9" * 40 + ".00", "x.y", "٣.y", f"9999999999.{'0' * 64}", "1.2.3"]
+)
+def test_made_up_cookies_open_nothing(value: str) -> None:
+    assert cookie_is_good(value, TOKEN, 1e9) is False
+
+
+@pytest.mark.parametrize("shown", ["sign-in", "bearer"])
+def test_guessing_comes_to_an_end(daemon: StandIn, clock: Clock, shown: str) -> None:
+    asking = client(daemon, clock, TOKEN)
+
+    def show(token: str) -> int:
+        if shown == "sign-in":
+            return asking.post("/sign-in", json={"token": token}).status_code
+        return asking.get("/api/page", headers={"authorization": f"Bearer {token}"}).status_code
+
+    codes = [show(f"guess-{number}") for number in range(30)]
+    assert codes.count(401) == WRONG_TOKENS.burst
+    assert set(codes) == {401, 429}
+    # Not even the right one, so that a guess tells nothing; those who are signed in go on.
+    assert show(TOKEN) == 429
+    signed_in = client(daemon, clock, TOKEN)
+    asking.cookies.set("yieldmon", cookie(TOKEN, 1e9))
+    assert asking.get("/api/page").status_code == 200
+    asking.cookies.clear()
+    clock.now_s += 1 / WRONG_TOKENS.per_s
+    assert show(TOKEN) in (200, 204)
+    signed_in.close()
+
+
+@pytest.mark.parametrize(
+    ("content", "mode", "problem"),
+    [
+        (b"short", 0o600, "holds no token"), (b"", 0o600, "holds no token"),
+        (b"two words of a long token", 0o600, "holds no token"),
+        (b"\xff" * 40, 0o600, "holds no token"), (TOKEN.encode(), 0o604, "everybody"), (None, 0, "No such file"),
+    ],
+)  # fmt: skip
+def test_a_token_file_that_is_none_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes | None, mode: int, problem: str
+) -> None:
+    path = tmp_path / "token"
+    if content is not None:
+        path.write_bytes(content)
+        path.chmod(mode)
+    assert main(["web", "--token-file", str(path), "--listen", "0.0.0.0:0", "--socket", "/nowhere"]) == 2
+    said = capsys.readouterr().err
+    assert problem in said
+    assert said.count("\n") == 1
+
+
+def test_a_token_file_may_end_with_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "token"
+    path.write_text(f"{TOKEN}\n")
+    path.chmod(0o600)
+    assert read_token(path) == TOKEN
+
+
+@pytest.mark.parametrize("path", ["/static/../app.py", "/static/%2e%2e/app.py", "/static/..%2fapp.py", "/static//etc/passwd"])
+def test_only_shipped_files_are_given(daemon: StandIn, clock: Clock, path: str) -> None:
+    assert client(daemon, clock).get(path).status_code == 404
+
+
+def test_without_a_daemon_the_page_says_so(tmp_path: Path, clock: Clock) -> None:
+    absent = StandIn(tmp_path)
+    answer = client(absent, clock).get("/api/history")
+    assert answer.status_code == 503
+    assert "no daemon answers" in answer.json()["error"]
+    assert client(absent, clock).post("/api/command", json={"command": "zero"}).status_code == 409

@@ -1,0 +1,80 @@
+"""The daemon behind the cab's screen: its status once a second and the operator's requests, on a thread of their own."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from yieldmon.service.control import ControlError, ask
+
+Status = Mapping[str, Any]
+_INTERVAL_S = 1.0
+
+
+class DaemonLink:
+    """Asks the daemon without holding up the screen.
+
+    Parameters
+    ----------
+    path : Path
+        The daemon's socket.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._requests: queue.SimpleQueue[Mapping[str, Any] | None] = queue.SimpleQueue()
+        self._news: queue.SimpleQueue[Status | str | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._run, name="status", daemon=True)
+
+    def __enter__(self) -> DaemonLink:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._requests.put(None)
+
+    def request(self, request: Mapping[str, Any]) -> None:
+        """Have something done; what became of it is among the news."""
+        self._requests.put(request)
+
+    def news(self) -> list[Status | str | None]:
+        """What came since the last call: a status, None where no daemon answers, a text for the operator."""
+        found = []
+        while not self._news.empty():
+            found.append(self._news.get())
+        return found
+
+    def _run(self) -> None:
+        request: Mapping[str, Any] | None = {"command": "status"}
+        while request is not None:
+            asked_status = request["command"] == "status"
+            try:
+                answer = ask(self.path, request)
+            except ControlError as error:
+                self._news.put(None if asked_status else str(error))
+            else:
+                self._news.put(answer if asked_status else said(request, answer))
+            try:
+                request = self._requests.get(timeout=_INTERVAL_S) if asked_status else {"command": "status"}
+            except queue.Empty:
+                request = {"command": "status"}
+
+
+def said(request: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
+    """One sentence on what a request did."""
+    match request["command"]:
+        case "load-start":
+            return f"load {answer['load']} started"
+        case "load-stop":
+            return f"load {answer['load']} is complete"
+        case "ticket":
+            change_pct = 100.0 * (answer["factor"] - 1.0)
+            return f"ticket for load {answer['first_load']} taken: {change_pct:+.1f} % against what was measured"
+        case "zero":
+            return "the zero is being taken; keep the elevator running empty; `yieldmon zero --undo` takes it back"
+        case "sweep-start":
+            return "a sweep begins as soon as the conditions hold"
+    return "the sweep has ended; the plate goes home"

@@ -1,0 +1,43 @@
+"""`fleet compare`: where and how the results of two datasets differ."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+from yieldmon.fleet.comparison import compare
+
+_SHOWN = 20
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """The word's arguments."""
+    parser = subparsers.add_parser(
+        "compare", help="where and how two datasets of the same logs differ",
+        description="Where and how two datasets of the same logs differ that were measured with other parameters or releases.",
+        epilog="example: yieldmon fleet compare season season-new-parameters",
+    )
+    parser.add_argument("first", metavar="A", help="dataset")
+    parser.add_argument("second", metavar="B", help="dataset; differences are B less A")
+    parser.add_argument("--json", action="store_true", help="print the comparison as one JSON document")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit code 0 when they are equal, 1 when they are not."""
+    found = compare(args.first, args.second)
+    print(json.dumps(found, indent=2) if args.json else _text(found))
+    return 1 if found["different"] or found["only_in_first"] or found["only_in_second"] else 0
+
+
+def _text(found: dict[str, Any]) -> str:
+    lines = [f"{found['equal']} of {found['partitions']} partitions are equal"]
+    lines += [f"only in {found[which]}: {name}" for which in ("first", "second") for name in found[f"only_in_{which}"]]
+    worst = sorted(found["different"], key=lambda item: -abs(item["mass_change_pct"] or 0.0))
+    for item in worst[:_SHOWN]:
+        change = f"{item['mass_change_pct']:+.3f} %" if item["mass_change_pct"] is not None else "no mass in A"
+        columns = ", ".join(f"{name} {entry['seconds']} s" for name, entry in list(item["columns"].items())[:6])
+        lines.append(f"{item['machine']} {item['day']}: mass {change}; {columns or ', '.join(item['tables'])}")
+    if len(worst) > _SHOWN:
+        lines.append(f"and {len(worst) - _SHOWN} more; --json has them all")
+    return "\n".join(lines)

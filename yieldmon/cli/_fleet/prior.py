@@ -1,0 +1,67 @@
+"""`fleet prior`: parameters of a crop for the next machine, from the tickets of the others."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+import numpy as np
+
+from yieldmon.cli import _outputs
+from yieldmon.files import parameter_file
+from yieldmon.fleet.prior import CropPrior, crop_prior
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """The word's arguments."""
+    parser = subparsers.add_parser(
+        "prior", help="a crop's parameters for a new machine, from the tickets of the others",
+        description="A crop's parameters for a new machine, with deviations that hold what machines differ in.",
+        epilog="example: yieldmon fleet prior season --crop corn --out corn-fleet.yaml",
+    )
+    parser.add_argument("dataset", metavar="DATASET", help="what `fleet run` wrote, with tickets of at least 3 machines")
+    parser.add_argument("--crop", required=True, metavar="NAME", help="crop, as shipped")
+    parser.add_argument("--out", metavar="P", help="parameter file to write")
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON document")
+    _outputs.add_force(parser, "out")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit code 0."""
+    found = crop_prior(args.dataset, args.crop)
+    if args.out is not None:
+        parameter_file.save(found.prior.parameter_set, args.out)
+    document = _document(found)
+    print(json.dumps(document, indent=2) if args.json else _text(document))
+    return 0
+
+
+def _document(found: CropPrior) -> dict[str, Any]:
+    prior = found.prior
+    known = prior.parameter_set
+    return {
+        "parameters": {
+            name: {"value": value, "standard_deviation": known.standard_deviation(name)} for name, value in known.values.items()
+        },
+        "crop_shift_pct": dict(zip(("density", "gain"), (100.0 * prior.crop_shift).tolist(), strict=True)),
+        "between_machines_sd_pct": dict(
+            zip(("density", "gain"), (100.0 * np.sqrt(np.diag(prior.between))).tolist(), strict=True)
+        ),
+        "machines": {
+            machine.name: {"loads": len(machine.loads), "density_pct": 100.0 * own[0], "gain_pct": 100.0 * own[1]}
+            for machine, own in zip(found.machines, prior.machines.tolist(), strict=True)
+        },
+        "left_out": list(found.left_out),
+    }
+
+
+def _text(document: dict[str, Any]) -> str:
+    lines = [f"{name:<34}{p['value']:>13.6g}{p['standard_deviation']:>13.3g}" for name, p in document["parameters"].items()]
+    shift, between = document["crop_shift_pct"], document["between_machines_sd_pct"]
+    lines += [
+        f"{name}: {shift[name]:+.1f} % from the shipped crop; machines differ by {between[name]:.1f} % (1 sd)" for name in shift
+    ]
+    lines += [f"{name}: {m['loads']} loads" for name, m in document["machines"].items()]
+    lines += [f"left out: {reason}" for reason in document["left_out"]]
+    return "\n".join(lines)

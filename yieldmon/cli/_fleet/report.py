@@ -1,0 +1,55 @@
+"""`fleet report`: what a dataset says of its machines."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from typing import Any
+
+from yieldmon.cli import _outputs
+from yieldmon.files.whole_file import scratch_for
+from yieldmon.fleet.html import page
+from yieldmon.fleet.summary import summarise
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """The word's arguments."""
+    parser = subparsers.add_parser(
+        "report", help="machines, days, faults, drift of parameters and errors of loads of a dataset",
+        description="Machines, days, faults, drift of parameters, ModelDisagrees and errors of loads against their tickets.",
+        epilog="example: yieldmon fleet report season --html season.html",
+    )
+    parser.add_argument("dataset", metavar="DATASET", help="what `fleet run` wrote")
+    parser.add_argument("--html", metavar="F", help="write the report as one HTML file as well")
+    parser.add_argument("--json", action="store_true", help="print the report as one JSON document")
+    _outputs.add_force(parser, "html")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit code 0."""
+    summary = summarise(args.dataset)
+    if args.html is not None:
+        with scratch_for(args.html) as scratch:
+            scratch.write_text(page(summary), encoding="utf-8")
+    print(json.dumps(summary, indent=2) if args.json else _text(summary))
+    for item in (*summary["failed"], *summary["poisoned"]):
+        print(f"not measured: {item['machine']} {item['day']}: {item['problem']}", file=sys.stderr)
+    return 0
+
+
+def _text(summary: dict[str, Any]) -> str:
+    lines = [f"{'machine':<16} days    hours         t  faults disagrees tickets  error %  drift %"]
+    for m in summary["machines"]:
+        faults = sum(int(f["count"]) for f in m["faults"].values())
+        error = m["tickets"]["mean_error_pct"]
+        drift = max((p["change_pct"] or 0.0 for p in m["parameters"].values()), key=abs, default=0.0)
+        lines.append(
+            f"{m['machine'][:15]:<16}{m['days']:>5}{m['hours']:>9.1f}{m['mass_kg'] / 1000.0:>10.1f}{faults:>8}"
+            f"{len(m['model_disagrees']):>10}{m['tickets']['count']:>8}"
+            + (f"{error:>+9.2f}" if error is not None else f"{'-':>9}") + f"{drift:>+9.2f}"
+        )
+    totals = summary["totals"]
+    sums = f"{totals['hours']:.1f} h, {totals['mass_kg'] / 1000.0:.1f} t"
+    lines.append(f"{totals['machines']} machines, {totals['machine_days']} days, {sums}")
+    return "\n".join(lines)

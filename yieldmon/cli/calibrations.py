@@ -1,0 +1,56 @@
+"""List the calibrations of a running daemon, or go back to what was in use before one.
+
+Each change of parameters is listed: parameter files with adopted effects, sweeps, tickets, crops, and the operator's zero
+calibrations, with who and when.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
+from yieldmon.cli._records import back, show, when
+from yieldmon.errors import InputError
+
+_SHOWN = 30
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """The verb's arguments."""
+    parser = subparsers.add_parser(
+        "calibrations", help="list calibrations and zeros, or take one back",
+        description=f"{__doc__} undo takes back a calibration and all that followed on it; a zero goes back with "
+        "`yieldmon zero --undo`.",
+        epilog="example: yieldmon calibrations list    and: yieldmon calibrations undo 14",
+    )
+    actions = parser.add_subparsers(dest="action", metavar="list|undo", required=True)
+    listing = actions.add_parser("list", help=f"the newest {_SHOWN}; with --json all")
+    undo = actions.add_parser("undo", help="the parameters before a version again, as a new version")
+    undo.add_argument("version", metavar="VERSION", type=int, help="as the list shows it")
+    for action in (listing, undo):
+        add_daemon_arguments(action)
+        action.add_argument("--json", action="store_true", help="print the answer as one JSON document")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit code 0 when the daemon did it."""
+    if args.action == "undo" and args.version < 1:
+        raise InputError("VERSION", f"is {args.version}", "a version as `yieldmon calibrations list` shows it")
+    if args.action == "undo":
+        answer = ask_daemon(args, {"command": "calibration-undo", "version": args.version})
+        print(json.dumps(answer, indent=2) if args.json else back(answer))
+        return 0
+    answer = ask_daemon(args, {"command": "calibrations"})
+    if args.json:
+        print(json.dumps(answer, indent=2))
+        return 0
+    rows = (
+        (
+            "-" if row["version"] is None else str(row["version"]), row["kind"], when(row["time_s"]), row["who"] or "-",
+            row["origin"] or "-", ", ".join(row["effects"]) or "-", row["state"] or "-", row["what"] or "-",
+        )
+        for row in answer["calibrations"][-_SHOWN:]
+    )  # fmt: skip
+    show(("version", "what", "when", "by", "origin", "effects", "state", "reason"), rows)
+    return 0

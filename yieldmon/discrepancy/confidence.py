@@ -1,0 +1,172 @@
+"""Confidence as a probability: how often a name that looks like this one was right, on cases with known answers.
+
+A logistic map from what a search says of a name to the share of such names that were right. It was learnt on the cases of
+`studies/hidden_effects`, whose generators share no law with the library; the file says which, how many, and at which commit.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from importlib.resources import files
+
+import numpy as np
+
+from yieldmon.physics.numerics import Array
+
+from .selection import Choice, Policy
+
+FEATURES = ("stability", "margin", "misfit", "strength", "further", "effects")
+"""What the map goes by, see `features`."""
+_REACH = 2.0
+_FAR = 60.0
+"""Margin from which on a rival is out of the question."""
+
+
+@dataclass(frozen=True, slots=True)
+class Logistic:
+    """1 / (1 + exp(-(bias + weights . (features - centre) / scale)))."""
+
+    centre: Array
+    scale: Array
+    weights: Array
+    bias: float
+
+    def __call__(self, rows: Array) -> Array:
+        """Probabilities, (n,), of features, (n, features)."""
+        # No further out than the cases reach that it was learnt on.
+        z = self.bias + np.clip((rows - self.centre) / self.scale, -_REACH, _REACH) @ self.weights
+        return np.asarray(1.0 / (1.0 + np.exp(-z)))
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """within: of the effect or one tied with it being the cause; name: of the effect itself, given that."""
+
+    within: Logistic
+    name: Logistic
+    provenance: Mapping[str, object]
+
+
+def features(choice: Choice) -> list[dict[str, float]]:
+    """What is known of each step of a choice, by name; those in `FEATURES` among them."""
+    excess = max(choice.base.chi2 - choice.base.dof, 1.0)
+    left = max(choice.best.chi2 - choice.best.dof, 0.0)
+    return [
+        {
+            "stability": step.stability,
+            "margin": float(np.log1p(min(max(step.margin, 0.0), _FAR))),
+            "misfit": float(np.log(np.clip(choice.best_gap.f, 0.5, 50.0))),
+            "left_share": float(np.sqrt(min(left / excess, 1.0))),
+            "strength": float(np.log(np.sqrt(excess))),
+            "ties": float(len(step.equivalent)),
+            "further": float(number > 0),
+            "effects": float(len(choice.steps)),
+        }
+        for number, step in enumerate(choice.steps)
+    ]
+
+
+def as_rows(found: Sequence[Mapping[str, float]]) -> Array:
+    """Features as an array, (n, features)."""
+    return np.array([[f[name] for name in FEATURES] for f in found], dtype=float).reshape(len(found), len(FEATURES))
+
+
+def learnt(rows: Array, right: Array, ridge: float = 8.0) -> Logistic:
+    """The map by penalised likelihood.
+
+    Parameters
+    ----------
+    rows
+        Features, (n, features).
+    right
+        1 where the name was right, else 0, (n,).
+    ridge
+        Of the squared weights of standardised features; it stands for the few cases, and keeps the map away from 0 and 1.
+    """
+    centre, scale = rows.mean(axis=0), np.maximum(rows.std(axis=0), 1e-6)
+    z = np.column_stack((np.ones(len(rows)), (rows - centre) / scale))
+    penalty = np.diag([0.0, *([ridge] * rows.shape[1])])
+    # Targets a little inside 0 and 1 (Platt): a finite number of cases proves neither.
+    ones = float(right.sum())
+    target = np.where(right > 0.5, (ones + 1.0) / (ones + 2.0), 1.0 / (len(right) - ones + 2.0))
+    weights = np.zeros(z.shape[1])
+    for _ in range(50):
+        p = 1.0 / (1.0 + np.exp(-(z @ weights)))
+        step = np.linalg.solve((z * (p * (1.0 - p))[:, None]).T @ z + penalty + 1e-9 * np.eye(len(weights)),
+                               z.T @ (target - p) - penalty @ weights)  # fmt: skip
+        weights = weights + np.clip(step, -2.0, 2.0)
+        if np.max(np.abs(step)) < 1e-9:
+            break
+    return Logistic(centre, scale, weights[1:], float(weights[0]))
+
+
+def expected_calibration_error(stated: Array, right: Array, bins: int = 10) -> float:
+    """Mean distance of the share of right ones from the mean stated probability, over equal-width bins, by their counts."""
+    number = np.minimum((np.asarray(stated) * bins).astype(int), bins - 1)
+    inside = [number == b for b in range(bins)]
+    return float(sum(abs(float(np.sum(right[i] - stated[i]))) for i in inside if i.any()) / max(len(stated), 1))
+
+
+def to_document(found: Calibration) -> dict[str, object]:
+    """As the shipped file has it."""
+
+    def one(m: Logistic) -> dict[str, object]:
+        return {
+            "bias": m.bias,
+            "features": {
+                name: {"centre": float(c), "scale": float(s), "weight": float(w)}
+                for name, c, s, w in zip(FEATURES, m.centre, m.scale, m.weights, strict=True)
+            },
+        }
+
+    return {"provenance": dict(found.provenance), "within": one(found.within), "name": one(found.name)}
+
+
+def from_document(document: Mapping[str, object]) -> Calibration:
+    """The inverse of `to_document`. Raises KeyError for a feature that is missing."""
+
+    def one(part: object) -> Logistic:
+        assert isinstance(part, Mapping)
+        columns = [part["features"][name] for name in FEATURES]
+        centre, scale, weight = (np.array([c[key] for c in columns]) for key in ("centre", "scale", "weight"))
+        return Logistic(centre, scale, weight, float(part["bias"]))
+
+    provenance = document["provenance"]
+    assert isinstance(provenance, Mapping)
+    return Calibration(one(document["within"]), one(document["name"]), provenance)
+
+
+@lru_cache(maxsize=1)
+def shipped() -> Calibration:
+    """The map that comes with the package."""
+    return from_document(json.loads(files(__package__).joinpath("confidence.json").read_text(encoding="utf-8")))
+
+
+def calibrated(choice: Choice, by: Calibration) -> Choice:
+    """The choice with each step's confidence as a probability."""
+    if not choice.steps:
+        return choice
+    rows = as_rows(features(choice))
+    within = by.within(rows)
+    # A name with nothing tied to it is the class.
+    alone = np.array([not step.equivalent for step in choice.steps])
+    names = within * np.where(alone, 1.0, by.name(rows))
+    steps = tuple(
+        replace(step, confidence=float(c), name_confidence=float(n))
+        for step, c, n in zip(choice.steps, within, names, strict=True)
+    )
+    return replace(choice, steps=steps)
+
+
+def doubted(choice: Choice, policy: Policy) -> bool:
+    """Whether the first name is less likely to be right than a name has to be."""
+    return choice.verdict == "effect" and choice.steps[0].confidence < policy.least_confidence
+
+
+__all__ = [
+    "FEATURES", "Calibration", "Logistic", "as_rows", "calibrated", "doubted", "expected_calibration_error", "features",
+    "from_document", "learnt", "shipped", "to_document",
+]  # fmt: skip

@@ -1,0 +1,135 @@
+"""All that follows from a window's reading and its flow estimate: mass, sweep, faults, the record, what is learnt, the frames."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from yieldmon.engine.faults import FAULTS, FaultCode, Observation, Severity
+from yieldmon.engine.flow import Circumstances, Estimate, Flow
+from yieldmon.engine.health import conditions
+from yieldmon.engine.loads import LoadEvents
+from yieldmon.engine.measurement import Reading
+from yieldmon.engine.parts import Parts
+from yieldmon.engine.publishing import Published
+from yieldmon.engine.records import Second, WindowRecord, record_of
+from yieldmon.engine.results import Event, WindowResult, ZeroTaken
+from yieldmon.engine.since_zero import KeptSecond
+from yieldmon.engine.sweep import SweepWindow, support_start_s
+from yieldmon.engine.waveform import NOTHING, WaveformReading
+from yieldmon.frames import OperatingState
+
+
+class Conclusion:
+    """Concludes windows in order, and counts them. publishing: make the frames that publish a window."""
+
+    def __init__(self, parts: Parts) -> None:
+        self._parts = parts
+        self.windows = 0
+        self.publishing = True
+        self.begun_with: LoadEvents = ()
+        """Loads that began before the first window; they come with it."""
+
+    def conclude(self, reading: Reading, estimate: Estimate | None) -> WindowResult:
+        """The window's result. estimate: None where there is no flow."""
+        parts, window = self._parts, reading.window
+        learning, loads, sweep, bus_s = parts.learning, parts.loads, parts.plate.sweep, parts.clock.bus_time(window.end_s)
+        self.windows += 1
+        learning.grow_older(window.end_s - window.start_s)
+        flow, seen = self._flow(reading, estimate)
+        area_m2 = parts.area.second(window.end_s, window.weight_s, reading.inputs, grain_comes=flow.measured)
+        mass_kg = loads.count(window, flow, reading.inputs.fresh["moisture"], area_m2)
+        self._weigh(reading, flow, mass_kg)
+        step = sweep.window(self._sweep_window(reading, flow))
+        shown = parts.faults.observe_all(conditions(self._observation(reading, flow, seen)), bus_s)
+        published = parts.flow_meter.published(flow, plate_rests_at_home=reading.still and reading.at_home)
+        record = self._record(bus_s, reading, published, (mass_kg, area_m2), step, seen)
+        if parts.measurement.zero.before is not None:
+            parts.since_zero.add((KeptSecond.of(record),))
+        learnt = learning.learn(window.end_s, record, sweep)
+        ended = parts.plate.ended(learning.last_update, learning.estimator.parameters.version)
+        zero: tuple[Event, ...] = (ZeroTaken(bus_s, record.zero_mv),) if reading.zero_taken else ()
+        begun, self.begun_with = self.begun_with, ()
+        frames = parts.publisher.frames(record, self._published()) if self.publishing else ()
+        emptied = parts.unloading.emptied(reading.inputs, window.end_s - window.start_s) and loads.totals.load_kg > 0.0
+        started = loads.start(bus_s) if emptied else ()
+        return WindowResult(record, frames, (*begun, *zero, *shown, *learnt, *ended, *started))
+
+    def _flow(self, reading: Reading, estimate: Estimate | None) -> tuple[Flow, WaveformReading]:
+        """The flow by mean force, and what the samples' shape says; both together where that is asked for."""
+        parts, estimator = self._parts, self._parts.learning.estimator
+        circumstances = Circumstances(parts.plate.sweep.visiting, parts.faults.is_active(FaultCode.CALIBRATION_OLD))
+        flow = parts.flow_meter.flow(reading, estimate, estimator, circumstances)
+        if parts.waveform is None:
+            return flow, NOTHING
+        seen = parts.waveform.see(reading, flow.rate_kg_s, flow.std_dev_kg_s, estimator)
+        if parts.settings.waveform.combine and seen.combined_kg_s > 0.0:
+            flow = replace(flow, rate_kg_s=seen.combined_kg_s, std_dev_kg_s=seen.combined_std_dev_kg_s)
+        return flow, seen
+
+    def _weigh(self, reading: Reading, flow: Flow, mass_kg: float) -> None:
+        """Hold the window's mass against the tank scale, which keeps the mass while the zero is doubted."""
+        loads, learning, doubted = self._parts.loads, self._parts.learning, self._parts.measurement.zero.suspect
+        totals = loads.totals
+        missed_kg = learning.weighed(
+            reading.window, reading.inputs, flow, totals.total_kg - mass_kg, mass_kg, totals.total_budget, zero_doubted=doubted,
+        )
+        if doubted:
+            loads.doubt()
+        if missed_kg > 0.0:
+            self._parts.since_zero.add_scale(totals.load_number, missed_kg)
+            loads.correct({totals.load_number: missed_kg})
+        learning.measured(totals.load_number, reading, flow, mass_kg)
+
+    def _observation(self, reading: Reading, flow: Flow, seen: WaveformReading) -> Observation:
+        parts, learning = self._parts, self._parts.learning
+        return Observation(
+            reading, flow, parts.plate.sweep, learning.outcome, learning.disagreement, learning.calibration_age_s,
+            parts.settings, seen, parts.publisher.mass_near_end(parts.loads.totals, parts.settings.faults.mass_near_end),
+            learning.scale_alarm.detail,
+        )  # fmt: skip
+
+    def _published(self) -> Published:
+        parts, learning = self._parts, self._parts.learning
+        return Published(parts.plate.sweep, learning.estimator.parameters, learning.calibration_age_s, parts.faults)
+
+    def _sweep_window(self, reading: Reading, flow: Flow) -> SweepWindow:
+        window, settings = reading.window, self._parts.settings.windows
+        whole = window.coverage >= settings.full_coverage and not flow.saturated and window.lost_frames == 0
+        support_s = support_start_s(window, self._parts.machine, settings.max_ramp_s)
+        return SweepWindow.of(window, support_s, flow.rate_kg_s, flow.force_n, whole, reading.still)
+
+    def _record(
+        self, bus_s: float, reading: Reading, flow: Flow, harvested: tuple[float, float], sweep_step: int, seen: WaveformReading
+    ) -> WindowRecord:
+        parts, counts = self._parts, sweep_step >= 0
+        active, sweep = parts.faults.active, parts.plate.sweep
+        return record_of(
+            Second(
+                bus_s=bus_s,
+                number=self.windows,
+                reading=reading,
+                flow=flow,
+                mass_kg=harvested[0],
+                area_m2=harvested[1],
+                totals=parts.loads.totals,
+                operating_state=_operating_state(reading, active, sweeping=sweep.driving),
+                faults=active,
+                sweep_id=sweep.sweep_id if counts or sweep.visiting else 0,
+                sweep_step=sweep_step if counts else sweep.step,
+                usable_for_calibration=counts,
+                parameter_version=parts.learning.estimator.parameters.version,
+                waveform=seen,
+            )
+        )
+
+
+def _operating_state(reading: Reading, active: tuple[FaultCode, ...], *, sweeping: bool) -> OperatingState:
+    if any(FAULTS[code].severity is Severity.STOP_TRUSTING for code in active):
+        return OperatingState.FAULT
+    if not reading.window.samples or not reading.speed_known:
+        return OperatingState.STARTING
+    if reading.zero is None or reading.calibrating_zero:
+        return OperatingState.ZEROING
+    if sweeping:
+        return OperatingState.SWEEPING
+    return OperatingState.HARVESTING if reading.harvesting else OperatingState.NOT_HARVESTING

@@ -1,0 +1,81 @@
+"""The forces over each load, summed up in few numbers, so that a weighed mass can be held against them."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from math import isfinite, log, nan
+
+import numpy as np
+
+from yieldmon.physics.numerics import Array
+
+_KEPT_LOADS = 64
+_ANGLE_RAD = 0.035
+"""Windows are summed up with others of like angle, of like speed (3 %) and of like force (10 %)."""
+_LN_SPEED, _LN_FORCE = 0.03, 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class LoadForces:
+    """Groups of windows of one load, all arrays (n,). duration_s: that a group stands for; moisture_pct: nan where not known."""
+
+    duration_s: Array
+    force_n: Array
+    plate_angle_rad: Array
+    elevator_speed_rad_s: Array
+    moisture_pct: Array
+
+
+class LoadForceSums:
+    """Sums over the loads of a run."""
+
+    def __init__(self) -> None:
+        self._loads: OrderedDict[int, dict[tuple[int, int, int], list[float]]] = OrderedDict()
+        self._unknown_kg: dict[int, float] = {}
+        self._known_kg: dict[int, float] = {}
+
+    def add(
+        self, load_number: int, mass_kg: float, seconds: float, force_n: float, angle_rad: float, speed_rad_s: float,
+        moisture_pct: float,
+    ) -> None:
+        """A window that added mass_kg to a load in so many seconds."""
+        if mass_kg <= 0.0:
+            return
+        usable = all(map(isfinite, (force_n, angle_rad, speed_rad_s))) and force_n > 0.0 and speed_rad_s > 0.0
+        masses = self._known_kg if usable else self._unknown_kg
+        masses[load_number] = masses.get(load_number, 0.0) + mass_kg
+        if not usable:
+            return
+        if load_number not in self._loads:
+            self._loads[load_number] = {}
+            while len(self._loads) > _KEPT_LOADS:
+                gone, _ = self._loads.popitem(last=False)
+                self._known_kg.pop(gone, None)
+                self._unknown_kg.pop(gone, None)
+        key = round(angle_rad / _ANGLE_RAD), round(log(speed_rad_s) / _LN_SPEED), round(log(force_n) / _LN_FORCE)
+        sums = self._loads[load_number].setdefault(key, [0.0] * 6)
+        sums[0] += seconds
+        for place, value in enumerate((force_n, angle_rad, speed_rad_s), 1):
+            sums[place] += seconds * value
+        if isfinite(moisture_pct):
+            sums[4] += seconds * moisture_pct
+            sums[5] += seconds
+
+    def forget(self) -> None:
+        """The forces do not belong to the masses any more (another zero)."""
+        self._loads.clear()
+
+    def of(self, load_number: int) -> LoadForces | None:
+        """What is known of a load; its few windows without a usable force count like the others. None where most have none."""
+        groups = self._loads.get(load_number)
+        known, unknown = self._known_kg.get(load_number, 0.0), self._unknown_kg.get(load_number, 0.0)
+        if not groups or unknown > 0.1 * known:
+            return None
+        table = np.array([groups[key] for key in sorted(groups)])
+        seconds = table[:, 0]
+        share = (known + unknown) / known
+        with np.errstate(invalid="ignore", divide="ignore"):
+            moisture = np.where(table[:, 5] > 0.5 * seconds, table[:, 4] / table[:, 5], nan)
+        force, angle, speed = (table[:, 1:4] / seconds[:, None]).T.copy()
+        return LoadForces(seconds * share, force, angle, speed, moisture)

@@ -1,0 +1,92 @@
+"""The parts that a monitor composes, each with one idea; made once from settings and machine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from yieldmon.engine.area import AreaCounter
+from yieldmon.engine.clock import BusClock
+from yieldmon.engine.flow import FlowMeter
+from yieldmon.engine.health import FaultBook
+from yieldmon.engine.impact_sensors import ImpactSensors
+from yieldmon.engine.inputs import Inputs
+from yieldmon.engine.learning import Learning
+from yieldmon.engine.loads import Loads
+from yieldmon.engine.measurement import Measurement
+from yieldmon.engine.plate import Plate
+from yieldmon.engine.publishing import Publisher
+from yieldmon.engine.records import FlowEstimator, SelfCalibrator
+from yieldmon.engine.schedule import Schedule
+from yieldmon.engine.settings import EngineSettings
+from yieldmon.engine.since_zero import SinceZero
+from yieldmon.engine.sources import Sources
+from yieldmon.engine.unloading import Unloading
+from yieldmon.engine.waveform import Waveform
+from yieldmon.physics.machine import Machine
+from yieldmon.signal_ranges import SignalRanges
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What works together on one bus, in the order in which a window passes through it. waveform: None where it is off."""
+
+    settings: EngineSettings
+    machine: Machine
+    clock: BusClock
+    schedule: Schedule
+    inputs: Inputs
+    sensors: ImpactSensors
+    measurement: Measurement
+    flow_meter: FlowMeter
+    waveform: Waveform | None
+    area: AreaCounter
+    loads: Loads
+    unloading: Unloading
+    plate: Plate
+    faults: FaultBook
+    since_zero: SinceZero
+    learning: Learning
+    publisher: Publisher
+
+    @classmethod
+    def of(
+        cls,
+        settings: EngineSettings,
+        machine: Machine,
+        estimator: FlowEstimator,
+        calibrator: SelfCalibrator | None,
+        *,
+        sources: Sources,
+        ranges: SignalRanges | None,
+    ) -> Parts:
+        """Parts at the beginning; see `Monitor`."""
+        windows = settings.windows
+        schedule = Schedule(
+            window_s=windows.window_s,
+            command_interval_s=settings.plate.command_interval_s,
+            grid_offset_s=windows.grid_offset_s,
+        )
+        return cls(
+            settings=settings,
+            machine=machine,
+            clock=BusClock(settings.clock),
+            schedule=schedule,
+            inputs=Inputs(settings.inputs, sources),
+            sensors=ImpactSensors(windows, machine, sources, traces=settings.waveform.enabled),
+            measurement=Measurement(settings, machine, sources),
+            flow_meter=FlowMeter(settings, machine.sensor.gain_n_per_mv),
+            waveform=Waveform(settings.waveform, machine) if settings.waveform.enabled else None,
+            area=AreaCounter(machine.implement, settings.gate),
+            loads=Loads(settings),
+            unloading=Unloading(settings),
+            plate=Plate(settings, machine),
+            faults=FaultBook(),
+            since_zero=SinceZero(),
+            learning=Learning(settings, machine, estimator, calibrator),
+            publisher=Publisher(windows.min_coverage, ranges),
+        )
+
+    @property
+    def bus_now(self) -> float:
+        """Bus time, s; nan before the first frame."""
+        return float("nan") if self.clock.now_s is None else self.clock.bus_time(self.clock.now_s)

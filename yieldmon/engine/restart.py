@@ -1,0 +1,51 @@
+"""What of the parts is to outlive a restart: into an `EngineState`, and back."""
+
+from __future__ import annotations
+
+from yieldmon.engine.parts import Parts
+from yieldmon.engine.state import EngineState, ZeroUndo
+
+
+def snapshot(parts: Parts, windows: int) -> EngineState:
+    """The state after so many windows."""
+    learning, sweep, totals = parts.learning, parts.plate.sweep, parts.loads.totals
+    calibrator = learning.calibrator
+    return EngineState(
+        totals=totals,
+        zero=parts.measurement.zero.state,
+        windows=windows,
+        sweep_id=sweep.sweep_id,
+        sweep_due_in_s=sweep.remaining_s(parts.clock.now_s or 0.0),
+        calibration_age_s=learning.calibration_age_s,
+        parameter_version=learning.estimator.parameters.version,
+        disagreement=learning.disagreement.state,
+        scale_alarm=learning.scale_alarm.state,
+        calibrator=calibrator.snapshot(parts.bus_now, totals.total_kg) if calibrator is not None else None,
+        zero_undo=_zero_undo(parts),
+    )
+
+
+def restore(parts: Parts, state: EngineState) -> None:
+    """Go on from a state; to be called before the first frame."""
+    if state.zero_undo is not None:
+        parts.measurement.zero.resume(state.zero_undo.before, suspect=state.zero_undo.suspect)
+        for number, kg in state.zero_undo.by_scale:
+            parts.since_zero.add_scale(number, kg)
+    parts.loads.restore(state.totals)
+    parts.measurement.zero.state = state.zero
+    parts.plate.restore(state.sweep_id, state.sweep_due_in_s, parts.settings.sweep.first_after_s)
+    learning, parameters = parts.learning, parts.learning.estimator.parameters
+    learning.calibration_age_s = state.calibration_age_s
+    # Where other parameters came from outside meanwhile, the patterns seen so far say nothing about them.
+    if state.parameter_version == parameters.version:
+        learning.disagreement.restore(state.disagreement, parameters)
+        learning.scale_alarm.state = state.scale_alarm
+        if state.calibrator is not None and learning.calibrator is not None:
+            learning.calibrator.restore(state.calibrator, parameters, state.totals.total_kg)
+
+
+def _zero_undo(parts: Parts) -> ZeroUndo | None:
+    zero = parts.measurement.zero
+    if zero.before is None:
+        return None
+    return ZeroUndo(zero.before, zero.suspect, tuple(sorted(parts.since_zero.by_scale.items())))

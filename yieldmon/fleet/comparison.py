@@ -1,0 +1,117 @@
+"""Two datasets of the same logs, by different parameters or software: where and how their results differ."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+from yieldmon.fleet import tables
+from yieldmon.fleet.dataset import Commit
+from yieldmon.fleet.querying import Query, opened
+
+_SUMS = """
+SELECT machine, day, count(*) AS seconds, sum(mass_kg) AS mass_kg FROM records GROUP BY ALL
+"""
+
+
+def compare(first: str, second: str) -> dict[str, Any]:
+    """Compare two datasets.
+
+    Parameters
+    ----------
+    first, second : str
+        Addresses; differences are second less first.
+
+    Returns
+    -------
+    dict
+        only_in_first, only_in_second: partitions; equal: how many are so to the byte; different: for each other partition its
+        masses, its tables that differ, and by column of the records in how many seconds.
+
+    Raises
+    ------
+    InputError
+        One of them is no dataset.
+    """
+    with opened(first) as before, opened(second) as after:
+        ours, theirs = ({commit.name: commit for commit in query.commits} for query in (before, after))
+        both = [name for name in ours if name in theirs]
+        unequal = [name for name in both if _files(ours[name]) != _files(theirs[name])]
+        different = [_difference(ours[name], theirs[name], before, after) for name in unequal]
+        changes = Counter(reason for item in different for reason in item["because"])
+    return {
+        "first": first,
+        "second": second,
+        "partitions": len(both),
+        "only_in_first": [name for name in ours if name not in theirs],
+        "only_in_second": [name for name in theirs if name not in ours],
+        "equal": len(both) - len(unequal),
+        "because": dict(changes),
+        "different": different,
+    }
+
+
+def _files(commit: Commit) -> dict[str, str]:
+    """What the results are: all tables but where they came from."""
+    return {
+        name: entry["sha256"] for name, entry in commit.content["files"].items() if name != f"{tables.PROVENANCE}.parquet"
+    }
+
+
+def _difference(ours: Commit, theirs: Commit, before: Query, after: Query) -> dict[str, Any]:
+    rows = [query.rows(f"{_SUMS} HAVING machine = ? AND day = ?", (ours.machine, ours.day)) for query in (before, after)]
+    sums = [found[0] if found else {"seconds": 0, "mass_kg": 0.0} for found in rows]
+    names = sorted({*_files(ours), *_files(theirs)})
+    columns = _columns(ours, before, after)
+    mass = [entry["mass_kg"] or 0.0 for entry in sums]
+    return {
+        "machine": ours.machine,
+        "day": ours.day,
+        "because": [
+            key for key in ("inputs_sha256", "parameters_sha256", "software") if ours.content[key] != theirs.content[key]
+        ],
+        "tables": [name.partition(".")[0] for name in names if _files(ours).get(name) != _files(theirs).get(name)],
+        "seconds": [entry["seconds"] for entry in sums],
+        "mass_kg": mass,
+        "mass_change_pct": 100.0 * (mass[1] / mass[0] - 1.0) if mass[0] else None,
+        "columns": columns,
+    }
+
+
+def _columns(commit: Commit, before: Query, after: Query) -> dict[str, dict[str, Any]]:
+    """Of each column that differs: in how many seconds, the first of them, and the largest difference of numbers."""
+    import pyarrow.compute as pc
+
+    tables_ = [
+        query.table("SELECT * FROM records WHERE machine = ? AND day = ? ORDER BY number", (commit.machine, commit.day))
+        for query in (before, after)
+    ]
+    count = min(table.num_rows for table in tables_)
+    ours, theirs = (table.slice(0, count) for table in tables_)
+    found = {}
+    for name in ours.column_names:
+        if name not in theirs.column_names:
+            continue
+        a, b = ours[name].combine_chunks(), theirs[name].combine_chunks()
+        same = pc.or_kleene(pc.equal(a, b), pc.and_(pc.is_null(a), pc.is_null(b)))
+        differs = pc.invert(pc.fill_null(same, False))
+        seconds = pc.sum(differs).as_py() or 0
+        if not seconds:
+            continue
+        entry: dict[str, Any] = {"seconds": seconds, "first_number": pc.filter(ours["number"], differs)[0].as_py()}
+        if a.type in (_float(), _whole()):
+            entry["largest"] = pc.max(pc.abs(pc.subtract(b, a))).as_py()
+        found[name] = entry
+    return found
+
+
+def _float() -> Any:
+    import pyarrow as pa
+
+    return pa.float64()
+
+
+def _whole() -> Any:
+    import pyarrow as pa
+
+    return pa.int64()

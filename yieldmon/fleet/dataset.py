@@ -1,0 +1,227 @@
+"""A dataset of partitions, each there whole or not at all.
+
+    DATASET/machine=NAME/day=NAME/{records,loads,sweeps,faults,parameters,provenance}.parquet, _COMMITTED
+    DATASET/_failed/machine=NAME/day=NAME.json      what could not be measured, and why
+    DATASET/_run                                    which run may write
+    DATASET/_temporary/                             of the run under way
+
+`_COMMITTED` is written last and names each file with its size and SHA-256: what it does not name is not part of the dataset. In a
+file system the partition's folder takes its name by one rename, with everything in it; in an object store, whose objects appear
+whole, the mark is the last object. Nothing of a time or a host is written: the same inputs give the same bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import tempfile
+import uuid
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from yieldmon.errors import InputError
+from yieldmon.fleet.filesystem import filesystem_of, is_remote
+
+MARK = "_COMMITTED"
+_FAILED, _RUN, _TEMPORARY = "_failed", "_run", "_temporary"
+
+
+class Superseded(Exception):
+    """Another run has taken the dataset over; this one may not write any more."""
+
+
+@dataclass(frozen=True)
+class Commit:
+    """A partition that is there. name: machine=NAME/day=NAME; content: of its mark."""
+
+    name: str
+    content: Mapping[str, Any]
+
+    @property
+    def key(self) -> str:
+        """Of what its result follows from."""
+        return str(self.content["key"])
+
+    @property
+    def machine(self) -> str:
+        """Name of the machine."""
+        return self.name.partition("/")[0].partition("=")[2]
+
+    @property
+    def day(self) -> str:
+        """Name of the day."""
+        return self.name.partition("/")[2].partition("=")[2]
+
+
+class Dataset:
+    """A dataset at a path or at the address of an object store."""
+
+    def __init__(self, address: str) -> None:
+        self.address = address if is_remote(address) else str(Path(address).absolute())
+        self._files, self._root = filesystem_of(address)
+        self._local = not is_remote(address) or address.startswith("file://")
+
+    def begin(self) -> str:
+        """Take the dataset over for a new run, which gets a token, and remove what runs that were killed left behind.
+
+        Raises InputError for a folder that holds something else.
+        """
+        self._files.invalidate_cache()
+        self._refuse_strangers()
+        self._files.makedirs(self._root, exist_ok=True)
+        token = uuid.uuid4().hex
+        self._put(_RUN, token.encode())
+        self._clean()
+        return token
+
+    def end(self, token: str) -> None:
+        """The run is over."""
+        if self._owner() == token:
+            self._remove(_TEMPORARY)
+            self._remove(_RUN)
+
+    def commit_of(self, name: str) -> Commit | None:
+        """The partition of that name, None where it is not there."""
+        content = self._read(f"{name}/{MARK}")
+        return None if content is None else Commit(name, json.loads(content))
+
+    def commits(self) -> list[Commit]:
+        """All partitions, by name. Raises InputError where there is no dataset."""
+        self._files.invalidate_cache()
+        if not self._files.isdir(self._root):
+            raise InputError(self.address, "no such dataset", "one that `yieldmon fleet run` wrote")
+        return [commit for name in self._partitions() if (commit := self.commit_of(name)) is not None]
+
+    def failures(self) -> list[dict[str, Any]]:
+        """What could not be measured: machine, day, problem."""
+        paths = sorted(self._files.glob(f"{self._root}/{_FAILED}/machine=*/day=*.json"))
+        return [json.loads(self._files.cat_file(path)) for path in paths]
+
+    def path(self, name: str, table: str) -> str:
+        """A table of a partition, as its file system names it."""
+        return f"{self._root}/{name}/{table}.parquet"
+
+    @property
+    def filesystem(self) -> Any:
+        """Of fsspec; None for files of this machine."""
+        return None if self._local else self._files
+
+    @contextmanager
+    def workspace(self) -> Iterator[Path]:
+        """A folder of this machine to write a partition's files to; it goes at the end."""
+        if self._local:
+            home = Path(self._root) / _TEMPORARY
+            home.mkdir(parents=True, exist_ok=True)
+            folder = home / uuid.uuid4().hex
+            folder.mkdir()
+        else:
+            folder = Path(tempfile.mkdtemp(prefix="yieldmon-fleet-"))
+        try:
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def commit(self, name: str, folder: Path, content: Mapping[str, Any], token: str) -> None:
+        """Make the files in the folder the partition of that name, in place of one that is there.
+
+        Raises Superseded where the token is not that of the run under way.
+        """
+        paths = sorted(path for path in folder.iterdir() if path.is_file())
+        listed = {path.name: {"bytes": path.stat().st_size, "sha256": _sha256(path)} for path in paths}
+        mark = json.dumps({**content, "files": listed}, indent=1, sort_keys=True).encode() + b"\n"
+        if self._owner() != token:
+            raise Superseded
+        if self._local:
+            self._rename(name, folder, mark)
+        else:
+            self._upload(name, paths, mark)
+        self._remove(f"{_FAILED}/{name}.json")
+
+    def fail(self, name: str, problem: Mapping[str, Any], token: str) -> None:
+        """Note that a partition cannot be measured; what an earlier run made of it stays, with the key of that run."""
+        if self._owner() != token:
+            raise Superseded
+        self._put(f"{_FAILED}/{name}.json", json.dumps(problem, indent=1, sort_keys=True).encode() + b"\n")
+
+    def _rename(self, name: str, folder: Path, mark: bytes) -> None:
+        (folder / MARK).write_bytes(mark)
+        target = Path(self._root) / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if target.exists():
+            with suppress(FileNotFoundError):
+                target.rename(folder.with_name(f"{folder.name}-old"))
+        folder.rename(target)
+        shutil.rmtree(folder.with_name(f"{folder.name}-old"), ignore_errors=True)
+
+    def _upload(self, name: str, paths: list[Path], mark: bytes) -> None:
+        self._remove(f"{name}/{MARK}")
+        for path in paths:
+            self._files.put_file(str(path), f"{self._root}/{name}/{path.name}")
+        self._put(f"{name}/{MARK}", mark)
+
+    def _owner(self) -> str | None:
+        content = self._read(_RUN)
+        return None if content is None else content.decode()
+
+    def _partitions(self) -> list[str]:
+        root = self._root + "/"
+        folders = self._files.glob(f"{root}machine=*/day=*")
+        return sorted(path.rstrip("/").removeprefix(root) for path in folders)
+
+    def _refuse_strangers(self) -> None:
+        if not self._files.exists(self._root):
+            return
+        if not self._files.isdir(self._root):
+            raise InputError(self.address, "is a file", "a folder for the dataset")
+        names = [path.rstrip("/").rpartition("/")[2] for path in self._files.ls(self._root, detail=False)]
+        own = (_FAILED, _RUN, _TEMPORARY, "")
+        strangers = [name for name in names if name not in own and not name.startswith("machine=") and name[:1] != "."]
+        if strangers:
+            raise InputError(self.address, f"holds {strangers[0]}", "an empty folder, or a dataset of `fleet run`")
+
+    def _clean(self) -> None:
+        """Remove what no mark names."""
+        self._remove(_TEMPORARY)
+        for name in self._partitions():
+            commit = self.commit_of(name)
+            kept = {MARK, *commit.content["files"]} if commit is not None else set()
+            for path in self._files.ls(f"{self._root}/{name}", detail=False):
+                if path.rpartition("/")[2] not in kept:
+                    self._files.rm(path, recursive=True)
+            if commit is None:
+                self._remove(name)
+
+    def _read(self, name: str) -> bytes | None:
+        try:
+            return bytes(self._files.cat_file(f"{self._root}/{name}"))
+        except FileNotFoundError:
+            return None
+
+    def _put(self, name: str, content: bytes) -> None:
+        if not self._local:
+            self._files.pipe_file(f"{self._root}/{name}", content)
+            return
+        target = Path(self._root) / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        scratch = target.with_name(f".{target.name}.{uuid.uuid4().hex}")
+        scratch.write_bytes(content)
+        scratch.replace(target)
+
+    def _remove(self, name: str) -> None:
+        path = f"{self._root}/{name}"
+        if self._local:
+            if Path(path).is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                Path(path).unlink(missing_ok=True)
+            return
+        with suppress(FileNotFoundError):
+            self._files.rm(path, recursive=True)
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -1,0 +1,53 @@
+"""Files here or in an object store, by fsspec."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from yieldmon.errors import InputError
+
+
+def is_remote(address: str) -> bool:
+    """Whether an address names a storage (s3://bucket/name) rather than a path."""
+    return "://" in address
+
+
+def filesystem_of(address: str) -> tuple[Any, str]:
+    """The fsspec file system of an address, and the path in it. Raises InputError for a storage that is not known."""
+    import fsspec
+
+    try:
+        files, path = fsspec.core.url_to_fs(address if is_remote(address) else str(Path(address).absolute()))
+    except (ValueError, ImportError) as error:
+        raise InputError(address, str(error), "a path, or the address of a storage that fsspec knows") from error
+    return files, path.rstrip("/")
+
+
+@contextmanager
+def local_copies(addresses: tuple[str, ...], folder: Path) -> Iterator[tuple[str, ...]]:
+    """Paths under which the files can be read here; what is remote is fetched into the folder for as long.
+
+    Raises InputError for a file that is not there.
+    """
+    made = folder / "inputs"
+    paths = []
+    try:
+        for number, address in enumerate(addresses):
+            if not is_remote(address):
+                paths.append(address)
+                continue
+            files, path = filesystem_of(address)
+            target = made / str(number) / path.rpartition("/")[2]
+            target.parent.mkdir(parents=True)
+            try:
+                files.get_file(path, str(target))
+            except FileNotFoundError as error:
+                raise InputError(address, "no such file", "a log that is there") from error
+            paths.append(str(target))
+        yield tuple(paths)
+    finally:
+        shutil.rmtree(made, ignore_errors=True)

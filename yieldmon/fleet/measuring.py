@@ -1,0 +1,287 @@
+"""One partition: its logs through the same function as `process`, and what happened in them as tables."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from yieldmon.documents import ProcessSummary
+from yieldmon.engine.health import FaultEvent
+from yieldmon.engine.learning import ParametersChanged
+from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.plate import SweepEnded
+from yieldmon.engine.results import Result, WindowResult
+from yieldmon.errors import InputError
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.files import machine_file, parameter_file, ticket_file
+from yieldmon.files.ticket_file import WeighedTicket
+from yieldmon.fleet import tables
+from yieldmon.fleet.identity import Identity
+from yieldmon.service import log_record
+from yieldmon.service.bulk_processing import EndOfLog, Stretch
+from yieldmon.service.configuration import Configuration
+from yieldmon.service.rows import SecondRow
+from yieldmon.service.tables import open_table
+
+
+@dataclass(frozen=True, slots=True)
+class Poisoned:
+    """Something of a partition that could not be used. where: the log or ticket; problem: one line."""
+
+    where: str
+    problem: str
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A partition's record in short (as `process --json`), the crop, and what could not be used of it."""
+
+    document: ProcessSummary
+    crop: str
+    poisoned: tuple[Poisoned, ...]
+
+
+@dataclass(slots=True)
+class _Span:
+    """A log's frames in time, and the first of the rows that came while it was read."""
+
+    log: str
+    first_row: int
+    start_s: float = float("nan")
+    end_s: float = float("nan")
+
+
+@dataclass
+class _Taken:
+    """What is noted of a record while it is measured."""
+
+    configured: Configuration
+    rows: list[tuple[float, float, float]] = field(default_factory=list)
+    spans: list[_Span] = field(default_factory=list)
+    faults: list[dict[str, Any]] = field(default_factory=list)
+    sweeps: list[dict[str, Any]] = field(default_factory=list)
+    parameters: list[dict[str, Any]] = field(default_factory=list)
+
+    def row(self, row: SecondRow) -> None:
+        self.rows.append((row.time_s, row.duration_s, row.mass_kg))
+
+    def progress(self, stretch: Stretch | EndOfLog) -> None:
+        if isinstance(stretch, EndOfLog):
+            self.spans[-1].log = stretch.path
+            self.spans.append(_Span("", len(self.rows)))
+            return
+        span = self.spans[-1]
+        for run in stretch.runs:
+            if not isfinite(span.start_s):
+                span.start_s = float(run.times_s[0])
+            span.end_s = float(run.times_s[-1])
+
+    def results(self, results: Sequence[Result]) -> None:
+        for result in results:
+            time_s = result.record.time_s if isinstance(result, WindowResult) else result.frames[0].time_s
+            for event in result.events:
+                if isinstance(event, FaultEvent):
+                    self._fault(event)
+                elif isinstance(event, SweepEnded):
+                    self.sweeps.append({
+                        "sweep_id": event.sweep_id, "time_s": time_s, "state": event.state.name, "reason": event.reason,
+                        "angles_deg": " ".join(f"{angle:g}" for angle in event.angles_deg),
+                        "parameter_version": event.parameter_version,
+                    })  # fmt: skip
+                elif isinstance(event, ParametersChanged):
+                    self.parameters += _parameter_rows(event.parameters, time_s, event.origin, event.reason)
+
+    def _fault(self, event: FaultEvent) -> None:
+        if event.active:
+            self.faults.append({"code": event.code.value, "begin_s": event.time_s, "end_s": None, "detail": event.detail})
+            return
+        for row in reversed(self.faults):
+            if row["code"] == event.code.value and row["end_s"] is None:
+                row["end_s"] = event.time_s
+                return
+
+
+def measure(
+    logs: Sequence[str], tickets: str, crop: str, configured: Configuration, folder: Path, names: Mapping[str, str]
+) -> Measured:
+    """Measure a partition and write all its tables but the provenance.
+
+    Parameters
+    ----------
+    logs : sequence of str
+        Paths, in the order in which they are one record. One that cannot be read is left out and named in the result.
+    tickets : str
+        Path of a table of tickets, "" for none. A number means the log in that place; a name means the log of that name.
+    crop : str
+        "" for that of the parameters.
+    configured : Configuration
+    folder : Path
+        Where the tables are written.
+    names : dict of str to str
+        Name of each log as it is to be called.
+
+    Returns
+    -------
+    Measured
+
+    Raises
+    ------
+    InputError
+        Nothing of the partition can be used.
+    """
+    usable, poisoned = list(logs), []
+    while True:
+        try:
+            taken, document, monitor = _record(usable, configured, folder / f"{tables.RECORDS}.parquet")
+            break
+        except InputError as error:
+            culprit = _culprit(error, usable)
+            if culprit is None or len(usable) == 1:
+                raise
+            usable.remove(culprit)
+            poisoned.append(Poisoned(names[culprit], by_name(str(error), names)))
+    rows = _log_rows(taken, names)
+    covered, unmatched = _ticket_rows(rows, tickets, [names[log] for log in logs])
+    tables.write(tables.LOADS, [*_load_rows(monitor), *rows, *covered], folder / "loads.parquet")
+    start_s = taken.rows[0][0] if taken.rows else float("nan")
+    first = _parameter_rows(configured.parameters, start_s, "file", "as configured")
+    tables.write(tables.PARAMETERS, [*first, *taken.parameters], folder / "parameters.parquet")
+    tables.write(tables.SWEEPS, taken.sweeps, folder / "sweeps.parquet")
+    tables.write(tables.FAULTS, taken.faults, folder / "faults.parquet")
+    crop = crop or configured.parameters.provenance.get("crop", "")
+    document["damages"] = [by_name(text, names) for text in document["damages"]]
+    return Measured(document, crop, (*poisoned, *unmatched))
+
+
+def by_name(text: str, names: Mapping[str, str]) -> str:
+    """A text with the logs' names in place of their paths, which differ from machine to machine."""
+    for path in sorted(names, key=len, reverse=True):
+        text = text.replace(path, names[path])
+    return text
+
+
+def write_provenance(
+    measured: Measured, identity: Identity, logs: list[tuple[str, str]], configured: Configuration, folder: Path
+) -> None:
+    """Write what the partition's tables follow from. logs: name and SHA-256."""
+    document = measured.document
+    row = {
+        "key": identity.key, "software_version": identity.software.version, "source_sha256": identity.software.source_sha256,
+        "libraries": identity.software.libraries, "parameters_sha256": identity.parameters_sha256,
+        "inputs_sha256": identity.inputs_sha256, "crop": measured.crop, "logs": json.dumps(logs),
+        "poisoned": json.dumps([asdict(item) for item in measured.poisoned]), "damages": json.dumps(document["damages"]),
+        "frames": document["frames"], "frames_of_ours": document["frames_of_ours"],
+        "frames_malformed": document["frames_malformed"], "seconds": document["windows"],
+        "total_mass_kg": document["total_mass_kg"], "dry_mass_kg": document["dry_mass_kg"],
+        "zero_known": document["zero_known"], "machine_document": json.dumps(machine_file.to_document(configured.machine)),
+        "parameters_document": json.dumps(parameter_file.to_document(configured.parameters)),
+    }  # fmt: skip
+    tables.write(tables.PROVENANCE, [row], folder / "provenance.parquet")
+
+
+def _record(logs: Sequence[str], configured: Configuration, path: Path) -> tuple[_Taken, ProcessSummary, Monitor]:
+    taken = _Taken(configured, spans=[_Span("", 0)])
+    with open_table(str(path)) as table:
+
+        def take(row: SecondRow) -> None:
+            table.write(row)
+            taken.row(row)
+
+        summary, monitor = log_record.measure(
+            logs, configured, take, progress=taken.progress, take_results=taken.results
+        )
+    return taken, log_record.document(summary, monitor), monitor
+
+
+def _culprit(error: InputError, logs: Sequence[str]) -> str | None:
+    """The log that an error speaks of: the longest of the names that it begins with."""
+    named = [log for log in logs if error.where.startswith(log)]
+    return max(named, key=len, default=None)
+
+
+def _log_rows(taken: _Taken, names: Mapping[str, str]) -> list[dict[str, Any]]:
+    spans = [span for span in taken.spans if span.log]
+    firsts = [span.first_row for span in spans] + [len(taken.rows)]
+    for place, span in enumerate(spans[1:], 1):
+        # A log's last second closes with the first frames of the next.
+        while firsts[place] < firsts[place + 1] and _middle_s(taken.rows[firsts[place]]) < span.start_s:
+            firsts[place] += 1
+    rows = []
+    for span, first, last in zip(spans, firsts, firsts[1:], strict=False):
+        rows.append({
+            "kind": tables.LOG, "name": names[span.log], "first_number": first + 1, "last_number": last,
+            "start_s": _known(span.start_s), "end_s": _known(span.end_s), "seconds": last - first,
+            "measured_kg": float(sum(mass for _, _, mass in taken.rows[first:last])),
+        })  # fmt: skip
+    return rows
+
+
+def _middle_s(row: tuple[float, float, float]) -> float:
+    return row[0] - 0.5 * row[1]
+
+
+def _load_rows(monitor: Monitor) -> list[dict[str, Any]]:
+    return [
+        {
+            "kind": tables.LOAD, "name": str(load.number), "start_s": _known(load.start_s), "end_s": _known(load.end_s),
+            "measured_kg": load.measured_kg, "std_dev_kg": _known(load.std_dev_kg), "complete": load.complete,
+        }
+        for load in monitor.loads
+    ]  # fmt: skip
+
+
+def _ticket_rows(
+    logs: Sequence[dict[str, Any]], path: str, given: Sequence[str]
+) -> tuple[list[dict[str, Any]], list[Poisoned]]:
+    """Rows of what tickets cover, and tickets that nothing fits. given: all logs of the partition, in order."""
+    if not path:
+        return [], []
+    called = {path: Path(path).name}
+    try:
+        found = ticket_file.load(path)
+    except InputError as error:
+        return [], [Poisoned(called[path], by_name(str(error), called))]
+    rows_of = {row["name"]: row for row in logs}
+    rows, unmatched = [], []
+    for ticket in found:
+        covered = [rows_of[name] for name in _covered(ticket, given) if name in rows_of]
+        name = ticket.first if ticket.first == ticket.last else f"{ticket.first}-{ticket.last}"
+        if not covered or len(covered) < len(_covered(ticket, given)):
+            where = by_name(ticket.where, called)
+            unmatched.append(Poisoned(where, f"{where}: no log that was measured is {name}"))
+            continue
+        rows.append({
+            "kind": tables.TICKET, "name": name, "first_number": covered[0]["first_number"],
+            "last_number": covered[-1]["last_number"], "start_s": covered[0]["start_s"], "end_s": covered[-1]["end_s"],
+            "seconds": sum(row["seconds"] for row in covered), "measured_kg": sum(row["measured_kg"] for row in covered),
+            "weighed_kg": ticket.mass_kg, "weighed_std_dev_kg": ticket.std_dev_kg,
+        })  # fmt: skip
+    return rows, unmatched
+
+
+def _covered(ticket: WeighedTicket, given: Sequence[str]) -> Sequence[str]:
+    """Names of the logs that a ticket speaks of."""
+    if ticket.first.isdecimal() and ticket.last.isdecimal():
+        first, last = int(ticket.first), int(ticket.last)
+        return given[first - 1 : last] if 1 <= first <= last <= len(given) else ()
+    wanted = Path(ticket.first).name
+    found = [name for name in given if wanted in (name, name.partition(".")[0])]
+    return found if len(found) == 1 else ()
+
+
+def _parameter_rows(known: ParameterSet, time_s: float, origin: str, reason: str) -> list[dict[str, Any]]:
+    return [
+        {
+            "time_s": _known(time_s), "version": known.version, "origin": origin, "reason": reason, "name": name,
+            "value": value, "std_dev": known.standard_deviation(name),
+        }
+        for name, value in known.values.items()
+    ]  # fmt: skip
+
+
+def _known(value: float) -> float | None:
+    return value if isfinite(value) else None

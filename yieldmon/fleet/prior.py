@@ -1,0 +1,110 @@
+"""The prior of a crop from a dataset's tickets."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+from yieldmon.errors import InputError
+from yieldmon.estimation.fleet_prior import LEAST_MACHINES, FleetPrior, MachineLoads, pooled
+from yieldmon.estimation.loads import WeighedLoad
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.files import machine_file
+from yieldmon.files.crops import crop
+from yieldmon.files.ticket_file import WeighedTicket
+from yieldmon.fleet.querying import Query, opened
+from yieldmon.physics.machine import Machine
+from yieldmon.physics.model import ForwardModel
+from yieldmon.service import weighed_loads
+from yieldmon.service.rows import SecondRow
+
+_DAYS = "SELECT machine, day, machine_document FROM provenance WHERE lower(crop) = lower(?) ORDER BY machine, day"
+_TICKETS = "SELECT * FROM loads WHERE kind = 'ticket' AND machine = ? AND day = ? ORDER BY first_number"
+_RECORDS = "SELECT * EXCLUDE (machine, day) FROM records WHERE machine = ? AND day = ? AND number BETWEEN ? AND ? ORDER BY number"
+_VERSIONS = "SELECT version, name, value FROM parameters WHERE machine = ? AND day = ? ORDER BY version, name"
+
+
+@dataclass(frozen=True)
+class CropPrior:
+    """A crop's prior, and from what: machines with their loads; left_out: tickets that could not be used, with the reason."""
+
+    prior: FleetPrior
+    machines: tuple[MachineLoads, ...]
+    left_out: tuple[str, ...]
+
+
+def crop_prior(address: str, name: str) -> CropPrior:
+    """The prior of a crop.
+
+    Parameters
+    ----------
+    address : str
+        Of the dataset.
+    name : str
+        A shipped crop; days of this crop are used.
+
+    Returns
+    -------
+    CropPrior
+
+    Raises
+    ------
+    InputError
+        The crop is not shipped, or too few machines have tickets for it.
+    """
+    start = crop(name).parameters()
+    with opened(address) as query:
+        machines, left_out = _machines(query, name, start)
+    if len(machines) < LEAST_MACHINES:
+        raise InputError(address, f"has tickets of {len(machines)} machines for {name}", f"at least {LEAST_MACHINES}")
+    try:
+        found = pooled(start, machines)
+    except ValueError as error:
+        raise InputError(address, str(error)) from error
+    facts = {
+        "crop": name, "method": "pooled over machines (empirical Bayes)", "machines": str(len(machines)),
+        "loads": str(sum(len(machine.loads) for machine in machines)), "start": f"config/crops.yaml: {name}",
+    }  # fmt: skip
+    return CropPrior(
+        replace(found, parameter_set=replace(found.parameter_set, provenance=facts)), tuple(machines), tuple(left_out)
+    )
+
+
+def _machines(query: Query, name: str, start: ParameterSet) -> tuple[list[MachineLoads], list[str]]:
+    loads: dict[str, list[WeighedLoad]] = {}
+    models: dict[str, ForwardModel] = {}
+    left_out = []
+    for day in query.rows(_DAYS, (name,)):
+        machine = machine_file.from_document(json.loads(day["machine_document"]), f"{day['machine']} {day['day']}")
+        if day["machine"] in models and models[day["machine"]].machine != machine:
+            left_out.append(f"{day['machine']} {day['day']}: another geometry than on days before")
+            continue
+        models[day["machine"]] = ForwardModel(machine, start.effects)
+        for ticket in query.rows(_TICKETS, (day["machine"], day["day"])):
+            try:
+                loads.setdefault(day["machine"], []).append(_weighed(query, day, ticket, machine))
+            except InputError as error:
+                left_out.append(str(error))
+    return [MachineLoads(name, models[name], tuple(found)) for name, found in loads.items()], left_out
+
+
+def _weighed(query: Query, day: dict[str, Any], ticket: dict[str, Any], machine: Machine) -> WeighedLoad:
+    where = (day["machine"], day["day"])
+    rows = query.rows(_RECORDS, (*where, ticket["first_number"], ticket["last_number"]))
+    measured = weighed_loads.MeasuredLoad(
+        ticket["name"], "", tuple(SecondRow(**row) for row in rows if row["mass_kg"] > 0.0), dict(_versions(query, where))
+    )
+    paper = WeighedTicket(
+        ticket["name"], ticket["name"], ticket["weighed_kg"], ticket["weighed_std_dev_kg"], f"{where[0]} {where[1]}"
+    )
+    return weighed_loads.match([measured], [paper], machine)[0]
+
+
+def _versions(query: Query, where: tuple[str, str]) -> Iterator[tuple[int, ParameterSet]]:
+    values: dict[int, dict[str, float]] = {}
+    for row in query.rows(_VERSIONS, where):
+        values.setdefault(row["version"], {})[row["name"]] = row["value"]
+    for version, found in values.items():
+        yield version, ParameterSet(found, version=version)

@@ -1,0 +1,76 @@
+"""DuckDB over the committed partitions of a dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from yieldmon.errors import InputError
+from yieldmon.fleet import tables
+from yieldmon.fleet.dataset import Commit, Dataset
+
+
+class Query:
+    """Tables of one dataset as views of their names, each with the columns machine and day beside its own."""
+
+    def __init__(self, database: Any, dataset: Dataset, commits: Sequence[Commit]) -> None:
+        self._database = database
+        self.dataset = dataset
+        self.commits = tuple(commits)
+
+    def rows(self, statement: str, values: Sequence[Any] = ()) -> list[dict[str, Any]]:
+        """What a statement gives, a mapping a row."""
+        found = self._database.execute(statement, list(values))
+        names = [column[0] for column in found.description]
+        return [dict(zip(names, row, strict=True)) for row in found.fetchall()]
+
+    def table(self, statement: str, values: Sequence[Any] = ()) -> Any:
+        """The same as a pyarrow table."""
+        return self._database.sql(statement, params=list(values)).to_arrow_table()
+
+
+@contextmanager
+def opened(address: str) -> Iterator[Query]:
+    """A dataset to query.
+
+    Parameters
+    ----------
+    address : str
+        Of the dataset.
+
+    Yields
+    ------
+    Query
+
+    Raises
+    ------
+    InputError
+        There is no dataset, or nothing is committed in it.
+    """
+    import duckdb
+
+    dataset = Dataset(address)
+    commits = dataset.commits()
+    if not commits:
+        raise InputError(address, "holds no partition", "a dataset that `yieldmon fleet run` wrote")
+    with duckdb.connect() as database:
+        if dataset.filesystem is not None:
+            database.register_filesystem(dataset.filesystem)
+        for table in tables.TABLES:
+            paths = [_located(dataset, commit, table) for commit in commits]
+            listed = ", ".join(_quoted(path) for path in paths)
+            kinds = "{'machine': VARCHAR, 'day': VARCHAR}"
+            database.execute(
+                f"CREATE VIEW {table} AS SELECT * FROM read_parquet([{listed}], hive_partitioning=true, hive_types={kinds})"
+            )
+        yield Query(database, dataset, commits)
+
+
+def _located(dataset: Dataset, commit: Commit, table: str) -> str:
+    path = dataset.path(commit.name, table)
+    return path if dataset.filesystem is None else str(dataset.filesystem.unstrip_protocol(path))
+
+
+def _quoted(text: str) -> str:
+    return "'" + text.replace("'", "''") + "'"

@@ -1,0 +1,170 @@
+"""Tasks on Dask distributed: a cluster of this machine's processes, or one that runs elsewhere.
+
+Dask does the work of distribution: queues, workers that die, load. What is added is the way back after the scheduler itself was
+lost: partitions are independent and committed by the workers, so what is not answered for is submitted again.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any
+
+from yieldmon.errors import InputError
+from yieldmon.fleet.dataset import Superseded
+from yieldmon.fleet.worker import Outcome, Task, failed, work
+
+_RETRIES = 2
+"""Of a task that failed for other reasons than its inputs, a storage that did not answer for instance."""
+_DEATHS = 3
+"""Workers that may die with a task before it is given up."""
+_IN_FLIGHT = 256
+_PATIENCE_S = 60.0
+"""How long a scheduler that is gone is waited for."""
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """Where tasks run.
+
+    scheduler: address of a running one, "" for workers of this machine. workers: processes here, 0 for this process itself.
+    adaptive: as many of them as there is work for.
+    """
+
+    scheduler: str = ""
+    workers: int = 1
+    adaptive: bool = False
+
+
+def run_all(
+    tasks: Sequence[Task], cluster: Cluster, take: Callable[[Outcome], None], say: Callable[[str], None]
+) -> None:
+    """Work off the tasks in any order.
+
+    Parameters
+    ----------
+    tasks : sequence of Task
+    cluster : Cluster
+    take : callable
+        Called once with each task's outcome.
+    say : callable
+        Called with the dashboard's address, and with lines about a scheduler that is gone.
+
+    Raises
+    ------
+    InputError
+        Another run took the dataset over; no scheduler at the address.
+    OSError
+        The scheduler stayed away.
+    """
+    left = {task.partition.name: task for task in tasks}
+    met = False
+    deadline = time.monotonic() + (_PATIENCE_S if cluster.scheduler else 0.0)
+    while left:
+        answered = len(left)
+        try:
+            with _client(cluster) as client:
+                say(f"dashboard: {client.dashboard_link}")
+                met = True
+                for outcome in _answers(client, list(left.values())):
+                    del left[outcome.name]
+                    take(outcome)
+        except _lost() as error:
+            if not cluster.scheduler:
+                raise
+            if len(left) < answered:
+                deadline = time.monotonic() + _PATIENCE_S
+            if time.monotonic() > deadline:
+                if met:
+                    raise OSError(f"the scheduler {cluster.scheduler} is gone; run again, what is finished stays") from error
+                where = f"--scheduler {cluster.scheduler}"
+                raise InputError(where, "nothing answers there", "the address of a Dask scheduler") from None
+            if len(left) < answered or met:
+                say(f"the scheduler {cluster.scheduler} is gone; waiting for it")
+            time.sleep(1.0)
+
+
+class _SchedulerLost(Exception):
+    """Futures were cancelled, which nobody here did."""
+
+
+def _lost() -> tuple[type[BaseException], ...]:
+    from distributed.comm.core import CommClosedError
+
+    # RuntimeError is what a client says whose connections were closed under it.
+    return (_SchedulerLost, CommClosedError, TimeoutError, OSError, RuntimeError)
+
+
+@contextmanager
+def _client(cluster: Cluster) -> Iterator[Any]:
+    import dask
+    import distributed
+
+    # Dask's own interface has no types.
+    untyped: Any = distributed
+
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    settings: dict[str, Any] = {
+        "distributed.scheduler.allowed-failures": _DEATHS,
+        "distributed.comm.timeouts.connect": "10s",
+        "distributed.comm.retry.count": 2,
+    }
+    if not cluster.scheduler:
+        settings["distributed.dashboard.link"] = "http://127.0.0.1:{port}/status"
+    with dask.config.set(settings):
+        if cluster.scheduler:
+            try:
+                client = untyped.Client(cluster.scheduler, timeout=5)
+            except ValueError as error:
+                raise InputError("--scheduler", f"is {cluster.scheduler!r}", "an address such as tcp://host:8786") from error
+            try:
+                yield client
+            finally:
+                with suppress(*_lost()):
+                    client.close(timeout=2)
+            return
+        here = {"processes": False, "n_workers": 1} if cluster.workers == 0 else {"n_workers": cluster.workers}
+        with untyped.LocalCluster(threads_per_worker=1, dashboard_address="127.0.0.1:0", **here) as local:
+            if cluster.adaptive:
+                local.adapt(minimum=1, maximum=max(1, cluster.workers))
+            with untyped.Client(local) as client:
+                yield client
+
+
+def _answers(client: Any, tasks: Sequence[Task]) -> Iterator[Outcome]:
+    import distributed
+
+    waiting = iter(tasks)
+    submitted = {_submit(client, task): task for task in islice(waiting, _IN_FLIGHT)}
+    untyped: Any = distributed
+    completed = untyped.as_completed(list(submitted))
+    for future in completed:
+        task = submitted.pop(future)
+        outcome = _answer(future, task)
+        for following in islice(waiting, 1):
+            another = _submit(client, following)
+            submitted[another] = following
+            completed.add(another)
+        future.release()
+        yield outcome
+
+
+def _submit(client: Any, task: Task) -> Any:
+    # With the token in its name a task of an earlier run is not taken for one of this run.
+    return client.submit(work, task, key=f"{task.partition.name}-{task.token}", retries=_RETRIES, pure=False)
+
+
+def _answer(future: Any, task: Task) -> Outcome:
+    if future.status in ("cancelled", "lost"):
+        raise _SchedulerLost
+    problem = future.exception()
+    if problem is None:
+        outcome: Outcome = future.result()
+        return outcome
+    if isinstance(problem, Superseded):
+        raise InputError(task.dataset, "was taken over by another `fleet run`", "one run at a time")
+    return failed(task, f"{type(problem).__name__}: {' '.join(str(problem).split())[:300]}")

@@ -1,0 +1,146 @@
+"""What a dataset says of its machines: days, mass, faults, sweeps, drift of parameters, errors of loads against tickets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import sqrt
+from typing import Any
+
+from yieldmon.engine.faults import FaultCode
+from yieldmon.fleet.querying import Query, opened
+
+Rows = list[dict[str, Any]]
+
+_DAYS = """
+SELECT machine, day, seconds, frames, total_mass_kg, crop, software_version, source_sha256, parameters_sha256, zero_known,
+  poisoned FROM provenance ORDER BY machine, day
+"""
+_FAULTS = """
+SELECT machine, day, code, count(*) AS count, sum(coalesce(end_s, begin_s) - begin_s) AS seconds FROM faults
+GROUP BY ALL ORDER BY machine, day, code
+"""
+_SWEEPS = "SELECT machine, state, count(*) AS count FROM sweeps GROUP BY ALL ORDER BY ALL"
+_PARAMETERS = """
+SELECT machine, name, day, arg_max(value, (coalesce(time_s, 0), version)) AS value,
+  arg_max(std_dev, (coalesce(time_s, 0), version)) AS std_dev FROM parameters GROUP BY ALL ORDER BY machine, name, day
+"""
+_TICKETS = """
+SELECT machine, day, name, measured_kg, weighed_kg, 100 * (measured_kg / weighed_kg - 1) AS error_pct FROM loads
+WHERE kind = 'ticket' AND weighed_kg > 0 ORDER BY machine, day, name
+"""
+
+
+def summarise(address: str) -> dict[str, Any]:
+    """The summary as plain data.
+
+    Parameters
+    ----------
+    address : str
+        Of the dataset.
+
+    Returns
+    -------
+    dict
+        totals; machines, by name; days, by machine and day; tickets; failed and poisoned.
+
+    Raises
+    ------
+    InputError
+        There is no dataset, or nothing in it.
+    """
+    with opened(address) as query:
+        days = query.rows(_DAYS)
+        faults, sweeps, parameters, tickets = (query.rows(text) for text in (_FAULTS, _SWEEPS, _PARAMETERS, _TICKETS))
+        failed = query.dataset.failures()
+        poisoned = _poisoned(query)
+    by_day: dict[tuple[str, str], dict[str, int]] = {}
+    for row in faults:
+        by_day.setdefault((row["machine"], row["day"]), {})[row["code"]] = row["count"]
+    parts = [_by_machine(rows) for rows in (days, faults, sweeps, parameters, tickets)]
+    machines = [_machine(name, *(part.get(name, []) for part in parts)) for name in parts[0]]
+    return {
+        "dataset": address,
+        "totals": {
+            "machines": len(machines), "machine_days": len(days), "hours": sum(row["seconds"] for row in days) / 3600.0,
+            "mass_kg": sum(row["total_mass_kg"] for row in days), "tickets": _errors(tickets),
+            "software": sorted({f"{row['software_version']} ({row['source_sha256'][:12]})" for row in days}),
+            "parameter_hashes": len({row["parameters_sha256"] for row in days}),
+        },
+        "machines": machines,
+        "days": [
+            {
+                "machine": row["machine"], "day": row["day"], "crop": row["crop"], "zero_known": row["zero_known"],
+                "hours": row["seconds"] / 3600.0, "mass_kg": row["total_mass_kg"],
+                "faults": by_day.get((row["machine"], row["day"]), {}),
+            }
+            for row in days
+        ],
+        "tickets": tickets,
+        "failed": failed,
+        "poisoned": poisoned,
+    }  # fmt: skip
+
+
+def _by_machine(rows: Iterable[dict[str, Any]]) -> dict[str, Rows]:
+    found: dict[str, Rows] = {}
+    for row in rows:
+        found.setdefault(row["machine"], []).append(row)
+    return found
+
+
+def _machine(name: str, days: Rows, faults: Rows, sweeps: Rows, parameters: Rows, tickets: Rows) -> dict[str, Any]:
+    codes: dict[str, dict[str, float]] = {}
+    for row in faults:
+        sums = codes.setdefault(row["code"], {"count": 0, "days": 0, "seconds": 0.0})
+        sums["count"] += row["count"]
+        sums["days"] += 1
+        sums["seconds"] += row["seconds"]
+    disagrees = FaultCode.MODEL_DISAGREES.value
+    return {
+        "machine": name,
+        "days": len(days),
+        "first_day": days[0]["day"],
+        "last_day": days[-1]["day"],
+        "crops": sorted({row["crop"] for row in days if row["crop"]}),
+        "hours": sum(row["seconds"] for row in days) / 3600.0,
+        "mass_kg": sum(row["total_mass_kg"] for row in days),
+        "days_without_zero": [row["day"] for row in days if not row["zero_known"]],
+        "faults": codes,
+        "model_disagrees": [row["day"] for row in faults if row["code"] == disagrees],
+        "sweeps": {row["state"]: row["count"] for row in sweeps},
+        "parameters": _drift(parameters),
+        "tickets": _errors(tickets),
+    }
+
+
+def _drift(rows: Rows) -> dict[str, dict[str, Any]]:
+    """First and last value of each parameter at the end of a day, its change, and its value by day."""
+    found: dict[str, dict[str, Any]] = {}
+    for row in rows:
+        entry = found.setdefault(row["name"], {"first": row["value"], "by_day": {}})
+        entry |= {"last": row["value"], "std_dev": row["std_dev"]}
+        entry["by_day"][row["day"]] = row["value"]
+    for entry in found.values():
+        entry["change_pct"] = 100.0 * (entry["last"] / entry["first"] - 1.0) if entry["first"] else None
+    return found
+
+
+def _errors(rows: Rows) -> dict[str, Any]:
+    """Errors of measured against weighed loads, %; None without tickets."""
+    errors = [row["error_pct"] for row in rows]
+    if not errors:
+        return {"count": 0, "mean_error_pct": None, "rms_error_pct": None, "worst_error_pct": None}
+    return {
+        "count": len(errors),
+        "mean_error_pct": sum(errors) / len(errors),
+        "rms_error_pct": sqrt(sum(error * error for error in errors) / len(errors)),
+        "worst_error_pct": max(errors, key=abs),
+    }
+
+
+def _poisoned(query: Query) -> Rows:
+    return [
+        {"machine": commit.machine, "day": commit.day, **item}
+        for commit in query.commits
+        for item in commit.content["poisoned"]
+    ]

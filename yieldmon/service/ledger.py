@@ -1,0 +1,112 @@
+"""What stands of tickets, postings and calibrations, after all that took something back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from yieldmon.service.store import Action, Load, Ticket
+
+TICKET, TICKET_UNDO, ZERO, ZERO_UNDO = "ticket", "ticket-undo", "zero", "zero-undo"
+PARAMETERS, PARAMETERS_UNDO, POSTING, TOTALS_RESET = "parameters", "parameters-undo", "posting", "totals-reset"
+
+
+@dataclass(frozen=True)
+class Ledger:
+    """tickets: those that stand, by number (from 1, in the order they were entered). factors: mass measured again over the mass
+    as measured, by load number."""
+
+    tickets: Mapping[int, Ticket]
+    factors: Mapping[int, float]
+
+    def ticket_of(self, load_number: int) -> tuple[int, Ticket] | None:
+        """The newest ticket that stands and covers a load, with its number."""
+        covering = [(n, t) for n, t in self.tickets.items() if t.first_load <= load_number <= t.last_load]
+        return max(covering, key=lambda item: item[0]) if covering else None
+
+    def row(self, load: Load) -> dict[str, Any]:
+        """A load as measured, as measured again, as weighed, and the best of these."""
+        found, posted = self.ticket_of(load.number), self.factors.get(load.number)
+        factor = found[1].factor if found is not None else 1.0 if posted is None else posted
+        return asdict(load) | {
+            "posted_mass_kg": None if posted is None else load.mass_kg * posted,
+            "ticket_mass_kg": None if found is None else found[1].weighed_mass_kg,
+            "corrected_mass_kg": load.mass_kg * factor,
+            "corrected_dry_mass_kg": None if load.dry_mass_kg is None else load.dry_mass_kg * factor,
+            "ticket_id": None if found is None else found[0],
+        }
+
+
+@dataclass(frozen=True)
+class LoadRecord:
+    """A load with all its masses, kg, None where there is none: as measured, as measured again (posted), as weighed, and the best
+    of these (corrected). ticket_id: number of the ticket that counts."""
+
+    number: int
+    field: str
+    crop: str
+    started_s: float | None
+    ended_s: float | None
+    mass_kg: float
+    dry_mass_kg: float | None
+    area_m2: float | None
+    posted_mass_kg: float | None
+    ticket_mass_kg: float | None
+    corrected_mass_kg: float
+    corrected_dry_mass_kg: float | None
+    ticket_id: int | None
+
+
+def ledger(tickets: Sequence[Ticket], actions: Iterable[Action]) -> Ledger:
+    """From all tickets and actions, in order."""
+    known = list(actions)
+    gone = {int(a.document["ticket"]) for a in known if a.kind == TICKET_UNDO}
+    factors: dict[int, float] = {}
+    for action in known:
+        if action.kind == POSTING and not gone.intersection(action.document["tickets"]):
+            factors.update({int(number): float(factor) for number, factor in action.document["factors"].items()})
+    return Ledger({n: t for n, t in enumerate(tickets, 1) if n not in gone}, factors)
+
+
+def ticket_rows(tickets: Sequence[Ticket], actions: Iterable[Action]) -> list[dict[str, Any]]:
+    """Each ticket with who entered it, and who took it back when."""
+    known = list(actions)
+    entered = {int(a.document["ticket"]): a for a in known if a.kind == TICKET}
+    undone = {int(a.document["ticket"]): a for a in known if a.kind == TICKET_UNDO}
+    return [
+        asdict(ticket) | {
+            "number": number,
+            "who": entered[number].who if number in entered else "",
+            "undone_s": undone[number].time_s if number in undone else None,
+            "undone_by": undone[number].who if number in undone else None,
+        }
+        for number, ticket in enumerate(tickets, 1)
+    ]  # fmt: skip
+
+
+def calibration_rows(actions: Iterable[Action], in_use: int) -> list[dict[str, Any]]:
+    """Each change of parameters and each operator's zero, with who and when, and whether it stands."""
+    known = list(actions)
+    undone = {int(a.document["version"]) for a in known if a.kind == PARAMETERS_UNDO}
+    back = {int(a.document["action"]) for a in known if a.kind == ZERO_UNDO}
+    rows = []
+    for action in known:
+        document = action.document
+        if action.kind == PARAMETERS:
+            version = int(document["version"])
+            state = "in use" if version == in_use else "undone" if version in undone else ""
+            rows.append({
+                "kind": "parameters", "version": version, "time_s": action.time_s, "who": action.who,
+                "origin": document.get("origin", ""), "what": document.get("reason", ""), "effects": document.get("effects", []),
+                "state": state,
+            })  # fmt: skip
+        elif action.kind == ZERO:
+            what = "zero calibration" + (f", forced although {document['signs']}" if document.get("signs") else "")
+            state = "undone" if action.number in back else ""
+            rows.append({
+                "kind": "zero", "version": None, "time_s": action.time_s, "who": action.who, "origin": "operator", "what": what,
+                "effects": [], "state": state,
+            })  # fmt: skip
+    return rows

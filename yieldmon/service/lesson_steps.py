@@ -1,0 +1,40 @@
+"""The steps between lessons as plain numbers, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from yieldmon.engine.records import CalibrationStep
+from yieldmon.estimation.steady_drift import Advance
+
+_MATRICES = ("before", "covariance_before", "transition", "after", "covariance_after")
+
+
+def step_document(step: CalibrationStep) -> dict[str, Any]:
+    """Plain numbers for the store."""
+    return {
+        "from_version": step.from_version,
+        "begin_s": step.begin_s,
+        "end_s": step.end_s,
+        "state": list(step.state),
+        "advance": {name: np.asarray(getattr(step.advance, name)).tolist() for name in _MATRICES},
+    }
+
+
+def step_from_document(document: Mapping[str, Any]) -> CalibrationStep | None:
+    """Inverse of `step_document`; None where it makes no sense."""
+    try:
+        parts = {name: np.array(document["advance"][name], dtype=float) for name in _MATRICES}
+        state = tuple(map(float, document["state"]))
+        step = CalibrationStep(
+            int(document["from_version"]), float(document["begin_s"]), float(document["end_s"]), Advance(**parts), state
+        )
+    except (KeyError, TypeError, ValueError):
+        return None
+    size = len(state)
+    shapes = [(size,) if parts[name].ndim == 1 else (size, size) for name in _MATRICES]
+    sound = all(part.shape == shape and np.all(np.isfinite(part)) for part, shape in zip(parts.values(), shapes, strict=True))
+    return step if sound else None

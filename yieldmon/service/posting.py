@@ -1,0 +1,178 @@
+"""Posting: loads of the last day measured again with what was learnt after them.
+
+A ticket in the evening, and every sweep, also says something of the hours before it. The lessons' steps, kept in the store, are
+smoothed (`estimation.steady_drift.smoothed`), and each load's seconds are measured again with the parameters as all lessons
+together have them at its time. What was measured at first stays as it is: a posting is a factor for each load.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from yieldmon.engine.records import CalibrationStep
+from yieldmon.errors import InputError
+from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.steady_drift import DriftingParameters, smoothed
+from yieldmon.files import parameter_file
+from yieldmon.physics.machine import Machine
+from yieldmon.physics.model import ForwardModel
+from yieldmon.physics.numerics import Array
+from yieldmon.service.lesson_steps import step_from_document
+from yieldmon.service.recorded import opened
+from yieldmon.service.rows import SecondRow
+from yieldmon.service.store import Step
+from yieldmon.service.weighed_loads import MeasuredLoad, force_columns, loads_of
+
+_log = logging.getLogger(__name__)
+
+SPAN_S = 24.0 * 3600.0
+"""Loads that began so long before a lesson are measured again after it."""
+_MOST_ROWS = 90_000
+_WRITING_S = 10.0
+_LEAST_SHARE = 0.9
+"""Of a load's mass that must rest on a known force, angle and speed."""
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """Parameters over time. times_s: (k,) bus time, rising; values: (k, n) of `names`; versions: those that were in use there."""
+
+    parameters: ParameterSet
+    names: tuple[str, ...]
+    times_s: Array
+    values: Array
+    versions: frozenset[int]
+
+    def at(self, time_s: float) -> ParameterSet:
+        """The parameters at a time, as all lessons together have them."""
+        here = {name: float(np.interp(time_s, self.times_s, self.values[:, i])) for i, name in enumerate(self.names)}
+        return replace(self.parameters, values={**self.parameters.values, **here})
+
+
+def timeline(steps: Sequence[Step], parameters: ParameterSet) -> Timeline:
+    """From the steps that led to these parameters without a break, the last one's version being theirs; others are left out."""
+    chain: list[CalibrationStep] = []
+    version = parameters.version
+    by_version = {step.version: step for step in steps}
+    while version in by_version:
+        found = step_from_document(by_version[version].document)
+        if found is None or found.advance.after.shape != (chain[-1] if chain else found).advance.after.shape:
+            break
+        chain.append(found)
+        version = found.from_version
+    names = parameters.covariance_names
+    if not chain:
+        return Timeline(parameters, (), np.zeros(1), np.zeros((1, 0)), frozenset({parameters.version}))
+    chain.reverse()
+    state = np.array(chain[-1].state)
+    rates = tuple(names[: len(state) - len(names)])  # Only their number counts here.
+    last = DriftingParameters(parameters, rates, state[len(names) :], np.zeros((state.size,) * 2))
+    known = smoothed([step.advance for step in chain], last)
+    times = np.array([*(step.begin_s for step in chain), chain[-1].end_s])
+    values = np.array([[point[name] for name in names] for point in known])
+    versions = frozenset({parameters.version, *(step.from_version for step in chain)})
+    return Timeline(parameters, names, np.maximum.accumulate(times), values, versions)
+
+
+def factors(loads: Sequence[MeasuredLoad], known: Timeline, machine: Machine) -> dict[int, float]:
+    """Mass measured again over the mass as measured, by load number.
+
+    Loads with seconds from before the timeline, or of which less than 90 % rests on a known force, are left out.
+    """
+    model = ForwardModel(machine, known.parameters.effects)
+    out = {}
+    for load in loads:
+        versions = {row.parameter_version for row in load.seconds}
+        if not versions <= known.versions or not versions <= set(load.parameters):
+            continue
+        parts = [
+            force_columns([row for row in load.seconds if row.parameter_version == v], load.parameters[v], machine)
+            for v in sorted(versions)
+        ]
+        columns = np.concatenate(parts, axis=1)
+        duration, force, angle, speed, moisture, mass = columns[:, np.isfinite(columns[0]) & (columns[0] > 0.0)]
+        if not mass.sum() > _LEAST_SHARE * load.mass_kg:
+            continue
+        moment_s = float(np.average([row.time_s for row in load.seconds], weights=[row.mass_kg for row in load.seconds]))
+        flow = OpenLoop(model, known.at(moment_s)).invert(force, angle, speed, moisture)
+        measured = np.isfinite(flow)
+        if np.sum(mass[measured]) > _LEAST_SHARE * load.mass_kg:
+            out[int(load.name)] = float(np.sum(duration[measured] * flow[measured]) / np.sum(mass[measured]))
+    return out
+
+
+def of_store(path: Path, machine: Machine, version: int, open_load: int | None, now_s: float) -> dict[int, float]:
+    """The factors of a store's loads of the last day, by the parameters of `version`. now_s: bus time. Raises InputError."""
+    with opened(path) as store:
+        last = store.last_second()
+        rows = store.seconds(max(0, (last.number if last is not None else 0) - _MOST_ROWS), on_damage=lambda number: None)
+        documents = store.parameter_versions()
+        steps = store.steps()
+    sets = {v.version: parameter_file.from_document(v.document, str(path)) for v in documents}
+    if version not in sets:
+        raise InputError(str(path), f"has no parameters of version {version}", "a store that is being written")
+    return factors(loads_of(whole(rows, now_s - SPAN_S, open_load), sets), timeline(steps, sets[version]), machine)
+
+
+def whole(rows: Sequence[SecondRow], begin_s: float, open_load: int | None) -> list[SecondRow]:
+    """Rows of loads that began and ended in the time that counts."""
+    cut = {row.load_number for row in rows if row.time_s < begin_s}
+    if rows and rows[0].number > 1:
+        cut.add(rows[0].load_number)
+    return [row for row in rows if row.load_number not in cut and row.load_number != open_load]
+
+
+@dataclass(frozen=True)
+class Posted:
+    """The factors that came of tickets, or why there are none."""
+
+    tickets: tuple[int, ...]
+    version: int
+    factors: Mapping[int, float]
+    problem: str = ""
+
+
+class Poster:
+    """Measures loads again on a thread of its own, one job at a time."""
+
+    def __init__(self, path: Path, written: Callable[[float], bool]) -> None:
+        """path: of the store. written: waits so many seconds until the store holds all that was handed to it."""
+        self._path = path
+        self._written = written
+        self._thread: threading.Thread | None = None
+        self._done: Posted | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether a job is under way, or its result not taken yet."""
+        return self._thread is not None
+
+    def start(self, machine: Machine, tickets: tuple[int, ...], version: int, open_load: int | None, now_s: float) -> None:
+        """Begin a job; not while busy."""
+        self._thread = threading.Thread(
+            target=self._work, args=(machine, tickets, version, open_load, now_s), name="posting", daemon=True
+        )
+        self._thread.start()
+
+    def take(self) -> Posted | None:
+        """What came of the job, once."""
+        if self._thread is None or self._thread.is_alive():
+            return None
+        self._thread, done, self._done = None, self._done, None
+        return done
+
+    def _work(self, machine: Machine, tickets: tuple[int, ...], version: int, open_load: int | None, now_s: float) -> None:
+        try:
+            self._written(_WRITING_S)
+            found = of_store(self._path, machine, version, open_load, now_s)
+            self._done = Posted(tickets, version, found)
+        except Exception as error:  # noqa: BLE001 - what was measured stays, and measuring goes on
+            _log.error("the loads could not be measured again: %s", error)
+            self._done = Posted(tickets, version, {}, str(error))

@@ -1,0 +1,56 @@
+"""What a page may ask of the daemon. The daemon's own guards decide; here is only what a page may send at all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from yieldmon.errors import InputError
+
+#: Command -> the arguments that it takes from a page. `zero --force` and `totals reset` are left to the command line.
+ALLOWED: Mapping[str, frozenset[str]] = {
+    "load-start": frozenset({"field", "crop"}),
+    "load-stop": frozenset(),
+    "ticket": frozenset({"first_load", "last_load", "mass_kg", "std_dev_kg", "note"}),
+    "zero": frozenset(),
+    "zero-undo": frozenset(),
+    "sweep-start": frozenset(),
+    "sweep-abort": frozenset(),
+}
+#: Commands that a page shows with a load's number, which it sends along: it may have changed since.
+_ABOUT_A_LOAD = frozenset({"load-start", "load-stop"})
+
+
+def request_of(document: object, load_number: int | None) -> dict[str, Any]:
+    """The daemon's request from a page's.
+
+    Parameters
+    ----------
+    document : object
+        What the page sent: ``command``, its arguments, and ``shown_load`` for commands about the load in the tank.
+    load_number : int or None
+        The load's number now, None where it is not known.
+
+    Returns
+    -------
+    dict
+        Fit for `yieldmon.service.control.ask`.
+
+    Raises
+    ------
+    InputError
+        For another command or argument, or a load that is not the one shown.
+    """
+    if not isinstance(document, dict) or not isinstance(document.get("command"), str):
+        raise InputError("request", "names no command", "a JSON object with a command")
+    command = document["command"]
+    if command not in ALLOWED:
+        raise InputError("command", repr(command)[:100], f"one of {', '.join(ALLOWED)}")
+    arguments = {name: value for name, value in document.items() if name not in ("command", "shown_load")}
+    strange = sorted(set(arguments) - ALLOWED[command])
+    if strange:
+        raise InputError(command, f"takes no {strange[0][:40]!r}", ", ".join(sorted(ALLOWED[command])) or "no argument")
+    if command in _ABOUT_A_LOAD and document.get("shown_load") != load_number:
+        now = "not known" if load_number is None else str(load_number)
+        raise InputError(command, f"the load is now {now}", "a look at it, and then once more")
+    return {"command": command, **arguments}

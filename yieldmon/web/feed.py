@@ -1,0 +1,203 @@
+"""What all live pages see: two looks at the daemon a second, however many watch, and none when nobody does.
+
+The daemon's own answer holds its last ten seconds; a page that comes later, or time that goes faster, gets the others from the
+store.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Mapping
+from math import isfinite
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+from yieldmon.errors import InputError
+from yieldmon.service.control import ControlError, ask
+from yieldmon.service.store import Store, StoreError
+
+#: Columns of a row as pages get it, with the decimals that they are worth on a screen.
+COLUMNS: Mapping[str, int] = {
+    "number": 0, "time_s": 1, "mass_flow_kg_s": 4, "std_dev_kg_s": 4, "moisture_pct": 2, "plate_angle_deg": 2,
+    "latitude_deg": 7, "longitude_deg": 7,
+}  # fmt: skip
+HOUR = 3600
+#: Pages that watch at the same time; each costs this process a little, the daemon nothing.
+WATCHERS = 24
+_ASK_S = 3.0
+#: The daemon makes its answer anew each second, and after a command; it is asked so long after, and at least so often.
+_PERIOD_S, _AFTER_S, _LEAST_S, _MOST_S = 1.0, 0.1, 0.25, 0.5
+_HEARTBEAT_S = 10.0
+#: How long seconds that the daemon has shown to be missing are awaited from its store.
+_STORE_PATIENCE_S = 5.0
+_SHOWN = ("version", "uptime_s", "age_s", "stale", "state", "load", "total", "sweep", "parameters", "faults", "zero_mv")
+_SHOWN_OF = {"bus": ("interface", "channel", "frames_per_s", "dropped", "kernel_drops"), "store": ("failing", "note", "pending")}
+
+Row = list[float | int | None]
+
+
+class Feed:
+    """The live state, shared by all who watch. Belongs to one event loop."""
+
+    def __init__(self, daemon: Path, store: Path | None = None, clock: Callable[[], float] = monotonic) -> None:
+        """daemon: its control socket. store: its store, None for the one that it names. clock: monotonic time."""
+        self._daemon = daemon
+        self._given_store = store
+        self._clock = clock
+        self._rows: deque[Row] = deque(maxlen=HOUR)
+        self._state: dict[str, Any] = {"problem": "waiting for the daemon"}
+        self._generation = 0
+        """Rises when the rows begin anew, with another store."""
+        self._watchers: set[asyncio.Event] = set()
+        self._looking: asyncio.Task[None] | None = None
+        self._missing_since_s: float | None = None
+        self._stopping = False
+        self.store = store
+        """The store: the one given, else the one that the daemon last named."""
+
+    @property
+    def full(self) -> bool:
+        """Whether as many watch as may."""
+        return len(self._watchers) >= WATCHERS
+
+    def stop(self) -> None:
+        """Let everybody who watches go."""
+        self._stopping = True
+        for news in self._watchers:
+            news.set()
+
+    async def watch(self, after: int = 0) -> AsyncIterator[str]:
+        """Server-sent events for one page, for as long as it reads them.
+
+        Parameters
+        ----------
+        after : int
+            Number of the last second that the page has.
+
+        Yields
+        ------
+        str
+            Events ``live`` with the state and the seconds since the one before, or a comment where nothing is new.
+        """
+        news = asyncio.Event()
+        self._watchers.add(news)
+        if self._looking is None or self._looking.done():
+            self._looking = asyncio.create_task(self._look())
+        else:
+            news.set()
+        sent, generation = after, None
+        try:
+            while not self._stopping:
+                try:
+                    await asyncio.wait_for(news.wait(), _HEARTBEAT_S)
+                except TimeoutError:
+                    yield ": still here\n\n"
+                    continue
+                news.clear()
+                if self._stopping:
+                    return
+                newest = self._newest
+                begins = generation not in (None, self._generation) or sent > newest
+                rows = [row for row in self._rows if begins or (row[0] or 0) > sent]
+                yield _event(newest, {**self._state, "begins": begins, "rows": rows})
+                sent, generation = newest, self._generation
+        finally:
+            self._watchers.discard(news)
+
+    async def ask(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """The daemon's answer to a request of a page. Raises ControlError."""
+        return await asyncio.to_thread(ask, self._daemon, request)
+
+    @property
+    def _newest(self) -> int:
+        return int(self._rows[-1][0] or 0) if self._rows else 0
+
+    async def _look(self) -> None:
+        before = None
+        while self._watchers:
+            status = await asyncio.to_thread(self._take)
+            told = self._told()
+            if told != before:
+                for news in self._watchers:
+                    news.set()
+            before = told
+            age_s = float(status["age_s"]) if status is not None else 0.0
+            await asyncio.sleep(min(_MOST_S, max(_LEAST_S, _PERIOD_S + _AFTER_S - age_s)))
+        self._looking = None
+
+    def _told(self) -> tuple[int, int, dict[str, Any]]:
+        """What a page would be told, without what changes by itself; the age matters once it is stale."""
+        still = {name: value for name, value in self._state.items() if name not in ("age_s", "uptime_s")}
+        return self._generation, self._newest, still if not self._state.get("stale") else self._state
+
+    def _take(self) -> dict[str, Any] | None:
+        """One look; runs on another thread while the loop waits for it."""
+        try:
+            status = ask(self._daemon, {"command": "status"}, _ASK_S)
+            self._state = _shown(status)
+            if self._given_store is None:
+                self.store = Path(status["store"]["file"])
+            self._append([_row(window) for window in status["windows"]])
+        except ControlError as error:
+            self._state = {"problem": str(error)}
+            return None
+        except (KeyError, TypeError, ValueError) as error:
+            self._state = {"problem": f"the daemon is of another version than this page: {error!r}"}
+            return None
+        return status
+
+    def _append(self, rows: list[Row]) -> None:
+        if not rows:
+            return
+        first, last = (int(row[0] or 0) for row in (rows[0], rows[-1]))
+        if last < self._newest:
+            self._rows.clear()
+            self._generation += 1
+        newest = self._newest
+        if first > newest + 1:
+            stored = self._stored(max(newest + 1, last - HOUR + 1))
+            before = [row for row in stored if newest < int(row[0] or 0) < first]
+            whole = not newest or len(before) == first - newest - 1 or first - newest > HOUR
+            if not whole and self._waits_for_the_store():
+                return
+            self._rows.extend(before)
+        self._missing_since_s = None
+        newest = self._newest
+        self._rows.extend(row for row in rows if int(row[0] or 0) > newest)
+
+    def _waits_for_the_store(self) -> bool:
+        if self._missing_since_s is None:
+            self._missing_since_s = self._clock()
+        return self._clock() - self._missing_since_s < _STORE_PATIENCE_S
+
+    def _stored(self, first: int) -> list[Row]:
+        if self.store is None:
+            return []
+        try:
+            with Store.reading(self.store) as store:
+                return [_row({name: getattr(row, name) for name in COLUMNS}) for row in store.seconds(first, lambda _: None)]
+        except (InputError, StoreError):
+            # The trend begins with what the daemon shows, and the history page says what is wrong with the store.
+            return []
+
+
+def _shown(status: Mapping[str, Any]) -> dict[str, Any]:
+    parts = {name: {key: status[name].get(key) for key in keys} for name, keys in _SHOWN_OF.items()}
+    now = status["windows"][-1] if status["windows"] else None
+    return {"problem": None, **{name: status[name] for name in _SHOWN}, **parts, "now": now}
+
+
+def _row(window: Mapping[str, Any]) -> Row:
+    row: Row = []
+    for name, decimals in COLUMNS.items():
+        value = window[name]
+        known = isinstance(value, int | float) and isfinite(value)
+        row.append((round(value, decimals) if decimals else int(value)) if known else None)
+    return row
+
+
+def _event(number: int, document: Mapping[str, Any]) -> str:
+    return f"id: {number}\nevent: live\ndata: {json.dumps(document, separators=(',', ':'))}\n\n"

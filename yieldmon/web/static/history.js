@@ -1,0 +1,127 @@
+// The history page: what the store says.
+
+import { BandChart } from "./chart.js";
+import { FieldMap } from "./map.js";
+import { getJson, getPoints, make, number, set, table, time, words } from "./ui.js";
+
+const page = await getJson("/api/page");
+const map = new FieldMap(document.getElementById("map"), { tiles: page.tiles, name: "Map" });
+
+function days(rows) {
+  table(document.getElementById("days-table"), [
+    ["Day", (day) => day.day], ["Grain, t", (day) => number(day.mass_kg / 1000, 2), true],
+    ["Harvesting, h", (day) => number(day.harvesting_s / 3600, 2), true], ["Mean flow, kg/s", (day) => number(day.mean_flow_kg_s, 2), true],
+    ["Moisture, %", (day) => number(day.moisture_pct, 1), true], ["Positions", (day) => number(day.points), true],
+  ], rows);
+}
+
+function loads(rows) {
+  table(document.getElementById("loads-table"), [
+    ["Load", (load) => load.number, true], ["Field", (load) => load.field || "-"], ["Crop", (load) => load.crop || "-"],
+    ["Begun", (load) => time(load.started_s)], ["Ended", (load) => time(load.ended_s)],
+    ["Measured, kg", (load) => number(load.mass_kg), true], ["± kg", (load) => number(load.std_dev_kg), true],
+    ["Dry, kg", (load) => number(load.dry_mass_kg), true],
+    ["Corrected, kg", (load) => (load.ticket_id === null ? "-" : number(load.corrected_mass_kg)), true],
+  ], rows);
+}
+
+function parameters(versions) {
+  const names = [...new Set(versions.flatMap((version) => Object.keys(version.values)))];
+  const box = document.getElementById("parameter-charts");
+  box.replaceChildren();
+  for (const name of names) {
+    const known = versions.filter((version) => name in version.values);
+    const last = known.at(-1).values[name];
+    const figure = make("figure");
+    const chart = make("div");
+    chart.setAttribute("role", "img");
+    chart.setAttribute("aria-label", `${words(name)} by version, now ${number(last.value, 3)} ± ${number(last.std_dev, 3)}`);
+    figure.append(make("figcaption", `${words(name)}: ${number(last.value, 3)} ± ${number(last.std_dev, 3)}`), chart);
+    box.append(figure);
+    const values = known.map((version) => version.values[name]);
+    new BandChart(chart, { height: 200, points: true }).show(
+      known.map((version) => version.time_s), values.map((entry) => entry.value), values.map((entry) => entry.std_dev));
+  }
+  table(document.getElementById("parameters-table"), [
+    ["Version", (version) => version.version, true], ["In use from", (version) => time(version.time_s)],
+    ["From", (version) => version.origin], ["Crop", (version) => version.crop ?? "-"],
+    ...names.map((name) => [words(name), (version) => {
+      const entry = version.values[name];
+      return entry ? `${number(entry.value, 3)} ± ${number(entry.std_dev, 3)}` : "-";
+    }, true]),
+  ], versions.toReversed());
+}
+
+function sweeps(rows) {
+  table(document.getElementById("sweeps-table"), [
+    ["Time", (sweep) => time(sweep.time_s)], ["Outcome", (sweep) => words(sweep.outcome)], ["Reason", (sweep) => sweep.reason],
+    ["Angles, °", (sweep) => (sweep.document.angles_deg ?? []).map((angle) => number(angle)).join(" ")],
+    ["Parameters", (sweep) => sweep.document.parameter_version ?? "-", true],
+  ], rows);
+}
+
+async function residuals() {
+  const element = document.getElementById("residuals-table");
+  try {
+    const found = await getJson("/api/residuals");
+    set("residuals-text", found.note ?? `${found.sweeps} sweeps, parameters version ${found.parameter_version}, machine ${found.machine}`);
+    const angles = [...new Set(found.cells.map((cell) => cell.plate_angle_deg))];
+    const flows = [...new Set(found.cells.map((cell) => cell.mass_flow_kg_s))].sort((a, b) => a - b);
+    const at = new Map(found.cells.map((cell) => [`${cell.plate_angle_deg} ${cell.mass_flow_kg_s}`, cell]));
+    table(element, [
+      ["Plate, °", (angle) => number(angle, 1), true],
+      ...flows.map((flow) => [`${number(flow, 1)} kg/s`, (angle) => {
+        const cell = at.get(`${angle} ${flow}`);
+        return cell ? `${cell.residual_pct > 0 ? "+" : ""}${number(cell.residual_pct, 1)} ± ${number(cell.std_dev_pct, 1)}` : "";
+      }, true]),
+    ], angles);
+  } catch (error) {
+    set("residuals-text", error.message);
+    element.replaceChildren();
+  }
+}
+
+function faults(rows) {
+  table(document.getElementById("faults-table"), [
+    ["Time", (fault) => time(fault.time_s)], ["Fault", (fault) => fault.code], ["", (fault) => (fault.active ? "came" : "went")],
+    ["Detail", (fault) => fault.detail || "-"],
+  ], rows);
+}
+
+async function showMap(select) {
+  const [kind, value] = select.value.split(" ");
+  try {
+    const points = await getPoints(kind === "all" ? {} : { [kind]: value });
+    map.clear();
+    map.addAll(points);
+    set("state", `${number(map.points)} points`);
+  } catch (error) {
+    set("state", error.message);
+  }
+}
+
+function mapChoices(found) {
+  const select = document.getElementById("map-of");
+  const option = (text, value) => Object.assign(make("option", text), { value });
+  select.replaceChildren(
+    ...found.days.filter((day) => day.points).map((day) => option(day.day, `day ${day.day}`)),
+    option("all days", "all"),
+    ...found.loads.map((load) => option(`load ${load.number}${load.field ? `, ${load.field}` : ""}`, `load ${load.number}`)),
+  );
+  select.addEventListener("change", () => showMap(select));
+  return showMap(select);
+}
+
+try {
+  const found = await getJson("/api/history");
+  set("state", "");
+  days(found.days);
+  loads(found.loads);
+  parameters(found.parameters);
+  sweeps(found.sweeps);
+  faults(found.faults);
+  await Promise.all([mapChoices(found), residuals()]);
+} catch (error) {
+  set("state", error.message);
+  document.getElementById("state").classList.add("bad");
+}

@@ -1,0 +1,75 @@
+// What both pages share: asking, numbers, tables. Text from the store or the daemon goes in as text, never as markup.
+
+export async function getJson(path) {
+  const answer = await fetch(path);
+  if (answer.status === 401) location.assign("/sign-in");
+  const document = await answer.json();
+  if (!answer.ok) throw new Error(document.error ?? `status ${answer.status}`);
+  return document;
+}
+
+export async function getPoints(query) {
+  const answer = await fetch(`/api/points?${new URLSearchParams(query)}`);
+  if (!answer.ok) throw new Error((await answer.json()).error ?? `status ${answer.status}`);
+  const buffer = await answer.arrayBuffer();
+  const [count, last] = new Uint32Array(buffer, 0, 2);
+  return {
+    last,
+    longitude: new Int32Array(buffer, 8, count),
+    latitude: new Int32Array(buffer, 8 + 4 * count, count),
+    flow: new Float32Array(buffer, 8 + 8 * count, count),
+  };
+}
+
+export async function command(request) {
+  const answer = await fetch("/api/command", {
+    method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(request),
+  });
+  const document = await answer.json();
+  if (!answer.ok) throw new Error(document.error ?? `status ${answer.status}`);
+  return document;
+}
+
+export function number(value, decimals = 0) {
+  if (value === null || value === undefined || !Number.isFinite(value)) return "-";
+  return value.toLocaleString("en", { minimumFractionDigits: decimals, maximumFractionDigits: decimals });
+}
+
+export function set(id, text) {
+  const element = document.getElementById(id);
+  if (element.textContent !== text) element.textContent = text;
+}
+
+export function make(tag, text = "", className = "") {
+  const element = document.createElement(tag);
+  if (text !== "") element.textContent = text;
+  if (className) element.className = className;
+  return element;
+}
+
+export function time(seconds) {
+  return seconds === null ? "-" : new Date(1000 * seconds).toLocaleString("sv").slice(0, 16);
+}
+
+export function table(element, columns, rows) {
+  const head = make("tr");
+  for (const [title] of columns) head.append(Object.assign(make("th", title), { scope: "col" }));
+  const body = rows.map((row) => {
+    const line = make("tr");
+    for (const [, cell, isNumber] of columns) line.append(make("td", String(cell(row)), isNumber ? "number" : ""));
+    return line;
+  });
+  if (!rows.length) {
+    const none = make("td", "none yet");
+    none.colSpan = columns.length;
+    const line = make("tr");
+    line.append(none);
+    body.push(line);
+  }
+  const [top, rest] = [make("thead"), make("tbody")];
+  top.append(head);
+  rest.append(...body);
+  element.replaceChildren(top, rest);
+}
+
+export const words = (code) => String(code).replaceAll("_", " ");
