@@ -66,7 +66,16 @@ PLAIN = st.recursive(
 @settings(max_examples=200, deadline=None)
 @given(PLAIN)
 def test_plain_data_survives_writing_and_reading(document):
-    assert strict_yaml.parse(yaml.safe_dump(document, allow_unicode=False), "f") == document
+    assert strict_yaml.parse(strict_yaml.dump(document), "f") == document
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["0E0", "1e5", "-.5", "3.", "010", "0x10", "1:30", "null", "~", "", "true", "yes", "2020-01-01", ".nan", " a", "a: b", "#"],
+)
+def test_a_text_that_looks_like_something_else_stays_a_text(text):
+    assert strict_yaml.parse(strict_yaml.dump({"key": text}), "f") == {"key": text}
+    assert yaml.safe_load(strict_yaml.dump({"key": text})) == {"key": text}
 
 
 @settings(max_examples=300, deadline=None)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import os
 import threading
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,9 @@ from tests.service.bench import CODEC, START_S, traffic
 from yieldmon.service import configuration
 from yieldmon.service.daemon import Daemon
 from yieldmon.service.store import Batch, Store
+
+#: As long as a slow drive takes for a transaction, so that kills fall between the two.
+BETWEEN_S = 0.02
 
 
 def say(*words: object) -> None:
@@ -43,6 +47,7 @@ class SplitStore(Store):
             before = self.state()
             if before is not None:
                 super().commit([replace(batch, number=2 * batch.number, state=before)])
+                time.sleep(BETWEEN_S)
                 batch = replace(batch, seconds=(), faults=(), sweeps=(), tickets=())  # noqa: PLW2901 - what is left of it
             super().commit([replace(batch, number=2 * batch.number + 1)])
 

@@ -14,7 +14,14 @@ import pytest
 from tests.network.task_server import TaskServer
 from tests.service.bench import Bench, running, wait_for
 from yieldmon.bus.logs import read_log
-from yieldmon.network.identifier import ADDRESS_CLAIMED, REQUEST, TRANSPORT_CONNECTION, TRANSPORT_DATA, Identifier
+from yieldmon.network.identifier import (
+    ACKNOWLEDGEMENT,
+    ADDRESS_CLAIMED,
+    REQUEST,
+    TRANSPORT_CONNECTION,
+    TRANSPORT_DATA,
+    Identifier,
+)
 from yieldmon.network.name import Name
 from yieldmon.network.node import Node, NodeSettings
 from yieldmon.service.link import identity_number
@@ -51,7 +58,7 @@ def test_claims_come_before_anything_else(tmp_path: Path) -> None:
     [
         ((0x18EA8317, "00EE00"), ADDRESS_CLAIMED),
         ((0x18EAFF17, "DAFE00"), TRANSPORT_CONNECTION),
-        ((0x18EA8317, "E5FE00"), 59392),
+        ((0x18EA8317, "E5FE00"), ACKNOWLEDGEMENT),
         ((0x18EA8317, "16FF00"), 65302),
     ],
     ids=["claim", "software", "not ours", "last mass flow"],
@@ -73,8 +80,9 @@ def test_requests_for_others_are_not(tmp_path: Path) -> None:
         for text in ("00EE00", "DAFE00", "E5FE00"):
             say(bench, 0x18EA8417, text)
         say(bench, 0x18EA8317, "E5FE00")
-        wait_for(lambda: sent(bench), "an answer")
-        assert [data[5:8].hex() for _, data in sent(bench)] == ["e5fe00"]
+        answers = (ADDRESS_CLAIMED, TRANSPORT_CONNECTION, ACKNOWLEDGEMENT)
+        wait_for(lambda: ACKNOWLEDGEMENT in [parts.group for parts, _ in sent(bench)], "an answer")
+        assert [data[5:8].hex() for parts, data in sent(bench) if parts.group in answers] == ["e5fe00"]
 
 
 def test_a_lower_name_takes_the_address_and_frames_follow(tmp_path: Path) -> None:
@@ -95,7 +103,7 @@ def test_network_off_sends_as_the_dbc_says(tmp_path: Path) -> None:
         say(bench, 0x18EA8317, "E5FE00")
         bench.play(3, 0.0)
         bench.played()
-        assert {parts.group for parts, _ in sent(bench)}.isdisjoint({ADDRESS_CLAIMED, REQUEST, 59392})
+        assert {parts.group for parts, _ in sent(bench)}.isdisjoint({ADDRESS_CLAIMED, REQUEST, ACKNOWLEDGEMENT})
         assert {parts.source for parts, _ in sent(bench)} == {US}
 
 

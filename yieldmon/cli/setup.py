@@ -9,12 +9,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from yieldmon.cli._setup import derive, session
 from yieldmon.cli._setup.questions import QUESTIONS
 from yieldmon.errors import InputError
-from yieldmon.files import machine_file, parameter_file
+from yieldmon.files import machine_file, parameter_file, strict_yaml
 from yieldmon.files.whole_file import scratch_for
 from yieldmon.service import configuration
 
@@ -91,7 +89,7 @@ def write(answers: dict[str, Any], folder: Path, *, force: bool) -> dict[str, An
     config["sweep"] = {"angles_deg": angles} if angles else {"enabled": False}
     for name, content in ((MACHINE, machine_file.to_document(machine)), (CONFIGURATION, config), (RECORD, found)):
         with scratch_for(folder / name, durable=True) as scratch:
-            scratch.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+            scratch.write_text(strict_yaml.dump(content), encoding="utf-8")
     parameter_file.save(parameters, folder / names["parameters"])
     configuration.load(folder / CONFIGURATION)
     return {**found, "files": {key: str(folder / name) for key, name in names.items()}}

@@ -5,13 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from yieldmon.errors import InputError
 from yieldmon.estimation.moisture import MoistureMap
 from yieldmon.files.parameter_file import GRAIN_LIMITS
 from yieldmon.resources import shipped
 
+from . import strict_yaml
 from .checked import load_mapping, number
 from .whole_file import scratch_for
 
@@ -49,7 +48,7 @@ def save(known: MoistureMap, path: str | Path) -> None:
         "doubt": known.doubt,
     }
     with scratch_for(path) as scratch:
-        scratch.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+        scratch.write_text(strict_yaml.dump(document), encoding="utf-8")
 
 
 def _row(value: Any, where: str, unit: str, low: float, high: float) -> tuple[float, ...]:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
@@ -20,6 +19,7 @@ from yieldmon.physics.grain import GRAIN
 from yieldmon.physics.machine import RPM
 from yieldmon.resources import shipped
 
+from . import strict_yaml
 from .checked import load_mapping, number
 from .whole_file import READABLE, scratch_for
 
@@ -113,31 +113,9 @@ def to_document(parameters: ParameterSet) -> dict[str, Any]:
 
 def save(parameters: ParameterSet, path: str | Path) -> None:
     """Write the file whole or not at all. Raises InputError or OSError as `whole_file.scratch_for`."""
-    text = yaml.dump(to_document(parameters), Dumper=_ExactDumper, sort_keys=False, allow_unicode=True)
+    text = strict_yaml.dump(to_document(parameters))
     with scratch_for(path, durable=True, mode=READABLE) as scratch:
         scratch.write_text(text, encoding="utf-8")
-
-
-class _ExactDumper(yaml.SafeDumper):
-    pass
-
-
-def _represent_float(dumper: _ExactDumper, value: float) -> yaml.ScalarNode:
-    text = repr(value)
-    # YAML 1.1 takes 1e-05 for a text; it wants a point in the mantissa.
-    if "e" in text and "." not in text:
-        text = text.replace("e", ".0e")
-    return dumper.represent_scalar("tag:yaml.org,2002:float", text)
-
-
-def _represent_text(dumper: _ExactDumper, value: str) -> yaml.ScalarNode:
-    # Line ends that YAML would fold into spaces, unless they are escaped.
-    style = '"' if any(end in value for end in "\x85\u2028\u2029") else None
-    return dumper.represent_scalar("tag:yaml.org,2002:str", value, style=style)
-
-
-_ExactDumper.add_representer(float, _represent_float)
-_ExactDumper.add_representer(str, _represent_text)
 
 
 def _outward(value: float, scale: float) -> float:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import errno
 import re
 from collections.abc import Hashable
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -88,6 +89,46 @@ def _resolvers() -> dict[str, list[tuple[str, re.Pattern[str]]]]:
 _StrictLoader.yaml_implicit_resolvers = _resolvers()
 for _number in ("int", "float"):
     _StrictLoader.add_constructor(f"tag:yaml.org,2002:{_number}", _StrictLoader.construct_number)
+
+
+class _ExactDumper(yaml.SafeDumper):
+    """Quotes every text that this reader or YAML 1.1 takes for something else."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+for _first, _patterns in _resolvers().items():
+    for _tag, _pattern in _patterns:
+        _ExactDumper.add_implicit_resolver(_tag, _pattern, [_first])
+
+
+def _represent_float(dumper: _ExactDumper, value: float) -> yaml.ScalarNode:
+    if not isfinite(value):
+        return dumper.represent_float(value)
+    text = repr(value)
+    # YAML 1.1 takes 1e-05 for a text; it wants a point in the mantissa.
+    if "e" in text and "." not in text:
+        text = text.replace("e", ".0e")
+    return dumper.represent_scalar("tag:yaml.org,2002:float", text)
+
+
+def _represent_text(dumper: _ExactDumper, value: str) -> yaml.ScalarNode:
+    # Line ends that YAML would fold into spaces, unless they are escaped.
+    style = '"' if any(end in value for end in "\x85\u2028\u2029") else None
+    return dumper.represent_scalar("tag:yaml.org,2002:str", value, style=style)
+
+
+_ExactDumper.add_representer(float, _represent_float)
+_ExactDumper.add_representer(str, _represent_text)
+
+
+def dump(document: Any) -> str:
+    """The YAML text that `parse` reads back as the same document, to the last bit.
+
+    document: mappings, lists, texts, numbers, truth values and None; keys are texts and stay in their order.
+    """
+    return yaml.dump(document, Dumper=_ExactDumper, sort_keys=False, allow_unicode=True)
 
 
 def parse(text: str, where: str) -> Any:

@@ -7,8 +7,6 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from yieldmon.cli._setup.questions import QUESTIONS, Question
 from yieldmon.errors import InputError
 from yieldmon.files import strict_yaml
@@ -33,7 +31,7 @@ def from_file(path: str | Path) -> dict[str, Any]:
 def keep(answers: Mapping[str, Any], folder: Path) -> None:
     """Write the answers beside what will be made of them."""
     with scratch_for(folder / KEPT) as scratch:
-        scratch.write_text(yaml.safe_dump(dict(answers), sort_keys=False), encoding="utf-8")
+        scratch.write_text(strict_yaml.dump(dict(answers)), encoding="utf-8")
 
 
 def checked(question: Question, value: Any, where: str) -> Any:
