@@ -19,7 +19,8 @@ from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import WindowResult
 from yieldmon.errors import InputError
 from yieldmon.estimation.calibration import Calibration, Measurements, calibrate, default_start
-from yieldmon.estimation.closed_loop import ClosedLoopSettings, Sweep, self_calibrate
+from yieldmon.estimation.closed_loop import Sweep, self_calibrate
+from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.open_loop import FlowEstimate, FlowStatus, OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files.machine_file import load as load_machine

@@ -24,7 +24,8 @@ import yaml
 
 from yieldmon.estimation.batch import MomentumBatch
 from yieldmon.estimation.calibration import Calibration, Measurements, calibrate, default_start
-from yieldmon.estimation.closed_loop import ClosedLoopSettings, Sweep, self_calibrate
+from yieldmon.estimation.closed_loop import Sweep, self_calibrate
+from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.empirical import Physical, paddle_mass
 from yieldmon.estimation.identifiability import scaled, sweep_directions
 from yieldmon.estimation.least_squares import levenberg_marquardt

@@ -17,10 +17,11 @@ from studies.season import study
 from studies.season.season import Season
 from studies.season.study import Array, Keeper, Strategy, StudySettings
 from yieldmon.engine.anchors import AnchorSource, ReferenceMass
-from yieldmon.engine.closed_loop_calibrator import CalibratorSettings, ClosedLoopCalibrator
+from yieldmon.engine.calibrator_settings import CalibratorSettings
+from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.load_forces import LoadForceSums
 from yieldmon.engine.records import CalibrationOutcome, WindowRecord
-from yieldmon.estimation.closed_loop import ClosedLoopSettings
+from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import RPM, Machine

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from yieldmon.estimation.calibration import Measurements, calibrate
-from yieldmon.estimation.closed_loop import ClosedLoopSettings, Sweep, self_calibrate
+from yieldmon.estimation.closed_loop import Sweep, self_calibrate
+from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel

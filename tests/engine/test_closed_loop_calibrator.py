@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 from yieldmon.engine.anchors import AnchorSource, ReferenceMass
-from yieldmon.engine.closed_loop_calibrator import CalibratorSettings, ClosedLoopCalibrator
+from yieldmon.engine.calibrator_settings import CalibratorSettings
+from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.state import EngineState
-from yieldmon.estimation.closed_loop import ClosedLoopSettings
-from yieldmon.estimation.drift import DriftRates
+from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
+from yieldmon.estimation.drift_rates import DriftRates
 from yieldmon.estimation.moisture import MoistureMap
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet

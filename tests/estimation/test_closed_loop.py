@@ -8,14 +8,8 @@ import re
 import numpy as np
 import pytest
 
-from yieldmon.estimation.closed_loop import (
-    ClosedLoopSettings,
-    DensityAnchor,
-    MassAnchor,
-    SelfCalibrator,
-    Sweep,
-    self_calibrate,
-)
+from yieldmon.estimation.closed_loop import DensityAnchor, MassAnchor, SelfCalibrator, Sweep, self_calibrate
+from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.identifiability import relative_jacobian, report, scaled, sweep_directions
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet

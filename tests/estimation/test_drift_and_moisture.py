@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from yieldmon.errors import InputError
-from yieldmon.estimation.drift import DriftRates, grow
+from yieldmon.estimation.drift import grow
+from yieldmon.estimation.drift_rates import DriftRates
 from yieldmon.estimation.moisture import MoistureMap, fit
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import Prior, fitting_bounds, physical_bounds, start_ranges

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from yieldmon.estimation.drift import DriftRates, grow
+from yieldmon.estimation.drift import grow
+from yieldmon.estimation.drift_rates import DriftRates
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.steady_drift import DriftingParameters, advance, begin, carried, learn, smoothed
 

@@ -39,8 +39,9 @@ from yieldmon.engine.state import EngineState
 from yieldmon.engine.totals import Totals
 from yieldmon.files import parameter_file
 from yieldmon.service import recovery, rescue
+from yieldmon.service.retention import Retention
 from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Batch, Load, ParameterVersion, Retention, Store, StoreError, Ticket
+from yieldmon.service.store import Batch, Load, ParameterVersion, Store, StoreError, Ticket
 from yieldmon.service.writer import StoreWriter
 
 KG_PER_S = 10.0

@@ -33,7 +33,8 @@ from tests.robustness.soak_machine import CYCLE_S, EXPECTED_FAULTS, STUCK_EVERY,
 from yieldmon.service import configuration
 from yieldmon.service.control import ask
 from yieldmon.service.daemon import SILENCE_S, Daemon
-from yieldmon.service.store import Batch, Retention, Store
+from yieldmon.service.retention import Retention
+from yieldmon.service.store import Batch, Store
 
 LIMIT_MB = 5.0
 #: Room is made about once a minute, and in a hurry less often.

@@ -23,7 +23,8 @@ from tests.service.bench import running
 from yieldmon.errors import InputError
 from yieldmon.service.journal import Memory, digest
 from yieldmon.service.recovery import recover
-from yieldmon.service.store import Retention, Store, StoreError
+from yieldmon.service.retention import Retention
+from yieldmon.service.store import Store, StoreError
 
 KINDS = ("bit", "byte", "sector", "page", "zeros", "cut")
 LONGEST_START_S = 3.0

@@ -13,10 +13,10 @@ import pytest
 import yaml
 
 from yieldmon.cli import main as cli
-from yieldmon.engine.closed_loop_calibrator import CalibratorSettings
+from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.errors import InputError
-from yieldmon.estimation.drift import DriftRates
+from yieldmon.estimation.drift_rates import DriftRates
 from yieldmon.resources import shipped
 from yieldmon.service import configuration
 from yieldmon.service.configuration import ConfigurationError

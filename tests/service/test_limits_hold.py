@@ -16,7 +16,8 @@ from yieldmon import frames
 from yieldmon.bus.receiver import BusEvent, BusEventKind
 from yieldmon.service import control
 from yieldmon.service.control import ControlServer, ask
-from yieldmon.service.store import Batch, Load, Retention, Store, StoreDamagedError, StoreError
+from yieldmon.service.retention import Retention
+from yieldmon.service.store import Batch, Load, Store, StoreDamagedError, StoreError
 from yieldmon.service.writer import StoreWriter
 
 

@@ -11,7 +11,7 @@ import pytest
 from tests.service.bench import START_S, running, wait_for
 from yieldmon.cli import main as cli
 from yieldmon.engine.records import CalibrationStep
-from yieldmon.estimation.drift import DriftRates
+from yieldmon.estimation.drift_rates import DriftRates
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.steady_drift import advance, begin
 from yieldmon.files import parameter_file

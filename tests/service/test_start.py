@@ -10,15 +10,19 @@ import pytest
 
 from yieldmon.bus import log_writing, logs
 
-HEAVY = {"asammdf", "can", "cantools", "matplotlib", "numpy", "pandas", "pyarrow", "pydantic", "rich", "scipy", "yaml"}
+HEAVY = {
+    "asammdf", "can", "cantools", "matplotlib", "numpy", "pandas", "pyarrow", "pydantic", "rich", "scipy", "yaml",
+    "yieldmon.engine.monitor", "yieldmon.estimation.closed_loop", "yieldmon.service.store",
+}  # fmt: skip
 
 
 def imported(*arguments: str) -> set[str]:
-    """Packages among the heavy ones that a run of the command imports."""
+    """Packages and modules among the heavy ones that a run of the command imports."""
     program = (
         "import sys\nfrom yieldmon.cli.main import main\n"
         "try:\n    main()\nexcept SystemExit:\n    pass\n"
-        "print(*{name.partition('.')[0] for name, module in sys.modules.items() if module}, file=sys.stderr)"
+        "names = [name for name, module in sys.modules.items() if module]\n"
+        "print(*{*names, *(name.partition('.')[0] for name in names)}, file=sys.stderr)"
     )
     done = subprocess.run([sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=True)
     return set(done.stderr.splitlines()[-1].split()) & HEAVY

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from yieldmon.errors import InputError
 from yieldmon.service import schema
+from yieldmon.service.retention import Retention
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import (
     Batch,
@@ -19,7 +20,6 @@ from yieldmon.service.store import (
     FaultEvent,
     Load,
     ParameterVersion,
-    Retention,
     Store,
     StoreError,
     SweepRecord,

@@ -17,16 +17,8 @@ from yieldmon.files import parameter_file
 from yieldmon.service import rescue, schema
 from yieldmon.service.checksums import row_checksum
 from yieldmon.service.recovery import recover
-from yieldmon.service.store import (
-    FaultEvent,
-    Load,
-    ParameterVersion,
-    Retention,
-    Store,
-    StoreDamagedError,
-    StoreDetachedError,
-    Ticket,
-)
+from yieldmon.service.retention import Retention
+from yieldmon.service.store import FaultEvent, Load, ParameterVersion, Store, StoreDamagedError, StoreDetachedError, Ticket
 from yieldmon.service.store_file import read_only
 from yieldmon.service.writer import StoreWriter
 

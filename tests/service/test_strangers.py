@@ -9,7 +9,8 @@ import pytest
 
 from yieldmon.errors import InputError
 from yieldmon.service.recovery import recover
-from yieldmon.service.store import Retention, Store
+from yieldmon.service.retention import Retention
+from yieldmon.service.store import Store
 from yieldmon.service.store_file import refuse_stranger, unmounted_above
 
 

@@ -15,7 +15,8 @@ import numpy as np
 
 from yieldmon.cli import _outputs, model_options
 from yieldmon.errors import InputError
-from yieldmon.estimation.closed_loop import ClosedLoopSettings, DensityAnchor, Outcome, Sweep, self_calibrate
+from yieldmon.estimation.closed_loop import DensityAnchor, Outcome, Sweep, self_calibrate
+from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.files import parameter_file, table, whole_file
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel

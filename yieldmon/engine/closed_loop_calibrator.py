@@ -6,18 +6,18 @@ Between sweeps the parameters' covariance grows (drift), and moisture moves the 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from math import hypot, isfinite
 
 import numpy as np
 
 from yieldmon.engine.anchors import ReferenceMass
+from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.records import CalibrationOutcome, CalibrationStep, CalibratorState, FlowEstimator, WindowRecord
 from yieldmon.engine.scale_alarm import ScaleCheck, as_stated, name_of
 from yieldmon.estimation.angle_pattern import EFFECT, with_pattern
 from yieldmon.estimation.closed_loop import (
-    ClosedLoopSettings,
     DensityAnchor,
     MassAnchor,
     Outcome,
@@ -26,39 +26,11 @@ from yieldmon.estimation.closed_loop import (
     self_calibrate,
     update_from_tickets,
 )
-from yieldmon.estimation.drift import DriftRates, steady_defaults
 from yieldmon.estimation.loads import LoadSettings, WeighedLoad, calibrate_loads, contradicted, departure
-from yieldmon.estimation.moisture import MoistureMap
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.steady_drift import Advance, DriftingParameters, advance, begin, carried, learn
 from yieldmon.physics.model import ForwardModel
-
-
-@dataclass(frozen=True, slots=True)
-class CalibratorSettings:
-    """Settings of the self-calibration.
-
-    anchor_error: relative error of a weighed load that is not the scale's (flow spread, model), added in quadrature.
-    drift, steady_per_kilotonne: how parameters wander, and the standard deviations of their steady rates (`steady_drift`).
-    moisture_map: moves the prior when the moisture changes; None: moisture is not used.
-    pattern_sd: relative standard deviation of the model's error away from the home angle that sweeps separate from the grain
-    (`estimation.angle_pattern`); 0: none is looked for.
-    density_ratio: parameter density over test weight, from a calibration in which both were known; None: test weight is not used.
-    """
-
-    closed_loop: ClosedLoopSettings = field(
-        default_factory=lambda: ClosedLoopSettings(flow="process", model_error=0.01)
-    )
-    drift: DriftRates = field(default_factory=DriftRates)
-    steady_per_kilotonne: Mapping[str, float] = field(default_factory=steady_defaults)
-    anchor_error: float = 0.005
-    pattern_sd: float = 0.0
-    density_ratio: float | None = None
-    density_ratio_std_dev: float = 0.1
-    test_weight_std_dev_kg_m3: float = 10.0
-    moisture_map: MoistureMap | None = None
-
 
 _KEPT_WEIGHINGS = 6
 """Accepted weighings that a new one is held against."""

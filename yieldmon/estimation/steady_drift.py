@@ -18,7 +18,8 @@ import numpy as np
 from yieldmon.physics.grain import drift_key
 from yieldmon.physics.numerics import Array
 
-from .drift import DriftRates, grow
+from .drift import grow
+from .drift_rates import DriftRates
 from .identifiability import natural_scale
 from .parameters import ParameterSet
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
-from yieldmon.engine.closed_loop_calibrator import CalibratorSettings, ClosedLoopCalibrator
+from yieldmon.engine.calibrator_settings import CalibratorSettings
+from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sources import DEFAULT_SOURCES, Sources

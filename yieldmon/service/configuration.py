@@ -18,11 +18,11 @@ from typing import Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from yieldmon.engine.closed_loop_calibrator import CalibratorSettings
+from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.errors import InputError
-from yieldmon.estimation.closed_loop import ClosedLoopSettings
-from yieldmon.estimation.drift import DriftRates
+from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
+from yieldmon.estimation.drift_rates import DriftRates
 from yieldmon.estimation.moisture import MoistureMap
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, moisture_file, parameter_file, strict_yaml
@@ -31,8 +31,8 @@ from yieldmon.resources import shipped
 from yieldmon.service.document import ENGINE_SECTIONS, Document, Section
 from yieldmon.service.folders import runtime_folder, state_folder
 from yieldmon.service.former_keys import with_present_keys
+from yieldmon.service.retention import Retention
 from yieldmon.service.signal_section import signal_map
-from yieldmon.service.store import Retention
 from yieldmon.signals.mapping import SignalMap
 
 DEFAULT_MACHINE = "config/machines/sprocket-8.yaml"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
-from yieldmon.engine.closed_loop_calibrator import CalibratorSettings
+from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.physics.grain import GRAIN
 

@@ -6,17 +6,18 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from math import degrees
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.engine.aliasing import ALIAS_FREE_HZ, aliasing_share
-from yieldmon.engine.runs import FrameRun
 from yieldmon.engine.sources import QUANTITIES, SampleSource
 from yieldmon.physics.machine import RPM, Machine
-from yieldmon.service.assembly import build_estimator
 from yieldmon.service.configuration import Configuration
+
+if TYPE_CHECKING:
+    from yieldmon.engine.runs import FrameRun
 
 Array = NDArray[np.float64]
 
@@ -62,6 +63,8 @@ def _largest_share(sources: Sequence[SampleSource], machine: Machine, speed_rad_
 
 def _flow_per_force(configuration: Configuration, speed_rad_s: float) -> float:
     """Largest relative change of the flow over that of the force, for any flow that the elevator can carry."""
+    from yieldmon.service.assembly import build_estimator
+
     machine = configuration.machine
     estimator = build_estimator(machine, configuration.parameters)
     angles, speeds = (np.full(_FORCES_N.shape, value) for value in (machine.home_plate_angle_rad, speed_rad_s))

@@ -12,8 +12,9 @@ from yieldmon.engine.state import EngineState
 from yieldmon.engine.totals import Totals
 from yieldmon.service import rescue
 from yieldmon.service.journal import Memory, recall
+from yieldmon.service.retention import Retention
 from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Retention, Store, StoreDamagedError, StoreError
+from yieldmon.service.store import Store, StoreDamagedError, StoreError
 from yieldmon.service.store_file import refuse_stranger, witnessed
 
 _log = logging.getLogger(__name__)

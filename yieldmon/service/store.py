@@ -26,6 +26,7 @@ from yieldmon.errors import InputError
 from yieldmon.service import schema
 from yieldmon.service.checksums import UNCHECKED, row_checksum
 from yieldmon.service.ledger import ledger
+from yieldmon.service.retention import DEFAULT_RETENTION, Retention
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store_file import header_problem, looks_like_a_store, parts, prepared, read_only, witness
 
@@ -131,19 +132,6 @@ class Batch:
     counters: Mapping[str, int] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class Retention:
-    """What is kept: the newest `record_hours` hours of one-second records, fewer when the file would pass `size_mb` MB,
-    and the newest `event_rows` sweeps, faults and tickets. Loads and parameter versions are few and stay.
-
-    Hours are hours of records, so a clock that is wrong by years takes nothing away.
-    """
-
-    record_hours: float = 2000.0
-    size_mb: float = 512.0
-    event_rows: int = 100_000
-
-
 class StoreError(Exception):
     """The medium or the file fails: full, read-only, not a store, damaged. One line."""
 
@@ -247,7 +235,7 @@ class Store:
     def __init__(
         self,
         path: Path,
-        retention: Retention = Retention(),
+        retention: Retention = DEFAULT_RETENTION,
         timeout_s: float = 2.0,
         exclusive: bool = False,
         immutable: bool = False,
