@@ -102,6 +102,7 @@ class Life:
         self.tickets = list(memory.tickets)
         self._judge_start(found.note)
         self.writer = StoreWriter(world.open_store, 3600, retry_s=0.0, path=world.path)
+        self.writer.expect(found.last_batch)
         self.whole = True
         self.entered: list[Ticket] = []
         self.acceptable_kg = self.totals.total_kg
@@ -222,13 +223,18 @@ class Life:
         try:
             with Store.reading(self.world.path) as store:
                 rows: list[SecondRow] = store.seconds()
+                tickets, versions = len(store.tickets()), store.parameter_versions()
         except Exception as error:  # noqa: BLE001 - damage that came after the last look is found by the next start
             self.world.troubles[f"unreadable {type(error).__name__}"] += 1
             return
         world = self.world
         in_file_kg = rows[-1].total_kg if rows else 0.0
-        if not self.said and in_file_kg < world.committed_kg - 1e-6:
+        if not self.said and not self.failing and in_file_kg < world.committed_kg - 1e-6:
             world.wrong(f"{in_file_kg} kg in the file where {world.committed_kg} kg count as committed, unsaid")
+        if not self.said and not self.failing and tickets < world.tickets:
+            world.wrong(f"{tickets} tickets in the file where {world.tickets} count as committed, unsaid")
+        if rows and not self.said and not self.failing and not versions:
+            world.wrong("seconds in the file without the parameters they were measured with, unsaid")
         world.excused |= self.said
         if not world.excused and [row.number for row in rows] != list(range(rows[0].number, rows[-1].number + 1) if rows else []):
             world.wrong("seconds with a gap or a double")
@@ -268,6 +274,22 @@ def _swap(world: World, life: Life) -> None:
     world.path.write_bytes(b"another file")
 
 
+def _exchange(world: World, life: Life) -> None:
+    """While the store is closed, as after each failure, that of another machine comes into its place."""
+    life.writer.close()
+    for suffix in ("", "-wal", "-shm"):
+        world.path.with_name(world.path.name + suffix).unlink(missing_ok=True)
+    other = world.folder / "other"
+    if not other.exists():
+        state = {
+            "engine": EngineState().as_dict(), "saved_s": world.clock_s, "last_second": 10**6, "parameter_digest": "",
+            "field": "", "crop": "", "faults": [],
+        }  # fmt: skip
+        with Store(other) as store:
+            store.commit([Batch(10**6, world.clock_s, state)])
+    shutil.copyfile(other, world.path)
+
+
 def _ticket(world: World, life: Life) -> None:
     ticket = Ticket(world.clock_s, life.totals.load_number, life.totals.load_number, 100.0, 99.0, str(world.rng.random()))
     life.entered.append(ticket)
@@ -279,7 +301,7 @@ def _new_load(world: World, life: Life) -> None:
 
 
 RUNNING: tuple[Callable[[World, Life], None], ...] = (
-    _clock, _fill, _protect, _remove, _swap, _ticket, _ticket, _new_load, _new_load,
+    _clock, _fill, _protect, _remove, _swap, _exchange, _ticket, _ticket, _new_load, _new_load,
 )  # fmt: skip
 
 
@@ -455,6 +477,9 @@ UNDO: dict[str, Callable[[], Any]] = {
     "rescue": _patched("yieldmon.service.recovery.rescue.rescue", _nothing_set_aside),
     "removed files": _patched("yieldmon.service.store.Store.require_attached", lambda store: None),
     "witness of commits": _patched("yieldmon.service.recovery.witnessed", lambda path: 0),
+    "looking after files while closed": _patched(
+        "yieldmon.service.writer.StoreWriter._opened", lambda writer: writer._open_store()
+    ),
     "mending in use": _patched("yieldmon.service.writer.StoreWriter._mended", lambda writer, store, error: False),
     "interrupted replacement": _patched("yieldmon.service.rescue.finish", lambda path: None),
     "totals of the last second": _patched("yieldmon.service.recovery._caught_up", lambda totals, last: totals),

@@ -19,7 +19,7 @@ from yieldmon.service.checksums import row_checksum
 from yieldmon.service.recovery import recover
 from yieldmon.service.retention import Retention
 from yieldmon.service.store import FaultEvent, Load, ParameterVersion, Store, StoreDamagedError, StoreDetachedError, Ticket
-from yieldmon.service.store_file import read_only
+from yieldmon.service.store_file import read_only, witness
 from yieldmon.service.writer import StoreWriter
 
 PATIENCE_S = 10.0
@@ -197,6 +197,69 @@ def test_files_removed_while_in_use_are_told_and_written_anew(path, gone):
     if gone == "replaced":
         kept = [file.read_bytes() for file in path.parent.iterdir() if ".replaced-" in file.name]
         assert b"something else" in kept
+
+
+def closed_after_41(path: Path) -> StoreWriter:
+    """A writer whose store is closed after batch 41, as after a failure of the disk."""
+    writer = StoreWriter(lambda: Store(path), 100, path=path)
+    writer.expect(40)
+    writer.submit(batch(41))
+    assert writer.work()
+    writer.close()
+    return writer
+
+
+@pytest.mark.parametrize("before", ["the first batch", "a later one"])
+def test_files_removed_while_the_writer_has_them_closed_are_told(path, before):
+    writer = StoreWriter(lambda: Store(path), 100, path=path)
+    writer.expect(40)
+    if before == "a later one":
+        writer = closed_after_41(path)
+    missing = 41 if before == "a later one" else 40
+    path.unlink()
+    writer.submit(batch(42))
+    assert writer.work()
+    writer.close()
+    assert writer.health().replacements == 1
+    assert f"its last {missing} commits are missing" in writer.health().replaced_because
+
+
+def test_a_store_that_was_closed_in_between_is_no_replacement(path):
+    writer = closed_after_41(path)
+    writer.submit(batch(42))
+    assert writer.work()
+    writer.close()
+    assert writer.health().replacements == 0
+
+
+def test_a_store_of_another_machine_put_there_while_closed_is_set_aside(path, tmp_path):
+    """It has numbers above those to come, so it would take none of them."""
+    with Store(tmp_path / "other") as other:
+        other.commit([batch(1000)])
+    writer = closed_after_41(path)
+    path.unlink()
+    (tmp_path / "other").rename(path)
+    writer.submit(batch(42))
+    assert writer.work()
+    writer.close()
+    assert "another store" in writer.health().replaced_because
+    with Store(path) as store:
+        assert store.last_batch() == 42
+    aside = next(file for file in tmp_path.iterdir() if ".replaced-" in file.name)
+    assert aside.name in writer.health().replaced_because
+    with Store(aside) as store:
+        assert store.last_batch() == 1000
+
+
+@pytest.mark.parametrize(("more", "told"), [(60, False), (61, True)])
+def test_a_start_on_a_store_with_more_commits_than_were_made_here_says_so(path, more, told):
+    witness(path, 40)
+    with Store(path) as store:
+        store.commit([batch(40 + more, state=state(40 + more))])
+    witness(path, 40)
+    recovery = recover(path, Retention(), lambda: Store(path))
+    assert recovery.last_batch == 40 + more
+    assert (f"{more} commits more" in recovery.note) is told
 
 
 def test_an_open_store_says_that_its_file_is_not_there(path):

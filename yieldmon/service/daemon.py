@@ -176,6 +176,7 @@ class Daemon:
     def _run(self) -> int:
         recovery = recover(self.configuration.store_path, self.configuration.retention, self._open_store)
         memory, self._store_note = recovery.memory, recovery.note
+        self._writer.expect(recovery.last_batch)
         parameters, self._origin = choose_parameters(memory, self.configuration.parameters)
         self._journal = Journal(memory, self.configuration.parameters)
         self._journal.new_monitor(parameters, self._origin)

@@ -19,13 +19,17 @@ from yieldmon.service.store_file import refuse_stranger, witnessed
 
 _log = logging.getLogger(__name__)
 
+#: Commits that a kill may leave unnoted: those that waited for the medium.
+_UNNOTED_AT_MOST = 60
+
 
 @dataclass(frozen=True)
 class Recovery:
-    """What the store remembers, and what is to be said of it; empty when all is well."""
+    """What the store remembers, and what is to be said of it, empty when all is well. last_batch: the last that it has."""
 
     memory: Memory
     note: str = ""
+    last_batch: int = 0
 
 
 def recover(path: Path, retention: Retention, open_store: Callable[[], Store]) -> Recovery:
@@ -47,14 +51,17 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store]) -
             _log.error("%s", error)
             notes.append(_rescued(path, error, without))
             continue
-        missing = witnessed(path) - memory.last_batch
+        last_batch = memory.last_batch
+        missing = witnessed(path) - last_batch
         if missing > 0:
             notes.append(f"its last {missing} commits are missing")
             # Numbers go on, or an older copy put back later would look like the newer one.
             memory = replace(memory, last_batch=memory.last_batch + missing)
+        elif 0 < last_batch + missing < last_batch - _UNNOTED_AT_MOST:
+            notes.append(f"it has {-missing} commits more than were made here: the totals may be another machine's")
         for note in notes:
             _log.error("%s: %s", path, note)
-        return Recovery(memory, "; ".join(notes))
+        return Recovery(memory, "; ".join(notes), last_batch)
     raise StoreError(f"{path}: cannot be used, nor can a new one in its place")
 
 

@@ -459,7 +459,8 @@ class Store:
 
     def last_batch(self) -> int:
         """Number of the last batch committed, 0 in a new store."""
-        row = self._database.execute("SELECT max(batch) FROM state").fetchone()
+        with _failures_of(self.path):
+            row = self._database.execute("SELECT max(batch) FROM state").fetchone()
         return int(row[0] or 0)
 
     def state(self) -> dict[str, Any] | None:

@@ -8,10 +8,11 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from time import monotonic
+from time import monotonic, time
 
 from yieldmon.service.rescue import mend
 from yieldmon.service.store import Batch, BatchRefusedError, Store, StoreDamagedError, StoreDetachedError, StoreError
+from yieldmon.service.store_file import set_aside
 
 _log = logging.getLogger(__name__)
 
@@ -61,6 +62,8 @@ class StoreWriter:
         self._in_flight = 0
         self._path = path
         self._store: Store | None = None
+        self._last_committed = 0
+        self._last_submitted = 0
         self._mended_s = float("-inf")
         self._thread = threading.Thread(target=self._run, name="store-writer", daemon=True)
 
@@ -68,12 +71,17 @@ class StoreWriter:
         """Start the thread."""
         self._thread.start()
 
+    def expect(self, last_batch: int) -> None:
+        """Say, before the start, which batch is the last in the store: one that lacks it when opened is told as replaced."""
+        self._last_committed = self._last_submitted = last_batch
+
     def submit(self, batch: Batch) -> None:
         """Hand over the next batch; returns at once."""
         with self._changed:
             if not self._pending:
                 self._waiting_since_s = monotonic()
             self._pending.append(batch)
+            self._last_submitted = batch.number
             # Batches that are being written stay as they are, or their events would be written twice.
             if len(self._pending) - self._in_flight > self._capacity:
                 oldest = self._pending[self._in_flight]
@@ -122,11 +130,11 @@ class StoreWriter:
         """Write what is pending, on the caller's thread; False when the disk failed and another try needs a pause."""
         store = self._store
         try:
-            store = self._store = store or self._open_store()
+            store = self._store = store or self._opened()
             self._write(store)
         except StoreError as error:
             if self._mended(store, error):
-                self._store = None
+                self._store, self._last_committed = None, 0
                 return True
             self._failed(str(error))
             self.close()
@@ -152,11 +160,37 @@ class StoreWriter:
         except (StoreError, OSError) as failure:
             _log.error("%s: %s", path, failure)
             return False
+        self._tell_replaced(path, note)
+        return True
+
+    def _tell_replaced(self, path: Path, note: str) -> None:
         _log.error("%s: %s", path, note)
         with self._changed:
             count = self._health.replacements + 1
             self._health = replace(self._health, replacements=count, replaced_because=note)
-        return True
+
+    def _opened(self) -> Store:
+        """The store, opened; whether it is still the one that was written is told. Raises StoreError."""
+        store = self._open_store()
+        try:
+            found = store.last_batch()
+        except StoreError:
+            store.close()
+            raise
+        if found > self._last_submitted:
+            # Another one's: it would leave out batches whose numbers it has.
+            store.close()
+            try:
+                aside = set_aside(store.path, f"replaced-{int(time())}")
+            except OSError as error:
+                raise StoreError(f"{store.path}: {error}") from error
+            store, found = self._open_store(), 0
+            self._tell_replaced(store.path, f"replaced by another store while closed, which is {aside.name}; a new one begun")
+        elif found < self._last_committed:
+            missing = self._last_committed - found
+            self._tell_replaced(store.path, f"removed or replaced while closed; its last {missing} commits are missing")
+        self._last_committed = found
+        return store
 
     def _wait_for_work(self) -> bool:
         with self._changed:
@@ -176,6 +210,7 @@ class StoreWriter:
         try:
             store.require_attached()
             done = self._commit(store, batches)
+            self._last_committed = batches[done - 1].number if done else self._last_committed
             refused = int(done < len(batches))
         finally:
             with self._changed:
