@@ -260,6 +260,10 @@ def test_110_000_points_are_drawn_and_moved(browser: Browser, tmp_path: Path) ->
             watched.wait("document.querySelector('#map-of')?.options.length > 1")
             watched.page.select_option("#map-of", "all")
             watched.wait("document.querySelector('#map canvas').dataset.points === '110000'")
+            assert watched.page.url == site + "/history?map=all"
+            watched.page.reload()
+            watched.wait("document.querySelector('#map canvas')?.dataset.points === '110000'")
+            watched.wait("document.querySelector('#map-of').value === 'all'")
             picture = (
                 "(() => { const c = document.querySelector('#map canvas'); const d = c.getContext('2d')"
                 ".getImageData(0, 0, c.width, c.height).data; let n = 0, x = 0; for (let i = 3; i < d.length; i += 4)"

@@ -17,6 +17,7 @@ from yieldmon.files import machine_file, parameter_file
 from yieldmon.resources import shipped
 from yieldmon.service.configuration import DEFAULT_MACHINE
 from yieldmon.service.store import FaultEvent, Load, ParameterVersion, SweepRecord, Ticket
+from yieldmon.web import history as history_module
 from yieldmon.web.history import History
 
 MIDNIGHT_S = 1_760_054_400.0
@@ -84,6 +85,21 @@ def test_places_of_a_day_or_a_load(daemon: StandIn) -> None:
     }
     assert list(counts.values()) == [1500, 999, 501, 501, 0, 0]
     assert [len(unpacked(history.points(daemon.store_path, load=load))[3]) for load in (1, 2)] == [1500, 0]
+
+
+@pytest.mark.parametrize("most", [400, 1100, history_module.MOST_POINTS])
+def test_places_that_are_kept_are_those_of_the_store(daemon: StandIn, monkeypatch: pytest.MonkeyPatch, most: int) -> None:
+    monkeypatch.setattr(history_module, "MOST_POINTS", most)
+    kept = History(DELAY_S)
+    kept.prepare(daemon.store_path)
+    choices = ({}, {"day": "2025-10-09"}, {"day": "2025-10-10"}, {"day": "2025-10-11"}, {"load": 1}, {"load": 2})
+    for count in (600, 1, 900, 300):
+        daemon.seconds(count)
+        for choice in choices:
+            assert kept.points(daemon.store_path, **choice) == History(DELAY_S).points(daemon.store_path, **choice)
+    # Older than what is kept.
+    assert unpacked(kept.points(daemon.store_path, day="2025-10-09"))[0] == 999
+    assert len(unpacked(kept.points(daemon.store_path))[3]) == min(most, 1801) - int(DELAY_S)
 
 
 def test_an_empty_store_has_no_days(daemon: StandIn) -> None:

@@ -24,7 +24,7 @@ from yieldmon.files import machine_file
 from yieldmon.physics.machine import Machine
 from yieldmon.resources import shipped
 from yieldmon.service import configuration
-from yieldmon.service.control import ControlError
+from yieldmon.service.control import ControlError, ask
 from yieldmon.web import commands, tokens
 from yieldmon.web.feed import COLUMNS, Feed
 from yieldmon.web.guard import COMMANDS, COOKIE, SIGN_IN, Access, Door, Guard
@@ -92,7 +92,8 @@ def build_app(
         Route("/tiles/{zoom:int}/{column:int}/{row:int}", page.tile),
         Mount("/static", StaticFiles(directory=STATIC)),
     ]
-    return Guard(Starlette(routes=routes, exception_handlers={404: _not_found}), access, door, page.stop, clock, unix_clock)
+    app = Starlette(routes=routes, exception_handlers={404: _not_found})
+    return Guard(app, access, door, page.stop, clock, unix_clock, page.prepare)
 
 
 Answer = Callable[[Request], Coroutine[Any, Any, Response]]
@@ -116,6 +117,11 @@ class _Page:
 
     def stop(self) -> None:
         self._feed.stop()
+
+    def prepare(self) -> None:
+        # What is wrong with daemon or store is said to the page that asks.
+        with contextlib.suppress(InputError, ControlError, KeyError, TypeError):
+            self._history.prepare(self._sources.store or Path(ask(self._sources.daemon, {"command": "status"})["store"]["file"]))
 
     @staticmethod
     def file(name: str) -> Answer:

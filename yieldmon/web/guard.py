@@ -101,9 +101,12 @@ class Guard:
         stop: Callable[[], None],
         clock: Callable[[], float] = monotonic,
         unix_clock: Callable[[], float] = time,
+        prepare: Callable[[], None] = lambda: None,
     ) -> None:
         self.stop = stop
         """Ends what goes on by itself, before the server waits for the connections' ends."""
+        self.prepare = prepare
+        """Reads what pages will ask for, on a thread beside the server; never raises."""
         self._app = app
         self._access = access
         self._door = door

@@ -16,6 +16,7 @@ from threading import Lock
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
@@ -42,12 +43,15 @@ FROM second WHERE number > ? AND number <= ? AND mass_kg BETWEEN 0 AND 1000 AND 
 _LOAD_STD_DEV = """
 SELECT load_number, load_std_dev_kg, max(number) FROM second WHERE number > ? AND number <= ? GROUP BY load_number
 """
-_POINTS = """
-SELECT number, time_s, latitude_deg, longitude_deg, mass_flow_kg_s FROM second
+_PLACES = """
+SELECT number, time_s, latitude_deg, longitude_deg, mass_flow_kg_s, load_number FROM second
 WHERE number BETWEEN ? AND ? AND (latitude_deg IS NULL OR latitude_deg BETWEEN -85 AND 85)
     AND (longitude_deg IS NULL OR longitude_deg BETWEEN -180 AND 180) AND {condition}
 ORDER BY number DESC LIMIT ?
 """
+_PLACE_COLUMNS = 6
+
+Array = NDArray[np.float64]
 
 
 @dataclass
@@ -79,6 +83,10 @@ class _Sums:
     upto: int = 0
     days: dict[str, _Day] = field(default_factory=dict)
     load_std_dev_kg: dict[int, float] = field(default_factory=dict)
+    places: Array = field(default_factory=lambda: np.empty((_PLACE_COLUMNS, 0)))
+    """The columns of _PLACES, of the newest MOST_POINTS seconds up to places_upto, by number."""
+    places_from: int = 0
+    places_upto: int = 0
 
 
 class History:
@@ -141,24 +149,63 @@ class History:
                 day = max(days, default="")
             chosen = days.get(day)
             first, last = (chosen.first, chosen.last) if chosen is not None else (0, 0 if day else 2**62)
-            condition, values = ("load_number = ?", (load,)) if load is not None else ("1", ())
             with closing(read_only(path)) as database:
-                query = _POINTS.format(condition=condition)
-                rows = database.execute(query, (first, last, *values, MOST_POINTS)).fetchall()
-        return self._packed(rows[::-1])
+                self._carry_places_on(database)
+                places = self._places(database, first, last, load)
+        return self._packed(places)
 
-    def _packed(self, rows: list[tuple[float | None, ...]]) -> bytes:
-        table = np.array(rows, dtype=float).reshape(-1, 5)
-        number, time_s, latitude, longitude, flow = table.T
+    def prepare(self, path: Path) -> None:
+        """Read what there is of a store, so that the first page does not wait for it.
+
+        Raises
+        ------
+        InputError
+            When it cannot be read.
+        """
+        with self._lock, _problems(path):
+            self._sum_up(path)
+            with closing(read_only(path)) as database:
+                self._carry_places_on(database)
+
+    def _carry_places_on(self, database: sqlite3.Connection) -> None:
+        sums = self._sums
+        begin = max(sums.places_upto, sums.upto - MOST_POINTS)
+        if begin > sums.places_upto:
+            sums.places, sums.places_from = np.empty((_PLACE_COLUMNS, 0)), begin + 1
+        parts = [sums.places]
+        for low in range(begin, sums.upto, _CHUNK):
+            query = _PLACES.format(condition="1")
+            parts.append(_columns(database.execute(query, (low + 1, min(low + _CHUNK, sums.upto), _CHUNK)).fetchall()))
+        if len(parts) > 1:
+            whole = np.concatenate(parts, axis=1)
+            if whole.shape[1] > MOST_POINTS:
+                whole = whole[:, -MOST_POINTS:].copy()
+                sums.places_from = int(whole[0, 0])
+            sums.places, sums.places_upto = whole, sums.upto
+
+    def _places(self, database: sqlite3.Connection, first: int, last: int, load: int | None) -> Array:
+        """Seconds of first to last (of a load), from those that are kept where these reach back so far."""
+        oldest = max(first, database.execute("SELECT min(number) FROM second").fetchone()[0] or 0)
+        if oldest < self._sums.places_from:
+            condition, values = ("load_number = ?", (load,)) if load is not None else ("1", ())
+            query = _PLACES.format(condition=condition)
+            return _columns(database.execute(query, (first, last, *values, MOST_POINTS)).fetchall())
+        places = self._sums.places
+        low, high = np.searchsorted(places[0], [oldest, last + 0.5])
+        chosen = places[:, low:high]
+        return chosen if load is None else chosen[:, chosen[5] == load]
+
+    def _packed(self, places: Array) -> bytes:
+        number, time_s, latitude, longitude, flow, _ = places
         order = np.argsort(time_s, kind="stable")
         at = np.searchsorted(time_s[order], time_s + self._flow_delay_s - _SAME_SECOND_S)
         later = order[np.minimum(at, max(0, len(order) - 1))] if len(order) else order
         moved = np.abs(time_s[later] - time_s - self._flow_delay_s) <= _SAME_SECOND_S
         keep = moved & np.isfinite(latitude) & np.isfinite(longitude) & (flow[later] > 0.0)
-        places = [np.round(column[keep] * 1e7).astype("<i4").tobytes() for column in (longitude, latitude)]
+        degrees = [np.round(column[keep] * 1e7).astype("<i4").tobytes() for column in (longitude, latitude)]
         last = int(number[-1]) if len(number) else 0
         flows = flow[later][keep].astype("<f4").tobytes()
-        return b"".join((struct.pack("<II", int(keep.sum()), last & 0xFFFFFFFF), *places, flows))
+        return b"".join((struct.pack("<II", int(keep.sum()), last & 0xFFFFFFFF), *degrees, flows))
 
     def _sum_up(self, path: Path) -> None:
         found = path.stat()
@@ -248,6 +295,10 @@ class History:
                     }
                 )  # fmt: skip
         return {"sweeps": found.sweeps, "parameter_version": parameters.version, "cells": cells}
+
+
+def _columns(newest_first: list[tuple[float | None, ...]]) -> Array:
+    return np.ascontiguousarray(np.array(newest_first[::-1], dtype=float).reshape(-1, _PLACE_COLUMNS).T)
 
 
 def _parameters(store: Store, path: Path) -> list[dict[str, Any]]:

@@ -7,6 +7,7 @@ import signal
 import socket
 from collections.abc import Callable
 from dataclasses import replace
+from threading import Thread
 
 import uvicorn
 
@@ -85,6 +86,7 @@ def serve(access: Access, build: Callable[[Access], Guard], ready: Callable[[str
         # uvicorn raises the signal again after its own end; this process then ends by itself.
         before = signal.signal(signal.SIGTERM, lambda *_: None)
         try:
+            Thread(target=app.prepare, daemon=True).start()
             ready(listen.url)
             _Server(configuration, app.stop).run(sockets=[listening])
         finally:

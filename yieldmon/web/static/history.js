@@ -4,6 +4,16 @@ import { BandChart } from "./chart.js";
 import { FieldMap } from "./map.js";
 import { getJson, getPoints, make, number, set, table, time, words } from "./ui.js";
 
+// Asked for together; what the map shows is in the page's address (?map=all, day 2025-10-09, load 3), else the newest day.
+const wanted = new URLSearchParams(location.search).get("map") ?? "";
+const query = (choice) => {
+  const [kind, value] = choice.split(" ");
+  return kind === "all" ? {} : { [kind]: value };
+};
+const early = getPoints(query(wanted || "day today"));
+early.catch(() => {});
+const asked = getJson("/api/history");
+asked.catch(() => {});
 const page = await getJson("/api/page");
 const map = new FieldMap(document.getElementById("map"), { tiles: page.tiles, name: "Map" });
 
@@ -88,10 +98,14 @@ function faults(rows) {
   ], rows);
 }
 
-async function showMap(select) {
-  const [kind, value] = select.value.split(" ");
+let shown = null;
+
+async function showMap(coming) {
+  if (shown === coming) return;
+  shown = coming;
   try {
-    const points = await getPoints(kind === "all" ? {} : { [kind]: value });
+    const points = await coming;
+    if (shown !== coming) return;
     map.clear();
     map.addAll(points);
     set("state", `${number(map.points)} points`);
@@ -108,19 +122,26 @@ function mapChoices(found) {
     option("all days", "all"),
     ...found.loads.map((load) => option(`load ${load.number}${load.field ? `, ${load.field}` : ""}`, `load ${load.number}`)),
   );
-  select.addEventListener("change", () => showMap(select));
-  return showMap(select);
+  const isThere = [...select.options].some((choice) => choice.value === wanted);
+  if (isThere) select.value = wanted;
+  select.addEventListener("change", () => {
+    history.replaceState(null, "", `?${new URLSearchParams({ map: select.value })}${location.hash}`);
+    showMap(getPoints(query(select.value)));
+  });
+  const isEarly = isThere || (!wanted && select.value === `day ${found.days[0]?.day}`);
+  showMap(isEarly ? early : getPoints(query(select.value)));
 }
 
+showMap(early);
 try {
-  const found = await getJson("/api/history");
-  set("state", "");
+  const found = await asked;
+  mapChoices(found);
   days(found.days);
   loads(found.loads);
   parameters(found.parameters);
   sweeps(found.sweeps);
   faults(found.faults);
-  await Promise.all([mapChoices(found), residuals()]);
+  await residuals();
 } catch (error) {
   set("state", error.message);
   document.getElementById("state").classList.add("bad");
