@@ -91,6 +91,10 @@ def test_adopt_plan_report_and_rollback(offset_table: Path, tmp_path: Path, caps
     said = capsys.readouterr()
     assert code == 0, said.err
     assert "verdict: effect" in said.out
+    lines = said.out.splitlines()
+    head = next(number for number, line in enumerate(lines) if "model - measurement, %" in line)
+    assert re.fullmatch(r"\s+\d+( to \d+)?\s+0\.\d{3}( to 0\.\d{3})?\s+\d+( to \d+)?\s+[-+]\d+\.\d\s+\S+", lines[head + 1])
+    assert "{" not in said.out
     adopted = parameter_file.load(params)
     assert adopted.effects == ("zero_offset",)
     assert (adopted.version, adopted.provenance["parent_version"]) == (2, "1")

@@ -173,7 +173,6 @@ def _progress() -> Iterator[Callable[[str, float], None]]:
 
 def _print_text(found: diagnosis.Diagnosis) -> None:
     print(report.summary(found))
-    document = diagnosis.to_document(found)
     print(f"\nverdict: {found.verdict}")
     for step in found.choice.steps if found.verdict == "effect" else ():
         ties = f"; not distinguishable from {', '.join(step.equivalent)}" if step.equivalent else ""
@@ -189,8 +188,7 @@ def _print_text(found: diagnosis.Diagnosis) -> None:
     if found.held_out is not None:
         held = found.held_out
         print(f"  {report.unseen(held)} (rms {held.before.rms:.4g} -> {held.after.rms:.4g}, noise {held.noise_floor_rms:.4g})")
-    for region in document["where"]:
-        print(f"  where: {region}")
-    print("\n".join(report.plan_lines(found.plan)))
+    for line in (*report.region_lines(found.regions), *report.plan_lines(found.plan)):
+        print(line)
     for note in found.notes:
         print(f"  note: {note}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import io
+from collections.abc import Sequence
 from math import degrees
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from yieldmon.physics.numerics import Array
 from .diagnosis import Diagnosis, HeldOut
 from .experiment import Plan
 from .fit import Fit
+from .gap import Region
 from .selection import Step
 
 _STYLE = (
@@ -99,6 +101,24 @@ def unseen(held: HeldOut) -> str:
         f"on {held.rows} rows kept aside F = {before:.2f} ({low:.2f} to {high:.2f}) before and "
         f"{after:.2f} ({least:.2f} to {most:.2f}) after"
     )
+
+
+def region_lines(regions: Sequence[Region]) -> list[str]:
+    """Where the model is off, as a table: no line where it is off nowhere."""
+    if not regions:
+        return []
+    head = f"  {'plate angle, deg':>18}{'fill':>16}{'speed, rpm':>14}{'model - measurement, %':>25}{'p':>9}"
+    return ["  where the model is off:", head] + [
+        f"  {_range(r.plate_angle_rad, degrees(1.0), 0):>18}{_range(r.fill, 1.0, 3):>16}"
+        f"{_range(r.elevator_speed_rad_s, 1.0 / RPM, 0):>14}{r.mean_error_pct:>+25.1f}{r.p_value:>9.2g}"
+        for r in regions
+    ]
+
+
+def _range(limits: tuple[float, float], scale: float, digits: int) -> str:
+    """Both ends in the reader's unit, one number where they are the same to the digits shown."""
+    low, high = (f"{v * scale:.{digits}f}" for v in limits)
+    return low if low == high else f"{low} to {high}"
 
 
 def plan_lines(plan: Plan) -> list[str]:
