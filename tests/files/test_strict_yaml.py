@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from yieldmon.errors import InputError
 from yieldmon.files import strict_yaml
+from yieldmon.resources import shipped
 
 SCALARS = [
     ("1", 1), ("-7", -7), ("010", 10), ("1e-3", 1e-3), ("2.5E+2", 250.0), (".5", 0.5), ("3.", 3.0), ("true", True),
@@ -94,3 +95,28 @@ def test_unreadable_files_are_one_line(tmp_path):
     latin.write_bytes(b"name: K\xf6ln\n")
     with pytest.raises(InputError, match="byte 7 is not UTF-8"):
         strict_yaml.load(latin)
+
+
+FORMS = """\
+block: {flow: [1, -2.5, .inf, {deep: "a\\tb"}], empty: , word: 'it''s'}
+folded: >-
+  one
+  two
+
+  three
+literal: |
+  as
+   it is
+list:
+- 1
+-  - [a, b]
+   - c: null
+? key
+: value
+"""
+
+
+@pytest.mark.parametrize("text", [FORMS, *(path.read_text() for path in sorted(shipped("config").rglob("*.yaml")))])
+def test_plain_characters_are_read_as_among_others(text):
+    """ASCII goes through libyaml where it is there, anything else through PyYAML's own parser."""
+    assert repr(strict_yaml.parse(text, "x")) == repr(strict_yaml.parse(text + "# \u00e9\n", "x"))

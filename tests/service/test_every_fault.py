@@ -15,7 +15,7 @@ import can
 import numpy as np
 import pytest
 
-from tests.service.bench import CODEC, ZERO_MV, Bench, running, traffic, wait_for
+from tests.service.bench import CODEC, ZERO_MV, Bench, encoded, running, traffic, wait_for
 from yieldmon import frames
 from yieldmon.engine.faults import FAULTS, FaultCode
 from yieldmon.engine.totals import Totals
@@ -44,7 +44,7 @@ def send(bench: Bench, duration_s: float, change: Callable[[Frame], Frame | None
     for frame in traffic(bench.now_s, duration_s, force_mv):
         changed = change(frame)
         if changed is not None:
-            bench.peer.send(CODEC.encode(changed))
+            bench.peer.send(encoded(changed))
     bench.now_s += duration_s
 
 
@@ -228,7 +228,7 @@ class PlateNode:
                     for name in (f"Sample{k}" for k in range(frames.SAMPLES_PER_FRAME))
                 }
                 frame = frame._replace(signals={**frame.signals, **samples})  # noqa: PLW2901
-            bench.peer.send(CODEC.encode(frame))
+            bench.peer.send(encoded(frame))
             if number % 25 == 24:
                 self._angle_deg += min(max(self._target_deg - self._angle_deg, -2.0), 2.0)
             if number % 125 == 124:

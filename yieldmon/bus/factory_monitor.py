@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import cantools
@@ -41,6 +42,10 @@ class _Field:
     """Start, mask and values of the signal that must say that this one is there."""
 
 
+_Layouts = dict[int, tuple[str, int, tuple[_Field, ...]]]
+"""Identity of a frame -> its message's name and length, and what is read of it."""
+
+
 def identity_of(identifier: int) -> int:
     """What distinguishes the layouts: group and source, without priority and destination."""
     identity = identifier & _PRIORITY_LEFT_OUT
@@ -67,12 +72,7 @@ class FactoryMonitor:
     """
 
     def __init__(self, paths: Sequence[Path | str] | None = None) -> None:
-        self._layouts: dict[int, tuple[str, int, tuple[_Field, ...]]] = {}
-        for path in paths if paths is not None else [shipped(name) for name in SHIPPED]:
-            for message in _load(path).messages:
-                fields = tuple(found for signal in message.signals if (found := _field(message, signal, str(path))))
-                if fields:
-                    self._layouts[identity_of(message.frame_id)] = (message.name, message.length, fields)
+        self._layouts = _layouts(paths) if paths is not None else _shipped_layouts()
 
     @property
     def identifiers(self) -> tuple[int, ...]:
@@ -98,6 +98,21 @@ class FactoryMonitor:
             if value <= part.raw_max:
                 found[part.quantity] = value * part.scale + part.offset
         return found
+
+
+@cache
+def _shipped_layouts() -> _Layouts:
+    return _layouts([shipped(name) for name in SHIPPED])
+
+
+def _layouts(paths: Sequence[Path | str]) -> _Layouts:
+    found = {}
+    for path in paths:
+        for message in _load(path).messages:
+            fields = tuple(field for signal in message.signals if (field := _field(message, signal, str(path))))
+            if fields:
+                found[identity_of(message.frame_id)] = (message.name, message.length, fields)
+    return found
 
 
 def _load(path: Path | str) -> Database:

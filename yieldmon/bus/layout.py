@@ -7,6 +7,7 @@ reading of the DBC.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -105,12 +106,20 @@ def load_layouts(dbc_path: Path | str | None = None) -> dict[str, MessageLayout]
     Raises InputError for a file that is missing, no DBC, or uses what these frames never do (11-bit identifiers,
     multiplexing, signed, float or big-endian signals, frames of other than 1 to 8 bytes).
     """
+    return _read(Path(dbc_path)) if dbc_path is not None else dict(_shipped())
+
+
+@cache
+def _shipped() -> dict[str, MessageLayout]:
+    return _read(shipped("dbc/yieldmon.dbc"))
+
+
+def _read(path: Path) -> dict[str, MessageLayout]:
     # Half a second of import, for those who read a DBC only.
     import cantools
     from cantools.database.can import Database
     from cantools.database.errors import Error as DbcError
 
-    path = Path(dbc_path) if dbc_path is not None else shipped("dbc/yieldmon.dbc")
     try:
         database = cantools.database.load_file(path, database_format="dbc")
     except OSError as error:

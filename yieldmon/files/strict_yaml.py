@@ -7,14 +7,18 @@ something other than what it shows, nor grow in memory.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import re
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
 import yaml
+from yaml.composer import Composer
+from yaml.constructor import SafeConstructor
+from yaml.resolver import Resolver
 
 from yieldmon.errors import InputError
 
@@ -31,13 +35,14 @@ class _Refused(yaml.MarkedYAMLError):
         super().__init__(None, None, problem, place.start_mark)
 
 
-class _StrictLoader(yaml.SafeLoader):
-    def __init__(self, stream: str) -> None:
-        super().__init__(stream)
-        self._depth = 0
+class _Rules(Composer, SafeConstructor, Resolver):
+    """What is refused, whatever reads the characters."""
+
+    peek_event: Callable[[], Any]
+    _depth = 0
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        event = self.peek_event()  # type: ignore[no-untyped-call]
+        event = self.peek_event()
         if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None) is not None:
             raise _Refused("anchors and aliases are not supported", event)
         if getattr(event, "tag", None) is not None:
@@ -60,16 +65,6 @@ class _StrictLoader(yaml.SafeLoader):
             seen.add(key.value)
         return super().construct_mapping(node, deep)
 
-    def construct_number(self, node: yaml.ScalarNode) -> int | float:
-        text = node.value
-        try:
-            value = int(text) if node.tag.endswith(":int") else float(text.replace(".inf", "inf").replace(".nan", "nan"))
-        except ValueError as error:
-            raise _Refused(f"{text[:40]!r} has too many digits", node) from error
-        if isinstance(value, int) and not -_WHOLE < value < _WHOLE:
-            raise _Refused(f"{text[:40]!r} has too many digits", node)
-        return value
-
 
 def _resolvers() -> dict[str, list[tuple[str, re.Pattern[str]]]]:
     """First character -> the core schema's scalars that can begin with it."""
@@ -86,9 +81,43 @@ def _resolvers() -> dict[str, list[tuple[str, re.Pattern[str]]]]:
     return table
 
 
-_StrictLoader.yaml_implicit_resolvers = _resolvers()
+_Rules.yaml_implicit_resolvers = _resolvers()
+
+
+class _StrictLoader(_Rules, yaml.SafeLoader):
+    """Over PyYAML's own parser."""
+
+
+def _fast_loader() -> type[yaml.SafeLoader | yaml.CSafeLoader]:
+    """Over libyaml, which is several times faster, where PyYAML comes with it."""
+    if not yaml.__with_libyaml__:
+        return _StrictLoader
+
+    class FastLoader(_Rules, yaml.CSafeLoader):
+        def __init__(self, stream: str) -> None:
+            yaml.CSafeLoader.__init__(self, stream)
+            Composer.__init__(self)
+
+    return FastLoader
+
+
+def _construct_number(_: Any, node: yaml.ScalarNode) -> int | float:
+    text = node.value
+    try:
+        value = int(text) if node.tag.endswith(":int") else float(text.replace(".inf", "inf").replace(".nan", "nan"))
+    except ValueError as error:
+        raise _Refused(f"{text[:40]!r} has too many digits", node) from error
+    if isinstance(value, int) and not -_WHOLE < value < _WHOLE:
+        raise _Refused(f"{text[:40]!r} has too many digits", node)
+    return value
+
+
+_FastLoader = _fast_loader()
 for _number in ("int", "float"):
-    _StrictLoader.add_constructor(f"tag:yaml.org,2002:{_number}", _StrictLoader.construct_number)
+    for _loader in (_StrictLoader, _FastLoader):
+        _loader.add_constructor(f"tag:yaml.org,2002:{_number}", _construct_number)
+_PLAIN = re.compile(r"[ -~\n]*")
+"""Characters that both readers take alike."""
 
 
 class _ExactDumper(yaml.SafeDumper):
@@ -138,8 +167,12 @@ def parse(text: str, where: str) -> Any:
     """
     if len(text) > MAX_BYTES:
         raise InputError(where, f"{len(text)} characters", f"at most {MAX_BYTES}")
+    if _PLAIN.fullmatch(text):
+        # What it refuses is read again, for messages that do not depend on libyaml.
+        with contextlib.suppress(yaml.YAMLError):
+            return yaml.load(text, Loader=_FastLoader)  # noqa: S506 - a SafeLoader with less
     try:
-        return yaml.load(text, Loader=_StrictLoader)  # noqa: S506 - a SafeLoader with less
+        return yaml.load(text, Loader=_StrictLoader)  # noqa: S506 - the same
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f"{where}:{mark.line + 1}" if mark is not None else where
