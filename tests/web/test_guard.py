@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -14,9 +16,11 @@ pytest.importorskip("starlette")
 from starlette.testclient import TestClient
 
 from yieldmon.cli.main import main
+from yieldmon.errors import InputError
 from yieldmon.web.addresses import parse_listen
 from yieldmon.web.app import MOST_BODY_BYTES, STATIC, Sources, build_app
 from yieldmon.web.guard import COMMANDS, HEADERS, REQUESTS, WRONG_TOKENS, Access
+from yieldmon.web.tiles import Tiles
 from yieldmon.web.tokens import COOKIE_LIFE_S, cookie, cookie_is_good, read_token
 
 SITE = "http://127.0.0.1:8090"
@@ -288,6 +292,51 @@ def test_a_token_file_may_end_with_its_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize("path", ["/static/../app.py", "/static/%2e%2e/app.py", "/static/..%2fapp.py", "/static//etc/passwd"])
 def test_only_shipped_files_are_given(daemon: StandIn, clock: Clock, path: str) -> None:
     assert client(daemon, clock).get(path).status_code == 404
+
+
+@pytest.mark.parametrize("origin", ["http://[::1", "http://[x]:1", "//", "http://127.0.0.1:99999999"])
+def test_an_origin_that_is_none_is_another_site(daemon: StandIn, clock: Clock, origin: str) -> None:
+    answer = client(daemon, clock).post("/api/command", json={"command": "sweep-start"}, headers={"origin": origin})
+    assert answer.status_code == 403
+    assert not daemon.asked
+
+
+def test_a_token_that_is_no_text_is_a_wrong_one(daemon: StandIn, clock: Clock) -> None:
+    asking = client(daemon, clock, TOKEN)
+    sent = {"content": rb'{"token": "\ud800"}', "headers": {"content-type": "application/json"}}
+    codes = [asking.post("/sign-in", **sent).status_code for _ in range(7)]
+    assert codes == [401] * int(WRONG_TOKENS.burst) + [429] * 2
+
+
+@pytest.mark.parametrize("place", ["1/1/" + "9" * 5000, "9" * 5000 + "/1/1", "1/-1/1", "1/x/1", "1/\u0661/1"])
+def test_a_tile_of_no_number_is_not_there(daemon: StandIn, clock: Clock, place: str) -> None:
+    assert client(daemon, clock).get(f"/tiles/{place}").status_code == 404
+
+
+def tiles_of(path: Path, *statements: str) -> Path:
+    with closing(sqlite3.connect(path)) as database:
+        for statement in ("CREATE TABLE metadata (name TEXT, value TEXT)", *statements):
+            database.execute(statement)
+        database.commit()
+    return path
+
+
+def test_a_view_of_tiles_that_never_ends_costs_a_look(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """zoom 1 is there at once, any other is searched for ever."""
+    monkeypatch.setattr("yieldmon.web.tiles._LOOK_S", 0.05)
+    monkeypatch.setattr("yieldmon.web.tiles._FIRST_LOOK_S", 0.05)
+    endless = (
+        "CREATE VIEW tiles AS WITH RECURSIVE r(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM r) "
+        "SELECT 1 AS zoom_level, n AS tile_column, 1 AS tile_row, x'89504e47' AS tile_data FROM r"
+    )
+    with pytest.raises(InputError, match="interrupted"):
+        Tiles(tiles_of(tmp_path / "a.mbtiles", endless))
+    table = "CREATE TABLE tiles (zoom_level INTEGER, tile_column INTEGER, tile_row INTEGER, tile_data BLOB)"
+    path = tiles_of(tmp_path / "b.mbtiles", table, "INSERT INTO tiles VALUES (1, 0, 1, x'89504e47')")
+    tiles = Tiles(path)
+    assert tiles.tile(1, 0, 0) == (b"\x89PNG", "image/png")
+    tiles_of(path.with_name("c.mbtiles"), endless).replace(path)
+    assert tiles.tile(1, -1, 0) is None
 
 
 def test_without_a_daemon_the_page_says_so(tmp_path: Path, clock: Clock) -> None:

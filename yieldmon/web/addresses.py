@@ -104,5 +104,8 @@ def host_is_ours(header: str, listen: Listen, names: frozenset[str]) -> bool:
 
 def origin_is_ours(origin: str, host: str) -> bool:
     """Whether an Origin header names the site that the Host header of the same request names."""
-    parts = urlsplit(origin)
+    try:
+        parts = urlsplit(origin)
+    except ValueError:
+        return False
     return parts.scheme in ("http", "https") and parts.netloc.lower() == host.lower() != ""

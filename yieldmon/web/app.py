@@ -89,7 +89,7 @@ def build_app(
         Route("/api/points", page.points),
         Route("/api/residuals", page.residuals),
         Route("/api/command", page.command, methods=["POST"]),
-        Route("/tiles/{zoom:int}/{column:int}/{row:int}", page.tile),
+        Route("/tiles/{zoom}/{column}/{row}", page.tile),
         Mount("/static", StaticFiles(directory=STATIC)),
     ]
     app = Starlette(routes=routes, exception_handlers={404: _not_found})
@@ -146,7 +146,7 @@ class _Page:
         if self._feed.full:
             return _error(503, "too many pages are open", {"retry-after": "10"})
         last = request.headers.get("last-event-id", "")
-        after = int(last) if last.isascii() and last.isdecimal() and len(last) < 16 else 0
+        after = _number(last) or 0
         return StreamingResponse(_closed_at_the_end(self._feed.watch(after)), media_type="text/event-stream", headers=_NO_STORE)
 
     async def history(self, _: Request) -> Response:
@@ -154,7 +154,7 @@ class _Page:
 
     async def points(self, request: Request) -> Response:
         day, load = request.query_params.get("day", ""), request.query_params.get("load", "")
-        number = int(load) if load.isascii() and load.isdecimal() and len(load) < 16 else None
+        number = _number(load)
 
         def read(path: Path) -> Response:
             packed = self._history.points(path, day[:20], number)
@@ -207,10 +207,10 @@ class _Page:
         return response
 
     async def tile(self, request: Request) -> Response:
-        tiles, place = self._sources.tiles, request.path_params
+        tiles, place = self._sources.tiles, [_number(request.path_params[name]) for name in ("zoom", "column", "row")]
         found = None
-        if tiles is not None:
-            found = await asyncio.to_thread(tiles.tile, place["zoom"], place["column"], place["row"])
+        if tiles is not None and None not in place:
+            found = await asyncio.to_thread(tiles.tile, *(number or 0 for number in place))
         return _error(404, "no such tile") if found is None else Response(found[0], media_type=found[1], headers=_TILE_LIFE)
 
     async def _from_store(self, read: Callable[[Path], Response]) -> Response:
@@ -261,6 +261,11 @@ async def _body(request: Request) -> object:
         return json.loads(body)
     except (ValueError, RecursionError, ClientDisconnect) as error:
         raise InputError("request", "is no JSON", expected) from error
+
+
+def _number(text: str) -> int | None:
+    """A whole number of an address, None where it is none or has more digits than any here."""
+    return int(text) if text.isascii() and text.isdecimal() and len(text) < 16 else None
 
 
 def _json(document: Any) -> Response:

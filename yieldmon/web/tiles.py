@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import time
 from contextlib import closing
 from pathlib import Path
 from urllib.parse import quote
@@ -12,6 +13,11 @@ from yieldmon.errors import InputError
 _KINDS = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "image/webp"}
 _LARGEST_TILE_BYTES = 4 * 1024 * 1024
 _LARGEST_ZOOM = 22
+_LIMIT_LENGTH = 0
+"""sqlite3.SQLITE_LIMIT_LENGTH"""
+#: Processor time that a look may take, s: `tiles` may be a view, which can be written so that it never ends.
+_LOOK_S, _FIRST_LOOK_S = 1.0, 20.0
+_STEPS_BETWEEN_LOOKS = 100_000
 
 
 class Tiles:
@@ -24,7 +30,7 @@ class Tiles:
         if not path.is_file():
             raise InputError(str(path), "no such file", expected)
         try:
-            with closing(self._opened()) as database:
+            with closing(self._opened(_FIRST_LOOK_S)) as database:
                 low, high = database.execute("SELECT min(zoom_level), max(zoom_level) FROM tiles").fetchone()
                 sample = database.execute("SELECT tile_data FROM tiles LIMIT 1").fetchone()
                 note = database.execute("SELECT value FROM metadata WHERE name = 'attribution'").fetchone()
@@ -40,7 +46,7 @@ class Tiles:
         if not 0 <= zoom <= _LARGEST_ZOOM or not 0 <= row < 1 << zoom:
             return None
         try:
-            with closing(self._opened()) as database:
+            with closing(self._opened(_LOOK_S)) as database:
                 query = "SELECT tile_data FROM tiles WHERE zoom_level = ? AND tile_column = ? AND tile_row = ?"
                 found = database.execute(query, (zoom, column, (1 << zoom) - 1 - row)).fetchone()
         except (sqlite3.Error, OverflowError):
@@ -48,9 +54,12 @@ class Tiles:
         kind = _kind(found[0]) if found else None
         return (found[0], kind) if kind else None
 
-    def _opened(self) -> sqlite3.Connection:
+    def _opened(self, most_s: float) -> sqlite3.Connection:
         database = sqlite3.connect(f"file:{quote(str(self._path.absolute()))}?mode=ro&immutable=1", uri=True)
         database.execute("PRAGMA trusted_schema = OFF")
+        database.setlimit(_LIMIT_LENGTH, _LARGEST_TILE_BYTES)
+        end_s = time.thread_time() + most_s
+        database.set_progress_handler(lambda: time.thread_time() > end_s, _STEPS_BETWEEN_LOOKS)
         return database
 
 

@@ -51,7 +51,7 @@ def read_token(path: Path) -> str:
 
 def same(given: str, token: str) -> bool:
     """Whether two texts are equal, in a time that does not tell where they differ."""
-    return hmac.compare_digest(given.encode("utf-8", "surrogateescape"), token.encode())
+    return hmac.compare_digest(given.encode("utf-8", "surrogatepass"), token.encode())
 
 
 def cookie(token: str, now_s: float) -> str:
