@@ -25,6 +25,7 @@ from typing import Any
 
 from yieldmon.errors import InputError
 from yieldmon.fleet.filesystem import filesystem_of, is_remote
+from yieldmon.fleet.manifest import NAME
 
 MARK = "_COMMITTED"
 _FAILED, _RUN, _TEMPORARY = "_failed", "_run", "_temporary"
@@ -62,16 +63,19 @@ class Dataset:
 
     def __init__(self, address: str) -> None:
         self.address = address if is_remote(address) else str(Path(address).absolute())
+        if any(part.startswith(("machine=", "day=")) for part in self.address.split("/")):
+            raise InputError(address, "lies in a folder that is called like a partition", "no machine= and day= in its path")
         self._files, self._root = filesystem_of(address)
         self._local = not is_remote(address) or address.startswith("file://")
 
     def begin(self) -> str:
         """Take the dataset over for a new run, which gets a token, and remove what runs that were killed left behind.
 
-        Raises InputError for a folder that holds something else.
+        Raises InputError for a folder that holds something else, or links to places elsewhere.
         """
         self._files.invalidate_cache()
         self._refuse_strangers()
+        self._refuse_links()
         self._files.makedirs(self._root, exist_ok=True)
         token = uuid.uuid4().hex
         self._put(_RUN, token.encode())
@@ -85,21 +89,22 @@ class Dataset:
             self._remove(_RUN)
 
     def commit_of(self, name: str) -> Commit | None:
-        """The partition of that name, None where it is not there."""
+        """The partition of that name, None where it is not there. Raises InputError where its mark is damaged."""
         content = self._read(f"{name}/{MARK}")
-        return None if content is None else Commit(name, json.loads(content))
+        return None if content is None else Commit(name, self._mark(f"{name}/{MARK}", content))
 
     def commits(self) -> list[Commit]:
-        """All partitions, by name. Raises InputError where there is no dataset."""
+        """All partitions, by name. Raises InputError where there is no dataset, or a mark is damaged."""
         self._files.invalidate_cache()
         if not self._files.isdir(self._root):
             raise InputError(self.address, "no such dataset", "one that `yieldmon fleet run` wrote")
         return [commit for name in self._partitions() if (commit := self.commit_of(name)) is not None]
 
     def failures(self) -> list[dict[str, Any]]:
-        """What could not be measured: machine, day, problem."""
-        paths = sorted(self._files.glob(f"{self._root}/{_FAILED}/machine=*/day=*.json"))
-        return [json.loads(self._files.cat_file(path)) for path in paths]
+        """What could not be measured: machine, day, problem. Raises InputError where that is damaged."""
+        machines = self._entries(_FAILED, "machine=", "directory")
+        names = [name for machine in machines for name in self._entries(machine, "day=", "file")]
+        return [_checked(f"{self._root}/{name}", self._files.cat_file(f"{self._root}/{name}"), _FAILURE) for name in names]
 
     def path(self, name: str, table: str) -> str:
         """A table of a partition, as its file system names it."""
@@ -167,10 +172,32 @@ class Dataset:
         content = self._read(_RUN)
         return None if content is None else content.decode()
 
+    def _mark(self, name: str, content: bytes) -> dict[str, Any]:
+        found = _checked(f"{self._root}/{name}", content, _MARK)
+        listed = all(isinstance(item, dict) and {*item} == {"where", "problem"} for item in found["poisoned"])
+        if not listed or not all(isinstance(entry, dict) and "sha256" in entry for entry in found["files"].values()):
+            raise _damaged(f"{self._root}/{name}")
+        return found
+
     def _partitions(self) -> list[str]:
-        root = self._root + "/"
-        folders = self._files.glob(f"{root}machine=*/day=*")
-        return sorted(path.rstrip("/").removeprefix(root) for path in folders)
+        found = []
+        for machine in self._entries("", "machine=", "directory"):
+            for name in self._entries(machine, "day=", "directory"):
+                if not all(NAME.fullmatch(part.partition("=")[2]) for part in name.split("/")):
+                    problem = f"holds {name[:120]!r}"
+                    raise InputError(self.address, problem, "names as `fleet run` gives them: letters, digits, '.', '_' and '-'")
+                found.append(name)
+        return found
+
+    def _entries(self, folder: str, begin: str, kind: str) -> list[str]:
+        """Names below the root of what is in a folder, in order. A pattern would take what is special in the root's own name."""
+        path = f"{self._root}/{folder}" if folder else self._root
+        try:
+            entries = self._files.ls(path, detail=True)
+        except (FileNotFoundError, NotADirectoryError):
+            return []
+        names = (entry["name"].rstrip("/").rpartition("/")[2] for entry in entries if entry["type"] == kind)
+        return sorted(f"{folder}/{name}" if folder else name for name in names if name.startswith(begin))
 
     def _refuse_strangers(self) -> None:
         if not self._files.exists(self._root):
@@ -180,18 +207,36 @@ class Dataset:
         names = [path.rstrip("/").rpartition("/")[2] for path in self._files.ls(self._root, detail=False)]
         own = (_FAILED, _RUN, _TEMPORARY, "")
         strangers = [name for name in names if name not in own and not name.startswith("machine=") and name[:1] != "."]
+        if not strangers and not {_FAILED, _RUN} & {*names}:
+            # What another program has partitioned the same way: not to be cleaned.
+            marked = any(self._files.exists(f"{self._root}/{name}/{MARK}") for name in self._partitions())
+            strangers = [] if marked else [name for name in names if name.startswith("machine=")]
         if strangers:
             raise InputError(self.address, f"holds {strangers[0]}", "an empty folder, or a dataset of `fleet run`")
+
+    def _refuse_links(self) -> None:
+        """Cleaning and writing would go through them to what is no part of the dataset."""
+        if not self._local or not Path(self._root).is_dir():
+            return
+        for pattern in ("*", "machine=*/*", f"{_FAILED}/*"):
+            for part in Path(self._root).glob(pattern):
+                if part.is_symlink():
+                    raise InputError(str(part), "is a link", "a file or folder of the dataset's own; remove the link")
 
     def _clean(self) -> None:
         """Remove what no mark names."""
         self._remove(_TEMPORARY)
         for name in self._partitions():
-            commit = self.commit_of(name)
+            try:
+                commit = self.commit_of(name)
+            except InputError:
+                # Measured again.
+                commit = None
             kept = {MARK, *commit.content["files"]} if commit is not None else set()
             for path in self._files.ls(f"{self._root}/{name}", detail=False):
-                if path.rpartition("/")[2] not in kept:
-                    self._files.rm(path, recursive=True)
+                child = path.rstrip("/").rpartition("/")[2]
+                if child not in kept:
+                    self._remove(f"{name}/{child}")
             if commit is None:
                 self._remove(name)
 
@@ -214,13 +259,32 @@ class Dataset:
     def _remove(self, name: str) -> None:
         path = f"{self._root}/{name}"
         if self._local:
-            if Path(path).is_dir():
+            if Path(path).is_dir() and not Path(path).is_symlink():
                 shutil.rmtree(path, ignore_errors=True)
             else:
                 Path(path).unlink(missing_ok=True)
             return
         with suppress(FileNotFoundError):
             self._files.rm(path, recursive=True)
+
+
+_MARK: Mapping[str, type] = {"key": str, "files": dict, "poisoned": list}
+_FAILURE: Mapping[str, type] = {"machine": str, "day": str, "problem": str}
+
+
+def _checked(where: str, content: bytes, fields: Mapping[str, type]) -> dict[str, Any]:
+    """A JSON document that has at least these fields. Raises InputError."""
+    try:
+        found = json.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise _damaged(where) from error
+    if not isinstance(found, dict) or not all(isinstance(found.get(name), kind) for name, kind in fields.items()):
+        raise _damaged(where)
+    return found
+
+
+def _damaged(where: str) -> InputError:
+    return InputError(where, "is damaged", "what `fleet run` wrote; it measures the day again")
 
 
 def _sha256(path: Path) -> str:

@@ -19,7 +19,8 @@ from yieldmon.files import delimited
 from yieldmon.fleet.filesystem import filesystem_of, is_remote
 
 CONFIG, TICKETS = "config.yaml", "tickets.csv"
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+"""Of a machine or a day."""
 _REQUIRED = ("machine", "day", "log")
 _OPTIONAL = ("config", "tickets", "crop")
 
@@ -165,6 +166,6 @@ def _is_log(name: str) -> bool:
 
 
 def _name(text: str, where: str) -> str:
-    if not _NAME.fullmatch(text):
+    if not NAME.fullmatch(text):
         raise InputError(where, f"is {text[:120]!r}", "a name of letters, digits, '.', '_' and '-'")
     return text

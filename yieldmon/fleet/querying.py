@@ -20,14 +20,26 @@ class Query:
         self.commits = tuple(commits)
 
     def rows(self, statement: str, values: Sequence[Any] = ()) -> list[dict[str, Any]]:
-        """What a statement gives, a mapping a row."""
-        found = self._database.execute(statement, list(values))
-        names = [column[0] for column in found.description]
-        return [dict(zip(names, row, strict=True)) for row in found.fetchall()]
+        """What a statement gives, a mapping a row. Raises InputError where a table cannot be read."""
+        with _readable(self.dataset.address):
+            found = self._database.execute(statement, list(values))
+            names = [column[0] for column in found.description]
+            return [dict(zip(names, row, strict=True)) for row in found.fetchall()]
 
     def table(self, statement: str, values: Sequence[Any] = ()) -> Any:
         """The same as a pyarrow table."""
-        return self._database.sql(statement, params=list(values)).to_arrow_table()
+        with _readable(self.dataset.address):
+            return self._database.sql(statement, params=list(values)).to_arrow_table()
+
+
+@contextmanager
+def _readable(address: str) -> Iterator[None]:
+    import duckdb
+
+    try:
+        yield
+    except (duckdb.Error, UnicodeDecodeError) as error:
+        raise InputError(address, str(error).partition("\n")[0][:300], "tables as `yieldmon fleet run` wrote them") from error
 
 
 @contextmanager
@@ -61,15 +73,18 @@ def opened(address: str) -> Iterator[Query]:
             paths = [_located(dataset, commit, table) for commit in commits]
             listed = ", ".join(_quoted(path) for path in paths)
             kinds = "{'machine': VARCHAR, 'day': VARCHAR}"
-            database.execute(
-                f"CREATE VIEW {table} AS SELECT * FROM read_parquet([{listed}], hive_partitioning=true, hive_types={kinds})"
-            )
+            with _readable(address):
+                database.execute(
+                    f"CREATE VIEW {table} AS SELECT * FROM read_parquet([{listed}], hive_partitioning=true, hive_types={kinds})"
+                )
         yield Query(database, dataset, commits)
 
 
 def _located(dataset: Dataset, commit: Commit, table: str) -> str:
     path = dataset.path(commit.name, table)
-    return path if dataset.filesystem is None else str(dataset.filesystem.unstrip_protocol(path))
+    located = path if dataset.filesystem is None else str(dataset.filesystem.unstrip_protocol(path))
+    # DuckDB takes a path for a pattern: season[1] would be season1.
+    return "".join(f"[{character}]" if character in "*?[" else character for character in located)
 
 
 def _quoted(text: str) -> str:

@@ -8,6 +8,7 @@ import sys
 from typing import Any
 
 from yieldmon.cli import _outputs
+from yieldmon.files.plain_text import plain
 from yieldmon.files.whole_file import scratch_for
 from yieldmon.fleet.html import page
 from yieldmon.fleet.summary import summarise
@@ -34,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
             scratch.write_text(page(summary), encoding="utf-8")
     print(json.dumps(summary, indent=2) if args.json else _text(summary))
     for item in (*summary["failed"], *summary["poisoned"]):
-        print(f"not measured: {item['machine']} {item['day']}: {item['problem']}", file=sys.stderr)
+        print(plain(f"not measured: {item['machine']} {item['day']}: {item['problem']}"), file=sys.stderr)
     return 0
 
 

@@ -16,6 +16,7 @@ from typing import Any
 
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
+from yieldmon.files.plain_text import plain
 from yieldmon.fleet import manifest, scheduling
 from yieldmon.fleet.dataset import Dataset
 from yieldmon.fleet.filesystem import is_remote
@@ -57,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--adaptive", "is given beside --scheduler", "one of them; a cluster elsewhere has its own adaptation")
     found = manifest.load(args.source)
     for path in found.left_out:
-        print(f"yieldmon: {path}: holds no log, left out", file=sys.stderr)
+        print(plain(f"yieldmon: {path}: holds no log, left out"), file=sys.stderr)
     dataset = Dataset(args.out)
     configured = _configurations(found.partitions, args)
     token = dataset.begin()
@@ -79,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(document, indent=2))
     else:
-        print(_line(document), file=sys.stderr)
+        print("\n".join(map(plain, _lines_of(document))), file=sys.stderr)
     return 1 if document["poisoned"] else 0
 
 
@@ -125,13 +126,13 @@ def _document(out: str, outcomes: Sequence[Outcome]) -> dict[str, Any]:
     }
 
 
-def _line(document: dict[str, Any]) -> str:
+def _lines_of(document: dict[str, Any]) -> list[str]:
     lines = [f"poisoned: {item['partition']}: {item['problem']}" for item in document["poisoned"]]
     lines.append(
         f"{document['dataset']}: {document['done']} measured, {document['skipped']} there already, {document['failed']} failed; "
         f"{document['frames']} frames"
     )
-    return "\n".join(lines)
+    return lines
 
 
 @contextmanager
