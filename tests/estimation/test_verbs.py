@@ -151,6 +151,43 @@ def test_estimate_refuses_parameters_of_another_scale(capsys: pytest.CaptureFixt
     assert "holds response" in run(capsys, "estimate", DATA / "bench_table.csv", code=2)
 
 
+@pytest.mark.parametrize("moisture", [[], ["--moisture", "22"]], ids=["no moisture", "moisture"])
+def test_what_predict_writes_estimate_and_calibrate_read(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, moisture: list[str]
+) -> None:
+    path = tmp_path / "predicted.csv"
+    path.write_text(run(capsys, "predict", "--mass-flow", "2:20:6", "--plate-angle", "40:90:10", *moisture), encoding="utf-8")
+    rows = document(capsys, "estimate", path)["rows"]
+    assert [r["mass_flow_kg_s"] for r in rows] == pytest.approx([r["true_mass_flow_kg_s"] for r in rows], rel=1e-6)
+    assert main(["calibrate", str(path), "--effects", "gravity", "--starts", "2", "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    found, shipped_values = json.loads(out)["parameters"], parameter_file.load().values
+    assert {n: p["value"] for n, p in found.items()} == pytest.approx({n: shipped_values[n] for n in found}, rel=1e-4)
+    assert {"friction", "density", "restitution"} <= set(found)
+
+
+@pytest.mark.parametrize("verb", ["estimate", "calibrate"])
+@pytest.mark.parametrize(
+    ("column", "value", "problem"),
+    [
+        ("paddle_mass_kg", "0.3", "line 2: paddle_mass_kg: is 0.3, where mass_flow_kg_s says"),
+        ("paddle_momentum_kg_m_s", "9", "line 2: momentum_kg_m_s: is 9, where force_n says"),
+    ],
+)
+def test_a_load_or_reading_told_twice_must_agree(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, verb: str, column: str, value: str, problem: str
+) -> None:
+    lines = list(csv.DictReader(io.StringIO(run(capsys, "predict", "--mass-flow", "5,10", "--plate-angle", "50,70"))))
+    lines[0][column] = value
+    path = tmp_path / "t.csv"
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(lines[0]))
+        writer.writeheader()
+        writer.writerows(lines)
+    assert problem in run(capsys, verb, path, code=2)
+
+
 # calibrate
 
 

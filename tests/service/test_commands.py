@@ -33,6 +33,7 @@ class Told:
         return [SimpleNamespace(number=number, complete=whole) for number, whole in self.complete.items()]
 
     totals = Totals(load_open=False)
+    estimator = SimpleNamespace(parameters=parameter_file.load())
 
     def ticket(self, *ticket: float) -> None:
         self.tickets.append(ticket)
@@ -59,9 +60,19 @@ def test_a_ticket_for_several_loads_is_shared_out_by_mass_and_its_doubt_by_varia
 def test_a_ticket_that_cannot_teach_says_so(complete: dict[int, bool]) -> None:
     monitor = Told(complete)
     answer = ask(monitor, first_load=1, last_load=2, mass_kg=4400.0)
-    assert answer["anchor"] is False
+    assert (answer["anchor"], answer["why_no_anchor"]) == (False, "not every second of it was measured")
     assert answer["factor"] == pytest.approx(1.1)
     assert monitor.tickets == []
+
+
+def test_a_ticket_for_another_crop_than_the_one_in_use_teaches_nothing() -> None:
+    monitor = Told({1: True, 2: True})
+    known = journal()
+    known.name_load(None, "wheat")
+    request = {"command": "ticket", "first_load": 1, "mass_kg": 3100.0}
+    answer = commands.execute(request, monitor, known, 1.7e9)
+    assert (answer["anchor"], monitor.tickets) == (False, [])
+    assert answer["why_no_anchor"] == "a load of corn; the parameters in use are those of wheat"
 
 
 def test_the_newest_ticket_of_a_load_counts() -> None:
@@ -110,7 +121,7 @@ def test_a_load_of_unknown_moisture_has_no_dry_mass(unknown_kg: float, dry_kg: f
     ],
 )
 def test_an_unlikely_mass_is_asked_about(words, factor, said, warned, monkeypatch, capsys):
-    answer = {"factor": factor, "measured_mass_kg": 1.0, "weighed_mass_kg": factor, "anchor": True}
+    answer = {"factor": factor, "measured_mass_kg": 1.0, "weighed_mass_kg": factor, "anchor": True, "why_no_anchor": ""}
     monkeypatch.setattr(ticket, "ask_daemon", lambda args, request: answer)
     assert main(["ticket", *words]) == 0
     out, err = capsys.readouterr()

@@ -360,7 +360,8 @@ def test_loads_tickets_and_names(tmp_path, capsys):
         assert kept[0]["corrected_mass_kg"] == pytest.approx(1.02 * loads[0]["mass_kg"])
         assert bench.status["total"]["mass_kg"] == pytest.approx(total_before)
         assert bench.status["load"]["open"] is False
-        assert ask(tmp_path, capsys, "ticket", "1", "50kg")["anchor"] is False
+        again = ask(tmp_path, capsys, "ticket", "1", "50kg")
+        assert (again["anchor"], again["why_no_anchor"]) == (False, "not every second of it was measured")
     with Store(tmp_path / "yieldmon.sqlite") as store:
         assert [ticket.note for ticket in store.tickets()] == ["elevator 3", "", ""]
         rows = store.corrected_loads()

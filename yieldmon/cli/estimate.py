@@ -39,6 +39,7 @@ def run(args: argparse.Namespace) -> int:
     machine, known = model_options.machine(args), model_options.parameters(args)
     data = table.load(args.data, need_load=False)
     model_options.check_unit(known, data)
+    data.check_doubled(machine)
     for note in data.notes:
         print(f"yieldmon: {note}", file=sys.stderr)
     speed = data.speed_rad_s(machine)

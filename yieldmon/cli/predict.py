@@ -57,12 +57,15 @@ def run(args: argparse.Namespace) -> int:
     except ValueError as error:
         raise InputError("predict", str(error)) from error
     passes = machine.passes_per_s(speed * RPM)
-    table = np.stack((flow, angle, speed, flow / passes, momentum, momentum * passes), axis=-1).tolist()
+    columns, values = COLUMNS, [flow, angle, speed, flow / passes, momentum, momentum * passes]
+    if args.moisture is not None:
+        columns, values = (*COLUMNS, "moisture_pct"), [*values, np.full(flow.shape, args.moisture)]
+    table = np.stack(values, axis=-1).tolist()
     if args.json:
-        rows = [dict(zip(COLUMNS, row, strict=True)) for row in table]
+        rows = [dict(zip(columns, row, strict=True)) for row in table]
         print(json.dumps({"machine": machine.name, "parameters": dict(known.values), "rows": rows}, indent=1))
     else:
         writer = csv.writer(sys.stdout, lineterminator="\n")
-        writer.writerow(COLUMNS)
+        writer.writerow(columns)
         writer.writerows([f"{value:.10g}" for value in row] for row in table)
     return 0

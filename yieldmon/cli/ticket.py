@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
         json.dump(answer, sys.stdout, indent=2)
         print()
     else:
-        why_not = "no reference: not measured whole since the last start or reload"
+        why_not = f"no reference: {answer['why_no_anchor']}"
         use = "a reference for the calibration" if answer["anchor"] else why_not
         units = units_of(args.units, answer.get("units", "metric"), answer.get("crop", ""))
         measured, weighed = (units.mass_with_bushels(answer[key]) for key in ("measured_mass_kg", "weighed_mass_kg"))

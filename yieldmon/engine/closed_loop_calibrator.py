@@ -61,6 +61,8 @@ class ClosedLoopCalibrator:
         """The same with the rates of its drift."""
         self._waited_s = 0.0
         """Time since the last update before a restart."""
+        self._before: CalibratorState | None = None
+        """What was known before a restart."""
         self._weighings: list[WeighedLoad] = []
         self._doubted: WeighedLoad | None = None
         self._checked: frozenset[ReferenceMass] = frozenset()
@@ -163,10 +165,7 @@ class ClosedLoopCalibrator:
         accepted, doubt = [], ""
         for reference, mass in found:
             name = name_of(reference)
-            load = WeighedLoad(
-                name, mass.reference_kg, mass.std_dev_kg, mass.duration_s, mass.force_n, mass.plate_angle_rad,
-                mass.elevator_speed_rad_s, mass.moisture_pct,
-            )
+            load = _weighed(name, mass)
             error = self._contradiction(prior, load)
             if error is None:
                 self._weighings = [*self._weighings[1 - _KEPT_WEIGHINGS :], load]
@@ -255,10 +254,14 @@ class ClosedLoopCalibrator:
             drifting=() if known is None else known.names,
             rates=() if known is None else tuple(map(float, known.rates)),
             covariance=() if known is None else tuple(tuple(map(float, row)) for row in known.joint[count:]),
+            at_s=self._at_s if isfinite(self._at_s) else self._before.at_s if self._before is not None else None,
+            weighed=tuple(load.name for load in self._weighings),
+            doubted="" if self._doubted is None else self._doubted.name,
         )
 
     def restore(self, state: CalibratorState, parameters: ParameterSet, total_kg: float) -> None:
         """See records.SelfCalibrator."""
+        self._before = state
         self._waited_s, self._at_kg = state.waited_s, total_kg - state.harvested_kg
         self._moisture_pct = float("nan") if state.moisture_pct is None else state.moisture_pct
         fresh = begin(parameters, self._settings.steady_per_kilotonne)
@@ -268,6 +271,21 @@ class ClosedLoopCalibrator:
         joint[-len(rows) :, :] = rows
         joint[:, -len(rows) :] = rows.T
         self._drifting = replace(fresh, rates=np.array(state.rates), joint=joint)
+
+    def remember(self, taught: Sequence[ReferenceMass], estimator: FlowEstimator) -> None:
+        """See records.SelfCalibrator."""
+        self._used = self._checked = frozenset(taught)
+        state, used = self._before, self._in_use(estimator)
+        if state is None:
+            return
+        # Of two tickets for one load the newer counts.
+        known = {name_of(anchor): anchor for anchor in taught}
+        found = {
+            name: _weighed(name, self._mass_anchor(anchor, used, anchor.end_s - anchor.start_s))
+            for name, anchor in known.items() if name in (*state.weighed, state.doubted)
+        }
+        self._weighings = [found[name] for name in state.weighed if name in found]
+        self._doubted = found.get(state.doubted)
 
     def _prior(
         self, used: ParameterSet, moisture_pct: float, now_s: float, total_kg: float
@@ -283,7 +301,9 @@ class ClosedLoopCalibrator:
             else:
                 self._moisture_pct = moisture_pct
         if not isfinite(self._at_s):
-            self._at_s = now_s - self._waited_s
+            at_s = self._before.at_s if self._before is not None else None
+            # A bus time that began anew says nothing of the time between.
+            self._at_s = at_s if at_s is not None and at_s <= now_s else now_s - self._waited_s
         if not isfinite(self._at_kg):
             self._at_kg = total_kg
         hours = max(now_s - self._at_s, 0.0) / 3600.0
@@ -372,6 +392,13 @@ class ClosedLoopCalibrator:
             weight, settings.test_weight_std_dev_kg_m3, settings.density_ratio,
             settings.density_ratio_std_dev,
         )
+
+
+def _weighed(name: str, mass: MassAnchor) -> WeighedLoad:
+    return WeighedLoad(
+        name, mass.reference_kg, mass.std_dev_kg, mass.duration_s, mass.force_n, mass.plate_angle_rad, mass.elevator_speed_rad_s,
+        mass.moisture_pct,
+    )
 
 
 def _median(values: Iterable[float]) -> float:

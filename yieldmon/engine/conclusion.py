@@ -78,7 +78,8 @@ class Conclusion:
         if missed_kg > 0.0:
             self._parts.since_zero.add_scale(totals.load_number, missed_kg)
             loads.correct({totals.load_number: missed_kg})
-        learning.measured(totals.load_number, reading, flow, mass_kg)
+        if totals.load_open:
+            learning.measured(totals.load_number, reading, flow, mass_kg)
 
     def _observation(self, reading: Reading, flow: Flow, seen: WaveformReading) -> Observation:
         parts, learning = self._parts, self._parts.learning

@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from math import isfinite
+from math import isfinite, nan
 
 from yieldmon.engine.anchors import AnchorSource, ReferenceMass, TankScale
 from yieldmon.engine.budget import MassBudget
 from yieldmon.engine.disagreement import Disagreement
 from yieldmon.engine.flow import Flow
 from yieldmon.engine.inputs import InputSnapshot
-from yieldmon.engine.load_forces import LoadForceSums
+from yieldmon.engine.load_forces import LoadForces, LoadForceSums
 from yieldmon.engine.loads import LoadSummary
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.records import CalibrationOutcome, CalibrationStep, FlowEstimator, SelfCalibrator, WindowRecord
 from yieldmon.engine.scale_alarm import ScaleAlarm, as_stated
 from yieldmon.engine.settings import EngineSettings
+from yieldmon.engine.since_zero import KeptSecond
+from yieldmon.engine.state import TicketState
 from yieldmon.engine.sweep import SweepAbort, SweepMachine
 from yieldmon.engine.windows import Window
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import Machine
+
+_KEPT_TICKETS = 12
+"""That outlive a restart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +56,10 @@ class Learning:
         self._scale = TankScale(settings.anchors)
         self._tickets: deque[ReferenceMass] = deque(maxlen=settings.anchors.keep)
         self._masses_new = False
+        self._waiting: list[ReferenceMass] = []
+        """Tickets that were not handed to the calibrator yet."""
+        self._earlier: dict[int, tuple[LoadSummary, LoadForces | None]] = {}
+        """Loads of an earlier run, by number."""
         self._compared: frozenset[ReferenceMass] = frozenset()
         self.forces = LoadForceSums()
         self._weighed_s = float("-inf")
@@ -71,6 +81,7 @@ class Learning:
         if not gone:
             return
         later = [a for i, a in enumerate(self._tickets) if i > gone[0] and i not in gone]
+        self._waiting = later
         self._tickets = deque((a for i, a in enumerate(self._tickets) if i not in gone), maxlen=self._tickets.maxlen)
         if self.calibrator is not None:
             self.calibrator.forget(load_numbers, later)
@@ -132,18 +143,58 @@ class Learning:
         if not (isfinite(std_dev_kg) and std_dev_kg > 0.0):
             raise ValueError(f"ticket for load {load_number}: standard deviation {std_dev_kg} kg; expected above 0 kg")
         load = next((load for load in reversed(loads) if load.number == load_number), None)
+        forces = self.forces.of(load_number)
+        if load is None and load_number in self._earlier:
+            load, forces = self._earlier[load_number]
         if load is None:
             known = sorted(load.number for load in loads)
             raise ValueError(f"ticket for load {load_number}: no such load; expected one of {known}")
-        end_s = load.end_s if isfinite(load.end_s) else now_s
-        anchor = ReferenceMass(
-            AnchorSource.TICKET, load.start_s, end_s, mass_kg, std_dev_kg, load.measured_kg, load.complete, load_number,
-            load.budget,
-            forces=self.forces.of(load_number),
-        )
+        anchor = _ticket(load, forces, mass_kg, std_dev_kg, now_s)
         self._tickets.append(anchor)
+        self._waiting.append(anchor)
         self._masses_new = True
         return anchor
+
+    def know_load(self, load: LoadSummary, seconds: Iterable[KeptSecond]) -> None:
+        """A closed load that an earlier run measured, so that a ticket for it teaches."""
+        sums = LoadForceSums()
+        for second in seconds:
+            sums.add(
+                load.number, second.mass_kg, second.duration_s, second.force_n, second.plate_angle_rad,
+                second.elevator_speed_rad_s, second.moisture_pct,
+            )
+        self._earlier[load.number] = load, sums.of(load.number)
+
+    def of_earlier_load(self, load_number: int, mass_kg: float, std_dev_kg: float) -> ReferenceMass | None:
+        """A ticket that an earlier run took for a load of its own; None for a load that is not known."""
+        if load_number not in self._earlier:
+            return None
+        return _ticket(*self._earlier[load_number], mass_kg, std_dev_kg, nan)
+
+    @property
+    def tickets(self) -> tuple[ReferenceMass, ...]:
+        """Those kept, in the order they were entered."""
+        return tuple(self._tickets)
+
+    @property
+    def waiting(self) -> tuple[ReferenceMass, ...]:
+        """Tickets that were not handed to the calibrator yet."""
+        return tuple(self._waiting)
+
+    @property
+    def ticket_states(self) -> tuple[TicketState, ...]:
+        """What of the tickets is to outlive a restart."""
+        newest = list(self._tickets)[-_KEPT_TICKETS:]
+        return tuple(TicketState(a.load_number, a.reference_kg, a.std_dev_kg, a in self._waiting) for a in newest)
+
+    def remember_tickets(self, tickets: Sequence[ReferenceMass], waiting: Sequence[ReferenceMass]) -> None:
+        """After a restart or a reload: tickets entered before it; `waiting` are those among them that have not taught."""
+        self._tickets.extend(tickets)
+        self._compared = frozenset(tickets)
+        if self.calibrator is not None:
+            self.calibrator.remember([a for a in tickets if a not in waiting], self.estimator)
+        self._waiting = list(waiting)
+        self._masses_new = self._masses_new or bool(waiting)
 
     def learn(self, at_s: float, record: WindowRecord, sweep: SweepMachine) -> tuple[ParametersChanged, ...]:
         """Collect a sweep's windows, and at its end hand them to the calibrator; between sweeps reference masses update."""
@@ -162,6 +213,7 @@ class Learning:
         changed: tuple[ParametersChanged, ...] = ()
         if self.calibrator is not None:
             self._masses_new = False
+            self._waiting = []
             outcome = self.calibrator.update(
                 records, self.anchors, self.estimator, use_sweep=not self.disagreement.present
             )
@@ -174,6 +226,7 @@ class Learning:
         if not self._masses_new:
             return ()
         self._masses_new = False
+        self._waiting = []
         if self.calibrator is None:
             self._compare()
             return ()
@@ -193,3 +246,13 @@ class Learning:
         self.use(outcome.estimator, 0.0)
         origin = "ticket" if outcome.weighed else "sweep"
         return (ParametersChanged(outcome.estimator.parameters, origin, outcome.reason, outcome.step),)
+
+
+def _ticket(
+    load: LoadSummary, forces: LoadForces | None, mass_kg: float, std_dev_kg: float, now_s: float
+) -> ReferenceMass:
+    end_s = load.end_s if isfinite(load.end_s) else now_s
+    return ReferenceMass(
+        AnchorSource.TICKET, load.start_s, end_s, mass_kg, std_dev_kg, load.measured_kg, load.complete, load.number, load.budget,
+        forces=forces,
+    )

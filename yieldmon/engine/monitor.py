@@ -25,7 +25,7 @@ from yieldmon.engine.runs import FrameRun
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.since_zero import KeptSecond
 from yieldmon.engine.sources import DEFAULT_SOURCES, Sources
-from yieldmon.engine.state import EngineState
+from yieldmon.engine.state import EngineState, TicketState
 from yieldmon.engine.sweep import SweepMachine
 from yieldmon.engine.timeline import Timeline
 from yieldmon.engine.totals import Totals
@@ -149,6 +149,24 @@ class Monitor:
     def remember_since_zero(self, seconds: Sequence[KeptSecond]) -> None:
         """After a restart: what was measured since the operator's last zero calibration."""
         self._parts.since_zero.add(seconds)
+
+    def know_load(self, load: LoadSummary, seconds: Sequence[KeptSecond]) -> None:
+        """A closed load that an earlier run measured, with its seconds: a ticket for it teaches like one for this run's."""
+        self._parts.learning.know_load(load, seconds)
+
+    def remember_tickets(self, tickets: Sequence[TicketState]) -> None:
+        """After `restore` and `know_load`: the state's tickets, of which those for other loads are passed over."""
+        learning, pairs = self._parts.learning, []
+        for ticket in tickets:
+            known = learning.of_earlier_load(ticket.load_number, ticket.weighed_kg, ticket.std_dev_kg)
+            if known is not None:
+                pairs.append((known, ticket.waits))
+        learning.remember_tickets([a for a, _ in pairs], [a for a, waits in pairs if waits])
+
+    def take_tickets_of(self, before: Monitor) -> None:
+        """After `restore` from the monitor that measured until now: its tickets."""
+        learning = before._parts.learning
+        self._parts.learning.remember_tickets(learning.tickets, learning.waiting)
 
     def forget_ticket(self, load_numbers: Sequence[int]) -> None:
         """A ticket for these loads was taken back; those entered since then count anew."""

@@ -263,7 +263,8 @@ class CalibratorState:
 
     waited_s, harvested_kg: since the last update. moisture_pct: of the grain for which the parameters hold. drifting: the r
     parameters that have a steady rate; rates: (r,), per kilotonne; covariance: (r, n + r) of the rates with the n parameters that
-    have a variance, and with each other.
+    have a variance, and with each other. at_s: bus time of the last update, None where it is not known. weighed: names of the
+    loads that a new one is held against; doubted: of the one that contradicts them, "" for none.
     """
 
     waited_s: float
@@ -272,6 +273,9 @@ class CalibratorState:
     drifting: tuple[str, ...]
     rates: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
+    at_s: float | None = None
+    weighed: tuple[str, ...] = ()
+    doubted: str = ""
 
 
 class SelfCalibrator(Protocol):
@@ -303,3 +307,6 @@ class SelfCalibrator(Protocol):
 
     def restore(self, state: CalibratorState, parameters: ParameterSet, total_kg: float) -> None:
         """Go on from a snapshot, with the parameters that were in use then."""
+
+    def remember(self, taught: Sequence[ReferenceMass], estimator: FlowEstimator) -> None:
+        """After `restore`: reference masses that were handed over before."""

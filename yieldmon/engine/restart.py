@@ -22,6 +22,7 @@ def snapshot(parts: Parts, windows: int) -> EngineState:
         scale_alarm=learning.scale_alarm.state,
         calibrator=calibrator.snapshot(parts.bus_now, totals.total_kg) if calibrator is not None else None,
         zero_undo=_zero_undo(parts),
+        tickets=learning.ticket_states,
     )
 
 

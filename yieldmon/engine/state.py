@@ -26,9 +26,19 @@ class ZeroUndo:
 
 
 @dataclass(frozen=True, slots=True)
+class TicketState:
+    """A ticket for a load, kg. waits: it has not been handed to the calibrator."""
+
+    load_number: int
+    weighed_kg: float
+    std_dev_kg: float
+    waits: bool
+
+
+@dataclass(frozen=True, slots=True)
 class EngineState:
     """windows: closed so far. sweep_due_in_s and calibration_age_s (None: not known) count from the moment of the snapshot.
-    zero_undo: None where there is no zero calibration to take back."""
+    zero_undo: None where there is no zero calibration to take back. tickets: the newest, in the order they were entered."""
 
     totals: Totals = field(default_factory=Totals)
     zero: ZeroState | None = None
@@ -41,6 +51,7 @@ class EngineState:
     calibrator: CalibratorState | None = None
     scale_alarm: ScaleAlarmState = field(default_factory=ScaleAlarmState)
     zero_undo: ZeroUndo | None = None
+    tickets: tuple[TicketState, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Nested plain dict of numbers, fit for JSON."""
@@ -57,7 +68,7 @@ class EngineState:
 
         A state from before sweeps' patterns, the calibrator's or the scale's alarm were kept has none.
         """
-        later: dict[str, Any] = {"calibrator": None, "scale_alarm": {}, "zero_undo": None}
+        later: dict[str, Any] = {"calibrator": None, "scale_alarm": {}, "zero_undo": None, "tickets": ()}
         data = {"disagreement": {"patterns": (), "present": False}, **later, **data}
         known = {item.name for item in fields(cls)}
         if set(data) != known:
@@ -75,6 +86,7 @@ class EngineState:
             parts = {
                 "totals": _totals(data["totals"]), "zero": zero, "disagreement": disagreement, "calibrator": calibrator,
                 "scale_alarm": _scale_alarm(data["scale_alarm"]),
+                "tickets": tuple(TicketState(**ticket) for ticket in data["tickets"]),
             }
             return cls(**{**data, **parts, "zero_undo": undo})
         except (KeyError, TypeError) as error:
@@ -105,7 +117,7 @@ def _scale_alarm(data: Mapping[str, Any]) -> ScaleAlarmState:
 
 
 def _calibrator(data: Mapping[str, Any]) -> CalibratorState:
-    lists = {name: tuple(data[name]) for name in ("drifting", "rates")}
+    lists = {name: tuple(data.get(name, ())) for name in ("drifting", "rates", "weighed")}
     state = CalibratorState(**{**data, **lists, "covariance": tuple(tuple(row) for row in data["covariance"])})
     count = len(state.drifting)
     if len(state.rates) != count or len(state.covariance) != count or len({len(row) for row in state.covariance}) > 1:

@@ -17,6 +17,10 @@ from . import delimited
 
 LOADS = ("mass_flow_kg_s", "paddle_mass_kg")
 READINGS = ("force_n", "momentum_kg_m_s", "response")
+_ALSO = {"paddle_momentum_kg_m_s": "momentum_kg_m_s"}
+"""Columns under the names that `predict` gives them."""
+_AGREE = 0.01
+"""Relative difference of two columns that say the same."""
 LEAST_SPEED_RPM = 150.0
 """Of the upper sprocket's shaft: slower, no paddle throws grain; rad/s and the speed of another shaft are below it."""
 _LIMITS = {
@@ -33,7 +37,8 @@ _LIMITS = {
 class Table:
     """Columns as they stand in the file (degrees, rpm, %), nan for unknown; `text` holds trial, group and unknown columns.
 
-    load: which of LOADS the table gives, None when neither is there (open and closed loop find it). reading: which of READINGS.
+    load: which of LOADS the table gives, None when neither is there (open and closed loop find it); of both, the flow. reading:
+    which of READINGS; of force and momentum, the force. The other of two must agree with it (`check_doubled`).
     """
 
     path: str
@@ -67,12 +72,29 @@ class Table:
         """Angle, speed, load and moisture of each row. Raises InputError when the table gives no load."""
         if self.load is None:
             raise InputError(self.path, "has no load column", f"one of {', '.join(LOADS)}")
+        self.check_doubled(machine)
         return Conditions(
             plate_angle_rad=np.radians(self.columns["plate_angle_deg"]),
             elevator_speed_rad_s=self.speed_rad_s(machine),
             moisture_pct=self.columns.get("moisture_pct"),
             **{self.load: self.columns[self.load]},
         )
+
+    def check_doubled(self, machine: Machine) -> None:
+        """Raises InputError where the table gives load or reading twice and the two disagree on this machine."""
+        passes = machine.passes_per_s(self.speed_rad_s(machine))
+        for one, other in (LOADS, READINGS[:2]):
+            if one not in self.columns or other not in self.columns:
+                continue
+            first, second = self.columns[one], self.columns[other] * passes
+            apart = np.abs(first - second) > _AGREE * np.maximum(np.abs(first), np.abs(second))
+            if np.any(apart):
+                i = int(np.argmax(apart))
+                where = f"{self.path}: line {self.lines[i]}" if self.lines else f"{self.path}: row {i + 1}"
+                raise InputError(
+                    f"{where}: {other}", f"is {self.columns[other][i]:g}, where {one} says {first[i] / passes[i]:.6g}",
+                    f"the same, or one of the two columns ({passes[i]:.4g} paddles a second)",
+                )
 
     def momentum(self, machine: Machine) -> Array:
         """The reading as momentum per paddle, kg m/s (for `response`, in its own unit)."""
@@ -89,15 +111,18 @@ def load(path: str | Path, *, need_load: bool = True) -> Table:
     """
     source = delimited.read(path)
     where = source.path
-    load_name, reading = _roles(list(source.header), where, need_load)
+    names = {name: _ALSO.get(name, name) for name in source.header}
+    if len(set(names.values())) < len(names):
+        raise InputError(f"{where}: header", f"has {', '.join(_ALSO)} under both its names", "one of them")
+    load_name, reading = _roles(list(names.values()), where, need_load)
     columns: dict[str, Array] = {}
     texts: dict[str, tuple[str, ...]] = {}
     notes = list(source.notes)
-    for name in source.header:
+    for name, role in names.items():
         if name in ("trial", "group"):
             texts[name] = source.column(name)
-        elif name in _LIMITS or name in READINGS:
-            columns[name] = _numbers(source, name)
+        elif role in _LIMITS or role in READINGS:
+            columns[role] = _numbers(source, name)
         else:
             texts[name] = source.column(name)
             notes.append(f"{where}: column {name!r} is not known and is ignored")
@@ -119,9 +144,9 @@ def _roles(header: list[str], where: str, need_load: bool) -> tuple[str | None, 
         raise InputError(f"{where}: header", "has no plate_angle_deg", "that column")
     loads = [name for name in LOADS if name in header]
     readings = [name for name in READINGS if name in header]
-    if need_load and len(loads) != 1:
-        raise InputError(f"{where}: header", f"has {loads or 'no load column'}", f"one of {', '.join(LOADS)}")
-    if len(readings) != 1:
+    if need_load and not loads:
+        raise InputError(f"{where}: header", "has no load column", f"one of {', '.join(LOADS)}")
+    if len(readings) != 1 and readings != list(READINGS[:2]):
         raise InputError(f"{where}: header", f"has {readings or 'no reading'}", f"exactly one of {', '.join(READINGS)}")
     return (loads[0] if loads else None), readings[0]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from yieldmon.engine.monitor import Monitor
@@ -12,6 +12,7 @@ from yieldmon.files.crops import crops
 from yieldmon.service import ledger
 from yieldmon.service.assembly import build_estimator, calibration_age_s
 from yieldmon.service.journal import Journal
+from yieldmon.service.reference_loads import StoredLoad, reference
 from yieldmon.service.store import Load, Ticket
 
 Answer = Mapping[str, Any]
@@ -21,14 +22,29 @@ TICKET_RELATIVE_STD_DEV = 0.005
 _KERNEL_WEIGHTS_G = (1.0, 5000.0)
 _MIN_TICKET_KG, _MAX_TICKET_KG = 1e-3, 1e6
 _MAX_NAME = 80
+_MOST_LOADS = 63
+"""Between the first and the last of a ticket that teaches about loads of an earlier run."""
 
 
-def execute(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
-    """Carries out one request. Raises InputError when it cannot be."""
+def execute(
+    request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float, stored: Sequence[StoredLoad] = ()
+) -> Answer:
+    """Carries out one request. stored: loads that a ticket names, as the store has them. Raises InputError when it cannot be."""
     command = _COMMANDS.get(request["command"])
     if command is None:
         raise InputError("command", repr(request["command"]), f"one of status, {', '.join(_COMMANDS)}")
+    if command is _ticket:
+        return _ticket(request, monitor, journal, now_s, stored)
     return command(request, monitor, journal, now_s)
+
+
+def ticketed_loads(request: Mapping[str, Any]) -> range:
+    """Numbers of the loads that a ticket names; none for another request, or one that makes no sense."""
+    first, last = request.get("first_load"), request.get("last_load")
+    last = first if last is None else last
+    if request.get("command") != "ticket" or not isinstance(first, int) or not isinstance(last, int):
+        return range(0)
+    return range(first, last + 1) if 0 <= first <= last <= first + _MOST_LOADS else range(0)
 
 
 def summary(status: Mapping[str, Any]) -> str:
@@ -90,7 +106,9 @@ def _loads(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s
     return {"loads": journal.load_table()}
 
 
-def _ticket(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
+def _ticket(
+    request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float, stored: Sequence[StoredLoad] = ()
+) -> Answer:
     first = _whole(request, "first_load")
     last = _whole(request, "last_load") if request.get("last_load") is not None else first
     weighed_kg = _mass_kg(request, "mass_kg")
@@ -106,8 +124,10 @@ def _ticket(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_
     if not measured_kg > 0.0:
         raise InputError(f"ticket for load {first}", "nothing was measured for it", "a load with a measured mass")
     ticket = Ticket(now_s, first, last, weighed_kg, measured_kg, _name(request, "note") or "")
-    teaches = _anchor(monitor, covered, ticket, std_dev_kg)
-    number = journal.ticket(ticket, _who(request), teaches=teaches)
+    why_not = _why_no_reference(monitor, journal, covered, stored)
+    if not why_not:
+        _teach(monitor, covered, ticket, std_dev_kg)
+    number = journal.ticket(ticket, _who(request), teaches=not why_not)
     return {
         "crop": covered[-1].crop,
         "ticket": number,
@@ -116,7 +136,8 @@ def _ticket(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_
         "weighed_mass_kg": weighed_kg,
         "measured_mass_kg": measured_kg,
         "factor": ticket.factor,
-        "anchor": teaches,
+        "anchor": not why_not,
+        "why_no_anchor": why_not,
     }
 
 
@@ -150,17 +171,32 @@ def _back_before(version: int, request: Mapping[str, Any], monitor: Monitor, jou
     return {"undone": version, "until": last, "version": chosen.version, "effects": list(chosen.effects)}
 
 
-def _anchor(monitor: Monitor, covered: list[Load], ticket: Ticket, std_dev_kg: float) -> bool:
-    """Hands the ticket to the calibration as a reference mass, shared out over its loads; False when one of them was not
-    measured whole since the last start or reload, and then no part of the ticket is a reference mass."""
-    whole = {load.number for load in monitor.loads if load.complete}
-    if not all(load.number in whole for load in covered):
-        return False
+def _why_no_reference(monitor: Monitor, journal: Journal, covered: list[Load], stored: Sequence[StoredLoad]) -> str:
+    """Why no part of a ticket is a reference mass for the calibration; "" where it is. The monitor gets to know those of its
+    loads that an earlier run measured."""
+    in_use = journal.crop_in_use(monitor.estimator.parameters)
+    other = next((load.crop for load in covered if load.crop and in_use and load.crop.lower() != in_use.lower()), None)
+    if other is not None:
+        return f"a load of {other}; the parameters in use are those of {in_use}"
+    whole = {load.number: load.complete for load in monitor.loads}
+    earlier = {load.load.number: load for load in stored if load.load.number not in whole}
+    for number, load in earlier.items():
+        found = reference(load, monitor.machine, monitor.settings.windows.min_coverage)
+        if min(found.versions, default=0) < journal.calibrated_version:
+            return f"load {number} was measured before the parameter file in use"
+        monitor.know_load(found.summary, found.seconds)
+        whole[number] = found.summary.complete
+    if not all(whole.get(load.number, False) for load in covered):
+        return "not every second of it was measured"
+    return ""
+
+
+def _teach(monitor: Monitor, covered: list[Load], ticket: Ticket, std_dev_kg: float) -> None:
+    """Hands the ticket to the calibration as a reference mass, shared out over its loads."""
     for load in covered:
         share = load.mass_kg / ticket.measured_mass_kg
         if share > 0.0:
             monitor.ticket(load.number, share * ticket.weighed_mass_kg, math.sqrt(share) * std_dev_kg)
-    return True
 
 
 def _covered(journal: Journal, first: int, last: int) -> list[Load]:

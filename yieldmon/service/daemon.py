@@ -46,6 +46,7 @@ from yieldmon.service.notify import ServiceManager
 from yieldmon.service.ownership import owned
 from yieldmon.service.posting import Poster
 from yieldmon.service.recovery import recover
+from yieldmon.service.reference_loads import StoredLoad, of_path, reference
 from yieldmon.service.rows import SecondRow, kept_second
 from yieldmon.service.snapshot import Rates, snapshot
 from yieldmon.service.store import Store
@@ -89,6 +90,8 @@ class _Job:
 
     request: Mapping[str, Any]
     answer: Future[Answer]
+    stored: Sequence[StoredLoad] = ()
+    """Loads that it names, as the store has them."""
 
 
 class Daemon:
@@ -261,6 +264,10 @@ class Daemon:
             age_s += max(0.0, now_s - memory.saved_s)
         self._monitor.restore(dataclasses.replace(memory.engine, calibration_age_s=age_s))
         self._monitor.remember_since_zero([kept_second(row) for row in memory.since_zero])
+        for stored in memory.ticketed if self._origin == "store" else ():
+            found = reference(stored, self._monitor.machine, self._monitor.settings.windows.min_coverage)
+            self._monitor.know_load(found.summary, found.seconds)
+        self._monitor.remember_tickets(memory.engine.tickets)
 
     # The engine's thread
 
@@ -466,7 +473,7 @@ class Daemon:
         """Called on the control server's threads."""
         if request["command"] == "status":
             return self._status()
-        job = _Job(request, Future())
+        job = _Job(request, Future(), self._stored(request))
         self._commands.put(job)
         try:
             return job.answer.result(_COMMAND_PATIENCE_S)
@@ -476,6 +483,17 @@ class Daemon:
                 return job.answer.result()
             raise ControlError("the engine did not answer in time; nothing was done") from None
 
+    def _stored(self, request: Mapping[str, Any]) -> Sequence[StoredLoad]:
+        """Loads that a ticket names, read here and not on the engine's thread, which must not wait for a disk."""
+        numbers = commands.ticketed_loads(request)
+        if not numbers:
+            return ()
+        try:
+            return of_path(self.configuration.store_path, numbers)
+        except InputError as error:
+            _log.warning("loads of an earlier run cannot be read: %s", error)
+            return ()
+
     def _do_commands(self) -> None:
         done = False
         while not self._commands.empty():
@@ -483,7 +501,7 @@ class Daemon:
             if not job.answer.set_running_or_notify_cancel():
                 continue
             try:
-                answer = commands.execute(job.request, self._monitor, self._journal, time.time())
+                answer = commands.execute(job.request, self._monitor, self._journal, time.time(), job.stored)
                 job.answer.set_result({**answer, "units": self.configuration.document.units})
                 done = True
             except InputError as error:
@@ -530,6 +548,8 @@ class Daemon:
             state = dataclasses.replace(state, calibration_age_s=calibration_age_s(fresh, time.time()))
         monitor = _monitor_for(new, fresh or self._monitor.estimator.parameters)
         monitor.restore(state)
+        if fresh is None:
+            monitor.take_tickets_of(self._monitor)
         commands.set_market(monitor, self._journal)
         self._monitor, self._record = monitor, None
         # The next batch brings the parameters.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from dataclasses import field as dataclass_field
@@ -26,8 +27,11 @@ from yieldmon.files.crops import crops
 from yieldmon.service import ledger as ledgers
 from yieldmon.service import store as rows_of
 from yieldmon.service.lesson_steps import step_document
+from yieldmon.service.reference_loads import StoredLoad, of_store
 from yieldmon.service.rows import SecondRow, second_row
 from yieldmon.service.store import Action, Batch, Load, ParameterVersion, Step, Store, StoreDamagedError, SweepRecord, Ticket
+
+_log = logging.getLogger(__name__)
 
 _UNKNOWN_MOISTURE_KG = 1e-6
 _UNKNOWN_AREA_SHARE = 0.02
@@ -70,6 +74,8 @@ class Memory:
     actions: tuple[Action, ...] = ()
     since_zero: tuple[SecondRow, ...] = ()
     """Seconds since the operator's last zero calibration, where that can be undone."""
+    ticketed: tuple[StoredLoad, ...] = ()
+    """Loads of the newest tickets."""
 
 
 def recall(store: Store) -> Memory:
@@ -102,6 +108,7 @@ def recall(store: Store) -> Memory:
             },
             actions=actions,
             since_zero=_since_zero(store, actions) if engine.zero_undo is not None else (),
+            ticketed=_ticketed(store, engine),
         )
     except (KeyError, IndexError, TypeError, ValueError, InputError) as error:
         raise StoreDamagedError(f"{store.path}: the state cannot be used: {error!r}") from error
@@ -114,6 +121,15 @@ def _since_zero(store: Store, actions: Sequence[Action]) -> tuple[SecondRow, ...
     newest = store.last_second()
     first = max(int(last.document["second"]) + 1, (newest.number if newest is not None else 0) - KEPT_S)
     return tuple(store.seconds(first, on_damage=lambda number: None))
+
+
+def _ticketed(store: Store, engine: EngineState) -> tuple[StoredLoad, ...]:
+    """Empty where the seconds are damaged: the tickets' corrections stand, and a start must not wait for repairs."""
+    try:
+        return of_store(store, {ticket.load_number for ticket in engine.tickets})
+    except StoreDamagedError as error:
+        _log.warning("loads with tickets are not read again: %s", error)
+        return ()
 
 
 def choose_parameters(memory: Memory, configured: ParameterSet) -> tuple[ParameterSet, str]:
@@ -302,6 +318,12 @@ class Journal:
         self.act(ledgers.POSTING, "", document)
 
     # What stands
+
+    @property
+    def calibrated_version(self) -> int:
+        """Version with which the newest parameter file came; what was measured before it says nothing about it."""
+        return max((int(a.document["version"]) for a in self._actions
+                    if a.kind == ledgers.PARAMETERS and a.document.get("origin") == "file"), default=0)
 
     @property
     def ledger(self) -> ledgers.Ledger:

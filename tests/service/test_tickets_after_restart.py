@@ -1,0 +1,89 @@
+"""A ticket teaches the same whether or not the daemon was started anew between its load and the ticket."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+
+from tests.service.bench import START_S, running
+from yieldmon.cli import main as cli
+from yieldmon.files import parameter_file
+from yieldmon.service.store import Store
+
+LOADS = ((5, 40.0), (4, 80.0), (5, 110.0), (4, 60.0))
+"""Seconds of grain and its signal, mV, of loads 2 to 5."""
+TRUE = 1.15
+"""Weighed over measured mass."""
+
+
+def ask(folder, capsys, *words: str) -> dict:
+    assert cli.main([*words, "--socket", str(folder / "yieldmon.sock"), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+class Season:
+    """Runs of a daemon on one store. masses: as measured, by load."""
+
+    def __init__(self, folder, capsys) -> None:
+        folder.mkdir()
+        self.folder, self.capsys, self.now_s = folder, capsys, START_S
+        self.masses: dict[int, float] = {}
+
+    def harvest(self, bench) -> None:
+        bench.play(14, 0.0)
+        for seconds, signal_mv in LOADS:
+            ask(self.folder, self.capsys, "load", "start")
+            bench.play(seconds, signal_mv)
+            bench.played()
+        ask(self.folder, self.capsys, "load", "stop")
+        bench.play(2, 0.0)
+        bench.played()
+        self.masses = {row["number"]: row["mass_kg"] for row in ask(self.folder, self.capsys, "load", "list")["loads"]}
+
+    def ticket(self, bench, number: int, factor: float) -> dict:
+        weighed_kg = factor * self.masses[number]
+        answer = ask(self.folder, self.capsys, "ticket", str(number), f"{weighed_kg}kg", "--std-dev", f"{0.002 * weighed_kg}kg")
+        bench.play(2, 0.0)
+        bench.played()
+        return answer
+
+    def lessons(self) -> list[tuple[str, dict[str, float], list[list[float]]]]:
+        with Store(self.folder / "yieldmon.sqlite") as store:
+            versions = store.parameter_versions()
+        sets = [(v.origin, parameter_file.from_document(v.document, "")) for v in versions]
+        return [(origin, dict(known.values), known.covariance.tolist()) for origin, known in sets]
+
+
+TICKETS = ((2, TRUE), (3, 1.003 * TRUE), (4, 0.998 * TRUE), (5, 1.12 * TRUE))
+"""The last is another truck's grain."""
+
+
+def learnt(folder, capsys, runs: tuple[int, ...]) -> tuple[list, list[str]]:
+    """What the tickets teach, so many of them in each run of the daemon, and why each taught as it did."""
+    season, told, left = Season(folder, capsys), [], list(TICKETS)
+    for place, count in enumerate(runs):
+        with running(folder, start_s=season.now_s) as bench:
+            if place == 0:
+                season.harvest(bench)
+            for _ in range(count):
+                bench.play(2, 0.0)
+                bench.played()
+                assert season.ticket(bench, *left.pop(0))["anchor"] is True
+                told.append(bench.daemon._monitor.outcome.reason)
+            season.now_s = bench.now_s
+    return season.lessons(), told
+
+
+def test_tickets_teach_the_same_after_restarts(tmp_path, capsys) -> None:
+    through, told = learnt(tmp_path / "a", capsys, (4,))
+    anew, told_anew = learnt(tmp_path / "b", capsys, (0, 1, 2, 1))
+    assert [origin for origin, _, _ in through] == [origin for origin, _, _ in anew] == ["file", "ticket", "ticket", "ticket"]
+    assert "contradicts the 3 weighed before" in told[3]
+    assert told_anew == told
+    for (_, values, covariance), (_, values_anew, covariance_anew) in zip(through, anew, strict=True):
+        assert values_anew == pytest.approx(values, rel=1e-9)
+        assert [math.sqrt(row[i]) for i, row in enumerate(covariance_anew)] == pytest.approx(
+            [math.sqrt(row[i]) for i, row in enumerate(covariance)], rel=1e-6
+        )
