@@ -57,7 +57,8 @@ def run(args: argparse.Namespace) -> int:
     except ValueError as error:
         raise InputError("predict", str(error)) from error
     passes = machine.passes_per_s(speed * RPM)
-    columns, values = COLUMNS, [flow, angle, speed, flow / passes, momentum, momentum * passes]
+    columns: tuple[str, ...] = COLUMNS
+    values = [flow, angle, speed, flow / passes, momentum, momentum * passes]
     if args.moisture is not None:
         columns, values = (*COLUMNS, "moisture_pct"), [*values, np.full(flow.shape, args.moisture)]
     table = np.stack(values, axis=-1).tolist()
