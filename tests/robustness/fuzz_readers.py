@@ -32,6 +32,7 @@ from pathlib import Path
 import can
 
 from tests.robustness.guided import Corpus, Coverage, cpu_s, kept, spliced
+from yieldmon.bus.databases import load_messages
 from yieldmon.bus.logs import LogNotes, read_log
 from yieldmon.errors import InputError
 from yieldmon.files import machine_file, parameter_file, table
@@ -43,7 +44,7 @@ from yieldmon.service.store import Store
 Seed = Callable[[Path], None]
 _FRAMES = 200
 #: Code whose steps guide: the project's, and what reads its files.
-TRACED = ("/yieldmon/", "/can/io/", "/yaml/")
+TRACED = ("/yieldmon/", "/can/io/", "/yaml/", "/asammdf/", "/cantools/database/can/formats/")
 KEPT = Path("out/fuzz")
 
 
@@ -75,6 +76,17 @@ def _store(path: Path) -> None:
 
     with Store(path) as store:
         store.commit([batch(number) for number in range(1, 60)])
+
+
+def _signals(path: Path) -> None:
+    path.write_text(
+        "plate: {fixed_angle_deg: 60}\nsignals:\n"
+        "  impact_voltage: {message: ImpactSensorSamples, signals: [Sample0, Sample1], spacing_ms: 2, range: [0, 5000],\n"
+        "    not_available: [65535]}\n"
+        "  elevator_speed: {message: ElevatorSpeed, signal: ElevatorSpeed, ratio: 1.5,\n"
+        "    source: {name: {function: 3}}}\n"
+        "  moisture: {value: 18.0}\n"
+    )
 
 
 def _table(path: Path) -> None:
@@ -122,6 +134,9 @@ READERS: dict[str, tuple[str, Seed, Callable[[Path], object]]] = {
     "parameters": ("x.yaml", _copy("config/parameters/corn.yaml"), parameter_file.load),
     "machine": ("x.yaml", _copy("config/machines/sprocket-8.yaml"), machine_file.load),
     "configuration": ("x.yaml", _copy("config/yieldmon.yaml"), lambda path: configuration.load(path, {})),
+    "signals": ("x.yaml", _signals, lambda path: configuration.load(path, {})),
+    "dbc": ("x.dbc", _copy("dbc/yieldmon.dbc"), load_messages),
+    "mf4": ("x.mf4", _log, _read),
     "control": ("x.json", _request, _ask),
     "table": ("x.csv", _table, table.load),
     "store": ("x.sqlite", _store, recorded.read_seconds),

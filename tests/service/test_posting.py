@@ -93,6 +93,14 @@ def test_a_lesson_that_does_not_follow_on_the_one_before_speaks_for_its_own_time
     assert line.at(0.0).values["density"] == 840.0
 
 
+def test_lessons_that_lead_to_themselves_come_to_an_end() -> None:
+    """As a store that was tampered with may have them."""
+    learnt = known(2, 840.0)
+    step = lesson(4.0, 0.0, learnt)
+    line = posting.timeline([replace(step, document={**step.document, "from_version": 2})], learnt)
+    assert line.versions == {2}
+
+
 def test_loads_that_are_cut_or_open_are_left_alone() -> None:
     seconds = [*rows(1, 0.0), *rows(2, 50.0), *rows(3, 100.0)]
     assert {r.load_number for r in posting.whole(seconds, 2.0, 3)} == {2}

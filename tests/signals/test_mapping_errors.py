@@ -91,6 +91,18 @@ def test_a_dbc_that_cannot_be_used(content: bytes, wanted: str, tmp_path: Path, 
     assert wanted in line
 
 
+@pytest.mark.parametrize(
+    "numbers", ["(0,0) [0|1]", "(1e400,0) [0|1]", "(1,1e400) [0|1]", "(1,0) [0|1e400]", f"(1,0) [0|1{'0' * 400}]"]
+)
+def test_a_dbc_with_numbers_that_are_none(numbers: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "counts.dbc").write_text(COUNTS.dbc.replace("(0.125,0) [0|8031.875]", numbers))
+    path = tmp_path / "c.yaml"
+    path.write_text(f"signals:\n  {IMPACT}\n")
+    line = said(capsys, path)
+    assert "counts.dbc: EEC1.EngineSpeed" in line
+    assert "factor other than 0" in line
+
+
 def test_latin_letters_in_a_dbc_are_read_as_makers_write_them(tmp_path: Path) -> None:
     (tmp_path / "counts.dbc").write_bytes(COUNTS.dbc.replace('"deg"', '"°"').encode("cp1252"))
     path = tmp_path / "c.yaml"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -101,7 +102,21 @@ def load_messages(path: Path | str) -> dict[str, MessageBits]:
     assert isinstance(database, Database), "what the dbc format gives"
     if not database.messages:
         raise InputError(where, "names no message", "a DBC file")
+    for message in database.messages:
+        for signal in message.signals:
+            _check_numbers(signal, f"{where}: {message.name}.{signal.name}")
     return {message.name: _message(message) for message in database.messages}
+
+
+def _check_numbers(signal: DbcSignal, where: str) -> None:
+    numbers = (signal.scale, signal.offset, signal.minimum or 0, signal.maximum or 0)
+    try:
+        sound = bool(signal.scale) and all(isfinite(number) for number in numbers)
+    except OverflowError:
+        sound = False
+    if not sound:
+        given = f"factor {signal.scale}, offset {signal.offset}, range {signal.minimum} to {signal.maximum}"
+        raise InputError(where, given[:200], "finite numbers and a factor other than 0")
 
 
 def _message(message: DbcMessage) -> MessageBits:
@@ -122,7 +137,8 @@ def _signal(signal: DbcSignal, j1939: bool) -> SignalBits:
     shift = signal.start if little else 8 * _MOST_BYTES - (signal.start // 8 * 8 + 7 - signal.start % 8) - signal.length
     kind = "float" if signal.is_float else "int" if signal.is_signed else "uint"
     bits = signal.length
-    whole = signal.maximum is not None and round((signal.maximum - signal.offset) / signal.scale) >= (1 << bits) - 1
+    # Half a step below the highest raw value: as DBC files have it, rounded to a few decimals.
+    whole = signal.maximum is not None and (signal.maximum - signal.offset) / signal.scale >= (1 << bits) - 1.5
     reserved = j1939 and kind == "uint" and bits > 1 and not whole
     return SignalBits(
         name=signal.name,

@@ -62,7 +62,8 @@ def timeline(steps: Sequence[Step], parameters: ParameterSet) -> Timeline:
     version = parameters.version
     by_version = {step.version: step for step in steps}
     while version in by_version:
-        found = step_from_document(by_version[version].document)
+        # Each once: versions of a store that was tampered with may lead to themselves.
+        found = step_from_document(by_version.pop(version).document)
         if found is None or found.advance.after.shape != (chain[-1] if chain else found).advance.after.shape:
             break
         chain.append(found)
