@@ -277,14 +277,14 @@ def parse_trace(path: Path, folder: Path) -> list[Write]:  # noqa: PLR0912 - a b
     return writes
 
 
-def power_cut_test(cuts: int, rng: random.Random, folder: Path, broken: str) -> dict[str, object]:
+def power_cut_test(cuts: int, rng: random.Random, folder: Path, broken: str, life_s: int) -> dict[str, object]:
     """One life under strace; power cuts at random places of its writes."""
     trace = folder / "trace"
     calls = "openat,pwrite64,write,ftruncate,fsync,fdatasync,unlink"
     subprocess.run(
         [
             "strace", "-f", "-xx", "-s", "100000", "-e", f"trace={calls}", "-o", str(trace),
-            sys.executable, *LIFE, str(folder), "--seconds", "150", "--broken", broken,
+            sys.executable, *LIFE, str(folder), "--seconds", str(life_s), "--broken", broken,
         ],
         check=True, stdout=subprocess.DEVNULL, cwd=ROOT,
     )  # fmt: skip
@@ -327,6 +327,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--kills", type=int, default=0)
     parser.add_argument("--power-cuts", type=int, default=0)
+    parser.add_argument("--life", type=int, default=150, metavar="S", help="bus time of the life whose power is cut")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--broken", choices=list(crash_test_life.BROKEN), default="", metavar="HOW")
     args = parser.parse_args(arguments)
@@ -340,7 +341,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 result |= kill_test(args.kills, rng, folder / "kills", args.broken)
             if args.power_cuts:
                 (folder / "cuts").mkdir()
-                result |= power_cut_test(args.power_cuts, rng, folder / "cuts", args.broken)
+                result |= power_cut_test(args.power_cuts, rng, folder / "cuts", args.broken, args.life)
         except (Broken, StoreError, sqlite3.Error) as error:
             if not args.broken:
                 kept = Path(tempfile.mkdtemp(prefix="yieldmon-crash-kept-"))

@@ -220,13 +220,13 @@ def test_plate_range_of_the_machine_is_taken_exactly(written):
 
 def test_mutated_files_give_a_line_or_a_configuration():
     finished = subprocess.run(
-        [sys.executable, "-m", "tests.robustness", "fuzz-config", "--count", "200", "--seed", "1", "--json"],
+        [sys.executable, "-m", "tests.robustness", "fuzz-config", "--count", "100", "--seed", "1", "--json"],
         capture_output=True, text=True, cwd=ROOT, check=False,
     )  # fmt: skip
     assert finished.returncode == 0, finished.stderr
     counts = json.loads(finished.stdout)
     assert counts["escapes"] == 0
-    assert min(counts["accepted"], counts["refused"]) > 15, "mutations must reach both sides"
+    assert min(counts["accepted"], counts["refused"]) > 7, "mutations must reach both sides"
 
 
 def test_defaults_are_within_their_own_ranges():
