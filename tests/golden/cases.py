@@ -50,15 +50,12 @@ class Case:
         File below the scratch folder that holds the output; empty: standard output.
     before : tuple of tuple of str
         Commands that make its inputs.
-    slow : bool
-        Whether it takes more than two seconds of CPU time.
     """
 
     name: str
     command: tuple[str, ...]
     reads: str = ""
     before: tuple[tuple[str, ...], ...] = ()
-    slow: bool = False
 
 
 def _log(scenario: str, duration_s: int, seed: int, name: str) -> tuple[str, ...]:
@@ -83,8 +80,8 @@ CASES: tuple[Case, ...] = (
     Case("calibrate-bench", ("calibrate", _BENCH, "--impact", "exchange", "--effects", "plate_angle_offset", "--json")),
     Case("calibrate-corn", ("calibrate", _CORN, "--starts", "5", "--robust", "--json")),
     Case("self-calibrate", ("self-calibrate", _CORN, "--params", str(PARAMETERS), "--sigma", "1", "--json")),
-    Case("diagnose-dem", ("diagnose", _DEM, "--json"), slow=True),
-    Case("diagnose-bench", ("diagnose", _BENCH, "--json"), slow=True),
+    Case("diagnose-dem", ("diagnose", _DEM, "--json")),
+    Case("diagnose-bench", ("diagnose", _BENCH, "--json")),
     Case("simulate-demo", _log("demo", 40, 5, "demo"), reads="demo.log"),
     Case("simulate-truth", _HARVEST_LOG, reads="harvest-truth.csv"),
     Case("process-harvest", _HARVEST_TABLE, reads="harvest.csv", before=(_HARVEST_LOG,)),

@@ -17,7 +17,7 @@ def runner(tmp_path_factory: pytest.TempPathFactory) -> Runner:
     return Runner(tmp_path_factory.mktemp("golden"), main)
 
 
-@pytest.mark.parametrize("case", [pytest.param(c, id=c.name, marks=[pytest.mark.slow] if c.slow else []) for c in CASES])
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_output_is_the_kept_one(runner: Runner, case: Case) -> None:
     text, expected = kept.normalized(runner.output(case)), kept.load(case.name)
     if kept.machine() == kept.hashes()["machine"]:

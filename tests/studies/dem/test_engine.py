@@ -19,7 +19,10 @@ pytestmark = [pytest.mark.dem, pytest.mark.usefixtures("engine")]
 ROOT = Path(__file__).parents[3]
 
 
-SLOW = {"half_time_step", "clump_half_time_step", "clump_thin_stream"}
+SLOW = {
+    "half_time_step", "repeatable", "thin_stream", "clump_does_not_roll", "clump_grains_conserved", "clump_half_time_step",
+    "clump_repeatable", "clump_thin_stream",
+}
 
 
 @pytest.mark.parametrize(
@@ -62,6 +65,7 @@ def test_an_engine_that_dies_is_an_error_with_its_own_words(tmp_path: Path) -> N
         runner.run_throw(heap, [1.2], tmp_path / "out", tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", ["sphere", "clump"])
 def test_smoke_campaign_killed_and_taken_up_again(kernel: str, tmp_path: Path) -> None:
     plan_file = tmp_path / "smoke.yaml"
