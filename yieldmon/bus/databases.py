@@ -46,7 +46,7 @@ class SignalBits:
 
 @dataclass(frozen=True, slots=True)
 class MessageBits:
-    """A message. multiplexer: the signal whose value says what a frame holds, None for none."""
+    """A message. multiplexer: the signal whose value says what a frame holds, None for none. j1939: as the DBC calls it."""
 
     name: str
     frame_id: int
@@ -54,6 +54,7 @@ class MessageBits:
     length: int
     multiplexer: str | None
     signals: Mapping[str, SignalBits]
+    j1939: bool = False
 
     @property
     def group(self) -> int:
@@ -123,7 +124,7 @@ def _message(message: DbcMessage) -> MessageBits:
     j1939 = message.protocol == "j1939" or _is_j1939(message)
     multiplexer = next((signal.name for signal in message.signals if signal.is_multiplexer and not signal.multiplexer_ids), None)
     signals = {signal.name: _signal(signal, j1939) for signal in message.signals}
-    return MessageBits(message.name, message.frame_id, message.is_extended_frame, message.length, multiplexer, signals)
+    return MessageBits(message.name, message.frame_id, message.is_extended_frame, message.length, multiplexer, signals, j1939)
 
 
 def _is_j1939(message: DbcMessage) -> bool:

@@ -31,9 +31,11 @@ from yieldmon.resources import shipped
 from yieldmon.service.document import ENGINE_SECTIONS, Document, Section
 from yieldmon.service.folders import runtime_folder, state_folder
 from yieldmon.service.former_keys import with_present_keys
+from yieldmon.service.output_section import output_map
 from yieldmon.service.retention import Retention
 from yieldmon.service.signal_section import signal_map
 from yieldmon.signals.mapping import SignalMap
+from yieldmon.signals.output_mapping import OutputMap
 
 DEFAULT_MACHINE = "config/machines/sprocket-8.yaml"
 DEFAULT_PARAMETERS = "config/parameters/corn.yaml"
@@ -57,6 +59,7 @@ class Configuration:
     document: Document
     engine: EngineSettings
     signals: SignalMap
+    outputs: OutputMap
     database_paths: tuple[Path, ...]
     calibrator: CalibratorSettings | None
     machine: Machine
@@ -101,6 +104,12 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
     named = document.moisture_map_file
     moisture_map = moisture_file.load(path.parent / named) if named is not None else None
     mapping, databases = signal_map(document.signals, path, machine, document.plate.fixed_angle_deg)
+    outputs, written = output_map(
+        document.outputs.signals, path, machine, mapping,
+        with_shipped=document.outputs.shipped,
+        network=document.network.enabled,
+        fixed_plate=document.plate.fixed_angle_deg is not None,
+    )  # fmt: skip
     problems = [InputError(f"{path}: {key}", *rest) for key, *rest in _contradictions(document, machine)]
     if problems:
         raise ConfigurationError(problems)
@@ -110,7 +119,8 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
         document=document,
         engine=_fitted(engine_settings(document), document, mapping),
         signals=mapping,
-        database_paths=databases,
+        outputs=outputs,
+        database_paths=tuple(dict.fromkeys((*databases, *written))),
         calibrator=calibrator_settings(document, moisture_map) if document.learning.enabled else None,
         machine=_with_fixed_plate(machine, document.plate.fixed_angle_deg),
         machine_path=machine_path,

@@ -41,6 +41,7 @@ from yieldmon.service.control import Answer, ControlError, ControlServer
 from yieldmon.service.input_frames import InputFrames
 from yieldmon.service.journal import Journal, Memory, choose_parameters
 from yieldmon.service.link import link_for
+from yieldmon.service.mapped_outputs import MappedOutputs, OutputMessage
 from yieldmon.service.metrics import MetricsFile
 from yieldmon.service.notify import ServiceManager
 from yieldmon.service.ownership import owned
@@ -116,6 +117,7 @@ class Daemon:
         self._codec = Codec()
         self._inputs = InputFrames(self._codec, configuration.signals)
         self._link = link_for(configuration)
+        self._outputs = MappedOutputs(configuration.outputs, configuration.engine.totals)
         self._network_clock = network_clock
         self._address: int | None = None
         self._silence_s = silence_s
@@ -241,7 +243,7 @@ class Daemon:
             settings.interface,
             settings.channel,
             settings.bitrate_bit_s,
-            filters=[*self._inputs.filters(), *self._link.filters()],
+            filters=[*self._inputs.filters(), *self._outputs.filters(), *self._link.filters()],
             # A copy that comes back once is our own; without it, another node's first copy would pass for it.
             receive_own=settings.interface == "socketcan",
             receive_buffer_bytes=settings.receive_buffer_bytes,
@@ -284,6 +286,7 @@ class Daemon:
         self._tick_if_silent(empty_until_s if not items else float("-inf"))
         self._receiver.due_s = self._monitor.due_s
         self._submit(self._link.poll(self._network_clock()))
+        self._send_mapped(self._outputs.poll(self._network_clock()))
         if self._link.address != self._address:
             self._address = self._link.address
             self._answer = self._snapshot()
@@ -309,7 +312,9 @@ class Daemon:
                 _log.warning("%s", error)
             return
         concerned = self._link.concerns(message)
-        if (concerned or any(frame.message in frames.OUTPUTS for frame in heard)) and self._transmitter.is_echo(message):
+        published = [frame.message for frame in heard if frame.message in frames.OUTPUTS]
+        mapped = self._outputs.name_of(message, self._link.address)
+        if (concerned or published or mapped) and self._transmitter.is_echo(message):
             return
         if concerned:
             self._submit(self._link.hear(message, self._network_clock()))
@@ -317,8 +322,8 @@ class Daemon:
             if frame.message not in frames.OUTPUTS:
                 self._ours_s = frame.time_s
                 self._happened(self._monitor.feed(frame))
-            else:
-                self._conditions.present("conflict", monotonic() + _HOLD_S, f"{frame.message} from another node")
+        for name in (*(published if self.configuration.outputs.shipped else ()), *([mapped] if mapped else ())):
+            self._conditions.present("conflict", monotonic() + _HOLD_S, f"{name} from another node")
 
     def _tick_if_silent(self, empty_until_s: float) -> None:
         """Lets the engine's time go on without frames of ours: as far as others' frames say, or the bus is known to be empty."""
@@ -338,7 +343,9 @@ class Daemon:
         """Frames go out, records and events to the journal; with a window the second is done."""
         if not results:
             return
-        self._send(frames_in(results))
+        if self.configuration.outputs.shipped:
+            self._send(frames_in(results))
+        self._send_mapped(self._outputs.take(results, self._monitor.totals, self._network_clock()))
         rows = self._journal.take(results)
         if rows:
             self._rows.extend(rows)
@@ -354,6 +361,17 @@ class Daemon:
                 if self._unsendable == 1:
                     _log.error("%s", error)
                 continue
+            if message is not None:
+                self._transmitter.submit(message)
+
+    def _send_mapped(self, out: Iterable[OutputMessage]) -> None:
+        for item in out:
+            message: can.Message | None = item.message
+            if item.own_address:
+                if self._link.address is None:
+                    continue
+                item.message.arbitration_id = item.message.arbitration_id & ~0xFF | self._link.address
+                message = self._link.addressed(item.message)
             if message is not None:
                 self._transmitter.submit(message)
 
@@ -540,6 +558,8 @@ class Daemon:
         old = self.configuration
         if new.signals != old.signals:
             raise InputError("signals", "changed with the service running", "a restart: the bus is filtered for them")
+        if new.outputs != old.outputs:
+            raise InputError("outputs", "changed with the service running", "a restart: the bus is filtered for them")
         fixed = [name for name in _FIXED_AT_START if getattr(new.document, name) != getattr(old.document, name)]
         fresh = self._journal.use_parameter_file(new.parameters)
         state = self._monitor.snapshot()
@@ -556,6 +576,7 @@ class Daemon:
         self._journal.new_monitor(monitor.estimator.parameters, "file")
         self._told.clear()
         self.configuration = new
+        self._outputs = MappedOutputs(new.outputs, new.engine.totals)
         logging.getLogger("yieldmon").setLevel(new.document.logging.level.upper())
         self._reload_note = "taken" + (f"; {', '.join(fixed)} will be at the next start" if fixed else "")
         _log.info("configuration reloaded: %s", self._reload_note)

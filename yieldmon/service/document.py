@@ -67,6 +67,15 @@ class Bus(Section):
     idle_after_s: float = quantity(5.0, 0.5, 600.0, "s", "no frame at all for this long means that the bus is idle")
 
 
+class Outputs(Section):
+    """What is sent beside DM1 and the network's own frames."""
+
+    shipped: bool = choice(True, "send the messages of the shipped DBC")
+    signals: dict[str, Any] = Field(
+        default_factory=dict, description="published quantities in messages of any DBC, by quantity (docs/guide/wiring.md)"
+    )
+
+
 class Store(Section):
     """Records, totals and state on disk."""
 
@@ -549,6 +558,7 @@ class Document(Section):
         default_factory=dict,
         description="where quantities come from, by quantity (docs/guide/wiring.md); left out: the messages of the shipped DBC",
     )
+    outputs: Outputs = Outputs()
     store: Store = Store()
     status: Status = Status()
     diagnostics: Diagnostics = Diagnostics()

@@ -15,6 +15,7 @@ from yieldmon.engine.aliasing import ALIAS_FREE_HZ, aliasing_share
 from yieldmon.engine.sources import QUANTITIES, SampleSource
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.service.configuration import Configuration
+from yieldmon.signals.packing import Packing, span
 
 if TYPE_CHECKING:
     from yieldmon.engine.runs import FrameRun
@@ -89,7 +90,21 @@ def notes(configuration: Configuration) -> list[str]:
     for name, value in configuration.signals.sources.fixed.items():
         if name != "plate_angle":
             found.append(f"{name} is taken to be {value:g} {QUANTITIES[name].unit} always")
+    for group in configuration.outputs.groups:
+        when = "with each new value" if group.period_s is None else f"every {1000.0 * group.period_s:g} ms"
+        source = "xx" if group.own_address else f"{group.frame_id & 0xFF:02X}"
+        identifier = f"0x{group.frame_id >> 8:X}{source}" if group.extended else f"0x{group.frame_id:X}"
+        for name, packing in group.quantities:
+            found.append(f"{name} goes to {group.name}.{packing.bits.name} ({identifier}), {when}{_carried(packing)}")
     return found
+
+
+def _carried(packing: Packing) -> str:
+    if packing.counts or packing.codes is not None:
+        return ""
+    silent = "; without a value no frame is sent" if packing.not_available is None else ""
+    ends = sorted(raw * packing.scale + packing.offset for raw in span(packing.bits))
+    return f", from {max(packing.low, ends[0]):.6g} to {min(packing.high, ends[1]):.6g}{silent}"
 
 
 def seen_in(configuration: Configuration, log: Path | str) -> dict[str, QuantitySeen]:

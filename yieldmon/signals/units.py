@@ -16,6 +16,7 @@ FACTORS: Mapping[str, Mapping[str, float]] = {
     "degC": {"degC": 1.0, "°C": 1.0, "C": 1.0},
     "mV": {"mV": 1.0, "V": 1000.0, "uV": 1e-3, "counts": 1.0},
     "N": {"N": 1.0, "kN": 1000.0, "daN": 10.0, "mN": 1e-3, "kgf": 9.80665, "lbf": 4.4482216},
+    "min": {"min": 1.0, "s": 1 / 60, "h": 60.0, "d": 1440.0},
     "": {"": 1.0},
 }
 """Unit of a quantity -> unit on the bus -> factor."""
