@@ -224,6 +224,32 @@ def test_files_removed_while_the_writer_has_them_closed_are_told(path, before):
     assert f"its last {missing} commits are missing" in writer.health().replaced_because
 
 
+def test_files_removed_before_the_first_batch_are_told_where_the_state_was_lost(path):
+    """A store without its state has no batch to miss."""
+    with sqlite3.connect(path) as database:
+        database.execute("DELETE FROM state")
+    recovery = recover(path, Retention(), lambda: Store(path))
+    assert (recovery.last_batch, recovery.memory.last_second) == (0, 40)
+    writer = StoreWriter(lambda: Store(path), 100, path=path)
+    writer.expect(recovery.last_batch)
+    path.unlink()
+    writer.submit(batch(41))
+    assert writer.work()
+    writer.close()
+    assert "removed while closed" in writer.health().replaced_because
+
+
+def test_a_replacement_that_failed_half_way_is_ended_before_a_new_store_is_made(path):
+    writer = closed_after_41(path)
+    path.rename(path.with_name("s.sqlite.ready"))
+    writer.submit(batch(42))
+    assert writer.work()
+    writer.close()
+    assert writer.health().replacements == 0
+    with Store(path) as store:
+        assert [row.number for row in store.seconds()] == list(range(1, 43))
+
+
 def test_a_store_that_was_closed_in_between_is_no_replacement(path):
     writer = closed_after_41(path)
     writer.submit(batch(42))
@@ -283,6 +309,14 @@ def test_a_replacement_that_was_interrupted_is_ended_at_the_next_start(path):
     assert recover(path, Retention(), lambda: Store(path)).note == ""
     with Store(path) as store:
         assert store.last_batch() == 40
+
+
+def test_a_link_in_the_place_of_a_replacement_replaces_nothing(path, tmp_path):
+    (tmp_path / "elsewhere").write_text("mine")
+    path.with_name("s.sqlite.ready").symlink_to(tmp_path / "elsewhere")
+    recovery = recover(path, Retention(), lambda: Store(path))
+    assert (recovery.note, recovery.last_batch) == ("", 40)
+    assert (tmp_path / "elsewhere").read_text() == "mine"
 
 
 @pytest.mark.parametrize(("offset", "value"), [(18, 3), (52, 1), (60, 255), (68, 0xF9), (0, 0)])

@@ -107,7 +107,8 @@ def mend(store: Store | None, path: Path, error: StoreError) -> str:
 def finish(path: Path) -> None:
     """End a replacement that a power cut or a kill interrupted. Raises OSError."""
     ready = _ready(path)
-    if ready.exists():
+    # A link is not of our making: a replacement is a file.
+    if ready.is_file() and not ready.is_symlink():
         _put_in_place(path, "interrupted")
 
 

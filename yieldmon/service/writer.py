@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from time import monotonic, time
 
-from yieldmon.service.rescue import mend
+from yieldmon.service.rescue import finish, mend
 from yieldmon.service.store import Batch, BatchRefusedError, Store, StoreDamagedError, StoreDetachedError, StoreError
 from yieldmon.service.store_file import set_aside
 
@@ -64,6 +64,8 @@ class StoreWriter:
         self._store: Store | None = None
         self._last_committed = 0
         self._last_submitted = 0
+        self._there = False
+        """There is a store already: a file that is missing has been removed."""
         self._mended_s = float("-inf")
         self._thread = threading.Thread(target=self._run, name="store-writer", daemon=True)
 
@@ -74,6 +76,7 @@ class StoreWriter:
     def expect(self, last_batch: int) -> None:
         """Say, before the start, which batch is the last in the store: one that lacks it when opened is told as replaced."""
         self._last_committed = self._last_submitted = last_batch
+        self._there = True
 
     def submit(self, batch: Batch) -> None:
         """Hand over the next batch; returns at once."""
@@ -171,6 +174,7 @@ class StoreWriter:
 
     def _opened(self) -> Store:
         """The store, opened; whether it is still the one that was written is told. Raises StoreError."""
+        removed = self._there and self._path is not None and not self._found(self._path)
         store = self._open_store()
         try:
             found = store.last_batch()
@@ -189,8 +193,20 @@ class StoreWriter:
         elif found < self._last_committed:
             missing = self._last_committed - found
             self._tell_replaced(store.path, f"removed or replaced while closed; its last {missing} commits are missing")
-        self._last_committed = found
+        elif removed:
+            self._tell_replaced(store.path, "removed while closed; a new one begun")
+        self._last_committed, self._there = found, True
         return store
+
+    @staticmethod
+    def _found(path: Path) -> bool:
+        """Whether there is a store; a replacement that could not be ended is ended first. Raises StoreError."""
+        try:
+            if not path.exists():
+                finish(path)
+            return path.exists() and path.stat().st_size > 0
+        except OSError as error:
+            raise StoreError(f"{path}: {error.strerror or error}") from error
 
     def _wait_for_work(self) -> bool:
         with self._changed:
