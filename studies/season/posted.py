@@ -33,6 +33,8 @@ from yieldmon.service.store import Step
 from yieldmon.service.weighed_loads import loads_of
 
 POSTED = Strategy("(c) by the daemon", moisture_map=True, sweeps=True, tickets_per_day=1)
+TICKET_ERROR = 0.002
+"""As in `study.Keeper`; `learning.anchor_error` of the daemon."""
 _NIGHT_S = 14.0 * 3600.0
 _UNKNOWN = {f.name: nan if f.type == "float" else 0 for f in fields(WindowRecord)} | {"faults": ()}
 
@@ -47,7 +49,9 @@ class DaemonKeeper(Keeper):
             learned_information=settings.learned_information, kept_ratio=settings.kept_ratio,
         )  # fmt: skip
         self.daemon = ClosedLoopCalibrator(
-            self.model, CalibratorSettings(loop, drift=settings.wandering, steady_per_kilotonne=settings.steady_per_kilotonne)
+            self.model, CalibratorSettings(
+                loop, drift=settings.wandering, steady_per_kilotonne=settings.steady_per_kilotonne, anchor_error=TICKET_ERROR,
+            ),
         )
         self.estimator = OpenLoop(self.model, self.parameters)
         self.versions = {self.parameters.version: self.parameters}

@@ -26,12 +26,14 @@ from yieldmon.estimation.closed_loop import (
     self_calibrate,
     update_from_tickets,
 )
-from yieldmon.estimation.loads import LoadSettings, WeighedLoad, calibrate_loads, contradicted, departure
+from yieldmon.estimation.loads import LoadSettings, WeighedLoad, calibrate_loads, contradicted, departure, widened
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.steady_drift import Advance, DriftingParameters, advance, begin, carried, learn
 from yieldmon.physics.model import ForwardModel
 
+_DRIFT_WIDENING = 16.0
+"""Of the parameters' covariance: with up to so much of it, what a later ticket says is drift, and no other scale."""
 _KEPT_WEIGHINGS = 6
 """Accepted weighings that a new one is held against."""
 
@@ -102,7 +104,7 @@ class ClosedLoopCalibrator:
                 self._model, prior, sweeps, anchors=masses, density=density, settings=self._settings.closed_loop
             )
             if not outcome.consistent and (masses or density is not None):
-                outcome = self._believe(prior, masses, density)
+                outcome, drifting = self._believe(drifting, masses, density)
         except ValueError as error:
             return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False, checks=checks)
         return replace(self._taken(outcome, drifting, used, anchors, (now_s, total_kg, moisture_pct), step), checks=checks)
@@ -125,7 +127,7 @@ class ClosedLoopCalibrator:
             return CalibrationOutcome(None, "no weighed mass that was measured whole; the parameters stay", identifiable=False)
         self._given = None
         try:
-            outcome = self._believe(prior, masses, None)
+            outcome, drifting = self._believe(drifting, masses, None)
         except ValueError as error:
             return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False, checks=checks)
         return replace(self._taken(outcome, drifting, used, anchors, moment, step), weighed=True, checks=checks)
@@ -140,18 +142,29 @@ class ClosedLoopCalibrator:
     def _patterned(self, parameters: ParameterSet) -> ParameterSet:
         return with_pattern(parameters, self._settings.pattern_sd) if self._settings.pattern_sd > 0.0 else parameters
 
-    def _believe(self, prior: ParameterSet, masses: Sequence[MassAnchor], density: DensityAnchor | None) -> Outcome:
+    def _believe(
+        self, drifting: DriftingParameters, masses: Sequence[MassAnchor], density: DensityAnchor | None
+    ) -> tuple[Outcome, DriftingParameters]:
+        """What weighed masses say, and what was known before as they leave it: less certain where they contradict it."""
+        prior = drifting.parameters
         outcome = update_from_tickets(self._model, prior, masses, density, self._settings.closed_loop)
-        if (outcome.consistent and outcome.prior_widening == 1.0) or not masses:
-            return outcome
+        doubtful = 1.0 if len(self._weighings) <= len(masses) else _DRIFT_WIDENING
+        if (outcome.consistent and outcome.prior_widening <= doubtful) or not masses:
+            return outcome, drifting
         # Further off than the parameters' own doubts reach: only the loads know the scale.
         found = calibrate_loads(self._model, prior, self._weighings, settings=self._load_settings)
         reason = f"weighed loads moved the scale by {100.0 * (found.scale - 1.0):+.1f} %; a next load is expected within " \
             f"{100.0 * found.next_load_sd:.1f} %"
         scale = ScaleReport(found.scale_sd, found.scale_sd, float(np.log(found.scale)), True, ())
-        return Outcome(
-            found.parameter_set, not found.refused, True, reason, "", (), (), scale, 0.0, len(self._weighings), 1.0, ()
-        )
+        known, wide = found.parameter_set, widened(prior, self._load_settings)
+        if set(known.covariance_names) == set(prior.covariance_names) == set(wide.covariance_names):
+            names = prior.covariance_names
+            known = replace(known, covariance_names=names, covariance=known.covariance_of(names))
+            joint = drifting.joint.copy()
+            joint[: len(names), : len(names)] = wide.covariance_of(names)
+            drifting = replace(drifting, parameters=replace(prior, covariance=wide.covariance_of(names)), joint=joint)
+        outcome = Outcome(known, not found.refused, True, reason, "", (), (), scale, 0.0, len(self._weighings), 1.0, ())
+        return outcome, drifting
 
     @property
     def _load_settings(self) -> LoadSettings:
@@ -419,4 +432,6 @@ def _sweep(records: Sequence[WindowRecord]) -> Sweep:
         for name in ("time_s", "plate_angle_rad", "elevator_speed_rad_s", "force_n", "force_std_dev_n", "moisture_pct")
     }
     moisture = column.pop("moisture_pct")
-    return replace(Sweep(**column), moisture_pct=moisture if np.all(np.isfinite(moisture)) else None)
+    # Within a sweep the grain stays the same; what its reading scatters by would count as friction.
+    same = np.full(moisture.shape, np.mean(moisture)) if np.all(np.isfinite(moisture)) else None
+    return replace(Sweep(**column), moisture_pct=same)

@@ -183,7 +183,7 @@ def calibrate_loads(
     if not loads:
         raise ValueError("no weighed load to learn from")
     settings = LoadSettings() if settings is None else settings
-    problem = _Problem(model, prior, _widened(prior, settings), [load.condensed() for load in loads], settings)
+    problem = _Problem(model, prior, widened(prior, settings), [load.condensed() for load in loads], settings)
     return problem.solve(
         sweeps, ClosedLoopSettings(flow="process", model_error=0.01) if sweep_settings is None else sweep_settings
     )
@@ -205,7 +205,7 @@ def contradicted(
     if len(before) < least:
         return None
     settings = LoadSettings() if settings is None else settings
-    problem = _Problem(model, prior, _widened(prior, settings), [w.condensed() for w in (*before, load)], settings)
+    problem = _Problem(model, prior, widened(prior, settings), [w.condensed() for w in (*before, load)], settings)
     return problem.last_against_others()
 
 
@@ -222,8 +222,8 @@ def departure(
     return float(np.expm1(error)), float(np.hypot(problem.spread(known, np.ones(1, dtype=bool))[1], problem.sd[0]))
 
 
-def _widened(prior: ParameterSet, settings: LoadSettings) -> ParameterSet:
-    """Density and gain at least as uncertain as those of a machine that was never calibrated."""
+def widened(prior: ParameterSet, settings: LoadSettings) -> ParameterSet:
+    """The set with density and gain at least as uncertain as those of a machine that was never calibrated."""
     names = list(prior.covariance_names)
     names += [n for n in (DENSITY, *_gain_names(prior)) if n not in names]
     covariance = prior.covariance_of(names)
