@@ -18,10 +18,11 @@ import pytest
 import rasterio
 
 from yieldmon.cli import main as cli
-from yieldmon.field.products import FORMATS
+from yieldmon.field.products import FORMATS, picture
 from yieldmon.frames import EstimateQuality
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Batch, Load, Store
+from yieldmon.units import Units, UnitSystem
 
 from .synthetic import ag_leader
 
@@ -180,10 +181,46 @@ def test_report_needs_no_network_and_keeps_names_harmless(tmp_path: Path, capsys
 
 
 def test_picture_is_a_png(corn_map: tuple[Path, dict[str, Any]]) -> None:
-    with rasterio.open(corn_map[0] / "map.png") as picture:
-        pixels = picture.read()
+    with rasterio.open(corn_map[0] / "map.png") as image:
+        pixels = image.read()
     assert pixels.shape == (3, 1000, 1400)
     assert pixels.std() > 20
+
+
+@pytest.mark.parametrize(
+    ("units", "words"),
+    [
+        (Units(), ("8.00", "12.5 t/ha", (100.0, "100 m"))),
+        (Units(UnitSystem.US, 25.4012), ("127", "199 bu/ac", (152.4, "500 ft"))),
+        (Units(UnitSystem.US), ("7,137", "11,152 lb/ac", (152.4, "500 ft"))),
+    ],
+)  # fmt: skip
+def test_the_picture_is_in_the_units_asked_for(units: Units, words: tuple[str, str, tuple[float, str]]) -> None:
+    ends = picture.scale_words(8.0, 12.5, units)
+    length, beside = picture.bar(160.0, units)
+    assert (*ends, (pytest.approx(length), beside)) == words
+    assert set("".join((*ends, beside, picture.bar(5000.0, units)[1]))) <= picture.LETTERS
+
+
+def test_picture_and_report_follow_the_units(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "a.txt"
+    ag_leader(path, delay_s=9, seed=4, passes=12)
+    pictures, pages = [], []
+    for units in ("metric", "us"):
+        mapped(capsys, tmp_path / units, path, "--crop", "corn", "--products", "report,picture", "--units", units)
+        pictures.append((tmp_path / units / "map.png").read_bytes())
+        page = (tmp_path / units / "report.html").read_text(encoding="utf-8")
+        pages.append(json.loads(page.split('id="data">')[1].split("</script>")[0]))
+    assert pictures[0] != pictures[1]
+    metric, us = pages
+    assert (metric["unit"]["name"], metric["unit"]["mass"]) == ("t/ha", "kg")
+    assert (us["unit"]["name"], us["unit"]["mass"]) == ("bu/ac", "lb")
+    yield_t_ha, yield_bu_ac = (float(page["numbers"][0][0].split()[0]) for page in pages)
+    # A bushel of corn weighs 56 lb (US Warehouse Act), so 1 bu/ac is 0.0628 t/ha.
+    assert yield_bu_ac == pytest.approx(yield_t_ha / 0.06277, rel=2e-3)
+    shown = json.dumps([us["numbers"], us["totals"]])
+    assert " ac" in shown
+    assert " ha" not in shown
 
 
 def test_known_synthetic_mass_and_delay(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

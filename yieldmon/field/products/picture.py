@@ -15,6 +15,7 @@ from yieldmon.field.grid import Grid
 from yieldmon.field.harvest import KG_M2_TO_T_HA, HarvestMap
 from yieldmon.field.table import Array
 from yieldmon.files.whole_file import scratch_for
+from yieldmon.units import Units, UnitSystem, rounded
 
 from .report import colour_scale
 
@@ -42,8 +43,19 @@ _FONT = {
     "m": (0, 0, 26, 21, 21, 21, 21),
     "k": (16, 16, 18, 20, 24, 20, 18),
     "N": (17, 25, 21, 19, 17, 17, 17),
+    "b": (16, 16, 22, 25, 17, 17, 30),
+    "c": (0, 0, 14, 16, 16, 17, 14),
+    "f": (6, 9, 8, 28, 8, 8, 8),
+    "i": (4, 0, 12, 4, 4, 4, 14),
+    "l": (12, 4, 4, 4, 4, 4, 14),
+    "u": (0, 0, 17, 17, 17, 19, 13),
+    ",": (0, 0, 0, 0, 12, 4, 8),
     " ": (0,) * 7,
 }
+LETTERS = frozenset(_FONT)
+"""That can be written."""
+_BAR_PX = 240.0
+_M_PER_FT, _M_PER_MI = 0.3048, 1609.344
 
 
 def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
@@ -86,8 +98,8 @@ def _picture(result: HarvestMap) -> np.ndarray:
         left = (WIDTH_PX - scale * (east - west)) / 2
         share = (result.yield_kg_m2[rows] * KG_M2_TO_T_HA - low) / (high - low)
         _fill(image, corners, colours(share), west, north, scale, left)
-        _metres(image, scale)
-    _legend(image, low, high)
+        _bar(image, scale, result.units)
+    _legend(image, low, high, result.units)
     return image
 
 
@@ -116,18 +128,33 @@ def _text(image: np.ndarray, text: str, x: int, y: int, size: int = 3) -> int:
     return x
 
 
-def _legend(image: np.ndarray, low: float, high: float) -> None:
+def scale_words(low_t_ha: float, high_t_ha: float, units: Units) -> tuple[str, str]:
+    """Both ends of the scale of colours, in the unit that people read; the unit behind the upper one."""
+    unit = units.yield_unit
+    low, high = (rounded(unit.of(value / KG_M2_TO_T_HA)) for value in (low_t_ha, high_t_ha))
+    return low, f"{high} {unit.name}"
+
+
+def bar(longest_m: float, units: Units) -> tuple[float, str]:
+    """Length, m, of the longest bar of 1, 2 or 5 times a power of ten of its unit up to longest_m, and what stands beside it."""
+    us = units.system is UnitSystem.US
+    small, large, from_m = (("ft", _M_PER_FT), ("mi", _M_PER_MI), _M_PER_MI) if us else (("m", 1.0), ("km", 1000.0), 1000.0)
+    name, worth_m = large if longest_m >= from_m else small
+    power = 10.0 ** np.floor(np.log10(longest_m / worth_m))
+    count = max(step * power for step in (1, 2, 5) if step * power <= longest_m / worth_m * (1.0 + 1e-9))
+    return count * worth_m, f"{count:g} {name}"
+
+
+def _legend(image: np.ndarray, low: float, high: float, units: Units) -> None:
     top = HEIGHT_PX - FOOT_PX + 22
-    x = _text(image, f"{low:.1f}", MARGIN_PX, top) + 8
+    lower, upper = scale_words(low, high, units)
+    x = _text(image, lower, MARGIN_PX, top) + 8
     image[top : top + 21, x : x + 320] = colours(np.linspace(0, 1, 320))[None]
-    _text(image, f"{high:.1f} t/ha", x + 332, top)
+    _text(image, upper, x + 332, top)
 
 
-def _metres(image: np.ndarray, scale: float) -> None:
-    length = 240.0 / scale
-    power = 10.0 ** np.floor(np.log10(length))
-    length = max(step * power for step in (1, 2, 5) if step * power <= length)
-    text = f"{length / 1000:.0f} km" if length >= 1000 else f"{length:.0f} m"
+def _bar(image: np.ndarray, scale: float, units: Units) -> None:
+    length, text = bar(_BAR_PX / scale, units)
     end = WIDTH_PX - MARGIN_PX - 18 * len(text) - 12
     start, top = int(end - length * scale), HEIGHT_PX - FOOT_PX + 22
     image[top + 16 : top + 20, start:end] = _INK
