@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import itertools
 import json
 import shutil
 from dataclasses import replace
@@ -114,18 +115,31 @@ def test_a_log_that_begins_in_grain_says_why_there_is_no_mass_and_takes_a_known_
     assert sum(row.mass_kg for row in read_seconds(tmp_path / "out.csv")) > 10.0
 
 
-def test_the_same_log_twice_is_refused_and_an_overlap_is_named(capsys, tmp_path, logs) -> None:
-    copy = tmp_path / "copy.log"
-    shutil.copy(logs["whole"], copy)
-    code, _, err = process(capsys, tmp_path, logs["whole"], copy)
-    assert code == 2
-    assert "is a copy of" in err
-    packed = tmp_path / "packed.log.gz"
-    packed.write_bytes(gzip.compress(logs["whole"].read_bytes()))
-    code, _, err = process(capsys, tmp_path, logs["whole"], packed)
+def test_the_same_log_twice_is_refused_however_it_is_packed(capsys, tmp_path, logs) -> None:
+    content = logs["whole"].read_bytes()
+    copies = {"copy.log": content, "packed.log.gz": gzip.compress(content), "again.log.gz": gzip.compress(content, 1, mtime=1)}
+    for name, written in copies.items():
+        (tmp_path / name).write_bytes(written)
+    for one, other in itertools.combinations([logs["whole"], *(tmp_path / name for name in copies)], 2):
+        code, _, err = process(capsys, tmp_path, one, other)
+        assert (code, err.count("\n")) == (2, 1)
+        assert f"{other}: is the same log as {one}" in err
+        assert ("one of them gzipped" in err) == (one.suffix != other.suffix)
+        assert not (tmp_path / "out.csv").exists()
+
+
+def test_logs_that_overlap_are_named_and_two_that_cannot_be_read_are_not_the_same(capsys, tmp_path, logs) -> None:
+    lines = logs["whole"].read_bytes().splitlines(keepends=True)
+    later = tmp_path / "later.log"
+    later.write_bytes(b"".join(lines[len(lines) // 2 :]))
+    code, _, err = process(capsys, tmp_path, logs["whole"], later)
     assert code == 0
     assert "overlap: " in err
     assert "count their mass twice" in err
+    broken = [tmp_path / f"broken{n}.log.gz" for n in (1, 2)]
+    for path in broken:
+        path.write_bytes(b"no gzip")
+    assert "same log" not in process(capsys, tmp_path, *broken)[2]
 
 
 def test_gaps_and_missing_inputs_are_named(capsys, tmp_path, logs) -> None:

@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 
 from yieldmon.bus import mf4
-from yieldmon.bus.logs import SUFFIXES
+from yieldmon.bus.logs import SUFFIXES, open_bytes
 from yieldmon.cli import _outputs
 from yieldmon.cli._units import add_units, units_of
 from yieldmon.documents import ProcessSummary, ReprocessSummary
@@ -35,6 +35,7 @@ from yieldmon.service.weighed_loads import is_store
 from yieldmon.units import Units
 
 _LONGEST_DELAY_S = 60
+_BEGINNING_BYTES = 1 << 16
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -152,18 +153,28 @@ def _store_again(args: argparse.Namespace, loaded: configuration.Configuration, 
 
 
 def _refuse_copies(logs: list[str]) -> None:
-    """Raises InputError for logs of the same content."""
-    known: dict[tuple[int, str], str] = {}
+    """Raises InputError for logs of the same content, gzipped or not. Only logs that begin alike are read to their end."""
+    alike: dict[str, list[str]] = {}
     for log in logs if len(logs) > 1 else []:
-        path = Path(log)
-        if not path.is_file():
+        beginning = _digest(log, _BEGINNING_BYTES) if Path(log).is_file() else ""
+        if not beginning:
             continue
-        with path.open("rb") as stream:
-            digest = hashlib.file_digest(stream, "sha256").hexdigest()
-        key = path.stat().st_size, digest
-        if key in known:
-            raise InputError(log, f"is a copy of {known[key]}, which would double its mass", "each log once")
-        known[key] = log
+        others = alike.setdefault(beginning, [])
+        for other in others:
+            if _digest(other) == _digest(log):
+                gzipped = ", one of them gzipped," if log.endswith(".gz") != other.endswith(".gz") else ""
+                raise InputError(log, f"is the same log as {other}{gzipped} and would double its mass", "each log once")
+        others.append(log)
+
+
+def _digest(log: str, most: int | None = None) -> str:
+    """Of a log's content behind any gzip, as far as it can be read; of its first bytes where `most` is given; "" of nothing."""
+    digest, read = hashlib.sha256(), 0
+    with open_bytes(Path(log), log.lower().endswith(".gz")) as stream:
+        while (most is None or read < most) and (piece := stream.read(_BEGINNING_BYTES)):
+            digest.update(piece)
+            read += len(piece)
+    return digest.hexdigest() if read else ""
 
 
 def _separately(args: argparse.Namespace, config: str | Path, units: Units) -> int:
