@@ -27,9 +27,9 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.plant.scenario import Scenario
 from yieldmon.service import posting
-from yieldmon.service.lesson_steps import step_document
 from yieldmon.service.rows import second_row
 from yieldmon.service.store import Step
+from yieldmon.service.update_steps import step_document
 from yieldmon.service.weighed_loads import loads_of
 
 POSTED = Strategy("(c) by the daemon", moisture_map=True, sweeps=True, tickets_per_day=1)

@@ -9,7 +9,7 @@ import struct
 from dataclasses import dataclass, field
 
 
-def parse_pool(data: bytes, version: int) -> dict[int, tuple[str, dict[str, object]]]:  # noqa: PLR0912 - a branch a table
+def parse_pool(data: bytes, version: int) -> dict[int, tuple[str, dict[str, object]]]:  # noqa: C901, PLR0912 - a branch a table
     """Object id -> (table, attributes). Raises ValueError where the bytes are not a pool."""
     objects: dict[int, tuple[str, dict[str, object]]] = {}
     at = 0
@@ -20,11 +20,14 @@ def parse_pool(data: bytes, version: int) -> dict[int, tuple[str, dict[str, obje
         at += struct.calcsize("<" + form)
         return values
 
-    def text() -> str:
+    def skip(length: int) -> bytes:
         nonlocal at
-        (length,) = take("B")
-        value = data[at : at + length]
         at += length
+        return data[at - length : at]
+
+    def text() -> str:
+        (length,) = take("B")
+        value = skip(length)
         if len(value) != length or length > 32:
             raise ValueError(f"text of {length} bytes")
         return value.decode("utf-8")
@@ -37,11 +40,9 @@ def parse_pool(data: bytes, version: int) -> dict[int, tuple[str, dict[str, obje
             raise ValueError(f"object {number} twice")
         if table == "DVC":
             values: dict[str, object] = {"designator": text(), "software": text(), "name": take("Q")[0], "serial": text()}
-            values["structure"], values["localization"] = data[at : at + 7], data[at + 7 : at + 14]
-            at += 14
+            values["structure"], values["localization"] = skip(7), skip(7)
             if version >= 4:
-                (length,) = take("B")
-                at += length
+                skip(take("B")[0])
         elif table == "DET":
             kind = take("B")[0]
             values = {"kind": kind, "designator": text()}

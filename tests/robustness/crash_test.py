@@ -28,7 +28,7 @@ import sqlite3
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
@@ -228,10 +228,8 @@ def unhex(text: str) -> bytes:
     return bytes.fromhex(text.replace("\\x", ""))
 
 
-def parse_trace(path: Path, folder: Path) -> list[Write]:  # noqa: PLR0912 - a branch a call
-    """The writes, truncations and syncs that strace saw on the store's files, and the life's own reports, in order."""
-    names: dict[int, str] = {}
-    writes: list[Write] = []
+def calls_in(path: Path) -> Iterator[tuple[str, str, int]]:
+    """Name, arguments and result of each system call that succeeded, those of several threads put together again."""
     unfinished: dict[str, str] = {}
     for line in path.read_text(errors="replace").splitlines():
         pid, _, rest = line.partition(" ")
@@ -242,11 +240,15 @@ def parse_trace(path: Path, folder: Path) -> list[Write]:  # noqa: PLR0912 - a b
         if rest.startswith("<... "):
             rest = unfinished.pop(pid, "") + rest.partition("resumed>")[2]
         match = CALL.match(rest)
-        if match is None:
-            continue
-        call, arguments, result = match.group(1), match.group(2), int(match.group(3))
-        if result < 0:
-            continue
+        if match is not None and int(match[3]) >= 0:
+            yield match[1], match[2], int(match[3])
+
+
+def parse_trace(path: Path, folder: Path) -> list[Write]:
+    """The writes, truncations and syncs that strace saw on the store's files, and the life's own reports, in order."""
+    names: dict[int, str] = {}
+    writes: list[Write] = []
+    for call, arguments, result in calls_in(path):
         if call == "openat":
             name = unhex(TEXT.search(arguments).group(1)).decode()  # type: ignore[union-attr]
             if name == str(folder):

@@ -64,7 +64,7 @@ class TankScale:
         self._pending = (time_s, mass_kg)
 
     def doubt_zero(self) -> None:
-        """What is measured now rests on a zero that is doubted: no lesson, but the scale still tells the mass."""
+        """What is measured now rests on a zero that is doubted: no update, but the scale still tells the mass."""
         self._complete, self._zero_doubted = False, True
 
     def counted(self, mass_kg: float) -> None:

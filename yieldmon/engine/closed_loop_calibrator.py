@@ -328,7 +328,7 @@ class ClosedLoopCalibrator:
         )
 
     def _checks(self, found: Sequence[tuple[ReferenceMass, MassAnchor]], prior: ParameterSet) -> tuple[ScaleCheck, ...]:
-        """New masses held against what is known now; each mass once, although a refused lesson may come again."""
+        """New masses held against what is known now; each mass once, although a refused update may come again."""
         new = [pair for pair in found if pair[0] not in self._checked]
         self._checked = frozenset((*self._used, *(reference for reference, _ in found)))
         return tuple(check for check in (self._check(*pair, prior) for pair in new) if check is not None)

@@ -227,10 +227,10 @@ class FlowEstimator(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class CalibrationStep:
-    """From one lesson to the next, as a smoother needs it to correct the time between.
+    """From one update to the next, as a smoother needs it to correct the time between.
 
     from_version: parameters in use between them. begin_s, end_s: bus time. advance: states (parameters, then their rates) and
-    covariances at both ends, before the second lesson; state: what that made of them.
+    covariances at both ends, before the second update; state: what that made of them.
     """
 
     from_version: int

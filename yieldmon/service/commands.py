@@ -147,11 +147,11 @@ def _tickets(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now
 
 def _ticket_undo(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
     number = _whole(request, "ticket")
-    ticket, taught = journal.undo_ticket(number, _who(request), now_s)
+    ticket, version = journal.undo_ticket(number, _who(request), now_s)
     monitor.forget_ticket(range(ticket.first_load, ticket.last_load + 1))
     given_up = None
-    if taught is not None:
-        given_up = _back_before(taught, request, monitor, journal, now_s)
+    if version is not None:
+        given_up = _back_before(version, request, monitor, journal, now_s)
     return {"ticket": number, "first_load": ticket.first_load, "last_load": ticket.last_load, **(given_up or {})}
 
 

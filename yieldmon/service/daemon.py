@@ -529,7 +529,7 @@ class Daemon:
             self._answer = self._snapshot()
 
     def _post(self) -> None:
-        """After a ticket has taught, the loads of the last day are measured again; what comes of it goes to the store."""
+        """After a ticket updated the parameters, the last day's loads are measured again; what comes of it goes to the store."""
         posted = self._poster.take()
         if posted is not None and posted.factors:
             self._journal.posted(posted.tickets, posted.version, posted.factors)
@@ -538,7 +538,7 @@ class Daemon:
             totals, now_s = self._monitor.totals, self._monitor.bus_time_s
             version = self._monitor.estimator.parameters.version
             open_load = totals.load_number if totals.load_open else None
-            self._poster.start(self._monitor.machine, self._journal.take_taught(), version, open_load, now_s)
+            self._poster.start(self._monitor.machine, self._journal.take_applied_tickets(), version, open_load, now_s)
 
     def _do_reload(self) -> None:
         """Takes the configuration anew, or goes on with the old one and says so."""

@@ -26,10 +26,10 @@ from yieldmon.files import parameter_file
 from yieldmon.files.crops import crops
 from yieldmon.service import ledger as ledgers
 from yieldmon.service import store as rows_of
-from yieldmon.service.lesson_steps import step_document
 from yieldmon.service.reference_loads import StoredLoad, of_store
 from yieldmon.service.rows import SecondRow, second_row
 from yieldmon.service.store import Action, Batch, Load, ParameterVersion, Step, Store, StoreDamagedError, SweepRecord, Ticket
+from yieldmon.service.update_steps import step_document
 
 _log = logging.getLogger(__name__)
 
@@ -254,7 +254,7 @@ class Journal:
         return number
 
     def undo_ticket(self, number: int, who: str, now_s: float) -> tuple[Ticket, int | None]:
-        """Take a ticket back; returns it, and the version of the parameters that it taught. Raises InputError."""
+        """Take a ticket back; returns it, and the version of the parameters that came of it. Raises InputError."""
         standing = self.ledger.tickets
         if number not in standing:
             known = ", ".join(map(str, standing)) or "a ticket that was entered; there is none"
@@ -263,10 +263,10 @@ class Journal:
         self.act(ledgers.TICKET_UNDO, who, {"ticket": number}, now_s)
         if number in self._waiting_tickets:
             self._waiting_tickets.remove(number)
-        lessons = [a for a in self._actions if a.kind == ledgers.PARAMETERS and number in a.document.get("tickets", ())]
+        updates = [a for a in self._actions if a.kind == ledgers.PARAMETERS and number in a.document.get("tickets", ())]
         undone = self._undone_versions()
-        taught = next((int(a.document["version"]) for a in lessons if int(a.document["version"]) not in undone), None)
-        return standing[number], taught
+        version = next((int(a.document["version"]) for a in updates if int(a.document["version"]) not in undone), None)
+        return standing[number], version
 
     def undo_parameters(self, version: int, who: str, now_s: float) -> ParameterSet:
         """The parameters before a version, as a new version in use. Raises InputError."""
@@ -300,14 +300,14 @@ class Journal:
                 mass = max(0.0, known.mass_kg + restored[number])
                 self._loads[number] = self._pending.loads[number] = replace(known, mass_kg=mass)
 
-    def take_taught(self) -> tuple[int, ...]:
-        """Tickets that have taught and whose loads are to be measured again; each is returned once."""
+    def take_applied_tickets(self) -> tuple[int, ...]:
+        """Tickets that updated the parameters and whose loads are to be measured again; each is returned once."""
         numbers, self._waiting_tickets = tuple(self._waiting_tickets), []
         return numbers
 
     @property
     def tickets_wait(self) -> bool:
-        """Whether a ticket is to teach, or has taught and its loads are not measured again yet."""
+        """Whether a ticket is to update the parameters, or did and its loads are not measured again yet."""
         return bool(self._waiting_tickets)
 
     def posted(self, tickets: Sequence[int], version: int, factors: Mapping[int, float]) -> None:

@@ -1,7 +1,7 @@
 """Posting: loads of the last day measured again with what was learnt after them.
 
-A ticket in the evening, and every sweep, also says something of the hours before it. The lessons' steps, kept in the store, are
-smoothed (`estimation.steady_drift.smoothed`), and each load's seconds are measured again with the parameters as all lessons
+A ticket in the evening, and every sweep, also says something of the hours before it. The updates' steps, kept in the store, are
+smoothed (`estimation.steady_drift.smoothed`), and each load's seconds are measured again with the parameters as all updates
 together have them at its time. What was measured at first stays as it is: a posting is a factor for each load.
 """
 
@@ -24,16 +24,16 @@ from yieldmon.files import parameter_file
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
-from yieldmon.service.lesson_steps import step_from_document
 from yieldmon.service.recorded import opened
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Step
+from yieldmon.service.update_steps import step_from_document
 from yieldmon.service.weighed_loads import MeasuredLoad, force_columns, loads_of
 
 _log = logging.getLogger(__name__)
 
 SPAN_S = 24.0 * 3600.0
-"""Loads that began so long before a lesson are measured again after it."""
+"""Loads that began so long before an update are measured again after it."""
 _MOST_ROWS = 90_000
 _WRITING_S = 10.0
 _LEAST_SHARE = 0.9
@@ -51,7 +51,7 @@ class Timeline:
     versions: frozenset[int]
 
     def at(self, time_s: float) -> ParameterSet:
-        """The parameters at a time, as all lessons together have them."""
+        """The parameters at a time, as all updates together have them."""
         here = {name: float(np.interp(time_s, self.times_s, self.values[:, i])) for i, name in enumerate(self.names)}
         return replace(self.parameters, values={**self.parameters.values, **here})
 

@@ -565,7 +565,7 @@ class Store:
         return self._with_documents(Action, "action")
 
     def steps(self) -> list[Step]:
-        """The steps between lessons, in order."""
+        """The steps between updates of the parameters, in order."""
         return self._with_documents(Step, "step")
 
     def _with_documents(self, row_type: type, table: str) -> list[Any]:

@@ -1,4 +1,4 @@
-"""The steps between lessons as plain numbers, and back."""
+"""The steps between updates of the parameters as plain numbers, and back."""
 
 from __future__ import annotations
 
