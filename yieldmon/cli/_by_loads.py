@@ -9,6 +9,7 @@ import sys
 from datetime import UTC, datetime
 from math import isfinite
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,8 +20,10 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file, ticket_file, whole_file
 from yieldmon.physics.model import ForwardModel
 from yieldmon.resources import shipped
-from yieldmon.service import configuration, weighed_loads
-from yieldmon.service.configuration import Configuration
+
+if TYPE_CHECKING:
+    from yieldmon.service.configuration import Configuration
+    from yieldmon.service.weighed_loads import MeasuredLoad
 
 CONFIDENCE = 0.95
 _REACH = 1.96
@@ -47,6 +50,8 @@ def run(args: argparse.Namespace) -> LoadCalibrationDocument:
     for name in _TABLE_ONLY:
         if getattr(args, name) not in (None, False, "", []):
             raise InputError(f"--{name.replace('_', '-')}", "belongs to a table of a test facility", "none with --loads")
+    from yieldmon.service import weighed_loads  # The daemon's own modules, which a table of a test facility does not need.
+
     configured = _configured(args)
     tickets = ticket_file.load(args.tickets)
     measured = weighed_loads.read(args.loads, configured)
@@ -68,6 +73,8 @@ def run(args: argparse.Namespace) -> LoadCalibrationDocument:
 
 
 def _configured(args: argparse.Namespace) -> Configuration:
+    from yieldmon.service import configuration
+
     loaded = configuration.load(args.config if args.config is not None else shipped("config/yieldmon.yaml"))
     if args.machine is not None:
         loaded = dataclasses.replace(loaded, machine=machine_file.load(args.machine))
@@ -76,7 +83,7 @@ def _configured(args: argparse.Namespace) -> Configuration:
     return loaded
 
 
-def _prior(args: argparse.Namespace, measured: tuple[weighed_loads.MeasuredLoad, ...], configured: Configuration) -> ParameterSet:
+def _prior(args: argparse.Namespace, measured: tuple[MeasuredLoad, ...], configured: Configuration) -> ParameterSet:
     """What --prior names, else what measured the newest load."""
     if args.prior is not None or not measured:
         return configured.parameters

@@ -53,6 +53,11 @@ class MomentumBatch:
         parts = [self._evaluate(theta[i : i + step], self.load, self.names) for i in range(0, len(theta), step)]
         return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
 
+    def value(self, theta: Array) -> Array:
+        """Momentum (B, N) alone."""
+        step = max(1, _CHUNK // self.rows)
+        return np.concatenate([self._evaluate(theta[i : i + step], self.load, ())[0] for i in range(0, len(theta), step)])
+
     def at_load(self, theta: Array, load: Array) -> tuple[Array, Array, Array]:
         """The same for one vector (n,) at other loads (N,): momentum (N,), derivatives (N, n), derivative by the load (N,)."""
         value, jacobian = self._evaluate(theta[None], load, (*self.names, LOAD))

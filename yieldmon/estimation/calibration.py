@@ -1,7 +1,8 @@
 """System calibration: grain and effect parameters from rows of known load and measured momentum.
 
-Many starts are searched in one vectorised pass, the distinct basins polished by scipy, the best one kept and examined: standard
+Many starts are searched in one vectorised pass, the distinct basins polished, the best one kept and examined: standard
 errors, profile-likelihood intervals, correlations, bounds, replicates. Sources: thesis chapter 9.1 (multistart least squares);
+Rinnooy Kan and Timmer, Mathematical Programming 39, 1987 (which starts need no search of their own);
 Draper and Smith, "Applied Regression Analysis" (pure error and lack of fit); Venzon and Moolgavkar, Applied Statistics 37, 1988
 (profile intervals); Huber and Ronchetti, "Robust Statistics".
 """
@@ -13,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, stats
+from scipy.special import fdtrc, fdtri, gamma, stdtrit
 
 from yieldmon.physics.effects import effect_parameter
 from yieldmon.physics.grain import GRAIN
@@ -36,6 +37,13 @@ _LEAST_PURE_DOF = 8
 """Degrees of freedom of the replicates from which they separate noise from the model's own error."""
 _SAME_BASIN = 1e-3
 """Largest distance, as a share of the bounds' width, between two solutions that count as one."""
+_ONE_VALLEY = 1e-2
+"""The same between two unfinished searches that are one from then on."""
+_MOST_BASINS = 8
+_ALWAYS_SEARCHED = 20
+"""Best starts that are searched whatever lies near them."""
+_LINKAGE = 4.0
+"""Of the critical distance in Rinnooy Kan and Timmer: above 2 the number of searches stays finite as starts are added."""
 
 
 @dataclass(frozen=True)
@@ -178,8 +186,8 @@ def calibrate(
     """
     problem = _Problem(model, data, start, tuple(free), prior, bounds, robust)
     rng = np.random.default_rng(0) if rng is None else rng
-    found = problem.search(problem.draw(starts, rng), progress)
-    basins, theta = problem.polish(found.theta, found.cost)
+    found, standing_for = problem.search(problem.draw(starts, rng), progress)
+    basins, theta = problem.polish(found.theta, found.cost, standing_for)
     return problem.result(theta, basins, starts, response_unit, intervals)
 
 
@@ -311,8 +319,7 @@ class _Problem:
         high = np.clip([self.ranges[n][1] for n in self.names], self.lower, self.upper)
         theta = np.vstack((first[None], rng.uniform(low, high, (max(starts - 1, 0), len(self.names)))))
         for _ in range(20):
-            value, _ = self.momentum(theta)
-            bad = ~np.all(np.isfinite(value), axis=-1)
+            bad = ~np.all(np.isfinite(self.momentum.value(theta)), axis=-1)
             if not np.any(bad):
                 return theta
             theta[bad] = rng.uniform(low, high, (int(np.sum(bad)), len(self.names)))
@@ -332,28 +339,59 @@ class _Problem:
         slopes = np.broadcast_to(self.prior_white, (len(theta), *self.prior_white.shape))
         return np.concatenate((r, extra), axis=1), np.concatenate((j, slopes), axis=1)
 
-    def search(self, theta: Array, progress: Callable[[float], None] | None = None) -> BatchSearch:
-        """Batched search over all starts."""
+    def search(
+        self, theta: Array, progress: Callable[[float], None] | None = None
+    ) -> tuple[BatchSearch, NDArray[np.intp]]:
+        """Batched search; each of its results with the number of starts that it stands for."""
 
         def residuals(t: Array, _: NDArray[np.intp]) -> tuple[Array, Array]:
             return self.residuals(t, self.row_sd)
 
-        return levenberg_marquardt(residuals, theta, self.lower, self.upper, scale=self.unit, progress=progress)
+        leader = self._leaders(theta)
+        at, follows = np.unique(leader, return_inverse=True)
+        near = levenberg_marquardt(
+            residuals, theta[at], self.lower, self.upper, scale=self.unit, iterations=60, tolerance=1e-4, least_gain=1e-4,
+            progress=progress,
+        )
+        group = _groups(near.theta / self.unit, near.cost, _ONE_VALLEY)
+        best = np.array([np.flatnonzero(group == g)[np.argmin(near.cost[group == g])] for g in range(int(group.max()) + 1)])
+        found = levenberg_marquardt(residuals, near.theta[best], self.lower, self.upper, scale=self.unit)
+        return found, np.bincount(group[follows.ravel()], minlength=best.size)
 
-    def polish(self, theta: Array, cost: Array) -> tuple[tuple[Basin, ...], Array]:
-        """Distinct minima, each polished by scipy; the best parameter vector."""
+    def _leaders(self, theta: Array) -> NDArray[np.intp]:
+        """For each start the one whose search it shares: its nearest better start, and so on, where that is within reach.
+
+        The first (the given one) and the best are always searched.
+        """
+        count, width = theta.shape
+        leader = np.arange(count)
+        if count <= _ALWAYS_SEARCHED:
+            return leader
+        error = (self.momentum.value(theta)[:, self.cell] - self.data.momentum) / self.row_sd
+        prior = np.einsum("pn,bn->bp", self.prior_white, theta - self.prior_mean)
+        cost = np.sum(error**2, axis=1) + np.sum(prior**2, axis=1)
         order = np.argsort(cost, kind="stable")
-        groups: list[list[int]] = []
-        for i in order:
-            if not np.isfinite(cost[i]):
+        reach = (_LINKAGE * gamma(1.0 + 0.5 * width) * np.log(count) / count) ** (1.0 / width) / np.sqrt(np.pi)
+        for rank, i in enumerate(order):
+            if rank < _ALWAYS_SEARCHED or i == 0:
                 continue
-            for group in groups:
-                if np.max(np.abs(theta[i] - theta[group[0]]) / self.unit) < _SAME_BASIN:
-                    group.append(int(i))
-                    break
-            else:
-                groups.append([int(i)])
-        polished = [(*self._polish_one(theta[group[0]]), len(group)) for group in groups[:8]]
+            away = np.linalg.norm((theta[order[:rank]] - theta[i]) / self.unit, axis=1)
+            nearest = int(np.argmin(away))
+            if away[nearest] < reach:
+                leader[i] = leader[order[nearest]]
+        return leader
+
+    def polish(
+        self, theta: Array, cost: Array, standing_for: NDArray[np.intp]
+    ) -> tuple[tuple[Basin, ...], Array]:
+        """Distinct minima, each polished; the best parameter vector. standing_for: starts behind each point."""
+        group = _groups(theta / self.unit, cost, _SAME_BASIN)
+        inside = [np.flatnonzero(group == g) for g in range(min(int(group.max()) + 1, _MOST_BASINS))]
+        best = theta[[rows[np.argmin(cost[rows])] for rows in inside]]
+        polished = [
+            (point, value, int(np.sum(standing_for[rows])))
+            for (point, value), rows in zip(self._polished(best), inside, strict=True)
+        ]
         merged: list[tuple[Array, float, int]] = []
         for point, value, count in sorted(polished, key=lambda item: item[1]):
             for k, (known, known_value, known_count) in enumerate(merged):
@@ -373,7 +411,17 @@ class _Problem:
         between = known + np.linspace(0.0, 1.0, 7)[1:-1, None] * (point - known)
         return all(self._loss(t) <= value * (1.0 + 1e-6) for t in between)
 
-    def _polish_one(self, theta: Array) -> tuple[Array, float]:
+    def _polished(self, theta: Array) -> list[tuple[Array, float]]:
+        if self.robust:
+            return [self._polish_robust(point) for point in theta]
+        found = levenberg_marquardt(
+            lambda t, _: self.residuals(t, self.row_sd), theta, self.lower, self.upper, scale=self.unit, tolerance=1e-12,
+        )
+        return [(point, float(value)) for point, value in zip(found.theta, found.cost, strict=True)]
+
+    def _polish_robust(self, theta: Array) -> tuple[Array, float]:
+        from scipy import optimize
+
         cache: dict[bytes, tuple[Array, Array]] = {}
 
         def both(t: Array) -> tuple[Array, Array]:
@@ -401,7 +449,7 @@ class _Problem:
             jac=slopes,
             bounds=(self.lower, self.upper),
             x_scale=self.unit,
-            loss="soft_l1" if self.robust else "linear",
+            loss="soft_l1",
             f_scale=_ROBUST_SCALE,
             xtol=1e-14,
             ftol=1e-14,
@@ -526,7 +574,7 @@ class _Problem:
         if pure_dof > 0 and cells > width and pure_ss > 0.0:
             lack = (float(np.sum(weight * error**2)) - pure_ss) / (cells - width)
             f_value = lack / (pure_ss / pure_dof)
-            p_value = float(stats.f.sf(f_value, cells - width, pure_dof))
+            p_value = float(fdtrc(cells - width, pure_dof, f_value))
         return Residuals(
             rows, rms, 100.0 * rms / largest, noise_factor * (1.0 if self.given_sigma else float(self.row_sd[0])),
             self._scatter(), pure_dof, f_value, p_value,
@@ -534,7 +582,7 @@ class _Problem:
         )
 
     def _wald(self, theta: Array, errors: Array, dof: int) -> Array:
-        reach = stats.t.ppf(0.5 + 0.5 * CONFIDENCE, dof) * np.where(np.isfinite(errors), errors, np.inf)
+        reach = stdtrit(dof, 0.5 + 0.5 * CONFIDENCE) * np.where(np.isfinite(errors), errors, np.inf)
         return np.stack((np.maximum(theta - reach, self.lower), np.minimum(theta + reach, self.upper)), axis=-1)
 
     def curves(self, fitted: Calibration, points: int) -> tuple[ProfileCurve, ...]:
@@ -554,7 +602,7 @@ class _Problem:
         )
         best = float(np.sum(self.residuals(theta[None], row_sd)[0] ** 2))
         rise = np.sqrt(np.maximum(2.0 * found.cost - best, 0.0)).reshape(width, points)
-        limit = float(np.sqrt(stats.f.ppf(CONFIDENCE, 1, dof)))
+        limit = float(np.sqrt(fdtri(1, dof, CONFIDENCE)))
         return tuple(
             ProfileCurve(p.name, grid, np.where(np.isfinite(line), np.copysign(line, grid - p.value), np.nan), limit)
             for p, grid, line in zip(fitted.parameters, grids, rise, strict=True)
@@ -586,7 +634,7 @@ class _Problem:
     def _profile(self, theta: Array, errors: Array, weight: Array, factor: float, dof: int) -> Array:
         """(n, 2): where the best fit over the other parameters gets worse by the F quantile; a bound where it never does."""
         width = theta.size
-        limit = float(stats.f.ppf(CONFIDENCE, 1, dof))
+        limit = float(fdtri(1, dof, CONFIDENCE))
         sign = np.tile([-1.0, 1.0], width)
         index = np.repeat(np.arange(width), 2)
         lines = np.arange(2 * width)
@@ -642,6 +690,23 @@ class _Problem:
         out = theta[index] + sign * place
         out = np.where(open_end, np.where(sign < 0.0, self.lower[index], self.upper[index]), out)
         return out.reshape(width, 2)
+
+
+def _groups(place: Array, cost: Array, reach: float) -> NDArray[np.intp]:
+    """Number of each point's group: points (B, n) within reach of its best, groups by ascending cost; infinite cost joins 0."""
+    group = np.zeros(len(place), dtype=np.intp)
+    heads: list[int] = []
+    for i in np.argsort(cost, kind="stable"):
+        if not np.isfinite(cost[i]):
+            continue
+        for number, head in enumerate(heads):
+            if np.max(np.abs(place[i] - place[head]), initial=0.0) < reach:
+                group[i] = number
+                break
+        else:
+            group[i] = len(heads)
+            heads.append(int(i))
+    return group
 
 
 def _inverse(information: Array, unit: Array) -> tuple[Array, NDArray[np.bool_]]:

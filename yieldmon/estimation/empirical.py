@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
@@ -103,6 +102,8 @@ class InterpolatedTable:
 
     def load_kg(self, columns: Array, momentum: Array) -> Array:
         """See LoadModel."""
+        from scipy.interpolate import PchipInterpolator  # It brings scipy.optimize along, half of a short command's time.
+
         out = np.full(momentum.shape, np.nan)
         for (angle, speed), (readings, masses) in self.curves.items():
             here = (columns[0] == angle) & (columns[1] == speed)
