@@ -3,7 +3,7 @@
     python -m studies.season                                  # 60 h, seed 20261121; season.json and season.png here
     python -m studies.season --hours 12 --out /tmp/season     # shorter, elsewhere
     python -m studies.season --combines all --seeds 3         # with and without sweeps on five combines; combines.json
-    python -m studies.season --combines "plate friction" --pattern-sd 0.004 --hours 12
+    python -m studies.season --combines "plate friction" --reversed --hours 12
 
 Windows of one second from the virtual combine: moisture 14 to 26 to 16 %, friction, restitution and paddle wear drifting, flow
 2-22 kg/s, loads of 4-9 t. Runs on two processes; `--json` prints the document.
@@ -40,8 +40,15 @@ def one(job: tuple[int, float, int, float]):  # type: ignore[no-untyped-def]
     return study.run(season, first, study.STRATEGIES[index], study.StudySettings())
 
 
-def compare(job: tuple[str, float, int, float]) -> dict[str, object]:
-    """A season of one combine with the moisture map alone and with sweeps beside it: name, hours, seed, pattern's size."""
+REVERSED = {"moisture_pct": (24.0, 14.0, 22.0), "friction_drift": -0.15, "restitution_drift": 0.08, "wear_mm": 0.0}
+"""A season that drifts the other way: what errors cancel in one direction add up in the other."""
+
+
+def compare(job: tuple[str, float, int, bool, float | None]) -> dict[str, object]:
+    """A season of one combine at the daemon's defaults, without and with sweeps, without and with a ticket a day.
+
+    job: name, hours, seed, whether reversed, the pattern's size where it is not the daemon's.
+    """
     from dataclasses import replace
 
     from studies.season import season as seasons
@@ -49,20 +56,24 @@ def compare(job: tuple[str, float, int, float]) -> dict[str, object]:
     from studies.season.combines import five
     from yieldmon.physics.machine import Machine
 
-    name, hours, seed, pattern_sd = job
+    name, hours, seed, is_reversed, pattern_sd = job
     combine, machine = five()[name], Machine()
-    settings = seasons.SeasonSettings(hours=hours)
+    settings = replace(seasons.SeasonSettings(hours=hours), **(REVERSED if is_reversed else {}))
     # The season applies its own moisture dependence; the scenario's would count it twice.
     scenario = combine.scenario(study.scenario_of(settings)).model_copy(update={"effects": combine.effects})
     season = seasons.simulate(settings, machine, scenario, seed, ratio=combine.ratio)
     first = study.first_calibration(settings, machine, seed, combine)
-    kept = replace(study.StudySettings(), pattern_sd=pattern_sd)
-    found: dict[str, object] = {"combine": name, "seed": seed, "loads": len(season.loads.mass_kg)}
-    for label, strategy in (("map", study.STRATEGIES[1]), ("sweeps", study.STRATEGIES[2]), ("ticket", study.STRATEGIES[3])):
+    kept = study.StudySettings.of_daemon()
+    if pattern_sd is not None:
+        kept = replace(kept, pattern_sd=pattern_sd)
+    found: dict[str, object] = {"combine": name, "reversed": is_reversed, "seed": seed, "loads": len(season.loads.mass_kg)}
+    for label, sweeps, tickets in (("map", False, 0), ("sweeps", True, 0), ("map_ticket", False, 1), ("sweeps_ticket", True, 1)):
+        strategy = study.Strategy(label, moisture_map=True, sweeps=sweeps, tickets_per_day=tickets)
         outcome = study.run(season, first, strategy, kept)
-        found[f"{label}_mean_abs_pct"] = round(outcome.mean_abs_load_error_pct, 2)
+        found[f"{label}_mean_abs_pct"] = round(outcome.mean_abs_load_error_pct, 3)
         found[f"{label}_live_within_1_pct"] = round(outcome.loads_within_1_pct, 3)
         found[f"{label}_posted_within_1_pct"] = round(outcome.posted_within_1_pct, 3)
+        found[f"{label}_sweeps"], found[f"{label}_updates"] = outcome.sweeps, outcome.updates
     return found
 
 
@@ -73,13 +84,14 @@ def combines(args: argparse.Namespace) -> int:
     names = list(five()) if args.combines == ["all"] else args.combines
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False).stdout.strip()
     rows = []
-    for name in names:
-        for seed in range(args.seed, args.seed + args.seeds):
-            rows.append(compare((name, args.hours, seed, args.pattern_sd)))
-            print(json.dumps(rows[-1]), flush=True)
-    found = {"hours": args.hours, "commit": commit, "pattern_sd": args.pattern_sd, "seasons": rows}
     args.out.mkdir(parents=True, exist_ok=True)
-    (args.out / "combines.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    path = args.out / ("combines-reversed.json" if args.reversed else "combines.json")
+    for seed in range(args.seed, args.seed + args.seeds):
+        for name in names:
+            rows.append(compare((name, args.hours, seed, args.reversed, args.pattern_sd)))
+            print(json.dumps(rows[-1]), flush=True)
+            found = {"hours": args.hours, "commit": commit, "pattern_sd": args.pattern_sd, "seasons": rows}
+            path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     return int(any(row["sweeps_mean_abs_pct"] > row["map_mean_abs_pct"] for row in rows))
 
 
@@ -160,7 +172,8 @@ def main() -> int:
     )
     parser.add_argument("--combines", nargs="+", metavar="NAME", help='map and sweeps compared on these combines; "all": five')
     parser.add_argument("--seeds", type=int, default=1, help="with --combines: seasons of each, from --seed on")
-    parser.add_argument("--pattern-sd", type=float, default=0.0, help="with --combines: size of the model's error in sweeps")
+    parser.add_argument("--reversed", action="store_true", help="with --combines: everything drifts the other way")
+    parser.add_argument("--pattern-sd", type=float, help="with --combines: `learning.pattern_sd` instead of the daemon's default")
     args = parser.parse_args()
     if args.posted_by_daemon is not None:
         return posted_by_daemon(args)

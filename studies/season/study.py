@@ -17,6 +17,7 @@ from studies.facility import facility
 from studies.season.combines import AS_MODELLED, Combine
 from studies.season.season import Season, SeasonSettings
 from yieldmon.engine.settings import SweepSettings
+from yieldmon.estimation.admission import allowing_for, refusal
 from yieldmon.estimation.angle_pattern import with_pattern
 from yieldmon.estimation.calibration import Measurements, calibrate
 from yieldmon.estimation.closed_loop import MassAnchor, SelfCalibrator, Sweep, update_from_tickets
@@ -30,6 +31,8 @@ from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.plant.effects import MoistureDependence
 from yieldmon.plant.scenario import Crop, Scenario
+from yieldmon.service.configuration import calibrator_settings
+from yieldmon.service.document import Document
 
 Array = NDArray[np.float64]
 
@@ -60,7 +63,9 @@ class StudySettings:
 
     wandering: the parameters' random walks. steady_per_kilotonne: of their steady rates, which begin at 0 and are learnt; empty:
     no rates. map_sd: of the moisture map's slopes, 1/%. learned_information, kept_ratio: as in ClosedLoopSettings; scraps may add
-    up here. pattern_sd: of the model's error away from home that sweeps separate from the grain; 0: none.
+    up here. pattern_sd: of the model's error away from home that sweeps separate from the grain; 0: none. anchor_error: of a
+    weighed load, relative, beside the scale's. refuse_corners: as the daemon, no lesson from a sweep where a parameter lies at an
+    end of its physical range.
     """
 
     sweep_interval_s: float = 600.0
@@ -91,6 +96,23 @@ class StudySettings:
     ticket_sd_kg: float = 10.0
     scale_sd_kg: float = 10.0
     model_error: float = 0.004
+    flow_process_sd: float = 0.12
+    flow_process_time_s: float = 30.0
+    anchor_error: float = 0.002
+    refuse_corners: bool = False
+
+    @classmethod
+    def of_daemon(cls) -> StudySettings:
+        """What the daemon does where its configuration says nothing; the moisture map and the plate's drive are the study's."""
+        learning, sweep = calibrator_settings(Document()), SweepSettings()
+        loop: ClosedLoopSettings = learning.closed_loop
+        return cls(
+            sweep_interval_s=sweep.interval_s, steady_windows=sweep.steady_windows, steady_cv=sweep.steady_cv,
+            min_flow_kg_s=sweep.min_flow_kg_s, wandering=learning.drift, steady_per_kilotonne=learning.steady_per_kilotonne,
+            learned_information=loop.learned_information, kept_ratio=loop.kept_ratio, model_error=loop.model_error,
+            flow_process_sd=loop.flow_process_sd, flow_process_time_s=loop.flow_process_time_s, pattern_sd=learning.pattern_sd,
+            anchor_error=learning.anchor_error, refuse_corners=True,
+        )
 
 
 @dataclass(frozen=True)
@@ -195,7 +217,8 @@ class Keeper:
         self.drifting = begin(self.parameters, settings.steady_per_kilotonne)
         self.steps: list[Advance] = []
         loop = ClosedLoopSettings(
-            flow="process", flow_process_sd=0.12, flow_process_time_s=30.0, model_error=settings.model_error,
+            flow="process", flow_process_sd=settings.flow_process_sd, flow_process_time_s=settings.flow_process_time_s,
+            model_error=settings.model_error,
             learned_information=settings.learned_information, kept_ratio=settings.kept_ratio,
         )  # fmt: skip
         self.calibrator = SelfCalibrator(self.model, loop)
@@ -333,14 +356,22 @@ class Keeper:
             np.hypot(self.force_sd[used], 0.1),
             None if moisture is None else np.full(used.size, float(np.mean(moisture))),
         )
-        self._take(self.calibrator.update(self.parameters, [sweep]), hour)
+        if not self.settings.refuse_corners:
+            self._take(self.calibrator.update(self.parameters, [sweep]), hour)
+            return
+        if refusal(self.parameters):
+            return
+        allowed = allowing_for(self.calibrator.settings, self.parameters)
+        lesson = SelfCalibrator(self.model, allowed).update(self.parameters, [sweep])
+        if not refusal(lesson.parameter_set):
+            self._take(lesson, hour)
 
     def _weigh(self, number: int, mass_kg: float, sd_kg: float, hour: float) -> None:
         start, end = int(self.season.loads.start[number]), int(self.season.loads.end[number])
         used = np.flatnonzero(self.flow[start:end] > 0.0) + start
         anchor = MassAnchor.from_windows(
             mass_kg,
-            float(np.hypot(sd_kg, 0.002 * mass_kg)),
+            float(np.hypot(sd_kg, self.settings.anchor_error * mass_kg)),
             np.ones(used.size),
             self.force[used],
             np.radians(self.angle_deg[used]),

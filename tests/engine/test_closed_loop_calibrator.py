@@ -358,3 +358,26 @@ def test_two_that_agree_are_another_grain() -> None:
     reasons, scale = weighings([1.3, 1.3, 1.3, 1.0, 1.0])
     assert "contradicts" in reasons[3]
     assert scale[4] == pytest.approx(0.0, abs=1.5)
+
+
+@pytest.mark.parametrize("name, value", [("friction", 0.01), ("density", 755.0)])
+def test_a_sweep_teaches_nothing_to_parameters_at_an_end_of_their_range(name: str, value: float) -> None:
+    used = OpenLoop(MODEL, dataclasses.replace(PRIOR, values={**PRIOR.values, name: value}))
+    outcome = ClosedLoopCalibrator(MODEL, EXACT).update(records(10.0), (), used)
+    assert outcome.estimator is None
+    assert not outcome.identifiable
+    assert f"{name} at an end of the physical range" in outcome.reason
+
+
+def test_a_sweep_that_would_put_a_parameter_at_its_end_teaches_nothing() -> None:
+    smooth = {**TRUE, "friction": 0.0}
+    before = dataclasses.replace(PRIOR, values={**PRIOR.values, "friction": 0.08})
+    outcome = ClosedLoopCalibrator(MODEL, EXACT).update(records(14.0, values=smooth, noise=0.002), (), OpenLoop(MODEL, before))
+    assert outcome.estimator is None
+    assert "the sweep would put friction at an end of the physical range" in outcome.reason
+
+
+def test_a_weighed_mass_teaches_parameters_at_an_end_of_their_range() -> None:
+    used = OpenLoop(MODEL, dataclasses.replace(PRIOR, values={**PRIOR.values, "friction": 0.01}))
+    outcome = ClosedLoopCalibrator(MODEL, EXACT).update(records(10.0), (ticket(used, 10.0, 0.0, 600.0),), used)
+    assert outcome.estimator is not None

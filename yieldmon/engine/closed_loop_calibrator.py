@@ -16,6 +16,7 @@ from yieldmon.engine.anchors import ReferenceMass
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.records import CalibrationOutcome, CalibrationStep, CalibratorState, FlowEstimator, WindowRecord
 from yieldmon.engine.scale_alarm import ScaleCheck, as_stated, name_of
+from yieldmon.estimation.admission import allowing_for, refusal
 from yieldmon.estimation.angle_pattern import EFFECT, with_pattern
 from yieldmon.estimation.closed_loop import (
     DensityAnchor,
@@ -98,13 +99,18 @@ class ClosedLoopCalibrator:
             self._given = None
         if not use_sweep and not masses and density is None:
             return replace(self._without_sweeps(used, now_s), checks=checks)
+        refused = refusal(used)
+        if refused and not masses and density is None:
+            return CalibrationOutcome(None, refused, identifiable=False, checks=checks)
         try:
-            sweeps = [_sweep(records)] if use_sweep else []
-            outcome = self_calibrate(
-                self._model, prior, sweeps, anchors=masses, density=density, settings=self._settings.closed_loop
-            )
-            if not outcome.consistent and (masses or density is not None):
+            sweeps = [_sweep(records)] if use_sweep and not refused else []
+            settings = allowing_for(self._settings.closed_loop, prior)
+            outcome = self_calibrate(self._model, prior, sweeps, anchors=masses, density=density, settings=settings)
+            leads = refusal(outcome.parameter_set) if sweeps and outcome.updated else ""
+            if (leads or not outcome.consistent) and (masses or density is not None):
                 outcome, drifting = self._believe(drifting, masses, density)
+            elif leads:
+                return CalibrationOutcome(None, f"the sweep would put {leads}", identifiable=False, checks=checks)
         except ValueError as error:
             return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False, checks=checks)
         return replace(self._taken(outcome, drifting, used, anchors, (now_s, total_kg, moisture_pct), step), checks=checks)

@@ -491,9 +491,11 @@ class _Problem:
         if np.any(singular):
             covariance = _bounded_inverse(information, self.upper - self.lower)
         size = self._learnt_error(error, jacobian[0])
-        if size > model_error.FLOOR:
+        if size > 0.0:
             angle, speed, load, _ = self.data.columns()
-            own = size * model_error.basis(angle, load, speed) * (model_error.level(predicted) * weight)[:, None]
+            # A constant error is absorbed by the impact gain: it is none of the forces', but one of what they are made of.
+            shapes = np.column_stack((model_error.basis(angle, load, speed), np.ones(load.size)))
+            own = size * shapes * (model_error.level(predicted) * weight)[:, None]
             covariance = self._within_bounds(model_error.widened(covariance, slopes * weight[:, None] / max(factor, 1e-300), own))
         at_bound = [
             "lower" if t <= lo + 1e-9 * u else "upper" if t >= hi - 1e-9 * u else ""
@@ -532,20 +534,22 @@ class _Problem:
         )
 
     def _learnt_error(self, error: Array, slopes: Array) -> float:
-        """Relative size of the model's own error, from angles and loads left out, where replicates part it from noise; else 0.
+        """Relative size of the model's own error, from angles and loads left out, where replicates or a stated sigma part it from
+        noise; else 0.
 
         error: of each row. slopes: of each cell.
         """
-        if self.pure_dof < _LEAST_PURE_DOF or not slopes.shape[1]:
+        if (self.pure_dof < _LEAST_PURE_DOF and not self.given_sigma) or not slopes.shape[1]:
             return 0.0
         count = np.bincount(self.cell)
         first = np.unique(self.cell, return_index=True)[1]
         angle, _, load, _ = self.data.columns()[:, first]
         mean = np.bincount(self.cell, error) / count
         predicted = np.bincount(self.cell, error + self.data.momentum) / count
-        noise = np.maximum(self.pure_sd, 1e-9 * float(np.max(np.abs(predicted)))) / np.sqrt(count)
         if self.given_sigma:
             noise = np.bincount(self.cell, self.row_sd**-2.0) ** -0.5
+        else:
+            noise = np.maximum(self.pure_sd, 1e-9 * float(np.max(np.abs(predicted)))) / np.sqrt(count)
         basis = orthonormal(slopes / noise[:, None] * self.unit)
         relative = noise / model_error.level(predicted)
         return model_error.learnt(mean / noise, basis, relative, model_error.groups_of(angle, load))

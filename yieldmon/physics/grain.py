@@ -169,14 +169,17 @@ def published(values: Mapping[str, float]) -> dict[str, float]:
     return out
 
 
-def physical_corner(values: Mapping[str, float], names: Iterable[str]) -> tuple[str, ...]:
-    """Which of the names sit on an end of the range that fits search."""
+_NEAR_END = 0.02
+"""Share of the range that fits search within which a value counts as on its end."""
+
+
+def at_search_end(values: Mapping[str, float], names: Iterable[str]) -> tuple[str, ...]:
+    """Which of the names lie at an end of the range that fits search; a value well outside was put there by a person."""
     out = []
     for name in names:
         if name in GRAIN and not GRAIN[name].follows_response:
             low, high = GRAIN[name].search
-            margin = 1e-3 * (high - low)
-            if not low + margin < values[name] < high - margin:
+            if min(abs(values[name] - low), abs(values[name] - high)) <= _NEAR_END * (high - low):
                 out.append(name)
     return tuple(out)
 

@@ -1,0 +1,47 @@
+"""Whether a sweep's lesson is admitted: not where the parameters are those of a model that does not describe the machine.
+
+What a sweep says of friction and fill is as good as the model's profile over the plate angle. Where a calibration at known
+loads has driven a parameter to an end of its physical range, or has missed held-out angles and loads, that profile is known to be
+wrong, and what a lesson does to the flow at home is then the model's error projected on it, of either sign. Weighed masses are
+not concerned: they speak of the flow itself.
+
+Source: Brynjarsdottir and O'Hagan, Inverse Problems 30 (2014), on parameters learnt through a model whose error is not known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from yieldmon.physics.grain import at_search_end
+
+from .closed_loop import ClosedLoopSettings
+from .parameters import ParameterSet
+
+
+def refusal(parameters: ParameterSet) -> str:
+    """Why sweeps teach nothing to these parameters.
+
+    Parameters
+    ----------
+    parameters : ParameterSet
+        Those in use, or those that a lesson would lead to. Parameters without a variance do not count.
+
+    Returns
+    -------
+    str
+        One sentence, "" where sweeps may teach.
+    """
+    ends = at_search_end(parameters.values, parameters.covariance_names)
+    if not ends:
+        return ""
+    return (
+        f"{' and '.join(ends)} at an end of the physical range: the model does not describe this machine, and sweeps change "
+        "nothing (see yieldmon diagnose)"
+    )
+
+
+def allowing_for(settings: ClosedLoopSettings, parameters: ParameterSet) -> ClosedLoopSettings:
+    """The settings with a model error of at least what the calibration found on angles and loads that it left out."""
+    if parameters.model_error <= settings.model_error:
+        return settings
+    return replace(settings, model_error=parameters.model_error)
