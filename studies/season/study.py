@@ -64,8 +64,8 @@ class StudySettings:
     wandering: the parameters' random walks. steady_per_kilotonne: of their steady rates, which begin at 0 and are learnt; empty:
     no rates. map_sd: of the moisture map's slopes, 1/%. learned_information, kept_ratio: as in ClosedLoopSettings; scraps may add
     up here. pattern_sd: of the model's error away from home that sweeps separate from the grain; 0: none. anchor_error: of a
-    weighed load, relative, beside the scale's. refuse_corners: as the daemon, no lesson from a sweep where a parameter lies at an
-    end of its physical range.
+    weighed load, relative, beside the scale's. refuse_corners: as the daemon, no sweep where a parameter lies at an end of its
+    physical range, and no lesson that would put it there.
     """
 
     sweep_interval_s: float = 600.0
@@ -316,6 +316,9 @@ class Keeper:
     def _try_sweep(self, place: int, end: int) -> int:
         """A sweep from window `place` if the flow has been steady; returns the first window after it."""
         settings = self.settings
+        if settings.refuse_corners and refusal(self.parameters):
+            self.next_sweep_s = place + settings.sweep_interval_s
+            return place
         before = self.flow[place - settings.steady_windows : place]
         steady = before.size == settings.steady_windows and np.min(before) >= settings.min_flow_kg_s
         if not steady or np.std(before) > settings.steady_cv * np.mean(before):
@@ -358,8 +361,6 @@ class Keeper:
         )
         if not self.settings.refuse_corners:
             self._take(self.calibrator.update(self.parameters, [sweep]), hour)
-            return
-        if refusal(self.parameters):
             return
         allowed = allowing_for(self.calibrator.settings, self.parameters)
         lesson = SelfCalibrator(self.model, allowed).update(self.parameters, [sweep])

@@ -13,8 +13,11 @@ import pytest
 from yieldmon.engine.anchors import AnchorSource, ReferenceMass
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
+from yieldmon.engine.learning import Learning
 from yieldmon.engine.records import WindowRecord
+from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.state import EngineState
+from yieldmon.engine.sweep import SweepMachine
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.drift_rates import DriftRates
 from yieldmon.estimation.moisture import MoistureMap
@@ -360,7 +363,7 @@ def test_two_that_agree_are_another_grain() -> None:
     assert scale[4] == pytest.approx(0.0, abs=1.5)
 
 
-@pytest.mark.parametrize("name, value", [("friction", 0.01), ("density", 755.0)])
+@pytest.mark.parametrize(("name", "value"), [("friction", 0.01), ("density", 755.0)])
 def test_a_sweep_teaches_nothing_to_parameters_at_an_end_of_their_range(name: str, value: float) -> None:
     used = OpenLoop(MODEL, dataclasses.replace(PRIOR, values={**PRIOR.values, name: value}))
     outcome = ClosedLoopCalibrator(MODEL, EXACT).update(records(10.0), (), used)
@@ -381,3 +384,12 @@ def test_a_weighed_mass_teaches_parameters_at_an_end_of_their_range() -> None:
     used = OpenLoop(MODEL, dataclasses.replace(PRIOR, values={**PRIOR.values, "friction": 0.01}))
     outcome = ClosedLoopCalibrator(MODEL, EXACT).update(records(10.0), (ticket(used, 10.0, 0.0, 600.0),), used)
     assert outcome.estimator is not None
+
+
+@pytest.mark.parametrize(("friction", "learns", "by_schedule"), [(0.2, True, True), (0.01, True, False), (0.01, False, True)])
+def test_sweeps_that_would_teach_nothing_are_not_begun_by_schedule(friction: float, learns: bool, by_schedule: bool) -> None:
+    settings, used = EngineSettings(), OpenLoop(MODEL, dataclasses.replace(PRIOR, values={**PRIOR.values, "friction": friction}))
+    sweep = SweepMachine(settings.sweep, settings.plate, float(np.degrees(MACHINE.home_plate_angle_rad)))
+    learning = Learning(settings, MACHINE, used, ClosedLoopCalibrator(MODEL, EXACT) if learns else None)
+    learning.learn(0.0, records(10.0)[0], sweep)
+    assert sweep.by_schedule is by_schedule

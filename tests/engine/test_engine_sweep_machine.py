@@ -289,6 +289,16 @@ def test_a_sweep_waits_for_its_conditions(unfit: str) -> None:
     assert rig.demand is None
 
 
+def test_off_schedule_only_a_sweep_that_is_asked_for_begins() -> None:
+    rig = idle()
+    rig.machine.by_schedule = False
+    rig.tick(20.0)
+    assert rig.state is S.IDLE
+    rig.machine.request()
+    rig.tick()
+    assert rig.state is S.WAITING
+
+
 @pytest.mark.parametrize("start", [S.IDLE, S.WAITING, S.ABORTED, S.UPDATED, S.NOT_LEARNED])
 def test_nobody_drives_a_plate_at_rest(start: SweepState) -> None:
     rig = STARTS[start]()

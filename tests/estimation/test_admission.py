@@ -1,4 +1,4 @@
-"""When a sweep's lesson is admitted: not at the end of a physical range, and with the model error that a calibration has found."""
+"""When a sweep's lesson is admitted: not at the end of a physical range, and with the model error that a calibration found."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from yieldmon.estimation.admission import allowing_for, refusal
-from yieldmon.estimation.closed_loop import ClosedLoopSettings
+from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.parameters import ParameterSet
 
 GIVEN = ParameterSet(
@@ -18,7 +18,7 @@ GIVEN = ParameterSet(
 
 
 @pytest.mark.parametrize(
-    "values, named",
+    ("values", "named"),
     [
         ({}, ()),
         ({"friction": 0.0}, ("friction",)),
@@ -39,6 +39,6 @@ def test_sweeps_are_refused_where_a_parameter_lies_at_an_end_of_its_range(
     assert sentence.startswith(" and ".join(named))
 
 
-@pytest.mark.parametrize("found, expected", [(0.0, 0.01), (0.005, 0.01), (0.05, 0.05)])
+@pytest.mark.parametrize(("found", "expected"), [(0.0, 0.01), (0.005, 0.01), (0.05, 0.05)])
 def test_the_calibrations_model_error_counts_where_it_is_the_larger(found: float, expected: float) -> None:
     assert allowing_for(ClosedLoopSettings(model_error=0.01), replace(GIVEN, model_error=found)).model_error == expected

@@ -22,6 +22,7 @@ from yieldmon.engine.since_zero import KeptSecond
 from yieldmon.engine.state import TicketState
 from yieldmon.engine.sweep import SweepAbort, SweepMachine
 from yieldmon.engine.windows import Window
+from yieldmon.estimation.admission import refusal
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import Machine
 
@@ -197,7 +198,11 @@ class Learning:
         self._masses_new = self._masses_new or bool(waiting)
 
     def learn(self, at_s: float, record: WindowRecord, sweep: SweepMachine) -> tuple[ParametersChanged, ...]:
-        """Collect a sweep's windows, and at its end hand them to the calibrator; between sweeps reference masses update."""
+        """Collect a sweep's windows, and at its end hand them to the calibrator; between sweeps reference masses update.
+
+        Where sweeps teach nothing they are not begun by schedule: away from home such a model misses the most.
+        """
+        sweep.by_schedule = self.calibrator is None or not refusal(self.estimator.parameters)
         if not sweep.visiting and not sweep.completed:
             self._sweep_records.clear()
             return self._learn_from_masses(record)

@@ -123,6 +123,8 @@ class SweepMachine:
         """All steps are measured; the owner calls `finish`."""
         self.not_following = False
         """The last movement did not arrive; the next one that does clears it."""
+        self.by_schedule = True
+        """Whether a sweep begins when it is due; one that is asked for begins anyway."""
         self.first_after_s = settings.first_after_s
         """Time from the first tick to the first sweep, s."""
         self._due_s: float | None = None
@@ -269,7 +271,7 @@ class SweepMachine:
             self._deadline_s = now + self._settings.return_timeout_s
             return self._return(plate)
         if self.state is not SweepState.WAITING:
-            due = self._settings.enabled and self._due_s is not None and now >= self._due_s
+            due = self._settings.enabled and self.by_schedule and self._due_s is not None and now >= self._due_s
             if not (due or self._requested):
                 return None
             self._enter(SweepState.WAITING)

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 from yieldmon.physics.grain import at_search_end
 
-from .closed_loop import ClosedLoopSettings
+from .closed_loop_settings import ClosedLoopSettings
 from .parameters import ParameterSet
 
 
