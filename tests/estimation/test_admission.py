@@ -39,6 +39,11 @@ def test_sweeps_are_refused_where_a_parameter_lies_at_an_end_of_its_range(
     assert sentence.startswith(" and ".join(named))
 
 
+@pytest.mark.parametrize(("found", "refused"), [(0.0, False), (0.019, False), (0.05, True)])
+def test_sweeps_are_refused_where_the_calibration_missed_what_it_left_out(found: float, refused: bool) -> None:
+    assert ("by 5 %" in refusal(replace(GIVEN, model_error=found))) is refused
+
+
 @pytest.mark.parametrize(("found", "expected"), [(0.0, 0.01), (0.005, 0.01), (0.05, 0.05)])
 def test_the_calibrations_model_error_counts_where_it_is_the_larger(found: float, expected: float) -> None:
     assert allowing_for(ClosedLoopSettings(model_error=0.01), replace(GIVEN, model_error=found)).model_error == expected

@@ -17,6 +17,9 @@ from yieldmon.physics.grain import at_search_end
 from .closed_loop_settings import ClosedLoopSettings
 from .parameters import ParameterSet
 
+_LARGEST_MODEL_ERROR = 0.02
+"""On angles and loads that a calibration left out, relative; twice what a sweep is read with by default."""
+
 
 def refusal(parameters: ParameterSet) -> str:
     """Why sweeps teach nothing to these parameters.
@@ -31,6 +34,11 @@ def refusal(parameters: ParameterSet) -> str:
     str
         One sentence, "" where sweeps may teach.
     """
+    if parameters.model_error > _LARGEST_MODEL_ERROR:
+        return (
+            f"the calibration missed angles and loads that it left out by {100.0 * parameters.model_error:.0f} %: sweeps change "
+            "nothing (see yieldmon diagnose)"
+        )
     ends = at_search_end(parameters.values, parameters.covariance_names)
     if not ends:
         return ""
