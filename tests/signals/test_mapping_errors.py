@@ -48,6 +48,10 @@ CASES = {
     "a constant that cannot be": ("elevator_speed: {value: -4}", "elevator_speed.value", "-4", "rpm"),
     "volts and newtons": (f"{IMPACT}\n  impact_force: {{dbc: counts.dbc, message: Linear, signal: Tilt, unit: N, rate_hz: 10}}",
                           "signals", "impact_voltage and impact_force", "one of the two"),
+    "multi-packet": (
+        "moisture: {dbc: counts.dbc, message: Long, signal: Water}",
+        "moisture.message", "24 bytes, which come in several frames", "8 bytes",
+    ),
     "nothing to measure": ("impact_voltage: null", "impact_voltage", "null", "a signal"),
 }  # fmt: skip
 
@@ -63,6 +67,8 @@ def said(capsys: pytest.CaptureFixture[str], path: Path) -> str:
 def test_one_line_names_the_key(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text, *wanted = CASES[name]
     COUNTS.write(tmp_path)
+    with (tmp_path / "counts.dbc").open("a") as file:
+        file.write('BO_ 2566849534 Long: 24 Analog\n SG_ Water : 160|16@1+ (0.01,0) [0|100] "%" Analog\n')
     MULTIPLEXED.write(tmp_path)
     path = tmp_path / "c.yaml"
     path.write_text(f"signals:\n  {text}\n")

@@ -84,8 +84,13 @@ def _held_against(
 
 def _show(seen: dict[str, Any]) -> None:
     print(f"{'quantity':18} {'unit':>6} {'per s':>8} {'low':>10} {'high':>10} {'gap s':>8}  first values")
+    absent = [name for name, entry in seen.items() if not entry["values"]]
     for name, entry in seen.items():
+        if name in absent:
+            continue
         numbers = (entry["rate_hz"], entry["low"], entry["high"], entry["largest_gap_s"])
-        shown = ["-" if value is None else f"{value:.4g}" for value in numbers]
+        shown = ["-" if value is None else f"{value:.6g}" for value in numbers]
         first = " ".join(f"{value:.5g}" for value in entry["first"]) or "none"
         print(f"{name:18} {entry['unit']:>6} {shown[0]:>8} {shown[1]:>10} {shown[2]:>10} {shown[3]:>8}  {first}")
+    if absent:
+        print(f"not in this recording: {', '.join(absent)}")

@@ -23,6 +23,7 @@ from yieldmon.bus.waiting import receive
 from yieldmon.cli import _outputs
 from yieldmon.errors import InputError
 from yieldmon.files.whole_file import scratch_for
+from yieldmon.network.name import Name
 from yieldmon.resources import shipped
 from yieldmon.signals.survey import MessageSeen, Survey, mapping_text
 
@@ -63,13 +64,20 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(args.log or "the bus", "no data frame", "a bus or log with traffic")
     if args.write is not None:
         with scratch_for(args.write) as scratch:
-            scratch.write_text(mapping_text(survey, paths), encoding="utf-8")
+            scratch.write_text(mapping_text(survey, _as_written(paths, Path(args.write))), encoding="utf-8")
         print(f"written: {args.write}", file=sys.stderr)
     if args.json:
         print(json.dumps(_document(survey), indent=2))
     else:
         _show(survey)
     return 0
+
+
+def _as_written(paths: dict[str, str], mapping: Path) -> dict[str, str]:
+    """The DBC files as a mapping names them: those beside it and the shipped ones by their bare name."""
+    beside = mapping.absolute().parent
+    bare = {name for name, path in paths.items() if Path(path).parent == beside or path in map(str, map(shipped, _SHIPPED))}
+    return {name: name if name in bare else path for name, path in paths.items()}
 
 
 def _log_blocks(path: str) -> Iterator[FrameBlock]:
@@ -124,6 +132,12 @@ def _message(message: MessageSeen) -> dict[str, Any]:
     }
 
 
+def _fields(name: Name) -> str:
+    """What distinguishes a node, as `source` of a mapping takes it."""
+    wanted = ("manufacturer_code", "function", "function_instance", "ecu_instance", "identity_number")
+    return "{" + ", ".join(f"{key}: {getattr(name, key)}" for key in wanted) + "}"
+
+
 def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
@@ -140,7 +154,7 @@ def _show(survey: Survey) -> None:
             if math.isfinite(seen.low):
                 print(f"{'':44}{signal} {seen.low:g} to {seen.high:g} {seen.bits.unit}")
     for address, name in survey.nodes:
-        print(f"node {address}: " + ("no NAME heard" if name is None else f"NAME 0x{int(name):016X}, {name}"))
+        print(f"node {address}: " + ("no NAME heard" if name is None else f"NAME 0x{name}, {_fields(name)}"))
     for quantity, found in survey.candidates.items():
         print(f"{quantity}: " + ", ".join(f"{c.message}.{c.signal} ({c.rate_hz:.1f} Hz)" for c in found[:4]))
     if not survey.candidates:

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from yieldmon.bus.databases import MessageBits, load_messages
 from yieldmon.errors import InputError
 from yieldmon.physics.machine import Machine
-from yieldmon.resources import shipped
+from yieldmon.service.signal_section import database_path
 from yieldmon.signals.mapping import SignalMap
 from yieldmon.signals.output_mapping import MAX_PERIOD_MS, MIN_PERIOD_MS, OWN, OutputBinding, OutputMap, build
 from yieldmon.signals.published import PUBLISHED
@@ -59,10 +59,10 @@ def output_map(
 
     @cache
     def read(name: str) -> dict[str, MessageBits]:
-        return load_messages(path.parent / name if name else shipped("dbc/yieldmon.dbc"))
+        return load_messages(database_path(name, path))
 
     found = build(bindings, read, machine, inputs, shipped=with_shipped, network=network, fixed_plate=fixed_plate)
-    return found, tuple(path.parent / name for name in dict.fromkeys(binding.dbc for binding in bindings))
+    return found, tuple(database_path(name, path) for name in dict.fromkeys(binding.dbc for binding in bindings))
 
 
 def _binding(quantity: str, entry: Any, where: str) -> OutputBinding:

@@ -20,6 +20,7 @@ from yieldmon.signals.binding import IMPACT, MAX_RATE_HZ, MIN_RATE_HZ, Binding, 
 from yieldmon.signals.mapping import SignalMap, build, default_map
 
 _HIGHEST_ADDRESS = 253
+SHIPPED_DATABASES = frozenset({"j1939.dbc", "yieldmon.dbc"})
 
 
 class NodeName(BaseModel):
@@ -104,13 +105,21 @@ def signal_map(
     found = build(bindings, read, machine, switched_off=sorted(off), fixed=fixed)
     _check_constants(found, path)
     names = dict.fromkeys(binding.dbc for binding in bindings if binding.dbc is not None)
-    return found, tuple(path.parent / name for name in names)
+    return found, tuple(database_path(name, path) for name in names)
+
+
+def database_path(name: str, configuration: Path) -> Path:
+    """The DBC file of that name: beside the configuration, else a shipped one of that bare name. "": the shipped layout."""
+    beside = configuration.parent / name
+    if name not in SHIPPED_DATABASES or beside.exists():
+        return beside if name else shipped("dbc/yieldmon.dbc")
+    return shipped(f"dbc/{name}")
 
 
 def _reader(path: Path) -> Any:
     @cache
     def read(name: str) -> dict[str, MessageBits]:
-        return load_messages(path.parent / name if name else shipped("dbc/yieldmon.dbc"))
+        return load_messages(database_path(name, path))
 
     return read
 

@@ -146,7 +146,8 @@ def _message(binding: Binding, messages: Mapping[str, MessageBits]) -> MessageBi
         absent = f"{binding.message} is not in {binding.dbc or 'the shipped DBC'}"
         raise binding.refuse("message", absent, f"one of its messages, such as {', '.join(near)}")
     if message.length > 8:
-        raise binding.refuse("message", f"{message.name} has {message.length} bytes", "a message of one frame, at most 8 bytes")
+        problem = f"{message.name} has {message.length} bytes, which come in several frames"
+        raise binding.refuse("message", problem, "a message of one frame, at most 8 bytes: longer ones are not put together here")
     if binding.source is not None and not message.extended:
         raise binding.refuse("source", f"{message.name} has an 11-bit identifier", "no source; only 29-bit identifiers carry one")
     return message

@@ -162,7 +162,8 @@ def _message(binding: OutputBinding, messages: Mapping[str, MessageBits]) -> Mes
         absent = f"{binding.message} is not in {binding.dbc}"
         raise binding.refuse("message", absent, f"one of its messages, such as {', '.join(near)}")
     if not 1 <= message.length <= 8:
-        raise binding.refuse("message", f"{message.name} has {message.length} bytes", "a message of one frame, 1 to 8 bytes")
+        expected = "a message of one frame, 1 to 8 bytes: longer ones are not sent in parts"
+        raise binding.refuse("message", f"{message.name} has {message.length} bytes", expected)
     if message.multiplexer is not None and binding.mux is None:
         raise binding.refuse("mux", "is missing", f"a value of {message.name}'s multiplexer {message.multiplexer}")
     if message.multiplexer is None and binding.mux is not None:

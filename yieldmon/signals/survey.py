@@ -255,6 +255,9 @@ def _slow_score(quantity: str, rate_hz: float, signal: SignalSeen, named: bool, 
     return 1.0 + named - 0.5 * shaft + min(rate_hz, 100.0) * 1e-6
 
 
+_GUESS = "ratio: 0.2"
+
+
 def mapping_text(survey: Survey, paths: Mapping[str, str]) -> str:
     """A configuration to start from: the likeliest signal of each quantity, the others as comments. paths: of the DBC files."""
     lines = [
@@ -275,6 +278,8 @@ def mapping_text(survey: Survey, paths: Mapping[str, str]) -> str:
             continue
         first, *others = free
         used.add((first.message, first.signal))
+        if any(_GUESS in _entry(one, paths, candidates) for one in (first, *others[:3])):
+            lines.append("  # The ratio is a guess: turns of the elevator's upper shaft per turn of the measured one.")
         lines.append(f"  {quantity}: {_entry(first, paths, candidates)}")
         lines += [f"  # or {quantity}: {_entry(other, paths, candidates)}" for other in others[:3]]
     return "\n".join(lines if len(lines) > 3 else [*lines[:-1], "signals: {}"]) + "\n"
@@ -294,5 +299,5 @@ def _entry(found: Candidate, paths: Mapping[str, str], candidates: Mapping[str, 
     if found.mux is not None:
         keys.append(f"mux: {found.mux}")
     if found.quantity == "elevator_speed" and _OF_SHAFTS_ELSEWHERE.search(found.signal):
-        keys.append("ratio: 0.2")
+        keys.append(_GUESS)
     return "{" + ", ".join(keys) + "}"
