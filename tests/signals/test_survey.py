@@ -90,6 +90,21 @@ def test_a_written_mapping_stands_the_check_against_its_log(tmp_path: Path, caps
     assert "exists already" in capsys.readouterr().err
 
 
+def test_a_written_mapping_names_shipped_files_without_their_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mapping = tmp_path / "map.yaml"
+    assert main(["signals", str(TRACTOR), "--write", str(mapping)]) == 0
+    said = capsys.readouterr().out
+    assert "{manufacturer_code: 33, function: 3, function_instance: 0, ecu_instance: 0, identity_number: 1078349}" in said
+    text = mapping.read_text()
+    assert "dbc: j1939.dbc, message: EEC1" in text
+    assert text.index("a guess") < text.index("ratio: 0.2")
+    assert main(["check-config", str(mapping)]) == 0
+    # One of the owner's own comes before it.
+    (tmp_path / "j1939.dbc").write_text(COUNTS.dbc.replace("EEC1", "EEC9"))
+    assert main(["check-config", str(mapping)]) == 2
+    assert "EEC1 is not in j1939.dbc" in capsys.readouterr().err
+
+
 def test_a_rate_that_is_not_the_recorded_one_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = drive(COUNTS, tmp_path)
     config = tmp_path / "wrong.yaml"
