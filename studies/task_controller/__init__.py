@@ -1,0 +1,1 @@
+"""Task controller client against the server of AgIsoStack++."""
