@@ -18,6 +18,7 @@ RUNS = {
     "fuzz-network": "random network traffic through node, transport, task controller client and side inputs",
     "monitor-load": "the live monitor on a saturated bus",
     "replay-timing": "how well a replay keeps time",
+    "request-times": "requests to a daemon that measures, by the clock; none to others is answered",
     "store-damage": "random damage to the store and its journal; the daemon starts, and nothing is silently other",
     "signals": "signals in bursts at a running daemon: alive, and SIGTERM ends it",
     "fuzz-readers": "mutated logs, tables, stores and requests through every reader",
