@@ -322,5 +322,5 @@ def _problems(path: Path) -> Iterator[None]:
         yield
     except StoreError as error:
         raise InputError(str(path), str(error).removeprefix(f"{path}: "), "a daemon's store") from error
-    except (sqlite3.Error, OSError) as error:
+    except (sqlite3.Error, OSError, ValueError) as error:
         raise InputError(str(path), getattr(error, "strerror", None) or str(error), "a daemon's store") from error
