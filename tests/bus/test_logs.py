@@ -112,6 +112,14 @@ def test_mf4_without_its_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert caught.value.name == "asammdf"
 
 
+@pytest.mark.mf4
+@pytest.mark.skipif(not HAS_MF4, reason="needs the mf4 extra")
+def test_a_damaged_mf4_on_which_its_reader_goes_in_circles_comes_to_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("yieldmon.bus.mf4_reading._READING_S", 3)
+    with pytest.raises(InputError, match=r"takes more than 3 s of processor time"):
+        read(Path(__file__).with_name("data") / "endless.mf4")
+
+
 CANDUMP = [
     ("(1436509052.249713) can0 123#2A366C2BBA", 0x123, "2A366C2BBA", {}),
     ("(1436509052.249713) can0 18FF1380#0102030405060708", 0x18FF1380, "0102030405060708", {"is_extended_id": True}),

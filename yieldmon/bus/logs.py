@@ -31,6 +31,7 @@ from can.io.blf import (
 from yieldmon.bus import mf4
 from yieldmon.bus.candump import dropped_frames, parse_line
 from yieldmon.bus.gunzip import Gunzip
+from yieldmon.bus.mf4_reading import Mf4Log
 from yieldmon.bus.sqlite_log import SqliteLog
 from yieldmon.errors import InputError
 
@@ -300,7 +301,7 @@ def _impossible(message: can.Message) -> str | None:
 
 def _read_binary(path: Path, suffix: str, compressed: bool, notes: LogNotes) -> Iterator[can.Message]:
     if suffix == ".mf4":
-        mf4.provide()
+        mf4.require()
     with ExitStack() as stack:
         plain = stack.enter_context(_decompressed(path, suffix, notes)) if compressed else path
         plain.stat()  # SQLite would make a missing file
@@ -325,7 +326,7 @@ def _read_binary(path: Path, suffix: str, compressed: bool, notes: LogNotes) -> 
         except Exception as error:  # noqa: BLE001 - parsers of binary formats raise anything on damaged bytes
             stream = getattr(reader, "file", None)
             place = f"frame {count + 1}" if stream is None or stream.closed else f"byte {stream.tell()}"
-            problem = f"{type(error).__name__} {error}"
+            problem = str(error) if suffix == ".mf4" else f"{type(error).__name__} {error}"
             if flaw is not None:
                 # The reader was shown what stands before the flaw, and may have missed the rest of a frame.
                 place, problem = f"byte {flaw[0]}", flaw[1]
@@ -336,6 +337,8 @@ def _binary_reader(path: Path, suffix: str, end: int | None) -> Any:
     """A reader of the file; of a .blf that has a flaw at byte `end`, of what stands before it."""
     if suffix == ".db":
         return SqliteLog(str(path))
+    if suffix == ".mf4":
+        return Mf4Log(path)
     reader = cast("Any", can.io.player.MESSAGE_READERS[suffix])
     return reader(str(path)) if end is None else reader(io.BufferedReader(_Head(path, end)))
 

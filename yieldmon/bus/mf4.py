@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib
 import sys
+from importlib.machinery import PathFinder
+from importlib.util import find_spec
 
 _held: list[str] = []
 """What is being held back."""
@@ -16,8 +18,15 @@ def defer() -> None:
         _held.append("asammdf")
 
 
+def require() -> None:
+    """Raises ModuleNotFoundError where asammdf is not installed; imports nothing."""
+    found = PathFinder.find_spec("asammdf") if _held else find_spec("asammdf")
+    if found is None:
+        raise ModuleNotFoundError("No module named 'asammdf'", name="asammdf")
+
+
 def provide() -> None:
-    """Give python-can's MF4 reader and writer what `defer` held back.
+    """Give python-can's MF4 writer what `defer` held back.
 
     Raises
     ------

@@ -107,7 +107,7 @@ def _check(args: argparse.Namespace) -> None:
         raise InputError("--zero-mv", f"is {args.zero_mv:g}", "0 to 100000 mV, as a table of an earlier log has it (zero_mv)")
     if any(".mf4" in path.suffixes for path in resolved):
         # Here, where a package that is not installed costs one line: processes that read would print tracebacks.
-        mf4.provide()
+        mf4.require()
     if args.jobs < 1:
         raise InputError("--jobs", f"is {args.jobs}", "a whole number from 1")
 

@@ -1,0 +1,112 @@
+"""MF4 logs, read in a process of its own: asammdf goes in circles on some damaged files, and prints what it meets.
+
+The process has as much processor time as a file of that size is worth. It writes records: a kind, and a frame or a text.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import struct
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+import can
+
+from yieldmon.bus import mf4
+
+#: Processor time: a part, three quarters of which are imports on a slow machine, and so much for each megabyte.
+_READING_S, _READING_S_PER_MB = 20, 20
+_LARGEST_ADDRESS_SPACE_BYTES = 8 << 30
+_FRAME, _PROBLEM, _END = b"f", b"p", b"e"
+_HEAD = struct.Struct("<dIHiBB")
+"""Of a frame: time, identifier, flags, channel (-1: none), length code, bytes of data."""
+_LENGTH = struct.Struct("<H")
+_FLAGS = (
+    "is_extended_id", "is_remote_frame", "is_error_frame", "is_rx", "is_fd", "bitrate_switch", "error_state_indicator",
+)  # fmt: skip
+
+
+class Mf4Log:
+    """Iterable of the frames; `stop` ends the process. Raises ValueError where the file cannot be read further."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises ModuleNotFoundError where asammdf is not installed."""
+        mf4.require()
+        self._limit_s = _READING_S + int(_READING_S_PER_MB * path.stat().st_size / 1e6)
+        # -P: no module of the folder where the user happens to be.
+        command = [sys.executable, "-P", "-m", "yieldmon.bus.mf4_reading", str(path.absolute()), str(self._limit_s)]
+        self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+
+    def __iter__(self) -> Iterator[can.Message]:
+        stream = self._process.stdout
+        assert stream is not None, "it was asked for"
+        while (kind := stream.read(1)) == _FRAME:
+            time_s, identifier, flags, channel, dlc, length = _HEAD.unpack(_exactly(stream, _HEAD.size))
+            yield can.Message(
+                timestamp=time_s, arbitration_id=identifier, channel=None if channel < 0 else channel, dlc=dlc,
+                data=_exactly(stream, length), **{name: bool(flags >> bit & 1) for bit, name in enumerate(_FLAGS)},
+            )  # fmt: skip
+        if kind == _PROBLEM:
+            (length,) = _LENGTH.unpack(_exactly(stream, _LENGTH.size))
+            raise ValueError(_exactly(stream, length).decode())
+        if kind != _END:
+            raise ValueError(self._ended())
+
+    def stop(self) -> None:
+        """End the process."""
+        self._process.kill()
+        self._process.wait()
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+
+    def _ended(self) -> str:
+        code = self._process.wait()
+        if code == -signal.SIGXCPU:
+            return f"takes more than {self._limit_s} s of processor time"
+        return f"its reader ended with {code}"
+
+
+def _exactly(stream: IO[bytes], count: int) -> bytes:
+    content = stream.read(count)
+    if len(content) < count:
+        raise ValueError("its reader ended within a frame")
+    return content
+
+
+def _packed(message: can.Message) -> bytes:
+    flags = sum(bool(getattr(message, name)) << bit for bit, name in enumerate(_FLAGS))
+    channel = message.channel if isinstance(message.channel, int) else -1
+    data = bytes(message.data)
+    return _FRAME + _HEAD.pack(message.timestamp, message.arbitration_id, flags, channel, message.dlc, len(data)) + data
+
+
+def main(path: str, limit_s: int) -> None:
+    """The process: frames to standard output, which nothing else reaches."""
+    resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s + 5))
+    resource.setrlimit(resource.RLIMIT_AS, (_LARGEST_ADDRESS_SPACE_BYTES, _LARGEST_ADDRESS_SPACE_BYTES))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    with os.fdopen(os.dup(1), "wb") as out:
+        nothing = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nothing, 1)
+        try:
+            for message in can.MF4Reader(path):
+                out.write(_packed(message))
+        except BrokenPipeError:
+            os._exit(0)
+        except Exception as error:  # noqa: BLE001 - parsers of binary formats raise anything on damaged bytes
+            text = f"{type(error).__name__} {error}".encode("utf-8", "replace")[:2000]
+            out.write(_PROBLEM + _LENGTH.pack(len(text)) + text)
+        else:
+            out.write(_END)
+        out.flush()
+        # What asammdf would still do at an orderly end can fail as well.
+        os._exit(0)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], int(sys.argv[2]))
