@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -61,9 +62,22 @@ OUTSIDE = {
 }
 
 
+@pytest.fixture(scope="module")
+def outside() -> Callable[..., diagnosis.Diagnosis]:
+    """outside(make_rows, start, kind): the diagnosis of what no candidate describes, made once a kind."""
+    made: dict[str, diagnosis.Diagnosis] = {}
+
+    def find(make_rows, start, kind: str) -> diagnosis.Diagnosis:
+        if kind not in made:
+            made[kind] = diagnosis.diagnose_rows(make_rows(alter=OUTSIDE[kind]), start, QUICK)
+        return made[kind]
+
+    return find
+
+
 @pytest.mark.parametrize("kind", OUTSIDE)
-def test_what_no_candidate_describes_stays_unknown(make_rows, start, kind: str) -> None:
-    found = diagnosis.diagnose_rows(make_rows(alter=OUTSIDE[kind]), start, QUICK)
+def test_what_no_candidate_describes_stays_unknown(make_rows, start, outside, kind: str) -> None:
+    found = outside(make_rows, start, kind)
     assert found.verdict == "unknown"
     assert found.choice.named == ()
     assert found.correction.closed_pct > 50.0
@@ -72,8 +86,8 @@ def test_what_no_candidate_describes_stays_unknown(make_rows, start, kind: str) 
     assert "names no cause" in document["stop_gap"]["kind"]
 
 
-def test_the_report_of_a_gap_explained_in_part_has_the_parts_size(make_rows, start, tmp_path) -> None:
-    found = diagnosis.diagnose_rows(make_rows(alter=OUTSIDE["bracket that yields in one range of angle"]), start, QUICK)
+def test_the_report_of_a_gap_explained_in_part_has_the_parts_size(make_rows, start, outside, tmp_path) -> None:
+    found = outside(make_rows, start, "bracket that yields in one range of angle")
     assert found.choice.steps
     page = report.write_report(found, tmp_path, "partly").read_text(encoding="utf-8")
     for step in found.choice.steps:
@@ -81,8 +95,8 @@ def test_the_report_of_a_gap_explained_in_part_has_the_parts_size(make_rows, sta
         assert f"{parameter.name.partition('.')[2]} = {found.choice.best.values[parameter.name]:.4g} ± " in page
 
 
-def test_the_stop_gap_takes_up_what_it_says_on_cells_left_out(make_rows, start) -> None:
-    found = diagnosis.diagnose_rows(make_rows(alter=OUTSIDE["resonance in speed"]), start, QUICK)
+def test_the_stop_gap_takes_up_what_it_says_on_cells_left_out(make_rows, start, outside) -> None:
+    found = outside(make_rows, start, "resonance in speed")
     base, surface = found.base, found.correction
     measured, predicted = base.frame.cells.mean, base.predict(base.frame.cells.conditions())
     cells = diagnosis.to_document(found)["stop_gap"]["cells"]

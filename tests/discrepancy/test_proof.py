@@ -95,7 +95,7 @@ def test_an_effect_that_unseen_rows_contradict_is_not_named(make_rows, start: Pa
     assert any("is not named" in note for note in second.notes)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_the_verdict_does_not_depend_on_where_one_begins(make_rows, seed: int) -> None:
     rows = make_rows({"plate_friction": 0.3})
     rng = np.random.default_rng(seed)

@@ -122,9 +122,7 @@ def _check(args: argparse.Namespace) -> None:
     if unknown:
         raise InputError("--without", f"{unknown[0]!r} is no effect", f"one of {', '.join(registry())}")
     if args.report is not None:
-        # What is missing is said before minutes of work, not after.
-        import matplotlib  # noqa: F401
-
+        report.check_pictures()
         if Path(args.report).is_file():
             raise InputError(f"--report {args.report}", "is a file", "a folder")
     for place in (args.table, args.plan, args.adopt):

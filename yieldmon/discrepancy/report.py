@@ -30,12 +30,19 @@ _STYLE = (
 )
 
 
-def write_report(diagnosis: Diagnosis, folder: Path, title: str) -> Path:
-    """Write index.html and PNGs into `folder`; returns the page. Raises InputError when matplotlib is not installed."""
+def check_pictures() -> None:
+    """Raises InputError when matplotlib, which draws a report's pictures, is not installed."""
     try:
-        import matplotlib
+        import matplotlib  # noqa: F401
     except ModuleNotFoundError as error:
         raise InputError("--report", "needs matplotlib, which is not installed", "pip install 'yieldmon[plot]'") from error
+
+
+def write_report(diagnosis: Diagnosis, folder: Path, title: str) -> Path:
+    """Write index.html and PNGs into `folder`; returns the page. Raises InputError when matplotlib is not installed."""
+    check_pictures()
+    import matplotlib
+
     matplotlib.use("Agg")
     folder.mkdir(parents=True, exist_ok=True)
     limit_pct = max(0.5, *(float(np.max(np.abs(_errors_pct(f)))) for f in (diagnosis.base, diagnosis.best)))
