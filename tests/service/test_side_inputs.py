@@ -130,25 +130,59 @@ def test_factory_frames(item: can.Message, expected: list[float]) -> None:
     assert [f.signals["FactoryMassFlow"] for c in extended.messages.values() for f in frames_of(c)] == pytest.approx(expected)
 
 
-def test_blocks_of_any_size_give_what_messages_give() -> None:
-    draw, items = random.Random(5), drive()
-    items = [item for item in items if item.arbitration_id >> 8 & 0x3FFFF not in (0xFF10,)]
-    side, expected = SideInputs(), []
-    for item in items:
-        expected += side.frames(item, CODEC.decode(item))
+def in_blocks(items: list[can.Message], draw: random.Random) -> list[Frame]:
     side, got, at = SideInputs(), [], 0
     while at < len(items):
         size = draw.choice((1, 7, 50, 400))
         block = block_of(items[at : at + size])
         extended = side.extend(decode_block(CODEC, block), block)
         frames = [(row, f) for c in extended.messages.values() for row, f in zip(c.rows.tolist(), frames_of(c), strict=True)]
-        got += [frame for _, frame in sorted(frames, key=lambda entry: entry[0])]
+        got += [frame for _, frame in sorted(frames, key=lambda entry: (entry[0], entry[1].message))]
         at += size
-    assert len(got) == len(expected)
+    return got
+
+
+def message_by_message(items: list[can.Message]) -> list[Frame]:
+    side = SideInputs()
+    return [
+        frame
+        for item in items
+        for frame in sorted(side.frames(item, CODEC.decode(item)), key=lambda frame: frame.message)
+    ]
+
+
+def random_traffic(draw: random.Random) -> list[can.Message]:
+    """Every group that is read, from several nodes, with values of all kinds, pauses and steps of the clock."""
+    kinds = [0x18FEF300, 0x18FEE800, 0x18FEF100, 0x18FEE600, 0x18FE4800, 0x18FE4900, 0x09F80100, 0x09F80200, 0x1DF01000]
+    kinds += [0x0CCBF700, 0x0CCBFF00, 0x18EFFF00, 0x18FEF200]
+    items, time_s = [], START_S
+    for _ in range(1500):
+        time_s += draw.choice((0.0, 0.01, 0.1, 0.1, 0.4, 1.9, 2.5, -0.3) if draw.random() < 0.2 else (0.05,))
+        data = bytearray(draw.randbytes(8))
+        if draw.random() < 0.5:
+            data[3], data[7] = draw.choice((0x80, 0xFF, 0xFB, 0x10)), draw.choice((0x80, 0x10))
+        kind = draw.choice(kinds)
+        if kind >> 8 & 0xFF0000 == 0xCB0000:
+            data = bytearray(ProcessData(Command.VALUE, 2, draw.choice((87, 84)), draw.randrange(-10, 9_000_000)).data)
+        if draw.random() < 0.05 and kind not in (0x18FEF300, 0x18FEE800):
+            data = data[: draw.randrange(8)]
+        items += [message(time_s, kind | draw.choice((0x26, 0x80)), bytes(data))]
+        if draw.random() < 0.05:
+            items += position(time_s, draw.uniform(-80.0, 80.0), draw.randrange(8))[draw.randrange(2) :]
+    return items
+
+
+@pytest.mark.parametrize("seed", [None, 1, 2, 3])
+def test_blocks_of_any_size_give_what_messages_give(seed: int | None) -> None:
+    draw = random.Random(5 if seed is None else seed)
+    items = [item for item in drive() if item.arbitration_id >> 8 & 0x3FFFF != 0xFF10] if seed is None else random_traffic(draw)
+    got, expected = in_blocks(items, draw), message_by_message(items)
+    assert len(got) == len(expected) > 300
     for mine, theirs in zip(got, expected, strict=True):
         usable = {k: v for k, v in mine.signals.items() if k in theirs.signals}
         assert (mine.time_s, mine.message) == (theirs.time_s, theirs.message)
         assert usable == theirs.signals
+        assert all(not isinstance(v, float) for k, v in mine.signals.items() if k not in theirs.signals)
 
 
 def test_daemon_records_what_the_log_gives(tmp_path: Path, log: Path) -> None:

@@ -189,7 +189,15 @@ class Navigation:
     def feed(self, payload: Payload) -> None:
         """Take a complete parameter group."""
         for reading in read(payload):
-            self._latest[(reading.quantity, reading.group)] = reading
+            self.take(reading)
+
+    def take(self, reading: Reading) -> None:
+        """Take one reading."""
+        self._latest[(reading.quantity, reading.group)] = reading
+
+    def latest(self, quantity: Quantity, group: int) -> Reading | None:
+        """The last reading of a source, however old."""
+        return self._latest.get((quantity, group))
 
     def best(self, quantity: Quantity, now_s: float) -> Reading | None:
         """The reading to use at now_s: the first source in the order that has one no older than the timeout."""

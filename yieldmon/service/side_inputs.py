@@ -6,17 +6,18 @@ lesser source is left out while a better one speaks. The factory's figures come 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import can
 import numpy as np
 from can.typechecking import CanFilter
 from numpy.typing import NDArray
 
-from yieldmon.bus.bulk import USABLE, DecodedBlock, FrameBlock, MessageColumns, SignalColumn, frames_of
+from yieldmon.bus.bulk import NOT_AVAILABLE, USABLE, DecodedBlock, FrameBlock, MessageColumns, SignalColumn
 from yieldmon.bus.candump import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from yieldmon.bus.factory_monitor import MASS_FLOW, FactoryMonitor
 from yieldmon.frames import FACTORY_MONITOR, VEHICLE_DIRECTION_SPEED, VEHICLE_POSITION, Frame, Value
+from yieldmon.network.fast_packet import FAST_PACKET_GROUPS
 from yieldmon.network.navigation import (
     DIRECTION_SPEED,
     GROUPS,
@@ -27,9 +28,11 @@ from yieldmon.network.navigation import (
     read,
 )
 from yieldmon.network.navigation import VEHICLE_POSITION as POSITION_GROUP
+from yieldmon.network.navigation_blocks import Column, Told, best_groups, read_block
 from yieldmon.network.process_data import PROCESS_DATA, Command
 from yieldmon.network.process_data import read as read_process_data
 from yieldmon.network.reassembly import Reassembler
+from yieldmon.service.side_columns import merged, placed, taken, taken_column
 
 _KMH = 3.6
 _FLOW_DDI = 87
@@ -45,8 +48,11 @@ _SIGNALS = {
     VEHICLE_POSITION: {"Latitude": Quantity.LATITUDE, "Longitude": Quantity.LONGITUDE},
     VEHICLE_DIRECTION_SPEED: {"CompassBearing": Quantity.COURSE, "NavigationSpeed": Quantity.SPEED},
 }
-#: Longest gap between a bulk block's last frames and what they may be compared with.
-_LOOK_BACK_S = 2.0 * TIMEOUT_S
+_USED = frozenset(quantity for signals in _SIGNALS.values() for quantity in signals.values())
+_SPEED = "NavigationSpeed"
+#: Signals beside which a frame says the group that they are from.
+_GROUP_SIGNALS = {"Latitude": "PositionGroup", _SPEED: "SpeedGroup"}
+_MOST_GROUPS = 1 << 18
 
 
 class SideInputs:
@@ -63,6 +69,12 @@ class SideInputs:
         self._factory_identities = np.array(sorted(self._factory.identifiers), np.uint32)
         self._navigation = Navigation()
         self._reassembler = Reassembler()
+        self._concerned = np.zeros(_MOST_GROUPS, bool)
+        """By group, whether a frame may concern this."""
+        for identity in self._factory_identities.tolist():
+            self._concerned[_all_of(identity >> 8 & _MOST_GROUPS - 1)] = True
+        self._concerned[_all_of(PROCESS_DATA)] = True
+        self._concerned[list(GROUPS)] = True
         self._other_s = float("-inf")
         """When a source that the DBC does not have last spoke."""
 
@@ -83,37 +95,149 @@ class SideInputs:
     def extend(self, decoded: DecodedBlock, block: FrameBlock) -> DecodedBlock:
         """The same for a whole block of a log, the blocks in order."""
         others, native = self._rows(block)
-        if not others.size and (not len(block) or abs(float(block.time_s[0]) - self._other_s) > TIMEOUT_S):
-            late = native[block.time_s[native] >= block.time_s[native[-1]] - _LOOK_BACK_S] if native.size else native
-            for row in late.tolist():
-                self._navigate(int(block.can_id[row]) & ~EXTENDED_FLAG, _data(block, row), float(block.time_s[row]))
+        silent = not others.size and (not len(block) or abs(float(block.time_s[0]) - self._other_s) > TIMEOUT_S)
+        told = self._told(block, others, native)
+        if silent:
+            self._remember(told, block)
             return decoded
-        known = {
-            row: frame
-            for name in (VEHICLE_POSITION, VEHICLE_DIRECTION_SPEED)
-            if name in decoded.messages
-            for row, frame in zip(decoded.messages[name].rows.tolist(), frames_of(decoded.messages[name]), strict=True)
-        }
-        found: dict[str, list[tuple[int, Frame]]] = {}
-        for row in np.sort(np.concatenate([others, native])).tolist():
-            identifier = int(block.can_id[row]) & ~EXTENDED_FLAG
-            for frame in self._frames(identifier, _data(block, row), float(block.time_s[row]), known.get(row)):
-                found.setdefault(frame.message, []).append((row, frame))
-        kept = {name: c for name, c in decoded.messages.items() if name not in (VEHICLE_POSITION, VEHICLE_DIRECTION_SPEED)}
-        return DecodedBlock(kept | {name: _columns(name, rows) for name, rows in found.items()}, decoded.wrong_length)
+        parts: dict[str, list[MessageColumns]] = {VEHICLE_POSITION: [], VEHICLE_DIRECTION_SPEED: []}
+        for name, group in zip(parts, _IN_THE_DBC, strict=True):
+            if name in decoded.messages:
+                parts[name].append(self._unless_superseded_block(decoded.messages[name], group, told))
+        known = np.concatenate([decoded.messages[name].rows for name in parts if name in decoded.messages] or [others[:0]])
+        for columns in self._navigation_columns(told, known):
+            parts[columns.name].append(columns)
+        factory = [
+            (row, frame)
+            for row in self._factory_rows(block, others).tolist()
+            for frame in self._frames(int(block.can_id[row]) & ~EXTENDED_FLAG, _data(block, row), float(block.time_s[row]), None)
+        ]
+        self._remember(told, block)
+        found = {name: merged(columns) for name, columns in parts.items() if any(part.rows.size for part in columns)}
+        if factory:
+            found[FACTORY_MONITOR] = _columns(FACTORY_MONITOR, factory)
+        kept = {name: c for name, c in decoded.messages.items() if name not in parts}
+        return DecodedBlock(kept | found, decoded.wrong_length)
 
     def _rows(self, block: FrameBlock) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Rows that concern this: those of other groups than the DBC's, and those of the DBC's."""
         flags = np.uint32(EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG)
-        is_data = (block.can_id & flags) == np.uint32(EXTENDED_FLAG)
-        groups = block.can_id >> np.uint32(8) & np.uint32(0x3FFFF)
-        native = is_data & np.isin(groups, np.array(_IN_THE_DBC, np.uint32))
+        concerned = self._concerned[block.can_id >> np.uint32(8) & np.uint32(_MOST_GROUPS - 1)]
+        rows = np.flatnonzero(concerned & ((block.can_id & flags) == np.uint32(EXTENDED_FLAG)))
+        identifiers = block.can_id[rows]
+        groups = identifiers >> np.uint32(8) & np.uint32(_MOST_GROUPS - 1)
+        native = np.isin(groups, np.array(_IN_THE_DBC, np.uint32))
         other = np.isin(groups, np.array(sorted(GROUPS), np.uint32)) | (groups >> np.uint32(8) == PROCESS_DATA >> 8)
-        exact = block.can_id & np.uint32(_GROUP_MASK | 0xFF)
-        addressed = block.can_id & np.uint32(_ADDRESSED_MASK)
+        exact = identifiers & np.uint32(_GROUP_MASK | 0xFF)
+        addressed = identifiers & np.uint32(_ADDRESSED_MASK)
         broadcast = np.array([_is_broadcast(identity) for identity in self._factory_identities.tolist()], bool)
         other |= np.isin(exact, self._factory_identities[broadcast]) | np.isin(addressed, self._factory_identities[~broadcast])
-        return np.flatnonzero(is_data & other & ~native), np.flatnonzero(native)
+        return rows[other & ~native], rows[native]
+
+    def _told(self, block: FrameBlock, others: NDArray[np.intp], native: NDArray[np.intp]) -> Told:
+        """What a block says of position, speed and course."""
+        rows = np.sort(np.concatenate((others, native)))
+        groups = block.can_id[rows] >> np.uint32(8) & np.uint32(_MOST_GROUPS - 1)
+        told: Told = {}
+        latest = -1
+        for group in np.unique(groups).tolist():
+            here = rows[groups == group]
+            if group not in GROUPS:
+                continue
+            if group in FAST_PACKET_GROUPS:
+                here = self._fast_packets(block, here, told)
+            else:
+                told |= read_block(group, here, block.time_s[here], block.payload[here], block.length[here])
+            if group not in _IN_THE_DBC and here.size:
+                latest = max(latest, int(here[-1]))
+        if latest >= 0:
+            self._other_s = float(block.time_s[latest])
+        return told
+
+    def _fast_packets(self, block: FrameBlock, rows: NDArray[np.intp], told: Told) -> NDArray[np.intp]:
+        """Adds what fast packets in these rows say; returns the rows with which one was whole."""
+        whole = []
+        found: dict[tuple[Quantity, int], list[tuple[int, float]]] = {}
+        for row in rows.tolist():
+            identifier = int(block.can_id[row]) & ~EXTENDED_FLAG
+            for payload in self._reassembler.feed(identifier, _data(block, row), float(block.time_s[row])):
+                whole.append(row)
+                for reading in read(payload):
+                    found.setdefault((reading.quantity, reading.group), []).append((row, reading.value))
+        for key, readings in found.items():
+            at = np.array([row for row, _ in readings], np.intp)
+            told[key] = Column(at, block.time_s[at], np.array([value for _, value in readings]))
+        return np.array(whole, np.intp)
+
+    def _remember(self, told: Told, block: FrameBlock) -> None:
+        """The block is over: its last readings are what the next one begins with."""
+        for (quantity, group), column in told.items():
+            if column.rows.size:
+                row = int(column.rows[-1])
+                source = int(block.can_id[row]) & 0xFF
+                self._navigation.take(
+                    Reading(float(column.time_s[-1]), quantity, float(column.values[-1]), group, source)
+                )
+
+    def _unless_superseded_block(self, columns: MessageColumns, group: int, told: Told) -> MessageColumns:
+        """The DBC's frames without the signals for which a better source speaks, and without those of which nothing is left."""
+        signals: dict[str, SignalColumn] = {}
+        left = np.zeros(columns.rows.shape, bool)
+        for name, column in columns.signals.items():
+            quantity = _SIGNALS[columns.name].get(name)
+            if quantity is None:
+                signals[name], left = column, np.ones_like(left)
+                continue
+            best = best_groups(self._navigation, told, quantity, columns.rows, columns.time_s)
+            kept = (best == 0) | (best == group)
+            left |= kept
+            if kept.any():
+                status = np.where(kept, column.status, np.uint8(NOT_AVAILABLE))
+                signals[name] = SignalColumn(np.where(kept, column.values, np.nan), status)
+        return taken(MessageColumns(columns.name, columns.rows, columns.time_s, signals), left)
+
+    def _navigation_columns(self, told: Told, decoded: NDArray[np.intp]) -> Iterator[MessageColumns]:
+        """Frames for the readings of the best sources, those of decoded frames apart."""
+        best = {
+            key: taken_column(column, best_groups(self._navigation, told, key[0], column.rows, column.time_s) == key[1])
+            for key, column in told.items()
+            if key[0] in _USED
+        }
+        for group in dict.fromkeys(group for _, group in best):
+            mine = {
+                quantity: taken_column(column, ~np.isin(column.rows, decoded)) if group in _IN_THE_DBC else column
+                for (quantity, of), column in best.items()
+                if of == group
+            }
+            for name, wanted in _SIGNALS.items():
+                found = {signal: mine[quantity] for signal, quantity in wanted.items() if quantity in mine}
+                if any(column.rows.size for column in found.values()):
+                    yield self._message(name, group, found)
+
+    @staticmethod
+    def _message(name: str, group: int, found: dict[str, Column]) -> MessageColumns:
+        """A frame for each row in which one of the signals has a value."""
+        rows = np.unique(np.concatenate([column.rows for column in found.values()]))
+        time_s = np.empty(rows.shape)
+        signals: dict[str, SignalColumn] = {}
+        for signal, column in found.items():
+            at = np.searchsorted(rows, column.rows)
+            time_s[at] = column.time_s
+            signals[signal] = placed(column.values * _KMH if signal == _SPEED else column.values, at, rows.size)
+            if signal in _GROUP_SIGNALS:
+                signals[_GROUP_SIGNALS[signal]] = placed(np.full(at.size, float(group)), at, rows.size)
+        return MessageColumns(name, rows, time_s, signals)
+
+    @staticmethod
+    def _factory_rows(block: FrameBlock, others: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Those of the rows that may hold a factory monitor's flow."""
+        groups = block.can_id[others] >> np.uint32(8) & np.uint32(_MOST_GROUPS - 1)
+        payload = block.payload[others]
+        process_data = groups >> np.uint32(8) == PROCESS_DATA >> 8
+        value = (payload & np.uint64(0xF)) == np.uint64(Command.VALUE)
+        flow = (payload >> np.uint64(16) & np.uint64(0xFFFF)) == np.uint64(_FLOW_DDI)
+        wanted: NDArray[np.bool_] = ~np.isin(groups, np.array(sorted(GROUPS), np.uint32)) & (~process_data | (value & flow))
+        return others[wanted]
 
     def _frames(self, identifier: int, data: bytes, time_s: float, decoded: Frame | None) -> list[Frame]:
         group = identifier >> 8 & 0x3FFFF
@@ -162,6 +286,13 @@ def _is_broadcast(identity: int) -> bool:
     return identity >> 16 & 0xFF >= _FIRST_BROADCAST_FORMAT
 
 
+def _all_of(group: int) -> slice:
+    """A group as identifiers hold it: with the destination in its last byte where it has one."""
+    if group >> 8 & 0xFF >= _FIRST_BROADCAST_FORMAT:
+        return slice(group, group + 1)
+    return slice(group & ~0xFF, (group | 0xFF) + 1)
+
+
 def _navigation_frames(readings: Iterable[Reading], time_s: float) -> list[Frame]:
     found = {reading.quantity: reading for reading in readings}
     frames = []
@@ -192,15 +323,13 @@ def _data(block: FrameBlock, row: int) -> bytes:
 
 def _columns(name: str, rows: list[tuple[int, Frame]]) -> MessageColumns:
     """Frames of one message, of whatever signals each has."""
-    signals: dict[str, None] = {}
-    for _, frame in rows:
-        signals |= dict.fromkeys(frame.signals)
+    signals = dict.fromkeys(signal for _, frame in rows for signal in frame.signals)
     columns = {}
     for signal in signals:
         given = [frame.signals.get(signal) for _, frame in rows]
         usable = [isinstance(value, float | int) for value in given]
         values = [float(value) if isinstance(value, float | int) else float("nan") for value in given]
-        columns[signal] = SignalColumn(np.array(values), np.where(usable, USABLE, USABLE + 1).astype(np.uint8))
+        columns[signal] = SignalColumn(np.array(values), np.where(usable, USABLE, NOT_AVAILABLE).astype(np.uint8))
     return MessageColumns(
         name, np.array([row for row, _ in rows], np.intp), np.array([frame.time_s for _, frame in rows]), columns
     )
