@@ -44,9 +44,11 @@ def content(block: FrameBlock) -> list[tuple[object, ...]]:
 @settings(max_examples=150, deadline=None)
 def test_columns_come_back(values: list[int], repeats: int, bits: int, sampled: bool) -> None:
     column = np.array(values * repeats, np.uint64) << np.uint64(bits - 13)
-    found = decode(encode(column, bits, sampled=sampled), column.size, bits)
-    assert found.dtype == np.uint64
-    assert (found == column).all()
+    coded = encode(column, bits, sampled=sampled)
+    for compiled in (False, True):
+        found = decode(coded, column.size, bits, compiled=compiled)
+        assert found.dtype == np.uint64
+        assert (found == column).all()
 
 
 @pytest.mark.parametrize("bits", [8, 13, 16, 32])
@@ -62,7 +64,9 @@ def test_sampled_signals_of_every_kind_come_back(bits: int) -> None:
         np.clip(np.cumsum(noise.normal(0, 0.01, time.size)), 0, 1),
     ):
         column = np.rint(wave * full).astype(np.uint64)
-        assert (decode(encode(column, bits, sampled=True), column.size, bits) == column).all()
+        coded = encode(column, bits, sampled=True)
+        for compiled in (False, True):
+            assert (decode(coded, column.size, bits, compiled=compiled) == column).all()
 
 
 frames = st.builds(

@@ -6,12 +6,10 @@ is the same with and without it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from yieldmon.bus.compiled import compiled
 
 Bytes = NDArray[np.uint8]
 
@@ -82,19 +80,11 @@ def parse_common(
     return done
 
 
-def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """njit that keeps its code on disk where there is a place for it."""
-    try:
-        return njit(cache=True, nogil=True)(function)
-    except RuntimeError:  # numba's word for "no folder to keep it in"
-        return njit(nogil=True)(function)
-
-
 _HEX = np.full(256, 0xFF, np.uint8)
 for _digits in (b"0123456789abcdef", b"0123456789ABCDEF"):
     _HEX[np.frombuffer(_digits, np.uint8)] = np.arange(16)
 
-@_compiled
+@compiled
 def _time(buffer, at, end):  # type: ignore[no-untyped-def]
     """Reads "(seconds.micros) "; returns microseconds and the place after it, -1 where there is no such text."""
     if end - at < 16 or buffer[at] != _OPEN:
@@ -118,7 +108,7 @@ def _time(buffer, at, end):  # type: ignore[no-untyped-def]
     return micros, at + 2
 
 
-@_compiled
+@compiled
 def _channel(buffer, at, end, names, name_lengths):  # type: ignore[no-untyped-def]
     """Reads a known channel's name and a blank; returns its row and the place after it, -1 for an unknown one."""
     for row in range(len(name_lengths)):
@@ -135,7 +125,7 @@ def _channel(buffer, at, end, names, name_lengths):  # type: ignore[no-untyped-d
     return -1, -1
 
 
-@_compiled
+@compiled
 def _identifier(buffer, at, end):  # type: ignore[no-untyped-def]
     """Reads an identifier and '#'; returns it with its flag and the place after it, -1 where there is none."""
     first = at
@@ -152,7 +142,7 @@ def _identifier(buffer, at, end):  # type: ignore[no-untyped-def]
     return can_id, -1
 
 
-@_compiled
+@compiled
 def _data(buffer, at, end):  # type: ignore[no-untyped-def]
     """Reads up to 8 bytes and " R" or " T"; returns their number, -1 where something else follows, and the bytes."""
     length = 0
@@ -171,7 +161,7 @@ def _data(buffer, at, end):  # type: ignore[no-untyped-def]
     return length, payload
 
 
-@_compiled
+@compiled
 def _pass(buffer, starts, ends, names, name_lengths, time_s, can_ids, lengths, payloads, channels):  # type: ignore[no-untyped-def]
     done = np.zeros(len(starts), np.bool_)
     for row in range(len(starts)):

@@ -35,6 +35,8 @@ _ALL_COMPRESSED = b"1"
 """The format before, in which no column was kept as it is."""
 _PLAIN_BYTES = 128
 """Columns up to this size are kept as they are: calling the decompressor takes longer than reading them."""
+_WORTH_COMPILING = 16
+"""Blocks of a file from which on loading compiled code pays: that takes about a second."""
 _LEVEL = 12
 _EXPECTED = "a file that `yieldmon pack` wrote"
 _TIME, _PLACE = "time", "place"
@@ -189,7 +191,9 @@ def read_blocks(path: Path | str) -> Iterator[FrameBlock]:
                 raise InputError(str(path), "a Parquet file without packed CAN frames", _EXPECTED)
             for group in range(source.num_row_groups):
                 columns = source.read_row_group(group).to_pydict()
-                yield _block(zip(*(columns[name] for name in _NAMES), strict=True), all_compressed=version == _ALL_COMPRESSED)
+                rows = zip(*(columns[name] for name in _NAMES), strict=True)
+                compiled = source.num_row_groups >= _WORTH_COMPILING
+                yield _block(rows, all_compressed=version == _ALL_COMPRESSED, compiled=compiled)
     except InputError:
         # A ValueError too, which says all there is to say.
         raise
@@ -304,7 +308,7 @@ def _compressed(data: bytes, codec: Any) -> bytes:
     return found if len(found) < len(data) else data
 
 
-def _block(rows: Iterable[tuple[Any, ...]], *, all_compressed: bool) -> FrameBlock:
+def _block(rows: Iterable[tuple[Any, ...]], *, all_compressed: bool, compiled: bool) -> FrameBlock:
     import pyarrow as pa
 
     codec = pa.Codec("zstd")
@@ -328,7 +332,7 @@ def _block(rows: Iterable[tuple[Any, ...]], *, all_compressed: bool) -> FrameBlo
         if coding == CONSTANT and name not in (_TIME, _PLACE) and per_frame == 1:
             values[1] |= np.uint64(int.from_bytes(data, "little") << int(start))
             continue
-        column = decode(Coded(coding, width, data), count * per_frame, bits)
+        column = decode(Coded(coding, width, data), count * per_frame, bits, compiled=compiled)
         if name == _TIME:
             values[0], values[7] = column, start
         elif name == _PLACE:

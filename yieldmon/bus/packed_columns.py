@@ -7,6 +7,8 @@ Robinson 1994, "Shorten"), split into planes of equal significance.
 
 from __future__ import annotations
 
+from functools import cache
+from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
@@ -62,7 +64,7 @@ def encode(values: Column, bits: int, *, sampled: bool = False) -> Coded:
     return min(found, key=_entropy_bytes)
 
 
-def decode(coded: Coded, count: int, bits: int) -> Column:
+def decode(coded: Coded, count: int, bits: int, *, compiled: bool = False) -> Column:
     """The column again.
 
     Parameters
@@ -72,6 +74,8 @@ def decode(coded: Coded, count: int, bits: int) -> Column:
         Length of the column.
     bits : int
         As for `encode`.
+    compiled : bool
+        With the fast extra's compiled code where it is installed; the same numbers.
 
     Returns
     -------
@@ -90,7 +94,7 @@ def decode(coded: Coded, count: int, bits: int) -> Column:
         differences = _unfolded(_from_planes(coded.data, coded.width, count), bits)
         return np.cumsum(differences, dtype=np.uint64) & _mask(bits)
     if coded.coding == PREDICTION:
-        return _from_predicted(coded, count, bits)
+        return _from_predicted(coded, count, bits, compiled=compiled)
     raise ValueError(f"unknown coding {coded.coding!r}")
 
 
@@ -120,9 +124,11 @@ def _planes(coding: str, values: Column, header: bytes = b"") -> Coded:
 def _from_planes(data: bytes, width: int, count: int) -> Column:
     if len(data) != width * count:
         raise ValueError(f"{len(data)} bytes; expected {width * count}")
-    words = np.zeros((count, 8), np.uint8)
-    words[:, :width] = np.frombuffer(data, np.uint8).reshape(width, count).T
-    return words.view("<u8")[:, 0].astype(np.uint64, copy=False)
+    planes = np.frombuffer(data, np.uint8).reshape(width, count)
+    values = planes[0].astype(np.uint64)
+    for place in range(1, width):
+        values |= planes[place].astype(np.uint64) << np.uint64(8 * place)
+    return values
 
 
 def _entropy_bytes(coded: Coded) -> float:
@@ -169,10 +175,28 @@ def _rounded(weighted: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.floor((weighted + _COEFFICIENT_SCALE / 2) / _COEFFICIENT_SCALE)
 
 
-def _from_predicted(coded: Coded, count: int, bits: int) -> Column:
+@cache
+def _compiled_module() -> ModuleType | None:
+    """compiled_packed, None where the fast extra is not installed."""
+    try:
+        from yieldmon.bus import compiled_packed
+    except ImportError:
+        return None
+    return compiled_packed
+
+
+def _from_predicted(coded: Coded, count: int, bits: int, *, compiled: bool) -> Column:
     start = _ORDER * _HEADER.itemsize
     coefficients = np.frombuffer(coded.data[:start], _HEADER).astype(np.float64)
     stretches = _stretches(count)
+    module = _compiled_module() if compiled else None
+    if module is not None:
+        data = np.frombuffer(coded.data, np.uint8, offset=start)
+        if data.size != coded.width * stretches * _STRETCH:
+            raise ValueError(f"{data.size} bytes; expected {coded.width * stretches * _STRETCH}")
+        planes = data.reshape(coded.width, -1)
+        column: Column = module.from_predicted(planes, coefficients, _STRETCH, bits, _COEFFICIENT_SCALE)[:count]
+        return column
     residuals = _unfolded(_from_planes(coded.data[start:], coded.width, stretches * _STRETCH), bits)
     samples = residuals.astype(np.float64).reshape(_STRETCH, stretches)
     modulus = float(1 << bits)

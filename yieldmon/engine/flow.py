@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import hypot, isfinite, radians
 from typing import NamedTuple
 
@@ -119,7 +119,10 @@ class FlowMeter:
         noise = flow.budget.noise_kg_s
         common = max(0.0, flow.std_dev_kg_s**2 - noise**2) ** 0.5
         rate, std_dev = self._filter.update(flow.rate_kg_s, noise)
-        return replace(flow, rate_kg_s=rate, std_dev_kg_s=hypot(std_dev, common * rate / flow.rate_kg_s))
+        spread = hypot(std_dev, common * rate / flow.rate_kg_s)
+        return Flow(
+            rate, spread, flow.quality, flow.force_n, flow.force_std_dev_n, flow.out_of_calibration, flow.saturated, flow.budget
+        )
 
     def _widened(self, reading: Reading, rate: float, std_dev: float, estimator: FlowEstimator) -> float:
         """The standard deviation with what a held angle and a plate away from home add to it."""

@@ -18,7 +18,7 @@ from yieldmon.engine.results import PlateCommand, Result
 from yieldmon.engine.runs import FrameRun
 from yieldmon.frames import ActuatorState, Frame
 
-_FORMED_TOGETHER = 16
+_FORMED_TOGETHER = 64
 """Windows of a run that are formed at once: enough to share the cost of array operations, few enough for the cache."""
 _ESTIMATED_TOGETHER = 512
 """The same for flow estimates."""

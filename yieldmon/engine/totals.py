@@ -75,25 +75,49 @@ class Totals:
         dry = 0.0 if dry_kg is None else dry_kg
         unknown = mass_kg if dry_kg is None else 0.0
         share = 1.0 if self.load_open else 0.0
-        return replace(
-            self,
+        # Once a second: dataclasses.replace() takes several times as long.
+        return Totals(
             total_kg=self.total_kg + mass_kg,
             total_dry_kg=self.total_dry_kg + dry,
             total_unknown_moisture_kg=self.total_unknown_moisture_kg + unknown,
             load_kg=self.load_kg + share * mass_kg,
             load_dry_kg=self.load_dry_kg + share * dry,
             load_unknown_moisture_kg=self.load_unknown_moisture_kg + share * unknown,
+            load_number=self.load_number,
+            load_open=self.load_open,
+            total_contested_kg=self.total_contested_kg,
+            load_contested_kg=self.load_contested_kg,
             total_budget=self.total_budget.plus(budget, seconds),
             load_budget=self.load_budget.plus(budget, seconds) if self.load_open else self.load_budget,
+            load_area_m2=self.load_area_m2,
+            load_unknown_area_kg=self.load_unknown_area_kg,
+            market_moisture_pct=self.market_moisture_pct,
         )
 
     def with_area(self, area_m2: float, mass_kg: float) -> Totals:
         """Totals after a second's area, m2 (nan: not known), whose grain weighs mass_kg."""
         if not self.load_open:
             return self
-        if isfinite(area_m2):
-            return replace(self, load_area_m2=self.load_area_m2 + area_m2) if area_m2 else self
-        return replace(self, load_unknown_area_kg=self.load_unknown_area_kg + mass_kg) if mass_kg else self
+        known = isfinite(area_m2)
+        if not (area_m2 if known else mass_kg):
+            return self
+        return Totals(
+            total_kg=self.total_kg,
+            total_dry_kg=self.total_dry_kg,
+            total_unknown_moisture_kg=self.total_unknown_moisture_kg,
+            load_kg=self.load_kg,
+            load_dry_kg=self.load_dry_kg,
+            load_unknown_moisture_kg=self.load_unknown_moisture_kg,
+            load_number=self.load_number,
+            load_open=self.load_open,
+            total_contested_kg=self.total_contested_kg,
+            load_contested_kg=self.load_contested_kg,
+            total_budget=self.total_budget,
+            load_budget=self.load_budget,
+            load_area_m2=self.load_area_m2 + area_m2 if known else self.load_area_m2,
+            load_unknown_area_kg=self.load_unknown_area_kg if known else self.load_unknown_area_kg + mass_kg,
+            market_moisture_pct=self.market_moisture_pct,
+        )
 
     def start_load(self) -> Totals:
         """A new load, empty, with the next number."""

@@ -125,6 +125,25 @@ class _Frames:
     repeated: Counts
     last_frame_s: Array
 
+    @property
+    def clean(self) -> bool:
+        """Whether every sample is usable."""
+        return bool(self.usable.all())
+
+
+@dataclass(frozen=True, slots=True)
+class _Shares:
+    """How usable samples are shared between their own window and the next.
+
+    late: those of a window's last pattern, of which the next window takes kept, both (m,); all others are wholly their own
+    window's. frame_weights, frame_kept (n,): sums over each frame.
+    """
+
+    late: Counts
+    kept: Array
+    frame_weights: Array
+    frame_kept: Array
+
 
 @dataclass(frozen=True, slots=True)
 class _Knots:
@@ -305,8 +324,7 @@ class WindowBuilder:
         times = np.maximum(frames.times[:, None] - self._lags_s, frame_starts[:, None])
         phase = np.interp(times, speeds.times.ravel(), phases.ravel())
         to_end = np.repeat(end_phases, sizes)[:, None] - phase
-        kept = np.minimum(np.maximum(1.0 - to_end, 0.0), 1.0) * frames.usable
-        weights = frames.usable - kept
+        shares = _shares(frames, to_end)
         middles = np.maximum(frames.times - 0.5 * self._lags_s[0], frame_starts)
         moving = np.stack(
             (
@@ -314,30 +332,29 @@ class WindowBuilder:
                 np.interp(middles, angles.times.ravel(), angles.values.ravel()),
             )
         )
-        total, mean, speed, angle = self._means(frames, weights, kept, moving, in_first)
+        total, mean, speed, angle = self._means(frames, shares, moving, in_first)
         empty = ~(total > 0.0)
         if empty.any():
             speed[empty], angle[empty] = _mean_over_time(speeds)[empty], _mean_over_time(angles)[empty]
-        harmonics = self._harmonics(frames, phase + np.repeat(turns, sizes)[:, None], weights, kept, mean, total, in_first)
-        std_dev, trend, patterns = _scatter(frames, to_end, end_phases, sizes * self._lags_s.size)
+        phase += np.repeat(turns, sizes)[:, None]
+        harmonics = self._harmonics(frames, phase, shares, mean, total, in_first)
+        std_dev, trend, patterns = _scatter(frames, to_end, end_phases, sizes)
         std_dev[empty], trend[empty], patterns[empty] = np.nan, np.nan, 0
         span, held, samples = _extremes(frames, in_first)
         pulse = np.sqrt(np.cumsum(np.square(harmonics.real) + np.square(harmonics.imag), axis=1)[:, -1])
-        cells = np.diff(in_first)
-        saturated = _segments(np.add, frames.over.ravel().astype(np.float64), in_first, 0.0) / np.maximum(cells, 1)
+        saturated = _counts(frames.over.ravel(), in_first) / np.maximum(np.diff(in_first), 1)
         waves = [() if none else tuple(row) for none, row in zip(empty.tolist(), harmonics.tolist(), strict=True)]
         columns = (
             edges[:-1], edges[1:], mean, std_dev, waves, pulse, trend, patterns, weight_s,
             self._covered_s(total, weight_s), speed, angle, plate_min, plate_max, sizes, samples, frames.last_frame_s,
             span, held * self._sample_interval_s, saturated,
-            _segments(np.add, frames.fault.astype(np.intp), frames.bounds, 0), frames.lost, frames.surplus, frames.repeated,
+            _counts(frames.fault, frames.bounds), frames.lost, frames.surplus, frames.repeated,
         )  # fmt: skip
         lists = (column.tolist() if isinstance(column, np.ndarray) else column for column in columns)
         if not self._traces:
             return [Window(*row) for row in zip(*lists, strict=True)]
-        travelled = phase + np.repeat(turns, sizes)[:, None]
         traces = [
-            _trace(frames, travelled, slice(first, last), self._sample_interval_s)
+            _trace(frames, phase, slice(first, last), self._sample_interval_s)
             for first, last in zip(frames.bounds[:-1].tolist(), frames.bounds[1:].tolist(), strict=True)
         ]
         return [Window(*row) for row in zip(*lists, traces, strict=True)]
@@ -368,7 +385,7 @@ class WindowBuilder:
         new = steps != 0.0
         contested = self._contested(table, bounds, edges, new)
         net = np.rint(_segments(np.add, steps - new, bounds, 0.0)).astype(np.intp)
-        repeated = np.diff(bounds) - _segments(np.add, new.astype(np.intp), bounds, 0)
+        repeated = _counts(~new, bounds)
         if not new.all():
             table = table[new]
             bounds = np.concatenate(([0], np.cumsum(new)))[bounds]
@@ -382,7 +399,7 @@ class WindowBuilder:
         return _Frames(
             bounds=bounds,
             times=np.ascontiguousarray(table[:, 0]),
-            samples=np.where(usable, samples, 0.0),
+            samples=np.ascontiguousarray(samples) if usable.all() else np.where(usable, samples, 0.0),
             usable=usable,
             over=over,
             fault=fault,
@@ -395,10 +412,12 @@ class WindowBuilder:
     def _contested(self, table: Array, bounds: Counts, edges: Array, new: NDArray[np.bool_]) -> Counts:
         """Frames of each window that a second sender accounts for (w,): a counter that comes again with other samples, and frames
         closer together than one sensor sends them, whatever their counters say."""
-        samples = table[:, 1:]
-        differs = np.zeros(table.shape[0], bool)
-        differs[1:] = ~((samples[1:] == samples[:-1]) | (np.isnan(samples[1:]) & np.isnan(samples[:-1]))).all(axis=1)
-        contradicted = _segments(np.add, (differs & ~new).astype(np.intp), bounds, 0)
+        contradicted = np.zeros(bounds.size - 1, np.intp)
+        if not new.all():
+            samples = table[:, 1:]
+            differs = np.zeros(table.shape[0], bool)
+            differs[1:] = ~((samples[1:] == samples[:-1]) | (np.isnan(samples[1:]) & np.isnan(samples[:-1]))).all(axis=1)
+            contradicted = _counts(differs & ~new, bounds)
         possible = np.diff(edges) / self._frame_interval_s * (1.0 + _CROWDED_SHARE) + _CROWDED_FRAMES
         crowded = np.floor(np.maximum(np.diff(bounds) - possible, 0.0)).astype(np.intp)
         found: Counts = np.maximum(contradicted, crowded)
@@ -452,20 +471,23 @@ class WindowBuilder:
         return np.array(turns)
 
     def _means(
-        self, frames: _Frames, weights: Array, kept: Array, moving: Array, in_first: Counts
+        self, frames: _Frames, shares: _Shares, moving: Array, in_first: Counts
     ) -> tuple[Array, Array, Array, Array]:
         """Total weight and weighted means of sample, speed and angle; speed and angle are taken at the middle of a frame."""
-        own_weight, kept_weight = _rows_sum(weights), _rows_sum(kept)
+        samples, late = frames.samples.ravel(), shares.late
+        weighted, kept = samples.copy(), np.zeros(samples.size)
+        weighted[late] *= 1.0 - shares.kept
+        kept[late] = shares.kept * samples[late]
         own = [
-            _segments(np.add, own_weight, frames.bounds, 0.0),
-            _segments(np.add, (weights * frames.samples).ravel(), in_first, 0.0),
-            *(_segments(np.add, own_weight * signal, frames.bounds, 0.0) for signal in moving),
+            _segments(np.add, shares.frame_weights, frames.bounds, 0.0),
+            _segments(np.add, weighted, in_first, 0.0),
+            *(_segments(np.add, shares.frame_weights * signal, frames.bounds, 0.0) for signal in moving),
         ]
         left = np.stack(
             [
-                _segments(np.add, kept_weight, frames.bounds, 0.0),
-                _segments(np.add, (kept * frames.samples).ravel(), in_first, 0.0),
-                *(_segments(np.add, kept_weight * signal, frames.bounds, 0.0) for signal in moving),
+                _segments(np.add, shares.frame_kept, frames.bounds, 0.0),
+                _segments(np.add, kept, in_first, 0.0),
+                *(_segments(np.add, shares.frame_kept * signal, frames.bounds, 0.0) for signal in moving),
             ]
         )
         sums = np.stack(own) + np.concatenate((self._left[:, None], left[:, :-1]), axis=1)
@@ -477,29 +499,35 @@ class WindowBuilder:
         return total, mean, speed, angle
 
     def _harmonics(
-        self, frames: _Frames, phase: Array, weights: Array, kept: Array, mean: Array, total: Array, in_first: Counts
+        self, frames: _Frames, phase: Array, shares: _Shares, mean: Array, total: Array, in_first: Counts
     ) -> NDArray[np.complex128]:
         """Complex amplitudes (w, HARMONICS) at the first harmonics of the paddle pattern; phase: along the chain.
 
         The mean is taken off first, so that a window with samples missing does not turn its level into an amplitude. What an
         earlier window left has its sums with and without the sample kept, for the mean that is not known yet.
         """
+        samples, late = frames.samples.ravel(), shares.late
         angle = _WHOLE_TURN * phase.ravel()
         turn = np.empty(angle.size, dtype=np.complex128)
         np.cos(angle, out=turn.real)
-        np.negative(np.sin(angle), out=turn.imag)
-        level = np.repeat(np.nan_to_num(mean), np.diff(in_first))
-        wave = (weights.ravel() * (frames.samples.ravel() - level)) * turn
-        late = np.flatnonzero(kept.ravel() > 0.0)
+        np.negative(np.sin(angle, out=angle), out=turn.imag)
+        deviation = (frames.samples - np.repeat(np.nan_to_num(mean), np.diff(frames.bounds))[:, None]).ravel()
+        if not frames.clean:
+            deviation *= frames.usable.ravel()
+        deviation[late] *= 1.0 - shares.kept
+        wave = np.empty(angle.size, dtype=np.complex128)
+        np.multiply(deviation, turn.real, out=wave.real)
+        np.multiply(deviation, turn.imag, out=wave.imag)
         late_bounds = np.searchsorted(late, in_first)
         late_turn = turn[late]
-        late_plain = kept.ravel()[late] * late_turn
-        late_wave = frames.samples.ravel()[late] * late_plain
+        late_plain = shares.kept * late_turn
+        late_wave = samples[late] * late_plain
         own = np.empty((mean.size, HARMONICS), dtype=np.complex128)
         left = np.empty((mean.size, 2, HARMONICS), dtype=np.complex128)
         for harmonic in range(HARMONICS):
             if harmonic:
-                wave, late_plain, late_wave = wave * turn, late_plain * late_turn, late_wave * late_turn
+                wave *= turn
+                late_plain, late_wave = late_plain * late_turn, late_wave * late_turn
             own[:, harmonic] = _segments(np.add, wave, in_first, 0.0)
             left[:, 0, harmonic] = _segments(np.add, late_wave, late_bounds, 0.0)
             left[:, 1, harmonic] = _segments(np.add, late_plain, late_bounds, 0.0)
@@ -535,6 +563,32 @@ def _segments(operation: np.ufunc, values: NDArray[Any], bounds: Counts, empty: 
     return found
 
 
+def _counts(marked: NDArray[np.bool_], bounds: Counts) -> Counts:
+    """How many are marked in each stretch between bounds (w + 1,)."""
+    places = np.flatnonzero(marked)
+    found: Counts = np.diff(np.searchsorted(places, bounds))
+    return found
+
+
+def _shares(frames: _Frames, to_end: Array) -> _Shares:
+    """to_end: phase from each sample to its window's end."""
+    late = np.flatnonzero(to_end.ravel() < 1.0)
+    if not frames.clean:
+        late = late[frames.usable.ravel()[late]]
+    kept = np.minimum(1.0 - to_end.ravel()[late], 1.0)
+    count, samples = frames.usable.shape
+    frame_weights = np.full(count, float(samples)) if frames.clean else _rows_sum(frames.usable.astype(np.float64))
+    frame_kept = np.zeros(count)
+    if late.size:
+        of_frame = late // samples
+        rows = of_frame[np.concatenate(([True], of_frame[1:] != of_frame[:-1]))]
+        table = np.zeros((rows.size, samples))
+        table[np.searchsorted(rows, of_frame), late % samples] = kept
+        frame_kept[rows] = _rows_sum(table)
+        frame_weights[rows] = _rows_sum(frames.usable[rows] - table)
+    return _Shares(late, kept, frame_weights, frame_kept)
+
+
 def _rows_sum(table: Array) -> Array:
     """Sums of the rows of a table with few columns, from left to right."""
     total = table[:, 0]
@@ -553,13 +607,14 @@ def _mean_over_time(knots: _Knots) -> Array:
 def _scatter(frames: _Frames, to_end: Array, end_phases: Array, sizes: Counts) -> tuple[Array, Array, Counts]:
     """Standard deviation of the mean from differences of neighbouring patterns, the trend, and the patterns used, each (w,).
 
-    to_end: phase from each sample to its window's end. sizes: samples, usable or not, of each window.
+    to_end: phase from each sample to its window's end. sizes: frames of each window.
     """
     counts = end_phases.astype(np.intp)
     most = max(1, int(counts.max()))
-    index = np.floor(to_end.ravel()).astype(np.intp)
-    inside = (index >= 0) & (index < np.repeat(counts, sizes)) & frames.usable.ravel()
-    cell = index + np.repeat(np.arange(sizes.size) * most, sizes)
+    inside = ((to_end >= 0.0) & (to_end < np.repeat(counts, sizes)[:, None])).ravel()
+    if not frames.clean:
+        inside &= frames.usable.ravel()
+    cell = (np.floor(to_end).astype(np.intp) + np.repeat(np.arange(sizes.size) * most, sizes)[:, None]).ravel()
     values = frames.samples.ravel()
     if not inside.all():
         cell, values = cell[inside], values[inside]
@@ -595,13 +650,27 @@ def _between(values: Array, starts: Counts, stops: Counts) -> Array:
 
 def _extremes(frames: _Frames, in_first: Counts) -> tuple[Array, Counts, Counts]:
     """Largest less smallest sample (nan without any), samples at the end that equal the last one, and samples, each (w,)."""
-    values, usable = frames.samples.ravel(), frames.usable.ravel()
-    samples = _segments(np.add, usable.astype(np.intp), in_first, 0)
-    if usable.all():
-        high, low = _segments(np.maximum, values, in_first, -np.inf), _segments(np.minimum, values, in_first, np.inf)
-    else:
-        high = _segments(np.maximum, np.where(usable, values, -np.inf), in_first, -np.inf)
-        low = _segments(np.minimum, np.where(usable, values, np.inf), in_first, np.inf)
+    values = frames.samples.ravel()
+    if not frames.clean:
+        return _extremes_of_some(values, frames.usable.ravel(), in_first)
+    samples: Counts = np.diff(in_first)
+    high, low = _segments(np.maximum, values, in_first, -np.inf), _segments(np.minimum, values, in_first, np.inf)
+    held = np.zeros_like(samples)
+    for window, (first, last) in enumerate(zip(in_first[:-1].tolist(), in_first[1:].tolist(), strict=True)):
+        if last - first > 1 and values[last - 2] != values[last - 1]:
+            held[window] = 1
+        elif last > first:
+            moves = np.flatnonzero(values[first:last] != values[last - 1])
+            held[window] = last - first - (int(moves[-1]) + 1 if moves.size else 0)
+    with np.errstate(invalid="ignore"):
+        return np.where(samples > 0, high - low, np.nan), held, samples
+
+
+def _extremes_of_some(values: Array, usable: NDArray[np.bool_], in_first: Counts) -> tuple[Array, Counts, Counts]:
+    """The same where only some samples are usable."""
+    samples = _counts(usable, in_first)
+    high = _segments(np.maximum, np.where(usable, values, -np.inf), in_first, -np.inf)
+    low = _segments(np.minimum, np.where(usable, values, np.inf), in_first, np.inf)
     places = np.arange(values.size)
     last = _segments(np.maximum, np.where(usable, places, -1), in_first, -1)
     at_end = np.append(values, 0.0)[last]

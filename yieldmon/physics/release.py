@@ -39,8 +39,8 @@ def outflow(tau: AnyArray, setting: Setting) -> Outflow:
     damping = exp(-mu * tau)
     grow = exp(s * tau)
     cosh, sinh = 0.5 * (grow + 1.0 / grow), 0.5 * (grow - 1.0 / grow)
-    position = damping * (cosh + mu / s * sinh)
-    velocity = damping * sinh / s
+    free, free_rate = damping * (cosh + mu / s * sinh), damping * sinh / s
+    position, velocity = free, free_rate
     if setting.radial_speed is not None:
         rate = damping * (cosh - mu / s * sinh)
         position, velocity = position + setting.radial_speed * velocity, velocity + setting.radial_speed * rate
@@ -50,7 +50,8 @@ def outflow(tau: AnyArray, setting: Setting) -> Outflow:
         radial = release * velocity
         return Outflow(release, radial, radial * release, angle, None)
     sin, cos = sin_cos(angle)
-    forced, forced_rate = _forced(sin, cos, mu, s, damping, cosh, sinh, setting)
+    free_rate_rate = damping * (cosh - mu / s * sinh)
+    forced, forced_rate = _forced(sin, cos, mu, (free, free_rate, free_rate_rate), setting)
     release = (1.0 - forced) / position
     radial = release * velocity + forced_rate
     return Outflow(release, radial, radial / position, angle, (sin, cos))
@@ -67,20 +68,19 @@ def _forced(
     sin: AnyArray,
     cos: AnyArray,
     mu: AnyArray,
-    s: AnyArray,
-    damping: AnyArray,
-    cosh: AnyArray,
-    sinh: AnyArray,
+    unforced: tuple[AnyArray, AnyArray, AnyArray],
     setting: Setting,
 ) -> tuple[AnyArray, AnyArray]:
-    """Solution for G (sin theta + mu cos theta) that starts at rest at the centre, and its rate; sin, cos: of theta."""
+    """Solution for G (sin theta + mu cos theta) that starts at rest at the centre, and its rate; sin, cos: of theta.
+
+    unforced: the solution without that force that starts at 1 at rest, its rate, and the rate of that.
+    """
     assert setting.gravity_m_s2 is not None
     number = setting.gravity_m_s2 / (setting.paddle_length_m * setting.elevator_speed_rad_s**2)
     start = start_angle(setting)
     a = -number * (1.0 - mu * mu) / (2.0 * (1.0 + mu * mu))
     b = -number * mu / (1.0 + mu * mu)
-    free, free_rate = damping * (cosh + mu / s * sinh), damping * sinh / s
-    free_rate_rate = damping * (cosh - mu / s * sinh)
+    free, free_rate, free_rate_rate = unforced
     sin0, cos0 = np.sin(start), np.cos(start)
     at_start, rate_at_start = a * sin0 + b * cos0, a * cos0 - b * sin0
     value = a * sin + b * cos - at_start * free - rate_at_start * free_rate

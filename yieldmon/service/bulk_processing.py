@@ -7,6 +7,7 @@ decoding, is done ahead of it by a process of its own; logs that are records of 
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -40,6 +41,8 @@ from yieldmon.signals.mapping import SignalMap, default_map
 _RUN_FRAMES = 131_072
 #: A run must not bring windows without bound.
 _RUN_S = 3600.0
+#: Objects more than before at which Python looks for cycles.
+_COLLECTED_TOGETHER = 50_000
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,7 @@ def process_in_bulk(
     names = [str(path) for path in paths]
     summary = Summary()
     read = _stretches_ahead if reads_ahead else _stretches_here
-    with read(names, Taking(codec, default_map() if signals is None else signals)) as stretches:
+    with _seldom_collecting(), read(names, Taking(codec, default_map() if signals is None else signals)) as stretches:
         for stretch in stretches:
             if isinstance(stretch, EndOfLog):
                 summary.damages += stretch.damages
@@ -205,6 +208,18 @@ def _known(signals: Mapping[str, SignalColumn], name: str, part: slice) -> NDArr
 
 def _part(signals: Mapping[str, NDArray[np.float64]], name: str, part: slice) -> NDArray[np.float64]:
     return signals[name][part]
+
+
+@contextmanager
+def _seldom_collecting() -> Iterator[None]:
+    """Python's search for cycles put off: what a window is made of holds none, and goes as soon as the window is a row."""
+    before = gc.get_threshold()
+    if before[0]:
+        gc.set_threshold(max(before[0], _COLLECTED_TOGETHER), *before[1:])
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
 
 
 @contextmanager
