@@ -88,6 +88,8 @@ def decode(coded: Coded, count: int, bits: int, *, compiled: bool = False) -> Co
     """
     if coded.coding == CONSTANT:
         return np.full(count, int.from_bytes(coded.data, "little"), np.uint64)
+    if not 1 <= coded.width <= _WORD // 8:
+        raise ValueError(f"numbers of {coded.width} bytes; expected 1 to {_WORD // 8}")
     if coded.coding == PLAIN:
         return _from_planes(coded.data, coded.width, count)
     if coded.coding == DIFFERENCE:
@@ -125,7 +127,7 @@ def _from_planes(data: bytes, width: int, count: int) -> Column:
     if len(data) != width * count:
         raise ValueError(f"{len(data)} bytes; expected {width * count}")
     planes = np.frombuffer(data, np.uint8).reshape(width, count)
-    values = planes[0].astype(np.uint64)
+    values: Column = planes[0].astype(np.uint64)
     for place in range(1, width):
         values |= planes[place].astype(np.uint64) << np.uint64(8 * place)
     return values

@@ -6,13 +6,18 @@ The dataset is a folder, or lies in an object store (s3://bucket/name), with a p
 from __future__ import annotations
 
 import argparse
-from types import ModuleType
+from importlib import import_module
 
-from yieldmon.cli._fleet import compare, diagnose, prior, report, running
+from yieldmon.cli._fleet import arguments
 
-_WORDS: dict[str, ModuleType] = {
-    "run": running, "report": report, "compare": compare, "prior": prior, "diagnose": diagnose,
-}  # fmt: skip
+#: Each word's arguments, and the module that does it.
+_WORDS = {
+    "run": (arguments.run, "running"),
+    "report": (arguments.report, "report"),
+    "compare": (arguments.compare, "compare"),
+    "prior": (arguments.prior, "prior"),
+    "diagnose": (arguments.diagnose, "diagnose"),
+}
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -22,10 +27,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         epilog="example: yieldmon fleet run logs/ --out season; yieldmon fleet report season",
     )
     words = parser.add_subparsers(dest="word", metavar="WORD", required=True)
-    for module in _WORDS.values():
-        module.add_parser(words)
+    for add_arguments, _ in _WORDS.values():
+        add_arguments(words)
 
 
 def run(args: argparse.Namespace) -> int:
     """Exit code of the word."""
-    return int(_WORDS[args.word].run(args))
+    return int(import_module(f"yieldmon.cli._fleet.{_WORDS[args.word][1]}").run(args))

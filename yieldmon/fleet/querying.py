@@ -43,13 +43,15 @@ def _readable(address: str) -> Iterator[None]:
 
 
 @contextmanager
-def opened(address: str) -> Iterator[Query]:
+def opened(address: str, wanted: Sequence[str] = tables.TABLES) -> Iterator[Query]:
     """A dataset to query.
 
     Parameters
     ----------
     address : str
         Of the dataset.
+    wanted : sequence of str
+        Tables that are asked for: of each, files are looked at before the first query.
 
     Yields
     ------
@@ -69,7 +71,7 @@ def opened(address: str) -> Iterator[Query]:
     with duckdb.connect() as database:
         if dataset.filesystem is not None:
             database.register_filesystem(dataset.filesystem)
-        for table in tables.TABLES:
+        for table in wanted:
             paths = [_located(dataset, commit, table) for commit in commits]
             listed = ", ".join(_quoted(path) for path in paths)
             kinds = "{'machine': VARCHAR, 'day': VARCHAR}"

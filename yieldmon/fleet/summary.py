@@ -7,9 +7,11 @@ from math import sqrt
 from typing import Any
 
 from yieldmon.engine.faults import FaultCode
+from yieldmon.fleet import tables
 from yieldmon.fleet.querying import Query, opened
 
 Rows = list[dict[str, Any]]
+_TABLES = (tables.PROVENANCE, tables.FAULTS, tables.SWEEPS, tables.PARAMETERS, tables.LOADS)
 
 _DAYS = """
 SELECT machine, day, seconds, frames, total_mass_kg, crop, software_version, source_sha256, parameters_sha256, zero_known,
@@ -48,7 +50,7 @@ def summarise(address: str) -> dict[str, Any]:
     InputError
         There is no dataset, or nothing in it.
     """
-    with opened(address) as query:
+    with opened(address, _TABLES) as query:
         days = query.rows(_DAYS)
         faults, sweeps, parameters, tickets = (query.rows(text) for text in (_FAULTS, _SWEEPS, _PARAMETERS, _TICKETS))
         failed = query.dataset.failures()

@@ -11,18 +11,6 @@ from yieldmon.fleet.comparison import compare
 _SHOWN = 20
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """The word's arguments."""
-    parser = subparsers.add_parser(
-        "compare", help="where and how two datasets of the same logs differ",
-        description="Where and how two datasets of the same logs differ that were measured with other parameters or releases.",
-        epilog="example: yieldmon fleet compare season season-new-parameters",
-    )
-    parser.add_argument("first", metavar="A", help="dataset")
-    parser.add_argument("second", metavar="B", help="dataset; differences are B less A")
-    parser.add_argument("--json", action="store_true", help="print the comparison as one JSON document")
-
-
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 when they are equal, 1 when they are not."""
     found = compare(args.first, args.second)

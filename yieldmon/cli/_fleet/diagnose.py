@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
@@ -13,18 +12,6 @@ from typing import Any
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.fleet.diagnosis import FleetDiagnosis, MachineSweeps, MachineVerdict, Named, diagnose, sweeps_of, verdict_of
-
-
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """The word's arguments."""
-    parser = subparsers.add_parser(
-        "diagnose", help="missing effects that machines share, and those of single machines",
-        description="Missing effects in the sweeps of many machines: what most show is the model's, what one shows its own.",
-        epilog="example: yieldmon fleet diagnose season --json",
-    )
-    parser.add_argument("dataset", metavar="DATASET", help="what `fleet run` wrote, with sweeps of at least 3 machines")
-    parser.add_argument("--workers", type=int, metavar="N", default=os.cpu_count() or 1, help="processes (default: one a core)")
-    parser.add_argument("--json", action="store_true", help="print the result as one JSON document")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -8,23 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from yieldmon.cli import _outputs
 from yieldmon.files import parameter_file
 from yieldmon.fleet.prior import CropPrior, crop_prior
-
-
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """The word's arguments."""
-    parser = subparsers.add_parser(
-        "prior", help="a crop's parameters for a new machine, from the tickets of the others",
-        description="A crop's parameters for a new machine, with deviations that hold what machines differ in.",
-        epilog="example: yieldmon fleet prior season --crop corn --out corn-fleet.yaml",
-    )
-    parser.add_argument("dataset", metavar="DATASET", help="what `fleet run` wrote, with tickets of at least 3 machines")
-    parser.add_argument("--crop", required=True, metavar="NAME", help="crop, as shipped")
-    parser.add_argument("--out", metavar="P", help="parameter file to write")
-    parser.add_argument("--json", action="store_true", help="print the result as one JSON document")
-    _outputs.add_force(parser, "out")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -7,24 +7,10 @@ import json
 import sys
 from typing import Any
 
-from yieldmon.cli import _outputs
 from yieldmon.files.plain_text import plain
 from yieldmon.files.whole_file import scratch_for
 from yieldmon.fleet.html import page
 from yieldmon.fleet.summary import summarise
-
-
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """The word's arguments."""
-    parser = subparsers.add_parser(
-        "report", help="machines, days, faults, drift of parameters and errors of loads of a dataset",
-        description="Machines, days, faults, drift of parameters, ModelDisagrees and errors of loads against their tickets.",
-        epilog="example: yieldmon fleet report season --html season.html",
-    )
-    parser.add_argument("dataset", metavar="DATASET", help="what `fleet run` wrote")
-    parser.add_argument("--html", metavar="F", help="write the report as one HTML file as well")
-    parser.add_argument("--json", action="store_true", help="print the report as one JSON document")
-    _outputs.add_force(parser, "html")
 
 
 def run(args: argparse.Namespace) -> int:

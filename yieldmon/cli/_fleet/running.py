@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -28,26 +27,6 @@ from yieldmon.service import configuration
 from yieldmon.service.configuration import Configuration
 
 _SAID_EVERY_S = 10.0
-
-
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """The word's arguments."""
-    parser = subparsers.add_parser(
-        "run", help="measure all logs of a manifest or a folder tree",
-        description="Measure all logs of a manifest or a folder tree. What the dataset has already from the same logs, "
-        "parameters and software is skipped; what was killed half way leaves nothing behind.",
-        epilog="example: yieldmon fleet run logs/ --out season",
-    )
-    parser.add_argument("source", metavar="SOURCE", help="manifest (CSV: machine, day, log), or folder MACHINE/DAY/LOGS")
-    parser.add_argument("--out", required=True, metavar="DATASET", help="folder, or address such as s3://bucket/season")
-    parser.add_argument("--config", metavar="F", help="configuration of machines that have none of their own")
-    parser.add_argument("--params", metavar="P", help="parameters for all, in place of those of the configurations")
-    parser.add_argument("--crop", metavar="NAME", default="", help="crop of days for which nothing else names one")
-    parser.add_argument("--workers", type=int, metavar="N", default=os.cpu_count() or 1,
-                        help="processes here (default: one a core); 0: none but this one")
-    parser.add_argument("--scheduler", metavar="ADDRESS", default="", help="Dask scheduler of a cluster, tcp://host:8786")
-    parser.add_argument("--adaptive", action="store_true", help="as many of the processes as there is work for")
-    parser.add_argument("--json", action="store_true", help="print a summary as one JSON document")
 
 
 def run(args: argparse.Namespace) -> int:
