@@ -3,9 +3,11 @@
 Each machine's density and impact gain differ from the crop's shipped values by a vector of its own (in their logarithms), in
 which its sensor, its plate's angle and its grain are all contained; these vectors scatter about one of the crop. The crop's
 vector and the scatter between machines are both estimated, and the prior of the next machine is as wide as both together: what
-machines differ in stays unknown of a machine that has not weighed anything.
+machines differ in stays unknown of a machine that has not weighed anything. A scatter that few machines have shown is itself
+uncertain: the prior's deviations are widened by Student's t over the normal quantile, so that two of them hold 95 %.
 
-Source: Laird and Ware, "Random-effects models for longitudinal data", Biometrics 38 (1982): the EM algorithm used here.
+Sources: Laird and Ware, "Random-effects models for longitudinal data", Biometrics 38 (1982): the EM algorithm used here;
+JCGM 100:2008, annex G.3: t-distribution for a deviation that rests on few observations.
 """
 
 from __future__ import annotations
@@ -14,6 +16,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student_t
 
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
@@ -28,6 +32,7 @@ _ROUNDS = 500
 _SETTLED = 1e-9
 _SCATTER_SD = 0.03
 """Relative; how machines scatter about the crop before the fleet has shown it. Counts as much as one machine."""
+_TWO_SIDED = 0.975
 LEAST_MACHINES = 3
 
 
@@ -44,7 +49,8 @@ class MachineLoads:
 class FleetPrior:
     """The result of `pooled`.
 
-    parameter_set: for a new machine to start from. crop_shift (2,): ln density and ln gain over those of the start.
+    parameter_set: for a new machine to start from, as wide as between and of_crop together, and wider for few machines.
+    crop_shift (2,): ln density and ln gain over those of the start.
     between (2, 2): covariance of machines about the crop; of_crop (2, 2): covariance of crop_shift. machines (m, 2): each
     machine's own shift.
     """
@@ -58,7 +64,7 @@ class FleetPrior:
 
 def load_errors(model: ForwardModel, known: ParameterSet, loads: Sequence[WeighedLoad]) -> Array:
     """ln of measured over weighed mass of each load (n,) with these parameters, nan beyond a full paddle."""
-    return np.array([np.log(_mass_kg(model, known, load) / load.weighed_kg) for load in loads])
+    return np.asarray(np.log(_masses_kg(model, known, loads) / np.array([load.weighed_kg for load in loads])))
 
 
 def load_deviation(model: ForwardModel, known: ParameterSet, loads: Sequence[WeighedLoad]) -> Array:
@@ -97,7 +103,8 @@ def pooled(start: ParameterSet, machines: Sequence[MachineLoads], settings: Load
         here = moved(start, *shift)
         linear = [_linear(machine, here, settings, shift) for machine in machines]
         shift, between, of_crop, own = _fitted(linear, before)
-    return FleetPrior(_with_covariance(moved(start, *shift), between + of_crop), shift, between, of_crop, own)
+    wide = _few_machines(len(machines)) ** 2 * (between + of_crop)
+    return FleetPrior(_with_covariance(moved(start, *shift), wide), shift, between, of_crop, own)
 
 
 @dataclass(frozen=True)
@@ -145,11 +152,18 @@ def _fitted(machines: Sequence[_Linear], before: Array) -> tuple[Array, Array, A
     return mean, between, of_mean, own
 
 
-def _mass_kg(model: ForwardModel, known: ParameterSet, load: WeighedLoad) -> float:
-    moisture = None if load.moisture_pct is None else load.moisture_pct[:, None]
-    throw = model.throw(load.plate_angle_rad[:, None], load.elevator_speed_rad_s[:, None], known.values, moisture)
-    flow, _ = invert_force(throw, load.force_n)
-    return float(np.sum(flow * load.duration_s))
+def _masses_kg(model: ForwardModel, known: ParameterSet, loads: Sequence[WeighedLoad]) -> Array:
+    """Measured mass of each load (n,); all in one inversion, most of whose time goes by the call."""
+    force, angle, speed, duration = (
+        np.concatenate([getattr(load, name) for load in loads])
+        for name in ("force_n", "plate_angle_rad", "elevator_speed_rad_s", "duration_s")
+    )
+    moisture = np.concatenate(
+        [np.full(load.force_n.shape, np.nan) if load.moisture_pct is None else load.moisture_pct for load in loads]
+    )
+    flow, _ = invert_force(model.throw(angle[:, None], speed[:, None], known.values, moisture[:, None]), force)
+    ends = np.cumsum([load.force_n.size for load in loads])[:-1]
+    return np.array([np.sum(part) for part in np.split(flow * duration, ends)])
 
 
 def _slopes(model: ForwardModel, known: ParameterSet, loads: Sequence[WeighedLoad]) -> Array:
@@ -159,6 +173,11 @@ def _slopes(model: ForwardModel, known: ParameterSet, loads: Sequence[WeighedLoa
         up, down = moved(known, *step), moved(known, -step[0], -step[1])
         columns.append((load_errors(model, up, loads) - load_errors(model, down, loads)) / (2.0 * _STEP))
     return np.stack(columns, axis=-1)
+
+
+def _few_machines(machines: int) -> float:
+    """Factor on deviations by which two of them hold 95 % although the scatter was learnt from few machines."""
+    return float(student_t.ppf(_TWO_SIDED, machines - 1) / norm.ppf(_TWO_SIDED))
 
 
 def _scales(known: ParameterSet) -> tuple[str, Array]:
