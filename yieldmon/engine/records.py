@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from yieldmon.engine.anchors import ReferenceMass
 from yieldmon.engine.faults import FaultCode
+from yieldmon.engine.quick import maker_of
 from yieldmon.engine.scale_alarm import ScaleCheck
 from yieldmon.estimation.open_loop import FlowEstimate
 from yieldmon.estimation.parameters import ParameterSet
@@ -185,6 +186,7 @@ class WindowRecord:
 
 _DECLARED = tuple((item.name, item.metadata["declared"]) for item in fields(WindowRecord))
 _TAKES = tuple(declared.take for _, declared in _DECLARED)
+_made = maker_of(WindowRecord)
 
 COLUMNS: tuple[Column, ...] = tuple(
     Column(
@@ -204,7 +206,7 @@ COLUMNS: tuple[Column, ...] = tuple(
 
 def record_of(second: Second) -> WindowRecord:
     """The record of a second."""
-    return WindowRecord(*[take(second) for take in _TAKES])
+    return _made(*[take(second) for take in _TAKES])
 
 
 class FlowEstimator(Protocol):

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.engine.quick import maker_of
 from yieldmon.engine.settings import WindowSettings
 from yieldmon.engine.sources import DEFAULT_SOURCES, SampleSource
 from yieldmon.frames import SensorStatus
@@ -104,6 +105,9 @@ class Window:
     def coverage(self) -> float:
         """Share of the window's weight that was measured, 0 .. 1."""
         return min(1.0, self.covered_s / self.weight_s) if self.weight_s > 0.0 else 0.0
+
+
+_made = maker_of(Window)
 
 
 @dataclass(frozen=True, slots=True)
@@ -352,12 +356,12 @@ class WindowBuilder:
         )  # fmt: skip
         lists = (column.tolist() if isinstance(column, np.ndarray) else column for column in columns)
         if not self._traces:
-            return [Window(*row) for row in zip(*lists, strict=True)]
+            return [_made(*row, None) for row in zip(*lists, strict=True)]
         traces = [
             _trace(frames, phase, slice(first, last), self._sample_interval_s)
             for first, last in zip(frames.bounds[:-1].tolist(), frames.bounds[1:].tolist(), strict=True)
         ]
-        return [Window(*row) for row in zip(*lists, traces, strict=True)]
+        return [_made(*row) for row in zip(*lists, traces, strict=True)]
 
     def _covered_s(self, total: Array, weight_s: Array) -> Array:
         """The part of each window's weight that has samples, s."""

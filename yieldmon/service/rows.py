@@ -10,6 +10,7 @@ from math import nan, radians
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from yieldmon.engine.quick import maker_of
 from yieldmon.engine.records import COLUMNS, WindowRecord
 from yieldmon.engine.since_zero import KeptSecond
 from yieldmon.physics.machine import RPM
@@ -39,11 +40,12 @@ else:
 
 _values = attrgetter(*(column.attribute for column in COLUMNS))
 _CONVERSIONS = tuple(column.convert for column in COLUMNS)
+_made = maker_of(SecondRow)
 
 
 def second_row(number: int, record: WindowRecord) -> SecondRow:
     """The row of a window record."""
-    return SecondRow(number, *[convert(value) for convert, value in zip(_CONVERSIONS, _values(record), strict=True)])
+    return _made(number, *[convert(value) for convert, value in zip(_CONVERSIONS, _values(record), strict=True)])
 
 
 def kept_second(row: SecondRow) -> KeptSecond:

@@ -1,0 +1,29 @@
+"""Instances made by the short way are those that the class makes itself."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import FrozenInstanceError, fields
+
+import pytest
+
+from yieldmon.engine.quick import maker_of
+from yieldmon.engine.records import WindowRecord
+from yieldmon.engine.windows import Window
+from yieldmon.service.rows import SecondRow
+
+
+@pytest.mark.parametrize("kind", [WindowRecord, Window, SecondRow])
+def test_instances_are_those_of_the_class(kind: type) -> None:
+    names = [field.name for field in fields(kind)]
+    values = [float(place) for place in range(len(names))]
+    made, expected = maker_of(kind)(*values), kind(*values)
+    assert type(made) is kind
+    assert made == expected
+    assert hash(made) == hash(expected)
+    assert [getattr(made, name) for name in names] == values
+    assert pickle.loads(pickle.dumps(made)) == expected
+    with pytest.raises(FrozenInstanceError):
+        setattr(made, names[0], 1.0)
+    with pytest.raises(TypeError):
+        maker_of(kind)(*values[:-1])
