@@ -88,6 +88,26 @@ class StatusTotal(TypedDict):
     mass_of_unknown_moisture_kg: float
 
 
+class StatusWaveform(TypedDict):
+    """What the last second's samples say beside their mean: volume flow from the pulses' shape and the flow that it means, flow
+    from kernel noise, or why there is none. kernel_verdict: as in records, by name. contradiction: of shape and mean force.
+    stretch_by_mean_force: the `waveform.stretch` with which both would agree over the last windows."""
+
+    published: bool
+    shape_volume_flow_m3_s: Number
+    shape_volume_std_dev_m3_s: Number
+    shape_flow_kg_s: Number
+    shape_std_dev_kg_s: Number
+    shape_missing_because: str | None
+    kernel_flow_kg_s: Number
+    kernel_std_dev_kg_s: Number
+    kernel_verdict: str
+    kernel_missing_because: str | None
+    thousand_kernel_weight_g: Number
+    contradiction: str | None
+    stretch_by_mean_force: Number
+
+
 class StatusSweep(TypedDict):
     """Sweeps of the plate. last_update: what the last whole sweep or weighed mass changed, or why nothing."""
 
@@ -203,7 +223,7 @@ class StatusStore(TypedDict):
 
 class StatusFigures(TypedDict):
     """What a running daemon is doing. windows: the last one-second records, quality and operating state by name. loads: the last
-    ten, as `yieldmon load list --json` has them."""
+    ten, as `yieldmon load list --json` has them. waveform: None where it is switched off."""
 
     version: str
     uptime_s: float
@@ -219,6 +239,7 @@ class StatusFigures(TypedDict):
     zero_mv: Number
     zero_waits_for: str | None
     sweep: StatusSweep
+    waveform: StatusWaveform | None
     parameters: StatusParameters
     faults: list[StatusFault]
     bus: StatusBus

@@ -50,6 +50,7 @@ YIELD_MONITOR_STATUS = "YieldMonitorStatus"
 ACTIVE_DIAGNOSTICS = "ActiveDiagnostics"
 HARVEST_STATE = "HarvestState"
 GRAIN_TANK = "GrainTank"
+GRAIN_KERNELS = "GrainKernels"
 VEHICLE_POSITION = "VehiclePosition"
 VEHICLE_DIRECTION_SPEED = "VehicleDirectionSpeed"
 #: No message of the DBC: what a factory's own yield monitor says, whatever its layout.
@@ -63,6 +64,7 @@ INPUTS = (
     TANK_SCALE,
     HARVEST_STATE,
     GRAIN_TANK,
+    GRAIN_KERNELS,
     VEHICLE_POSITION,
     VEHICLE_DIRECTION_SPEED,
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections import defaultdict
+from collections import Counter, defaultdict
 from pathlib import Path
 from typing import Any
 
@@ -125,6 +125,32 @@ def pooled(
     return out
 
 
+def coverage(seed: int) -> list[dict[str, Any]]:
+    """Flow by the shipped bias and band in each group of pulses, through cells: error over the deviation stated with it."""
+    rows = []
+    for rate, bias, bias_sd in ((1000.0, 1.2, 0.15), (5000.0, 0.95, 0.12)):
+        settings = KernelNoiseSettings(bias=bias, bias_sd=bias_sd)
+        for cell in CELLS_S:
+            found = ratios(cell, rate, settings, seed)
+            said = [(ratio, impulse) for ratio, impulse in found.values() if impulse.usable]
+            error = np.log([bias / ratio for ratio, _ in said])
+            stated = np.array([np.hypot(impulse.relative_sd, bias_sd / bias) for _, impulse in said])
+            row: dict[str, Any] = {"rate_hz": rate, "cell_ms": 1e3 * cell, "groups": len(found), "with_a_flow": len(said)}
+            if said:
+                row |= {
+                    "mean_error_pct": round(100.0 * float(error.mean()), 1),
+                    "mean_abs_error_pct": round(100.0 * float(np.abs(error).mean()), 1),
+                    "largest_error_pct": round(100.0 * float(np.abs(error).max()), 1),
+                    "mean_stated_pct": round(100.0 * float(stated.mean()), 1),
+                    "within_one_deviation": int((np.abs(error) <= stated).sum()),
+                    "within_two_deviations": int((np.abs(error) <= 2.0 * stated).sum()),
+                    "rms_error_over_deviation": round(float(np.sqrt(np.mean((error / stated) ** 2))), 2),
+                }
+            row["verdicts"] = dict(Counter(impulse.verdict.name.lower() for _, impulse in found.values()))
+            rows.append(row)
+    return rows
+
+
 def report(seed: int) -> dict[str, Any]:
     """Tables: bias by crop and load, by restitution and angle; calibrated on the other crop; through cells."""
     full = KernelNoiseSettings(low_hz=200.0, high_hz=800.0, response_error=0.0)
@@ -180,4 +206,5 @@ def report(seed: int) -> dict[str, Any]:
         "by_angle": [{"angle_deg": k[0], "ratio": round(r, 3), "sd": round(s, 3)} for k, (r, s) in pooled(found, (3,)).items()],
         "calibrated_on_the_other_crop": crossed,
         "through_cells": cells,
+        "coverage": coverage(seed),
     }

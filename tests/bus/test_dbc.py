@@ -34,6 +34,7 @@ SIGNALS = {
     "YieldMonitorStatus": {"OperatingState": None, **dict.fromkeys(code.value for code in FaultCode)},
     "HarvestState": {"HeaderDown": None, "WorkState": None},
     "GrainTank": {"Unloading": None},
+    "GrainKernels": {"ThousandKernelWeight": "g"},
     "VehiclePosition": {"Latitude": "deg", "Longitude": "deg"},
     "VehicleDirectionSpeed": {"CompassBearing": "deg", "NavigationSpeed": "km/h"},
     "ActiveDiagnostics": dict.fromkeys(
@@ -73,6 +74,7 @@ RANGES = [
     ("GrainCondition", "Moisture", 0.0, 100.0, 0.01),
     ("GrainCondition", "GrainTemperature", -40.0, 100.0, 0.1),
     ("GrainCondition", "TestWeight", 0.0, 2000.0, 0.1),
+    ("GrainKernels", "ThousandKernelWeight", 0.0, 2000.0, 0.1),
     ("TankScale", "TankMass", -500.0, 30_000.0, 1.0),
     ("PlateActuatorCommand", "TargetPlateAngle", 0.0, 180.0, 0.01),
     ("MassFlow", "MassFlowRate", 0.0, 60.0, 0.001),

@@ -8,14 +8,16 @@ from functools import cache
 import numpy as np
 import pytest
 
+from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import records_in
 from yieldmon.engine.settings import EngineSettings, SweepSettings, WaveformSettings
 from yieldmon.estimation.channel_combination import combine
+from yieldmon.estimation.kernel_noise import KernelVerdict
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.frames import Frame
+from yieldmon.frames import GRAIN_KERNELS, Frame
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.plant.combine import VirtualCombine
@@ -81,3 +83,73 @@ def test_the_combination_leans_on_the_surer(mean_sd: float, shape_sd: float, nea
 def test_without_a_shape_the_mean_force_stands() -> None:
     found = combine(8.0, 0.05, float("nan"), float("nan"), exponent=0.75, parameters=PARAMETERS)
     assert (found.mass_flow_kg_s, found.relative_sd, found.weight) == (8.0, 0.05, 0.0)
+
+
+@cache
+def struck(response_s: float) -> tuple[Frame, ...]:
+    """Kernels of 350 mg through a cell, their weight in frames; the last twelve seconds with grain."""
+    pieces = [{"kind": "steady", "duration_s": 14, "flow_kg_s": 0}, {"kind": "steady", "duration_s": 12, "flow_kg_s": FLOW_KG_S}]
+    values = {
+        "duration_s": 26, "flow": {"pieces": pieces}, "kernels": {"thousand_kernel_weight_g": 350},
+        "frames": {"kernel_weight": True}, "sensor": {"response_s": response_s},
+    }  # fmt: skip
+    return tuple(VirtualCombine(from_mapping(values, "test"), seed=5).frames_until(26.0))
+
+
+@cache
+def monitored(response_s: float, weight_g: float = 0.0, *, told: bool = False) -> Monitor:
+    """At the end of that traffic. told: by the frames."""
+    waveform = replace(WaveformSettings(), enabled=True, thousand_kernel_weight_g=weight_g, quiet_windows=2)
+    engine = replace(EngineSettings(), sweep=replace(SweepSettings(), enabled=False), waveform=waveform)
+    machine = replace(MACHINE, sensor=replace(MACHINE.sensor, response_s=response_s))
+    monitor = Monitor(engine, machine, OpenLoop(ForwardModel(machine, PARAMETERS.effects), PARAMETERS))
+    for frame in struck(response_s):
+        if told or frame.message != GRAIN_KERNELS:
+            monitor.feed(frame)
+    return monitor
+
+
+@pytest.mark.parametrize(
+    ("response_s", "verdict"),
+    [(2e-4, KernelVerdict.USED), (8e-3, (KernelVerdict.NO_NOISE, KernelVerdict.BACKGROUND, KernelVerdict.SLOW_CELL))],
+)
+def test_says_whether_the_cell_lets_kernels_through(response_s: float, verdict: object) -> None:
+    seen = monitored(response_s, 175.0).waveform
+    assert seen is not None
+    assert seen.kernels in np.atleast_1d(verdict)
+    assert (seen.kernels_kg_s > 0.0) is (seen.kernels is KernelVerdict.USED)
+    assert bool(seen.kernels_reason) is (seen.kernels is not KernelVerdict.USED)
+    assert seen.volume_m3_s * VALUES["density"] == pytest.approx(seen.shape_kg_s)
+
+
+def test_a_frame_s_kernel_weight_goes_before_what_was_told() -> None:
+    """In the frame 350 g, told 175 g; flow is in proportion."""
+    heard, told = monitored(2e-4, 175.0, told=True), monitored(2e-4, 175.0)
+    assert heard.waveform is not None
+    assert told.waveform is not None
+    assert (heard.waveform.kernel_weight_g, told.waveform.kernel_weight_g) == (350.0, 175.0)
+    assert heard.waveform.kernels_kg_s == pytest.approx(2.0 * told.waveform.kernels_kg_s, rel=0.02)
+    assert abs(heard.waveform.kernels_kg_s - FLOW_KG_S) < 2.0 * heard.waveform.kernels_std_dev_kg_s
+
+
+def test_without_a_weight_it_says_that_this_is_what_is_missing() -> None:
+    seen = monitored(2e-4).waveform
+    assert seen is not None
+    assert (seen.kernels, seen.kernels_reason) == (KernelVerdict.NO_KERNEL_WEIGHT, "no thousand-kernel weight is known")
+
+
+def test_a_cell_stated_wrongly_is_a_contradiction_not_a_wrong_flow() -> None:
+    """The machine file says 8 ms where the cell answers in 0.2 ms."""
+    engine = replace(EngineSettings(), sweep=replace(SweepSettings(), enabled=False),
+                     waveform=replace(WaveformSettings(), enabled=True, contradiction_windows=5))  # fmt: skip
+    monitor = Monitor(engine, MACHINE, OpenLoop(ForwardModel(MACHINE, PARAMETERS.effects), PARAMETERS))
+    records = [r for frame in struck(2e-4) for r in records_in(monitor.feed(frame))]
+    assert FaultCode.WAVEFORM_CONTRADICTS in records[-1].faults
+    assert "sensor.response_s" in monitor.faults.detail(FaultCode.WAVEFORM_CONTRADICTS)
+
+
+def test_the_mean_force_s_own_flow_stays_in_the_record_of_both_together() -> None:
+    apart, both = harvested(enabled=True), harvested(enabled=True, combine=True)
+    assert [r.mean_force_flow_kg_s for r in both] == [r.mean_force_flow_kg_s for r in apart]
+    assert [r.mass_kg for r in both] != [r.mass_kg for r in apart]
+    assert all(np.isnan(r.mean_force_flow_kg_s) for r in harvested())

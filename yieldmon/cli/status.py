@@ -67,6 +67,8 @@ def _show(status: Mapping[str, Any], units: Units, console: Console) -> None:
     )
     facts.add_row("store", f"{store['file']}: {store['failing'] or store['note'] or 'writing'}, {store['pending']} waiting")
     facts.add_row("sweep", f"{sweep['state'].replace('_', ' ')}, {_due(sweep['due_in_s'])}, {sweep['sweeps']} so far")
+    for name, text in _waveform(status["waveform"], units):
+        facts.add_row(name, text)
     values = ", ".join(f"{name} {entry['value']:.4g} ± {entry['std_dev']:.2g}" for name, entry in parameters["values"].items())
     age = "age not known" if parameters["age_s"] is None else f"{_span(parameters['age_s'])} old"
     facts.add_row("parameters", f"version {parameters['version']}, {age}: {values}")
@@ -115,6 +117,16 @@ def _load(load: Mapping[str, Any], crop: Mapping[str, Any], units: Units) -> Ite
         dry_yield = load["dry_yield_kg_m2"]
         text = f"{units.area(load['area_m2'])}, {units.crop_yield(load['yield_kg_m2'])} wet"
         yield "", text + (f", {units.crop_yield(dry_yield)} dry" if dry_yield is not None else "")
+
+
+def _waveform(seen: Mapping[str, Any] | None, units: Units) -> Iterator[tuple[str, str]]:
+    """Flow from the pulses' shape and from kernel noise, or why there is none; nothing where the waveform is switched off."""
+    if seen is None:
+        return
+    for name, kind in (("shape", "shape"), ("kernels", "kernel")):
+        flow, around = (seen[f"{kind}_{key}_kg_s"] for key in ("flow", "std_dev"))
+        why = seen[f"{kind}_missing_because"]
+        yield name, f"no flow: {why}" if flow is None else f"{units.flow(flow)} ± {units.flow(around)}"
 
 
 def _number(value: float | None, unit_si: float = 1.0) -> str:

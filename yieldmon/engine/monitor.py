@@ -29,6 +29,7 @@ from yieldmon.engine.state import EngineState, TicketState
 from yieldmon.engine.sweep import SweepMachine
 from yieldmon.engine.timeline import Timeline
 from yieldmon.engine.totals import Totals
+from yieldmon.engine.waveform import WaveformReading
 from yieldmon.frames import Frame
 from yieldmon.physics.machine import Machine
 from yieldmon.signal_ranges import SignalRanges
@@ -121,8 +122,18 @@ class Monitor:
         """The mass of a thousand kernels of what is harvested from now on; False where the waveform is not looked at."""
         if self._parts.waveform is None:
             return False
-        self._parts.waveform.kernel_mass_kg = 1e-6 * thousand_kernel_weight_g
+        self._parts.waveform.kernel_weight_g = thousand_kernel_weight_g
         return True
+
+    @property
+    def kernel_weight_g(self) -> float:
+        """Of a thousand kernels, as last told or configured; 0: not known."""
+        return self._parts.waveform.kernel_weight_g if self._parts.waveform is not None else 0.0
+
+    @property
+    def waveform(self) -> WaveformReading | None:
+        """What the last window's samples say beside their mean; None where they are not looked at."""
+        return self._parts.waveform.last if self._parts.waveform is not None else None
 
     def calibrate_zero(self) -> None:
         """Zero-flow calibration: the operator vouches that the elevator runs empty for the next seconds."""

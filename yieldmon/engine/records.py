@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
+from enum import IntEnum
 from math import degrees, isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -17,6 +18,7 @@ from yieldmon.engine.anchors import ReferenceMass
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.quick import maker_of
 from yieldmon.engine.scale_alarm import ScaleCheck
+from yieldmon.estimation.kernel_noise import KernelVerdict
 from yieldmon.estimation.open_loop import FlowEstimate
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.steady_drift import Advance
@@ -85,6 +87,10 @@ def _codes(value: tuple[FaultCode, ...]) -> str:
     return " ".join(code.value for code in value)
 
 
+def _name(value: IntEnum) -> str | None:
+    return value.name.lower() if value else None
+
+
 _SAME = ""
 _CONVERSIONS: dict[str, tuple[type, bool, Callable[[Any], Any]]] = {
     "number": (float, False, float),
@@ -93,6 +99,7 @@ _CONVERSIONS: dict[str, tuple[type, bool, Callable[[Any], Any]]] = {
     "rpm": (float, True, lambda value: _finite(value / RPM)),
     "whole": (int, False, int),
     "codes": (str, False, _codes),
+    "verdict": (str, True, _name),
 }
 
 
@@ -103,17 +110,19 @@ def second_field(
     row: str | None = _SAME,
     since: int = 1,
     published: tuple[str, str] | None = None,
+    default: Any = float("nan"),
 ) -> Any:
     """A field of the record.
 
     take: its value of a Second. conversion: "number", "known" (nan becomes None), "deg" and "rpm" (known, from rad and rad/s),
-    "whole" (counts, codes and flags), "codes" (faults). row: name in rows where it is another, None where rows do not have it.
-    since: schema version of the store from which on there is such a column. published: message and signal that carry it.
+    "whole" (counts, codes and flags), "codes" (faults), "verdict" (a code by name, None for its 0). row: name in rows where it is
+    another, None where rows do not have it. since: schema version of the store from which on there is such a column. published:
+    message and signal that carry it. default: of such a later column.
     """
     kind, optional, convert = _CONVERSIONS[conversion]
     metadata = {"declared": _Declared(take, row, kind, optional, convert, since, published)}
     # Records made by hand, and rows of older tables, need not know of a column that came later.
-    return field(metadata=metadata, default=float("nan")) if optional and since > 1 else field(metadata=metadata)
+    return field(metadata=metadata, default=default) if optional and since > 1 else field(metadata=metadata)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +138,8 @@ class WindowRecord:
     total_std_dev_kg: of
     the masses.
     area_m2: harvested for the second's grain (engine.area).
-    shape_*, kernel_*: flow from the pulses' shape and from kernel noise, beside that of the mean force.
+    shape_*, kernel_*: flow from the pulses' shape and from kernel noise, beside that of the mean force alone (mean_force_*).
+    kernel_verdict: whether kernel noise gives one, else why not.
     """
 
     window: int = second_field(lambda s: s.number, "whole", row=None)
@@ -182,6 +192,14 @@ class WindowRecord:
     kernel_std_dev_kg_s: float = second_field(lambda s: s.waveform.kernels_std_dev_kg_s, "known", since=6)
     area_m2: float = second_field(lambda s: s.area_m2, "known", since=7)
     grain_temperature_degc: float = second_field(lambda s: s.reading.inputs.fresh["grain_temperature"], "known", since=9)
+    shape_volume_flow_m3_s: float = second_field(lambda s: s.waveform.volume_m3_s, "known", since=10)
+    shape_volume_std_dev_m3_s: float = second_field(lambda s: s.waveform.volume_std_dev_m3_s, "known", since=10)
+    mean_force_flow_kg_s: float = second_field(lambda s: s.waveform.mean_kg_s, "known", since=10)
+    mean_force_std_dev_kg_s: float = second_field(lambda s: s.waveform.mean_std_dev_kg_s, "known", since=10)
+    thousand_kernel_weight_g: float = second_field(lambda s: s.waveform.kernel_weight_g, "known", since=10)
+    kernel_verdict: KernelVerdict = second_field(  # noqa: RUF009
+        lambda s: s.waveform.kernels, "verdict", since=10, default=KernelVerdict.NOT_LOOKED_AT
+    )
 
 
 _DECLARED = tuple((item.name, item.metadata["declared"]) for item in fields(WindowRecord))

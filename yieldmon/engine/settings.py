@@ -5,6 +5,7 @@ The defaults are those of the shipped configuration; `service.configuration` bui
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from yieldmon.engine.flow_filter import FlowFilterSettings
@@ -253,12 +254,20 @@ class WaveformSettings:
     """Publish and count mean force and shape together, by their covariance."""
     harmonics: int = 20
     """Harmonics of the paddle pattern that are fitted."""
-    model_error: float = 0.05
+    model_error: float = 0.1
     """The pulse model's own error, relative, standard deviation."""
     friction_sd: float = 0.3
     """Relative standard deviation of friction beside the shape."""
     shape_ratio_sd: float = 0.1
     """Relative standard deviation of the heap's shape ratio."""
+    stretch: float = 1.0
+    """Time over which a load arrives, over that of straight paths; 1.2 to 1.5 in discrete elements. From weighed loads."""
+    stretch_sd: float = 0.2
+    """Its relative standard deviation; 0.03 once it has been calibrated on the machine."""
+    tail_s: float = 0.002
+    """Mean time for which grain goes on pushing once it has struck; 3 to 8 ms in discrete elements."""
+    tail_sd: float = 1.0
+    """Standard deviation of its logarithm."""
     response_error: float = 0.05
     """Relative standard deviation of the cell's time constant, which the machine file states."""
     largest_misfit: float = 4.0
@@ -268,6 +277,8 @@ class WaveformSettings:
     """Standard deviations between shape and mean force over those windows from which they contradict."""
     thousand_kernel_weight_g: float = 0.0
     """Mass of a thousand kernels; 0: not known, and kernel noise gives no flow."""
+    thousand_kernel_weights_g: Mapping[str, float] = field(default_factory=dict)
+    """The same by crop; goes before it."""
     kernel_mass_sd: float = 0.03
     kernel_low_hz: float = 200.0
     kernel_high_hz: float = 800.0

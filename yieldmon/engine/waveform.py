@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, replace
-from math import hypot, isfinite, sqrt
+from math import exp, hypot, isfinite, log, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,9 @@ from yieldmon.engine.settings import WaveformSettings
 from yieldmon.engine.windows import Trace
 from yieldmon.estimation import kernel_noise
 from yieldmon.estimation.channel_combination import combine, relative_covariance
-from yieldmon.estimation.kernel_noise import Density, KernelImpulse, KernelNoiseSettings
+from yieldmon.estimation.kernel_noise import Density, KernelImpulse, KernelNoiseSettings, KernelVerdict
 from yieldmon.estimation.pattern_fold import FoldedPattern, fold, harmonics_of, residual
-from yieldmon.estimation.pulse_shape import PulseEstimate, PulseModel, PulseSettings, estimate
+from yieldmon.estimation.pulse_shape import ArrivalLaw, PulseEstimate, PulseModel, PulseSettings, estimate
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 
@@ -33,39 +33,63 @@ _KEEP = 0.95
 """What of the running mean pulse, which is taken off before the noise is looked at, a window leaves."""
 _NO_FIT = 1000.0
 """Misfit that stands for pulses to which no fit settles."""
+_FITS = 1.0
+"""Misfit below which a fit counts whose steps have not settled: within the model's own error."""
 _WHOLE = 0.98
 _APART = 3
 """Windows between grain and a window of the empty machine."""
 _LEAST_SAMPLES = 4.0
+_SEARCH_EVERY = 10
+"""Windows from one search for pulses that fit nowhere to the next."""
 
 
 @dataclass(frozen=True, slots=True)
 class WaveformReading:
     """What a window's samples say; nan where they say nothing.
 
-    shape_kg_s, shape_std_dev_kg_s: volume flow times density, the density's standard deviation in it. kernels_kg_s,
-    kernels_std_dev_kg_s: from kernel noise. kernels_reason: why it says nothing. combined_kg_s, combined_std_dev_kg_s: mean force
-    and shape together. contradiction: of shape and mean force, over the last windows; empty where they agree.
+    volume_m3_s, volume_std_dev_m3_s: volume flow on the paddles. shape_kg_s, shape_std_dev_kg_s: the same times density, the
+    density's standard deviation in it. shape_reason: why there is none. kernels_kg_s, kernels_std_dev_kg_s: from kernel noise.
+    kernels, kernels_reason: whether it gives a flow, and why not. kernel_weight_g: of a thousand kernels, as used. mean_kg_s,
+    mean_std_dev_kg_s: by the mean force alone. combined_kg_s, combined_std_dev_kg_s: mean force and shape together.
+    contradiction: of shape and mean force, over the last windows; empty where they agree. stretch: the one with which the shape's
+    flow would be that of the mean force, median over the same windows.
     """
 
+    volume_m3_s: float = _NAN
+    volume_std_dev_m3_s: float = _NAN
+    shape_reason: str = ""
     shape_kg_s: float = _NAN
     shape_std_dev_kg_s: float = _NAN
     kernels_kg_s: float = _NAN
     kernels_std_dev_kg_s: float = _NAN
+    kernels: KernelVerdict = KernelVerdict.NOT_LOOKED_AT
     kernels_reason: str = ""
+    kernel_weight_g: float = _NAN
+    mean_kg_s: float = _NAN
+    mean_std_dev_kg_s: float = _NAN
     combined_kg_s: float = _NAN
     combined_std_dev_kg_s: float = _NAN
     contradiction: str = ""
+    stretch: float = _NAN
 
 
 NOTHING = WaveformReading()
+_NO_TRACE = "samples are missing, or more than one sensor carries the plate"
+_NO_ZERO = "no zero-load voltage, or the sensor is out of range"
+_NO_GRAIN = "no grain"
+_NOT_STILL = "no flow from the mean force, or the plate moves"
+_NO_PULSES = "no pulse of the model fits the samples"
+_FEW_TURNS = "the window holds fewer than two turns of the paddle pattern"
+_NO_WEIGHT = "no thousand-kernel weight is known"
 
 
 class Waveform:
     """Looks at one window after another."""
 
     def __init__(self, settings: WaveformSettings, machine: Machine) -> None:
-        self.kernel_mass_kg = 1e-6 * settings.thousand_kernel_weight_g
+        self.kernel_weight_g = settings.thousand_kernel_weight_g
+        """Of a thousand kernels, as last told; 0: not known. What a frame says goes before it."""
+        self.last = NOTHING
         self._settings = settings
         self._machine = machine
         self._noise = KernelNoiseSettings(
@@ -79,27 +103,38 @@ class Waveform:
         self._pulses: PulseModel | None = None
         self._estimator: FlowEstimator | None = None
         self._last: PulseEstimate | None = None
+        self._searchable_in = 0
         self._sums, self._counts = np.zeros(_FINE_BINS), np.zeros(_FINE_BINS)
         self._loaded: deque[tuple[Density, float]] = deque(maxlen=settings.kernel_windows)
         self._quiet: deque[Density] = deque(maxlen=settings.kernel_windows)
         self._waiting: deque[Density] = deque()
         self._differences: deque[tuple[float, float]] = deque(maxlen=settings.contradiction_windows)
+        self._stretches: deque[float] = deque(maxlen=settings.contradiction_windows)
 
     def see(self, reading: Reading, rate_kg_s: float, std_dev_kg_s: float, estimator: FlowEstimator) -> WaveformReading:
         """The window's own word beside that of the mean force (nan: none)."""
+        self.last = self._seen(reading, rate_kg_s, std_dev_kg_s, estimator)
+        return self.last
+
+    def _seen(self, reading: Reading, rate_kg_s: float, std_dev_kg_s: float, estimator: FlowEstimator) -> WaveformReading:
         trace = reading.window.trace
-        if trace is None or reading.zero is None or not reading.in_range or trace.samples_mv.size < _SEGMENT:
-            return NOTHING
+        if trace is None:
+            return WaveformReading(shape_reason=_NO_TRACE, kernels_reason=_NO_TRACE)
+        if trace.samples_mv.size < _SEGMENT:
+            few = f"{trace.samples_mv.size} samples a second, at least {_SEGMENT} are needed"
+            return WaveformReading(shape_reason=few, kernels=KernelVerdict.NO_BAND, kernels_reason=few)
+        if reading.zero is None or not reading.in_range:
+            return WaveformReading(shape_reason=_NO_ZERO, kernels_reason=_NO_ZERO)
         force_n = (trace.samples_mv - reading.zero.zero_mv) * self._machine.sensor.gain_n_per_mv
         if not reading.harvesting:
             self._last = None
             self._sums[:], self._counts[:] = 0.0, 0.0
             self._see_empty(kernel_noise.density(force_n, trace.interval_s, segment=_SEGMENT), reading)
-            return NOTHING
+            return WaveformReading(shape_reason=_NO_GRAIN, kernels_reason=_NO_GRAIN)
         self._waiting.clear()
         if not (isfinite(rate_kg_s) and rate_kg_s > 0.0 and reading.still):
             self._last = None
-            return NOTHING
+            return WaveformReading(shape_reason=_NOT_STILL, kernels_reason=_NOT_STILL)
         folded = fold(force_n, trace.phase, bins=_BINS)
         shape = self._shape(folded, reading, estimator)
         kernels = None if shape is None else self._kernels(force_n, self._aligned(trace, shape, reading), reading.force_n)
@@ -132,11 +167,18 @@ class Waveform:
             start = np.array([last.values[name] for name in pulses.names])
             centre = pulses.start(last.volume_flow_m3_s, shift_s=last.values["shift_s"], log_gain=last.values["log_gain"])
             found = estimate(pulses, wave, start=start, centre=centre, iterations=6)
-            if found.converged and found.misfit < self._settings.largest_misfit:
+            if _usable(found) and (found.misfit < self._settings.largest_misfit or self._searchable_in > 0):
+                self._searchable_in = max(0, self._searchable_in - 1)
                 self._last = found
                 return found
+        if self._searchable_in > 0:
+            self._searchable_in -= 1
+            return None
         found = estimate(pulses, wave)
-        self._last = found if found.converged else None
+        fits = _usable(found) and found.misfit < self._settings.largest_misfit
+        # A search over all fills and shifts costs as much as twenty fits; pulses that fit nowhere are not searched each second.
+        self._searchable_in = 0 if fits else _SEARCH_EVERY - 1
+        self._last = found if _usable(found) else None
         return self._last
 
     def _model(self, estimator: FlowEstimator) -> PulseModel:
@@ -151,7 +193,15 @@ class Waveform:
                 ForwardModel(self._machine, estimator.parameters.effects),
                 values,
                 PulseSettings(
-                    harmonics=settings.harmonics, model_error=settings.model_error, cell_response_s=sensor.response_s, sd=sd
+                    harmonics=settings.harmonics,
+                    model_error=settings.model_error,
+                    cell_response_s=sensor.response_s,
+                    sd=sd,
+                    arrival=ArrivalLaw(
+                        (log(settings.stretch), *(0.0,) * 5),
+                        (log(settings.tail_s), *(0.0,) * 5),
+                        (settings.stretch_sd**2, settings.tail_sd**2, 0.0),
+                    ),
                 ),
             )
             self._estimator, self._last = estimator, None
@@ -196,31 +246,64 @@ class Waveform:
         shape: PulseEstimate | None,
         kernels: KernelImpulse | None,
     ) -> WaveformReading:
-        flow, flow_sd = _NAN, _NAN
-        both, both_sd, contradiction = _NAN, _NAN, ""
+        seen = WaveformReading(mean_kg_s=rate, mean_std_dev_kg_s=std_dev, kernel_weight_g=self._weight_g(reading) or _NAN)
         if shape is not None and isfinite(shape.volume_flow_m3_s):
             parameters = estimator.parameters
             flow = shape.volume_flow_m3_s * parameters.values["density"]
             flow_sd = flow * hypot(shape.relative_sd, sqrt(relative_covariance(parameters)[0]))
             exponent = _exponent(reading, rate, estimator)
             together = combine(rate, std_dev / rate, flow, shape.relative_sd, exponent=exponent, parameters=parameters)
-            both, both_sd = together.mass_flow_kg_s, together.mass_flow_kg_s * together.relative_sd
-            contradiction = self._contradiction(together.z, shape.misfit)
+            seen = replace(
+                seen,
+                volume_m3_s=shape.volume_flow_m3_s,
+                volume_std_dev_m3_s=shape.volume_flow_m3_s * shape.relative_sd,
+                shape_kg_s=flow,
+                shape_std_dev_kg_s=flow_sd,
+                combined_kg_s=together.mass_flow_kg_s,
+                combined_std_dev_kg_s=together.mass_flow_kg_s * together.relative_sd,
+                contradiction=self._contradiction(together.z, shape.misfit),
+                stretch=self._agreeing_stretch(shape, rate / parameters.values["density"]),
+            )
         elif reading.window.coverage >= _WHOLE:
-            contradiction = self._contradiction(0.0, _NO_FIT)
-        grain, grain_sd, reason = _NAN, _NAN, ""
-        if kernels is not None and self.kernel_mass_kg > 0.0:
-            reason = kernels.reason
-            if kernels.usable:
-                found = kernel_noise.kernel_flow(
-                    kernels,
-                    reading.force_n,
-                    self.kernel_mass_kg,
-                    kernel_mass_sd=self._settings.kernel_mass_sd,
-                    settings=self._noise,
-                )
-                grain, grain_sd = found.mass_flow_kg_s, found.mass_flow_kg_s * found.relative_sd
-        return WaveformReading(flow, flow_sd, grain, grain_sd, reason, both, both_sd, contradiction)
+            seen = replace(seen, shape_reason=_NO_PULSES, contradiction=self._contradiction(0.0, _NO_FIT))
+        else:
+            seen = replace(seen, shape_reason=_FEW_TURNS)
+        return self._with_kernels(seen, reading, kernels)
+
+    def _weight_g(self, reading: Reading) -> float:
+        """Of a thousand kernels: as a frame says of late, else as last told; 0: not known."""
+        heard = reading.inputs.fresh["thousand_kernel_weight"]
+        return heard if isfinite(heard) else self.kernel_weight_g
+
+    def _with_kernels(self, seen: WaveformReading, reading: Reading, kernels: KernelImpulse | None) -> WaveformReading:
+        if kernels is None:
+            early = seen.shape_reason or f"needs {self._settings.quiet_windows} s of the empty machine, and of grain"
+            return replace(seen, kernels=KernelVerdict.TOO_EARLY, kernels_reason=early)
+        if not kernels.usable:
+            return replace(seen, kernels=kernels.verdict, kernels_reason=kernels.reason)
+        if not isfinite(seen.kernel_weight_g):
+            return replace(seen, kernels=KernelVerdict.NO_KERNEL_WEIGHT, kernels_reason=_NO_WEIGHT)
+        found = kernel_noise.kernel_flow(
+            kernels,
+            reading.force_n,
+            1e-6 * seen.kernel_weight_g,
+            kernel_mass_sd=self._settings.kernel_mass_sd,
+            settings=self._noise,
+        )
+        return replace(
+            seen,
+            kernels_kg_s=found.mass_flow_kg_s,
+            kernels_std_dev_kg_s=found.mass_flow_kg_s * found.relative_sd,
+            kernels=KernelVerdict.USED,
+        )
+
+    def _agreeing_stretch(self, shape: PulseEstimate, volume_flow_m3_s: float) -> float:
+        """The stretch to which the window's posterior moves when the volume flow is given."""
+        flow, stretch = (shape.names.index(name) for name in ("log_volume_flow", "log_stretch"))
+        slope = shape.covariance[flow, stretch] / shape.covariance[flow, flow]
+        moved = shape.values["log_stretch"] + slope * log(volume_flow_m3_s / shape.volume_flow_m3_s)
+        self._stretches.append(self._settings.stretch * exp(moved))
+        return float(np.median(self._stretches))
 
     def _contradiction(self, z: float, misfit: float) -> str:
         if isfinite(z):
@@ -231,8 +314,13 @@ class Waveform:
         if abs(seen) > self._settings.contradiction_z:
             return f"pulse shape and mean force differ by {abs(seen):.1f} standard deviations"
         if off > self._settings.largest_misfit:
-            return f"pulses are not of the model's shape: misfit {off:.0f}"
+            return f"pulses are not of the model's shape (misfit {off:.0f}); is sensor.response_s of the machine right?"
         return ""
+
+
+def _usable(found: PulseEstimate) -> bool:
+    """Steps that have not settled among parameters hardly told apart are no reason to throw a fit away; its residual is."""
+    return found.converged or (isfinite(found.misfit) and found.misfit < _FITS)
 
 
 def _exponent(reading: Reading, rate: float, estimator: FlowEstimator) -> float:

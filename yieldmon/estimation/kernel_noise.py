@@ -10,6 +10,7 @@ whether there is anything to see.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 
@@ -19,6 +20,20 @@ _ALIASES = 64
 _CLEAR_OF_ALIASES = 0.4
 """Share of the sampling rate up to which what the sampler folds back is small beside what is there."""
 _ITERATIONS = 6
+
+
+class KernelVerdict(IntEnum):
+    """Whether kernel noise gives a flow, else what stands in the way."""
+
+    NOT_LOOKED_AT = 0
+    USED = 1
+    TOO_EARLY = 2
+    NO_KERNEL_WEIGHT = 3
+    NO_BAND = 4
+    NO_NOISE = 5
+    TOO_RANDOM = 6
+    BACKGROUND = 7
+    SLOW_CELL = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,16 +92,21 @@ class KernelImpulse:
         nan where nothing can be said.
     random_sd, lasting_sd : float
         Relative standard deviations: of what averages out, and of background and cell.
-    usable : bool
+    verdict : KernelVerdict
     reason : str
-        Why not; empty where usable.
+        The verdict in words; empty where usable.
     """
 
     impulse_n_s: float
     random_sd: float
     lasting_sd: float
-    usable: bool
+    verdict: KernelVerdict
     reason: str
+
+    @property
+    def usable(self) -> bool:
+        """Whether the impulse is known well enough to give a flow."""
+        return self.verdict is KernelVerdict.USED
 
     @property
     def relative_sd(self) -> float:
@@ -191,9 +211,9 @@ def kernel_impulse(
     s = settings or KernelNoiseSettings()
     band = (loaded.frequency_hz >= s.low_hz) & (loaded.frequency_hz <= min(s.high_hz, _CLEAR_OF_ALIASES / sample_interval_s))
     if not band.any():
-        return _unusable(f"no frequency of the samples lies in {s.low_hz:g} to {s.high_hz:g} Hz")
+        return _unusable(KernelVerdict.NO_BAND, f"no frequency of the samples lies in {s.low_hz:g} to {s.high_hz:g} Hz")
     if not mean_force_n > 0.0:
-        return _unusable("no force of grain")
+        return _unusable(KernelVerdict.NO_NOISE, "no force of grain")
     frequency = loaded.frequency_hz[band]
     gain = mean_force_n * power_gain(frequency, cell_response_s, sample_interval_s)
     shown, ground = loaded.density[band], quiet.density[band]
@@ -206,7 +226,7 @@ def kernel_impulse(
         weight = gain / (variance + (s.quiet_error * ground) ** 2)
         impulse = max(float((weight * (shown - ground)).sum() / (weight * gain).sum()), 0.0)
     if impulse <= 0.0:
-        return _unusable("no noise above that of the empty machine")
+        return _unusable(KernelVerdict.NO_NOISE, "no noise above that of the empty machine")
     slope = float((weight * gain).sum()) * impulse
     random = float(np.sqrt((weight**2 * variance).sum())) / slope
     background = s.quiet_error * float((weight * ground).sum()) / slope
@@ -214,15 +234,23 @@ def kernel_impulse(
     cell = s.response_error * float((weight * gain * 4.0 * turned / (1.0 + turned)).sum() / (weight * gain).sum())
     lasting = float(np.hypot(background, cell))
     total = float(np.hypot(random, lasting))
-    reason = ""
-    if total > s.largest_sd:
-        why = "random" if random > lasting else ("background" if background > cell else "cell")
-        reason = f"deviation {100.0 * total:.0f} %, mostly {why}; the limit is {100.0 * s.largest_sd:.0f} %"
-    return KernelImpulse(impulse, random, lasting, not reason, reason)
+    if total <= s.largest_sd:
+        return KernelImpulse(impulse, random, lasting, KernelVerdict.USED, "")
+    parts = {KernelVerdict.TOO_RANDOM: random, KernelVerdict.BACKGROUND: background, KernelVerdict.SLOW_CELL: cell}
+    why = max(parts, key=parts.__getitem__)
+    reason = f"deviation {100.0 * total:.0f} %, mostly {_CAUSES[why]}; the limit is {100.0 * s.largest_sd:.0f} %"
+    return KernelImpulse(impulse, random, lasting, why, reason)
 
 
-def _unusable(reason: str) -> KernelImpulse:
-    return KernelImpulse(float("nan"), float("inf"), float("inf"), False, reason)
+_CAUSES = {
+    KernelVerdict.TOO_RANDOM: "chance",
+    KernelVerdict.BACKGROUND: "the empty machine's noise, behind which the cell leaves too little",
+    KernelVerdict.SLOW_CELL: "the cell's response, which is not known well enough",
+}
+
+
+def _unusable(verdict: KernelVerdict, reason: str) -> KernelImpulse:
+    return KernelImpulse(float("nan"), float("inf"), float("inf"), verdict, reason)
 
 
 def kernel_flow(
@@ -279,6 +307,7 @@ __all__ = [
     "KernelFlow",
     "KernelImpulse",
     "KernelNoiseSettings",
+    "KernelVerdict",
     "density",
     "expected_sd",
     "kernel_flow",

@@ -30,6 +30,12 @@ _SHAPES = len(SHAPE_NAMES)
 _TYPICAL_LOG_TAIL = float(np.log(0.004))
 _STEP = 1e-4
 _LARGEST_STEP = 0.4
+_SETTLED = 1e-3
+"""Squared length of the last step, in posterior standard deviations; the model is not computed anew for so short a one."""
+_WEIGHED_ANEW = 3
+"""Steps with weights of their own; from then on they stay, so that the fit settles."""
+_PARTS = (1.0, 0.5, 0.25, 0.1)
+"""Of a step, tried until the fit is better."""
 _SCAN = np.geomspace(0.06, 0.9, 16)
 """Fills (load over a full paddle) at which a start is looked for."""
 _SHIFTS = 256
@@ -362,22 +368,34 @@ def estimate(
     speed, angle = wave.elevator_speed_rad_s, wave.plate_angle_rad
     limits = np.minimum(_LARGEST_STEP, 3.0 * np.where(free, sd, 1.0))
     limits[_SHIFT] = np.pi / (8.0 * pulses.fundamental_rad_s(speed))
-    converged = False
-    for _ in range(iterations):
-        at = pulses.linearised(theta, speed, angle)
+    at, converged = pulses.linearised(theta, speed, angle), False
+    variance = np.empty(0)
+    for turn in range(iterations):
         if not np.all(np.isfinite(at.waves)):
             theta[_FLOW] -= 0.1
+            at = pulses.linearised(theta, speed, angle)
             continue
-        variance = pulses.random_variance(wave) + pulses.lasting_variance(at.envelope)
+        if turn < _WEIGHED_ANEW or not variance.size:
+            variance = pulses.random_variance(wave) + pulses.lasting_variance(at.envelope)
         white, residual = _whitened(at, wave, variance)
         normal = white[:, free].T @ white[:, free] + prior
+        away = (theta - mean)[free]
+        best = float(residual @ residual + away @ prior @ away)
         step = np.zeros_like(theta)
-        step[free] = np.linalg.solve(normal, white[:, free].T @ residual - prior @ (theta - mean)[free])
-        theta = theta + np.clip(step, -limits, limits)
-        if np.all(np.abs(step[free]) < 1e-3 * np.minimum(sd[free], 1.0)):
-            converged = True
+        step[free] = np.linalg.solve(normal, white[:, free].T @ residual - prior @ away)
+        if float(step[free] @ normal @ step[free]) < _SETTLED:
+            theta, converged = theta + step, True
             break
-    return _result(pulses, wave, theta, converged)
+        whole = np.clip(step, -limits, limits)
+        for part in _PARTS:
+            tried = theta + part * whole
+            there = pulses.linearised(tried, speed, angle)
+            away = (tried - mean)[free]
+            left = np.abs(wave.amplitudes_n - there.waves) ** 2 / variance
+            if float(left.sum() + away @ prior @ away) < best:
+                break
+        theta, at = tried, there
+    return _result(pulses, wave, theta, at, converged)
 
 
 def _whitened(at: _Linear, wave: PatternWave, variance: Array) -> tuple[Array, Array]:
@@ -412,8 +430,7 @@ def _nothing(pulses: PulseModel, theta: Array) -> PulseEstimate:
     return PulseEstimate(nan, nan, nan, values, pulses.names, np.full((n, n), nan), nan, nan, False)
 
 
-def _result(pulses: PulseModel, wave: PatternWave, theta: Array, converged: bool) -> PulseEstimate:
-    at = pulses.linearised(theta, wave.elevator_speed_rad_s, wave.plate_angle_rad)
+def _result(pulses: PulseModel, wave: PatternWave, theta: Array, at: _Linear, converged: bool) -> PulseEstimate:
     if not np.all(np.isfinite(at.waves)):
         return _nothing(pulses, theta)
     covariance, averaging = _covariances(pulses, at, wave)

@@ -358,6 +358,8 @@ class VirtualCombine:
                 "TestWeight": grain.bulk_density_kg_m3 * crop.test_weight_share,
             }
             yield from self._spoken(Channel.GRAIN_CONDITION, Frame(time, frames.GRAIN_CONDITION, signals))
+        if self.scenario.frames.kernel_weight and self.scenario.kernels is not None:
+            yield Frame(time, frames.GRAIN_KERNELS, {"ThousandKernelWeight": self.scenario.kernels.thousand_kernel_weight_g})
         if self.scenario.tank.scale:
             mass, status = self._tank.reading(working, rng)
             yield from self._spoken(

@@ -116,6 +116,8 @@ class Frames(_Section):
     grain_condition: bool = True
     position: bool = False
     harvest_state: bool = False
+    kernel_weight: bool = False
+    """GrainKernels with the thousand-kernel weight; needs `kernels`."""
 
 
 class Scenario(_Section):

@@ -42,6 +42,8 @@ def build_monitor(
     known = crops().get(parameters.provenance.get("crop", ""))
     if known is not None:
         monitor.set_market_moisture(known.market_moisture_pct)
+    if (weight_g := settings.waveform.thousand_kernel_weights_g.get(parameters.provenance.get("crop", ""))) is not None:
+        monitor.set_kernel_weight(weight_g)
     return monitor
 
 

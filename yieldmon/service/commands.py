@@ -61,16 +61,19 @@ def summary(status: Mapping[str, Any]) -> str:
 
 def _load_start(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
     weight_g = _kernel_weight_g(request)
-    if weight_g is not None and not monitor.set_kernel_weight(weight_g):
+    if weight_g is not None and monitor.waveform is None:
         raise InputError("thousand_kernel_weight_g", "is of no use", "waveform.enabled: true in the configuration")
     crop = _name(request, "crop")
+    if weight_g is not None or (crop is not None and crop != journal.crop):
+        # What was told of one crop's kernels does not hold for another's.
+        journal.kernel_weight_g = weight_g
     in_use = monitor.estimator.parameters
     chosen = journal.change_crop(crop, in_use, _who(request)) if crop else None
     if chosen is not None:
         monitor.set_estimator(build_estimator(monitor.machine, chosen), calibration_age_s(chosen, now_s))
     journal.name_load(_name(request, "field"), crop)
     journal.happened(monitor.start_load())
-    set_market(monitor, journal)
+    set_crop(monitor, journal)
     parameters = monitor.estimator.parameters
     return {
         "load": monitor.totals.load_number, "field": journal.field, "crop": journal.crop,
@@ -78,11 +81,14 @@ def _load_start(request: Mapping[str, Any], monitor: Monitor, journal: Journal, 
     }
 
 
-def set_market(monitor: Monitor, journal: Journal) -> None:
-    """Dry mass from now on at the market moisture of the crop in use."""
-    known = crops().get(journal.crop_in_use(monitor.estimator.parameters).lower())
+def set_crop(monitor: Monitor, journal: Journal) -> None:
+    """Dry mass from now on at the market moisture of the crop in use, and the weight of its kernels."""
+    crop, waveform = journal.crop_in_use(monitor.estimator.parameters), monitor.settings.waveform
+    known = crops().get(crop.lower())
     if known is not None:
         monitor.set_market_moisture(known.market_moisture_pct)
+    configured_g = waveform.thousand_kernel_weights_g.get(crop, waveform.thousand_kernel_weight_g)
+    monitor.set_kernel_weight(configured_g if journal.kernel_weight_g is None else journal.kernel_weight_g)
 
 
 def _totals_reset(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:

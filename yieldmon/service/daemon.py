@@ -187,7 +187,7 @@ class Daemon:
         self._journal.new_monitor(parameters, self._origin)
         self._monitor = _monitor_for(self.configuration, parameters)
         self._resume(memory)
-        commands.set_market(self._monitor, self._journal)
+        commands.set_crop(self._monitor, self._journal)
         self._answer = self._snapshot()
         self._receiver.start()
         try:
@@ -570,7 +570,7 @@ class Daemon:
         monitor.restore(state)
         if fresh is None:
             monitor.take_tickets_of(self._monitor)
-        commands.set_market(monitor, self._journal)
+        commands.set_crop(monitor, self._journal)
         self._monitor, self._record = monitor, None
         # The next batch brings the parameters.
         self._journal.new_monitor(monitor.estimator.parameters, "file")

@@ -7,7 +7,7 @@ for the comments of the shipped file.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
@@ -442,25 +442,32 @@ class Waveform(Section):
     """Flow from the pulses' shape and from kernel noise, beside the mean force; off until proven on the machine."""
 
     enabled: bool = choice(_V.enabled, "look at the samples themselves")
-    combine: bool = choice(_V.combine, "publish and count mean force and shape together, by their covariance")
+    combine: bool = choice(_V.combine, "publish and count mean force and shape together")
     harmonics: int = quantity(_V.harmonics, 4, 21, "harmonics", "of the paddle pattern that are fitted")
     model_error: float = quantity(_V.model_error, 0.001, 0.5, "1", "the pulse model's own error, relative")
-    friction_sd: float = quantity(_V.friction_sd, 0.001, 1.0, "1", "relative deviation of friction beside the shape")
+    friction_sd: float = quantity(_V.friction_sd, 0.001, 1.0, "1", "relative deviation of friction")
     shape_ratio_sd: float = quantity(_V.shape_ratio_sd, 0.001, 1.0, "1", "relative deviation of the heap's shape ratio")
+    stretch: float = quantity(_V.stretch, 0.5, 3.0, "1", "arrival's time over that of straight paths")
+    stretch_sd: float = quantity(_V.stretch_sd, 0.0, 1.0, "1", "relative deviation; 0.03 once calibrated")
+    tail_s: float = quantity(_V.tail_s, 1e-4, 0.1, "s", "mean time for which grain pushes after striking")
+    tail_sd: float = quantity(_V.tail_sd, 0.0, 3.0, "1", "deviation of its logarithm")
     response_error: float = quantity(_V.response_error, 0.001, 1.0, "1", "relative deviation of the cell's response_s")
     largest_misfit: float = quantity(_V.largest_misfit, 1.0, 1000.0, "1", "misfit above which the pulses are not the model's")
-    contradiction_windows: int = quantity(_V.contradiction_windows, 5, 3600, "s", "windows that are compared together")
+    contradiction_windows: int = quantity(_V.contradiction_windows, 5, 3600, "s", "windows compared")
     contradiction_z: float = quantity(_V.contradiction_z, 1.0, 20.0, "1", "standard deviations that count as a contradiction")
     thousand_kernel_weight_g: float = quantity(
-        _V.thousand_kernel_weight_g, 0.0, 5000.0, "g", "mass of a thousand kernels; 0: not known; `load start` may give it"
+        _V.thousand_kernel_weight_g, 0.0, 2000.0, "g", "mass of a thousand kernels; 0: not known"
+    )
+    thousand_kernel_weights_g: dict[str, Annotated[float, Field(ge=1.0, le=2000.0)]] = Field(
+        default_factory=dict, description="the same by crop", json_schema_extra={"unit": "g"}
     )
     kernel_mass_sd: float = quantity(_V.kernel_mass_sd, 0.0, 1.0, "1", "relative deviation of that weight")
-    kernel_low_hz: float = quantity(_V.kernel_low_hz, 20.0, 5000.0, "Hz", "lowest frequency of kernel noise, above the pulses")
+    kernel_low_hz: float = quantity(_V.kernel_low_hz, 20.0, 5000.0, "Hz", "lowest frequency, above the pulses")
     kernel_high_hz: float = quantity(_V.kernel_high_hz, 20.0, 5000.0, "Hz", "highest, below the inverse of a contact")
     kernel_bias: float = quantity(_V.kernel_bias, 0.2, 3.0, "1", "impulse of a kernel over mass times impulse per kilogram")
     kernel_bias_sd: float = quantity(_V.kernel_bias_sd, 0.0, 1.0, "1", "its deviation between crops and loads")
-    quiet_error: float = quantity(_V.quiet_error, 0.0, 1.0, "1", "relative deviation of background noise, empty to harvesting")
-    quiet_windows: int = quantity(_V.quiet_windows, 1, 3600, "s", "windows of each kind before kernel noise says anything")
+    quiet_error: float = quantity(_V.quiet_error, 0.0, 1.0, "1", "relative deviation of background noise")
+    quiet_windows: int = quantity(_V.quiet_windows, 1, 3600, "s", "windows of each kind before a flow")
     kernel_windows: int = quantity(_V.kernel_windows, 5, 3600, "s", "windows that are averaged")
 
 

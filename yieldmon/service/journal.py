@@ -65,6 +65,8 @@ class Memory:
     tickets: tuple[Ticket, ...] = ()
     field: str = ""
     crop: str = ""
+    kernel_weight_g: float | None = None
+    """Of a thousand kernels, as an operator told it."""
     faults: tuple[str, ...] = ()
     counters: Mapping[str, int] | None = None
     of_crop: Mapping[str, ParameterSet] = dataclass_field(default_factory=dict)
@@ -100,6 +102,7 @@ def recall(store: Store) -> Memory:
             tickets=tuple(store.tickets()),
             field=str(document["field"]),
             crop=str(document["crop"]),
+            kernel_weight_g=None if document.get("kernel_weight_g") is None else float(document["kernel_weight_g"]),
             faults=tuple(document["faults"]),
             counters=store.counters(),
             of_crop=_by_crop(versions, str(store.path)),
@@ -160,6 +163,7 @@ class Journal:
         """memory: what the store holds. configured: the parameters as their file has them."""
         self.field = memory.field or field
         self.crop = memory.crop or crop
+        self.kernel_weight_g = memory.kernel_weight_g
         self._digest = digest(configured)
         self._shipped_digest = digest(parameter_file.load())
         self._batch = memory.last_batch
@@ -414,6 +418,7 @@ class Journal:
             "parameter_digest": self._digest,
             "field": self.field,
             "crop": self.crop,
+            "kernel_weight_g": self.kernel_weight_g,
             "faults": sorted(self._faults),
         }
 

@@ -8,7 +8,7 @@ from math import isfinite
 import yieldmon
 from yieldmon.bus.opening import time_stamps_of
 from yieldmon.bus.receiver import ReceiverCounters
-from yieldmon.documents import StatusCrop, StatusFigures, StatusNetwork, StatusNow, StdDevByCause
+from yieldmon.documents import StatusCrop, StatusFigures, StatusNetwork, StatusNow, StatusWaveform, StdDevByCause
 from yieldmon.engine.budget import MassBudget
 from yieldmon.engine.faults import FAULTS
 from yieldmon.engine.monitor import Monitor
@@ -106,6 +106,7 @@ def snapshot(
             "aborted_because": monitor.sweep.abort_reason.value if monitor.sweep.abort_reason is not None else None,
             "last_update": monitor.outcome.reason if monitor.outcome is not None else None,
         },
+        "waveform": _waveform(monitor),
         "parameters": {
             "version": parameters.version,
             "age_s": engine.calibration_age_s,
@@ -189,6 +190,27 @@ def _now(rows: tuple[SecondRow, ...]) -> StatusNow:
         "ground_speed_m_s": last.ground_speed_m_s if last is not None else None,
         "plate_angle_deg": last.plate_angle_deg if last is not None else None,
         "elevator_speed_rpm": last.elevator_speed_rpm if last is not None else None,
+    }
+
+
+def _waveform(monitor: Monitor) -> StatusWaveform | None:
+    seen = monitor.waveform
+    if seen is None:
+        return None
+    return {
+        "published": monitor.settings.waveform.combine,
+        "shape_volume_flow_m3_s": _finite(seen.volume_m3_s),
+        "shape_volume_std_dev_m3_s": _finite(seen.volume_std_dev_m3_s),
+        "shape_flow_kg_s": _finite(seen.shape_kg_s),
+        "shape_std_dev_kg_s": _finite(seen.shape_std_dev_kg_s),
+        "shape_missing_because": seen.shape_reason or None,
+        "kernel_flow_kg_s": _finite(seen.kernels_kg_s),
+        "kernel_std_dev_kg_s": _finite(seen.kernels_std_dev_kg_s),
+        "kernel_verdict": seen.kernels.name.lower(),
+        "kernel_missing_because": seen.kernels_reason or None,
+        "thousand_kernel_weight_g": _finite(seen.kernel_weight_g),
+        "contradiction": seen.contradiction or None,
+        "stretch_by_mean_force": _finite(seen.stretch),
     }
 
 

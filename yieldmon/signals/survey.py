@@ -39,6 +39,7 @@ _HINTS: Mapping[str, str] = {
     "moisture": r"moist",
     "grain_temperature": r"(grain|crop).?temp",
     "test_weight": r"test.?weight|density",
+    "thousand_kernel_weight": r"kernel",
     "tank_mass": r"tank|mass|weight",
     "tank_scale_status": r"(tank|scale).*(state|status)",
     "header_down": r"header",

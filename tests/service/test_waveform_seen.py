@@ -1,0 +1,68 @@
+"""What a user gets of the waveform: status, records, tables and the kernels' weight over loads, crops and restarts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.service.bench import running
+from yieldmon.errors import InputError
+from yieldmon.service import commands, configuration
+from yieldmon.service.assembly import build_monitor
+from yieldmon.service.journal import Journal, Memory, recall
+from yieldmon.service.store import Store
+
+ON = """
+bus: {transmit_max_age_s: 60}
+waveform: {enabled: true, thousand_kernel_weights_g: {wheat: 42}, thousand_kernel_weight_g: 300}
+"""
+
+
+def started(tmp_path: Path, text: str = ON):
+    path = tmp_path / "c.yaml"
+    path.write_text(text)
+    known = configuration.load(path)
+    return build_monitor(known.engine, known.machine, known.parameters, known.calibrator), Journal(Memory(), known.parameters)
+
+
+def load_start(monitor, journal, **request):
+    commands.execute({"command": "load-start", **request}, monitor, journal, 1.7e9)
+    return monitor.kernel_weight_g
+
+
+def test_the_kernels_weight_is_the_one_told_then_the_crop_s_then_the_configured(tmp_path: Path) -> None:
+    monitor, journal = started(tmp_path)
+    assert load_start(monitor, journal) == 300.0
+    assert load_start(monitor, journal, thousand_kernel_weight_g=352.0) == 352.0
+    assert load_start(monitor, journal, field="north") == 352.0
+    assert load_start(monitor, journal, crop="wheat") == 42.0
+    assert load_start(monitor, journal, thousand_kernel_weight_g=45.5) == 45.5
+    with Store(tmp_path / "s.sqlite") as store:
+        store.commit([journal.batch(monitor, 1.7e9, {})])
+        memory = recall(store)
+    after, _ = started(tmp_path)
+    commands.set_crop(after, Journal(memory, after.estimator.parameters))
+    assert after.kernel_weight_g == 45.5
+
+
+def test_a_weight_where_nothing_looks_at_it_changes_nothing(tmp_path: Path) -> None:
+    monitor, journal = started(tmp_path, "bus: {}")
+    before = monitor.totals.load_number
+    with pytest.raises(InputError, match=r"expected waveform\.enabled: true"):
+        commands.execute({"command": "load-start", "thousand_kernel_weight_g": 300.0, "crop": "rye"}, monitor, journal, 1.7e9)
+    assert (monitor.totals.load_number, journal.crop, journal.kernel_weight_g) == (before, "", None)
+
+
+def test_status_and_records_say_what_there_is_and_why_the_rest_is_missing(tmp_path: Path) -> None:
+    with running(tmp_path, ON) as bench:
+        bench.play(16.0, 0.0)
+        bench.play(10.0, 150.0)
+        bench.played()
+        seen, rows = bench.status["waveform"], bench.rows
+    assert seen["kernel_verdict"] == "too_early"
+    assert seen["kernel_missing_because"]
+    assert (seen["shape_flow_kg_s"] is None) is bool(seen["shape_missing_because"])
+    assert rows[-1]["mean_force_flow_kg_s"] > 0.0
+    assert {"shape_volume_flow_m3_s", "kernel_verdict", "thousand_kernel_weight_g"} <= set(rows[-1])
+    assert rows[-1]["thousand_kernel_weight_g"] == 300.0
