@@ -2,6 +2,7 @@
 
     python -m studies.waveform information --draws 60     # Fisher information, and the estimator's scatter
     python -m studies.waveform fill                       # volume flow from discrete-element pulses, loads and angles left out
+    python -m studies.waveform attempts                   # what limits that
     python -m studies.waveform kernels                    # kernel noise in discrete-element forces
     python -m studies.waveform hidden                     # effects that the model does not know, through the monitor
     python -m studies.waveform cost                       # processor time, on and off
@@ -33,6 +34,12 @@ def _fill(args: argparse.Namespace) -> Any:
     return [row for indexed in (True, False) for row in fill.report(0.1, indexed)]
 
 
+def _attempts(args: argparse.Namespace) -> Any:
+    from studies.waveform import attempts
+
+    return attempts.report()
+
+
 def _kernels(args: argparse.Namespace) -> Any:
     from studies.waveform import kernels
 
@@ -57,7 +64,10 @@ def _pack(args: argparse.Namespace) -> Any:
     return {"rows": kernels.pack(args.ledgers, args.out)}
 
 
-_PARTS = {"information": _information, "fill": _fill, "kernels": _kernels, "hidden": _hidden, "cost": _cost, "pack": _pack}
+_PARTS = {
+    "information": _information, "fill": _fill, "attempts": _attempts, "kernels": _kernels, "hidden": _hidden, "cost": _cost,
+    "pack": _pack,
+}  # fmt: skip
 
 
 def main() -> int:
