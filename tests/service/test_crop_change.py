@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
+
 from yieldmon.files import parameter_file
 from yieldmon.files.crops import crop
 from yieldmon.resources import shipped
@@ -56,3 +58,10 @@ def test_a_crop_of_which_nothing_is_known_keeps_the_parameters():
     before = monitor.estimator.parameters.values
     assert not load(monitor, journal, "quinoa")["changed"]
     assert monitor.estimator.parameters.values == before
+
+
+@pytest.mark.parametrize(("typed", "kept", "known"), [(" Wheat ", "wheat", True), ("Quinoa", "Quinoa", False)])
+def test_a_crop_is_known_however_it_is_typed(typed: str, kept: str, known: bool) -> None:
+    monitor, journal = started()
+    answer = commands.execute({"command": "load-start", "crop": typed}, monitor, journal, 1.7e9)
+    assert (answer["crop"], answer["crop_known"], answer["parameters"]["changed"]) == (kept, known, known)

@@ -339,7 +339,8 @@ def test_loads_tickets_and_names(tmp_path, capsys):
         warm_up(bench)
         answer = ask(tmp_path, capsys, "load", "start", "--field", "north", "--crop", "corn")
         parameters = {"crop": None, "version": 1, "changed": False}
-        assert answer == {"load": 2, "field": "north", "crop": "corn", "parameters": parameters, "units": "metric"}
+        known = {"parameters": parameters, "crop_known": True, "units": "metric"}
+        assert answer == {"load": 2, "field": "north", "crop": "corn", **known}
         bench.play(5, GRAIN_MV)
         bench.played()
         assert ask(tmp_path, capsys, "load", "stop")["load"] == 2

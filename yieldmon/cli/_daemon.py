@@ -47,7 +47,7 @@ def daemon_socket(args: argparse.Namespace) -> Path:
     return SYSTEM_SOCKET if SYSTEM_SOCKET.exists() or not user.exists() else user
 
 
-def mass(text: str) -> float:
+def mass(text: str, where: str = "mass") -> float:
     """A mass in kg from the command line: a number above 0, with or without its unit kg, t or lb. Raises InputError."""
     number, scale = text.strip(), 1.0
     for unit, factor in (("kg", 1.0), ("t", KG_PER_T), ("lb", KG_PER_LB)):
@@ -59,5 +59,6 @@ def mass(text: str) -> float:
     except ValueError:
         mass_kg = nan
     if not 0.0 < mass_kg < inf:
-        raise InputError("mass", repr(text), "kilograms above 0, such as 9120, 9120kg, 9.12t or 20106lb")
+        point = ", with a point, not a comma" if "," in text else ""
+        raise InputError(where, repr(text), f"kilograms above 0, such as 9120, 9120kg, 9.12t or 20106lb{point}")
     return mass_kg

@@ -10,6 +10,7 @@ from typing import Any
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
 from yieldmon.cli._records import show
 from yieldmon.cli._units import add_units, units_of
+from yieldmon.files.crops import crops
 from yieldmon.units import UNKNOWN, crop_yield_kg_m2
 
 
@@ -54,6 +55,9 @@ def run(args: argparse.Namespace) -> int:
         print(f"load {answer['load']} started" + (f": {names}" if names else ""))
         if answer["parameters"]["changed"]:
             print(f"measuring with the parameters of {answer['crop']}, version {answer['parameters']['version']}")
+        elif not answer["crop_known"]:
+            known = ", ".join(crops())
+            print(f"yieldmon: {answer['crop']} is no crop that is known; the parameters stay; known are {known}", file=sys.stderr)
     else:
         units = units_of(args.units, answer.get("units", "metric"), answer.get("crop", ""))
         print(f"load {answer['load']} complete: {units.mass_with_bushels(answer['mass_kg'])}")

@@ -27,7 +27,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         epilog="example: yieldmon ticket 3-5 27.4t    also: yieldmon ticket list, and yieldmon ticket undo 2",
     )
     parser.add_argument("loads", metavar="LOAD|list|undo", help="number of the load, or FIRST-LAST for several on one ticket")
-    parser.add_argument("mass", metavar="MASS|N", nargs="?", help="weighed mass: 9120, 9120kg, 9.12t or 20106lb; undo: a ticket")
+    parser.add_argument("mass", metavar="MASS|N", nargs="*", help="weighed mass: 9120, 9120kg, 9.12t or 20106lb; undo: a ticket")
     parser.add_argument("--std-dev", metavar="MASS", help="standard deviation of the weighing (default: 0.5 %% of it)")
     parser.add_argument("--note", help="a note to keep with it")
     add_daemon_arguments(parser)
@@ -37,6 +37,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 when the ticket was taken."""
+    # `9.12 t` is one mass.
+    args.mass = "".join(args.mass) or None
     if args.loads in ("list", "undo"):
         return _listed(args) if args.loads == "list" else _undone(args)
     first, last = _loads(args.loads)
@@ -44,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("MASS", "is missing", "the weighed mass: 9120, 9120kg or 9.12t")
     request = {"command": "ticket", "first_load": first, "last_load": last, "mass_kg": mass(args.mass), "note": args.note}
     if args.std_dev is not None:
-        request["std_dev_kg"] = mass(args.std_dev)
+        request["std_dev_kg"] = mass(args.std_dev, "--std-dev")
     answer = ask_daemon(args, request)
     which = f"load {first}" if first == last else f"loads {first} to {last}"
     change_pct = 100.0 * (answer["factor"] - 1.0)

@@ -63,7 +63,7 @@ def _load_start(request: Mapping[str, Any], monitor: Monitor, journal: Journal, 
     weight_g = _kernel_weight_g(request)
     if weight_g is not None and monitor.waveform is None:
         raise InputError("thousand_kernel_weight_g", "is of no use", "waveform.enabled: true in the configuration")
-    crop = _name(request, "crop")
+    crop = _crop(request)
     if weight_g is not None or (crop is not None and crop != journal.crop):
         # What was told of one crop's kernels does not hold for another's.
         journal.kernel_weight_g = weight_g
@@ -75,9 +75,11 @@ def _load_start(request: Mapping[str, Any], monitor: Monitor, journal: Journal, 
     journal.happened(monitor.start_load())
     set_crop(monitor, journal)
     parameters = monitor.estimator.parameters
+    known = not crop or crop in crops() or parameters.provenance.get("crop") == crop
     return {
         "load": monitor.totals.load_number, "field": journal.field, "crop": journal.crop,
         "parameters": {"version": parameters.version, "crop": parameters.provenance.get("crop"), "changed": chosen is not None},
+        "crop_known": known,
     }
 
 
@@ -277,6 +279,14 @@ def _name(request: Mapping[str, Any], key: str) -> str | None:
     if not isinstance(value, str) or len(value) > _MAX_NAME or not value.isprintable():
         raise InputError(key, repr(value)[:100], f"a name of at most {_MAX_NAME} printable characters")
     return value
+
+
+def _crop(request: Mapping[str, Any]) -> str | None:
+    """A crop's name as it is kept; of a shipped crop it does not matter how it is capitalised."""
+    name = _name(request, "crop")
+    if name is None:
+        return None
+    return name.strip().lower() if name.strip().lower() in crops() else name.strip()
 
 
 def _kernel_weight_g(request: Mapping[str, Any]) -> float | None:

@@ -100,7 +100,7 @@ def read_only(path: Path) -> sqlite3.Connection:
     Raises InputError when there is no such file, it is no yieldmon store, is damaged, or is of a newer version than this one.
     """
     if not path.is_file():
-        raise InputError(str(path), "no such file", "a daemon's store")
+        raise InputError(str(path), "is a folder" if path.is_dir() else "no such file", "a daemon's store")
     # Reading beside a writer needs the writer's journal index; without a journal the file alone is the whole store.
     quiet = not path.with_name(f"{path.name}-wal").exists()
     location = f"file:{quote(str(path.absolute()))}?{'immutable=1' if quiet else 'mode=ro'}"

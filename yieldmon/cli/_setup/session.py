@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Callable, Mapping
 from math import isfinite
 from pathlib import Path
@@ -24,7 +25,8 @@ def from_file(path: str | Path) -> dict[str, Any]:
     known = {question.key: question for question in QUESTIONS}
     for key in content:
         if key not in known:
-            raise InputError(f"{path}: {key}", "is not asked", f"one of {', '.join(known)}")
+            near = difflib.get_close_matches(str(key), known, n=1)
+            raise InputError(f"{path}: {key}", "is not asked", near[0] if near else f"one of {', '.join(known)}")
     return {key: checked(known[key], value, f"{path}: {key}") for key, value in content.items()}
 
 
