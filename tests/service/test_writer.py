@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import threading
+import types
 from pathlib import Path
 
 import pytest
 
+from tests.service.bench import wait_for
 from tests.service.test_store import batch
 from yieldmon.service.store import Batch, Store, StoreError, Ticket
 from yieldmon.service.writer import StoreWriter
@@ -54,6 +57,26 @@ def test_batches_are_written_in_order(disk):
     assert writer.health().committed == 50
     writer.stop()
     assert rows(disk) == list(range(1, 51))
+
+
+def test_a_file_system_that_turned_read_only_is_reported_and_outlasted(tmp_path, monkeypatch):
+    """ext4 after an emergency remount: writes into the open journal and fsync succeed, statvfs tells."""
+    path, writable = tmp_path / "s", os.statvfs(tmp_path)
+    writer = StoreWriter(lambda: Store(path), 100, retry_s=0.01)
+    writer.start()
+    writer.submit(batch(1))
+    assert writer.wait_until_written(PATIENCE_S)
+    remounted = types.SimpleNamespace(f_flag=writable.f_flag | os.ST_RDONLY)
+    monkeypatch.setattr(os, "statvfs", lambda _path: remounted)
+    writer.submit(batch(2))
+    wait_for(lambda: writer.health().failing, "a store that says that it fails")
+    assert f"{path}: its file system has turned read-only" in writer.health().failing
+    monkeypatch.undo()
+    assert writer.wait_until_written(PATIENCE_S)
+    assert writer.health().failing is None
+    writer.stop()
+    with Store(path) as store:
+        assert [row.number for row in store.seconds()] == [1, 2]
 
 
 def test_a_failing_disk_is_outlasted(disk):

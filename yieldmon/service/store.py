@@ -377,7 +377,11 @@ class Store:
         self.close()
 
     def commit(self, batches: Sequence[Batch]) -> None:
-        """Write `batches`, in order, in one transaction; those whose number the store already has are left out."""
+        """Write `batches`, in order, in one transaction; those whose number the store already has are left out.
+
+        Raises StoreError, also where the file system has turned read-only, and BatchRefusedError.
+        """
+        self._require_writable()
         with _failures_of(self.path), _refusals(self.path), self._transaction():
             last = self.last_batch()
             for batch in batches:
@@ -385,6 +389,16 @@ class Store:
                     self._write(batch)
                     last = batch.number
         witness(self.path, last)
+
+    def _require_writable(self) -> None:
+        # On a file system that Linux has remounted read-only, writes into a journal that has room succeed and so does fsync
+        # (ext4), and nothing reaches the medium.
+        try:
+            flags = os.statvfs(self.path).f_flag
+        except OSError:
+            return  # the commit says more
+        if flags & os.ST_RDONLY:
+            raise StoreError(f"{self.path}: its file system has turned read-only")
 
     def _write(self, batch: Batch) -> None:
         execute, executemany = self._database.execute, self._database.executemany
