@@ -190,6 +190,7 @@ def test_task_controller_takes_our_pool_and_our_flow(tmp_path: Path) -> None:
 
             def connected() -> bool:
                 bench.play(1, 0.0)
+                bench.played()
                 return state() == "connected"
 
             wait_for(connected, f"the connection on {name}")
@@ -199,6 +200,7 @@ def test_task_controller_takes_our_pool_and_our_flow(tmp_path: Path) -> None:
 
             def told() -> bool:
                 bench.play(1, 0.0)
+                bench.played()
                 return len(server.values) >= 3
 
             wait_for(told, "values")
