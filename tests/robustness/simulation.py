@@ -205,10 +205,14 @@ class Life:
                     target.write_bytes(content)
             world.path.with_name(world.path.name + "-shm").unlink(missing_ok=True)
         else:
+            replacements = self.writer.health().replacements
             self.writer.work()
             if not self.writer.health().pending:
                 world.committed_kg, self.failing = self.acceptable_kg, False
-            self.said |= bool(self.writer.health().replacements)
+            if self.writer.health().replacements != replacements:
+                self.said, self.whole = True, False
+                self.batch += 1
+                self.submit(self._batch())
             self.writer.close()
 
     def look(self) -> None:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import types
 
 import pytest
 
-from tests.service.bench import START_S, running
+from tests.service.bench import START_S, running, wait_for
 from yieldmon.cli import main as cli
 from yieldmon.files import parameter_file
 from yieldmon.service.store import Store
@@ -87,3 +89,25 @@ def test_tickets_teach_the_same_after_restarts(tmp_path, capsys) -> None:
         assert [math.sqrt(row[i]) for i, row in enumerate(covariance_anew)] == pytest.approx(
             [math.sqrt(row[i]) for i, row in enumerate(covariance)], rel=1e-6
         )
+
+
+def test_a_store_made_anew_by_the_last_write_has_the_tickets_too(tmp_path, capsys, monkeypatch) -> None:
+    """The disk fails, the store's files are removed meanwhile, the disk works again, and the daemon is stopped."""
+    season = Season(tmp_path / "a", capsys)
+    path = season.folder / "yieldmon.sqlite"
+    with running(season.folder) as bench:
+        season.harvest(bench)
+        season.ticket(bench, 2, 1.0)
+        works = os.statvfs(tmp_path)
+        monkeypatch.setattr(os, "statvfs", lambda _path: types.SimpleNamespace(f_flag=works.f_flag | os.ST_RDONLY))
+        bench.play(2, 0.0)
+        bench.played()
+        wait_for(lambda: ask(season.folder, capsys, "status")["store"]["failing"], "a store that says that it fails")
+        for file in season.folder.glob("yieldmon.sqlite*"):
+            file.unlink()
+        monkeypatch.undo()
+        total_kg = ask(season.folder, capsys, "status")["total"]["mass_kg"]
+    with Store(path) as store:
+        assert [ticket.last_load for ticket in store.tickets()] == [2]
+        assert len(store.loads()) == len(season.masses)
+        assert store.state()["engine"]["totals"]["total_kg"] == pytest.approx(total_kg)

@@ -222,6 +222,11 @@ class Daemon:
         def write() -> None:
             if not self._writer.stop(_STOP_WRITING_S):
                 _log.error("the disk hangs; %d batches are not written", self._writer.health().pending)
+            elif self._tell_new_store_all():
+                # The last batches went into a new store, which lacks what an earlier one was given.
+                self._commit()
+                self._writer.work()
+                self._writer.close()
 
         steps = (
             self._manager.stopping, self._transmitter.stop, self._receiver.stop, self._commit, write, metrics.stop, control.stop,
@@ -384,10 +389,7 @@ class Daemon:
     def _second_done(self) -> None:
         """A window has closed: the engine lives, its frames are out, and the second goes to the store."""
         self._window_closed = True
-        replacements = self._writer.health().replacements
-        if replacements != self._replacements:
-            self._replacements = replacements
-            self._journal.report_all()
+        self._tell_new_store_all()
         self._tell_network()
         self._commit()
         if max(self._receiver.hangs_s(), self._transmitter.hangs_s()) < _HANGS_FOR_GOOD_S:
@@ -396,6 +398,15 @@ class Daemon:
         self._rates.second(monotonic(), self._receiver.counters().received)
         self._answer = self._snapshot()
         self._manager.status(commands.summary(self._answer))
+
+    def _tell_new_store_all(self) -> bool:
+        """Let the next batch bring all that is known where the store was replaced since the last look; whether it was."""
+        replacements = self._writer.health().replacements
+        replaced = replacements != self._replacements
+        if replaced:
+            self._replacements = replacements
+            self._journal.report_all()
+        return replaced
 
     def _tell_network(self) -> None:
         """Trouble codes, and the second's values for a task controller."""
