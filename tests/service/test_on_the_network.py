@@ -41,10 +41,23 @@ def say(bench: Bench, identifier: int, text: str) -> None:
     )
 
 
+def claimed(bench: Bench) -> None:
+    """Plays until the address is claimed, and three seconds more: nothing of what a second brings is sent before."""
+
+    def stands() -> bool:
+        bench.play(1, 0.0)
+        bench.played()
+        return bool(bench.status["network"]["claim"] == "claimed")
+
+    bench.play(1, 0.0)
+    wait_for(stands, "the claim")
+    bench.play(3, 0.0)
+    bench.played()
+
+
 def test_claims_come_before_anything_else(tmp_path: Path) -> None:
     with running(tmp_path, TEXT) as bench:
-        bench.play(3, 0.0)
-        bench.played()
+        claimed(bench)
         groups = [parts.group for parts, _ in sent(bench)]
         assert groups[:2] == [REQUEST, ADDRESS_CLAIMED]
         assert len(groups) > 5
@@ -65,8 +78,7 @@ def test_claims_come_before_anything_else(tmp_path: Path) -> None:
 )
 def test_requests_are_answered(tmp_path: Path, asked: tuple[int, str], answer: int) -> None:
     with running(tmp_path, TEXT) as bench:
-        bench.play(2, 0.0)
-        bench.played()
+        claimed(bench)
         bench.heard().clear()
         say(bench, *asked)
         wait_for(lambda: answer in [parts.group for parts, _ in sent(bench)], "the answer")
@@ -74,8 +86,7 @@ def test_requests_are_answered(tmp_path: Path, asked: tuple[int, str], answer: i
 
 def test_requests_for_others_are_not(tmp_path: Path) -> None:
     with running(tmp_path, TEXT) as bench:
-        bench.play(2, 0.0)
-        bench.played()
+        claimed(bench)
         bench.heard().clear()
         for text in ("00EE00", "DAFE00", "E5FE00"):
             say(bench, 0x18EA8417, text)
@@ -87,7 +98,7 @@ def test_requests_for_others_are_not(tmp_path: Path) -> None:
 
 def test_a_lower_name_takes_the_address_and_frames_follow(tmp_path: Path) -> None:
     with running(tmp_path, TEXT) as bench:
-        bench.play(1, 0.0)
+        claimed(bench)
         say(bench, 0x18EEFF00 | US, Name(identity_number=0, arbitrary_address_capable=False).data.hex())
         wait_for(lambda: bench.status["network"]["address"] not in (None, US), "another address")
         taken = bench.status["network"]["address"]
@@ -213,7 +224,7 @@ def test_task_controller_takes_our_pool_and_our_flow(tmp_path: Path) -> None:
 def test_a_tractors_network_traffic_leaves_us_alone(tmp_path: Path, path: Path) -> None:
     """Its requests to all may be answered; those to its own nodes are not ours, and nothing of it is a fault."""
     with running(tmp_path, TEXT) as bench:
-        bench.play(2, 0.0)
+        claimed(bench)
         bench.heard().clear()
         for message in read_log(path):
             message.timestamp = bench.now_s
