@@ -211,6 +211,7 @@ class Life:
                 world.committed_kg, self.failing = self.acceptable_kg, False
             if self.writer.health().replacements != replacements:
                 self.said, self.whole = True, False
+            if not self.whole:
                 self.batch += 1
                 self.submit(self._batch())
             self.writer.close()

@@ -94,6 +94,7 @@ def sensor(channel: str) -> Iterator[None]:
     assert not thread.is_alive()
 
 
+@pytest.mark.slow
 def test_an_interface_pulled_and_put_back_50_times(pulled: str, tmp_path: Path, record_property) -> None:
     took_s = []
     with daemon(pulled, tmp_path) as node, sensor(pulled):
