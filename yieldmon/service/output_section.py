@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
-from functools import cache
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
-from yieldmon.bus.databases import MessageBits, load_messages
 from yieldmon.errors import InputError
 from yieldmon.physics.machine import Machine
-from yieldmon.service.signal_section import database_path
+from yieldmon.service.entry_check import HIGHEST_ADDRESS, address, checked, limits
+from yieldmon.service.signal_section import database_path, database_reader
 from yieldmon.signals.mapping import SignalMap
 from yieldmon.signals.output_mapping import MAX_PERIOD_MS, MIN_PERIOD_MS, OWN, OutputBinding, OutputMap, build
 from yieldmon.signals.published import PUBLISHED
 
-_HIGHEST_ADDRESS = 253
 _PERIOD = f"{MIN_PERIOD_MS:g} to {MAX_PERIOD_MS:g} ms; null: with each new value"
 
 
@@ -57,10 +55,7 @@ def output_map(
     if not bindings:
         return OutputMap(shipped=with_shipped), ()
 
-    @cache
-    def read(name: str) -> dict[str, MessageBits]:
-        return load_messages(database_path(name, path))
-
+    read = database_reader(path)
     found = build(bindings, read, machine, inputs, shipped=with_shipped, network=network, fixed_plate=fixed_plate)
     return found, tuple(database_path(name, path) for name in dict.fromkeys(binding.dbc for binding in bindings))
 
@@ -69,20 +64,8 @@ def _binding(quantity: str, entry: Any, where: str) -> OutputBinding:
     if quantity not in PUBLISHED:
         near = difflib.get_close_matches(quantity, PUBLISHED, n=1)
         raise InputError(where, "unknown quantity", near[0] if near else f"one of {', '.join(PUBLISHED)}")
-    if not isinstance(entry, Mapping):
-        raise InputError(where, repr(entry)[:60], f"keys {', '.join(OutputEntry.model_fields)}")
-    try:
-        found = OutputEntry.model_validate(dict(entry))
-    except ValidationError as error:
-        detail = error.errors(include_url=False)[0]
-        key = str(detail["loc"][0])
-        if detail["type"] == "extra_forbidden":
-            raise InputError(f"{where}.{key}", "unknown key", f"one of {', '.join(OutputEntry.model_fields)}") from error
-        said = "is missing" if detail["type"] == "missing" else repr(detail["input"])[:60]
-        raise InputError(f"{where}.{key}", said, str(OutputEntry.model_fields[key].description)) from error
-    low, high = found.range if found.range is not None else (None, None)
-    if low is not None and high is not None and low >= high:
-        raise InputError(f"{where}.range", f"{found.range}", "two numbers, the smaller first")
+    found = checked(OutputEntry, entry, where, {})
+    low, high = limits(found.range, where)
     return OutputBinding(
         where=where,
         quantity=quantity,
@@ -106,11 +89,4 @@ def _binding(quantity: str, entry: Any, where: str) -> OutputBinding:
 def _source(value: Any, where: str) -> int | str | None:
     if value is None or value == OWN:
         return None if value is None else OWN
-    try:
-        # A number written in hexadecimal is a word in YAML.
-        number = int(value, 0) if isinstance(value, str) else value
-    except ValueError:
-        number = value
-    if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number <= _HIGHEST_ADDRESS:
-        raise InputError(where, repr(value)[:60], f"own, or an address from 0 to {_HIGHEST_ADDRESS}")
-    return number
+    return address(value, where, f"own, or an address from 0 to {HIGHEST_ADDRESS}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,10 @@ from yieldmon.errors import InputError
 from yieldmon.network.name import NameMatch
 from yieldmon.physics.machine import Machine
 from yieldmon.resources import shipped
+from yieldmon.service.entry_check import HIGHEST_ADDRESS, address, checked, limits, whole
 from yieldmon.signals.binding import IMPACT, MAX_RATE_HZ, MIN_RATE_HZ, Binding, Source, check_quantity
 from yieldmon.signals.mapping import SignalMap, build, default_map
 
-_HIGHEST_ADDRESS = 253
 SHIPPED_DATABASES = frozenset({"j1939.dbc", "yieldmon.dbc"})
 
 
@@ -71,7 +71,7 @@ _EXPECTED = {
     "range": "two numbers, the smaller first",
     "ratio": "a number above 0",
     "values": "raw value: code, both whole numbers",
-    "source": f"any, an address from 0 to {_HIGHEST_ADDRESS}, or fields of a NAME",
+    "source": f"any, an address from 0 to {HIGHEST_ADDRESS}, or fields of a NAME",
 }
 
 
@@ -101,7 +101,7 @@ def signal_map(
             bindings.append(_binding(str(quantity), entry, f"{where}[{number}]" if several else where))
     if len({binding.quantity for binding in bindings if binding.is_impact}) > 1:
         raise InputError(f"{path}: signals", "binds impact_voltage and impact_force", "one of the two")
-    read = _reader(path)
+    read = database_reader(path)
     found = build(bindings, read, machine, switched_off=sorted(off), fixed=fixed)
     _check_constants(found, path)
     names = dict.fromkeys(binding.dbc for binding in bindings if binding.dbc is not None)
@@ -116,7 +116,9 @@ def database_path(name: str, configuration: Path) -> Path:
     return shipped(f"dbc/{name}")
 
 
-def _reader(path: Path) -> Any:
+def database_reader(path: Path) -> Callable[[str], dict[str, MessageBits]]:
+    """What reads the messages of a DBC file that the configuration at `path` names, each file once."""
+
     @cache
     def read(name: str) -> dict[str, MessageBits]:
         return load_messages(database_path(name, path))
@@ -125,24 +127,12 @@ def _reader(path: Path) -> Any:
 
 
 def _binding(quantity: str, entry: Any, where: str) -> Binding:
-    if not isinstance(entry, Mapping):
-        raise InputError(where, repr(entry)[:60], f"keys {', '.join(SignalEntry.model_fields)}")
-    try:
-        found = SignalEntry.model_validate(dict(entry))
-    except ValidationError as error:
-        detail = error.errors(include_url=False)[0]
-        key = str(detail["loc"][0]) if detail["loc"] else ""
-        if detail["type"] == "extra_forbidden":
-            raise InputError(f"{where}.{key}", "unknown key", f"one of {', '.join(SignalEntry.model_fields)}") from error
-        field = SignalEntry.model_fields[key]
-        raise InputError(f"{where}.{key}", repr(detail["input"])[:60], _EXPECTED.get(key, str(field.description))) from error
+    found = checked(SignalEntry, entry, where, _EXPECTED)
     if found.signal is not None and found.signals is not None:
         raise InputError(f"{where}.signals", "stands beside signal", "one of the two")
     if found.rate_hz is not None and found.spacing_ms is not None:
         raise InputError(f"{where}.spacing_ms", "stands beside rate_hz", "one of the two")
-    low, high = found.range if found.range is not None else (None, None)
-    if low is not None and high is not None and low >= high:
-        raise InputError(f"{where}.range", f"{found.range}", _EXPECTED["range"])
+    low, high = limits(found.range, where)
     rate_hz = 1000.0 / found.spacing_ms if found.spacing_ms is not None else found.rate_hz
     if found.ratio != 1.0 and quantity != "elevator_speed":
         raise InputError(f"{where}.ratio", f"{found.ratio:g}", "no such key here; it belongs to elevator_speed")
@@ -176,7 +166,7 @@ def _source(value: Any, where: str) -> Source:
     if isinstance(value, Mapping):
         fields = value.get("name", value)
         try:
-            name = NodeName.model_validate({k: _whole(v) for k, v in fields.items()} if isinstance(fields, Mapping) else fields)
+            name = NodeName.model_validate({k: whole(v) for k, v in fields.items()} if isinstance(fields, Mapping) else fields)
         except ValidationError as error:
             detail = error.errors(include_url=False)[0]
             key = ".".join(str(part) for part in detail["loc"])
@@ -185,18 +175,7 @@ def _source(value: Any, where: str) -> Source:
         if not name.model_dump(exclude_none=True):
             raise InputError(where, "an empty NAME", f"at least one of {', '.join(NodeName.model_fields)}")
         return NameMatch(**name.model_dump())
-    value = _whole(value)
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= _HIGHEST_ADDRESS:
-        raise InputError(where, repr(value)[:60], _EXPECTED["source"])
-    return value
-
-
-def _whole(value: Any) -> Any:
-    """A number written in hexadecimal is a word in YAML."""
-    try:
-        return int(value, 0) if isinstance(value, str) else value
-    except ValueError:
-        return value
+    return address(value, where, _EXPECTED["source"])
 
 
 def _check_constants(found: SignalMap, path: Path) -> None:
