@@ -58,7 +58,7 @@ def test_dem_table() -> None:
     assert found["verdict"] == "effect"
     assert 1 <= len(found["effects"]) <= 3
     assert found["gap"]["before"]["lack_of_fit_f"] > 12.0
-    assert found["gap"]["after"]["lack_of_fit_f"] <= 2.5
+    assert found["gap"]["after"]["lack_of_fit_f"] <= 1.6
     assert found["gap"]["closed_pct"] >= 60.0
     assert set(found["gap"]["before"]) >= {"rms", "rms_over_max_pct", "lack_of_fit_f", "p_value"}
     assert set(found["effects"][0]) >= {"name", "stage", "parameters", "confidence", "equivalent"}
