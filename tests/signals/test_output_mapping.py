@@ -127,6 +127,7 @@ def test_what_is_sent_is_told(text: str, dbc: Path, capsys: pytest.CaptureFixtur
     said = capsys.readouterr().out
     for line in text.splitlines():
         assert f"{line.split(':')[0].strip()} goes to " in said
+    assert (" kg/s" in said) == ("mass_flow" in text)
 
 
 def test_signals_are_packed_as_cantools_reads_them(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from yieldmon.engine.sources import QUANTITIES, SampleSource
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.service.configuration import Configuration
 from yieldmon.signals.packing import Packing, span
+from yieldmon.signals.published import PUBLISHED
 
 if TYPE_CHECKING:
     from yieldmon.engine.runs import FrameRun
@@ -95,16 +96,17 @@ def notes(configuration: Configuration) -> list[str]:
         source = "xx" if group.own_address else f"{group.frame_id & 0xFF:02X}"
         identifier = f"0x{group.frame_id >> 8:X}{source}" if group.extended else f"0x{group.frame_id:X}"
         for name, packing in group.quantities:
-            found.append(f"{name} goes to {group.name}.{packing.bits.name} ({identifier}), {when}{_carried(packing)}")
+            carried = _carried(packing, PUBLISHED[name].unit)
+            found.append(f"{name} goes to {group.name}.{packing.bits.name} ({identifier}), {when}{carried}")
     return found
 
 
-def _carried(packing: Packing) -> str:
+def _carried(packing: Packing, unit: str) -> str:
     if packing.counts or packing.codes is not None:
         return ""
     silent = "; without a value no frame is sent" if packing.not_available is None else ""
     ends = sorted(raw * packing.scale + packing.offset for raw in span(packing.bits))
-    return f", from {max(packing.low, ends[0]):.6g} to {min(packing.high, ends[1]):.6g}{silent}"
+    return f", from {max(packing.low, ends[0]):.6g} to {min(packing.high, ends[1]):.6g} {unit}{silent}"
 
 
 def seen_in(configuration: Configuration, log: Path | str) -> dict[str, QuantitySeen]:
