@@ -124,8 +124,9 @@ def obvious_loop(path: Path) -> tuple[float, int]:
 
 def main() -> int:
     """Exit code 0 when rows from text and packed frames are the same."""
-    parser = argparse.ArgumentParser(prog="python -m studies.bulk_speed", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        prog="python -m studies.bulk_speed", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("recordings", type=Path)
     parser.add_argument("--frames", type=int, default=2_000_000)
     parser.add_argument("--keep", type=Path, help="folder that keeps the files made; default: none")
@@ -154,8 +155,12 @@ def main() -> int:
 
 
 def _figures(rows_s: float, read_s: float, frames: int) -> dict[str, float]:
-    return {"cpu_s": rows_s, "mframes_s": frames / rows_s / 1e6, "reading_mframes_s": frames / read_s / 1e6,
-            "cpu_s_scaled": WANTED_FRAMES * rows_s / frames}
+    return {
+        "cpu_s": rows_s,
+        "mframes_s": frames / rows_s / 1e6,
+        "reading_mframes_s": frames / read_s / 1e6,
+        "cpu_s_scaled": WANTED_FRAMES * rows_s / frames,
+    }
 
 
 def _text(document: dict) -> str:

@@ -92,12 +92,12 @@ def one(case: Case, duration_s: float, seed: int) -> Found:
     """One run with the shipped configuration."""
     settings = configuration.load(shipped("config/yieldmon.yaml"))
     sweep = replace(
-        settings.engine.sweep, enabled=case.sweep_every_s > 0.0, first_after_s=case.sweep_every_s or 600.0,
+        settings.engine.sweep,
+        enabled=case.sweep_every_s > 0.0,
+        first_after_s=case.sweep_every_s or 600.0,
         interval_s=case.sweep_every_s or 1800.0,
     )
-    monitor = build_monitor(
-        replace(settings.engine, sweep=sweep), settings.machine, settings.parameters, settings.calibrator
-    )
+    monitor = build_monitor(replace(settings.engine, sweep=sweep), settings.machine, settings.parameters, settings.calibrator)
     scenario = scenario_of(case, duration_s)
     combine = VirtualCombine(scenario, settings.machine, seed)
     records, ends = [], np.arange(EMPTY_S - 1.0, duration_s, LOAD_S)

@@ -45,7 +45,11 @@ def throw_of(args: argparse.Namespace) -> Throw:
     load = args.paddle_mass if args.paddle_mass is not None else paddle_mass_kg(machine, args.mass_flow, spin)
     try:
         throw = replace(
-            preset, paddle_mass_kg=load, elevator_speed_rad_s=spin, seed=args.seed, machine=machine,
+            preset,
+            paddle_mass_kg=load,
+            elevator_speed_rad_s=spin,
+            seed=args.seed,
+            machine=machine,
             contact=Contact(args.friction, rolling, args.restitution),
             release=Release(args.release, math.radians(args.release_angle)),
         )
@@ -69,7 +73,10 @@ def do_bench(args: argparse.Namespace) -> int:
     """The published bench: 6 mm pellets, whole housing, and the rig's own sequence and sensor around the throw."""
     try:
         throw = Throw(
-            paddle_mass_kg=args.paddle_mass, elevator_speed_rad_s=args.elevator_speed * RPM, seed=args.seed, time_step_s=2.0e-5,
+            paddle_mass_kg=args.paddle_mass,
+            elevator_speed_rad_s=args.elevator_speed * RPM,
+            seed=args.seed,
+            time_step_s=2.0e-5,
             grain=Grain(mass_kg=PELLET_KG, volume_m3=math.pi / 6.0 * PELLET_DIAMETER_M**3),
             contact=Contact(args.friction, args.rolling_friction, args.restitution),
             release=Release("open", math.radians(args.release_angle)),
@@ -86,12 +93,20 @@ def do_bench(args: argparse.Namespace) -> int:
         force = records.resample_force_n(plate["total_force_n"][:, 0], step, 1.0 / settings.sampling_hz)
         for trial in range(1, args.trials + 1):
             seen = bench_rig.simulate(force, throw.elevator_speed_rad_s, np.random.default_rng([args.seed, trial]), settings)
-            print(json.dumps({
-                "plate_angle_deg": round(math.degrees(angle), 6), "paddle_mass_kg": throw.paddle_mass_kg, "trial": trial,
-                "response": seen.response.sum, "revolutions": seen.revolutions,
-                "elevator_speed_rpm": seen.elevator_speed_rad_s / RPM, "zero_v": seen.response.zero,
-                "true_momentum_total_kg_m_s": seen.true_impulse_n_s,
-            }))
+            print(
+                json.dumps(
+                    {
+                        "plate_angle_deg": round(math.degrees(angle), 6),
+                        "paddle_mass_kg": throw.paddle_mass_kg,
+                        "trial": trial,
+                        "response": seen.response.sum,
+                        "revolutions": seen.revolutions,
+                        "elevator_speed_rpm": seen.elevator_speed_rad_s / RPM,
+                        "zero_v": seen.response.zero,
+                        "true_momentum_total_kg_m_s": seen.true_impulse_n_s,
+                    }
+                )
+            )
     return 0
 
 
@@ -159,8 +174,12 @@ def do_check(args: argparse.Namespace) -> int:
     for check in found:
         result = check()
         failed += not result.passed
-        print(json.dumps({"check": result.name, "passed": result.passed, "value": result.value, "limit": result.limit,
-                          "what": result.what}), flush=True)
+        print(
+            json.dumps(
+                {"check": result.name, "passed": result.passed, "value": result.value, "limit": result.limit, "what": result.what}
+            ),
+            flush=True,
+        )
     return 1 if failed else 0
 
 

@@ -188,8 +188,8 @@ def response(samples: Array, first_s: float, release_s: float, settings: BenchSe
             f"record of {len(samples)} samples with the release at sample {at_release}, expected {no_load} before it and "
             f"{recording} after it"
         )
-    before = samples[at_release - no_load:at_release]
-    throw = samples[at_release:at_release + recording]
+    before = samples[at_release - no_load : at_release]
+    throw = samples[at_release : at_release + recording]
     zero = float(before.mean())
     total = float((throw - zero).sum())
     return Response(total, total * interval, zero, float(before.std(ddof=1)), int((throw >= full_scale).sum()))
@@ -255,7 +255,7 @@ def simulate(
     at = round((settings.no_load_s + opening) / interval)
     if at + len(force_n) > count:
         raise ValueError(f"throw of {len(force_n) * interval:g} s, expected at most {settings.recording_s - opening:g} s")
-    force[at:at + len(force_n)] = force_n
+    force[at : at + len(force_n)] = force_n
     volts = sensor.zero_v + sensor.volt_per_n * force + rng.normal(0.0, sensor.noise_v, count)
     volts = np.clip(volts, 0.0, sensor.full_scale_v)
     rig.tick(rig.release_s + max(settings.recording_s, settings.solenoid_on_s))

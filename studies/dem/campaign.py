@@ -36,8 +36,17 @@ from yieldmon.resources import shipped
 
 HISTORY_INTERVAL_S = 0.001
 KEYS = (
-    "name", "machine", "kernel", "throw", "elevator_speed_rpm", "friction", "restitution", "paddle_mass_kg", "mass_flow_kg_s",
-    "plate_angle_deg", "seed",
+    "name",
+    "machine",
+    "kernel",
+    "throw",
+    "elevator_speed_rpm",
+    "friction",
+    "restitution",
+    "paddle_mass_kg",
+    "mass_flow_kg_s",
+    "plate_angle_deg",
+    "seed",
 )
 Row = dict[str, float | int | str]
 
@@ -116,11 +125,15 @@ def parse(text: str, where: str) -> Campaign:
         seeds = _numbers(where, content, "seed", [base.seed])
         for seed, load, base, speed, friction, restitution in product(seeds, loads, bases, speeds, frictions, restitutions):
             spin = speed * RPM
-            throws.append(replace(
-                base, seed=int(seed), elevator_speed_rad_s=spin,
-                paddle_mass_kg=paddle_mass_kg(base.machine, load, spin) if loads_are_flows else load,
-                contact=replace(base.contact, friction=friction, restitution=restitution),
-            ))
+            throws.append(
+                replace(
+                    base,
+                    seed=int(seed),
+                    elevator_speed_rad_s=spin,
+                    paddle_mass_kg=paddle_mass_kg(base.machine, load, spin) if loads_are_flows else load,
+                    contact=replace(base.contact, friction=friction, restitution=restitution),
+                )
+            )
     except (TypeError, ValueError, FileNotFoundError) as error:
         if isinstance(error, InputError):
             raise
@@ -130,7 +143,9 @@ def parse(text: str, where: str) -> Campaign:
         if not 0.0 < angle <= 90.0:
             raise InputError(where, f"plate_angle_deg holds {angle}", "angles above 0 and at most 90 deg")
     return Campaign(
-        str(content.get("name", "campaign")), tuple(throws), tuple(math.radians(a) for a in angles),
+        str(content.get("name", "campaign")),
+        tuple(throws),
+        tuple(math.radians(a) for a in angles),
         hashlib.sha256(text.encode()).hexdigest(),
     )
 
@@ -244,9 +259,15 @@ def _one(ledger: Ledger, throw: Throw, angles: list[float]) -> None:
 def provenance(campaign: Campaign) -> dict[str, Any]:
     """What a stranger needs to repeat the campaign."""
     return {
-        "campaign": campaign.name, "source_sha256": campaign.source_sha256, "engine": "LAMMPS",
-        "engine_version": runner.engine_version(), "code_sha256": _code_digest(Path(__file__).parent),
-        "python": platform.python_version(), "numpy": np.__version__, "platform": platform.platform(), "command": sys.argv,
+        "campaign": campaign.name,
+        "source_sha256": campaign.source_sha256,
+        "engine": "LAMMPS",
+        "engine_version": runner.engine_version(),
+        "code_sha256": _code_digest(Path(__file__).parent),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "platform": platform.platform(),
+        "command": sys.argv,
     }
 
 
@@ -303,11 +324,16 @@ def heap_rows(campaign: Campaign, ledger: Ledger) -> list[Row]:
             shape = settled_shape(throw, runner.load(path))
         except ValueError:
             continue
-        rows.append({
-            **_head(throw), "inner_radius_m": shape.inner_radius_m, "reach_deg": math.degrees(shape.reach_rad),
-            "shape_ratio": shape.shape_ratio, "straightness_mm": 1e3 * shape.straightness_m,
-            "bulk_density_kg_m3": shape.bulk_density_kg_m3,
-        })
+        rows.append(
+            {
+                **_head(throw),
+                "inner_radius_m": shape.inner_radius_m,
+                "reach_deg": math.degrees(shape.reach_rad),
+                "shape_ratio": shape.shape_ratio,
+                "straightness_mm": 1e3 * shape.straightness_m,
+                "bulk_density_kg_m3": shape.bulk_density_kg_m3,
+            }
+        )
     return rows
 
 
@@ -340,7 +366,9 @@ def grain_arrays(campaign: Campaign, ledger: Ledger) -> dict[str, NDArray[Any]]:
         release, plate = runner.load(folder / "release.npz"), runner.load(plates[0])
         along, ahead = records.paddle_frame(release["heap_position_m"], script.start_angle_rad(throw))
         values = {
-            "along_mm": 1e3 * along, "ahead_mm": 1e3 * ahead, "let_go_radius_mm": 1e3 * plate["let_go_radius_m"],
+            "along_mm": 1e3 * along,
+            "ahead_mm": 1e3 * ahead,
+            "let_go_radius_mm": 1e3 * plate["let_go_radius_m"],
             "travel_ms": 1e3 * (plate["tip_s"] - plate["let_go_s"]),
             "speed_m_s": np.hypot(plate["free_velocity_m_s"][:, 0], plate["free_velocity_m_s"][:, 1]),
             "below_horizontal_deg": np.degrees(records.direction_below_horizontal_rad(plate["free_velocity_m_s"])),
@@ -353,8 +381,11 @@ def grain_arrays(campaign: Campaign, ledger: Ledger) -> dict[str, NDArray[Any]]:
 
 def _head(throw: Throw) -> Row:
     return {
-        "paddle_mass_kg": throw.paddle_mass_kg, "elevator_speed_rpm": round(throw.elevator_speed_rad_s / RPM, 6),
-        "friction": throw.contact.friction, "trial": throw.seed, "kernel": throw.grain.kernel,
+        "paddle_mass_kg": throw.paddle_mass_kg,
+        "elevator_speed_rpm": round(throw.elevator_speed_rad_s / RPM, 6),
+        "friction": throw.contact.friction,
+        "trial": throw.seed,
+        "kernel": throw.grain.kernel,
     }
 
 
@@ -375,8 +406,13 @@ def history_rows(campaign: Campaign, ledger: Ledger, interval_s: float = HISTORY
             )
             first = int(np.argmax(total != 0.0))
             for i in range(first, len(normal)):
-                rows.append({
-                    "plate_angle_deg": round(math.degrees(angle), 6), **_head(throw), "time_s": round(i * interval_s, 9),
-                    "force_normal_n": float(normal[i]), "force_total_n": float(total[i]),
-                })
+                rows.append(
+                    {
+                        "plate_angle_deg": round(math.degrees(angle), 6),
+                        **_head(throw),
+                        "time_s": round(i * interval_s, 9),
+                        "force_normal_n": float(normal[i]),
+                        "force_total_n": float(total[i]),
+                    }
+                )
     return rows

@@ -66,18 +66,18 @@ def against_plate(throw: Throw, speed_m_s: float, count: int, orientation: Array
     m = throw.machine
     rows, columns = np.divmod(np.arange(count), 5)
     phase = np.arange(count) / count * speed_m_s * throw.time_step_s
-    position = np.column_stack([
-        m.plate_pivot_x_m - throw.grain.reach_m - 0.005 - phase,
-        m.plate_pivot_y_m + 0.02 + rows * (m.plate_length_m - 0.04) / (count / 5),
-        -0.1 + 0.05 * columns,
-    ])
+    position = np.column_stack(
+        [
+            m.plate_pivot_x_m - throw.grain.reach_m - 0.005 - phase,
+            m.plate_pivot_y_m + 0.02 + rows * (m.plate_length_m - 0.04) / (count / 5),
+            -0.1 + 0.05 * columns,
+        ]
+    )
     velocity = np.tile([speed_m_s, 0.0, 0.0], (count, 1))
     return runner.run_stream(throw, 0.5 * pi, position, velocity, orientation)
 
 
-def clump_bounces(
-    orientation: Array, time_step_s: float, friction: float = 0.0, speed_m_s: float = 6.0
-) -> runner.Arrays:
+def clump_bounces(orientation: Array, time_step_s: float, friction: float = 0.0, speed_m_s: float = 6.0) -> runner.Arrays:
     """Single clumps, turned as orientation (n, 3, 3) says and not turning, against an upright plate without gravity."""
     throw = replace(
         LIGHT_CLUMPS, time_step_s=time_step_s, gravity_m_s2=0.0, contact=replace(LIGHT_CLUMPS.contact, friction=friction)
@@ -178,9 +178,7 @@ def repeatable(throw: Throw = HANDFUL) -> CheckResult:
         cached = throw_files(throw, angle, Path(folder))[1]
     with TemporaryDirectory() as folder:
         fresh = throw_files(throw, angle, Path(folder))[1]
-    different = sum(
-        first[name].tobytes() != again[name].tobytes() for again in (cached, fresh) for name in first
-    )
+    different = sum(first[name].tobytes() != again[name].tobytes() for again in (cached, fresh) for name in first)
     return CheckResult("repeatable", float(different), 0.0, "arrays that differ in any bit between three runs of one seed")
 
 
@@ -229,7 +227,9 @@ def clump_does_not_roll() -> CheckResult:
     speeds = {}
     for light in (LIGHT, LIGHT_CLUMPS):
         throw = replace(
-            light, gravity_m_s2=-light.gravity_m_s2, elevator_speed_rad_s=0.16 * 400.0 * RPM / 0.15,
+            light,
+            gravity_m_s2=-light.gravity_m_s2,
+            elevator_speed_rad_s=0.16 * 400.0 * RPM / 0.15,
             contact=replace(light.contact, rolling_friction=0.01),
         )
         m = throw.machine
@@ -243,7 +243,13 @@ def clump_does_not_roll() -> CheckResult:
 
 
 CHECKS: tuple[Callable[[], CheckResult], ...] = (
-    grains_conserved, momentum_balance, bounce_fine_step, bounce_working_step, thin_stream, half_time_step, repeatable,
+    grains_conserved,
+    momentum_balance,
+    bounce_fine_step,
+    bounce_working_step,
+    thin_stream,
+    half_time_step,
+    repeatable,
 )
 
 
@@ -257,8 +263,13 @@ def _of_clumps(check: Callable[..., CheckResult], light: Throw) -> Callable[[], 
 
 
 CLUMP_CHECKS: tuple[Callable[[], CheckResult], ...] = (
-    _of_clumps(grains_conserved, LIGHT_CLUMPS), _of_clumps(momentum_balance, LIGHT_CLUMPS), clump_bounce_central,
-    clump_bounce_energy, clump_bounce_impulse, clump_thin_stream, clump_does_not_roll,
+    _of_clumps(grains_conserved, LIGHT_CLUMPS),
+    _of_clumps(momentum_balance, LIGHT_CLUMPS),
+    clump_bounce_central,
+    clump_bounce_energy,
+    clump_bounce_impulse,
+    clump_thin_stream,
+    clump_does_not_roll,
     _of_clumps(half_time_step, replace(LIGHT_CLUMPS, paddle_mass_kg=0.06)),
     _of_clumps(repeatable, replace(LIGHT_CLUMPS, paddle_mass_kg=0.01)),
 )

@@ -53,7 +53,10 @@ class Clump:
     def scaled(self, factor: float) -> Clump:
         """The same shape, `factor` times as long."""
         return Clump(
-            self.centre_m * factor, self.radius_m * factor, self.volume_m3 * factor**3, self.inertia_m2 * factor**2,
+            self.centre_m * factor,
+            self.radius_m * factor,
+            self.volume_m3 * factor**3,
+            self.inertia_m2 * factor**2,
             self.mass_share,
         )
 
@@ -74,9 +77,13 @@ def union_moments(centre_m: Array, radius_m: Array, cells: int = QUADRATURE_CELL
     volume = float(weight.sum())
     along_x, along_y = weight.sum(axis=1) / volume, weight.sum(axis=0) / volume
     centre = np.array([along_x @ x, along_y @ y, 0.0])
-    second = np.array([
-        along_x @ (x - centre[0]) ** 2, along_y @ (y - centre[1]) ** 2, float((weight * square).sum()) / (3.0 * volume),
-    ])
+    second = np.array(
+        [
+            along_x @ (x - centre[0]) ** 2,
+            along_y @ (y - centre[1]) ** 2,
+            float((weight * square).sum()) / (3.0 * volume),
+        ]
+    )
     return volume, centre, second
 
 

@@ -161,8 +161,12 @@ class Throw:
         _require(self.paddle_mass_kg >= self.grain.mass_kg, "paddle_mass_kg", self.paddle_mass_kg, "at least one grain")
         _require(self.grain_count <= 12000, "paddle_mass_kg", self.paddle_mass_kg, "at most 12000 grains")
         _require(0.0 < self.elevator_speed_rad_s < 100.0, "elevator_speed_rad_s", self.elevator_speed_rad_s, "0 to 100 rad/s")
-        _require(0.0 < self.time_step_s <= self.critical_time_step_s, "time_step_s", self.time_step_s,
-                 f"at most {self.critical_time_step_s:.2g} s, a fifth of the Rayleigh time")
+        _require(
+            0.0 < self.time_step_s <= self.critical_time_step_s,
+            "time_step_s",
+            self.time_step_s,
+            f"at most {self.critical_time_step_s:.2g} s, a fifth of the Rayleigh time",
+        )
         _require(self.settle_revolutions > 0.0, "settle_revolutions", self.settle_revolutions, "a value above 0")
         _require(0.0 < self.stiffness_factor <= 10.0, "stiffness_factor", self.stiffness_factor, "above 0, at most 10")
         _require(isfinite(self.gravity_m_s2), "gravity_m_s2", self.gravity_m_s2, "a finite value")
@@ -265,6 +269,20 @@ def throw_from_dict(values: dict[str, Any]) -> Throw:
 
 
 __all__ = [
-    "RPM", "STANDARD_GRAVITY_M_S2", "TOP_RAD", "Contact", "Grain", "ImpactSensor", "Machine", "Release", "Throw", "Walls",
-    "digest", "kernel_defaults", "merged", "paddle_mass_kg", "throw_from_dict", "to_dict",
+    "RPM",
+    "STANDARD_GRAVITY_M_S2",
+    "TOP_RAD",
+    "Contact",
+    "Grain",
+    "ImpactSensor",
+    "Machine",
+    "Release",
+    "Throw",
+    "Walls",
+    "digest",
+    "kernel_defaults",
+    "merged",
+    "paddle_mass_kg",
+    "throw_from_dict",
+    "to_dict",
 ]

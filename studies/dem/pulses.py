@@ -46,9 +46,7 @@ class CampaignPulses:
         self._turns = RegularGridInterpolator(axes, times * speed[..., None])
 
     @classmethod
-    def load(
-        cls, path: Path, friction: float, machine: Machine, force: str = "total", kernel: str = "sphere"
-    ) -> CampaignPulses:
+    def load(cls, path: Path, friction: float, machine: Machine, force: str = "total", kernel: str = "sphere") -> CampaignPulses:
         """From a campaign's table of 1 kHz forces (CSV, gzipped or not); force: "normal" or "total".
 
         Rows that name no kernel are of spheres. Raises InputError when the friction is not in the table for that kernel or its

@@ -108,8 +108,10 @@ def arrival(throw: Throw, plate: Arrays) -> dict[str, float]:
     over, below = met.place_m < 0.0, met.place_m > frame.length_m
     normal = impulse_n_s(plate["normal_force_n"], float(plate["time_step_s"]))
     return {
-        "on_plate_kg_m_s": float(momentum[~over & ~below].sum()), "over_top_kg_m_s": float(momentum[over].sum()),
-        "below_low_kg_m_s": float(momentum[below].sum()), "on_face_kg_m_s": float(normal @ frame.inward),
+        "on_plate_kg_m_s": float(momentum[~over & ~below].sum()),
+        "over_top_kg_m_s": float(momentum[over].sum()),
+        "below_low_kg_m_s": float(momentum[below].sum()),
+        "on_face_kg_m_s": float(normal @ frame.inward),
         "on_end_kg_m_s": float(normal @ frame.along),
     }
 
@@ -156,8 +158,12 @@ def heap_shape(throw: Throw, along_m: Array, ahead_m: Array, radius_m: Array) ->
     reach = math.acos(min(1.0, h0 / (length * amplitude))) - phase
     area = 0.5 * length**2 * reach - 0.5 * length * h0 * math.sin(reach)
     return HeapShape(
-        float(h0), reach, reach / (1.0 - h0 / length), float(np.sqrt(np.mean(residual**2))),
-        throw.paddle_mass_kg / (area * width), np.column_stack([x, y]),
+        float(h0),
+        reach,
+        reach / (1.0 - h0 / length),
+        float(np.sqrt(np.mean(residual**2))),
+        throw.paddle_mass_kg / (area * width),
+        np.column_stack([x, y]),
     )
 
 
@@ -192,13 +198,21 @@ def layers(throw: Throw, release: Arrays, count: int = RADIAL_LAYERS) -> list[di
     lead = np.degrees(release["let_go_lead_rad"][good])
     rows = []
     for k, part in enumerate(np.array_split(np.argsort(rho, kind="stable"), count)):
-        rows.append({
-            "layer": k, "grains": len(part), "let_go_radius_over_l": float(rho[part].mean()),
-            "settled_radius_over_l": float(settled[part].mean()), "lead_deg": float(lead[part].mean()),
-            "travel_s": float(np.median(travel[part])), "travel_sd_s": float(travel[part].std()),
-            "speed_over_tip": float(speed[part].mean()), "speed_over_tip_sd": float(speed[part].std()),
-            "below_horizontal_deg": float(angle[part].mean()), "below_horizontal_sd_deg": float(angle[part].std()),
-        })
+        rows.append(
+            {
+                "layer": k,
+                "grains": len(part),
+                "let_go_radius_over_l": float(rho[part].mean()),
+                "settled_radius_over_l": float(settled[part].mean()),
+                "lead_deg": float(lead[part].mean()),
+                "travel_s": float(np.median(travel[part])),
+                "travel_sd_s": float(travel[part].std()),
+                "speed_over_tip": float(speed[part].mean()),
+                "speed_over_tip_sd": float(speed[part].std()),
+                "below_horizontal_deg": float(angle[part].mean()),
+                "below_horizontal_sd_deg": float(angle[part].std()),
+            }
+        )
     return rows
 
 

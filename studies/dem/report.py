@@ -74,10 +74,19 @@ def published(friction: float, speed_rpm: float) -> Setting:
     """What stage 3 of the published model needs to know."""
     one = np.ones(1)
     return Setting(
-        machine=MACHINE, plate_angle_rad=one, elevator_speed_rad_s=one * speed_rpm * RPM, moisture_pct=one * np.nan,
-        paddle_length_m=one * MACHINE.paddle_length_m, plate_pivot_x_m=one * MACHINE.plate_pivot_x_m,
-        plate_pivot_y_m=one * MACHINE.plate_pivot_y_m, friction=one * friction, density=one * 1000.0, shape_ratio=one * 2.0,
-        restitution=None, k1=None, k2=None,
+        machine=MACHINE,
+        plate_angle_rad=one,
+        elevator_speed_rad_s=one * speed_rpm * RPM,
+        moisture_pct=one * np.nan,
+        paddle_length_m=one * MACHINE.paddle_length_m,
+        plate_pivot_x_m=one * MACHINE.plate_pivot_x_m,
+        plate_pivot_y_m=one * MACHINE.plate_pivot_y_m,
+        friction=one * friction,
+        density=one * 1000.0,
+        shape_ratio=one * 2.0,
+        restitution=None,
+        k1=None,
+        k2=None,
     )
 
 
@@ -101,24 +110,32 @@ def means(rows: Rows, by: Sequence[str], values: Sequence[str]) -> list[tuple[fl
     """Cells of `by`, with the mean of each of `values`."""
     keys = np.column_stack([rows[b] for b in by])
     cells = np.unique(keys, axis=0)
-    return [
-        (*cell, *(float(rows[v][np.all(np.isclose(keys, cell), axis=1)].mean()) for v in values)) for cell in cells
-    ]
+    return [(*cell, *(float(rows[v][np.all(np.isclose(keys, cell), axis=1)].mean()) for v in values)) for cell in cells]
 
 
 def section_heap() -> dict[str, str]:
     heaps = read("dem_campaign_heaps.csv")
     body = []
     for speed, friction, mass, h0, reach, ratio, rough, density in means(
-        heaps, ("elevator_speed_rpm", "friction", "paddle_mass_kg"),
+        heaps,
+        ("elevator_speed_rpm", "friction", "paddle_mass_kg"),
         ("inner_radius_m", "reach_deg", "shape_ratio", "straightness_mm", "bulk_density_kg_m3"),
     ):
         fraction = mass / (density * MACHINE.paddle_width_m * MACHINE.paddle_length_m**2)
         predicted = float(settling.inner_radius(np.array([fraction]), np.array([2.0]))[0])
-        body.append((
-            f"{speed:.0f}", f"{friction:.2f}", f"{mass:.1f}", f"{h0 / MACHINE.paddle_length_m:.3f}", f"{predicted:.3f}",
-            f"{reach:.0f}", f"{ratio:.2f}", f"{rough * 1e-3 / DIAMETER_M:.2f}", f"{density:.0f}",
-        ))
+        body.append(
+            (
+                f"{speed:.0f}",
+                f"{friction:.2f}",
+                f"{mass:.1f}",
+                f"{h0 / MACHINE.paddle_length_m:.3f}",
+                f"{predicted:.3f}",
+                f"{reach:.0f}",
+                f"{ratio:.2f}",
+                f"{rough * 1e-3 / DIAMETER_M:.2f}",
+                f"{density:.0f}",
+            )
+        )
     header = ("rpm", "friction", "kg", "h0/l", "h0/l with h_f = 2", "psi_f, deg", "h_f", "off straight, kernels rms", "kg/m3")
     with np.load(DATA / "dem_campaign_grains.npz") as grains:
         loads = [float(m) for m in grains["paddle_mass_kg"]]
@@ -151,34 +168,59 @@ def section_release() -> dict[str, str]:
     middle = select(layers, elevator_speed_rpm=400.0, friction=0.3, paddle_mass_kg=0.9)
     body = []
     for layer, rho, lead, travel, speed, below, spread in means(
-        middle, ("layer",),
+        middle,
+        ("layer",),
         ("let_go_radius_over_l", "lead_deg", "travel_s", "speed_over_tip", "below_horizontal_deg", "below_horizontal_sd_deg"),
     ):
         t, v, angle = (float(q[0]) for q in published_release(np.array([rho]), 0.3, 400.0))
-        body.append((
-            f"{layer:.0f}", f"{rho:.3f}", f"{lead:.0f}", f"{1e3 * travel:.1f}", f"{1e3 * t:.1f}", f"{speed:.3f}", f"{v:.3f}",
-            f"{below:.1f} ± {spread:.1f}", f"{angle:.1f}",
-        ))
-    blocks.append(markdown(
-        (
-            "layer", "rho_0", "lead, deg", "travel, ms", "published", "speed / tip", "published", "below horizontal, deg",
-            "published",
-        ),
-        body,
-    ))
+        body.append(
+            (
+                f"{layer:.0f}",
+                f"{rho:.3f}",
+                f"{lead:.0f}",
+                f"{1e3 * travel:.1f}",
+                f"{1e3 * t:.1f}",
+                f"{speed:.3f}",
+                f"{v:.3f}",
+                f"{below:.1f} ± {spread:.1f}",
+                f"{angle:.1f}",
+            )
+        )
+    blocks.append(
+        markdown(
+            (
+                "layer",
+                "rho_0",
+                "lead, deg",
+                "travel, ms",
+                "published",
+                "speed / tip",
+                "published",
+                "below horizontal, deg",
+                "published",
+            ),
+            body,
+        )
+    )
     summary = []
     for speed_rpm, friction in sorted({(a, b) for a, b in zip(layers["elevator_speed_rpm"], layers["friction"], strict=True)}):
         part = select(layers, elevator_speed_rpm=speed_rpm, friction=friction)
         t, v, angle = published_release(part["let_go_radius_over_l"], friction, speed_rpm)
-        summary.append((
-            f"{speed_rpm:.0f}", f"{friction:.2f}", f"{100 * np.mean(part['travel_s'] / t - 1):+.1f}",
-            f"{100 * np.std(part['travel_s'] / t):.1f}", f"{100 * np.mean(part['speed_over_tip'] / v - 1):+.1f}",
-            f"{100 * np.std(part['speed_over_tip'] / v):.1f}", f"{np.mean(part['below_horizontal_deg'] - angle):+.1f}",
-            f"{np.std(part['below_horizontal_deg'] - angle):.1f}",
-        ))
-    blocks.append(markdown(
-        ("rpm", "friction", "travel time, % off", "sd", "speed, % off", "sd", "direction, deg off", "sd"), summary
-    ))
+        summary.append(
+            (
+                f"{speed_rpm:.0f}",
+                f"{friction:.2f}",
+                f"{100 * np.mean(part['travel_s'] / t - 1):+.1f}",
+                f"{100 * np.std(part['travel_s'] / t):.1f}",
+                f"{100 * np.mean(part['speed_over_tip'] / v - 1):+.1f}",
+                f"{100 * np.std(part['speed_over_tip'] / v):.1f}",
+                f"{np.mean(part['below_horizontal_deg'] - angle):+.1f}",
+                f"{np.std(part['below_horizontal_deg'] - angle):.1f}",
+            )
+        )
+    blocks.append(
+        markdown(("rpm", "friction", "travel time, % off", "sd", "speed, % off", "sd", "direction, deg off", "sd"), summary)
+    )
     leads = leads_table()
     figure, axes = plt.subplots(1, 3, figsize=(12.5, 3.8), layout="constrained")
     rho = np.linspace(0.45, 0.985, 120)
@@ -218,9 +260,7 @@ def leads_table() -> str:
                     cells.append(f"{level[cell].mean():.2f} {down[cell].mean():+.2f}" if cell.sum() >= 10 else "")
                 if any(cells) and load in (0.5, 0.9, 1.8):
                     body.append((f"{load:g}", f"{inner:.2f}-{outer:.2f}", f"{0.25 * (inner + outer) + 0.5:.2f}", *cells))
-    return markdown(
-        ("kg", "rho_0", "half way, (rho_0 + 1) / 2", *(f"{a:.0f} to {b:.0f} deg ahead" for a, b in bins_deg)), body
-    )
+    return markdown(("kg", "rho_0", "half way, (rho_0 + 1) / 2", *(f"{a:.0f} to {b:.0f} deg ahead" for a, b in bins_deg)), body)
 
 
 def section_edges() -> dict[str, str]:
@@ -310,10 +350,15 @@ def section_impact() -> dict[str, str]:
         for mass in np.unique(part["paddle_mass_kg"]):
             one = select(part, paddle_mass_kg=mass)
             ratio = dict(means(one, ("plate_angle_deg",), ("impact_ratio",)))
-            body.append((
-                f"{speed:.0f}", f"{friction:.2f}", f"{mass:.1f}", f"{one['stream_thickness_kernels'].mean():.1f}",
-                *(f"{ratio[a]:.2f}" if a in ratio else "" for a in angles),
-            ))
+            body.append(
+                (
+                    f"{speed:.0f}",
+                    f"{friction:.2f}",
+                    f"{mass:.1f}",
+                    f"{one['stream_thickness_kernels'].mean():.1f}",
+                    *(f"{ratio[a]:.2f}" if a in ratio else "" for a in angles),
+                )
+            )
     blocks.append(markdown(("rpm", "friction", "kg", "thickness, kernels", *(f"{a:.0f} deg" for a in angles)), body))
     share = (rows["momentum_total_kg_m_s"] - rows["momentum_kg_m_s"]) / rows["momentum_kg_m_s"]
     body = []
@@ -344,7 +389,8 @@ def section_impact() -> dict[str, str]:
 
 #: Kernels compared: name on the page, file prefix, what `kernel` holds (None: the file has no such column).
 KERNELS = (
-    ("sphere, rolling 0.1", "dem_campaign", None), ("sphere, rolling 0.01", "dem_clumps", "sphere"),
+    ("sphere, rolling 0.1", "dem_campaign", None),
+    ("sphere, rolling 0.01", "dem_clumps", "sphere"),
     ("clump, rolling 0.01", "dem_clumps", "clump"),
 )
 
@@ -366,14 +412,22 @@ def section_clumps() -> dict[str, str]:
     for name, prefix, kernel in KERNELS:
         columns = ("inner_radius_m", "reach_deg", "shape_ratio", "straightness_mm", "bulk_density_kg_m3")
         for mass, h0, reach, ratio, rough, density in means(of_kernel(prefix, kernel, "_heaps"), ("paddle_mass_kg",), columns):
-            heaps.append((
-                f"{mass:.1f}", name, f"{h0 / MACHINE.paddle_length_m:.3f}", f"{reach:.0f}", f"{ratio:.2f}",
-                f"{rough * 1e-3 / DIAMETER_M:.2f}", f"{density:.0f}",
-            ))
+            heaps.append(
+                (
+                    f"{mass:.1f}",
+                    name,
+                    f"{h0 / MACHINE.paddle_length_m:.3f}",
+                    f"{reach:.0f}",
+                    f"{ratio:.2f}",
+                    f"{rough * 1e-3 / DIAMETER_M:.2f}",
+                    f"{density:.0f}",
+                )
+            )
         layers = of_kernel(prefix, kernel, "_layers")
         time, speed, angle = published_release(layers["let_go_radius_over_l"], 0.3, 400.0)
         layers |= {
-            "time": layers["travel_s"] / time - 1.0, "speed": layers["speed_over_tip"] / speed - 1.0,
+            "time": layers["travel_s"] / time - 1.0,
+            "speed": layers["speed_over_tip"] / speed - 1.0,
             "angle": layers["below_horizontal_deg"] - angle,
         }
         rows = of_kernel(prefix, kernel)
@@ -382,10 +436,18 @@ def section_clumps() -> dict[str, str]:
         off = {mass: values for mass, *values in means(layers, ("paddle_mass_kg",), ("time", "speed", "angle"))}
         for mass, fast, below, spread, thick in means(rows, ("paddle_mass_kg",), columns):
             t, v, a = off[mass]
-            releases.append((
-                f"{mass:.1f}", name, f"{100 * t:+.1f}", f"{100 * v:+.1f}", f"{a:+.1f}", f"{fast:.2f}",
-                f"{below:.1f} ± {spread:.1f}", f"{thick:.1f}",
-            ))
+            releases.append(
+                (
+                    f"{mass:.1f}",
+                    name,
+                    f"{100 * t:+.1f}",
+                    f"{100 * v:+.1f}",
+                    f"{a:+.1f}",
+                    f"{fast:.2f}",
+                    f"{below:.1f} ± {spread:.1f}",
+                    f"{thick:.1f}",
+                )
+            )
         columns = ("momentum_kg_m_s", "impact_ratio", "momentum_total_kg_m_s")
         cells[name] = {}
         for mass in np.unique(rows["paddle_mass_kg"]):
@@ -406,6 +468,7 @@ def section_clumps() -> dict[str, str]:
         for name, scale, rms, worst, growth, fall in published_profile(cells)
     ]
     draw_clumps(cells, loads)
+
     def by_kernel(body: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
         return sorted(body, key=lambda row: float(row[0]))
 
@@ -416,14 +479,21 @@ def section_clumps() -> dict[str, str]:
         ),
         "clump-release": markdown(
             (
-                "kg", "kernel", "travel time, % off", "speed, % off", "direction, deg off", "speed, m/s",
-                "below horizontal, deg", "thickness, kernels",
+                "kg",
+                "kernel",
+                "travel time, % off",
+                "speed, % off",
+                "direction, deg off",
+                "speed, m/s",
+                "below horizontal, deg",
+                "thickness, kernels",
             ),
             by_kernel(releases),
         ),
         "clump-gain": markdown(("kg", "kernel", *header, f"total less normal at {header[0]}, %"), by_kernel(gains)),
         "clump-impulse": markdown(
-            ("kg", "normal-only impulse", *header), impulses,
+            ("kg", "normal-only impulse", *header),
+            impulses,
         ),
         "clump-published": markdown(
             ("runs", "scale", "rms, %", "largest, %", "90 deg: heaviest / lightest", "40 / 90 deg, mean"), profile
@@ -453,10 +523,16 @@ def published_profile(cells: Cells) -> list[tuple[str, float, float, float, floa
         rest = np.expm1(log - log.mean())
         low, high = min(m for m, _ in wanted), max(m for m, _ in wanted)
         fall = float(np.mean([found[m, 40.0] / found[m, 90.0] for m in sorted({m for m, _ in wanted})]))
-        out.append((
-            name, float(np.exp(log.mean())), 100 * float(np.sqrt(np.mean(rest**2))), 100 * float(np.abs(rest).max()),
-            found[high, 90.0] / found[low, 90.0], fall,
-        ))
+        out.append(
+            (
+                name,
+                float(np.exp(log.mean())),
+                100 * float(np.sqrt(np.mean(rest**2))),
+                100 * float(np.abs(rest).max()),
+                found[high, 90.0] / found[low, 90.0],
+                fall,
+            )
+        )
     return out
 
 
@@ -467,7 +543,11 @@ def draw_clumps(cells: Cells, loads: Sequence[float]) -> None:
     with np.load(DATA / "dem_clumps_grains.npz") as grains:
         load = max(float(m) for m in grains["paddle_mass_kg"] if m <= 0.9)
         axes[0].scatter(
-            grains[f"ahead_mm_{load:g}"].astype(float), grains[f"along_mm_{load:g}"].astype(float), s=4, alpha=0.4, linewidths=0,
+            grains[f"ahead_mm_{load:g}"].astype(float),
+            grains[f"along_mm_{load:g}"].astype(float),
+            s=4,
+            alpha=0.4,
+            linewidths=0,
             color="tab:brown",
         )
     for (name, prefix, kernel), style in zip(KERNELS, ("b:", "b--", "k-"), strict=True):
@@ -477,8 +557,12 @@ def draw_clumps(cells: Cells, loads: Sequence[float]) -> None:
     arc = np.linspace(0, 1.6, 60)
     axes[0].plot(length * np.sin(arc), length * np.cos(arc), color="grey")
     axes[0].set(
-        title=f"{load:g} kg of clumps; fitted lines", xlabel="ahead of the paddle, mm", ylabel="along the paddle, mm",
-        xlim=(-5, 165), ylim=(0, 165), aspect="equal",
+        title=f"{load:g} kg of clumps; fitted lines",
+        xlabel="ahead of the paddle, mm",
+        ylabel="along the paddle, mm",
+        xlim=(-5, 165),
+        ylim=(0, 165),
+        aspect="equal",
     )
     axes[0].legend(loc="lower right", fontsize=8)
     for (name, *_), style in zip(KERNELS, (":", "--", "-"), strict=True):
@@ -487,7 +571,8 @@ def draw_clumps(cells: Cells, loads: Sequence[float]) -> None:
             label = f"{mass:g} kg" if style == "-" else None
             axes[1].plot(*zip(*line, strict=True), style, marker="o", ms=3, color=colour, label=label)
     axes[1].set(
-        xlabel="plate angle, deg", ylabel="normal-only momentum per kg, m/s",
+        xlabel="plate angle, deg",
+        ylabel="normal-only momentum per kg, m/s",
         title="clump (solid), sphere rolling 0.01 (dashed), 0.1 (dotted)",
     )
     axes[1].legend(fontsize=8)
@@ -545,16 +630,32 @@ def section_diagnosis() -> dict[str, str]:
             for column, name in READINGS.items():
                 found = diagnosed(float(friction), column, accuracy, told=told)
                 held, gap = found.held_out, found.choice
-                body.append((
-                    "gravity, plate's end" if told else "-", f"{100 * accuracy:g} %" if accuracy else "seeds",
-                    f"{friction:.2f}", name, found.verdict,
-                    said(found), f"{found.before.rms_over_max_pct:.2f}",
-                    f"{gap.base_gap.f:.1f} → {gap.best_gap.f:.1f}",
-                    "-" if held is None else f"{held.before.rms:.3f} → {held.after.rms:.3f} (noise {held.noise_floor_rms:.3f})",
-                    "-" if held is None or held.closed_pct is None else f"{held.closed_pct:.0f}",
-                ))
+                body.append(
+                    (
+                        "gravity, plate's end" if told else "-",
+                        f"{100 * accuracy:g} %" if accuracy else "seeds",
+                        f"{friction:.2f}",
+                        name,
+                        found.verdict,
+                        said(found),
+                        f"{found.before.rms_over_max_pct:.2f}",
+                        f"{gap.base_gap.f:.1f} → {gap.best_gap.f:.1f}",
+                        "-"
+                        if held is None
+                        else f"{held.before.rms:.3f} → {held.after.rms:.3f} (noise {held.noise_floor_rms:.3f})",
+                        "-" if held is None or held.closed_pct is None else f"{held.closed_pct:.0f}",
+                    )
+                )
     header = (
-        "told", "noise", "friction", "reading", "verdict", "named", "rms/max, %", "lack of fit F, with these", "held out, kg m/s",
+        "told",
+        "noise",
+        "friction",
+        "reading",
+        "verdict",
+        "named",
+        "rms/max, %",
+        "lack of fit F, with these",
+        "held out, kg m/s",
         "gap closed, %",
     )
     return {"diagnosis": markdown(header, body)}
@@ -589,8 +690,13 @@ def open_loop_fit(
     model = ForwardModel(MACHINE, names)
     data = measurements({k: v[used] for k, v in rows.items()}, column)
     fitted = calibrate(
-        model, data, default_start(model, data, ("k1", "k2"), known), ("k1", "k2"),
-        bounds={"k1": (-20.0, 20.0), "k2": (-5.0, 20.0)}, rng=np.random.default_rng(0), intervals=False,
+        model,
+        data,
+        default_start(model, data, ("k1", "k2"), known),
+        ("k1", "k2"),
+        bounds={"k1": (-20.0, 20.0), "k2": (-5.0, 20.0)},
+        rng=np.random.default_rng(0),
+        intervals=False,
     )
     return model, fitted.parameter_set, used
 
@@ -678,10 +784,19 @@ def section_open_loop() -> dict[str, str]:
                 angle = chosen_angle(other, column, there)
                 rest, error = open_loop_error(friction, column, values, angle)
                 size = 100.0 * np.abs(error)
-                summary.append((
-                    reading, f"{friction:.2f}", label, f"{angle:.0f}", f"{np.nanmean(size):.1f}", f"{np.nanmedian(size):.1f}",
-                    f"{np.nanpercentile(size, 95):.1f}", f"{np.nanmax(size):.1f}", int(np.isnan(size).sum()),
-                ))
+                summary.append(
+                    (
+                        reading,
+                        f"{friction:.2f}",
+                        label,
+                        f"{angle:.0f}",
+                        f"{np.nanmean(size):.1f}",
+                        f"{np.nanmedian(size):.1f}",
+                        f"{np.nanpercentile(size, 95):.1f}",
+                        f"{np.nanmax(size):.1f}",
+                        int(np.isnan(size).sum()),
+                    )
+                )
                 tried = [error_pct(friction, column, values, a) for a in angles]
                 tried.append(error_pct(friction, column, values, 70.0, (0.5, 1.3)))
                 designs.append((reading, f"{friction:.2f}", label, *(f"{mean:.1f} / {most:.0f}" for mean, most, _ in tried)))
@@ -693,7 +808,14 @@ def section_open_loop() -> dict[str, str]:
                             cells.append(f"{100 * np.mean(error[cell]):+.1f}" if cell.any() else "")
                         detail.append((reading, label, f"{mass:g}", *cells))
     header = (
-        "reading", "friction", "model", "calibrated at, deg", "mean error, %", "median", "95 %", "largest",
+        "reading",
+        "friction",
+        "model",
+        "calibrated at, deg",
+        "mean error, %",
+        "median",
+        "95 %",
+        "largest",
         "rows without estimate",
     )
     columns = [f"{a:.0f} deg" for a in angles]
@@ -709,8 +831,10 @@ def section_open_loop() -> dict[str, str]:
 def open_loop_budget(frictions: Sequence[float]) -> str:
     """Where the error of the normal-only reading comes from, stage by stage, with the sizes of the other crop."""
     said = {
-        "stream": "heap, release and flight: what lands on the face", "gain": "gain on the face, grain caught past the edges",
-        "end": "the plate's end", "whole": "together",
+        "stream": "heap, release and flight: what lands on the face",
+        "gain": "gain on the face, grain caught past the edges",
+        "end": "the plate's end",
+        "whole": "together",
     }
     column, body = "momentum_kg_m_s", []
     for friction in frictions:
@@ -721,18 +845,27 @@ def open_loop_budget(frictions: Sequence[float]) -> str:
         parts = stages.budget_pct(values | open_loop_gain(friction, column, values, angle), rows, arrivals_of(rows))
         for name, text in said.items():
             cells = [parts[name][np.isclose(rows["plate_angle_deg"], a)] for a in np.unique(rows["plate_angle_deg"])]
-            body.append((
-                f"{friction:.2f}", text, *(f"{cell.mean():+.1f} ± {cell.std():.1f}" for cell in cells),
-                f"{np.sqrt(np.mean(parts[name] ** 2)):.1f}",
-            ))
+            body.append(
+                (
+                    f"{friction:.2f}",
+                    text,
+                    *(f"{cell.mean():+.1f} ± {cell.std():.1f}" for cell in cells),
+                    f"{np.sqrt(np.mean(parts[name] ** 2)):.1f}",
+                )
+            )
     angles = np.unique(read("dem_campaign.csv")["plate_angle_deg"])
     return markdown(("friction", "stage", *(f"{a:.0f} deg" for a in angles), "rms"), body)
 
 
 SECTIONS: dict[str, Callable[[], dict[str, str]]] = {
-    "heap": section_heap, "release": section_release, "landing": section_landing, "impact": section_impact,
+    "heap": section_heap,
+    "release": section_release,
+    "landing": section_landing,
+    "impact": section_impact,
     "clumps": section_clumps,
-    "edges": section_edges, "diagnosis": section_diagnosis, "open-loop": section_open_loop,
+    "edges": section_edges,
+    "diagnosis": section_diagnosis,
+    "open-loop": section_open_loop,
 }
 
 

@@ -53,14 +53,21 @@ def run_throw(
     says. Raises EngineError.
     """
     job = {
-        "kind": "throw", "throw": to_dict(throw), "plate_angles_rad": list(plate_angles_rad), "cache": str(cache),
-        "out": str(out), "audit": audit,
+        "kind": "throw",
+        "throw": to_dict(throw),
+        "plate_angles_rad": list(plate_angles_rad),
+        "cache": str(cache),
+        "out": str(out),
+        "audit": audit,
     }
     _run(job, on_report)
 
 
 def run_stream(
-    throw: Throw, plate_angle_rad: float, position_m: NDArray[Any], velocity_m_s: NDArray[Any],
+    throw: Throw,
+    plate_angle_rad: float,
+    position_m: NDArray[Any],
+    velocity_m_s: NDArray[Any],
     orientation: NDArray[Any] | None = None,
 ) -> Arrays:
     """Fires free grains of the mean size at the plate. position_m, velocity_m_s: (n, 3); orientation: (n, 3, 3) of clumps.
@@ -70,8 +77,12 @@ def run_stream(
     with TemporaryDirectory(prefix="yieldmon-dem-") as folder:
         out = Path(folder)
         job = {
-            "kind": "stream", "throw": to_dict(throw), "plate_angle_rad": plate_angle_rad, "out": folder,
-            "position_m": np.asarray(position_m).tolist(), "velocity_m_s": np.asarray(velocity_m_s).tolist(),
+            "kind": "stream",
+            "throw": to_dict(throw),
+            "plate_angle_rad": plate_angle_rad,
+            "out": folder,
+            "position_m": np.asarray(position_m).tolist(),
+            "velocity_m_s": np.asarray(velocity_m_s).tolist(),
         }
         if orientation is not None:
             job["orientation"] = np.asarray(orientation).tolist()

@@ -118,10 +118,20 @@ def body_lines(
 ) -> str:
     """The bodies' state file: mass (n,), centre of mass and its velocity (n, 3), inertia (n, 3, 3), angular momentum (n, 3)."""
     i = inertia_kg_m2
-    table = np.column_stack([
-        mass_kg, position_m, i[:, 0, 0], i[:, 1, 1], i[:, 2, 2], i[:, 0, 1], i[:, 0, 2], i[:, 1, 2], velocity_m_s,
-        angular_momentum_kg_m2_s,
-    ])
+    table = np.column_stack(
+        [
+            mass_kg,
+            position_m,
+            i[:, 0, 0],
+            i[:, 1, 1],
+            i[:, 2, 2],
+            i[:, 0, 1],
+            i[:, 0, 2],
+            i[:, 1, 2],
+            velocity_m_s,
+            angular_momentum_kg_m2_s,
+        ]
+    )
     rows = (f"{n} {' '.join(map(repr, map(float, row)))} 0 0 0" for n, row in enumerate(table, start=1))
     return "\n".join([str(len(table)), *rows, ""])
 

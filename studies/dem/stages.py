@@ -76,9 +76,7 @@ def learn_release(grain: Sizes, rows: Rows, arrivals: Rows) -> Sizes:
     names = ("stream_rise.ratio", "unpushed_layers.rate_per_rad")
     recorded = np.column_stack([arrivals[column] for column in ARRIVAL_COLUMNS])
     whole = recorded.sum(axis=1, keepdims=True)
-    return _learn(
-        names, typical(names), lambda x: ((crossing_momentum(grain | KNOWN | x, rows) - recorded) / whole).ravel()
-    )
+    return _learn(names, typical(names), lambda x: ((crossing_momentum(grain | KNOWN | x, rows) - recorded) / whole).ravel())
 
 
 def learn_impact(grain: Sizes, rows: Rows, release: Sizes) -> Sizes:

@@ -232,9 +232,7 @@ def _create(engine: Engine, throw: Throw, packing: Packing) -> None:
         velocity = np.repeat(velocity, shape.count, axis=0)
         radius, mass = np.outer(scale, shape.radius_m).ravel(), np.outer(mass, shape.mass_share).ravel()
     n = len(position)
-    engine._lmp.create_atoms(
-        n, list(range(1, n + 1)), [1] * n, position.ravel().tolist(), velocity.ravel().tolist()
-    )
+    engine._lmp.create_atoms(n, list(range(1, n + 1)), [1] * n, position.ravel().tolist(), velocity.ravel().tolist())
     if engine.count != n:
         raise RuntimeError(f"{n - engine.count} of {n} spheres start outside the box")
     order = engine.number()
@@ -392,8 +390,13 @@ def throw_to_branch(module: Any, throw: Throw, heap: Path, branch: Path, watch_f
         raise RuntimeError("no grain came near the plate in one and a half turns")
     _write_restart(engine, branch)
     save(
-        watch_file, settled_step=watch._settled_step, radius_m=radius, mass_kg=mass,
-        heap_position_m=heap_position, heap_velocity_m_s=heap_velocity, **watch.arrays(),
+        watch_file,
+        settled_step=watch._settled_step,
+        radius_m=radius,
+        mass_kg=mass,
+        heap_position_m=heap_position,
+        heap_velocity_m_s=heap_velocity,
+        **watch.arrays(),
     )
     engine.close()
 
@@ -529,12 +532,21 @@ def _strike(
             if not waiting or watch.only_stragglers():
                 break
     return {
-        "plate_angle_rad": angle, "time_step_s": dt, "start_step": watch.start_step, "mass_kg": mass,
-        "normal_force_n": np.array(watch.normal), "total_force_n": np.array(watch.total),
-        "normal_moment_n_m": np.array(watch.moment), "other_wall_force_n": np.array(watch.other_walls).reshape(-1, 2),
-        "touch_s": watch.touch_s, "touch_position_m": watch.touch_position_m, "touch_velocity_m_s": watch.touch_velocity_m_s,
-        "grain_impulse_n_s": watch.grain_impulse_n_s, "start_velocity_m_s": watch.start_velocity_m_s,
-        "end_velocity_m_s": watch.velocity_m_s, "present": np.isin(np.arange(len(mass)), engine.grains()[0]),
+        "plate_angle_rad": angle,
+        "time_step_s": dt,
+        "start_step": watch.start_step,
+        "mass_kg": mass,
+        "normal_force_n": np.array(watch.normal),
+        "total_force_n": np.array(watch.total),
+        "normal_moment_n_m": np.array(watch.moment),
+        "other_wall_force_n": np.array(watch.other_walls).reshape(-1, 2),
+        "touch_s": watch.touch_s,
+        "touch_position_m": watch.touch_position_m,
+        "touch_velocity_m_s": watch.touch_velocity_m_s,
+        "grain_impulse_n_s": watch.grain_impulse_n_s,
+        "start_velocity_m_s": watch.start_velocity_m_s,
+        "end_velocity_m_s": watch.velocity_m_s,
+        "present": np.isin(np.arange(len(mass)), engine.grains()[0]),
         "engine_version": engine.version,
     }
 

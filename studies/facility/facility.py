@@ -43,9 +43,7 @@ def measure(
     grid = np.meshgrid(speeds, plate_angles_deg, mass_flows_kg_s, np.arange(1, trials + 1), indexing="ij")
     rpm, angle, flow, trial = (axis.ravel().astype(float) for axis in grid)
     moisture = scenario.crop.moisture_pct
-    force = shown_force_n(
-        table, scenario.effects, flow, np.deg2rad(angle), rpm * RPM, scenario.sensor.response_s, moisture
-    )
+    force = shown_force_n(table, scenario.effects, flow, np.deg2rad(angle), rpm * RPM, scenario.sensor.response_s, moisture)
     sigma = window_sigma_n(
         table,
         scenario,

@@ -88,10 +88,7 @@ def _mean_square(
     square = (impulses.sum(axis=0) / period) ** 2
     for harmonic in range(1, _HARMONICS + 1):
         omega = 2.0 * np.pi * harmonic / period
-        line = sum(
-            p * (shares * np.exp(-1j * omega[..., None] * m)).sum(axis=-1)
-            for p, m in zip(impulses, middles, strict=True)
-        )
+        line = sum(p * (shares * np.exp(-1j * omega[..., None] * m)).sum(axis=-1) for p, m in zip(impulses, middles, strict=True))
         square = square + 2.0 * np.abs(line / period) ** 2 / (1.0 + (omega * response_s) ** 2) ** 2
     return np.asarray(square)
 

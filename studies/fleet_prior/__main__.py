@@ -52,8 +52,15 @@ def machine_of(name: str, truth: dict[str, float], chance: np.random.Generator) 
         force = np.real(model.force(at, values)) * gain * np.exp(chance.normal(0.0, SCATTER_SD))
         weighed = float(np.sum(flow) * WINDOW_S * np.exp(chance.normal(0.0, SCALE_SD)))
         loads.append(
-            WeighedLoad(str(number), weighed, SCALE_SD * weighed, np.full(WINDOWS, WINDOW_S), force, np.full(WINDOWS, angle),
-                        np.full(WINDOWS, speed))
+            WeighedLoad(
+                str(number),
+                weighed,
+                SCALE_SD * weighed,
+                np.full(WINDOWS, WINDOW_S),
+                force,
+                np.full(WINDOWS, angle),
+                np.full(WINDOWS, speed),
+            )
         )
     return MachineLoads(name, model, tuple(loads))
 
@@ -86,8 +93,9 @@ def study(machines: int, seed: int) -> dict:
 
 def main() -> int:
     """Exit code 0 when the fleet's prior halves the error."""
-    parser = argparse.ArgumentParser(prog="python -m studies.fleet_prior", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        prog="python -m studies.fleet_prior", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--machines", type=int, default=10)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--json", action="store_true")

@@ -1,9 +1,9 @@
 """The hidden-effect study of `yieldmon diagnose`.
 
-    python -m studies.hidden_effects run --out results.jsonl            # resumable; one line a case
-    python -m studies.hidden_effects run --out results.jsonl --cases 3  # a short one: three cases of each kind and effect
-    python -m studies.hidden_effects run --out part1.jsonl --part 1/3   # one of three processes
-    python -m studies.hidden_effects report *.jsonl                     # README.md, results.json
+python -m studies.hidden_effects run --out results.jsonl            # resumable; one line a case
+python -m studies.hidden_effects run --out results.jsonl --cases 3  # a short one: three cases of each kind and effect
+python -m studies.hidden_effects run --out part1.jsonl --part 1/3   # one of three processes
+python -m studies.hidden_effects report *.jsonl                     # README.md, results.json
 """
 
 from __future__ import annotations

@@ -50,8 +50,16 @@ Effects = Mapping[str, float]
 
 
 def force(  # noqa: PLR0915
-    angle: Array, speed: Array, flow: Array, moisture: Array, grain: Grain, effects: Effects, machine: Geometry = Geometry(),
-    *, other_laws: bool = False, third_laws: bool = False,
+    angle: Array,
+    speed: Array,
+    flow: Array,
+    moisture: Array,
+    grain: Grain,
+    effects: Effects,
+    machine: Geometry = Geometry(),
+    *,
+    other_laws: bool = False,
+    third_laws: bool = False,
 ) -> Array:
     """Mean horizontal force, N, for arrays of one shape (rows,); nan where the paddles would overflow.
 
@@ -100,7 +108,19 @@ def force(  # noqa: PLR0915
     vx, vy = tip * (outward * np.cos(theta) - np.sin(theta)), tip * (outward * np.sin(theta) + np.cos(theta))
     x, y = length * np.cos(theta), length * np.sin(theta)
     parts = _as_released(
-        x, y, vx, vy, size=size, radius=radius, psi=psi, inner=inner, push=push, tau=tau, speed=speed, tip=tip, start=start,
+        x,
+        y,
+        vx,
+        vy,
+        size=size,
+        radius=radius,
+        psi=psi,
+        inner=inner,
+        push=push,
+        tau=tau,
+        speed=speed,
+        tip=tip,
+        start=start,
         third=third,
     )
 
@@ -117,8 +137,19 @@ def force(  # noqa: PLR0915
         for turn, weight in zip(fan, weights, strict=True):
             ux, uy = wx * np.cos(turn) - wy * np.sin(turn), wx * np.sin(turn) + wy * np.cos(turn)
             pulse, landed = _strike(
-                px, py, ux, uy, radius * psi * length, share * layer_mass, angle, e, size, machine,
-                other=other, third=third, fill=fill,
+                px,
+                py,
+                ux,
+                uy,
+                radius * psi * length,
+                share * layer_mass,
+                angle,
+                e,
+                size,
+                machine,
+                other=other,
+                third=third,
+                fill=fill,
             )
             momentum += pulse * weight
             landed_mass += landed * weight
@@ -329,8 +360,15 @@ def _strike(  # noqa: PLR0912, PLR0915
 
 
 def _caught(
-    lands: Array, mass: Array, along: Array, kappa: Array, normal: Array, tangent: Array, size: Mapping[str, float],
-    other: frozenset[str], third: frozenset[str],
+    lands: Array,
+    mass: Array,
+    along: Array,
+    kappa: Array,
+    normal: Array,
+    tangent: Array,
+    size: Mapping[str, float],
+    other: frozenset[str],
+    third: frozenset[str],
 ) -> Array:
     """Share that lands, after the effects that act on grain near the plate's edges."""
     if "miss_capture" in size and "miss_capture" in third:

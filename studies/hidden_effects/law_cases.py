@@ -181,9 +181,7 @@ def own_rows(hidden: tuple[str, ...], rng: np.random.Generator, third: bool, sha
     """Rows of the study's own generator by its second or third laws, 1 % noise, each effect scaled to 5 to 20 % of full scale."""
     case = cases.Case("hidden", hidden, int(rng.integers(2**20)), 1.0, "many")
     angle, flow, speed, moisture, trial = cases._design(case, rng)
-    grain = g.Grain(
-        float(rng.uniform(0.1, 0.6)), float(rng.uniform(0.3, 0.75)), float(rng.uniform(900.0, 1500.0)), shape
-    )
+    grain = g.Grain(float(rng.uniform(0.1, 0.6)), float(rng.uniform(0.3, 0.75)), float(rng.uniform(900.0, 1500.0)), shape)
     laws = {"third_laws": True} if third else {"other_laws": True}
     clean = g.force(angle, speed, flow, moisture, grain, {})
     full, sizes = float(np.nanmax(clean)), dict[str, float]()

@@ -148,9 +148,7 @@ def judged(lived: Lived, args: argparse.Namespace):  # type: ignore[no-untyped-d
 
 def yieldmon(arguments: list[str]) -> subprocess.CompletedProcess[str]:
     """The command itself."""
-    done = subprocess.run(
-        [sys.executable, "-m", "yieldmon.cli.main", *arguments], capture_output=True, text=True, check=False
-    )
+    done = subprocess.run([sys.executable, "-m", "yieldmon.cli.main", *arguments], capture_output=True, text=True, check=False)
     if done.returncode != 0:
         sys.exit(f"yieldmon {' '.join(arguments)}: {done.stderr}")
     return done

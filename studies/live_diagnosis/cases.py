@@ -116,9 +116,7 @@ def combine_of(case: Case, machine: Machine, hours: float, seed: int) -> Virtual
     return VirtualCombine(scene, machine, seed, pulse_table(scene, machine))
 
 
-def flow_errors(
-    rows: Sequence[SecondRow], combine: VirtualCombine, start_s: float, home_deg: float
-) -> dict[str, FlowError]:
+def flow_errors(rows: Sequence[SecondRow], combine: VirtualCombine, start_s: float, home_deg: float) -> dict[str, FlowError]:
     """Errors of the stored 1 Hz flow where the plate was "home", "away", and "all". start_s: bus time of the combine's time 0."""
     _, error, away = _errors(rows, combine, start_s, home_deg)
     return {name: _summed(error[part]) for name, part in (("home", ~away), ("away", away), ("all", away | ~away))}

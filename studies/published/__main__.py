@@ -88,23 +88,48 @@ def calibration(seed: int) -> Iterator[Line]:
 
     found = levenberg_marquardt(residuals, np.random.default_rng(seed).uniform(low, high, (100, 3)), low, high)
     error = np.max(np.abs(found.theta / np.array([GRAIN[n] for n in NAMES]) - 1.0), axis=1)
-    yield Line("calibration", "random starts of 100 that end within 1e-4 of the generating parameters", "-",
-               float(np.sum(error < 1e-4)), "", ">= 95")
-    result = calibrate(MODEL, rows, default_start(MODEL, rows, ("restitution",)), NAMES, starts=100, intervals=False,
-                       rng=np.random.default_rng(seed))
+    yield Line(
+        "calibration",
+        "random starts of 100 that end within 1e-4 of the generating parameters",
+        "-",
+        float(np.sum(error < 1e-4)),
+        "",
+        ">= 95",
+    )
+    result = calibrate(
+        MODEL,
+        rows,
+        default_start(MODEL, rows, ("restitution",)),
+        NAMES,
+        starts=100,
+        intervals=False,
+        rng=np.random.default_rng(seed),
+    )
     theirs = PUBLISHED["generated_calibration_70deg"]
     for name, key in (("friction", "friction"), ("restitution", "restitution"), ("density", "density_kg_m3")):
-        yield Line("calibration", f"table 11.3, unrounded data: {name} (generated with {GRAIN[name]:g})", f"{theirs[key]}",
-                   result.parameter_set.values[name], "")
+        yield Line(
+            "calibration",
+            f"table 11.3, unrounded data: {name} (generated with {GRAIN[name]:g})",
+            f"{theirs[key]}",
+            result.parameter_set.values[name],
+            "",
+        )
     printed = np.array([PUBLISHED["generated_momentum"][int(f)][6] for f in FLOWS])
-    rounded = calibrate(MODEL, Measurements(rows.conditions, printed), default_start(MODEL, rows, ("restitution",)), NAMES,
-                        starts=20, intervals=False)
+    rounded = calibrate(
+        MODEL,
+        Measurements(rows.conditions, printed),
+        default_start(MODEL, rows, ("restitution",)),
+        NAMES,
+        starts=20,
+        intervals=False,
+    )
     for name in NAMES:
         yield Line("calibration", f"from the printed table 11.2 at 70 deg: {name}", "-", rounded.parameter_set.values[name], "")
     force = np.real(MODEL.force(rows.conditions, GRAIN))
     flow = OpenLoop(MODEL, result.parameter_set).invert(force, np.radians(70.0), SPEED)
-    yield Line("calibration", "table 11.4, open loop: largest error", "0.69", 100.0 * np.max(np.abs(flow / FLOWS - 1.0)), "%",
-               "<= 1e-4")
+    yield Line(
+        "calibration", "table 11.4, open loop: largest error", "0.69", 100.0 * np.max(np.abs(flow / FLOWS - 1.0)), "%", "<= 1e-4"
+    )
 
 
 def measured(name: str) -> Measurements:
@@ -115,8 +140,9 @@ def measured(name: str) -> Measurements:
 def fit(rows: Measurements, effects: tuple[str, ...] = (), starts: int = 20) -> Calibration:
     model = MODEL.with_effects(effects)
     start = default_start(model, rows, ("k1", "k2"))
-    return calibrate(model, rows, start, ("friction", "density", "k1", "k2", *model.effect_parameters), starts=starts,
-                     intervals=False)
+    return calibrate(
+        model, rows, start, ("friction", "density", "k1", "k2", *model.effect_parameters), starts=starts, intervals=False
+    )
 
 
 def on_means(rows: Measurements, result: Calibration, effects: tuple[str, ...] = ()) -> np.ndarray:
@@ -151,8 +177,13 @@ def at_70(name: str) -> Iterator[Line]:
 
 def sweep_of(rows: Measurements, noise: float) -> Sweep:
     columns = rows.columns()
-    return Sweep(np.arange(rows.momentum.size, dtype=float), columns[0], columns[1], rows.momentum * PASSES,
-                 np.full(rows.momentum.shape, noise * PASSES))
+    return Sweep(
+        np.arange(rows.momentum.size, dtype=float),
+        columns[0],
+        columns[1],
+        rows.momentum * PASSES,
+        np.full(rows.momentum.shape, noise * PASSES),
+    )
 
 
 def model_error(result: Calibration) -> float:
@@ -220,24 +251,54 @@ def drift() -> Iterator[Line]:
                 must = "<= 1.87" if values is changed and (noise is None or flows is not alone) else ""
                 yield Line("drift", f"{label}, {words}, {how}: mean error", f"{published.mean():.2f}", error.mean(), "%", must)
                 yield Line("drift", f"{label}, {words}, {how}: largest error", f"{published.max():.2f}", error.max(), "%")
-                yield Line("drift", f"{label}, {words}, {how}: truths in the 90 % interval, of 8", "-", float(inside), "",
-                           ">= 8" if values is changed else "")
+                yield Line(
+                    "drift",
+                    f"{label}, {words}, {how}: truths in the 90 % interval, of 8",
+                    "-",
+                    float(inside),
+                    "",
+                    ">= 8" if values is changed else "",
+                )
     scales = np.exp(np.linspace(-0.5, 0.5, 11))
     base = ParameterSet(GRAIN)
     force = np.real(MODEL.force(Conditions(ANGLES[:, None], SPEED, mass_flow_kg_s=FLOWS / 2.0), GRAIN))
     worst = max(
-        float(np.max(np.abs(np.real(MODEL.force(
-            Conditions(ANGLES[:, None], SPEED, mass_flow_kg_s=a * FLOWS / 2.0), scaled(base, a).values)) / force - 1.0)))
+        float(
+            np.max(
+                np.abs(
+                    np.real(
+                        MODEL.force(Conditions(ANGLES[:, None], SPEED, mass_flow_kg_s=a * FLOWS / 2.0), scaled(base, a).values)
+                    )
+                    / force
+                    - 1.0
+                )
+            )
+        )
         for a in scales
     )
     yield Line("drift", "largest change of a force along (a, a, 1/a), a = 0.61 .. 1.65", "-", worst, "", "<= 1e-12")
     named = sweep_directions(MODEL, Conditions(ANGLES, SPEED, mass_flow_kg_s=12.0), GRAIN, NAMES, 0.1)
-    yield Line("drift", "unobservable directions found at 12 kg/s that are this one", "-",
-               float(sum(d.is_scale and not np.isfinite(d.relative_sd) for d in named)), "", ">= 1")
+    yield Line(
+        "drift",
+        "unobservable directions found at 12 kg/s that are this one",
+        "-",
+        float(sum(d.is_scale and not np.isfinite(d.relative_sd) for d in named)),
+        "",
+        ">= 1",
+    )
 
 
-HOME_RETURNS = np.radians([70.0, 70.0, *(a for pair in ((40, 45), (50, 55), (60, 65), (75, 80), (85, 90)) for a in (
-    pair[0], pair[0], pair[1], pair[1], 70.0, 70.0))])
+HOME_RETURNS = np.radians(
+    [
+        70.0,
+        70.0,
+        *(
+            a
+            for pair in ((40, 45), (50, 55), (60, 65), (75, 80), (85, 90))
+            for a in (pair[0], pair[0], pair[1], pair[1], 70.0, 70.0)
+        ),
+    ]
+)
 
 
 def coverage(seed: int, wander: float = 0.0, count: int = 300) -> Iterator[Line]:
@@ -260,9 +321,7 @@ def coverage(seed: int, wander: float = 0.0, count: int = 300) -> Iterator[Line]
         # Twelve paddles a second that scatter by 7 %, and 0.1 N of electrical noise.
         force = clean + np.hypot(0.07 * clean / np.sqrt(12.0), 0.1) * rng.normal(size=clean.size)
         sd = np.hypot(0.07 * np.abs(force) / np.sqrt(12.0), 0.1)
-        outcome = self_calibrate(
-            MODEL, known, [Sweep(clock, angles, np.full(angles.size, SPEED), force, sd)], settings=settings
-        )
+        outcome = self_calibrate(MODEL, known, [Sweep(clock, angles, np.full(angles.size, SPEED), force, sd)], settings=settings)
         low, high = outcome.flows[0].interval(0.9)
         hits["flow"] += low <= flow.mean() <= high
         for p in outcome.parameters:

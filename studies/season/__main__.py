@@ -167,7 +167,9 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=FOLDER, help="folder for season.json and season.png")
     parser.add_argument("--json", action="store_true")
     parser.add_argument(
-        "--posted-by-daemon", type=int, metavar="N",
+        "--posted-by-daemon",
+        type=int,
+        metavar="N",
         help="strategy (c) alone, kept and posted by the daemon's own code, for N seeds from --seed on; posted.json",
     )
     parser.add_argument("--combines", nargs="+", metavar="NAME", help='map and sweeps compared on these combines; "all": five')

@@ -69,8 +69,10 @@ def _surfaces() -> tuple[Array, RegularGridInterpolator]:
     """Frictions of the campaign, and ln(force over the model's best fit of each) by friction, angle and paddle mass."""
     with CAMPAIGN.open(encoding="utf-8", newline="") as file:
         rows = [row for row in csv.DictReader(file) if float(row["elevator_speed_rpm"]) == 400.0]
-    columns = {name: np.array([float(row[name]) for row in rows]) for name in (
-        "plate_angle_deg", "paddle_mass_kg", "momentum_total_kg_m_s", "friction")}
+    columns = {
+        name: np.array([float(row[name]) for row in rows])
+        for name in ("plate_angle_deg", "paddle_mass_kg", "momentum_total_kg_m_s", "friction")
+    }
     frictions = np.unique(columns["friction"])
     angles, masses = np.unique(columns["plate_angle_deg"]), np.unique(columns["paddle_mass_kg"])
     values = np.empty((frictions.size, angles.size, masses.size))

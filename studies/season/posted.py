@@ -49,8 +49,12 @@ class DaemonKeeper(Keeper):
             learned_information=settings.learned_information, kept_ratio=settings.kept_ratio,
         )  # fmt: skip
         self.daemon = ClosedLoopCalibrator(
-            self.model, CalibratorSettings(
-                loop, drift=settings.wandering, steady_per_kilotonne=settings.steady_per_kilotonne, anchor_error=TICKET_ERROR,
+            self.model,
+            CalibratorSettings(
+                loop,
+                drift=settings.wandering,
+                steady_per_kilotonne=settings.steady_per_kilotonne,
+                anchor_error=TICKET_ERROR,
             ),
         )
         self.estimator = OpenLoop(self.model, self.parameters)
@@ -80,11 +84,16 @@ class DaemonKeeper(Keeper):
         }  # fmt: skip
         numbers = season.load[windows] + 1
         return [
-            WindowRecord(**{
-                **_UNKNOWN, "duration_s": 1.0, "coverage": 1.0, "load_number": int(numbers[i]),
-                "parameter_version": int(self.version_of[windows[i]]),
-                **{name: float(column[i]) for name, column in columns.items()},
-            })
+            WindowRecord(
+                **{
+                    **_UNKNOWN,
+                    "duration_s": 1.0,
+                    "coverage": 1.0,
+                    "load_number": int(numbers[i]),
+                    "parameter_version": int(self.version_of[windows[i]]),
+                    **{name: float(column[i]) for name, column in columns.items()},
+                }
+            )
             for i in range(len(windows))
         ]
 
@@ -100,7 +109,14 @@ class DaemonKeeper(Keeper):
         measured = float(np.nansum(self.flow[windows]))
         self.anchors.append(
             ReferenceMass(
-                AnchorSource.TICKET, records[0].time_s - 1.0, records[-1].time_s, mass_kg, sd_kg, measured, True, number + 1,
+                AnchorSource.TICKET,
+                records[0].time_s - 1.0,
+                records[-1].time_s,
+                mass_kg,
+                sd_kg,
+                measured,
+                True,
+                number + 1,
                 forces=sums.of(number + 1),
             )
         )

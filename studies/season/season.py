@@ -105,9 +105,7 @@ class Season:
         ratio = 1.0
         if self.ratio is not None:
             ratio = self.ratio(angle, flow / self.machine.passes_per_s(speed), self.friction[chosen])
-        force = ratio * shown_force_n(
-            self.table, self.effects, flow, angle, speed, self.scenario.sensor.response_s, hours
-        )
+        force = ratio * shown_force_n(self.table, self.effects, flow, angle, speed, self.scenario.sensor.response_s, hours)
         sigma = window_sigma_n(
             self.table,
             self.scenario,

@@ -107,11 +107,20 @@ class StudySettings:
         learning, sweep = calibrator_settings(Document()), SweepSettings()
         loop: ClosedLoopSettings = learning.closed_loop
         return cls(
-            sweep_interval_s=sweep.interval_s, steady_windows=sweep.steady_windows, steady_cv=sweep.steady_cv,
-            min_flow_kg_s=sweep.min_flow_kg_s, wandering=learning.drift, steady_per_kilotonne=learning.steady_per_kilotonne,
-            learned_information=loop.learned_information, kept_ratio=loop.kept_ratio, model_error=loop.model_error,
-            flow_process_sd=loop.flow_process_sd, flow_process_time_s=loop.flow_process_time_s, pattern_sd=learning.pattern_sd,
-            anchor_error=learning.anchor_error, refuse_corners=True,
+            sweep_interval_s=sweep.interval_s,
+            steady_windows=sweep.steady_windows,
+            steady_cv=sweep.steady_cv,
+            min_flow_kg_s=sweep.min_flow_kg_s,
+            wandering=learning.drift,
+            steady_per_kilotonne=learning.steady_per_kilotonne,
+            learned_information=loop.learned_information,
+            kept_ratio=loop.kept_ratio,
+            model_error=loop.model_error,
+            flow_process_sd=loop.flow_process_sd,
+            flow_process_time_s=loop.flow_process_time_s,
+            pattern_sd=learning.pattern_sd,
+            anchor_error=learning.anchor_error,
+            refuse_corners=True,
         )
 
 

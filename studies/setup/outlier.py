@@ -77,10 +77,19 @@ class _Machine:
         for kg, force, speed in zip(mass, load.force_n, load.speed_rad_s, strict=True):
             sums.add(number, float(kg), 1.0, float(force), self.machine.home_plate_angle_rad, float(speed), float("nan"))
         end_s = self.now_s + mass.size
-        self.anchors.append(ReferenceMass(
-            AnchorSource.TICKET, self.now_s, end_s, weighed_kg, TICKET_SD * weighed_kg, float(mass.sum()), True, number,
-            forces=sums.of(number),
-        ))
+        self.anchors.append(
+            ReferenceMass(
+                AnchorSource.TICKET,
+                self.now_s,
+                end_s,
+                weighed_kg,
+                TICKET_SD * weighed_kg,
+                float(mass.sum()),
+                True,
+                number,
+                forces=sums.of(number),
+            )
+        )
         self.now_s = end_s
         outcome = self.calibrator.weigh(_record(end_s, sum(a.measured_kg for a in self.anchors)), self.anchors, self.estimator)
         if outcome.estimator is not None:

@@ -56,9 +56,7 @@ class Combine:
     def force(self, flow: Array, reported_rad: Array, speed: Array, rng: np.random.Generator) -> Array:
         """Mean force of each second, N at the true cell, with paddle scatter, electrical noise and what zeroing leaves."""
         mean = shown_force_n(self.table, self.effects, flow, reported_rad, speed, self.scenario.sensor.response_s)
-        sigma = window_sigma_n(
-            self.table, self.scenario, flow, true_angle_rad(self.effects, reported_rad), speed, 1.0
-        )
+        sigma = window_sigma_n(self.table, self.scenario, flow, true_angle_rad(self.effects, reported_rad), speed, 1.0)
         return mean + sigma * rng.standard_normal(flow.size) + 0.1 * correlated_noise(flow.size, 600.0, rng)
 
 
@@ -72,13 +70,22 @@ def _drawn(rng: np.random.Generator) -> float:
 def combine(rng: np.random.Generator) -> Combine:
     """A machine, its grain and its plate."""
     machine = replace(
-        Machine(), name="hidden", paddle_length_m=0.168, paddle_width_m=0.225, plate_pivot_x_m=0.425, plate_pivot_y_m=-0.17,
-        plate_length_m=0.2, sensor=ImpactSensor(0.4448 * 1.13, 4000.0),
+        Machine(),
+        name="hidden",
+        paddle_length_m=0.168,
+        paddle_width_m=0.225,
+        plate_pivot_x_m=0.425,
+        plate_pivot_y_m=-0.17,
+        plate_length_m=0.2,
+        sensor=ImpactSensor(0.4448 * 1.13, 4000.0),
     )
     shipped = crop("corn")
     grain = Grain(
-        shipped.friction + shipped.friction_sd * _drawn(rng), shipped.restitution + shipped.restitution_sd * _drawn(rng),
-        crop("corn").parameters().values["density"] * rng.choice([0.82, 1.18]), 2.0, 15.0,
+        shipped.friction + shipped.friction_sd * _drawn(rng),
+        shipped.restitution + shipped.restitution_sd * _drawn(rng),
+        crop("corn").parameters().values["density"] * rng.choice([0.82, 1.18]),
+        2.0,
+        15.0,
     )
     effects = Effects(gravity=Gravity(), plate_angle_offset=PlateAngleOffset(angle_deg=float(rng.choice([-1.5, 1.5]))))
     return Combine(machine, effects, PulseTable(machine, [Condition(0.0, grain, effects)], SEASON), Scenario())
@@ -100,14 +107,25 @@ def answers(truth: Combine, rng: np.random.Generator) -> dict[str, Any]:
     return {
         "machine_name": "hidden",
         "sprocket_pitch_radius_m": round(machine.sprocket_pitch_radius_m + 2e-4 * rng.standard_normal(), 4),
-        "paddle_spacings_m": list(machine.paddle_spacings_m), "paddle_length_m": tape(machine.paddle_length_m),
-        "paddle_width_m": tape(machine.paddle_width_m), "plate_pivot_x_m": tape(machine.plate_pivot_x_m),
-        "plate_pivot_above_m": tape(-machine.plate_pivot_y_m), "plate_length_m": tape(machine.plate_length_m),
-        "home_plate_angle_deg": 70.0, "min_plate_angle_deg": 40.0, "max_plate_angle_deg": 90.0,
-        "nominal_elevator_speed_rpm": 400.0, "min_elevator_speed_rpm": 250.0, "max_elevator_speed_rpm": 599.0,
-        "largest_flow_kg_s": 25.0, "cell_full_scale_mv": 4000.0, "cell_weights_kg": weights, "cell_readings_mv": readings,
+        "paddle_spacings_m": list(machine.paddle_spacings_m),
+        "paddle_length_m": tape(machine.paddle_length_m),
+        "paddle_width_m": tape(machine.paddle_width_m),
+        "plate_pivot_x_m": tape(machine.plate_pivot_x_m),
+        "plate_pivot_above_m": tape(-machine.plate_pivot_y_m),
+        "plate_length_m": tape(machine.plate_length_m),
+        "home_plate_angle_deg": 70.0,
+        "min_plate_angle_deg": 40.0,
+        "max_plate_angle_deg": 90.0,
+        "nominal_elevator_speed_rpm": 400.0,
+        "min_elevator_speed_rpm": 250.0,
+        "max_elevator_speed_rpm": 599.0,
+        "largest_flow_kg_s": 25.0,
+        "cell_full_scale_mv": 4000.0,
+        "cell_weights_kg": weights,
+        "cell_readings_mv": readings,
         "plate_measured_deg": [r + offset.angle_deg + 0.2 * rng.standard_normal() for r in reported],
-        "plate_reported_deg": reported, "crop": "corn",
+        "plate_reported_deg": reported,
+        "crop": "corn",
     }
 
 
@@ -133,10 +151,17 @@ def run(seed: int, *, with_sweeps: bool = True) -> list[Result]:
     for number, (low, high) in enumerate(LOAD_FLOWS, 1):
         flow, force, speed = truth.load(rng.uniform(2000.0, 9000.0), rng.uniform(low, high), rng)
         kg = float(flow.sum())
-        weighed.append(WeighedLoad(
-            str(number), kg * (1.0 + TICKET_SD * rng.standard_normal()), TICKET_SD * kg, np.ones(flow.size), force * cell,
-            np.full(flow.size, machine.home_plate_angle_rad), speed,
-        ))
+        weighed.append(
+            WeighedLoad(
+                str(number),
+                kg * (1.0 + TICKET_SD * rng.standard_normal()),
+                TICKET_SD * kg,
+                np.ones(flow.size),
+                force * cell,
+                np.full(flow.size, machine.home_plate_angle_rad),
+                speed,
+            )
+        )
     sweeps = [_sweep(truth, machine, cell, rng) for _ in range(8)]
     judged = [truth.load(rng.uniform(2000.0, 9000.0), rng.uniform(3.0, 22.0), rng) for _ in range(NEXT_LOADS)]
     ways = {

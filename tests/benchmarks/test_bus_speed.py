@@ -32,9 +32,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("bus") / "drive.log"
     ids = [SAMPLES.frame_id if k % 26 else CODEC.layouts["ElevatorSpeed"].frame_id for k in range(FRAMES)]
     data = random.integers(0, 2**62, FRAMES).tolist()
-    path.write_text(
-        "".join(f"({1_700_000_000 + k * 0.0038:.6f}) can0 {ids[k]:08X}#{data[k]:016X}\n" for k in range(FRAMES))
-    )
+    path.write_text("".join(f"({1_700_000_000 + k * 0.0038:.6f}) can0 {ids[k]:08X}#{data[k]:016X}\n" for k in range(FRAMES)))
     return path
 
 

@@ -248,9 +248,7 @@ def test_bulk_decodes_as_the_codec_does(log: list[can.Message]) -> None:
 
 
 def test_blocks_join_with_their_channels() -> None:
-    first = block_of(
-        [can.Message(timestamp=1.0, channel="can0", data=b"\x01"), can.Message(timestamp=2.0, channel="can1")]
-    )
+    first = block_of([can.Message(timestamp=1.0, channel="can0", data=b"\x01"), can.Message(timestamp=2.0, channel="can1")])
     second = block_of([can.Message(timestamp=3.0, channel="can1", data=b"\x03")])
     joined = concatenate([first, block_of([]), second])
     assert [joined.channels[index] for index in joined.channel] == ["can0", "can1", "can1"]

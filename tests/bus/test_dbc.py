@@ -114,9 +114,7 @@ def test_value_table_is_the_enumeration(message: str, signal: str) -> None:
 
 def test_every_value_table_has_an_enumeration() -> None:
     lamps = {("ActiveDiagnostics", f"{lamp}Lamp") for lamp in ("Protect", "AmberWarning", "RedStop", "Malfunction")}
-    coded = {
-        (message.name, signal.name) for message in DATABASE.messages for signal in message.signals if signal.choices
-    }
+    coded = {(message.name, signal.name) for message in DATABASE.messages for signal in message.signals if signal.choices}
     assert coded == set(CODES) | lamps
 
 

@@ -19,7 +19,9 @@ DATA = Path(__file__).parent.parent / "data" / "factory_flow"
 #: PySOBUS's names -> ours.
 FLOW_NAMES = {"Grain Flow": "factory_mass_flow", "Grain Moisture": "factory_moisture"}
 PLACE_NAMES = {
-    "Latitude": (Quantity.LATITUDE, 1.0), "Longitude": (Quantity.LONGITUDE, 1.0), "Compass Bearing": (Quantity.COURSE, 1.0),
+    "Latitude": (Quantity.LATITUDE, 1.0),
+    "Longitude": (Quantity.LONGITUDE, 1.0),
+    "Compass Bearing": (Quantity.COURSE, 1.0),
     "Navigation-Based Vehicle Speed": (Quantity.SPEED, 1 / 3.6),
 }
 

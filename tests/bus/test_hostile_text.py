@@ -14,7 +14,9 @@ CPU_S = 60
 
 _LIMITED = f"import resource; resource.setrlimit(resource.RLIMIT_CPU, ({CPU_S}, {CPU_S}))\n"
 
-_PATTERNS = _LIMITED + '''
+_PATTERNS = (
+    _LIMITED
+    + """
 import importlib, itertools, pkgutil, re
 import yieldmon
 found = {}
@@ -50,9 +52,12 @@ for pattern in found.values():
         given = text.encode() if binary else text
         pattern.fullmatch(given), pattern.match(given)
 print(len(found))
-'''
+"""
+)
 
-_READERS = _LIMITED + '''
+_READERS = (
+    _LIMITED
+    + """
 import itertools, logging, pathlib, sys
 logging.disable(logging.CRITICAL)
 from yieldmon.bus.logs import LogNotes, read_log
@@ -73,9 +78,12 @@ for suffix, head in heads.items():
         list(read_log(path, LogNotes(on_damage=lambda damage: None)))
     except InputError:
         pass
-'''
+"""
+)
 
-_YAML = _LIMITED + '''
+_YAML = (
+    _LIMITED
+    + """
 from yieldmon.errors import InputError
 from yieldmon.files import strict_yaml
 size = strict_yaml.MAX_BYTES - 10
@@ -86,7 +94,8 @@ for text in ("1" * size + "x", "a: " + "1" * 60000 + "." + "1" * 30000 + "e", "[
         strict_yaml.parse(text, "hostile")
     except InputError:
         pass
-'''
+"""
+)
 
 
 @pytest.mark.parametrize("script", [_PATTERNS, _READERS, _YAML], ids=["patterns", "readers", "yaml"])

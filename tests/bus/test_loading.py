@@ -62,9 +62,7 @@ common_lines = st.builds(
     st.sampled_from(["", " R", " T", "\r"]),
 )
 odd_lines = st.one_of(
-    st.builds(
-        "({}.{}) can0 {}#{}".format, st.integers(0, 10), st.text("0123456789x", max_size=9), hexadecimal, hexadecimal
-    ),
+    st.builds("({}.{}) can0 {}#{}".format, st.integers(0, 10), st.text("0123456789x", max_size=9), hexadecimal, hexadecimal),
     st.sampled_from(
         [
             "",
@@ -91,9 +89,7 @@ odd_lines = st.one_of(
     compiled=st.booleans(),
 )
 @settings(max_examples=200, deadline=None)
-def test_fast_is_slow(
-    tmp_path_factory, lines, repeats: int, ended: bool, chunk_bytes: int, packed: bool, compiled: bool
-) -> None:
+def test_fast_is_slow(tmp_path_factory, lines, repeats: int, ended: bool, chunk_bytes: int, packed: bool, compiled: bool) -> None:
     text = ("\n".join(lines * repeats) + "\n" * ended).encode()
     path = tmp_path_factory.getbasetemp() / ("any.log.gz" if packed else "any.log")
     path.write_bytes(gzip.compress(text) if packed else text)

@@ -354,6 +354,7 @@ def test_what_the_kernel_dropped_on_a_bus_that_was_lost_stays_counted(monkeypatc
         first.feed.put(OSError("gone"))
         found = [receiver.get(WAIT_S) for _ in range(3)]
     assert [(item.kind, item.count) for item in found[1:]] == [
-        (BusEventKind.INTERFACE_RESTORED, 1), (BusEventKind.FRAMES_DROPPED, 4),
+        (BusEventKind.INTERFACE_RESTORED, 1),
+        (BusEventKind.FRAMES_DROPPED, 4),
     ]
     assert receiver.counters().kernel_drops == 7

@@ -65,9 +65,7 @@ def test_several_logs_one_after_the_other(drive: Path) -> None:
         assert received(listener) == list(range(FRAMES)) * 2
 
 
-def test_loop_until_interrupted(
-    drive: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_loop_until_interrupted(drive: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """Ctrl-C in the third pass: the summary is printed, the exit code says interrupted."""
     remaining = iter(range(2 * FRAMES + 50))
 
@@ -106,9 +104,7 @@ def test_damage_is_told_and_passed_over(drive: Path, capsys: pytest.CaptureFixtu
         (["{}", "--from", "1000"], "no frame to send"),
     ],
 )
-def test_bad_input_is_one_line(
-    drive: Path, options: list[str], problem: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_input_is_one_line(drive: Path, options: list[str], problem: str, capsys: pytest.CaptureFixture[str]) -> None:
     words = [option.format(drive) for option in options]
     assert main(["replay", *words, "-i", "virtual", "-c", "verb-6"]) == 2
     out, err = capsys.readouterr()

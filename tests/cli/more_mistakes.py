@@ -91,20 +91,15 @@ MISTAKES = {
     "calibrate table.csv --fix friction=nan": "--fix friction: is 'nan'; expected a finite number",
     "calibrate table.csv --fix friction=two": "--fix friction: is 'two'; expected a finite number",
     "calibrate --loads log.log --tickets tickets-bad.csv": "tickets-bad.csv: line 2, weighed_kg: is 'minus'; expected a number",
-    "calibrate --loads log.log --tickets tickets-neg.csv":
-        "tickets-neg.csv: line 2, weighed_kg: is -5 kg; expected a mass from 1 to",
-    "calibrate --loads log.log --tickets tickets-empty.csv":
-        "tickets-empty.csv: has a header and no rows; expected at least one row",
-    "calibrate --loads log.log --tickets tickets-cols.csv":
-        "tickets-cols.csv: header: has no column load; expected load: the number of a",
+    "calibrate --loads log.log --tickets tickets-neg.csv": "tickets-neg.csv: line 2, weighed_kg: is -5 kg; expected a mass from 1 to",
+    "calibrate --loads log.log --tickets tickets-empty.csv": "tickets-empty.csv: has a header and no rows; expected at least one row",
+    "calibrate --loads log.log --tickets tickets-cols.csv": "tickets-cols.csv: header: has no column load; expected load: the number of a",
     "calibrate --loads log.log --tickets nowhere.csv": "nowhere.csv: No such file or directory; expected a readable CSV file",
-    "calibrate --loads nowhere.log --tickets tickets.csv":
-        "nowhere.log: No such file or directory; expected a readable CAN log",
+    "calibrate --loads nowhere.log --tickets tickets.csv": "nowhere.log: No such file or directory; expected a readable CAN log",
     "calibrate --loads nowhere.sqlite --tickets tickets.csv": "nowhere.sqlite: no such file; expected a daemon's store",
     "calibrate --loads log.log log.log --tickets tickets.csv": "--loads: names log.log twice; expected each log once",
     "calibrate --tickets tickets.csv": "DATA: is missing; expected a table of a test facility, or --loads and",
-    "calibrate table.csv --loads log.log --tickets tickets.csv":
-        "table.csv: is given beside --loads; expected either a table of a test",
+    "calibrate table.csv --loads log.log --tickets tickets.csv": "table.csv: is given beside --loads; expected either a table of a test",
     "predict --mass-flow 1:5:0": "--mass-flow: is '1:5:0'; expected a number, or first:last:step with a step",
     "predict --mass-flow nan": "--mass-flow: is 'nan'; expected a finite number",
     "predict --mass-flow 3 --plate-angle 200": "--plate-angle: is 200; expected 0 to 180 deg, both excluded",
@@ -153,11 +148,9 @@ MISTAKES = {
     "process nowhere.log --out x.csv": "nowhere.log: No such file or directory; expected a readable CAN log",
     "process folder --out x.csv": "folder: unknown log format; expected one of .log .asc .csv .trc .blf .db .mf4",
     "process log.log --out folder": "folder: unknown kind of table ''; expected a name that ends in one of .csv,",
-    "process log.log --out x.csv --config nowhere.yaml":
-        "nowhere.yaml: No such file or directory; expected a readable YAML file",
+    "process log.log --out x.csv --config nowhere.yaml": "nowhere.yaml: No such file or directory; expected a readable YAML file",
     "process log.log --out x.csv --config key.yaml": "key.yaml: swep: unknown key; expected sweep",
-    "process log.log --out x.csv --params nowhere.yaml":
-        "nowhere.yaml: No such file or directory; expected a readable YAML file",
+    "process log.log --out x.csv --params nowhere.yaml": "nowhere.yaml: No such file or directory; expected a readable YAML file",
     "process log.log --out x.csv --params bad-p.yaml": "bad-p.yaml: friction: is 'two'; expected a number from 0 to 5",
     "process log.log --out x.csv --delay 5": "--delay: is of no use with a log; expected a store; with the table of a log",
     "process log.log --out x.csv --zero-mv -1": "--zero-mv: is -1; expected 0 to 100000 mV, as a table of an earlier log has",
@@ -173,14 +166,12 @@ MISTAKES = {
     "monitor nowhere.log --once": "nowhere.log: No such file or directory; expected a readable CAN log",
     "monitor diary.txt --once": "diary.txt: unknown log format; expected one of .log .asc .csv .trc .blf .db",
     "monitor folder --once": "folder: unknown log format; expected one of .log .asc .csv .trc .blf .db .mf4",
-    "monitor log.log --once --record folder": "folder: No write support for unknown log format \"\"; expected a log file name",
+    "monitor log.log --once --record folder": 'folder: No write support for unknown log format ""; expected a log file name',
     "monitor log.log --once --speed nan": "--speed: is nan; expected a number of at least 0",
     "simulate --scenario folder --log n.log": "folder: Is a directory; expected a readable YAML file",
     "simulate --scenario diary.txt --log n.log": "diary.txt: is not a mapping of keys; expected keys such as duration_s and",
-    "simulate --scenario scenario.yaml --log folder":
-        "--log folder: No write support for unknown log format \"\"; expected a format",
-    "simulate --scenario scenario.yaml --log nowhere/n.log":
-        "nowhere/n.log: there is no folder",
+    "simulate --scenario scenario.yaml --log folder": '--log folder: No write support for unknown log format ""; expected a format',
+    "simulate --scenario scenario.yaml --log nowhere/n.log": "nowhere/n.log: there is no folder",
     "simulate --scenario scenario.yaml": "bus: no CAN interface named; expected -i INTERFACE -c CHANNEL as python-can's",
     "simulate --scenario scenario.yaml --log n.log --duration -5": "--duration: is -5; expected 1 to 400000 s",
     "demo --duration -5": "--duration: is -5; expected 10 to 400000 s",
@@ -198,8 +189,7 @@ MISTAKES = {
     "plot flow x.jsonl --out x.png": "x.jsonl: line 1: has no number; expected a table that `yieldmon process` wrote",
     "plot flow x.parquet --out x.png": "x.parquet: Could not open Parquet input source 'x.parquet': Parquet file size",
     "plot flow other.db --out x.png": "other.db: is an SQLite file of another program; expected a store of this",
-    "plot residuals table.csv --params nowhere.yaml --out x.png":
-        "nowhere.yaml: No such file or directory; expected a readable YAML file",
+    "plot residuals table.csv --params nowhere.yaml --out x.png": "nowhere.yaml: No such file or directory; expected a readable YAML file",
     "plot residuals nowhere.csv --out x.png": "nowhere.csv: No such file or directory; expected a readable CSV file",
     "plot sensitivity --out nowhere/x.png": "nowhere/x.png: there is no folder",
     "plot curves --params bad-p.yaml --out x.png": "bad-p.yaml: friction: is 'two'; expected a number from 0 to 5",
@@ -266,17 +256,13 @@ MISTAKES = {
     "replay nowhere.log -i virtual -c x --loop": "nowhere.log: No such file or directory; expected a readable CAN log",
     "replay folder -i virtual -c x": "folder: unknown log format; expected one of .log .asc .csv .trc .blf .db .mf4",
     "replay log.log -i virtual -c x --skip-gaps -1": "--skip-gaps: is -1; expected a number of at least 0",
-    "monitor log.log --once --record log.log --force":
-        "--record log.log: is a file that is read as well; expected another name",
+    "monitor log.log --once --record log.log --force": "--record log.log: is a file that is read as well; expected another name",
     "simulate --scenario list.yaml --log n.log": "list.yaml: is not a mapping of keys; expected keys such as duration_s and",
     "simulate --scenario tab.yaml --log n.log": "tab.yaml:2: found character '\\t' that cannot start any token",
     "simulate --scenario dup.yaml --log n.log": "dup.yaml:2: key 'bus' appears twice",
-    "simulate --scenario scenario.yaml --log n.log --truth nowhere/t.csv":
-        "nowhere/t.csv: there is no folder",
-    "simulate --scenario scenario.yaml --log n.log --machine nowhere.yaml":
-        "nowhere.yaml: No such file or directory; expected a readable YAML file",
-    "simulate --scenario scenario.yaml --log n.log --machine table.csv":
-        "table.csv: holds str at the top; expected a mapping of keys to values",
+    "simulate --scenario scenario.yaml --log n.log --truth nowhere/t.csv": "nowhere/t.csv: there is no folder",
+    "simulate --scenario scenario.yaml --log n.log --machine nowhere.yaml": "nowhere.yaml: No such file or directory; expected a readable YAML file",
+    "simulate --scenario scenario.yaml --log n.log --machine table.csv": "table.csv: holds str at the top; expected a mapping of keys to values",
     "demo --scenario wrong-scenario.yaml": "wrong-scenario.yaml: duration_s: is -5; expected greater than or equal to 1",
     "demo --scenario list.yaml": "list.yaml: is not a mapping of keys; expected keys such as duration_s and",
     "process log.log --out nowhere/x.csv": "nowhere/x.csv: there is no folder",

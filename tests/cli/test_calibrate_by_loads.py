@@ -22,7 +22,8 @@ def loads(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], list[flo
     for k, flow in enumerate(FLOWS, 1):
         pieces = [{"kind": "steady", "duration_s": s, "flow_kg_s": f} for s, f in ((8, 0), (60, flow), (8, 0))]
         scenario = {
-            "duration_s": 76, "crop": {"friction": 0.2, "restitution": 0.45, "bulk_density_kg_m3": 1300},
+            "duration_s": 76,
+            "crop": {"friction": 0.2, "restitution": 0.45, "bulk_density_kg_m3": 1300},
             "flow": {"variation_pct": 5, "smoothing_s": 0.7, "pieces": pieces},
         }
         (folder / "s.yaml").write_text(json.dumps(scenario))

@@ -74,7 +74,8 @@ MISTAKES = {
     "out over the prior": ("calibrate table.csv --prior p.yaml --out p.yaml --force", "is a file that is read as well"),
     "out in no folder": ("calibrate table.csv --out nowhere/p.yaml", "there is no folder"),
     "all fixed": (
-        "calibrate table.csv --fix friction=0.2 --fix density=1100 --fix restitution=0.5", "--fix: leaves nothing to fit"
+        "calibrate table.csv --fix friction=0.2 --fix density=1100 --fix restitution=0.5",
+        "--fix: leaves nothing to fit",
     ),
     "a parameter that is none": ("calibrate table.csv --fix colour=1", "--fix: colour is not a parameter"),
     "no value to fix": ("calibrate table.csv --fix friction", "--fix: is 'friction'; expected NAME=VALUE"),
@@ -125,7 +126,8 @@ MISTAKES = {
     "watch backwards": ("monitor log.log --once --speed -1", "--speed: is -1"),
     "simulate over a log": ("simulate --scenario scenario.yaml --log log.log", "--log log.log: exists already"),
     "truth over the scenario": (
-        "simulate --scenario scenario.yaml --log n.log --truth scenario.yaml --force", "is a file that is read as well"
+        "simulate --scenario scenario.yaml --log n.log --truth scenario.yaml --force",
+        "is a file that is read as well",
     ),
     "simulate no scenario": ("simulate --scenario moon --log n.log", "'moon' is neither a file nor shipped"),
     "demo of no scenario": ("demo --scenario moon", "'moon' is neither a file nor shipped"),
@@ -263,7 +265,9 @@ def interruptible() -> None:
 
 INTERRUPTED = {
     "simulate": (
-        "simulate --scenario demo --duration 90000 --log new.log", "new.log", r"yieldmon: interrupted; new.log holds \d+ s\n"
+        "simulate --scenario demo --duration 90000 --log new.log",
+        "new.log",
+        r"yieldmon: interrupted; new.log holds \d+ s\n",
     ),
     "process": ("process long.log --out x.csv --jobs 1", "", "yieldmon: interrupted; x.csv is not written\n"),
 }
@@ -276,9 +280,16 @@ def test_ctrl_c_says_what_is_kept(folder: Path, words: str, seen: str, said: str
         os.mkfifo("long.log")
     command = [sys.executable, "-m", "yieldmon", *words.split()]
     pipe = subprocess.PIPE
-    with subprocess.Popen(
-        command, stderr=pipe, stdout=pipe, text=True, preexec_fn=interruptible  # noqa: PLW1509 - no thread runs here
-    ) as process, ExitStack() as held:
+    with (
+        subprocess.Popen(
+            command,
+            stderr=pipe,
+            stdout=pipe,
+            text=True,
+            preexec_fn=interruptible,  # noqa: PLW1509 - no thread runs here
+        ) as process,
+        ExitStack() as held,
+    ):
         if not seen:
             held.enter_context(Path("long.log").open("w"))
         while seen and not Path(seen).exists():

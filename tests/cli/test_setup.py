@@ -15,19 +15,35 @@ from yieldmon.cli.main import main
 from yieldmon.service import configuration
 
 ANSWERS = {
-    "machine_name": "old-green", "bus_interface": "virtual", "bus_channel": "can7", "sprocket_pitch_radius_m": 0.0541,
-    "paddle_spacings_m": [0.1656, 0.2071], "paddle_length_m": 0.16, "paddle_width_m": 0.21, "plate_pivot_x_m": 0.4,
-    "plate_pivot_above_m": 0.16, "plate_length_m": 0.1887, "home_plate_angle_deg": 70, "min_plate_angle_deg": 40,
-    "max_plate_angle_deg": 90, "nominal_elevator_speed_rpm": 400, "min_elevator_speed_rpm": 250, "max_elevator_speed_rpm": 599,
-    "largest_flow_kg_s": 25, "cell_full_scale_mv": 4000, "cell_weights_kg": [0, 5, 10], "cell_readings_mv": [500, 597.6, 695.1],
-    "plate_measured_deg": [46.5, 86.4], "plate_reported_deg": [45, 85], "crop": "wheat",
+    "machine_name": "old-green",
+    "bus_interface": "virtual",
+    "bus_channel": "can7",
+    "sprocket_pitch_radius_m": 0.0541,
+    "paddle_spacings_m": [0.1656, 0.2071],
+    "paddle_length_m": 0.16,
+    "paddle_width_m": 0.21,
+    "plate_pivot_x_m": 0.4,
+    "plate_pivot_above_m": 0.16,
+    "plate_length_m": 0.1887,
+    "home_plate_angle_deg": 70,
+    "min_plate_angle_deg": 40,
+    "max_plate_angle_deg": 90,
+    "nominal_elevator_speed_rpm": 400,
+    "min_elevator_speed_rpm": 250,
+    "max_elevator_speed_rpm": 599,
+    "largest_flow_kg_s": 25,
+    "cell_full_scale_mv": 4000,
+    "cell_weights_kg": [0, 5, 10],
+    "cell_readings_mv": [500, 597.6, 695.1],
+    "plate_measured_deg": [46.5, 86.4],
+    "plate_reported_deg": [45, 85],
+    "crop": "wheat",
 }
 
 
 def interruptible() -> None:
     """Ctrl-C ends the child also where the tests run in the background, which ignore it."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
-
 
 
 def answers(folder: Path, **changes: object) -> str:
@@ -92,15 +108,18 @@ def test_a_wrong_number_is_named_in_one_line_and_nothing_is_written(tmp_path, ca
 
 def test_through_a_terminal_of_80_by_24_with_a_break_between(tmp_path):
     pexpect, pyte = pytest.importorskip("pexpect"), pytest.importorskip("pyte")
-    lines = [
-        " ".join(map(str, value)) if isinstance(value, list) else str(value) for value in ANSWERS.values()
-    ]
+    lines = [" ".join(map(str, value)) if isinstance(value, list) else str(value) for value in ANSWERS.values()]
     seen = []
 
     def session(given: list[str], end: str) -> object:
         terminal = pexpect.spawn(
-            sys.executable, ["-m", "yieldmon.cli.main", "setup", "--out", str(tmp_path / "new")], dimensions=(24, 80),
-            encoding="utf-8", timeout=60, preexec_fn=interruptible, env={**os.environ, "TERM": "xterm"},
+            sys.executable,
+            ["-m", "yieldmon.cli.main", "setup", "--out", str(tmp_path / "new")],
+            dimensions=(24, 80),
+            encoding="utf-8",
+            timeout=60,
+            preexec_fn=interruptible,
+            env={**os.environ, "TERM": "xterm"},
         )
         screen = pyte.Screen(80, 24)
         stream = pyte.Stream(screen)

@@ -115,8 +115,7 @@ def add_a_signal(scratch: Scratch) -> None:
         ),
         (
             '        InputSource("test_weight"',
-            '        InputSource("broken_kernels", bus.GRAIN_CONDITION, "BrokenKernels"),\n'
-            '        InputSource("test_weight"',
+            '        InputSource("broken_kernels", bus.GRAIN_CONDITION, "BrokenKernels"),\n        InputSource("test_weight"',
         ),
     )
     scratch.edit(
@@ -132,8 +131,7 @@ def add_a_signal(scratch: Scratch) -> None:
         "dbc/yieldmon.dbc",
         (
             ' SG_ WindowCounter : 40|8@1+ (1,0) [0|255] "" Combine\n',
-            ' SG_ WindowCounter : 40|8@1+ (1,0) [0|255] "" Combine\n'
-            ' SG_ BrokenKernels : 48|16@1+ (0.01,0) [0|100] "%" Combine\n',
+            ' SG_ WindowCounter : 40|8@1+ (1,0) [0|255] "" Combine\n SG_ BrokenKernels : 48|16@1+ (0.01,0) [0|100] "%" Combine\n',
         ),
     )
 

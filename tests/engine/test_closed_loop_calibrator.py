@@ -33,7 +33,8 @@ SPEED = MACHINE.nominal_elevator_speed_rad_s
 TRUE = {"friction": 0.25, "restitution": 0.62, "density": 1150.0, "shape_ratio": 2.0}
 PRIOR = ParameterSet(
     {"friction": 0.2, "restitution": 0.6, "density": 1100.0, "shape_ratio": 2.0},
-    ("friction", "restitution", "density"), np.diag([0.04**2, 0.06**2, 110.0**2]),
+    ("friction", "restitution", "density"),
+    np.diag([0.04**2, 0.06**2, 110.0**2]),
 )
 EXACT = CalibratorSettings(closed_loop=ClosedLoopSettings(), anchor_error=0.0)
 
@@ -47,13 +48,40 @@ def records(
         force = float(np.real(MODEL.force(Conditions(angle, SPEED, mass_flow_kg_s=flow), values)))
         out.append(
             WindowRecord(
-                time_s=start_s + 3.0 * i, window=i, duration_s=1.0, coverage=1.0, force_n=force, force_std_dev_n=noise * force,
-                elevator_speed_rad_s=SPEED, plate_angle_rad=float(angle), plate_still=True, moisture_pct=moisture,
-                test_weight_kg_m3=nan, mass_flow_kg_s=flow, std_dev_kg_s=0.1, quality=EstimateQuality.SWEEPING,
-                operating_state=OperatingState.SWEEPING, mass_kg=flow, load_kg=0.0, total_kg=flow * (start_s + 3.0 * i),
-                load_number=1, zero_mv=0.0, pulse_mv=50.0, saturated_share=0.0, lost_frames=0, surplus_frames=0,
-                repeated_frames=0, sweep_id=1, sweep_step=i, usable_for_calibration=True, parameter_version=1, faults=(),
-                latitude_deg=nan, longitude_deg=nan, ground_speed_m_s=nan, course_deg=nan,
+                time_s=start_s + 3.0 * i,
+                window=i,
+                duration_s=1.0,
+                coverage=1.0,
+                force_n=force,
+                force_std_dev_n=noise * force,
+                elevator_speed_rad_s=SPEED,
+                plate_angle_rad=float(angle),
+                plate_still=True,
+                moisture_pct=moisture,
+                test_weight_kg_m3=nan,
+                mass_flow_kg_s=flow,
+                std_dev_kg_s=0.1,
+                quality=EstimateQuality.SWEEPING,
+                operating_state=OperatingState.SWEEPING,
+                mass_kg=flow,
+                load_kg=0.0,
+                total_kg=flow * (start_s + 3.0 * i),
+                load_number=1,
+                zero_mv=0.0,
+                pulse_mv=50.0,
+                saturated_share=0.0,
+                lost_frames=0,
+                surplus_frames=0,
+                repeated_frames=0,
+                sweep_id=1,
+                sweep_step=i,
+                usable_for_calibration=True,
+                parameter_version=1,
+                faults=(),
+                latitude_deg=nan,
+                longitude_deg=nan,
+                ground_speed_m_s=nan,
+                course_deg=nan,
             )
         )
     return out
@@ -61,9 +89,7 @@ def records(
 
 def ticket(estimator: OpenLoop, true_flow: float, start_s: float, end_s: float, sd_kg: float = 1.0) -> ReferenceMass:
     """A load weighed exactly and measured with the estimator's parameters."""
-    force = MODEL.force(
-        Conditions(MACHINE.home_plate_angle_rad, SPEED, mass_flow_kg_s=true_flow), TRUE
-    )
+    force = MODEL.force(Conditions(MACHINE.home_plate_angle_rad, SPEED, mass_flow_kg_s=true_flow), TRUE)
     measured = float(estimator.invert(np.real(force), MACHINE.home_plate_angle_rad, SPEED)) * (end_s - start_s)
     return ReferenceMass(AnchorSource.TICKET, start_s, end_s, true_flow * (end_s - start_s), sd_kg, measured, True)
 
@@ -211,9 +237,7 @@ def test_what_a_reference_mass_has_taught_is_not_taken_back() -> None:
 def test_a_reference_mass_teaches_beside_a_sweep_that_is_not_believed() -> None:
     before = OpenLoop(MODEL, PRIOR)
     wrong = [dataclasses.replace(r, force_n=1.2 * r.force_n) if r.plate_angle_rad < 1.0 else r for r in records(12.0)]
-    outcome = ClosedLoopCalibrator(MODEL, EXACT).update(
-        wrong, (ticket(before, 12.0, 0.0, 500.0),), before, use_sweep=False
-    )
+    outcome = ClosedLoopCalibrator(MODEL, EXACT).update(wrong, (ticket(before, 12.0, 0.0, 500.0),), before, use_sweep=False)
     assert outcome.estimator is not None
     assert abs(home_error_pct(outcome.estimator, 12.0)) < 0.3  # type: ignore[arg-type]
 
@@ -250,8 +274,10 @@ def test_time_and_grain_widen_the_prior() -> None:
 
 
 STEADY = dataclasses.replace(
-    EXACT, steady_per_kilotonne={"friction": 0.3, "restitution": 0.0, "density": 0.0},
-    drift=DriftRates({}, {"friction": 0.005}, {}), closed_loop=ClosedLoopSettings(learned_information=0.0, kept_ratio=1.0),
+    EXACT,
+    steady_per_kilotonne={"friction": 0.3, "restitution": 0.0, "density": 0.0},
+    drift=DriftRates({}, {"friction": 0.005}, {}),
+    closed_loop=ClosedLoopSettings(learned_information=0.0, kept_ratio=1.0),
 )
 EXACT_PRIOR = dataclasses.replace(PRIOR, covariance=np.diag([0.04**2, 1e-6**2, 0.01**2]), values=dict(TRUE))
 

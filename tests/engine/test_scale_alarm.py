@@ -136,7 +136,9 @@ def test_a_monitor_that_may_not_learn_still_tells(factor: float, shown: bool) ->
 
 
 CERTAIN = ParameterSet(
-    PARAMETERS.values, ("friction", "restitution", "density"), np.diag([0.002**2, 0.005**2, 10.0**2]),
+    PARAMETERS.values,
+    ("friction", "restitution", "density"),
+    np.diag([0.002**2, 0.005**2, 10.0**2]),
 )
 
 

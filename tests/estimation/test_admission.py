@@ -13,7 +13,8 @@ from yieldmon.estimation.parameters import ParameterSet
 
 GIVEN = ParameterSet(
     {"friction": 0.2, "restitution": 0.6, "density": 1100.0, "shape_ratio": 2.0},
-    ("friction", "restitution", "density"), np.diag([0.04**2, 0.06**2, 110.0**2]),
+    ("friction", "restitution", "density"),
+    np.diag([0.04**2, 0.06**2, 110.0**2]),
 )
 
 

@@ -74,9 +74,7 @@ def test_calibration_and_open_loop_on_generated_data() -> None:
 
 def test_all_angles_and_exchange_form() -> None:
     values = {"friction": 0.35, "density": 1300.0, "shape_ratio": 2.0, "k1": 1.1, "k2": 0.7}
-    conditions = Conditions(
-        np.radians(np.tile([40.0, 55.0, 70.0, 90.0], 8)), 400.0 * RPM, mass_flow_kg_s=np.repeat(FLOWS, 4)
-    )
+    conditions = Conditions(np.radians(np.tile([40.0, 55.0, 70.0, 90.0], 8)), 400.0 * RPM, mass_flow_kg_s=np.repeat(FLOWS, 4))
     rows = generated(conditions, values)
     result = fit(rows, intervals=False)
     for name, value in values.items():
@@ -86,13 +84,9 @@ def test_all_angles_and_exchange_form() -> None:
 def test_effect_parameters_by_their_qualified_name() -> None:
     model = ForwardModel(MACHINE, ("zero_offset",))
     values = TRUE | {"zero_offset.force_n": 3.0}
-    conditions = Conditions(
-        np.radians(np.tile([40.0, 70.0, 90.0], 8)), 400.0 * RPM, mass_flow_kg_s=np.repeat(FLOWS, 3)
-    )
+    conditions = Conditions(np.radians(np.tile([40.0, 70.0, 90.0], 8)), 400.0 * RPM, mass_flow_kg_s=np.repeat(FLOWS, 3))
     rows = generated(conditions, values, model)
-    result = calibrate(
-        model, rows, default_start(model, rows, ("restitution",)), (*FREE, "zero_offset.force_n"), intervals=False
-    )
+    result = calibrate(model, rows, default_start(model, rows, ("restitution",)), (*FREE, "zero_offset.force_n"), intervals=False)
     assert result.parameter_set.values["zero_offset.force_n"] == pytest.approx(3.0, rel=1e-4)
     assert result.parameter_set.effects == ("zero_offset",)
 
@@ -110,9 +104,7 @@ def test_effect_parameters_by_their_qualified_name() -> None:
 def test_effects_in_the_readings_unit_are_found_in_any_unit(name: str, value: float, power: float, scale: float) -> None:
     model = ForwardModel(MACHINE, (name.partition(".")[0],))
     values = {"friction": 0.2, "density": 1100.0, "shape_ratio": 2.0, "k1": -0.4, "k2": 1.6, name: value}
-    conditions = Conditions(
-        np.radians(np.tile([40.0, 55.0, 70.0, 90.0], 8)), 400.0 * RPM, mass_flow_kg_s=np.repeat(FLOWS, 4)
-    )
+    conditions = Conditions(np.radians(np.tile([40.0, 55.0, 70.0, 90.0], 8)), 400.0 * RPM, mass_flow_kg_s=np.repeat(FLOWS, 4))
     rows = Measurements(conditions, scale * generated(conditions, values, model).momentum)
     free = ("friction", "density", "k1", "k2", name)
     found = calibrate(model, rows, default_start(model, rows, ("k1", "k2")), free, starts=4, intervals=False)
@@ -260,9 +252,7 @@ def test_rows_without_replicates_do_not_loosen_the_robust_fit() -> None:
     shift = {}
     for robust in (False, True):
         clean = calibrate(MODEL, chosen, START, FREE, starts=1, robust=robust, intervals=False)
-        dirty = calibrate(
-            MODEL, Measurements(chosen.conditions, spoilt), START, FREE, starts=1, robust=robust, intervals=False
-        )
+        dirty = calibrate(MODEL, Measurements(chosen.conditions, spoilt), START, FREE, starts=1, robust=robust, intervals=False)
         assert dirty.residuals.pure_error_dof == 8
         shift[robust] = float(np.max(np.abs(dirty.predicted - clean.predicted)))
     assert shift[True] < 0.2 * shift[False]
@@ -345,7 +335,9 @@ def test_rows_that_cannot_be_carried_are_nan_and_the_search_turns_back() -> None
     value, _ = batch(np.array([[600.0], [1100.0]]))
     assert np.isnan(value[0, 1])
     found = levenberg_marquardt(
-        lambda t, _: (batch(t)[0] - rows.momentum, batch(t)[1]), np.array([[2000.0], [600.0]]), np.array([100.0]),
+        lambda t, _: (batch(t)[0] - rows.momentum, batch(t)[1]),
+        np.array([[2000.0], [600.0]]),
+        np.array([100.0]),
         np.array([5000.0]),
     )
     assert found.theta[0, 0] == pytest.approx(1100.0, rel=1e-6)

@@ -31,8 +31,12 @@ def prior(values: dict[str, float] = CENTRE, widths: tuple[float, float, float] 
 
 
 def sweep(
-    flow: float | Array, values: dict[str, float] = CENTRE, noise: float = 0.01, rng: np.random.Generator | None = None,
-    angles: Array = ANGLES, model: ForwardModel = MODEL,
+    flow: float | Array,
+    values: dict[str, float] = CENTRE,
+    noise: float = 0.01,
+    rng: np.random.Generator | None = None,
+    angles: Array = ANGLES,
+    model: ForwardModel = MODEL,
 ) -> Sweep:
     force = np.real(model.force(Conditions(angles, SPEED, mass_flow_kg_s=flow), values))
     sd = noise * force
@@ -106,7 +110,8 @@ def test_the_remedies_do_what_they_say() -> None:
         if told := re.match(r"three more rows at (\S+) deg, (\S+) rpm, (\S+) kg/s", remedy.measurement):
             at_deg, rpm, load = map(float, told.groups())
             more = Conditions(
-                np.append(angle, np.full(3, np.radians(at_deg))), np.append(np.full(3, SPEED), np.full(3, rpm * RPM)),
+                np.append(angle, np.full(3, np.radians(at_deg))),
+                np.append(np.full(3, SPEED), np.full(3, rpm * RPM)),
                 mass_flow_kg_s=np.append(flow, np.full(3, load)),
             )
             after = report(MODEL, more, known, NAMES, 0.05).known_load[0].relative_sd

@@ -19,7 +19,8 @@ MACHINE = Machine()
 MODEL = ForwardModel(MACHINE)
 SHIPPED = ParameterSet(
     {"friction": 0.19, "density": 1075.0, "shape_ratio": 2.0, "restitution": 0.55},
-    ("friction", "density", "restitution"), np.diag([0.004**2, 10.0**2, 0.001**2]),
+    ("friction", "density", "restitution"),
+    np.diag([0.004**2, 10.0**2, 0.001**2]),
 )
 FAR = {"friction": 0.21, "density": 1075.0 * 1.18, "shape_ratio": 2.0, "restitution": 1.55 * 0.87 - 1.0}
 
@@ -68,10 +69,23 @@ def test_loads_at_one_flow_hold_what_they_cannot_tell():
     assert not found.load_dependence
     assert abs(error_pct(found.parameter_set, 10.0)) < 0.5
     flow_sd = {
-        flow: float(OpenLoop(MODEL, found.parameter_set).estimate(
-            float(np.real(MODEL.force(Conditions(MACHINE.home_plate_angle_rad, MACHINE.nominal_elevator_speed_rad_s,
-                                                 mass_flow_kg_s=flow), FAR))),
-            MACHINE.home_plate_angle_rad, MACHINE.nominal_elevator_speed_rad_s).std_dev_kg_s / flow)
+        flow: float(
+            OpenLoop(MODEL, found.parameter_set)
+            .estimate(
+                float(
+                    np.real(
+                        MODEL.force(
+                            Conditions(MACHINE.home_plate_angle_rad, MACHINE.nominal_elevator_speed_rad_s, mass_flow_kg_s=flow),
+                            FAR,
+                        )
+                    )
+                ),
+                MACHINE.home_plate_angle_rad,
+                MACHINE.nominal_elevator_speed_rad_s,
+            )
+            .std_dev_kg_s
+            / flow
+        )
         for flow in (3.0, 10.0, 20.0)
     }
     assert flow_sd[10.0] < 0.01

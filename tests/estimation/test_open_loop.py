@@ -129,12 +129,14 @@ def test_standard_deviation_matches_drawn_parameters_and_noise() -> None:
     estimate = loop(sd).estimate(force, ANGLE, SPEED, noise)
     count = 2000
     drawn = {n: GRAIN[n] + s * rng.normal(size=count) for n, s in zip(NAMES, sd, strict=True)}
-    flows = np.array([
-        OpenLoop(ForwardModel(MACHINE), ParameterSet(GRAIN | {n: float(drawn[n][i]) for n in NAMES})).invert(
-            force + noise * rng.normal(), ANGLE, SPEED
-        )
-        for i in range(200)
-    ])
+    flows = np.array(
+        [
+            OpenLoop(ForwardModel(MACHINE), ParameterSet(GRAIN | {n: float(drawn[n][i]) for n in NAMES})).invert(
+                force + noise * rng.normal(), ANGLE, SPEED
+            )
+            for i in range(200)
+        ]
+    )
     # 200 draws know a standard deviation to 5 %.
     assert flows.std() == pytest.approx(float(estimate.std_dev_kg_s), rel=0.15)
 

@@ -36,8 +36,19 @@ def document(capsys: pytest.CaptureFixture[str], *words: object) -> dict:
 def sweep_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
     """Forces at three flows and eleven angles of drifted grain."""
     rows = document(
-        capsys, "predict", "--mass-flow", "6,12,20", "--plate-angle", "40:90:5", *PUBLISHED, "--set", "friction=0.25",
-        "--set", "restitution=0.63", "--set", "density=1150",
+        capsys,
+        "predict",
+        "--mass-flow",
+        "6,12,20",
+        "--plate-angle",
+        "40:90:5",
+        *PUBLISHED,
+        "--set",
+        "friction=0.25",
+        "--set",
+        "restitution=0.63",
+        "--set",
+        "density=1150",
     )["rows"]
     path = tmp_path / "sweep.csv"
     with path.open("w", newline="") as file:
@@ -239,7 +250,16 @@ def test_calibrate_with_a_prior_counts_the_version(
 
 def test_calibrate_compares_and_explains(capsys: pytest.CaptureFixture[str]) -> None:
     text = run(
-        capsys, "calibrate", DATA / "dem_table.csv", "--plate-angle", "70", "--impact", "exchange", "--starts", "2", "--compare",
+        capsys,
+        "calibrate",
+        DATA / "dem_table.csv",
+        "--plate-angle",
+        "70",
+        "--impact",
+        "exchange",
+        "--starts",
+        "2",
+        "--compare",
         "--identifiability",
     )
     for part in ("force-proportional", "alpha-beta", "interpolated table", "physical model", "identifiability:"):
@@ -250,7 +270,14 @@ def test_calibrate_by_moisture_writes_a_map(capsys: pytest.CaptureFixture[str], 
     lines = ["plate_angle_deg,mass_flow_kg_s,force_n,moisture_pct"]
     for moisture, friction in ((14, 0.1), (26, 0.3)):
         rows = document(
-            capsys, "predict", "--mass-flow", "4,8,12,16,20", "--plate-angle", "45,60,75,90", *PUBLISHED, "--set",
+            capsys,
+            "predict",
+            "--mass-flow",
+            "4,8,12,16,20",
+            "--plate-angle",
+            "45,60,75,90",
+            *PUBLISHED,
+            "--set",
             f"friction={friction}",
         )
         lines += [f"{r['plate_angle_deg']},{r['mass_flow_kg_s']},{r['force_n']},{moisture}" for r in rows["rows"]]

@@ -57,8 +57,11 @@ def test_what_is_doubtful_is_refused_with_its_line(text, message):
 
 
 PLAIN = st.recursive(
-    st.none() | st.booleans() | st.integers(1 - 2**63, 2**63 - 1)
-    | st.floats(allow_nan=False) | st.text(st.characters(codec="utf-8")),
+    st.none()
+    | st.booleans()
+    | st.integers(1 - 2**63, 2**63 - 1)
+    | st.floats(allow_nan=False)
+    | st.text(st.characters(codec="utf-8")),
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text("abcdef_", min_size=1), inner, max_size=4),
     max_leaves=20,
 )

@@ -77,6 +77,7 @@ def test_a_full_medium_is_told_with_the_path(tmp_path: Path) -> None:
 @pytest.mark.parametrize("opened", [Path, str], ids=["as a path", "as text"])
 def test_a_scratch_file_that_cannot_be_made_is_told_by_the_files_own_name(tmp_path: Path, opened: type) -> None:
     path = tmp_path / "x.csv"
+
     def write() -> None:
         with scratch_for(path) as scratch:
             scratch.mkdir()

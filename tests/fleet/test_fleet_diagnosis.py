@@ -63,9 +63,7 @@ def test_what_the_shared_effect_leaves_is_the_machines_own() -> None:
     def ask(pairs: Sequence[tuple[MachineSweeps, ParameterSet]]) -> Iterable[MachineVerdict]:
         asked.append([parameters.values.get("plate_friction.friction") for _, parameters in pairs])
         own = {"m2": (AIR,)}
-        return [
-            verdict(m.name, *(() if p.effects != SHIPPED.effects else (FRICTION,)), *own.get(m.name, ())) for m, p in pairs
-        ]
+        return [verdict(m.name, *(() if p.effects != SHIPPED.effects else (FRICTION,)), *own.get(m.name, ())) for m, p in pairs]
 
     found = diagnose(machines, ask)
     assert [item.effect for item in found.model] == ["plate_friction"]
@@ -94,8 +92,10 @@ def commit(dataset: Dataset, token: str, name: str, rows: list) -> None:
         pq.write_table(pa.table(columns), output / "records.parquet")
         for table in (tables.LOADS, tables.SWEEPS, tables.FAULTS, tables.PARAMETERS):
             tables.write(table, [], output / f"{table}.parquet")
-        known = {"machine_document": json.dumps(machine_file.to_document(MACHINE)),
-                 "parameters_document": json.dumps(parameter_file.to_document(SHIPPED))}
+        known = {
+            "machine_document": json.dumps(machine_file.to_document(MACHINE)),
+            "parameters_document": json.dumps(parameter_file.to_document(SHIPPED)),
+        }
         tables.write(tables.PROVENANCE, [known], output / "provenance.parquet")
         dataset.commit(name, output, {"key": name, "poisoned": []}, token)
 

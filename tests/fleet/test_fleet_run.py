@@ -32,8 +32,7 @@ def tasks(source: Path, out: Path) -> list[Task]:
     dataset = Dataset(str(out))
     token = dataset.begin()
     return [
-        Task(partition, dataset.address, token, LOADED, HASH, software())
-        for partition in manifest.load(str(source)).partitions
+        Task(partition, dataset.address, token, LOADED, HASH, software()) for partition in manifest.load(str(source)).partitions
     ]
 
 
@@ -53,9 +52,7 @@ def measured(tree: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_command_measures_and_skips(
-    tree: Path, measured: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_command_measures_and_skips(tree: Path, measured: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for done, skipped in ((4, 0), (0, 4)):
         assert main(["fleet", "run", str(tree), "--out", str(tmp_path / "out"), "--workers", "0", "--json"]) == 0
         printed = capsys.readouterr()

@@ -1,7 +1,7 @@
 """Keep outputs anew, with the reason why they differ from version 0.1.0's.
 
-    python -m tests.golden                              # which outputs differ, and where first
-    python -m tests.golden --keep NAME --reason "..."   # the output of this checkout is the right one from now on
+python -m tests.golden                              # which outputs differ, and where first
+python -m tests.golden --keep NAME --reason "..."   # the output of this checkout is the right one from now on
 """
 
 from __future__ import annotations

@@ -28,14 +28,16 @@ class Simulation:
         shared = [self.random.randrange(0, 254) for _ in range(self.random.randint(1, 2))]
         numbers = self.random.sample(range(1 << 21), count)
         self.nodes = [
-            Node(NodeSettings(
-                name=Name(
-                    identity_number=number,
-                    function=self.random.randrange(256),
-                    arbitrary_address_capable=self.random.random() < 0.7,
-                ),
-                preferred_address=self.random.choice(shared),
-            ))
+            Node(
+                NodeSettings(
+                    name=Name(
+                        identity_number=number,
+                        function=self.random.randrange(256),
+                        arbitrary_address_capable=self.random.random() < 0.7,
+                    ),
+                    preferred_address=self.random.choice(shared),
+                )
+            )
             for number in numbers
         ]
         self.loss = self.random.choice((0.0, 0.0, 0.2, 0.6, 1.0))

@@ -43,10 +43,17 @@ def test_frame_of_more_than_eight_bytes_is_refused() -> None:
     ("data", "fields"),
     [
         # A claim of tests/data/tractor_bus, taken apart by hand.
-        ("4D74300400340220", {
-            "identity_number": 0x10744D, "manufacturer_code": 0x21, "function": 0x34, "vehicle_system": 1, "industry_group": 2,
-            "arbitrary_address_capable": False,
-        }),
+        (
+            "4D74300400340220",
+            {
+                "identity_number": 0x10744D,
+                "manufacturer_code": 0x21,
+                "function": 0x34,
+                "vehicle_system": 1,
+                "industry_group": 2,
+                "arbitrary_address_capable": False,
+            },
+        ),
         ("00000000000082A0", {"function": 0, "vehicle_system": 65, "industry_group": 2, "arbitrary_address_capable": True}),
     ],
 )

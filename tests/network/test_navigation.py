@@ -14,8 +14,13 @@ from yieldmon.network.reassembly import Reassembler
 
 #: PySOBUS 0.0.3, parser.py: the frames of one 129029 in the order in which its test feeds them, and position that it reads.
 PYSOBUS_129029 = (
-    "61F8051C86FF015F08BC0201", "61F8051C840000000023000B", "61F8051C812B801401279131", "61F8051C802FCC923F73E755",
-    "61F8051C85510087006BF2FF", "61F8051C83736BF4926E420B", "61F8051C82090600A1A1478C",
+    "61F8051C86FF015F08BC0201",
+    "61F8051C840000000023000B",
+    "61F8051C812B801401279131",
+    "61F8051C802FCC923F73E755",
+    "61F8051C85510087006BF2FF",
+    "61F8051C83736BF4926E420B",
+    "61F8051C82090600A1A1478C",
 )
 PYSOBUS_POSITION = (43.493333851236464, -83.44462596127045)
 
@@ -61,7 +66,8 @@ def test_pysobus_gnss_position() -> None:
         (129025, struct.pack("<ii", 0x7FFFFFFF, 5), {}),
         (129025, struct.pack("<ii", 910000000, 5), {}),
         (
-            129026, struct.pack("<BBHHH", 0, 0xFC, 15708, 250, 0xFFFF),
+            129026,
+            struct.pack("<BBHHH", 0, 0xFC, 15708, 250, 0xFFFF),
             {"course_deg": math.degrees(1.5708), "ground_speed_m_s": 2.5},
         ),
         (129026, struct.pack("<BBHHH", 0, 0xFD, 15708, 250, 0xFFFF), {"ground_speed_m_s": 2.5}),

@@ -28,9 +28,16 @@ def claim(address: int, name: Name) -> tuple[int, bytes]:
 
 def node_at(now_s: float = 1.0, name: Name = NAME, **settings: object) -> Node:
     """A node whose claim stands."""
-    node = Node(NodeSettings(
-        name=name, software=("yieldmon 1.0",), make="yieldmon", model="m", serial_number="7", **settings,  # type: ignore[arg-type]
-    ))
+    node = Node(
+        NodeSettings(
+            name=name,
+            software=("yieldmon 1.0",),
+            make="yieldmon",
+            model="m",
+            serial_number="7",
+            **settings,  # type: ignore[arg-type]
+        )
+    )
     node.start(now_s - 1.0)
     node.poll(now_s - 0.7)
     node.poll(now_s - 0.4)
@@ -295,7 +302,7 @@ def test_sessions_without_end() -> None:
     node = node_at()
     for k in range(20_000):
         source = k % 120
-        kind, to = (("20", 0xFF) if k % 2 else ("10", US))
+        kind, to = ("20", 0xFF) if k % 2 else ("10", US)
         node.feed(0x1CEC0000 | to << 8 | source, bytes.fromhex(kind + "F906FFFFDAFE00"), 1.0 + k * 0.0005)
         assert node.held <= 64
     assert any("never end" in trouble for trouble in node.troubles(11.0))

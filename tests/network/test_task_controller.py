@@ -19,8 +19,15 @@ from yieldmon.physics.machine import Implement
 SERVER = 0xF7
 NAME = Name(identity_number=5, industry_group=2)
 FULL = Implement(working_width_m=9.1, header_offset_m=3.2, connector_type=2, grain_delay_s=12.0)
-SECOND = Second(flow_kg_s=8.0, total_kg=1000.0, harvesting=True, dry_flow_kg_s=7.5, dry_total_kg=900.0, moisture_pct=18.5,
-                ground_speed_m_s=2.0)
+SECOND = Second(
+    flow_kg_s=8.0,
+    total_kg=1000.0,
+    harvesting=True,
+    dry_flow_kg_s=7.5,
+    dry_total_kg=900.0,
+    moisture_pct=18.5,
+    ground_speed_m_s=2.0,
+)
 
 
 def device(implement: Implement = FULL) -> Device:

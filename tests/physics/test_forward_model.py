@@ -21,10 +21,14 @@ GRAIN = {"friction": 0.2, "restitution": 0.6, "density": 1100.0, "shape_ratio": 
 FULL_KG = 0.5 * 2.0 * 1100.0 * 0.21 * 0.16**2
 ROUNDING = 0.005
 
-grains = st.fixed_dictionaries({
-    "friction": st.floats(0.0, 1.0), "restitution": st.floats(0.0, 1.0), "density": st.floats(750.0, 2000.0),
-    "shape_ratio": st.floats(1.2, 2.6),
-})
+grains = st.fixed_dictionaries(
+    {
+        "friction": st.floats(0.0, 1.0),
+        "restitution": st.floats(0.0, 1.0),
+        "density": st.floats(750.0, 2000.0),
+        "shape_ratio": st.floats(1.2, 2.6),
+    }
+)
 angles = st.floats(np.radians(40.0), np.radians(90.0))
 speeds = st.floats(300.0 * RPM, 500.0 * RPM)
 fills = st.floats(1e-4, 1.0)
@@ -109,9 +113,7 @@ def test_exchange_gain_is_linear_in_fill() -> None:
     values = {"friction": 0.2, "density": 1100.0, "shape_ratio": 2.0, "k1": 1.5, "k2": 0.6}
     loads = np.array([0.1, 1.0, 4.0])
     gain = 1.5 * loads / FULL_KG + 0.6
-    assert momentum(loads, 1.2, 42.0, values) == pytest.approx(
-        gain / 1.6 * momentum(loads, 1.2, 42.0, GRAIN), rel=1e-13
-    )
+    assert momentum(loads, 1.2, 42.0, values) == pytest.approx(gain / 1.6 * momentum(loads, 1.2, 42.0, GRAIN), rel=1e-13)
 
 
 def test_exchange_gain_goes_by_what_the_paddle_still_carries() -> None:
@@ -133,9 +135,7 @@ def test_force_is_momentum_times_paddle_passes_and_flow_is_mass_times_passes() -
 
 def test_broadcasting_gives_what_single_calls_give() -> None:
     flow, angle, friction = np.array([1.0, 8.0, 20.0]), np.radians([40.0, 70.0]), np.array([0.0, 0.3, 0.8, 1.0])
-    together = MODEL.force(
-        Conditions(angle[:, None], 42.0, mass_flow_kg_s=flow[:, None, None]), dict(GRAIN, friction=friction)
-    )
+    together = MODEL.force(Conditions(angle[:, None], 42.0, mass_flow_kg_s=flow[:, None, None]), dict(GRAIN, friction=friction))
     assert together.shape == (3, 2, 4)
     for i, j, k in np.ndindex(3, 2, 4):
         single = MODEL.force(Conditions(angle[j], 42.0, mass_flow_kg_s=flow[i]), dict(GRAIN, friction=friction[k]))

@@ -17,13 +17,13 @@ from yieldmon.physics import grain
 
 ROOT = Path(__file__).parents[2]
 
-NEW_PARAMETER = '''    GrainParameter(
+NEW_PARAMETER = """    GrainParameter(
         name="cushioning", symbol="c", unit="", label="cushioning",
         limits=(0.0, 0.9), search=(0.0, 0.9), start=(0.0, 0.5), typical=0.1, step=0.1, default=0.0, drift=Drift(0.01, 0.01, 0.3),
     ),
 )  # fmt: skip
 
-GRAIN: '''
+GRAIN: """
 EDITS = {
     "yieldmon/physics/grain.py": (")  # fmt: skip\n\nGRAIN: ", NEW_PARAMETER),
     "yieldmon/physics/impact.py": (

@@ -141,9 +141,7 @@ def test_meeting_lies_on_path_and_plate(angle: float, tau: float, gravity: float
     plate = np.array([0.4, -0.16]) + along * np.array([np.cos(angle), np.sin(angle)])
     assert place == pytest.approx(plate, abs=1e-12 * max(1.0, float(np.abs(along[0]))))
     arriving = np.concatenate((vx, vy + (gravity or 0.0) * t))
-    assert meeting.normal_speed_m_s[0] == pytest.approx(
-        arriving @ np.array([np.sin(angle), -np.cos(angle)]), rel=1e-9, abs=1e-9
-    )
+    assert meeting.normal_speed_m_s[0] == pytest.approx(arriving @ np.array([np.sin(angle), -np.cos(angle)]), rel=1e-9, abs=1e-9)
     assert meeting.tangential_speed_m_s[0] == pytest.approx(
         arriving @ np.array([np.cos(angle), np.sin(angle)]), rel=1e-9, abs=1e-9
     )

@@ -16,7 +16,11 @@ STEADY = {
     "duration_s": 14,
     "flow": {"pieces": [{"kind": "steady", "duration_s": 14, "flow_kg_s": 8.0}]},
     "sensor": {
-        "noise_mv": 0.0, "vibration_sprocket_n": 0.0, "vibration_paddle_n": 0.0, "response_s": 0.0002, "drift_mv_per_sqrt_h": 0,
+        "noise_mv": 0.0,
+        "vibration_sprocket_n": 0.0,
+        "vibration_paddle_n": 0.0,
+        "response_s": 0.0002,
+        "drift_mv_per_sqrt_h": 0,
     },
     "paddle_scatter_pct": 0.0,
 }

@@ -48,9 +48,7 @@ def all_frames(vehicle):
 
 
 def samples_of(stream):
-    return np.array(
-        [f.signals[f"Sample{k}"] for f in stream if f.message == frames.IMPACT_SENSOR_SAMPLES for k in range(4)]
-    )
+    return np.array([f.signals[f"Sample{k}"] for f in stream if f.message == frames.IMPACT_SENSOR_SAMPLES for k in range(4)])
 
 
 def test_frames_come_at_their_rates_in_time_order_with_a_counter(combine):
@@ -261,9 +259,7 @@ def test_sensor_faults_in_frames(combine):
 
 
 def test_the_counter_goes_on_through_a_silence(combine):
-    sensor = [
-        f for f in all_frames(combine(faults={"sensor": timed("silent")})) if f.message == frames.IMPACT_SENSOR_SAMPLES
-    ]
+    sensor = [f for f in all_frames(combine(faults={"sensor": timed("silent")})) if f.message == frames.IMPACT_SENSOR_SAMPLES]
     after = next(f for f in sensor if f.time_s > 9.9)
     assert after.signals["SampleCounter"] == (round(after.time_s / 0.004) - 1) % 256
 
@@ -336,9 +332,7 @@ def test_chain_slip_brings_fewer_heavier_paddles_at_the_same_told_speed(combine)
     for vehicle in (plain, slipping):
         vehicle.samples_until(1e9)
     assert len(slipping.truth.paddles["time_s"]) == pytest.approx(0.9 * len(plain.truth.paddles["time_s"]), abs=2)
-    assert slipping.truth.columns["elevator_speed_rpm"][-1] == pytest.approx(
-        plain.truth.columns["elevator_speed_rpm"][-1]
-    )
+    assert slipping.truth.columns["elevator_speed_rpm"][-1] == pytest.approx(plain.truth.columns["elevator_speed_rpm"][-1])
     assert slipping.truth.columns["force_n"][10] < plain.truth.columns["force_n"][10]
 
 

@@ -54,9 +54,7 @@ def test_pieces_of_flow(piece, expected):
 
 
 def test_pieces_follow_each_other_and_begin_again():
-    harvest = sampled(
-        {"kind": "steady", "duration_s": 10, "flow_kg_s": 5}, {"kind": "off", "duration_s": 5}, duration_s=40.0
-    )
+    harvest = sampled({"kind": "steady", "duration_s": 10, "flow_kg_s": 5}, {"kind": "off", "duration_s": 5}, duration_s=40.0)
     assert [at(harvest, t) for t in (5, 12, 20, 27)] == [5.0, 0.0, 5.0, 0.0]
     assert not harvest.driven[1200]
     assert harvest.driven[500]
@@ -87,9 +85,7 @@ def test_a_harvest_day_has_passes_headlands_and_stops():
         duration_s=3600.0,
     )
     edges = np.flatnonzero(np.diff(harvest.working.astype(int)))
-    pauses = (
-        np.diff(edges)[1::2] * SAMPLE_INTERVAL_S if harvest.working[0] else np.diff(edges[1:])[::2] * SAMPLE_INTERVAL_S
-    )
+    pauses = np.diff(edges)[1::2] * SAMPLE_INTERVAL_S if harvest.working[0] else np.diff(edges[1:])[::2] * SAMPLE_INTERVAL_S
     assert 15 < len(pauses) < 35
     assert pauses.min() >= 15.0
     assert sum(pauses > 60.0) == pytest.approx(len(pauses) / 3, abs=2)
@@ -156,9 +152,7 @@ def actuator(fault=None, **keys):
 
 
 def command(angle, mode=CommandMode.GO_TO_ANGLE):
-    return Frame(
-        0.0, PLATE_ACTUATOR_COMMAND, {"TargetPlateAngle": angle, "CommandMode": int(mode), "CommandCounter": 0}
-    )
+    return Frame(0.0, PLATE_ACTUATOR_COMMAND, {"TargetPlateAngle": angle, "CommandMode": int(mode), "CommandCounter": 0})
 
 
 def drive(plate, frame, seconds=5.0, step=0.02, repeat=True):

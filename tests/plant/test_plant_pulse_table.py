@@ -25,9 +25,7 @@ def places(count, largest_kg, rpm=(250.0, 600.0)):
     return zip(mass, np.deg2rad(rng.uniform(40.0, 90.0, count)), rng.uniform(*rpm, count) * RPM, strict=True)
 
 
-@pytest.mark.parametrize(
-    ("rpm", "tolerance"), [((300.0, 600.0), 1e-3), ((250.0, 300.0), 2.5e-3)], ids=["usual", "slow"]
-)
+@pytest.mark.parametrize(("rpm", "tolerance"), [((300.0, 600.0), 1e-3), ((250.0, 300.0), 2.5e-3)], ids=["usual", "slow"])
 def test_impulse_between_the_nodes(default_table, rpm, tolerance):
     # At slow speeds light loads at flat plates land on the very edge, where the impulse has a corner.
     for mass, angle, speed in places(60, 3.5, rpm):

@@ -131,8 +131,6 @@ def test_on_a_bus_it_keeps_time_and_follows_commands(scenario, capsys):
     assert code == 0
     summary = json.loads(capsys.readouterr().out)
     assert summary["frames"]["ImpactSensorSamples"] == 750
-    angles = [
-        f.signals["PlateAngle"] for f in map(codec.decode, received) if f and f.message == PLATE_ACTUATOR_FEEDBACK
-    ]
+    angles = [f.signals["PlateAngle"] for f in map(codec.decode, received) if f and f.message == PLATE_ACTUATOR_FEEDBACK]
     assert angles[0] == pytest.approx(70.0, abs=0.5)
     assert angles[-1] == pytest.approx(60.0, abs=0.5)

@@ -21,14 +21,10 @@ from yieldmon.plant.throw import full_paddle_kg, throw
 MACHINE = Machine()
 SPEED = 400.0 * RPM
 NO_EFFECTS = Effects(gravity=None)
-PUBLISHED = yaml.safe_load((Path(__file__).parents[1] / "data" / "published_tables.yaml").read_text())[
-    "generated_momentum"
-]
+PUBLISHED = yaml.safe_load((Path(__file__).parents[1] / "data" / "published_tables.yaml").read_text())["generated_momentum"]
 
 
-def impulse(
-    effects: Effects = NO_EFFECTS, grain: Grain | None = None, mass=0.8, angle_deg=70.0, speed=SPEED, cells=200
-) -> float:
+def impulse(effects: Effects = NO_EFFECTS, grain: Grain | None = None, mass=0.8, angle_deg=70.0, speed=SPEED, cells=200) -> float:
     result = throw(MACHINE, grain or Grain(), effects, mass, np.deg2rad(angle_deg), speed, cells)
     return float(result.impulse_n_s.sum())
 
@@ -147,9 +143,7 @@ def test_mass_and_density_scale_the_impulse_together(factor, mass):
 
 
 def test_impulse_is_proportional_to_one_plus_restitution():
-    assert impulse(grain=Grain(restitution=0.9)) == pytest.approx(
-        impulse(grain=Grain(restitution=0.0)) * 1.9, rel=1e-12
-    )
+    assert impulse(grain=Grain(restitution=0.9)) == pytest.approx(impulse(grain=Grain(restitution=0.0)) * 1.9, rel=1e-12)
 
 
 FALLS, RISES = -1, 1

@@ -1,6 +1,6 @@
 """Long and hard runs of the service, one runner for all.
 
-    python -m tests.robustness NAME [options]      --help after a name tells its options
+python -m tests.robustness NAME [options]      --help after a name tells its options
 """
 
 from __future__ import annotations

@@ -84,8 +84,9 @@ def content(out: Path) -> dict[str, bytes]:
 
 def main(arguments: list[str]) -> int:
     """Exit code 0 when the disturbed run made the same dataset."""
-    parser = argparse.ArgumentParser(prog="python -m tests.robustness fleet-kill", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.robustness fleet-kill", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--partitions", type=int, default=1000)
     parser.add_argument("--workers-killed", type=int, default=100)
     parser.add_argument("--clients-killed", type=int, default=10)

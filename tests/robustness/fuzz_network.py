@@ -100,8 +100,14 @@ def main(arguments: Sequence[str]) -> int:
     if grown > MEMORY_GROWTH_BYTES:
         escapes.append(f"memory grew by {grown} bytes")
     result = {
-        "frames": options.count, "seed": options.seed, "seconds": round(now_s), "sent": sent, "without_address": silent,
-        "side_frames": side_frames, "memory_growth_bytes": grown, "escapes": escapes[:20],
+        "frames": options.count,
+        "seed": options.seed,
+        "seconds": round(now_s),
+        "sent": sent,
+        "without_address": silent,
+        "side_frames": side_frames,
+        "memory_growth_bytes": grown,
+        "escapes": escapes[:20],
     }
     print(json.dumps(result, indent=2))
     return 1 if escapes else 0

@@ -1,6 +1,6 @@
 """Signals in bursts at a running daemon: it lives, says so with a fresh status, reloads, and SIGTERM ends it within 5 s.
 
-    python -m tests.robustness signals --count 100000 --minutes 10
+python -m tests.robustness signals --count 100000 --minutes 10
 """
 
 from __future__ import annotations

@@ -183,9 +183,7 @@ class MachineOnBus:
         if number % 12 == 0 and trouble is not Trouble.FEEDBACK_SILENT:
             moving = abs(self._plate.target_deg - self._plate.angle_deg) > 0.1
             state = ActuatorState.MOVING if moving else ActuatorState.IDLE
-            yield self._encode(
-                frames.PLATE_ACTUATOR_FEEDBACK, {"PlateAngle": self._plate.angle_deg, "ActuatorState": int(state)}
-            )
+            yield self._encode(frames.PLATE_ACTUATOR_FEEDBACK, {"PlateAngle": self._plate.angle_deg, "ActuatorState": int(state)})
         if number % 250 == 0:
             condition: dict[str, frames.Value] = {"Moisture": 15.0, "GrainTemperature": 20.0, "TestWeight": 720.0}
             yield self._encode(frames.GRAIN_CONDITION, condition)

@@ -174,4 +174,3 @@ def main(arguments: list[str]) -> int:
     json.dump(report, sys.stdout, indent=2)
     print()
     return 1 if problems or slow > LONGEST_START_S else 0
-

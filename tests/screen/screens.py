@@ -1,6 +1,6 @@
 """Screens that are kept as text: what a terminal of a stated size shows, by way of a terminal emulator.
 
-    python -m tests.screen.screens     # draws them anew into tests/screen/kept/
+python -m tests.screen.screens     # draws them anew into tests/screen/kept/
 """
 
 from __future__ import annotations

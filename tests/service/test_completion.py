@@ -29,8 +29,14 @@ def test_completion(line, tmp_path):
     """As bash's completion calls the command."""
     out = tmp_path / "completions"
     environment = {
-        **os.environ, "_ARGCOMPLETE": "1", "COMP_LINE": line, "COMP_POINT": str(len(line)), "COMP_TYPE": "9",
-        "_ARGCOMPLETE_IFS": "\n", "_ARGCOMPLETE_STDOUT_FILENAME": str(out), "PYTHONPATH": str(ROOT),
+        **os.environ,
+        "_ARGCOMPLETE": "1",
+        "COMP_LINE": line,
+        "COMP_POINT": str(len(line)),
+        "COMP_TYPE": "9",
+        "_ARGCOMPLETE_IFS": "\n",
+        "_ARGCOMPLETE_STDOUT_FILENAME": str(out),
+        "PYTHONPATH": str(ROOT),
     }
     subprocess.run([sys.executable, "-m", "yieldmon"], env=environment, check=False, capture_output=True)
     last = line.split()[-1]

@@ -346,9 +346,7 @@ PROVOKED: dict[FaultCode, tuple[Case, ...]] = {
     C.NETWORK_FAULT: (Case(contest_the_address), Case(flood_with_requests), Case(begin_sessions), Case(speak_as_we_do)),
     C.MASS_NEAR_END: (Case(harvest_a_lifetime),),
     C.SCALE_DISAGREES: (Case(weigh_a_third_too_much),),
-    C.WAVEFORM_CONTRADICTS: (
-        Case(widen_the_pulses, "waveform: {enabled: true, contradiction_windows: 5}"),
-    ),
+    C.WAVEFORM_CONTRADICTS: (Case(widen_the_pulses, "waveform: {enabled: true, contradiction_windows: 5}"),),
 }
 CASES = [pytest.param(code, case, id=f"{code.value}-{n}") for code, cases in PROVOKED.items() for n, case in enumerate(cases)]
 

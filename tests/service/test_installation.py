@@ -33,7 +33,11 @@ def test_what_is_written_and_taken_away(tmp_path: Path) -> None:
     assert install(tmp_path, "--interface", "can1") == 0
     found = files(tmp_path)
     assert found == {
-        UNIT, CONFIGURATION, "etc/systemd/network/80-can1.network", "etc/sysctl.d/80-yieldmon.conf", "usr/local/bin/yieldmon",
+        UNIT,
+        CONFIGURATION,
+        "etc/systemd/network/80-can1.network",
+        "etc/sysctl.d/80-yieldmon.conf",
+        "usr/local/bin/yieldmon",
     }
     assert "ExecStart=/usr/bin/yieldmon run" in (tmp_path / UNIT).read_text(encoding="utf-8")
     assert "channel: can1" in (tmp_path / CONFIGURATION).read_text(encoding="utf-8")

@@ -225,5 +225,3 @@ def test_a_sensor_counts_as_missing_when_most_of_its_frames_say_fault(tmp_path: 
         bench.now_s += 4.0
         bench.played()
         assert ("SensorMissing" in bench.faults) is missing
-
-

@@ -107,9 +107,7 @@ class Drive:
     def reports(self, time_s: float) -> can.Message:
         layout = self.database.get_message_by_name(self.report)
         data = layout.encode(self.says(), padding=True)
-        return can.Message(
-            timestamp=time_s, arbitration_id=layout.frame_id, is_extended_id=layout.is_extended_frame, data=data
-        )
+        return can.Message(timestamp=time_s, arbitration_id=layout.frame_id, is_extended_id=layout.is_extended_frame, data=data)
 
     def says(self) -> dict[str, float]:
         raise NotImplementedError

@@ -36,9 +36,7 @@ def sent(bench: Bench) -> list[tuple[Identifier, bytes]]:
 
 
 def say(bench: Bench, identifier: int, text: str) -> None:
-    bench.peer.send(
-        can.Message(arbitration_id=identifier, data=bytes.fromhex(text), is_extended_id=True, timestamp=bench.now_s)
-    )
+    bench.peer.send(can.Message(arbitration_id=identifier, data=bytes.fromhex(text), is_extended_id=True, timestamp=bench.now_s))
 
 
 def claimed(bench: Bench) -> None:
@@ -205,9 +203,13 @@ def test_task_controller_takes_our_pool_and_our_flow(tmp_path: Path) -> None:
                 return state() == "connected"
 
             wait_for(connected, f"the connection on {name}")
-            channel.send(can.Message(
-                arbitration_id=0x0CCB83F7, data=TaskServer.command(4, 2, 90, 100), is_extended_id=True,
-            ))
+            channel.send(
+                can.Message(
+                    arbitration_id=0x0CCB83F7,
+                    data=TaskServer.command(4, 2, 90, 100),
+                    is_extended_id=True,
+                )
+            )
 
             def told() -> bool:
                 bench.play(1, 0.0)
@@ -236,7 +238,10 @@ def test_a_tractors_network_traffic_leaves_us_alone(tmp_path: Path, path: Path) 
         assert "NetworkFault" not in bench.faults
         partners = {p["address"]: p["name"] for p in bench.status["network"]["partners"]}
         assert partners == {
-            0x00: "200200000429F556", 0x03: "200203000430744D", 0x06: "20000E000430744D", 0x17: "2002130004246E0C",
+            0x00: "200200000429F556",
+            0x03: "200203000430744D",
+            0x06: "20000E000430744D",
+            0x17: "2002130004246E0C",
             0x47: "200234000430744D",
         }
 

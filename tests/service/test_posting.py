@@ -45,12 +45,22 @@ def rows(load: int, begin_s: float, version: int = 1, seconds: int = 5, flow: fl
     names = SecondRow.__dataclass_fields__
     plain = {name: 0 if field.type in (int, float) else "" if field.type is str else None for name, field in names.items()}
     return [
-        SecondRow(**plain | {
-            "number": i + 1, "time_s": begin_s + i, "duration_s": 1.0, "mass_kg": flow, "mass_flow_kg_s": flow,
-            "load_number": load,
-            "force_n": force, "plate_angle_deg": float(np.degrees(MACHINE.home_plate_angle_rad)), "elevator_speed_rpm": 400.0,
-            "parameter_version": version, "coverage": 1.0,
-        })
+        SecondRow(
+            **plain
+            | {
+                "number": i + 1,
+                "time_s": begin_s + i,
+                "duration_s": 1.0,
+                "mass_kg": flow,
+                "mass_flow_kg_s": flow,
+                "load_number": load,
+                "force_n": force,
+                "plate_angle_deg": float(np.degrees(MACHINE.home_plate_angle_rad)),
+                "elevator_speed_rpm": 400.0,
+                "parameter_version": version,
+                "coverage": 1.0,
+            }
+        )
         for i in range(seconds)
     ]
 

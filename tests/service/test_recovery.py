@@ -95,6 +95,7 @@ def test_two_daemons_on_one_bus_both_say_so(tmp_path):
         )
         other = Bench(second, can.Bus(interface="virtual", channel="nobody listens"))
         other.start()
+
         def said_by(bench: Bench) -> bool:
             first.play(2, EMPTY_MV)
             first.played()

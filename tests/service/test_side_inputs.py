@@ -87,9 +87,7 @@ def test_bulk_and_one_by_one_are_the_same(log: Path) -> None:
 
 def test_best_source_is_used_and_said(log: Path) -> None:
     rows = {round(row.time_s - START_S): row for row in rows_of(process_in_bulk, log)}
-    told = [
-        (s, rows[s].latitude_deg, rows[s].position_group, rows[s].ground_speed_m_s, rows[s].speed_group) for s in (8, 15, 30)
-    ]
+    told = [(s, rows[s].latitude_deg, rows[s].position_group, rows[s].ground_speed_m_s, rows[s].speed_group) for s in (8, 15, 30)]
     assert told == [
         (8, pytest.approx(40.0), None, pytest.approx(2.0, abs=0.01), None),
         (15, pytest.approx(41.0), 129029, pytest.approx(3.0, abs=0.01), 129026),
@@ -144,11 +142,7 @@ def in_blocks(items: list[can.Message], draw: random.Random) -> list[Frame]:
 
 def message_by_message(items: list[can.Message]) -> list[Frame]:
     side = SideInputs()
-    return [
-        frame
-        for item in items
-        for frame in sorted(side.frames(item, CODEC.decode(item)), key=lambda frame: frame.message)
-    ]
+    return [frame for item in items for frame in sorted(side.frames(item, CODEC.decode(item)), key=lambda frame: frame.message)]
 
 
 def random_traffic(draw: random.Random) -> list[can.Message]:

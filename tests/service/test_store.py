@@ -59,9 +59,7 @@ def test_what_was_committed_is_read_back_by_a_second_opening(path):
     sweep = SweepRecord(1.7e9, "UPDATED", "", {"angles_deg": [70, 60]})
     parameters = ParameterVersion(1, 1.7e9, "file", {"friction": 0.3})
     fault = FaultEvent(1.7e9, "FRAMES_LOST", True, "4 samples")
-    whole = batch(
-        1, sweeps=(sweep,), parameter_versions=(parameters,), faults=(fault,), counters={"samples_lost": 4}
-    )
+    whole = batch(1, sweeps=(sweep,), parameter_versions=(parameters,), faults=(fault,), counters={"samples_lost": 4})
     with Store(path) as store:
         assert store.state() is None
         assert store.last_second() is None

@@ -51,9 +51,7 @@ def test_window_noise_is_that_of_the_samples(default_table, flow):
     speed = np.float64(400.0 * RPM * (1.0 - 0.03 * flow / 25.0))
     sigma = facility.window_sigma_n(default_table, scenario, np.float64(flow), MACHINE.home_plate_angle_rad, speed, 1.0)
     assert np.std(means) == pytest.approx(float(sigma), rel=0.12)
-    expected = shown_force_n(
-        default_table, scenario.effects, np.float64(flow), MACHINE.home_plate_angle_rad, speed, 0.008
-    )
+    expected = shown_force_n(default_table, scenario.effects, np.float64(flow), MACHINE.home_plate_angle_rad, speed, 0.008)
     assert np.mean(means) == pytest.approx(float(expected), abs=4.0 * float(sigma) / np.sqrt(len(means)))
 
 
@@ -82,9 +80,7 @@ def test_facility_rows_are_throws_per_second_with_the_stated_scatter(default_tab
         speed = rows["elevator_speed_rpm"][i] * RPM
         chain = speed * MACHINE.sprocket_pitch_radius_m
         loads = rows["mass_flow_kg_s"][i] * np.array(MACHINE.paddle_spacings_m) / chain
-        pulses = throw(
-            MACHINE, scenario.crop.grain, scenario.effects, loads, np.deg2rad(rows["plate_angle_deg"][i]), speed, 400
-        )
+        pulses = throw(MACHINE, scenario.crop.grain, scenario.effects, loads, np.deg2rad(rows["plate_angle_deg"][i]), speed, 400)
         mean = pulses.impulse_n_s.sum() * chain / MACHINE.pattern_length_m
         assert rows["force_n"][i] == pytest.approx(mean, rel=1e-3, abs=4.0 * rows["sigma"][i])
     normal = (rows["force_n"].reshape(-1, 20) - rows["force_n"].reshape(-1, 20).mean(axis=1, keepdims=True)) / rows[
@@ -139,9 +135,7 @@ def test_loads_share_the_season_out(short):
 
 @pytest.mark.parametrize("window", [100, 4000, 9000])
 def test_a_window_shows_the_throw_of_its_own_grain(short, window):
-    window = int(
-        np.flatnonzero(short.mass_flow_kg_s > 8.0)[np.searchsorted(np.flatnonzero(short.mass_flow_kg_s > 8.0), window)]
-    )
+    window = int(np.flatnonzero(short.mass_flow_kg_s > 8.0)[np.searchsorted(np.flatnonzero(short.mass_flow_kg_s > 8.0), window)])
     condition = season._condition(SHORT, short.scenario, float(short.time_s[window] / short.time_s[-1]))
     speed = np.array([short.elevator_speed_rpm[window] * RPM])
     table = PulseTable(MACHINE, [Condition(0.0, condition.grain, condition.effects)])

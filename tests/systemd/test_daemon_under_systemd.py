@@ -149,9 +149,7 @@ def test_a_bad_configuration_is_refused_and_measuring_goes_on() -> None:
     assert show("ActiveState") == "active"
 
 
-@pytest.mark.parametrize(
-    ("death", "result"), [(signal.SIGKILL, "signal"), (signal.SIGSTOP, "watchdog")], ids=["killed", "hung"]
-)
+@pytest.mark.parametrize(("death", "result"), [(signal.SIGKILL, "signal"), (signal.SIGSTOP, "watchdog")], ids=["killed", "hung"])
 def test_totals_survive(death: signal.Signals, result: str) -> None:
     before, last = pid(), records()[-1]
     os.kill(before, death)

@@ -179,9 +179,7 @@ def concatenate(blocks: Sequence[FrameBlock]) -> FrameBlock:
     """One block with the rows of all, in order; channels are merged by name."""
     names = tuple(dict.fromkeys(name for block in blocks for name in block.channels))
     place = {name: index for index, name in enumerate(names)}
-    channel = [
-        np.array([place[name] for name in block.channels], np.int32)[block.channel] for block in blocks if len(block)
-    ]
+    channel = [np.array([place[name] for name in block.channels], np.int32)[block.channel] for block in blocks if len(block)]
     return FrameBlock(
         np.concatenate([np.empty(0), *(block.time_s for block in blocks)]),
         np.concatenate([np.empty(0, np.uint32), *(block.can_id for block in blocks)]),

@@ -84,6 +84,7 @@ _HEX = np.full(256, 0xFF, np.uint8)
 for _digits in (b"0123456789abcdef", b"0123456789ABCDEF"):
     _HEX[np.frombuffer(_digits, np.uint8)] = np.arange(16)
 
+
 @compiled
 def _time(buffer, at, end):  # type: ignore[no-untyped-def]
     """Reads "(seconds.micros) "; returns microseconds and the place after it, -1 where there is no such text."""

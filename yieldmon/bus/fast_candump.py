@@ -209,9 +209,7 @@ def _columns(buffer: Bytes, starts: NDArray[np.intp], width: int) -> Bytes:
     return np.ascontiguousarray(np.lib.stride_tricks.sliding_window_view(buffer, width)[starts].T)
 
 
-def _fill(
-    parsed: ParsedLines, rows: NDArray[np.intp], columns: Bytes, shape: _Shape, channels: list[str]
-) -> NDArray[np.bool_]:
+def _fill(parsed: ParsedLines, rows: NDArray[np.intp], columns: Bytes, shape: _Shape, channels: list[str]) -> NDArray[np.bool_]:
     """Writes the rows whose lines have the shape; says which those are."""
     time_s, fits = _times(columns, shape)
     for place, byte in zip(shape.fixed, shape.fixed_bytes, strict=True):

@@ -28,8 +28,18 @@ if TYPE_CHECKING:
 CONFIDENCE = 0.95
 _REACH = 1.96
 _TABLE_ONLY = (
-    "robust", "by_moisture", "compare", "identifiability", "profiles", "free", "fix", "bounds", "impact", "effects",
-    "response_scale", "plate_angle",
+    "robust",
+    "by_moisture",
+    "compare",
+    "identifiability",
+    "profiles",
+    "free",
+    "fix",
+    "bounds",
+    "impact",
+    "effects",
+    "response_scale",
+    "plate_angle",
 )
 
 
@@ -98,8 +108,13 @@ def report(found: LoadCalibration, args: argparse.Namespace) -> LoadCalibrationD
     for name in found.names:
         value, sd = known.values[name], known.standard_deviation(name)
         parameters[name] = {
-            "value": value, "standard_error": sd, "interval": [value - _REACH * sd, value + _REACH * sd],
-            "confidence": CONFIDENCE, "at_bound": None, "open_below": False, "open_above": False,
+            "value": value,
+            "standard_error": sd,
+            "interval": [value - _REACH * sd, value + _REACH * sd],
+            "confidence": CONFIDENCE,
+            "at_bound": None,
+            "open_below": False,
+            "open_above": False,
             "determined": found.load_dependence,
         }
     names = [n for n in known.covariance_names if n in found.names]
@@ -119,14 +134,21 @@ def report(found: LoadCalibration, args: argparse.Namespace) -> LoadCalibrationD
             "matrix": (covariance / np.outer(deviation, deviation)).tolist(),
         },
         "residual": {
-            "rms": rms_kg, "rms_over_max_pct": 100.0 * rms_kg / max(load.weighed_kg for load in found.loads),
+            "rms": rms_kg,
+            "rms_over_max_pct": 100.0 * rms_kg / max(load.weighed_kg for load in found.loads),
             "outlier_rows": [i for i, load in enumerate(found.loads, 1) if load.outlier],
         },
         "starts": 1,
         "basins": [],
         "loads": [
-            {"load": load.name, "weighed_kg": load.weighed_kg, "before_kg": load.before_kg, "after_kg": load.after_kg,
-             "left_out_error_pct": 100.0 * load.left_out_error, "outlier": load.outlier}
+            {
+                "load": load.name,
+                "weighed_kg": load.weighed_kg,
+                "before_kg": load.before_kg,
+                "after_kg": load.after_kg,
+                "left_out_error_pct": 100.0 * load.left_out_error,
+                "outlier": load.outlier,
+            }
             for load in found.loads
         ],
         "scale": found.scale,

@@ -46,7 +46,8 @@ _CONSTANTS = ("gravity.acceleration_m_s2",)
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
     parser = subparsers.add_parser(
-        "calibrate", help="fit parameters to a table",
+        "calibrate",
+        help="fit parameters to a table",
         description=__doc__,
         epilog="example: yieldmon calibrate facility.csv --out corn.yaml    or from weighed loads: "
         "yieldmon calibrate --loads yieldmon.sqlite --tickets tickets.csv --out corn.yaml",
@@ -60,7 +61,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--bounds", action="append", default=[], metavar="NAME=LOW:HIGH", help="search range of a parameter")
     parser.add_argument("--prior", metavar="P.yaml", help="parameter file whose values and covariance are the prior")
     parser.add_argument(
-        "--impact", choices=("restitution", "exchange"),
+        "--impact",
+        choices=("restitution", "exchange"),
         help="1 + e, or k1 M/M_full + k2; default: 1 + e, and k1, k2 for a response or where 1 + e ends at its physical bound",
     )
     parser.add_argument("--effects", default="", metavar="A,B", help="effects to add to the published model")
@@ -123,7 +125,10 @@ def _of_table(args: argparse.Namespace) -> int:
         document["comparison"] = _compare(args, result, machine, rows)
     if args.identifiability:
         document["identifiability"] = identifiability.report(
-            ForwardModel(machine, result.parameter_set.effects), rows.conditions, result.parameter_set, result.names,
+            ForwardModel(machine, result.parameter_set.effects),
+            rows.conditions,
+            result.parameter_set,
+            result.names,
             result.residuals.noise_sd if rows.sigma is None else rows.sigma,
         ).document()
     if args.profiles is not None:
@@ -143,8 +148,13 @@ def report(result: Calibration, data: table.Table, rows: Measurements) -> Calibr
         "response_unit": result.parameter_set.response_unit,
         "parameters": {
             p.name: {
-                "value": p.value, "standard_error": p.standard_error, "interval": list(p.interval), "confidence": CONFIDENCE,
-                "at_bound": p.at_bound or None, "open_below": p.open_below, "open_above": p.open_above,
+                "value": p.value,
+                "standard_error": p.standard_error,
+                "interval": list(p.interval),
+                "confidence": CONFIDENCE,
+                "at_bound": p.at_bound or None,
+                "open_below": p.open_below,
+                "open_above": p.open_above,
                 "determined": p.determined,
             }
             for p in result.parameters
@@ -152,10 +162,13 @@ def report(result: Calibration, data: table.Table, rows: Measurements) -> Calibr
         "fixed": {k: v for k, v in result.parameter_set.values.items() if k not in result.names},
         "correlation": {"names": list(result.names), "matrix": result.correlation.tolist()},
         "residual": {
-            "rms": result.residuals.rms, "rms_over_max_pct": result.residuals.rms_over_max_pct,
-            "pure_error_sd": result.residuals.pure_error_sd, "pure_error_dof": result.residuals.pure_error_dof,
+            "rms": result.residuals.rms,
+            "rms_over_max_pct": result.residuals.rms_over_max_pct,
+            "pure_error_sd": result.residuals.pure_error_sd,
+            "pure_error_dof": result.residuals.pure_error_dof,
             "pure_error_over_max_pct": 100.0 * result.residuals.pure_error_sd / float(np.max(np.abs(rows.momentum))),
-            "lack_of_fit_f": result.residuals.lack_of_fit_f, "lack_of_fit_p": result.residuals.lack_of_fit_p,
+            "lack_of_fit_f": result.residuals.lack_of_fit_f,
+            "lack_of_fit_p": result.residuals.lack_of_fit_p,
             "outlier_rows": [i + 1 for i in result.residuals.outlier_rows],
         },
         "starts": result.starts,
@@ -252,10 +265,17 @@ def _fit_form(
     try:
         with progress_bar("calibrating") as progress:
             result = calibrate(
-                model, rows, start, free,
+                model,
+                rows,
+                start,
+                free,
                 prior=Prior.of(known, free) if known is not None else None,
-                bounds=_bounds(args.bounds), starts=args.starts, rng=np.random.default_rng(args.seed), robust=args.robust,
-                response_unit=model_options.RESPONSE if scaled else "N", progress=progress,
+                bounds=_bounds(args.bounds),
+                starts=args.starts,
+                rng=np.random.default_rng(args.seed),
+                robust=args.robust,
+                response_unit=model_options.RESPONSE if scaled else "N",
+                progress=progress,
             )
     except ValueError as error:
         raise InputError(data.path, str(error)) from error
@@ -329,14 +349,16 @@ def _profiles(args: argparse.Namespace, result: Calibration, machine: Machine, r
     out = Path(args.profiles)
     known = parameter_file.load(args.prior) if args.prior is not None else None
     curves = profile_curves(
-        ForwardModel(machine, result.parameter_set.effects), rows, result,
-        prior=Prior.of(known, result.names) if known is not None else None, bounds=_bounds(args.bounds), robust=args.robust,
+        ForwardModel(machine, result.parameter_set.effects),
+        rows,
+        result,
+        prior=Prior.of(known, result.names) if known is not None else None,
+        bounds=_bounds(args.bounds),
+        robust=args.robust,
     )
     canvas.save(profiles.draw(curves), out)
     print(f"written: {out}", file=sys.stderr)
-    return [
-        {"name": c.name, "values": c.values.tolist(), "rise": c.rise.tolist(), "limit": c.limit} for c in curves
-    ]
+    return [{"name": c.name, "values": c.values.tolist(), "rise": c.rise.tolist(), "limit": c.limit} for c in curves]
 
 
 def _compare(args: argparse.Namespace, result: Calibration, machine: Machine, rows: Measurements) -> list[ComparedModel]:
@@ -344,14 +366,26 @@ def _compare(args: argparse.Namespace, result: Calibration, machine: Machine, ro
 
     def physical(part: Measurements) -> empirical.LoadModel:
         again = calibrate(
-            model, part, dict(result.parameter_set.values), result.names, bounds=_bounds(args.bounds), starts=1,
-            robust=args.robust, intervals=False, response_unit=result.parameter_set.response_unit,
+            model,
+            part,
+            dict(result.parameter_set.values),
+            result.names,
+            bounds=_bounds(args.bounds),
+            starts=1,
+            robust=args.robust,
+            intervals=False,
+            response_unit=result.parameter_set.response_unit,
         )
         return empirical.Physical(model, again.parameter_set)
 
     return [
-        {"model": row.model, "rms_over_max_pct": row.rms_over_max_pct, "mean_abs_pct": row.mean_abs_pct,
-         "max_abs_pct": row.max_abs_pct, "rows_without_answer": row.unanswered}
+        {
+            "model": row.model,
+            "rms_over_max_pct": row.rms_over_max_pct,
+            "mean_abs_pct": row.mean_abs_pct,
+            "max_abs_pct": row.max_abs_pct,
+            "rows_without_answer": row.unanswered,
+        }
         for row in empirical.compare(rows, machine, {"physical model": physical})
     ]
 

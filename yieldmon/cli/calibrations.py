@@ -19,7 +19,8 @@ _SHOWN = 30
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
     parser = subparsers.add_parser(
-        "calibrations", help="list calibrations and zeros, or take one back",
+        "calibrations",
+        help="list calibrations and zeros, or take one back",
         description=f"{__doc__} undo takes back a calibration and all that followed on it; a zero goes back with "
         "`yieldmon zero --undo`.",
         epilog="example: yieldmon calibrations list    and: yieldmon calibrations undo 14",

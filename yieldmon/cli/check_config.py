@@ -16,7 +16,8 @@ from yieldmon.service.document import Document
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
     parser = subparsers.add_parser(
-        "check-config", help="check a configuration file",
+        "check-config",
+        help="check a configuration file",
         description=__doc__,
         epilog="example: yieldmon check-config /etc/yieldmon/yieldmon.yaml --log drive.log",
     )

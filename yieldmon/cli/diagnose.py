@@ -27,7 +27,8 @@ from yieldmon.service import sweep_table
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
     parser = subparsers.add_parser(
-        "diagnose", help="find and name what the model leaves out",
+        "diagnose",
+        help="find and name what the model leaves out",
         description=__doc__,
         epilog="example: yieldmon diagnose facility.csv --params corn.yaml --report found",
     )
@@ -52,7 +53,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--without", action="append", default=[], metavar="EFFECT", help="leave an effect out of the library")
     parser.add_argument(
-        "--keep-effects", action="store_true",
+        "--keep-effects",
+        action="store_true",
         help="of a table: effects that the parameters speak of belong to the model and are not looked for (of a store: always)",
     )
     parser.add_argument("--seed", type=int, default=1, help="of splits and bootstraps (default: 1)")

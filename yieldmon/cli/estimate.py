@@ -20,7 +20,8 @@ from yieldmon.physics.model import ForwardModel
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
     parser = subparsers.add_parser(
-        "estimate", help="mass flow from force (open loop)",
+        "estimate",
+        help="mass flow from force (open loop)",
         description=__doc__,
         epilog="example: yieldmon estimate windows.csv --params corn.yaml --json",
     )

@@ -18,7 +18,12 @@ from yieldmon.service.ledger import LoadRecord
 from yieldmon.service.rows import SecondRow
 
 ENDINGS = {
-    ".csv": "csv", ".parquet": "parquet", ".geojson": "geojson", ".gpkg": "geopackage", ".txt": "agleader", ".zip": "taskdata",
+    ".csv": "csv",
+    ".parquet": "parquet",
+    ".geojson": "geojson",
+    ".gpkg": "geopackage",
+    ".txt": "agleader",
+    ".zip": "taskdata",
 }
 FORMATS = tuple(ENDINGS.values())
 TABLES = ("csv", "parquet")

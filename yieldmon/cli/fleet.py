@@ -23,7 +23,9 @@ _WORDS = {
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
     parser = subparsers.add_parser(
-        "fleet", help="many logs into a dataset, on a distributed engine", description=__doc__,
+        "fleet",
+        help="many logs into a dataset, on a distributed engine",
+        description=__doc__,
         epilog="example: yieldmon fleet run logs/ --out season; yieldmon fleet report season",
     )
     words = parser.add_subparsers(dest="word", metavar="WORD", required=True)

@@ -19,7 +19,8 @@ existing configuration is kept. --uninstall keeps /etc/yieldmon and /var/lib/yie
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
     parser = subparsers.add_parser(
-        "install", help="install as a service of this machine",
+        "install",
+        help="install as a service of this machine",
         description=f"{__doc__}\n{_TEXT}",
         epilog="example: yieldmon install --interface can1",
     )

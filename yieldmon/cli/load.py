@@ -17,7 +17,8 @@ from yieldmon.units import UNKNOWN, crop_yield_kg_m2
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
     parser = subparsers.add_parser(
-        "load", help="start or stop a load, or list all loads",
+        "load",
+        help="start or stop a load, or list all loads",
         description=__doc__,
         epilog="example: yieldmon load start --field north    and later: yieldmon load stop",
     )
@@ -26,7 +27,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     start.add_argument("--field", help="field name, for this load and the next ones")
     start.add_argument("--crop", help="crop, for this load and the next ones; measures with what is known of it")
     start.add_argument(
-        "--thousand-kernel-weight", type=float, metavar="G",
+        "--thousand-kernel-weight",
+        type=float,
+        metavar="G",
         help="mass of a thousand kernels, g, for this load and the next ones; the scale of flow from kernel noise",
     )
     stop = actions.add_parser("stop", help="the load is complete")

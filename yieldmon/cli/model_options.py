@@ -231,6 +231,7 @@ def check_unit(known: ParameterSet, data: Table) -> None:
     unit = RESPONSE if data.reading == RESPONSE else "N"
     if known.response_unit != unit:
         raise InputError(
-            data.path, f"holds {data.reading}, but the parameters are in the unit {known.response_unit!r}",
+            data.path,
+            f"holds {data.reading}, but the parameters are in the unit {known.response_unit!r}",
             f"parameters in {unit!r} (calibrate them on this kind of reading)",
         )

@@ -93,9 +93,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _picture(
-    kinds: Any, name: str, draw: Callable[[argparse.Namespace], Figure], summary: str
-) -> argparse.ArgumentParser:
+def _picture(kinds: Any, name: str, draw: Callable[[argparse.Namespace], Figure], summary: str) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = kinds.add_parser(name, help=summary, description=summary)
     parser.add_argument("--out", metavar="F", required=True, help="picture to write, *.png or *.svg")
     _outputs.add_force(parser, "out")
@@ -139,9 +137,7 @@ def _beside(truth: tuple[Array, Array, Array], rows: list[SecondRow]) -> tuple[A
     """The truth in the record's time: a simulated log counts from --start-time, its truth from 0."""
     time_s = truth[0]
     if time_s[-1] < rows[0].time_s or time_s[0] > rows[-1].time_s:
-        time_s = time_s + alignment.shift_s(
-            _column(rows, "time_s"), _column(rows, "mass_flow_kg_s"), time_s, truth[1]
-        )
+        time_s = time_s + alignment.shift_s(_column(rows, "time_s"), _column(rows, "mass_flow_kg_s"), time_s, truth[1])
     return time_s, truth[1], truth[2]
 
 
@@ -162,7 +158,8 @@ def _weighed(loads: list[Load], tickets: list[Ticket]) -> list[tuple[float, floa
     ends = {load.number: load.ended_s for load in loads}
     return [
         (end_s, ticket.measured_mass_kg, ticket.weighed_mass_kg)
-        for ticket in tickets if (end_s := ends.get(ticket.last_load)) is not None
+        for ticket in tickets
+        if (end_s := ends.get(ticket.last_load)) is not None
     ]
 
 

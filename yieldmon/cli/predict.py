@@ -20,7 +20,8 @@ COLUMNS = ("mass_flow_kg_s", "plate_angle_deg", "elevator_speed_rpm", "paddle_ma
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
     parser = subparsers.add_parser(
-        "predict", help="force from mass flow",
+        "predict",
+        help="force from mass flow",
         description=__doc__,
         epilog="example: yieldmon predict --mass-flow 2 9 18 --plate-angle 40:90:10 --json",
     )

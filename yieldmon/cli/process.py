@@ -128,9 +128,7 @@ def _store_again(args: argparse.Namespace, loaded: configuration.Configuration, 
         if not versions:
             raise InputError(args.logs[0], "holds no parameters", "--params")
         parameters = parameter_file.from_document(versions[-1].document, args.logs[0])
-    found = measured_again(
-        rows, loaded.machine, parameters, loaded.engine, zero_mv=args.zero_mv, delay_s=args.delay
-    )
+    found = measured_again(rows, loaded.machine, parameters, loaded.engine, zero_mv=args.zero_mv, delay_s=args.delay)
     with open_table(args.out, f".{args.format}" if args.format else None) as table:
         for row in found.rows:
             table.write(row)

@@ -28,7 +28,8 @@ LEVEL = 0.9
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
     parser = subparsers.add_parser(
-        "self-calibrate", help="flows and parameters from sweeps (closed loop)",
+        "self-calibrate",
+        help="flows and parameters from sweeps (closed loop)",
         description=__doc__,
         epilog="example: yieldmon self-calibrate sweeps.csv --group-by sweep --out updated.yaml",
     )
@@ -77,8 +78,11 @@ def run(args: argparse.Namespace) -> int:
     document = _document(data, machine, outcomes, names, true, sweeps)
     if args.out is not None:
         facts = dict(prior.provenance) | {
-            "method": "closed loop", "data": Path(data.path).name, "data_sha256": data.sha256,
-            "date": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"), "parent_version": str(prior.version),
+            "method": "closed loop",
+            "data": Path(data.path).name,
+            "data_sha256": data.sha256,
+            "date": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+            "parent_version": str(prior.version),
         }
         parameter_file.save(replace(outcomes[0].parameter_set, provenance=facts), args.out)
         document["written"] = args.out
@@ -118,7 +122,11 @@ def _sweeps(
             raise InputError(f"{data.path}: group {name}", "holds fewer than two plate angles", "a sweep")
         sweeps.append(
             Sweep(
-                np.arange(rows.size, dtype=float), angle[rows], speed[rows], force[rows], sigma[rows],
+                np.arange(rows.size, dtype=float),
+                angle[rows],
+                speed[rows],
+                force[rows],
+                sigma[rows],
                 None if moisture is None else moisture[rows],
             )
         )
@@ -200,13 +208,21 @@ def _update(outcome: Outcome) -> dict[str, Any]:
         "reason": outcome.reason,
         "parameters": {
             p.name: {
-                "prior": p.prior, "prior_sd": p.prior_sd, "value": p.value, "sd": p.sd, "ratio": p.ratio, "learned": p.learned
+                "prior": p.prior,
+                "prior_sd": p.prior_sd,
+                "value": p.value,
+                "sd": p.sd,
+                "ratio": p.ratio,
+                "learned": p.learned,
             }
             for p in outcome.parameters
         },
         "scale": {
-            "direction": "(mass flow, density, impact gain) -> (a, a, 1/a)", "observable": scale.observable,
-            "ratio": scale.ratio, "shift": scale.shift, "prior_sd": scale.prior_sd,
+            "direction": "(mass flow, density, impact gain) -> (a, a, 1/a)",
+            "observable": scale.observable,
+            "ratio": scale.ratio,
+            "shift": scale.shift,
+            "prior_sd": scale.prior_sd,
         },
         "unobservable": [d.words() for d in scale.unobservable_directions],
         "chi2": outcome.chi2,

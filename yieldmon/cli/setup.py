@@ -30,7 +30,8 @@ Next, on the machine:
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
     parser = subparsers.add_parser(
-        "setup", help="set a machine up, step by step",
+        "setup",
+        help="set a machine up, step by step",
         description=f"{__doc__} Asks in the terminal, with drawings of what to measure; Ctrl-C keeps what is answered, and the "
         "same command goes on from there. Each number is held against the others.",
         epilog="example: yieldmon setup --out /etc/yieldmon    or: yieldmon setup --answers answers.yaml --out new",
@@ -75,15 +76,21 @@ def write(answers: dict[str, Any], folder: Path, *, force: bool) -> dict[str, An
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     found = {
         "date": now,
-        "cell": {"gain_n_per_mv": gain.gain_n_per_mv, "sd_pct": 100.0 * gain.sd, "zero_mv": gain.zero_mv,
-                 "nonlinearity_pct": 100.0 * gain.worst, "direction": "more force, more mV"},
+        "cell": {
+            "gain_n_per_mv": gain.gain_n_per_mv,
+            "sd_pct": 100.0 * gain.sd,
+            "zero_mv": gain.zero_mv,
+            "nonlinearity_pct": 100.0 * gain.worst,
+            "direction": "more force, more mV",
+        },
         "plate_angle_offset_deg": offset,
         "paddles_per_s": machine.paddle_speed_m_s(machine.nominal_elevator_speed_rad_s) / machine.paddle_spacing_m,
         "answers": answers,
     }
     config = {
         "bus": {"interface": answers["bus_interface"], "channel": answers["bus_channel"]},
-        "machine_file": MACHINE, "parameter_file": names["parameters"],
+        "machine_file": MACHINE,
+        "parameter_file": names["parameters"],
     }
     angles = _sweep_angles(answers)
     config["sweep"] = {"angles_deg": angles} if angles else {"enabled": False}

@@ -23,7 +23,8 @@ _SHOWN_WINDOWS = 5
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
     parser = subparsers.add_parser(
-        "status", help="show what a running daemon is doing",
+        "status",
+        help="show what a running daemon is doing",
         description=__doc__,
         epilog="example: yieldmon status --json",
     )

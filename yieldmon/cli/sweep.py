@@ -10,7 +10,8 @@ from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
     parser = subparsers.add_parser(
-        "sweep", help="start or end a self-calibration sweep",
+        "sweep",
+        help="start or end a self-calibration sweep",
         description=__doc__,
         epilog="example: yieldmon sweep start",
     )

@@ -22,7 +22,8 @@ UNLIKELY_PCT = 30.0
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
     parser = subparsers.add_parser(
-        "ticket", help="correct past loads by a weighed mass",
+        "ticket",
+        help="correct past loads by a weighed mass",
         description=__doc__,
         epilog="example: yieldmon ticket 3-5 27.4t    also: yieldmon ticket list, and yieldmon ticket undo 2",
     )

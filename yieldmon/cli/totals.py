@@ -12,7 +12,8 @@ from yieldmon.errors import InputError
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
     parser = subparsers.add_parser(
-        "totals", help="set the totals to 0, or keep a copy of the store",
+        "totals",
+        help="set the totals to 0, or keep a copy of the store",
         description=f"{__doc__} archive writes all records, loads and parameters into a new file, whether or not a daemon runs; "
         "reset begins anew with total and load at 0 and the next load number, and keeps the records.",
         epilog="example: yieldmon totals archive /mnt/usb/2026.sqlite && yieldmon totals reset 41250",

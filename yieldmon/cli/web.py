@@ -13,7 +13,8 @@ from yieldmon.errors import InputError
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
     parser = subparsers.add_parser(
-        "web", help="the daemon in a browser",
+        "web",
+        help="the daemon in a browser",
         description=f"{__doc__} A process of its own; needs the extra web.",
         epilog="example: yieldmon web, then http://127.0.0.1:8090/",
     )

@@ -11,7 +11,8 @@ from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
     parser = subparsers.add_parser(
-        "zero", help="calibrate the zero-load voltage",
+        "zero",
+        help="calibrate the zero-load voltage",
         description=f"{__doc__} It is refused while pulses, plate or tank speak of grain. --undo brings back the zero "
         "before it and measures the seconds since then again.",
         epilog="example: yieldmon zero",

@@ -203,9 +203,7 @@ def examine(
     outlier[np.flatnonzero(~sealed)[outlying]] = True
     training = rows.take(~sealed & ~outlier)
     report("published model", 0.05)
-    form, frame, base, why = _published(
-        training, noise, parameters, options.form, name, options.keep_effects
-    )
+    form, frame, base, why = _published(training, noise, parameters, options.form, name, options.keep_effects)
     chosen = choose(
         base, noise, library(frame, options.without), rng, options.policy, lambda text, share: report(text, 0.1 + 0.7 * share)
     )
@@ -228,9 +226,7 @@ def examine(
     return Examination(form, noise, chosen, held_out, sealed, outlier, tuple(notes), proof)
 
 
-def adopted(
-    diagnosis: Diagnosis, parent: ParameterSet, provenance: dict[str, str], scale_sd: float = 0.0
-) -> ParameterSet:
+def adopted(diagnosis: Diagnosis, parent: ParameterSet, provenance: dict[str, str], scale_sd: float = 0.0) -> ParameterSet:
     """Parameters with the named effects, fitted to every row, as the next version of `parent`.
 
     scale_sd: relative standard deviation common to all loads of the table, which the fit takes as exact; it widens the covariance
@@ -345,9 +341,7 @@ def _open(
     whitened = [(p[usable] - kept.value[usable]) / sd[usable] for p in (before, after)]
     square = [float(np.mean(r**2)) for r in whitened]
     count = int(usable.sum())
-    measures = [
-        Measure(v, 100.0 * v / top, f, float(stats.chi2.sf(f * count, count))) for v, f in zip(rms, square, strict=True)
-    ]
+    measures = [Measure(v, 100.0 * v / top, f, float(stats.chi2.sf(f * count, count))) for v, f in zip(rms, square, strict=True)]
     error = base.frame.model_error * model_error.basis(
         kept.plate_angle_rad[usable], kept.load[usable], kept.elevator_speed_rad_s[usable]
     )

@@ -115,9 +115,7 @@ class ClosedLoopCalibrator:
             return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False, checks=checks)
         return replace(self._taken(outcome, drifting, used, anchors, (now_s, total_kg, moisture_pct), step), checks=checks)
 
-    def weigh(
-        self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator
-    ) -> CalibrationOutcome:
+    def weigh(self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator) -> CalibrationOutcome:
         """See records.SelfCalibrator."""
         used = self._in_use(estimator)
         moment = (record.time_s, record.total_kg, record.moisture_pct if self._map is not None else float("nan"))
@@ -159,8 +157,10 @@ class ClosedLoopCalibrator:
             return outcome, drifting
         # Further off than the parameters' own doubts reach: only the loads know the scale.
         found = calibrate_loads(self._model, prior, self._weighings, settings=self._load_settings)
-        reason = f"weighed loads moved the scale by {100.0 * (found.scale - 1.0):+.1f} %; a next load is expected within " \
+        reason = (
+            f"weighed loads moved the scale by {100.0 * (found.scale - 1.0):+.1f} %; a next load is expected within "
             f"{100.0 * found.next_load_sd:.1f} %"
+        )
         scale = ScaleReport(found.scale_sd, found.scale_sd, float(np.log(found.scale)), True, ())
         known, wide = found.parameter_set, widened(prior, self._load_settings)
         if set(known.covariance_names) == set(prior.covariance_names) == set(wide.covariance_names):
@@ -177,9 +177,7 @@ class ClosedLoopCalibrator:
         # The anchors' own standard deviation holds this error already.
         return LoadSettings(load_error=1e-4)
 
-    def _accepted(
-        self, found: Sequence[tuple[ReferenceMass, MassAnchor]], prior: ParameterSet
-    ) -> tuple[list[MassAnchor], str]:
+    def _accepted(self, found: Sequence[tuple[ReferenceMass, MassAnchor]], prior: ParameterSet) -> tuple[list[MassAnchor], str]:
         """The masses to update from, and one sentence about one that the loads before it contradict ("" where there is none)."""
         accepted, doubt = [], ""
         for reference, mass in found:
@@ -188,9 +186,10 @@ class ClosedLoopCalibrator:
             error = self._contradiction(prior, load)
             if error is None:
                 self._weighings = [*self._weighings[1 - _KEPT_WEIGHINGS :], load]
-            elif self._doubted is not None and contradicted(
-                self._model, prior, [self._doubted], load, self._load_settings, least=1
-            ) is None:
+            elif (
+                self._doubted is not None
+                and contradicted(self._model, prior, [self._doubted], load, self._load_settings, least=1) is None
+            ):
                 self._weighings = [self._doubted, load]
                 self._doubted = None
             else:
@@ -214,8 +213,13 @@ class ClosedLoopCalibrator:
         return None if abs(away) < settings.outlier_sds * std_dev else error
 
     def _taken(
-        self, outcome: Outcome, drifting: DriftingParameters, used: ParameterSet, anchors: Sequence[ReferenceMass],
-        moment: tuple[float, float, float], step: Advance,
+        self,
+        outcome: Outcome,
+        drifting: DriftingParameters,
+        used: ParameterSet,
+        anchors: Sequence[ReferenceMass],
+        moment: tuple[float, float, float],
+        step: Advance,
     ) -> CalibrationOutcome:
         """The new parameters, remembered with the moment (bus time s, total kg, moisture %) they hold from; step led to it."""
         self.last = outcome
@@ -301,7 +305,8 @@ class ClosedLoopCalibrator:
         known = {name_of(anchor): anchor for anchor in taught}
         found = {
             name: _weighed(name, self._mass_anchor(anchor, used, anchor.end_s - anchor.start_s))
-            for name, anchor in known.items() if name in (*state.weighed, state.doubted)
+            for name, anchor in known.items()
+            if name in (*state.weighed, state.doubted)
         }
         self._weighings = [found[name] for name in state.weighed if name in found]
         self._doubted = found.get(state.doubted)
@@ -330,7 +335,10 @@ class ClosedLoopCalibrator:
         before, moved = start.state, known.state
         carry = np.divide(moved, before, out=np.ones_like(moved), where=before != 0.0)
         return later, replace(
-            step, before=before, covariance_before=start.joint, transition=step.transition * carry,
+            step,
+            before=before,
+            covariance_before=start.joint,
+            transition=step.transition * carry,
         )
 
     def _checks(self, found: Sequence[tuple[ReferenceMass, MassAnchor]], prior: ParameterSet) -> tuple[ScaleCheck, ...]:
@@ -356,9 +364,7 @@ class ClosedLoopCalibrator:
         )
         return ScaleCheck(name_of(reference), reference.start_s, mass.reference_kg, measured_kg, std_dev_kg)
 
-    def _mass_anchors(
-        self, anchors: Sequence[ReferenceMass], used: ParameterSet
-    ) -> list[tuple[ReferenceMass, MassAnchor]]:
+    def _mass_anchors(self, anchors: Sequence[ReferenceMass], used: ParameterSet) -> list[tuple[ReferenceMass, MassAnchor]]:
         """Those that have not been used, each with the forces over it."""
         out = []
         for anchor in anchors:
@@ -376,7 +382,12 @@ class ClosedLoopCalibrator:
         if forces is not None and (not self._model.needs_moisture or np.all(np.isfinite(forces.moisture_pct))):
             moisture = forces.moisture_pct if self._model.needs_moisture else None
             return MassAnchor(
-                anchor.reference_kg, sd, forces.duration_s, forces.force_n, forces.plate_angle_rad, forces.elevator_speed_rad_s,
+                anchor.reference_kg,
+                sd,
+                forces.duration_s,
+                forces.force_n,
+                forces.plate_angle_rad,
+                forces.elevator_speed_rad_s,
                 moisture,
             )
         pieces: list[MassAnchor] = []
@@ -389,17 +400,24 @@ class ClosedLoopCalibrator:
             flow = max(anchor.measured_kg / span_s, 1.0)
             pieces.append(
                 MassAnchor.from_total(
-                    anchor.reference_kg, anchor.std_dev_kg, share * anchor.measured_kg, self._model,
-                    self._patterned(parameters), flow,
-                    machine.home_plate_angle_rad, machine.nominal_elevator_speed_rad_s,
+                    anchor.reference_kg,
+                    anchor.std_dev_kg,
+                    share * anchor.measured_kg,
+                    self._model,
+                    self._patterned(parameters),
+                    flow,
+                    machine.home_plate_angle_rad,
+                    machine.nominal_elevator_speed_rad_s,
                 )
             )
             begin = end
         return MassAnchor(
-            anchor.reference_kg, sd, *(
+            anchor.reference_kg,
+            sd,
+            *(
                 np.concatenate([getattr(p, name) for p in pieces])
                 for name in ("duration_s", "force_n", "plate_angle_rad", "elevator_speed_rad_s")
-            )
+            ),
         )
 
     def _density(self, records: Sequence[WindowRecord], prior: ParameterSet) -> DensityAnchor | None:
@@ -408,14 +426,22 @@ class ClosedLoopCalibrator:
         if settings.density_ratio is None or not isfinite(weight) or "density" not in prior.covariance_names:
             return None
         return DensityAnchor.from_test_weight(
-            weight, settings.test_weight_std_dev_kg_m3, settings.density_ratio,
+            weight,
+            settings.test_weight_std_dev_kg_m3,
+            settings.density_ratio,
             settings.density_ratio_std_dev,
         )
 
 
 def _weighed(name: str, mass: MassAnchor) -> WeighedLoad:
     return WeighedLoad(
-        name, mass.reference_kg, mass.std_dev_kg, mass.duration_s, mass.force_n, mass.plate_angle_rad, mass.elevator_speed_rad_s,
+        name,
+        mass.reference_kg,
+        mass.std_dev_kg,
+        mass.duration_s,
+        mass.force_n,
+        mass.plate_angle_rad,
+        mass.elevator_speed_rad_s,
         mass.moisture_pct,
     )
 
@@ -428,7 +454,8 @@ def _median(values: Iterable[float]) -> float:
 
 def _sweep(records: Sequence[WindowRecord]) -> Sweep:
     rows = [
-        r for r in records
+        r
+        for r in records
         if isfinite(r.force_n) and isfinite(r.plate_angle_rad) and isfinite(r.elevator_speed_rad_s) and r.force_std_dev_n > 0.0
     ]
     if not rows:

@@ -71,7 +71,13 @@ class Conclusion:
         loads, learning, doubted = self._parts.loads, self._parts.learning, self._parts.measurement.zero.suspect
         totals = loads.totals
         missed_kg = learning.weighed(
-            reading.window, reading.inputs, flow, totals.total_kg - mass_kg, mass_kg, totals.total_budget, zero_doubted=doubted,
+            reading.window,
+            reading.inputs,
+            flow,
+            totals.total_kg - mass_kg,
+            mass_kg,
+            totals.total_budget,
+            zero_doubted=doubted,
         )
         if doubted:
             loads.doubt()

@@ -156,6 +156,7 @@ REPORTED = None
 _W, _N, _S = Severity.WARNING, Severity.NOTE, Severity.STOP_TRUSTING
 _C = FaultCode
 
+# fmt: off
 _TABLE = (
     FaultDefinition(
         _C.SENSOR_MISSING, 520192, 9, _S, 1, 3,
@@ -342,6 +343,7 @@ _TABLE = (
         lambda o: o.scale_alarm,
     ),
 )
+# fmt: on
 
 FAULTS: Mapping[FaultCode, FaultDefinition] = {row.code: row for row in _TABLE}
 """The table, in the order of the bits in YieldMonitorStatus."""

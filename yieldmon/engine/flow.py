@@ -87,9 +87,7 @@ class FlowMeter:
         self._filter = FlowFilter(settings.flow_filter)
         self._moisture = MoistureReference(settings.budget)
 
-    def flow(
-        self, reading: Reading, estimate: Estimate | None, estimator: FlowEstimator, circumstances: Circumstances
-    ) -> Flow:
+    def flow(self, reading: Reading, estimate: Estimate | None, estimator: FlowEstimator, circumstances: Circumstances) -> Flow:
         """The flow of a window, as it is counted."""
         if estimate is None:
             assert reading.quality is not None, "without an estimate the reading says why"
@@ -100,15 +98,11 @@ class FlowMeter:
         if not (isfinite(rate) and isfinite(std_dev)) or rate < 0.0:
             return Flow(_NAN, _NAN, EstimateQuality.NOT_AVAILABLE, reading.force_n, reading.force_std_dev_n)
         std_dev = self._widened(reading, rate, std_dev, estimator)
-        saturated = (
-            status is FlowStatus.SATURATED or reading.window.saturated_share >= self._settings.windows.saturated_share
-        )
+        saturated = status is FlowStatus.SATURATED or reading.window.saturated_share >= self._settings.windows.saturated_share
         outside = status is FlowStatus.OUTSIDE_CALIBRATION
         quality = self._quality(reading, saturated, outside, circumstances)
         budget = self._budget(reading, rate, std_dev, own, estimator)
-        return Flow(
-            rate, budget.std_dev_kg_s, quality, reading.force_n, reading.force_std_dev_n, outside, saturated, budget
-        )
+        return Flow(rate, budget.std_dev_kg_s, quality, reading.force_n, reading.force_std_dev_n, outside, saturated, budget)
 
     def published(self, flow: Flow, *, plate_rests_at_home: bool) -> Flow:
         """The flow to publish: windows of a plate at rest at home weighed together; every other stands for itself."""
@@ -132,9 +126,7 @@ class FlowMeter:
             std_dev *= self._settings.sweep.max_std_dev_factor
         return std_dev
 
-    def _budget(
-        self, reading: Reading, rate: float, std_dev: float, own: float | None, estimator: FlowEstimator
-    ) -> FlowBudget:
+    def _budget(self, reading: Reading, rate: float, std_dev: float, own: float | None, estimator: FlowEstimator) -> FlowBudget:
         """The flow's standard deviation by cause. std_dev: of noise and parameters; own: the estimator's word on the noise."""
         settings, parameters = self._settings.budget, estimator.parameters
         noise = _noise(rate, own, reading)
@@ -153,9 +145,7 @@ class FlowMeter:
             moisture_kg_s=relative * rate,
         )
 
-    def _quality(
-        self, reading: Reading, saturated: bool, outside: bool, circumstances: Circumstances
-    ) -> EstimateQuality:
+    def _quality(self, reading: Reading, saturated: bool, outside: bool, circumstances: Circumstances) -> EstimateQuality:
         if saturated:
             return EstimateQuality.SATURATED
         if not reading.at_home or circumstances.sweeping:

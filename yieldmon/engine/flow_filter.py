@@ -97,9 +97,7 @@ class FlowFilter:
         return flow, flow * sqrt(variance)
 
 
-def _step(
-    states: tuple[_State, ...], models: tuple[_Model, ...], stay: float, seen: float, noise: float
-) -> tuple[_State, ...]:
+def _step(states: tuple[_State, ...], models: tuple[_Model, ...], stay: float, seen: float, noise: float) -> tuple[_State, ...]:
     count = len(states)
     move = (1.0 - stay) / (count - 1)
     updated, weights = [], []

@@ -104,8 +104,15 @@ class Learning:
             self.calibration_age_s += seconds
 
     def weighed(
-        self, window: Window, inputs: InputSnapshot, flow: Flow, total_before_kg: float, mass_kg: float, budget: MassBudget,
-        *, zero_doubted: bool
+        self,
+        window: Window,
+        inputs: InputSnapshot,
+        flow: Flow,
+        total_before_kg: float,
+        mass_kg: float,
+        budget: MassBudget,
+        *,
+        zero_doubted: bool,
     ) -> float:
         """Match the tank scale's stable readings with what a window measured; budget: of the total after it.
 
@@ -131,7 +138,12 @@ class Learning:
         if mass_kg > 0.0:
             window = reading.window
             self.forces.add(
-                load_number, mass_kg, mass_kg / flow.rate_kg_s, flow.force_n, window.plate_angle_rad, window.speed_rad_s,
+                load_number,
+                mass_kg,
+                mass_kg / flow.rate_kg_s,
+                flow.force_n,
+                window.plate_angle_rad,
+                window.speed_rad_s,
                 reading.inputs.fresh["moisture"],
             )
 
@@ -161,8 +173,13 @@ class Learning:
         sums = LoadForceSums()
         for second in seconds:
             sums.add(
-                load.number, second.mass_kg, second.duration_s, second.force_n, second.plate_angle_rad,
-                second.elevator_speed_rad_s, second.moisture_pct,
+                load.number,
+                second.mass_kg,
+                second.duration_s,
+                second.force_n,
+                second.plate_angle_rad,
+                second.elevator_speed_rad_s,
+                second.moisture_pct,
             )
         self._earlier[load.number] = load, sums.of(load.number)
 
@@ -219,9 +236,7 @@ class Learning:
         if self.calibrator is not None:
             self._masses_new = False
             self._waiting = []
-            outcome = self.calibrator.update(
-                records, self.anchors, self.estimator, use_sweep=not self.disagreement.present
-            )
+            outcome = self.calibrator.update(records, self.anchors, self.estimator, use_sweep=not self.disagreement.present)
             changed = self._take(outcome)
         sweep.finish(at_s, bool(changed))
         return changed
@@ -253,11 +268,17 @@ class Learning:
         return (ParametersChanged(outcome.estimator.parameters, origin, outcome.reason, outcome.step),)
 
 
-def _ticket(
-    load: LoadSummary, forces: LoadForces | None, mass_kg: float, std_dev_kg: float, now_s: float
-) -> ReferenceMass:
+def _ticket(load: LoadSummary, forces: LoadForces | None, mass_kg: float, std_dev_kg: float, now_s: float) -> ReferenceMass:
     end_s = load.end_s if isfinite(load.end_s) else now_s
     return ReferenceMass(
-        AnchorSource.TICKET, load.start_s, end_s, mass_kg, std_dev_kg, load.measured_kg, load.complete, load.number, load.budget,
+        AnchorSource.TICKET,
+        load.start_s,
+        end_s,
+        mass_kg,
+        std_dev_kg,
+        load.measured_kg,
+        load.complete,
+        load.number,
+        load.budget,
         forces=forces,
     )

@@ -36,7 +36,13 @@ class LoadForceSums:
         self._known_kg: dict[int, float] = {}
 
     def add(
-        self, load_number: int, mass_kg: float, seconds: float, force_n: float, angle_rad: float, speed_rad_s: float,
+        self,
+        load_number: int,
+        mass_kg: float,
+        seconds: float,
+        force_n: float,
+        angle_rad: float,
+        speed_rad_s: float,
         moisture_pct: float,
     ) -> None:
         """A window that added mass_kg to a load in so many seconds."""

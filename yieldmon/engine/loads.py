@@ -153,14 +153,17 @@ class Loads:
             taken = max(kg, -totals.load_kg) if here else kg
             share = taken if here else 0.0
             self.totals = replace(
-                totals, total_kg=max(totals.total_kg + taken, 0.0),
+                totals,
+                total_kg=max(totals.total_kg + taken, 0.0),
                 total_unknown_moisture_kg=max(totals.total_unknown_moisture_kg + taken, 0.0),
-                load_kg=totals.load_kg + share, load_unknown_moisture_kg=max(totals.load_unknown_moisture_kg + share, 0.0),
+                load_kg=totals.load_kg + share,
+                load_unknown_moisture_kg=max(totals.load_unknown_moisture_kg + share, 0.0),
             )
             for place, load in enumerate(self._closed):
                 if load.number == number and not here:
                     self._closed[place] = replace(
-                        load, measured_kg=max(load.measured_kg + kg, 0.0),
+                        load,
+                        measured_kg=max(load.measured_kg + kg, 0.0),
                         unknown_moisture_kg=max(load.unknown_moisture_kg + kg, 0.0),
                     )
                     events.append(LoadClosed(self._closed[place]))

@@ -194,9 +194,7 @@ class Measurement:
         while self._tank and inputs.time_s - self._tank[0][0] > _TANK_S:
             self._tank.popleft()
 
-    def _gated(
-        self, window: Window, usable: bool, in_range: bool, idle_s: float
-    ) -> tuple[EstimateQuality | None, float, float]:
+    def _gated(self, window: Window, usable: bool, in_range: bool, idle_s: float) -> tuple[EstimateQuality | None, float, float]:
         """Why the window has no flow (None: an estimate decides), its force and the force's standard deviation, N."""
         quality = EstimateQuality
         zero = self.zero.state

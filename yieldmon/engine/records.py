@@ -314,9 +314,7 @@ class SelfCalibrator(Protocol):
         use_sweep: False while the model disagrees with what sweeps show; then only reference masses update.
         """
 
-    def weigh(
-        self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator
-    ) -> CalibrationOutcome:
+    def weigh(self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator) -> CalibrationOutcome:
         """What reference masses alone change, between sweeps. record: the last window; anchors: all reference masses kept."""
 
     def forget(self, load_numbers: frozenset[int], again: Sequence[ReferenceMass]) -> None:

@@ -84,7 +84,10 @@ class EngineState:
             )
             calibrator = None if data["calibrator"] is None else _calibrator(data["calibrator"])
             parts = {
-                "totals": _totals(data["totals"]), "zero": zero, "disagreement": disagreement, "calibrator": calibrator,
+                "totals": _totals(data["totals"]),
+                "zero": zero,
+                "disagreement": disagreement,
+                "calibrator": calibrator,
                 "scale_alarm": _scale_alarm(data["scale_alarm"]),
                 "tickets": tuple(TicketState(**ticket) for ticket in data["tickets"]),
             }

@@ -1,9 +1,9 @@
 """The plate sweep as a state machine: it sees ticks and windows and says what it wants of the plate (docs/internals/sweep.md).
 
-    IDLE, ABORTED, UPDATED, NOT_LEARNED    at rest, the plate is not driven
-    WAITING                                due; conditions do not hold yet
-    MOVING -> SETTLING -> MEASURING        for each angle of the sequence, which begins and ends at home
-    RETURNING                              on the way home after an abort, or because the plate was found away from home
+IDLE, ABORTED, UPDATED, NOT_LEARNED    at rest, the plate is not driven
+WAITING                                due; conditions do not hold yet
+MOVING -> SETTLING -> MEASURING        for each angle of the sequence, which begins and ends at home
+RETURNING                              on the way home after an abort, or because the plate was found away from home
 """
 
 from __future__ import annotations

@@ -45,9 +45,7 @@ class Totals:
             load_contested_kg=self.load_contested_kg + share * mass_kg,
         )
 
-    def with_mass(
-        self, mass_kg: float, dry_kg: float | None, budget: FlowBudget = NO_BUDGET, seconds: float = 0.0
-    ) -> Totals:
+    def with_mass(self, mass_kg: float, dry_kg: float | None, budget: FlowBudget = NO_BUDGET, seconds: float = 0.0) -> Totals:
         """Totals after mass_kg more. Mass measured with no load open counts in the total alone.
 
         Parameters

@@ -474,9 +474,7 @@ class WindowBuilder:
             self._turns = (self._turns + end_phase) % 1.0
         return np.array(turns)
 
-    def _means(
-        self, frames: _Frames, shares: _Shares, moving: Array, in_first: Counts
-    ) -> tuple[Array, Array, Array, Array]:
+    def _means(self, frames: _Frames, shares: _Shares, moving: Array, in_first: Counts) -> tuple[Array, Array, Array, Array]:
         """Total weight and weighted means of sample, speed and angle; speed and angle are taken at the middle of a frame."""
         samples, late = frames.samples.ravel(), shares.late
         weighted, kept = samples.copy(), np.zeros(samples.size)

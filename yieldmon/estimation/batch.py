@@ -24,21 +24,22 @@ class MomentumBatch:
     names: the free parameters, in the order of the vectors; fixed: the others. Rows are the conditions, 1-D arrays or scalars.
     """
 
-    def __init__(
-        self, model: ForwardModel, conditions: Conditions, names: Sequence[str], fixed: Mapping[str, float]
-    ) -> None:
+    def __init__(self, model: ForwardModel, conditions: Conditions, names: Sequence[str], fixed: Mapping[str, float]) -> None:
         self.model = model
         self.names = tuple(names)
         self.fixed = dict(fixed)
         self._by_flow = conditions.paddle_mass_kg is None
         self._knows_moisture = conditions.moisture_pct is not None
         self.angle, self.speed, self.load, self.moisture = np.broadcast_arrays(
-            *(np.atleast_1d(np.asarray(v, dtype=float)) for v in (
-                conditions.plate_angle_rad,
-                conditions.elevator_speed_rad_s,
-                conditions.mass_flow_kg_s if self._by_flow else conditions.paddle_mass_kg,
-                conditions.moisture_pct if self._knows_moisture else np.nan,
-            ))
+            *(
+                np.atleast_1d(np.asarray(v, dtype=float))
+                for v in (
+                    conditions.plate_angle_rad,
+                    conditions.elevator_speed_rad_s,
+                    conditions.mass_flow_kg_s if self._by_flow else conditions.paddle_mass_kg,
+                    conditions.moisture_pct if self._knows_moisture else np.nan,
+                )
+            )
         )
         self.passes_per_s = model.machine.passes_per_s(self.speed)
 
@@ -83,7 +84,10 @@ class MomentumBatch:
             else:
                 moved[name] = values[name] + unit[j]
         conditions = Conditions(
-            self.angle, self.speed, amount if self._by_flow else None, None if self._by_flow else amount,
+            self.angle,
+            self.speed,
+            amount if self._by_flow else None,
+            None if self._by_flow else amount,
             self.moisture if self._knows_moisture else None,
         )
         # Complex division warns about the nan of an overfull paddle, which is the answer asked for.
@@ -119,8 +123,11 @@ class MomentumBatch:
             gain = values["k1"] * fill + values["k2"]
             bend = values["k1"] * fill
             by_gain = {
-                "k1": fill, "k2": np.asarray(1.0), "density": -bend / values["density"],
-                "shape_ratio": -bend / values["shape_ratio"], LOAD: values["k1"] * per_load / full,
+                "k1": fill,
+                "k2": np.asarray(1.0),
+                "density": -bend / values["density"],
+                "shape_ratio": -bend / values["shape_ratio"],
+                LOAD: values["k1"] * per_load / full,
             }
         jacobian = np.zeros((*base.shape, len(by)))
         for j, name in enumerate(by):

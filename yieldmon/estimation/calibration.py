@@ -79,8 +79,12 @@ class Measurements:
     def select(self, rows: NDArray[np.bool_]) -> Measurements:
         """Those rows alone."""
         places = np.flatnonzero(rows) if self.places is None else self.places[rows]
-        return Measurements(self._conditions(self.columns()[:, rows]), self.momentum[rows],
-                            None if self.sigma is None else self.sigma[rows], places)
+        return Measurements(
+            self._conditions(self.columns()[:, rows]),
+            self.momentum[rows],
+            None if self.sigma is None else self.sigma[rows],
+            places,
+        )
 
     def cells(self) -> tuple[Conditions, NDArray[np.intp]]:
         """The distinct conditions, and for each row the index of its own."""
@@ -339,9 +343,7 @@ class _Problem:
         slopes = np.broadcast_to(self.prior_white, (len(theta), *self.prior_white.shape))
         return np.concatenate((r, extra), axis=1), np.concatenate((j, slopes), axis=1)
 
-    def search(
-        self, theta: Array, progress: Callable[[float], None] | None = None
-    ) -> tuple[BatchSearch, NDArray[np.intp]]:
+    def search(self, theta: Array, progress: Callable[[float], None] | None = None) -> tuple[BatchSearch, NDArray[np.intp]]:
         """Batched search; each of its results with the number of starts that it stands for."""
 
         def residuals(t: Array, _: NDArray[np.intp]) -> tuple[Array, Array]:
@@ -350,7 +352,14 @@ class _Problem:
         leader = self._leaders(theta)
         at, follows = np.unique(leader, return_inverse=True)
         near = levenberg_marquardt(
-            residuals, theta[at], self.lower, self.upper, scale=self.unit, iterations=60, tolerance=1e-4, least_gain=1e-4,
+            residuals,
+            theta[at],
+            self.lower,
+            self.upper,
+            scale=self.unit,
+            iterations=60,
+            tolerance=1e-4,
+            least_gain=1e-4,
             progress=progress,
         )
         group = _groups(near.theta / self.unit, near.cost, _ONE_VALLEY)
@@ -381,9 +390,7 @@ class _Problem:
                 leader[i] = leader[order[nearest]]
         return leader
 
-    def polish(
-        self, theta: Array, cost: Array, standing_for: NDArray[np.intp]
-    ) -> tuple[tuple[Basin, ...], Array]:
+    def polish(self, theta: Array, cost: Array, standing_for: NDArray[np.intp]) -> tuple[tuple[Basin, ...], Array]:
         """Distinct minima, each polished; the best parameter vector. standing_for: starts behind each point."""
         group = _groups(theta / self.unit, cost, _SAME_BASIN)
         inside = [np.flatnonzero(group == g) for g in range(min(int(group.max()) + 1, _MOST_BASINS))]
@@ -415,7 +422,12 @@ class _Problem:
         if self.robust:
             return [self._polish_robust(point) for point in theta]
         found = levenberg_marquardt(
-            lambda t, _: self.residuals(t, self.row_sd), theta, self.lower, self.upper, scale=self.unit, tolerance=1e-12,
+            lambda t, _: self.residuals(t, self.row_sd),
+            theta,
+            self.lower,
+            self.upper,
+            scale=self.unit,
+            tolerance=1e-12,
         )
         return [(point, float(value)) for point, value in zip(found.theta, found.cost, strict=True)]
 
@@ -458,8 +470,9 @@ class _Problem:
         )
         point = np.asarray(solution.x, dtype=float)
         # A trust-region interior method stops a hair short of a bound that the batched search sits on.
-        near = np.where(point - self.lower < 1e-6 * self.unit, self.lower, np.where(self.upper - point < 1e-6 * self.unit,
-                                                                                     self.upper, point))
+        near = np.where(
+            point - self.lower < 1e-6 * self.unit, self.lower, np.where(self.upper - point < 1e-6 * self.unit, self.upper, point)
+        )
         if self._loss(near) <= float(solution.cost) * (1.0 + 1e-9):
             point = near
         if self._loss(point) <= self._loss(theta):
@@ -474,9 +487,7 @@ class _Problem:
         total = 0.5 * float(np.sum(z))
         return total if np.isfinite(total) else float("inf")
 
-    def result(
-        self, theta: Array, basins: tuple[Basin, ...], starts: int, response_unit: str, intervals: bool
-    ) -> Calibration:
+    def result(self, theta: Array, basins: tuple[Basin, ...], starts: int, response_unit: str, intervals: bool) -> Calibration:
         value, jacobian = self.momentum(theta[None])
         predicted, slopes = value[0][self.cell], jacobian[0][self.cell]
         width = slopes.shape[1]
@@ -505,8 +516,13 @@ class _Problem:
         ends = self._profile(theta, errors, weight, factor, dof) if intervals and width else self._wald(theta, errors, dof)
         fitted = tuple(
             FittedParameter(
-                name, float(theta[i]), float(errors[i]), (float(ends[i, 0]), float(ends[i, 1])),
-                bool(ends[i, 0] <= self.lower[i]), bool(ends[i, 1] >= self.upper[i]), at_bound[i],
+                name,
+                float(theta[i]),
+                float(errors[i]),
+                (float(ends[i, 0]), float(ends[i, 1])),
+                bool(ends[i, 0] <= self.lower[i]),
+                bool(ends[i, 1] >= self.upper[i]),
+                at_bound[i],
             )
             for i, name in enumerate(self.names)
         )
@@ -520,16 +536,27 @@ class _Problem:
             flow = flow * self.model.machine.passes_per_s(columns[1])
         values = self.start | {n: float(v) for n, v in zip(self.names, theta, strict=True)}
         parameter_set = ParameterSet(
-            values, self.names, covariance,
+            values,
+            self.names,
+            covariance,
             CalibratedRange(
-                _span(flow), _span(columns[0]), _span(columns[1]),
+                _span(flow),
+                _span(columns[0]),
+                _span(columns[1]),
                 _span(columns[3]) if np.all(np.isfinite(columns[3])) else None,
             ),
             response_unit,
             model_error=size if size > model_error.FLOOR else 0.0,
         )
         return Calibration(
-            parameter_set, fitted, correlation, basins, starts, quality, predicted, slopes,
+            parameter_set,
+            fitted,
+            correlation,
+            basins,
+            starts,
+            quality,
+            predicted,
+            slopes,
             tuple(_sentences(fitted, correlation, basins, starts, quality)),
         )
 
@@ -580,8 +607,14 @@ class _Problem:
             f_value = lack / (pure_ss / pure_dof)
             p_value = float(fdtrc(cells - width, pure_dof, f_value))
         return Residuals(
-            rows, rms, 100.0 * rms / largest, noise_factor * (1.0 if self.given_sigma else float(self.row_sd[0])),
-            self._scatter(), pure_dof, f_value, p_value,
+            rows,
+            rms,
+            100.0 * rms / largest,
+            noise_factor * (1.0 if self.given_sigma else float(self.row_sd[0])),
+            self._scatter(),
+            pure_dof,
+            f_value,
+            p_value,
             tuple(int(i) for i in (outliers if self.data.places is None else self.data.places[outliers])),
         )
 
@@ -602,7 +635,13 @@ class _Problem:
         start[np.arange(index.size), index] = np.concatenate(grids)
         held = index[:, None] == np.arange(width)
         found = levenberg_marquardt(
-            lambda t, _: self.residuals(t, row_sd), start, self.lower, self.upper, held=held, iterations=60, tolerance=1e-5,
+            lambda t, _: self.residuals(t, row_sd),
+            start,
+            self.lower,
+            self.upper,
+            held=held,
+            iterations=60,
+            tolerance=1e-5,
         )
         best = float(np.sum(self.residuals(theta[None], row_sd)[0] ** 2))
         rise = np.sqrt(np.maximum(2.0 * found.cost - best, 0.0)).reshape(width, points)
@@ -615,14 +654,13 @@ class _Problem:
     def _span_of(self, parameter: FittedParameter, points: int) -> Array:
         """Ascending, with the fitted value among them where it lies inside."""
         i = self.names.index(parameter.name)
-        low, high = (
-            parameter.value + 1.6 * (end - parameter.value) for end in parameter.interval
-        )
+        low, high = (parameter.value + 1.6 * (end - parameter.value) for end in parameter.interval)
         low, high = max(low, self.lower[i]), min(high, self.upper[i])
         half = points // 2
         if low < parameter.value < high:
-            return np.concatenate((np.linspace(low, parameter.value, half, endpoint=False),
-                                   np.linspace(parameter.value, high, points - half)))
+            return np.concatenate(
+                (np.linspace(low, parameter.value, half, endpoint=False), np.linspace(parameter.value, high, points - half))
+            )
         return np.linspace(low, high, points)
 
     def _noise(self, error: Array, width: int) -> tuple[Array, float, int]:

@@ -93,8 +93,14 @@ class MassAnchor:
         def mean(column: Array) -> Array:
             return np.array([w @ column[p] for p, w in zip(parts, weight, strict=True)])
 
-        return cls(reference_kg, std_dev_kg, np.array([duration_s[p].sum() for p in parts]), mean(force_n),
-                   mean(plate_angle_rad), mean(elevator_speed_rad_s))
+        return cls(
+            reference_kg,
+            std_dev_kg,
+            np.array([duration_s[p].sum() for p in parts]),
+            mean(force_n),
+            mean(plate_angle_rad),
+            mean(elevator_speed_rad_s),
+        )
 
     @classmethod
     def from_total(
@@ -111,8 +117,14 @@ class MassAnchor:
         """From a measured total alone: `parameters` made it, at about `mass_flow_kg_s`."""
         conditions = Conditions(plate_angle_rad, elevator_speed_rad_s, mass_flow_kg_s=mass_flow_kg_s)
         force = np.atleast_1d(np.real(model.force(conditions, parameters.values)))
-        return cls(reference_kg, std_dev_kg, np.array([measured_kg / mass_flow_kg_s]), force,
-                   np.array([plate_angle_rad]), np.array([elevator_speed_rad_s]))
+        return cls(
+            reference_kg,
+            std_dev_kg,
+            np.array([measured_kg / mass_flow_kg_s]),
+            force,
+            np.array([plate_angle_rad]),
+            np.array([elevator_speed_rad_s]),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -356,7 +368,12 @@ class _Problem:
         for _ in range(passes):
             whiteners = self._whiteners(unknown, anchor_flows)
             found = levenberg_marquardt(
-                partial(self._search_residuals, whiteners, anchor_flows), unknown[None], low, high, scale=unit, iterations=40,
+                partial(self._search_residuals, whiteners, anchor_flows),
+                unknown[None],
+                low,
+                high,
+                scale=unit,
+                iterations=40,
                 tolerance=1e-4,
             )
             if not np.isfinite(found.cost[0]):
@@ -373,16 +390,14 @@ class _Problem:
         flows = np.empty(len(self.sweeps))
         for i, sweep in enumerate(self.sweeps):
             # The largest force determines it best; a median over the sweep's better half stands up to a bad window.
-            order = np.argsort(sweep.force_n)[-max(1, sweep.force_n.size // 2):]
+            order = np.argsort(sweep.force_n)[-max(1, sweep.force_n.size // 2) :]
             moisture = None if sweep.moisture_pct is None else sweep.moisture_pct[order]
             each = loop.invert(sweep.force_n[order], sweep.plate_angle_rad[order], sweep.elevator_speed_rad_s[order], moisture)
             each = each[np.isfinite(each) & (each > 0.0)]
             if not each.size:
                 raise ValueError("no flow below a full paddle explains a sweep with the prior's parameters")
             flows[i] = np.median(each)
-        anchor_flows = [
-            loop.invert(a.force_n, a.plate_angle_rad, a.elevator_speed_rad_s, a.moisture_pct) for a in self.anchors
-        ]
+        anchor_flows = [loop.invert(a.force_n, a.plate_angle_rad, a.elevator_speed_rad_s, a.moisture_pct) for a in self.anchors]
         together = np.concatenate(anchor_flows) if anchor_flows else np.zeros(0)
         if not np.all(np.isfinite(together)):
             raise ValueError("a weighed load holds more force than a full paddle gives with the prior's parameters")
@@ -423,8 +438,12 @@ class _Problem:
             if settings.flow == "process":
                 elastic = by_load[rows] * loads[rows]
                 sd = process_sd(
-                    (sweep.force_n - force[rows]) / elastic, sweep.force_std_dev_n / elastic, sweep.plate_angle_rad, clock,
-                    settings.flow_process_time_s, settings.flow_process_sd,
+                    (sweep.force_n - force[rows]) / elastic,
+                    sweep.force_std_dev_n / elastic,
+                    sweep.plate_angle_rad,
+                    clock,
+                    settings.flow_process_time_s,
+                    settings.flow_process_sd,
                 )
                 covariances.append(sd**2 * correlation(clock, settings.flow_process_time_s))
                 noise += covariances[-1] * np.outer(elastic, elastic)
@@ -491,8 +510,10 @@ class _Problem:
     ) -> Outcome:
         from scipy.special import chdtrc
 
-        inverse = _inverse(jacobian.T @ jacobian, np.concatenate(
-            (self.prior.standard_deviation, np.full(count, 0.1), np.full(self.slopes, 0.01))))
+        inverse = _inverse(
+            jacobian.T @ jacobian,
+            np.concatenate((self.prior.standard_deviation, np.full(count, 0.1), np.full(self.slopes, 0.01))),
+        )
         theta, posterior = unknown[:width], inverse[:width, :width]
         information = self._data_information(jacobian, width, count)
         chi2 = float(residual @ residual)
@@ -506,20 +527,26 @@ class _Problem:
         new_theta = kept_theta
         new_cov = self.prior.covariance if kept_cov is None else kept_cov
         sds = np.sqrt(np.diag(new_cov))
-        changed = [
-            moved and not (new_theta[i] == self.prior.mean[i] and sds[i] == prior_sd[i]) for i in range(width)
-        ]
+        changed = [moved and not (new_theta[i] == self.prior.mean[i] and sds[i] == prior_sd[i]) for i in range(width)]
         updated = consistent and any(changed)
         learning = tuple(
-            Learning(n, float(self.prior.mean[i]), float(prior_sd[i]),
-                     float(new_theta[i]) if consistent else float(self.prior.mean[i]),
-                     float(sds[i]) if consistent else float(prior_sd[i]), updated and changed[i])
+            Learning(
+                n,
+                float(self.prior.mean[i]),
+                float(prior_sd[i]),
+                float(new_theta[i]) if consistent else float(self.prior.mean[i]),
+                float(sds[i]) if consistent else float(prior_sd[i]),
+                updated and changed[i],
+            )
             for i, n in enumerate(self.names)
         )
         if updated:
             values = dict(self.prior_set.values) | {n: float(v) for n, v in zip(self.names, new_theta, strict=True)}
             parameter_set = replace(
-                self.prior_set, values=values, covariance_names=self.names, covariance=new_cov,
+                self.prior_set,
+                values=values,
+                covariance_names=self.names,
+                covariance=new_cov,
                 version=self.prior_set.version + 1,
             )
         else:
@@ -528,9 +555,18 @@ class _Problem:
         plain: tuple[Array, ...] = tuple(np.asarray(-np.linalg.solve(w, r)) for w, r in zip(whiteners, whitened, strict=True))
         scale = self._scale(theta, posterior, jacobian, width)
         return Outcome(
-            parameter_set, updated, consistent, self._reason(updated, consistent, learning, p_value, plain, scale),
+            parameter_set,
+            updated,
+            consistent,
+            self._reason(updated, consistent, learning, p_value, plain, scale),
             self._worst_angle(plain),
-            self._flows(unknown, inverse, residual, jacobian, whiteners, width), learning, scale, chi2, dof, p_value, plain,
+            self._flows(unknown, inverse, residual, jacobian, whiteners, width),
+            learning,
+            scale,
+            chi2,
+            dof,
+            p_value,
+            plain,
         )
 
     def _data_information(self, jacobian: Array, width: int, count: int) -> Array:
@@ -624,7 +660,12 @@ class _Problem:
         return np.asarray(by_load * self._loads(unknown, still))
 
     def _reason(
-        self, updated: bool, consistent: bool, learning: Sequence[Learning], p_value: float, residuals: Sequence[Array],
+        self,
+        updated: bool,
+        consistent: bool,
+        learning: Sequence[Learning],
+        p_value: float,
+        residuals: Sequence[Array],
         scale: ScaleReport,
     ) -> str:
         if not consistent:

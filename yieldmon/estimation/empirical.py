@@ -95,9 +95,7 @@ class InterpolatedTable:
             # Noise may turn two neighbours round; the larger reading so far stands for both.
             rising = np.maximum.accumulate(np.maximum(means, 0.0))
             keep = np.concatenate(([True], np.diff(rising) > 0.0)) & (rising > 0.0)
-            curves[float(angle), float(speed)] = (
-                np.concatenate(([0.0], rising[keep])), np.concatenate(([0.0], masses[keep]))
-            )
+            curves[float(angle), float(speed)] = (np.concatenate(([0.0], rising[keep])), np.concatenate(([0.0], masses[keep])))
         return cls(curves)
 
     def load_kg(self, columns: Array, momentum: Array) -> Array:
@@ -167,9 +165,7 @@ def compare(
     return [_validate(name, fit, data, mass, loads) for name, fit in fits.items()]
 
 
-def _validate(
-    name: str, fit: Callable[[Measurements], LoadModel], data: Measurements, mass: Array, loads: Array
-) -> Comparison:
+def _validate(name: str, fit: Callable[[Measurements], LoadModel], data: Measurements, mass: Array, loads: Array) -> Comparison:
     columns = data.columns()
     found = np.full(mass.shape, np.nan)
     cell_errors = []
@@ -180,12 +176,17 @@ def _validate(
         part = data.select(out)
         cells, index = part.cells()
         means = np.bincount(index, part.momentum) / np.bincount(index)
-        cell_columns = np.stack([
-            np.broadcast_to(np.nan if v is None else np.asarray(v), means.shape) for v in (
-                cells.plate_angle_rad, cells.elevator_speed_rad_s,
-                cells.mass_flow_kg_s if cells.paddle_mass_kg is None else cells.paddle_mass_kg, cells.moisture_pct,
-            )
-        ])
+        cell_columns = np.stack(
+            [
+                np.broadcast_to(np.nan if v is None else np.asarray(v), means.shape)
+                for v in (
+                    cells.plate_angle_rad,
+                    cells.elevator_speed_rad_s,
+                    cells.mass_flow_kg_s if cells.paddle_mass_kg is None else cells.paddle_mass_kg,
+                    cells.moisture_pct,
+                )
+            ]
+        )
         true = np.bincount(index, mass[out]) / np.bincount(index)
         cell_errors.append(100.0 * (model.load_kg(cell_columns, means) / true - 1.0))
     errors = np.abs(np.concatenate(cell_errors))

@@ -70,10 +70,15 @@ class Report:
 
     def document(self) -> dict[str, Any]:
         """Plain data."""
+
         def plain(found: Sequence[Direction]) -> list[dict[str, Any]]:
             return [
-                {"direction": d.words(), "components": dict(zip(d.names, d.components, strict=True)),
-                 "relative_sd": d.relative_sd, "is_scale": d.is_scale}
+                {
+                    "direction": d.words(),
+                    "components": dict(zip(d.names, d.components, strict=True)),
+                    "relative_sd": d.relative_sd,
+                    "is_scale": d.is_scale,
+                }
                 for d in found
             ]
 
@@ -111,8 +116,9 @@ def directions(jacobian: Array, names: Sequence[str]) -> tuple[Direction, ...]:
     found = []
     for value, vector in zip(values[::-1], vectors[::-1], strict=True):
         sign = np.sign(vector[np.argmax(np.abs(vector))])
-        found.append(Direction(tuple(names), tuple(float(v) for v in sign * vector),
-                               1.0 / float(value) if value > limit else float("inf")))
+        found.append(
+            Direction(tuple(names), tuple(float(v) for v in sign * vector), 1.0 / float(value) if value > limit else float("inf"))
+        )
     return tuple(found)
 
 
@@ -206,8 +212,9 @@ def _remedies(
         tried.append(Remedy(f"know {shown(name)} within 5 %", _worst(np.vstack((relative, row)))))
     machine = model.machine
     middle_noise = float(np.median(np.asarray(noise_sd, dtype=float)))
-    angles = np.radians(np.arange(np.ceil(np.degrees(machine.min_plate_angle_rad)),
-                                  np.degrees(machine.max_plate_angle_rad) + 0.5, 10.0))
+    angles = np.radians(
+        np.arange(np.ceil(np.degrees(machine.min_plate_angle_rad)), np.degrees(machine.max_plate_angle_rad) + 0.5, 10.0)
+    )
     speeds = machine.nominal_elevator_speed_rad_s * np.array([0.75, 1.0, 1.25])
     amounts = np.unique([loads.min(), np.median(loads), loads.max()])
     grid = np.array([(a, s, m) for a in angles for s in speeds for m in amounts if m > 0.0])

@@ -84,11 +84,7 @@ def levenberg_marquardt(
             break
         gradient = np.einsum("bmn,bm->bn", jacobian[at], residual[at]) * unit[at]
         normal = np.einsum("bmi,bmj->bij", jacobian[at], jacobian[at]) * unit[at, :, None] * unit[at, None, :]
-        frozen = (
-            fixed[at]
-            | ((theta[at] <= low[at]) & (gradient > 0.0))
-            | ((theta[at] >= high[at]) & (gradient < 0.0))
-        )
+        frozen = fixed[at] | ((theta[at] <= low[at]) & (gradient > 0.0)) | ((theta[at] >= high[at]) & (gradient < 0.0))
         step = _damped_step(normal, gradient, frozen, damping[at])
         trial = np.clip(theta[at] + step * unit[at], low[at], high[at])
         if least_gain > 0.0:

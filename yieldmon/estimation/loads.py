@@ -98,8 +98,11 @@ class WeighedLoad:
             return np.array([np.average(column[p], weights=self.duration_s[p]) for p in parts])
 
         return replace(
-            self, duration_s=np.array([self.duration_s[p].sum() for p in parts]), force_n=mean(self.force_n),
-            plate_angle_rad=mean(self.plate_angle_rad), elevator_speed_rad_s=mean(self.elevator_speed_rad_s),
+            self,
+            duration_s=np.array([self.duration_s[p].sum() for p in parts]),
+            force_n=mean(self.force_n),
+            plate_angle_rad=mean(self.plate_angle_rad),
+            elevator_speed_rad_s=mean(self.elevator_speed_rad_s),
             moisture_pct=None if self.moisture_pct is None else mean(self.moisture_pct),
         )
 
@@ -355,9 +358,7 @@ class _Problem:
         flow, by_flow = self.flow(moved(self.start, float(step[0]), float(step[1])))
         with np.errstate(divide="ignore", invalid="ignore"):
             error = np.log(self.total(flow) / self.weighed)
-            slopes = [
-                self.slope(moved(self.start, *map(float, step + _STEP * d)), flow, by_flow, _STEP) for d in np.eye(2)
-            ]
+            slopes = [self.slope(moved(self.start, *map(float, step + _STEP * d)), flow, by_flow, _STEP) for d in np.eye(2)]
         return error, np.stack(slopes, axis=1)
 
     def _basis(self, slope: Array, weight: Array) -> Array:
@@ -443,10 +444,18 @@ class _Problem:
         )
         moving = () if refused else tuple(n for n, v in chosen.values.items() if self.given.values.get(n) != v)
         calibration = LoadCalibration(
-            parameter_set=chosen, names=moving, held=tuple(n for n in chosen.values if n not in moving), loads=results,
-            scale=float(after[active].sum() / before[active].sum()), scale_sd=level_sd,
-            load_dependence=directions == 2 and not refused, next_load_sd=next_sd, rms_before=rms_before, rms_left_out=rms_after,
-            refused=refused, sweeps_used=0 if together is None else len(sweeps),
+            parameter_set=chosen,
+            names=moving,
+            held=tuple(n for n in chosen.values if n not in moving),
+            loads=results,
+            scale=float(after[active].sum() / before[active].sum()),
+            scale_sd=level_sd,
+            load_dependence=directions == 2 and not refused,
+            next_load_sd=next_sd,
+            rms_before=rms_before,
+            rms_left_out=rms_after,
+            refused=refused,
+            sweeps_used=0 if together is None else len(sweeps),
         )
         return replace(calibration, sentences=tuple(_sentences(calibration, len(sweeps))))
 
@@ -467,10 +476,16 @@ class _Problem:
         """Sweeps and loads in one fit that begins where the loads alone lead; None where it learns nothing."""
         anchors = [
             MassAnchor(
-                load.weighed_kg, float(sd) * load.weighed_kg, load.duration_s, load.force_n, load.plate_angle_rad,
-                load.elevator_speed_rad_s, load.moisture_pct,
+                load.weighed_kg,
+                float(sd) * load.weighed_kg,
+                load.duration_s,
+                load.force_n,
+                load.plate_angle_rad,
+                load.elevator_speed_rad_s,
+                load.moisture_pct,
             )
-            for load, sd, ok in zip(self.loads, self.sd, active, strict=True) if ok
+            for load, sd, ok in zip(self.loads, self.sd, active, strict=True)
+            if ok
         ]
         centre = moved(self.start, *map(float, near.step))
         outcome = self_calibrate(self.model, centre, sweeps, anchors=anchors, settings=settings)

@@ -15,6 +15,7 @@ from .parameters import ParameterSet
 
 Bounds = Mapping[str, tuple[float, float]]
 
+
 def follows_scale(name: str) -> bool:
     """Whether a parameter is in the reading's own unit, so that it scales with it."""
     if "." in name:

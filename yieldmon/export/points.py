@@ -84,9 +84,7 @@ def yield_points(rows: Sequence[SecondRow], settings: PointSettings, where: str 
     return points
 
 
-def _passes(
-    matched: Sequence[tuple[SecondRow, SecondRow]], gap_s: float
-) -> Iterator[list[tuple[SecondRow, SecondRow]]]:
+def _passes(matched: Sequence[tuple[SecondRow, SecondRow]], gap_s: float) -> Iterator[list[tuple[SecondRow, SecondRow]]]:
     if not matched:
         return
     current = [matched[0]]

@@ -50,9 +50,7 @@ _TOTALS = (90, 183)
 _INDEX = {entry.ddi: index for index, entry in enumerate(ENTRIES)}
 
 
-def raw_values(
-    point: YieldPoint, total_kg: float, total_dry_kg: float | None, reference_moisture_pct: float
-) -> dict[int, int]:
+def raw_values(point: YieldPoint, total_kg: float, total_dry_kg: float | None, reference_moisture_pct: float) -> dict[int, int]:
     """DDI -> raw integer of what is known at a point. total_kg, total_dry_kg: of the task, this point included."""
     known: dict[int, float | None] = {
         87: point.mass_flow_kg_s * 1e6,
@@ -109,12 +107,24 @@ def task_file(
     if not points:
         raise ValueError("no points")
     root = ET.Element(
-        "ISO11783_TaskData", VersionMajor="4", VersionMinor="3", ManagementSoftwareManufacturer="yieldmon",
-        ManagementSoftwareVersion=__version__, TaskControllerManufacturer="yieldmon", TaskControllerVersion=__version__,
+        "ISO11783_TaskData",
+        VersionMajor="4",
+        VersionMinor="3",
+        ManagementSoftwareManufacturer="yieldmon",
+        ManagementSoftwareVersion=__version__,
+        TaskControllerManufacturer="yieldmon",
+        TaskControllerVersion=__version__,
         DataTransferOrigin="2",
     )
     device = ET.SubElement(
-        root, "DVC", A=_DEVICE, B="yieldmon", C=__version__, D="A000840000000000", E="1", F="31000000000000",
+        root,
+        "DVC",
+        A=_DEVICE,
+        B="yieldmon",
+        C=__version__,
+        D="A000840000000000",
+        E="1",
+        F="31000000000000",
         G="000000000000FF",
     )
     combine = ET.SubElement(device, "DET", A=_COMBINE, B="1", C="1", D="combine", E="0", F="0")

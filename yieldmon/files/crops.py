@@ -48,7 +48,10 @@ class Crop:
         density = _HEAP_OVER_TEST_WEIGHT * self.test_weight_kg_m3
         return ParameterSet(
             {
-                "friction": self.friction, "density": density, "shape_ratio": 2.0, "restitution": self.restitution,
+                "friction": self.friction,
+                "density": density,
+                "shape_ratio": 2.0,
+                "restitution": self.restitution,
                 "gravity.acceleration_m_s2": 9.81,
             },
             ("friction", "density", "restitution"),

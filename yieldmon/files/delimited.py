@@ -73,11 +73,15 @@ def read(path: str | Path) -> TextTable:
     for line, row in body:
         if len(row) != len(header):
             raise InputError(
-                f"{where}: line {line}", f"has {len(row)} fields",
+                f"{where}: line {line}",
+                f"has {len(row)} fields",
                 f"{len(header)}, as in the header" + _comma_hint(row, len(header)),
             )
     return TextTable(
-        where, hashlib.sha256(raw).hexdigest(), header, tuple(tuple(c.strip() for c in row) for _, row in body),
+        where,
+        hashlib.sha256(raw).hexdigest(),
+        header,
+        tuple(tuple(c.strip() for c in row) for _, row in body),
         tuple(line for line, _ in body),
     )
 

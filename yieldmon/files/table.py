@@ -92,7 +92,8 @@ class Table:
                 i = int(np.argmax(apart))
                 where = f"{self.path}: line {self.lines[i]}" if self.lines else f"{self.path}: row {i + 1}"
                 raise InputError(
-                    f"{where}: {other}", f"is {self.columns[other][i]:g}, where {one} says {first[i] / passes[i]:.6g}",
+                    f"{where}: {other}",
+                    f"is {self.columns[other][i]:g}, where {one} says {first[i] / passes[i]:.6g}",
                     f"the same, or one of the two columns ({passes[i]:.4g} paddles a second)",
                 )
 

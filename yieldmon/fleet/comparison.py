@@ -53,9 +53,7 @@ def compare(first: str, second: str) -> dict[str, Any]:
 
 def _files(commit: Commit) -> dict[str, str]:
     """What the results are: all tables but where they came from."""
-    return {
-        name: entry["sha256"] for name, entry in commit.content["files"].items() if name != f"{tables.PROVENANCE}.parquet"
-    }
+    return {name: entry["sha256"] for name, entry in commit.content["files"].items() if name != f"{tables.PROVENANCE}.parquet"}
 
 
 def _difference(ours: Commit, theirs: Commit, before: Query, after: Query) -> dict[str, Any]:

@@ -85,9 +85,7 @@ def shared_effects(verdicts: Sequence[MachineVerdict]) -> tuple[Named, ...]:
     left = [list(verdict.named) for verdict in judged]
     found: list[Named] = []
     while True:
-        possible = Counter(
-            effect for named in left for effect in {e for item in named for e in (item.effect, *item.equivalent)}
-        )
+        possible = Counter(effect for named in left for effect in {e for item in named for e in (item.effect, *item.equivalent)})
         first = Counter(item.effect for named in left for item in named)
         enough = [e for e, count in possible.items() if count >= LEAST_MACHINES and count > _SHARE * len(judged) and first[e]]
         if not enough:
@@ -119,9 +117,7 @@ def diagnose(machines: Sequence[MachineSweeps], ask: Ask) -> FleetDiagnosis:
     if not model:
         return FleetDiagnosis((), tuple(verdict for verdict in before if verdict.verdict != "none"), before)
     values = {name: value for item in model for name, value in item.values.items()}
-    after = ask([
-        (machine, replace(machine.parameters, values={**machine.parameters.values, **values})) for machine in machines
-    ])
+    after = ask([(machine, replace(machine.parameters, values={**machine.parameters.values, **values})) for machine in machines])
     return FleetDiagnosis(model, tuple(verdict for verdict in after if verdict.verdict != "none"), before)
 
 

@@ -42,17 +42,27 @@ def page(summary: dict[str, Any]) -> str:
 
 
 def _problems(summary: dict[str, Any]) -> str:
-    lines = [
-        f"{item['machine']} {item['day']}: {item['problem']}" for item in (*summary["failed"], *summary["poisoned"])
-    ]
+    lines = [f"{item['machine']} {item['day']}: {item['problem']}" for item in (*summary["failed"], *summary["poisoned"])]
     if not lines:
         return ""
     return '<h2>Not measured</h2><ul class="bad">' + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
 
 
 def _machines(machines: Sequence[dict[str, Any]]) -> str:
-    header = ("machine", "crop", "days", "from", "to", "hours", "t", "faults", "ModelDisagrees, days", "tickets", "mean error %",
-              "rms error %")
+    header = (
+        "machine",
+        "crop",
+        "days",
+        "from",
+        "to",
+        "hours",
+        "t",
+        "faults",
+        "ModelDisagrees, days",
+        "tickets",
+        "mean error %",
+        "rms error %",
+    )
     rows = [
         (
             m["machine"], ", ".join(m["crops"]), m["days"], m["first_day"], m["last_day"], f"{m['hours']:.1f}",

@@ -137,8 +137,13 @@ def _of_tree(files: Any, root: str, source: str) -> Manifest:
                 left_out.append(day)
                 continue
             found.append(
-                Partition(names[0], names[1], tuple(logs), _address(files, source, _present(files, f"{day}/{CONFIG}") or config),
-                          _address(files, source, _present(files, f"{day}/{TICKETS}")))
+                Partition(
+                    names[0],
+                    names[1],
+                    tuple(logs),
+                    _address(files, source, _present(files, f"{day}/{CONFIG}") or config),
+                    _address(files, source, _present(files, f"{day}/{TICKETS}")),
+                )
             )
     if not found:
         raise InputError(source, "holds no logs", "folders MACHINE/DAY with logs in them")

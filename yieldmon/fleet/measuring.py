@@ -191,9 +191,7 @@ def _record(logs: Sequence[str], configured: Configuration, path: Path) -> tuple
             table.write(row)
             taken.row(row)
 
-        summary, monitor = log_record.measure(
-            logs, configured, take, progress=taken.progress, take_results=taken.results
-        )
+        summary, monitor = log_record.measure(logs, configured, take, progress=taken.progress, take_results=taken.results)
     return taken, log_record.document(summary, monitor), monitor
 
 
@@ -234,9 +232,7 @@ def _load_rows(monitor: Monitor) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def _ticket_rows(
-    logs: Sequence[dict[str, Any]], path: str, given: Sequence[str]
-) -> tuple[list[dict[str, Any]], list[Poisoned]]:
+def _ticket_rows(logs: Sequence[dict[str, Any]], path: str, given: Sequence[str]) -> tuple[list[dict[str, Any]], list[Poisoned]]:
     """Rows of what tickets cover, and tickets that nothing fits. given: all logs of the partition, in order."""
     if not path:
         return [], []

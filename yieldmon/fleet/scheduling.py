@@ -40,9 +40,7 @@ class Cluster:
     adaptive: bool = False
 
 
-def run_all(
-    tasks: Sequence[Task], cluster: Cluster, take: Callable[[Outcome], None], say: Callable[[str], None]
-) -> None:
+def run_all(tasks: Sequence[Task], cluster: Cluster, take: Callable[[Outcome], None], say: Callable[[str], None]) -> None:
     """Work off the tasks in any order.
 
     Parameters

@@ -142,7 +142,5 @@ def _errors(rows: Rows) -> dict[str, Any]:
 
 def _poisoned(query: Query) -> Rows:
     return [
-        {"machine": commit.machine, "day": commit.day, **item}
-        for commit in query.commits
-        for item in commit.content["poisoned"]
+        {"machine": commit.machine, "day": commit.day, **item} for commit in query.commits for item in commit.content["poisoned"]
     ]

@@ -47,10 +47,14 @@ class TroubleCode:
     @property
     def data(self) -> bytes:
         """Its four bytes, conversion method 0 (version 4)."""
-        return bytes([
-            self.spn & 0xFF, self.spn >> 8 & 0xFF, (self.spn >> 16 & 7) << 5 | self.fmi & 0x1F,
-            min(self.occurrences, MAX_OCCURRENCES),
-        ])
+        return bytes(
+            [
+                self.spn & 0xFF,
+                self.spn >> 8 & 0xFF,
+                (self.spn >> 16 & 7) << 5 | self.fmi & 0x1F,
+                min(self.occurrences, MAX_OCCURRENCES),
+            ]
+        )
 
 
 def message(codes: Iterable[TroubleCode]) -> bytes:

@@ -120,10 +120,12 @@ def _course_speed(data: bytes) -> Values:
     _sequence, reference, course, speed = struct.unpack("<BBHH", data[:6])
     true_north = reference & 3 == 0
     course_rad = _nmea(course, 16, 1e-4, signed=False) if true_north else None
-    return _known({
-        Quantity.COURSE: math.degrees(course_rad) if course_rad is not None else None,
-        Quantity.SPEED: _nmea(speed, 16, 0.01, signed=False),
-    })
+    return _known(
+        {
+            Quantity.COURSE: math.degrees(course_rad) if course_rad is not None else None,
+            Quantity.SPEED: _nmea(speed, 16, 0.01, signed=False),
+        }
+    )
 
 
 def _gnss_position(data: bytes) -> Values:

@@ -117,9 +117,7 @@ _READERS: Mapping[int, Callable[[NDArray[np.uint64]], dict[Quantity, Array]]] = 
 }
 
 
-def read_block(
-    group: int, rows: NDArray[np.intp], time_s: Array, payload: NDArray[np.uint64], length: NDArray[np.uint8]
-) -> Told:
+def read_block(group: int, rows: NDArray[np.intp], time_s: Array, payload: NDArray[np.uint64], length: NDArray[np.uint8]) -> Told:
     """What frames of a parameter group say of position, speed and course.
 
     Parameters
@@ -150,9 +148,7 @@ def read_block(
     return told
 
 
-def best_groups(
-    before: Navigation, told: Told, quantity: Quantity, rows: NDArray[np.intp], time_s: Array
-) -> NDArray[np.intp]:
+def best_groups(before: Navigation, told: Told, quantity: Quantity, rows: NDArray[np.intp], time_s: Array) -> NDArray[np.intp]:
     """The group whose reading `Navigation.best` uses at each of some frames of a block.
 
     Parameters

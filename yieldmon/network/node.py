@@ -218,8 +218,9 @@ class Node:
             f"another node sends from our address ({counters.violations} frames)": self._violations.exceeded(now_s),
             f"another node uses our NAME {self.settings.name}": now_s - self._duplicate_s < 3.0,
             f"more requests than we answer ({self._requests.refused} left)": self._requests.exceeded(now_s),
-            f"transport sessions that never end ({self._receiver.abandoned + self._receiver.refused})":
-                self._sessions.exceeded(now_s),
+            f"transport sessions that never end ({self._receiver.abandoned + self._receiver.refused})": self._sessions.exceeded(
+                now_s
+            ),
         }
         return tuple(sentence for sentence, holds in found.items() if holds)
 

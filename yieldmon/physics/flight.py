@@ -35,9 +35,7 @@ class _Start:
 def _start(x_m: AnyArray, y_m: AnyArray, vx_m_s: AnyArray, vy_m_s: AnyArray, setting: Setting) -> _Start:
     sin, cos = sin_cos(setting.plate_angle_rad)
     rx, ry = x_m - setting.plate_pivot_x_m, y_m - setting.plate_pivot_y_m
-    return _Start(
-        ry * cos - rx * sin, rx * cos + ry * sin, vx_m_s * sin - vy_m_s * cos, vx_m_s * cos + vy_m_s * sin, sin, cos
-    )
+    return _Start(ry * cos - rx * sin, rx * cos + ry * sin, vx_m_s * sin - vy_m_s * cos, vx_m_s * cos + vy_m_s * sin, sin, cos)
 
 
 def _closing(start: _Start, g: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:

@@ -81,9 +81,7 @@ def pulse_table(scenario: Scenario, machine: Machine) -> PulseTable:
         grain = crop.grain.at_moisture(crop.moisture_pct, effects.moisture_dependence)
         return PulseTable(machine, [Condition(crop.moisture_pct, grain, effects)])
     nodes = np.linspace(min(end, crop.moisture_pct), max(end, crop.moisture_pct), _MOISTURE_NODES)
-    conditions = [
-        Condition(float(m), crop.grain.at_moisture(float(m), effects.moisture_dependence), effects) for m in nodes
-    ]
+    conditions = [Condition(float(m), crop.grain.at_moisture(float(m), effects.moisture_dependence), effects) for m in nodes]
     return PulseTable(machine, conditions, _CHANGING)
 
 
@@ -234,9 +232,7 @@ class VirtualCombine:
                     self._ahead += impulse / step_s * np.diff(arrived)
                 else:
                     grain, begin = self.scenario.kernels, time - start_s
-                    struck = kernels.strike(
-                        grain, mass, impulse, begin + arrivals, step_s, len(self._ahead), self._kernel_rng
-                    )
+                    struck = kernels.strike(grain, mass, impulse, begin + arrivals, step_s, len(self._ahead), self._kernel_rng)
                     self._ahead += struck / step_s
                     impulse = float(struck.sum())
             self._impulses.append((impulse, angle_deg))
@@ -332,9 +328,7 @@ class VirtualCombine:
     def _slow_frames(self, milliseconds: int) -> Iterator[Frame]:
         time = milliseconds * 1e-3
         if milliseconds % 50 == 0 and (feedback := self._actuator.feedback()) is not None:
-            yield Frame(
-                time, frames.PLATE_ACTUATOR_FEEDBACK, {"PlateAngle": feedback[0], "ActuatorState": int(feedback[1])}
-            )
+            yield Frame(time, frames.PLATE_ACTUATOR_FEEDBACK, {"PlateAngle": feedback[0], "ActuatorState": int(feedback[1])})
         if milliseconds % 100 == 0:
             yield from self._spoken(
                 Channel.ELEVATOR_SPEED,

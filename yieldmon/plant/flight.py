@@ -97,5 +97,3 @@ def _fly_with_drag(
             x, y, vx, vy = x + h * middle_x, y + h * middle_y, vx + h * ax, vy + h * ay
         path, flown = Path(x, y, vx, vy), flown + left
     return path, flown
-
-

@@ -37,9 +37,7 @@ def restitution(arrival: Arrival, stream_depth_m: Array, grain_restitution: floa
     return np.minimum(e, 1.0)
 
 
-def horizontal_impulse(
-    arrival: Arrival, e: Array, plate_angle_rad: Array, plate_length_m: float, effects: Effects
-) -> Array:
+def horizontal_impulse(arrival: Arrival, e: Array, plate_angle_rad: Array, plate_length_m: float, effects: Effects) -> Array:
     """Horizontal impulse per kg that lands, as the cell feels it, m/s."""
     normal = (1.0 + e) * arrival.normal_speed_m_s
     if (second := effects.secondary_impact) is not None:

@@ -72,9 +72,7 @@ def slide(radius: Array, friction: float, gamma: float, radial_speed: float = 0.
 
 def _hermite(share: Array, y0: Array, d0: Array, y1: Array, d1: Array, h: float) -> Array:
     s = share
-    return (
-        (1 + 2 * s) * (1 - s) ** 2 * y0 + s * (1 - s) ** 2 * h * d0 + s**2 * (3 - 2 * s) * y1 + s**2 * (s - 1) * h * d1
-    )
+    return (1 + 2 * s) * (1 - s) ** 2 * y0 + s * (1 - s) ** 2 * h * d0 + s**2 * (3 - 2 * s) * y1 + s**2 * (s - 1) * h * d1
 
 
 def _crossing(r0: Array, u0: Array, r1: Array, u1: Array, h: float) -> Array:

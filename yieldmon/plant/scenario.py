@@ -45,9 +45,7 @@ class Crop(_Section):
     @property
     def grain(self) -> Grain:
         """Properties at the reference moisture."""
-        return Grain(
-            self.friction, self.restitution, self.bulk_density_kg_m3, self.shape_ratio, self.reference_moisture_pct
-        )
+        return Grain(self.friction, self.restitution, self.bulk_density_kg_m3, self.shape_ratio, self.reference_moisture_pct)
 
 
 class Channel(StrEnum):

@@ -63,9 +63,7 @@ class ImpactCell:
 
     def samples_mv(self, force_n: Array, background_mv: Array, fault: SensorFault | None) -> Array:
         """Voltages for the mean force in each step; background_mv: zero, noise and vibration in each sample."""
-        felt, self._state = lfilter(
-            [(1.0 - self._keep) ** 2], [1.0, -2.0 * self._keep, self._keep**2], force_n, zi=self._state
-        )
+        felt, self._state = lfilter([(1.0 - self._keep) ** 2], [1.0, -2.0 * self._keep, self._keep**2], force_n, zi=self._state)
         if self._steps > 1:
             felt = felt.reshape(-1, self._steps).mean(axis=1)
         felt = felt * (1.0 - self._nonlinearity * felt / self._full_scale_n)

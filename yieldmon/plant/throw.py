@@ -85,9 +85,7 @@ def throw(
 
     layer = (2.0 * np.arange(_LAYERS) + 1.0) / _LAYERS - 1.0
     fan = np.deg2rad(effects.stream_spread.half_width_deg) * layer if effects.stream_spread else np.zeros(1)
-    path = flight.leave_tip(
-        release.angle_rad[None, :, :, None], release.radial_speed[None, :, :, None], length, speed_rad_s, fan
-    )
+    path = flight.leave_tip(release.angle_rad[None, :, :, None], release.radial_speed[None, :, :, None], length, speed_rad_s, fan)
     arrival = flight.reach_plate(path, machine, angles, gravity, effects.air_drag)
 
     mass = (unit * parcels.area)[None, :, :, None] / _LAYERS

@@ -26,9 +26,10 @@ def unit_of(name: str) -> str:
 def draw(time_s: Sequence[float], sets: Sequence[ParameterSet], origins: Sequence[str]) -> Figure:
     """A panel for each parameter that any set is uncertain of or that changes; times rise, one for each set."""
     names = [
-        name for name in sets[-1].values
-        if len({known.values.get(name) for known in sets}) > 1 or any(known.standard_deviation(name) > 0.0 for known in sets
-                                                                     if name in known.values)
+        name
+        for name in sets[-1].values
+        if len({known.values.get(name) for known in sets}) > 1
+        or any(known.standard_deviation(name) > 0.0 for known in sets if name in known.values)
     ] or list(sets[-1].values)
     figure, grid = new_figure(len(names), 1, size_in=(10.0, 1.8 * len(names) + 1.0), sharex=True, squeeze=False)
     hours = (np.asarray(time_s, dtype=float) - time_s[0]) / 3600.0

@@ -32,7 +32,7 @@ def draw(curves: Sequence[ProfileCurve]) -> Figure:
         axes.set_xlabel(curve.name)
         shown = 2.5 * curve.limit
         axes.set_ylim(-shown, shown)
-    for axes in panels[len(curves):]:
+    for axes in panels[len(curves) :]:
         axes.set_axis_off()
     for axes in panels[: len(curves) : columns]:
         axes.set_ylabel("± root of the rise of chi-square")

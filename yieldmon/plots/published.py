@@ -29,8 +29,12 @@ def momentum_table(published: Mapping[str, Any], machine: Machine) -> tuple[Arra
     angles = np.array(table["plate_angle_deg"], dtype=float)
     flows = np.array([key for key in table if not isinstance(key, str)], dtype=float)
     printed = np.array([table[key] for key in table if not isinstance(key, str)], dtype=float)
-    values = {"friction": made["friction"], "restitution": made["restitution"], "density": made["density_kg_m3"],
-              "shape_ratio": made["shape_ratio"]}
+    values = {
+        "friction": made["friction"],
+        "restitution": made["restitution"],
+        "density": made["density_kg_m3"],
+        "shape_ratio": made["shape_ratio"],
+    }
     conditions = Conditions(np.radians(angles), made["elevator_speed_rpm"] * RPM, mass_flow_kg_s=flows[:, None])
     return angles, flows, printed, np.real(ForwardModel(machine).paddle_momentum(conditions, values))
 
@@ -45,8 +49,9 @@ def draw(published: Mapping[str, Any], machine: Machine) -> Figure:
         colour = colormaps["viridis"](0.9 * k / (len(flows) - 1))
         left.plot(angles, ours[k], color=colour, label=f"{flow:g} kg/s")
         left.plot(angles, printed[k], ".", color=colour)
-    left.set_title(f"printed (points) and ours (lines); largest difference {100 * np.abs(ours / printed - 1).max():.2f} %",
-                   fontsize=10)
+    left.set_title(
+        f"printed (points) and ours (lines); largest difference {100 * np.abs(ours / printed - 1).max():.2f} %", fontsize=10
+    )
     left.set_xlabel("plate angle, deg")
     left.set_ylabel("momentum of a paddle, kg m/s")
     for key, (label, true, estimated) in _LOOPS.items():

@@ -20,8 +20,18 @@ def draw(plate_angle_deg: Array, load: Array, load_label: str, residual_pct: Arr
     count = np.bincount(index)
     mean = np.bincount(index, residual_pct) / count
     largest = max(float(np.abs(mean).max()), 1e-9)
-    shown = axes.scatter(cells[:, 0], cells[:, 1], c=mean, cmap="RdBu_r", vmin=-largest, vmax=largest, s=520, marker="s",
-                         edgecolors="gray", linewidths=0.4)
+    shown = axes.scatter(
+        cells[:, 0],
+        cells[:, 1],
+        c=mean,
+        cmap="RdBu_r",
+        vmin=-largest,
+        vmax=largest,
+        s=520,
+        marker="s",
+        edgecolors="gray",
+        linewidths=0.4,
+    )
     digits = 1 if largest >= 1.0 else 2
     for (angle, mass), value in zip(cells, mean, strict=True):
         # Adding 0 takes the sign off a zero.

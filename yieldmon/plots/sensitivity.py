@@ -22,7 +22,10 @@ if TYPE_CHECKING:
 
 TYPICAL: Mapping[str, float] = {"friction": 0.5, "restitution": 0.5, "density": 1500.0, "shape_ratio": 2.0}
 RANGES: Mapping[str, tuple[float, float]] = {
-    "friction": (0.1, 2.0), "restitution": (0.1, 1.0), "density": (750.0, 2000.0), "shape_ratio": (1.5, 2.5)
+    "friction": (0.1, 2.0),
+    "restitution": (0.1, 1.0),
+    "density": (750.0, 2000.0),
+    "shape_ratio": (1.5, 2.5),
 }
 FLOWS_KG_S: Array = np.arange(2.0, 26.1, 4.0)
 
@@ -50,6 +53,9 @@ def draw(machine: Machine, plate_angle_rad: float) -> Figure:
     for axes in grid[:, 0]:
         axes.set_ylabel("horizontal force, N")
     grid[0, 1].legend(fontsize=8)
-    figure.suptitle(f"plate at {np.degrees(plate_angle_rad):g}°, {machine.nominal_elevator_speed_rad_s * 30 / np.pi:.0f} rpm; "
-                    "dotted: the value while another parameter is varied", fontsize=10)
+    figure.suptitle(
+        f"plate at {np.degrees(plate_angle_rad):g}°, {machine.nominal_elevator_speed_rad_s * 30 / np.pi:.0f} rpm; "
+        "dotted: the value while another parameter is varied",
+        fontsize=10,
+    )
     return figure

@@ -160,9 +160,7 @@ class Cab:
 def from_frames(traffic: Traffic) -> Status:
     """What frames tell of a monitor on the bus, in the shape of a daemon's status."""
     flow, mass, state = (traffic.latest(name) for name in (MASS_FLOW, ACCUMULATED_MASS, YIELD_MONITOR_STATUS))
-    plate, grain, moving = (
-        traffic.latest(name) for name in (PLATE_ACTUATOR_FEEDBACK, GRAIN_CONDITION, VEHICLE_DIRECTION_SPEED)
-    )
+    plate, grain, moving = (traffic.latest(name) for name in (PLATE_ACTUATOR_FEEDBACK, GRAIN_CONDITION, VEHICLE_DIRECTION_SPEED))
     lesson = traffic.latest(SELF_CALIBRATION_STATUS)
 
     def signal(frame: Any, name: str) -> float | None:

@@ -123,7 +123,11 @@ class Screen:
         view, traffic = self._view, self._traffic
         total = sum(row.rate_hz(traffic.now_s) for row in traffic.rows.values())
         parts = [
-            view.source, f"{traffic.frames} frames", f"{total:.0f}/s", f"{traffic.error_frames} error frames", f"by {view.order}"
+            view.source,
+            f"{traffic.frames} frames",
+            f"{total:.0f}/s",
+            f"{traffic.error_frames} error frames",
+            f"by {view.order}",
         ]
         if view.needle or view.typing:
             parts.append(f"filter: {view.needle}{'_' if view.typing else ''}")

@@ -53,9 +53,8 @@ def summary(status: Mapping[str, Any]) -> str:
     flow = last["mass_flow_kg_s"] if last is not None else None
     rate = f" {flow:.1f} kg/s," if flow is not None else ","
     faults = ", ".join(fault["code"] for fault in status["faults"])
-    return (
-        f"{status['state']}{rate} load {status['load']['number']}: {status['load']['mass_kg']:.0f} kg"
-        + (f"; {faults}" if faults else "")
+    return f"{status['state']}{rate} load {status['load']['number']}: {status['load']['mass_kg']:.0f} kg" + (
+        f"; {faults}" if faults else ""
     )
 
 
@@ -77,7 +76,9 @@ def _load_start(request: Mapping[str, Any], monitor: Monitor, journal: Journal, 
     parameters = monitor.estimator.parameters
     known = not crop or crop in crops() or parameters.provenance.get("crop") == crop
     return {
-        "load": monitor.totals.load_number, "field": journal.field, "crop": journal.crop,
+        "load": monitor.totals.load_number,
+        "field": journal.field,
+        "crop": journal.crop,
         "parameters": {"version": parameters.version, "crop": parameters.provenance.get("crop"), "changed": chosen is not None},
         "crop_known": known,
     }

@@ -139,7 +139,8 @@ def _in_newtons(path: Path) -> ParameterSet:
     parameters = parameter_file.load(path)
     if parameters.response_unit != "N":
         raise InputError(
-            f"{path}: response_unit", f"is {parameters.response_unit!r}",
+            f"{path}: response_unit",
+            f"is {parameters.response_unit!r}",
             "'N' (calibrated on forces or momenta); these give no flow from a force",
         )
     return parameters
@@ -151,8 +152,7 @@ def engine_settings(document: Document) -> EngineSettings:
     sections = {}
     for name in ENGINE_SECTIONS:
         values = {
-            key: tuple(value) if isinstance(value, list) else value
-            for key, value in getattr(document, name).model_dump().items()
+            key: tuple(value) if isinstance(value, list) else value for key, value in getattr(document, name).model_dump().items()
         }
         sections[name] = dataclasses.replace(getattr(defaults, name), **values)
     return dataclasses.replace(defaults, **sections)

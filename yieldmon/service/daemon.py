@@ -149,9 +149,7 @@ class Daemon:
             self._receiver.send, settings.transmit_queue_frames, settings.transmit_max_age_s,
             echo_s=ASKED_ECHO_S if bus_factory is None and settings.interface == "socketcan" else ECHO_S,
         )  # fmt: skip
-        self._writer = StoreWriter(
-            self._open_store, configuration.document.store.pending_seconds, path=configuration.store_path
-        )
+        self._writer = StoreWriter(self._open_store, configuration.document.store.pending_seconds, path=configuration.store_path)
         self._poster = Poster(configuration.store_path, self._writer.wait_until_written)
         self._rates = Rates()
         self._threads: Mapping[str, _Alive] = {

@@ -58,9 +58,7 @@ class Bus(Section):
         4 * 1024 * 1024, 65_536, 64 * 1024 * 1024, "bytes", "SocketCAN receive buffer to ask the kernel for"
     )
     receive_queue_frames: int = quantity(20_000, 1_000, 1_000_000, "frames", "frames that may wait for the engine")
-    transmit_queue_frames: int = quantity(
-        200, 20, 10_000, "frames", "frames that may wait for the bus; the oldest go first"
-    )
+    transmit_queue_frames: int = quantity(200, 20, 10_000, "frames", "frames that may wait for the bus; the oldest go first")
     transmit_max_age_s: float = quantity(
         0.5, 0.05, 60.0, "s", "older frames are not sent: a late command is worse than none, a late figure passes for fresh"
     )
@@ -93,9 +91,7 @@ class Status(Section):
 
     socket: str = text("yieldmon.sock", "UNIX socket of `yieldmon status`; relative paths are under the runtime folder")
     group: str | None = text(None, "group that may use the socket (mode 0660); null: the daemon's user only (0600)")
-    prometheus_file: str | None = text(
-        None, "text file for Prometheus' node exporter, rewritten each interval; null: none"
-    )
+    prometheus_file: str | None = text(None, "text file for Prometheus' node exporter, rewritten each interval; null: none")
     prometheus_interval_s: float = quantity(15.0, 1.0, 3600.0, "s", "interval of that file")
 
 
@@ -137,9 +133,7 @@ _C = _ENGINE.clock
 class Clock(Section):
     """Trust in the bus's time stamps."""
 
-    max_gap_s: float = quantity(
-        _C.max_gap_s, 2.0, 3600.0, "s", "longer forward steps between frames are a clock set forward"
-    )
+    max_gap_s: float = quantity(_C.max_gap_s, 2.0, 3600.0, "s", "longer forward steps between frames are a clock set forward")
     backstep_tolerance_s: float = quantity(
         _C.backstep_tolerance_s,
         0.0,
@@ -159,21 +153,13 @@ class Windows(Section):
         _W.grid_offset_s, 0.0, 0.9, "s", "windows end this long after each full second: the delay of chain and sensor"
     )
     max_ramp_s: float = quantity(_W.max_ramp_s, 0.1, 0.5, "s", "longest edge of a window")
-    min_coverage: float = quantity(
-        _W.min_coverage, 0.05, 1.0, "1", "share of a window below which no mean is published"
-    )
-    full_coverage: float = quantity(
-        _W.full_coverage, 0.5, 1.0, "1", "share of a window below which the result is degraded"
-    )
-    saturated_share: float = quantity(
-        _W.saturated_share, 0.0, 1.0, "1", "share of samples at the range's end that is too many"
-    )
+    min_coverage: float = quantity(_W.min_coverage, 0.05, 1.0, "1", "share of a window below which no mean is published")
+    full_coverage: float = quantity(_W.full_coverage, 0.5, 1.0, "1", "share of a window below which the result is degraded")
+    saturated_share: float = quantity(_W.saturated_share, 0.0, 1.0, "1", "share of samples at the range's end that is too many")
     plausible_full_scales: float = quantity(
         _W.plausible_full_scales, 1.0, 100.0, "full scales", "a sample beyond this is no voltage the sensor can give"
     )
-    paddle_scatter: float = quantity(
-        _W.paddle_scatter, 0.0, 1.0, "1", "expected scatter of one paddle's momentum over its mean"
-    )
+    paddle_scatter: float = quantity(_W.paddle_scatter, 0.0, 1.0, "1", "expected scatter of one paddle's momentum over its mean")
     scatter_prior_patterns: float = quantity(
         _W.scatter_prior_patterns,
         0.0,
@@ -243,9 +229,7 @@ class Zero(Section):
     follow_time_s: float = quantity(_Z.follow_time_s, 1.0, 3600.0, "s", "time constant of the following")
     max_rate_mv_s: float = quantity(_Z.max_rate_mv_s, 0.0, 100.0, "mV/s", "fastest change of the zero")
     max_step_mv: float = quantity(_Z.max_step_mv, 0.1, 4000.0, "mV", "an empty second further off moves nothing")
-    drift_limit_mv: float = quantity(
-        _Z.drift_limit_mv, 0.1, 4000.0, "mV", "distance from the first zero that is a fault"
-    )
+    drift_limit_mv: float = quantity(_Z.drift_limit_mv, 0.1, 4000.0, "mV", "distance from the first zero that is a fault")
 
 
 _G = _ENGINE.gate
@@ -254,13 +238,9 @@ _G = _ENGINE.gate
 class Gate(Section):
     """When flow is measured and when the machine is not harvesting."""
 
-    grain_on_n: float = quantity(
-        _G.grain_on_n, 0.01, 1000.0, "N", "mean force from which, with pulses, grain is present"
-    )
+    grain_on_n: float = quantity(_G.grain_on_n, 0.01, 1000.0, "N", "mean force from which, with pulses, grain is present")
     grain_off_n: float = quantity(_G.grain_off_n, 0.0, 1000.0, "N", "mean force below which grain is gone")
-    certain_force_n: float = quantity(
-        _G.certain_force_n, 0.1, 1000.0, "N", "mean force that means grain even without pulses"
-    )
+    certain_force_n: float = quantity(_G.certain_force_n, 0.1, 1000.0, "N", "mean force that means grain even without pulses")
     off_windows: int = quantity(_G.off_windows, 1, 600, "s", "seconds without grain before the state is not harvesting")
     emptying_s: float = quantity(_G.emptying_s, 0.0, 600.0, "s", "header up or standing for this long is not harvest")
     min_ground_speed_m_s: float = quantity(_G.min_ground_speed_m_s, 0.0, 10.0, "m/s", "slower than this is standing")
@@ -274,7 +254,10 @@ class Totals(Section):
     """Load and total mass."""
 
     moisture_reference_pct: float | None = quantity(
-        _T.moisture_reference_pct, 0.0, 40.0, "%",
+        _T.moisture_reference_pct,
+        0.0,
+        40.0,
+        "%",
         "market moisture for dry mass, wet basis; null: the crop's, corn's where none is named",
     )
     credit_below_reference: bool = choice(
@@ -332,9 +315,7 @@ class Plate(Section):
     )
     max_rate_deg_s: float = quantity(_P.max_rate_deg_s, 0.5, 90.0, "deg/s", "fastest change of the target")
     command_interval_s: float = quantity(_P.command_interval_s, 0.02, 1.0, "s", "between commands while driving")
-    at_target_tolerance_deg: float = quantity(
-        _P.at_target_tolerance_deg, 0.05, 5.0, "deg", "feedback this near is on target"
-    )
+    at_target_tolerance_deg: float = quantity(_P.at_target_tolerance_deg, 0.05, 5.0, "deg", "feedback this near is on target")
 
 
 _S = _ENGINE.sweep
@@ -375,7 +356,10 @@ class Sweep(Section):
         _S.feedback_plausibility_flow_spread, 0.0, 5.0, "1", "spread of ln(flow) over a sweep from which the feedback is doubted"
     )
     feedback_plausibility_force_ratio: float = quantity(
-        _S.feedback_plausibility_force_ratio, 0.0, 1.0, "1",
+        _S.feedback_plausibility_force_ratio,
+        0.0,
+        1.0,
+        "1",
         "the plate did not move if the force spreads less than this share of that",
     )
     max_std_dev_factor: float = quantity(
@@ -389,9 +373,7 @@ _F = _ENGINE.faults
 class Faults(Section):
     """Limits that belong to no other section."""
 
-    stuck_windows: int = quantity(
-        _F.stuck_windows, 1, 600, "s", "seconds of equal samples before the sensor counts as stuck"
-    )
+    stuck_windows: int = quantity(_F.stuck_windows, 1, 600, "s", "seconds of equal samples before the sensor counts as stuck")
     calibration_old_s: float = quantity(_F.calibration_old_s, 3600.0, 1e9, "s", "age from which the calibration is old")
     mass_near_end: float = quantity(
         _F.mass_near_end, 0.1, 1.0, "1", "share of the largest mass that a signal carries from which that is a fault"
@@ -414,9 +396,7 @@ _A = _ENGINE.anchors
 class Anchors(Section):
     """Reference masses from a tank scale."""
 
-    min_increment_kg: float = quantity(
-        _A.min_increment_kg, 10.0, 1e5, "kg", "least gain of the tank that is a reference"
-    )
+    min_increment_kg: float = quantity(_A.min_increment_kg, 10.0, 1e5, "kg", "least gain of the tank that is a reference")
     scale_std_dev_kg: float = quantity(_A.scale_std_dev_kg, 0.1, 1e4, "kg", "standard deviation of the scale")
     unloading_kg: float = quantity(_A.unloading_kg, 1.0, 1e4, "kg", "fall of the tank mass that is unloading")
     keep: int = quantity(_A.keep, 1, 10_000, "references", "newest references to keep")
@@ -550,16 +530,12 @@ else:
 class Document(Section):
     """The whole file. Every key may be left out; its default is shown here."""
 
-    machine_file: str | None = text(
-        None, "machine geometry; null: the shipped 8-tooth sprocket; relative to this file"
-    )
+    machine_file: str | None = text(None, "machine geometry; null: the shipped 8-tooth sprocket; relative to this file")
     parameter_file: str | None = text(None, "grain parameters; null: the shipped corn; relative to this file")
     moisture_map_file: str | None = text(
         None, "how parameters change with moisture (`calibrate --by-moisture`); null: they do not; relative to this file"
     )
-    units: Literal["metric", "us"] = choice(
-        "metric", "that people are shown; documents (JSON), tables and frames stay in SI"
-    )
+    units: Literal["metric", "us"] = choice("metric", "that people are shown; documents (JSON), tables and frames stay in SI")
     bus: Bus = Bus()
     signals: dict[str, Any] = Field(
         default_factory=dict,

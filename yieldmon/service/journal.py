@@ -106,9 +106,7 @@ def recall(store: Store) -> Memory:
             faults=tuple(document["faults"]),
             counters=store.counters(),
             of_crop=_by_crop(versions, str(store.path)),
-            versions={
-                v.version: parameter_file.from_document(v.document, str(store.path)) for v in versions[-_KEPT_VERSIONS:]
-            },
+            versions={v.version: parameter_file.from_document(v.document, str(store.path)) for v in versions[-_KEPT_VERSIONS:]},
             actions=actions,
             since_zero=_since_zero(store, actions) if engine.zero_undo is not None else (),
             ticketed=_ticketed(store, engine),
@@ -211,9 +209,7 @@ class Journal:
         if known is None:
             return None
         if before:
-            kept = replace(
-                in_use, version=self._version + 1, provenance={**in_use.provenance, "crop": before}
-            )
+            kept = replace(in_use, version=self._version + 1, provenance={**in_use.provenance, "crop": before})
             self._of_crop[before] = kept
             self._use(kept, "crop", who, f"what is known of {before} is kept")
         chosen = replace(known, version=self._version + 1)
@@ -326,8 +322,14 @@ class Journal:
     @property
     def calibrated_version(self) -> int:
         """Version with which the newest parameter file came; what was measured before it says nothing about it."""
-        return max((int(a.document["version"]) for a in self._actions
-                    if a.kind == ledgers.PARAMETERS and a.document.get("origin") == "file"), default=0)
+        return max(
+            (
+                int(a.document["version"])
+                for a in self._actions
+                if a.kind == ledgers.PARAMETERS and a.document.get("origin") == "file"
+            ),
+            default=0,
+        )
 
     @property
     def ledger(self) -> ledgers.Ledger:
@@ -441,7 +443,12 @@ class Journal:
             self._loads[load.number] = self._pending.loads[load.number] = load
 
     def _use(
-        self, parameters: ParameterSet, origin: str, who: str = "", reason: str = "", tickets: Sequence[int] = (),
+        self,
+        parameters: ParameterSet,
+        origin: str,
+        who: str = "",
+        reason: str = "",
+        tickets: Sequence[int] = (),
         step: CalibrationStep | None = None,
     ) -> None:
         document = {

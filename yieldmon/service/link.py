@@ -216,15 +216,17 @@ class NetworkLink:
         serial = str(name.identity_number)
         self._preferred = section.preferred_address
         self._totals = totals
-        self._node = Node(NodeSettings(
-            name=name,
-            preferred_address=section.preferred_address,
-            obeys_commanded_address=section.obey_commanded_address,
-            software=(f"yieldmon {yieldmon.__version__}",),
-            make="yieldmon",
-            model="yield monitor",
-            serial_number=serial,
-        ))
+        self._node = Node(
+            NodeSettings(
+                name=name,
+                preferred_address=section.preferred_address,
+                obeys_commanded_address=section.obey_commanded_address,
+                software=(f"yieldmon {yieldmon.__version__}",),
+                make="yieldmon",
+                model="yield monitor",
+                serial_number=serial,
+            )
+        )
         self._client: TaskControllerClient | None = None
         if section.task_controller:
             device = combine(
@@ -308,7 +310,9 @@ class NetworkLink:
             "address": self._node.address,
             "claim": self._node.claim_state.value,
             "partners": [{"address": address, "name": str(name)} for address, name in self._node.addresses.items()],
-            "task_controller": None if client is None else {
+            "task_controller": None
+            if client is None
+            else {
                 "state": client.state.value,
                 "server": client.server,
                 "task_active": client.task_active,

@@ -135,8 +135,9 @@ def _budget(stored: StoredLoad, machine: Machine) -> MassBudget:
     if whole_kg is None or any(s.noise_std_dev_kg_s is None for s in counted):
         return MassBudget.unknown()
     noise_kg2 = float(sum((s.noise_std_dev_kg_s * s.duration_s) ** 2 for s in counted))
-    parameters_kg = sum(_parameters_kg([s for s in counted if s.parameter_version == v], known, machine)
-                        for v, known in stored.parameters.items())
+    parameters_kg = sum(
+        _parameters_kg([s for s in counted if s.parameter_version == v], known, machine) for v, known in stored.parameters.items()
+    )
     rest_kg2 = whole_kg**2 - noise_kg2 - parameters_kg**2
     return MassBudget(noise_kg2, parameters_kg, sqrt(max(rest_kg2, 0.0)))
 

@@ -175,9 +175,7 @@ class SideInputs:
             if column.rows.size:
                 row = int(column.rows[-1])
                 source = int(block.can_id[row]) & 0xFF
-                self._navigation.take(
-                    Reading(float(column.time_s[-1]), quantity, float(column.values[-1]), group, source)
-                )
+                self._navigation.take(Reading(float(column.time_s[-1]), quantity, float(column.values[-1]), group, source))
 
     def _unless_superseded_block(self, columns: MessageColumns, group: int, told: Told) -> MessageColumns:
         """The DBC's frames without the signals for which a better source speaks, and without those of which nothing is left."""
@@ -299,7 +297,9 @@ def _navigation_frames(readings: Iterable[Reading], time_s: float) -> list[Frame
     latitude, longitude = found.get(Quantity.LATITUDE), found.get(Quantity.LONGITUDE)
     if latitude is not None and longitude is not None:
         place: dict[str, Value] = {
-            "Latitude": latitude.value, "Longitude": longitude.value, "PositionGroup": float(latitude.group),
+            "Latitude": latitude.value,
+            "Longitude": longitude.value,
+            "PositionGroup": float(latitude.group),
         }
         frames.append(Frame(time_s, VEHICLE_POSITION, place))
     moving: dict[str, Value] = {}

@@ -72,7 +72,10 @@ def snapshot(
         "crop": _crop(journal.crop_in_use(parameters), totals.market_moisture_pct),
         "now": _now(rows),
         "configuration": {
-            "file": str(configuration.path), "reload": reload_note, "reloads": reloads, "notes": list(configuration.notes),
+            "file": str(configuration.path),
+            "reload": reload_note,
+            "reloads": reloads,
+            "notes": list(configuration.notes),
         },
         "load": {
             "number": totals.load_number,

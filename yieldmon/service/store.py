@@ -194,7 +194,16 @@ _KEPT_STEPS = 5000
 _DAMAGE = tuple(
     f"SQLITE_{name}"
     for name in (
-        "CORRUPT", "NOTADB", "ERROR", "SCHEMA", "FORMAT", "INTERNAL", "TOOBIG", "NOMEM", "IOERR_SHORT_READ", "IOERR_CORRUPTFS",
+        "CORRUPT",
+        "NOTADB",
+        "ERROR",
+        "SCHEMA",
+        "FORMAT",
+        "INTERNAL",
+        "TOOBIG",
+        "NOMEM",
+        "IOERR_SHORT_READ",
+        "IOERR_CORRUPTFS",
     )
 )
 
@@ -406,9 +415,7 @@ class Store:
         executemany(_UPSERT_LOAD, (_summed("load", astuple(load)[:-1]) for load in batch.loads))
         areas = ((load.number, load.area_m2) for load in batch.loads if load.area_m2 is not None)
         executemany(_UPSERT_AREA, (_summed("load_area", area) for area in areas))
-        executemany(
-            _INSERT_SWEEP, (_summed("sweep", (s.time_s, s.outcome, s.reason, _json(s.document))) for s in batch.sweeps)
-        )
+        executemany(_INSERT_SWEEP, (_summed("sweep", (s.time_s, s.outcome, s.reason, _json(s.document))) for s in batch.sweeps))
         executemany(
             _UPSERT_PARAMETERS,
             (_summed("parameter_set", (p.version, p.time_s, p.origin, _json(p.document))) for p in batch.parameter_versions),

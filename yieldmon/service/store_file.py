@@ -24,6 +24,7 @@ _READING_S, _READING_S_PER_MB = 10.0, 1.0
 _STEPS_BETWEEN_LOOKS = 100_000
 _WITNESS_BYTES = 64
 
+
 def _tolerant(text: bytes) -> str:
     return text.decode("utf-8", "surrogateescape")
 
@@ -111,9 +112,7 @@ def read_only(path: Path) -> sqlite3.Connection:
     prepared(database)
     _distrust(database, path)
     try:
-        application, version = (
-            database.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version")
-        )
+        application, version = (database.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version"))
         strange = database.execute(_STRANGE).fetchall()
     except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
         # SQLite's own message about a damaged schema may be no text.

@@ -212,9 +212,7 @@ def _visits(sweeps: Sequence[_Sweep], model: ForwardModel, parameters: Parameter
     return out
 
 
-def _standardised(
-    visits: Sequence[_Visit], angle_deg: Array, model: ForwardModel, parameters: ParameterSet
-) -> dict[str, Array]:
+def _standardised(visits: Sequence[_Visit], angle_deg: Array, model: ForwardModel, parameters: ParameterSet) -> dict[str, Array]:
     """Columns of the table, with each force carried to the nearest of the conditions that are meant to be the same."""
     angle, speed, flow, force, relative_sd, moisture = (
         np.array([getattr(v, name) for v in visits])

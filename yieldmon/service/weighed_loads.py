@@ -80,9 +80,7 @@ def _of_logs(
     found: list[MeasuredLoad] = []
     for source in sources:
         rows: list[SecondRow] = []
-        monitor = build_monitor(
-            configured.engine, configured.machine, configured.parameters, None, configured.signals.sources
-        )
+        monitor = build_monitor(configured.engine, configured.machine, configured.parameters, None, configured.signals.sources)
         process_in_bulk([source], monitor, Codec(), rows.append, signals=configured.signals, progress=progress)
         versions = {configured.parameters.version: configured.parameters}
         here = _loads(rows, source, versions, len(found))
@@ -115,9 +113,7 @@ def _loads(
     return tuple(MeasuredLoad(str(before + number), log, tuple(part), versions) for number, part in sorted(by_number.items()))
 
 
-def match(
-    loads: Sequence[MeasuredLoad], tickets: Sequence[WeighedTicket], machine: Machine
-) -> tuple[WeighedLoad, ...]:
+def match(loads: Sequence[MeasuredLoad], tickets: Sequence[WeighedTicket], machine: Machine) -> tuple[WeighedLoad, ...]:
     """Each ticket with the seconds of its loads. Raises InputError for a ticket without a load, or with one that has another."""
     taken: dict[str, str] = {}
     out = []
@@ -160,27 +156,38 @@ def _weighed(name: str, ticket: WeighedTicket, covered: Sequence[MeasuredLoad], 
         for version in sorted({row.parameter_version for row in load.seconds}):
             rows = [row for row in load.seconds if row.parameter_version == version]
             if version not in load.parameters:
-                raise InputError(ticket.where, f"load {load.name} was measured with parameters version {version}",
-                                 "a store that still holds them")
+                raise InputError(
+                    ticket.where,
+                    f"load {load.name} was measured with parameters version {version}",
+                    "a store that still holds them",
+                )
             parts.append(force_columns(rows, load.parameters[version], machine))
     columns = np.concatenate(parts, axis=1)
     counted = columns[:, np.isfinite(columns[0]) & (columns[0] > 0.0)]
     kept_kg = float(counted[5].sum())
     if kept_kg < _LEAST_SHARE * total_kg:
         raise InputError(
-            ticket.where, f"of load {name} only {100.0 * kept_kg / total_kg:.0f} % rests on a known force, angle and speed",
+            ticket.where,
+            f"of load {name} only {100.0 * kept_kg / total_kg:.0f} % rests on a known force, angle and speed",
             f"{100.0 * _LEAST_SHARE:.0f} %; a load measured whole",
         )
     duration, force, angle, speed, moisture, _ = counted
     # The little that no force stands for is taken to go with the rest.
     return WeighedLoad(
-        name, ticket.mass_kg, ticket.std_dev_kg, duration * total_kg / kept_kg, force, angle, speed,
+        name,
+        ticket.mass_kg,
+        ticket.std_dev_kg,
+        duration * total_kg / kept_kg,
+        force,
+        angle,
+        speed,
         moisture if np.all(np.isfinite(moisture)) else None,
     )
 
 
 def force_columns(rows: Sequence[SecondRow], parameters: ParameterSet, machine: Machine) -> np.ndarray:
     """(6, n): time that each second stands for (nan where unknown), force N, angle rad, speed rad/s, moisture %, mass kg."""
+
     def column(attribute: str) -> np.ndarray:
         return np.array([np.nan if (v := getattr(row, attribute)) is None else v for row in rows], dtype=float)
 
@@ -207,9 +214,9 @@ def sweeps_of(loads: Iterable[MeasuredLoad]) -> tuple[Sweep, ...]:
                 found.setdefault((load.log, row.sweep_id), []).append(row)
     out = []
     for rows in list(found.values())[-_KEPT_SWEEPS:]:
-        table = np.array([
-            (r.time_s, np.radians(r.plate_angle_deg), r.elevator_speed_rpm * RPM, r.force_n, r.force_std_dev_n) for r in rows
-        ])
+        table = np.array(
+            [(r.time_s, np.radians(r.plate_angle_deg), r.elevator_speed_rpm * RPM, r.force_n, r.force_std_dev_n) for r in rows]
+        )
         if np.unique(np.round(np.degrees(table[:, 1]))).size >= 3:
             out.append(Sweep(*table.T.copy()))
     return tuple(out)

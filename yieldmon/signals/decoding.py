@@ -133,9 +133,7 @@ class MapDecoder:
             return []
         is_claim = (identifiers & np.uint32(_CLAIM_MASK | EXTENDED)) == np.uint32(_CLAIM | EXTENDED)
         rows = np.flatnonzero(is_claim & (lengths == 8))
-        return [
-            (int(row), int(identifiers[row]) & 0xFF, Name.of_bytes(int(payloads[row]).to_bytes(8, "little"))) for row in rows
-        ]
+        return [(int(row), int(identifiers[row]) & 0xFF, Name.of_bytes(int(payloads[row]).to_bytes(8, "little"))) for row in rows]
 
     def _from(
         self,
@@ -207,4 +205,3 @@ class _GroupDecoder:
                 ]
             )
         return GroupColumns(self.group.name, rows, times, signals)
-

@@ -80,9 +80,7 @@ class Accuracy:
         }
 
 
-def assess(
-    published: Sequence[Frame], delivered_kg: Callable[[Array], Array], delay_s: float, end_s: float
-) -> Accuracy:
+def assess(published: Sequence[Frame], delivered_kg: Callable[[Array], Array], delay_s: float, end_s: float) -> Accuracy:
     """Compare MassFlow and AccumulatedMass frames with the truth.
 
     delivered_kg: true mass past the plate by each of an array of times (s), kg. delay_s: how long before a MassFlow frame the

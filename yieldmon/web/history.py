@@ -274,8 +274,7 @@ class History:
             found = sweep_table.read(path, machine, parameters, _RESIDUAL_SWEEPS)
         columns = found.table.columns
         angle, flow, force, sigma, moisture = (
-            np.asarray(columns[name])
-            for name in ("plate_angle_deg", "mass_flow_kg_s", "force_n", "sigma", "moisture_pct")
+            np.asarray(columns[name]) for name in ("plate_angle_deg", "mass_flow_kg_s", "force_n", "sigma", "moisture_pct")
         )
         conditions = Conditions(
             np.radians(angle), np.asarray(columns["elevator_speed_rpm"]) * RPM, mass_flow_kg_s=flow, moisture_pct=moisture

@@ -58,11 +58,13 @@ def test_geometry_comes_from_a_machine_file() -> None:
 def test_kernels_bring_their_own_values_and_the_plan_has_the_last_word() -> None:
     plan = campaign.parse(
         "{kernel: [clump, sphere], throw: {contact: {rolling_friction: 0.02}}, machine: sprocket-10, "
-        "paddle_mass_kg: [0.2, 0.5], seed: [1, 2]}", "plan",
+        "paddle_mass_kg: [0.2, 0.5], seed: [1, 2]}",
+        "plan",
     )
     assert [t.grain.kernel for t in plan.throws] == ["clump", "sphere"] * 4
     assert {(t.grain.kernel, t.grain.mass_kg, t.time_step_s, t.contact.rolling_friction) for t in plan.throws} == {
-        ("clump", 4.0e-4, 2.0e-5, 0.02), ("sphere", 4.048e-4, 3.0e-5, 0.02),
+        ("clump", 4.0e-4, 2.0e-5, 0.02),
+        ("sphere", 4.048e-4, 3.0e-5, 0.02),
     }
     assert {t.machine.sprocket_pitch_radius_m for t in plan.throws} == {0.067}
 
@@ -185,7 +187,12 @@ def test_tables(tmp_path: Path) -> None:
     with (tmp_path / "rows.csv").open(encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert list(rows[0])[:7] == [
-        "plate_angle_deg", "paddle_mass_kg", "momentum_kg_m_s", "momentum_total_kg_m_s", "elevator_speed_rpm", "friction",
+        "plate_angle_deg",
+        "paddle_mass_kg",
+        "momentum_kg_m_s",
+        "momentum_total_kg_m_s",
+        "elevator_speed_rpm",
+        "friction",
         "trial",
     ]
     assert float(rows[1]["plate_angle_deg"]) == 70.0

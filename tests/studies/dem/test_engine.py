@@ -20,8 +20,14 @@ ROOT = Path(__file__).parents[3]
 
 
 SLOW = {
-    "half_time_step", "repeatable", "thin_stream", "clump_does_not_roll", "clump_grains_conserved", "clump_half_time_step",
-    "clump_repeatable", "clump_thin_stream",
+    "half_time_step",
+    "repeatable",
+    "thin_stream",
+    "clump_does_not_roll",
+    "clump_grains_conserved",
+    "clump_half_time_step",
+    "clump_repeatable",
+    "clump_thin_stream",
 }
 
 
@@ -29,7 +35,8 @@ SLOW = {
     "check",
     [
         pytest.param(c, marks=[pytest.mark.slow] if c.__name__ in SLOW else [], id=c.__name__)
-        for chosen in checks.CHECKS_OF.values() for c in chosen
+        for chosen in checks.CHECKS_OF.values()
+        for c in chosen
     ],
 )
 def test_physics(check: object) -> None:

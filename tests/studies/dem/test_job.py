@@ -66,7 +66,10 @@ def test_production_flow_to_paddle_load() -> None:
 
 def test_round_trip_through_json() -> None:
     throw = replace(
-        THROW, seed=7, contact=Contact(friction=0.15), release=Release("open", radians(280.0)),
+        THROW,
+        seed=7,
+        contact=Contact(friction=0.15),
+        release=Release("open", radians(280.0)),
         machine=replace(Machine(), plate_length_m=0.2, paddle_spacings_m=(0.2,)),
     )
     assert throw_from_dict(json.loads(json.dumps(to_dict(throw)))) == throw

@@ -20,7 +20,14 @@ from yieldmon.plant.pulse_table import QUANTILES, PulseTable
 from yieldmon.resources import shipped
 
 FIELDS = [
-    "plate_angle_deg", "paddle_mass_kg", "elevator_speed_rpm", "friction", "trial", "time_s", "force_normal_n", "force_total_n",
+    "plate_angle_deg",
+    "paddle_mass_kg",
+    "elevator_speed_rpm",
+    "friction",
+    "trial",
+    "time_s",
+    "force_normal_n",
+    "force_total_n",
 ]
 
 
@@ -42,9 +49,15 @@ def forces(tmp_path: Path) -> Path:
                     for trial, factor in ((1, 0.9), (2, 1.1)):
                         for k in range(20):
                             force = factor * gain(mass, angle, speed) / 0.020
-                            writer.writerow(dict(zip(
-                                FIELDS, [angle, mass, speed, 0.3, trial, up + 0.050 + k * 1e-3, force, 1.2 * force], strict=True
-                            )))
+                            writer.writerow(
+                                dict(
+                                    zip(
+                                        FIELDS,
+                                        [angle, mass, speed, 0.3, trial, up + 0.050 + k * 1e-3, force, 1.2 * force],
+                                        strict=True,
+                                    )
+                                )
+                            )
     return path
 
 

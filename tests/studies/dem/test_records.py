@@ -85,10 +85,15 @@ def test_the_arrival_is_what_crosses_and_what_the_plate_took() -> None:
         "free_position_m": np.array([[0.0, -0.30, 0.0], [0.0, -0.10, 0.0], [0.0, 0.10, 0.0]]),
         "free_velocity_m_s": np.full((3, 3), [8.0, 0.0, 0.0]), "normal_force_n": np.array([[5.0, 0.0], [0.0, 2.0]]),
     }  # fmt: skip
-    assert records.arrival(Throw(paddle_mass_kg=0.5), plate) == pytest.approx({
-        "on_plate_kg_m_s": 16e-3, "over_top_kg_m_s": 8e-3, "below_low_kg_m_s": 32e-3, "on_face_kg_m_s": 5e-3,
-        "on_end_kg_m_s": 2e-3,
-    })
+    assert records.arrival(Throw(paddle_mass_kg=0.5), plate) == pytest.approx(
+        {
+            "on_plate_kg_m_s": 16e-3,
+            "over_top_kg_m_s": 8e-3,
+            "below_low_kg_m_s": 32e-3,
+            "on_face_kg_m_s": 5e-3,
+            "on_end_kg_m_s": 2e-3,
+        }
+    )
 
 
 @pytest.mark.parametrize("angle_deg", [40.0, 55.0, 70.0, 80.0])

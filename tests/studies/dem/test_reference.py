@@ -32,9 +32,7 @@ def rows() -> list[dict[str, str]]:
 def test_it_is_what_the_plan_says(rows: list[dict[str, str]]) -> None:
     path = ROOT / "studies/dem/campaigns" / "reference.yaml"
     plan = campaign.parse(path.read_text(encoding="utf-8"), str(path))
-    planned = {
-        (f"{t.paddle_mass_kg:g}", f"{t.contact.friction:g}", str(t.seed), t.throw_key()) for t in plan.throws
-    }
+    planned = {(f"{t.paddle_mass_kg:g}", f"{t.contact.friction:g}", str(t.seed), t.throw_key()) for t in plan.throws}
     assert len(rows) >= 150
     assert {(r["paddle_mass_kg"], r["friction"], r["trial"], r["throw_key"]) for r in rows} <= planned
     assert len({(r["throw_key"], r["plate_angle_deg"]) for r in rows}) == len(rows)

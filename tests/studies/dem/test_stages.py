@@ -30,9 +30,7 @@ def columns(path: Path) -> dict[str, np.ndarray]:
 @pytest.fixture(scope="module")
 def rows() -> stages.Rows:
     """Readings as the model itself has them."""
-    angle, mass, speed = (
-        a.ravel() for a in np.meshgrid([40.0, 55.0, 70.0, 90.0], [0.2, 0.5, 0.9, 1.8], [400.0, 500.0])
-    )
+    angle, mass, speed = (a.ravel() for a in np.meshgrid([40.0, 55.0, 70.0, 90.0], [0.2, 0.5, 0.9, 1.8], [400.0, 500.0]))
     rows = {"plate_angle_deg": angle, "paddle_mass_kg": mass, "elevator_speed_rpm": speed}
     values, at = GRAIN | stages.KNOWN | RELEASE | IMPACT | GAIN, stages.conditions(rows)
     effects = (*stages.RELEASE, *stages.IMPACT)

@@ -26,27 +26,47 @@ def test_the_monitor_weighs_grain(friction: float, tmp_path: Path, capsys: pytes
         writer.writerow(["plate_angle_deg", "paddle_mass_kg", "elevator_speed_rpm", "momentum_kg_m_s"])
         writer.writerows(
             [r["plate_angle_deg"], r["paddle_mass_kg"], r["elevator_speed_rpm"], r["momentum_total_kg_m_s"]]
-            for r in rows if r["plate_angle_deg"] == "70" and r["elevator_speed_rpm"] == "400"
+            for r in rows
+            if r["plate_angle_deg"] == "70" and r["elevator_speed_rpm"] == "400"
         )
     parameters, configuration = tmp_path / "p.yaml", tmp_path / "y.yaml"
     fixed = ["--fix", "shape_ratio=2", "--fix", f"friction={friction}", "--fix", "density=700"]
     assert main(["calibrate", str(crop), "--out", str(parameters), "--impact", "exchange", *fixed]) == 0
     configuration.write_text(yaml.safe_dump({"parameter_file": str(parameters)}), encoding="utf-8")
     scenario = tmp_path / "flow.yaml"
-    scenario.write_text(yaml.safe_dump({
-        "duration_s": 45,
-        "flow": {"variation_pct": 0, "pieces": [
-            {"kind": "steady", "duration_s": 10, "flow_kg_s": 0}, {"kind": "steady", "duration_s": 15, "flow_kg_s": 12},
-            {"kind": "steady", "duration_s": 20, "flow_kg_s": 6},
-        ]},
-    }), encoding="utf-8")
+    scenario.write_text(
+        yaml.safe_dump(
+            {
+                "duration_s": 45,
+                "flow": {
+                    "variation_pct": 0,
+                    "pieces": [
+                        {"kind": "steady", "duration_s": 10, "flow_kg_s": 0},
+                        {"kind": "steady", "duration_s": 15, "flow_kg_s": 12},
+                        {"kind": "steady", "duration_s": 20, "flow_kg_s": 6},
+                    ],
+                },
+            }
+        ),
+        encoding="utf-8",
+    )
     log, out = tmp_path / "c.log", tmp_path / "out.csv"
     subprocess.run(
         [
-            sys.executable, "-m", "studies.dem", "combine", str(DATA / "dem_campaign_forces.csv.gz"),
-            "--friction", str(friction), "--scenario", str(scenario), "--log", str(log),
+            sys.executable,
+            "-m",
+            "studies.dem",
+            "combine",
+            str(DATA / "dem_campaign_forces.csv.gz"),
+            "--friction",
+            str(friction),
+            "--scenario",
+            str(scenario),
+            "--log",
+            str(log),
         ],
-        check=True, capture_output=True,
+        check=True,
+        capture_output=True,
     )
     assert main(["process", str(log), "--config", str(configuration), "--out", str(out)]) == 0
     capsys.readouterr()

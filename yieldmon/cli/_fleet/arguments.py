@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 def run(words: Words) -> None:
     """Of `fleet run`."""
     parser = words.add_parser(
-        "run", help="measure all logs of a manifest or a folder tree",
+        "run",
+        help="measure all logs of a manifest or a folder tree",
         description="Measure all logs of a manifest or a folder tree. What the dataset has already from the same logs, "
         "parameters and software is skipped; what was killed half way leaves nothing behind.",
         epilog="example: yieldmon fleet run logs/ --out season",
@@ -25,8 +26,13 @@ def run(words: Words) -> None:
     parser.add_argument("--config", metavar="F", help="configuration of machines that have none of their own")
     parser.add_argument("--params", metavar="P", help="parameters for all, in place of those of the configurations")
     parser.add_argument("--crop", metavar="NAME", default="", help="crop of days for which nothing else names one")
-    parser.add_argument("--workers", type=int, metavar="N", default=os.cpu_count() or 1,
-                        help="processes here (default: one a core); 0: none but this one")
+    parser.add_argument(
+        "--workers",
+        type=int,
+        metavar="N",
+        default=os.cpu_count() or 1,
+        help="processes here (default: one a core); 0: none but this one",
+    )
     parser.add_argument("--scheduler", metavar="ADDRESS", default="", help="Dask scheduler of a cluster, tcp://host:8786")
     parser.add_argument("--adaptive", action="store_true", help="as many of the processes as there is work for")
     parser.add_argument("--json", action="store_true", help="print a summary as one JSON document")
@@ -35,7 +41,8 @@ def run(words: Words) -> None:
 def report(words: Words) -> None:
     """Of `fleet report`."""
     parser = words.add_parser(
-        "report", help="machines, days, faults, drift of parameters and errors of loads of a dataset",
+        "report",
+        help="machines, days, faults, drift of parameters and errors of loads of a dataset",
         description="Machines, days, faults, drift of parameters, ModelDisagrees and errors of loads against their tickets.",
         epilog="example: yieldmon fleet report season --html season.html",
     )
@@ -48,7 +55,8 @@ def report(words: Words) -> None:
 def compare(words: Words) -> None:
     """Of `fleet compare`."""
     parser = words.add_parser(
-        "compare", help="where and how two datasets of the same logs differ",
+        "compare",
+        help="where and how two datasets of the same logs differ",
         description="Where and how two datasets of the same logs differ that were measured with other parameters or releases.",
         epilog="example: yieldmon fleet compare season season-new-parameters",
     )
@@ -60,7 +68,8 @@ def compare(words: Words) -> None:
 def prior(words: Words) -> None:
     """Of `fleet prior`."""
     parser = words.add_parser(
-        "prior", help="a crop's parameters for a new machine, from the tickets of the others",
+        "prior",
+        help="a crop's parameters for a new machine, from the tickets of the others",
         description="A crop's parameters for a new machine, with deviations that hold what machines differ in.",
         epilog="example: yieldmon fleet prior season --crop corn --out corn-fleet.yaml",
     )
@@ -74,7 +83,8 @@ def prior(words: Words) -> None:
 def diagnose(words: Words) -> None:
     """Of `fleet diagnose`."""
     parser = words.add_parser(
-        "diagnose", help="missing effects that machines share, and those of single machines",
+        "diagnose",
+        help="missing effects that machines share, and those of single machines",
         description="Missing effects in the sweeps of many machines: what most show is the model's, what one shows its own.",
         epilog="example: yieldmon fleet diagnose season --json",
     )

@@ -43,7 +43,10 @@ def _verdict(item: MachineVerdict) -> dict[str, Any]:
 
 def _named(item: Named) -> dict[str, Any]:
     return {
-        "name": item.effect, "confidence": item.confidence, "equivalent": list(item.equivalent), "parameters": dict(item.values)
+        "name": item.effect,
+        "confidence": item.confidence,
+        "equivalent": list(item.equivalent),
+        "parameters": dict(item.values),
     }
 
 

@@ -63,9 +63,7 @@ def run(args: argparse.Namespace) -> int:
     return 1 if document["poisoned"] else 0
 
 
-def _configurations(
-    partitions: Sequence[Partition], args: argparse.Namespace
-) -> Callable[[str], tuple[Configuration, str]]:
+def _configurations(partitions: Sequence[Partition], args: argparse.Namespace) -> Callable[[str], tuple[Configuration, str]]:
     """Each partition's configuration and its hash; all are read before the work begins."""
     parameters = parameter_file.load(args.params) if args.params is not None else None
     default = args.config if args.config is not None else str(shipped("config/yieldmon.yaml"))

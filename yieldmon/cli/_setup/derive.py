@@ -48,7 +48,8 @@ def cell_gain(masses_kg: Sequence[float], readings_mv: Sequence[float]) -> CellG
     worst = float(np.max(np.abs(residual)) / (slope * np.ptp(force)))
     if worst > _LINEAR_SHARE:
         raise InputError(
-            where, f"departs by {100.0 * worst:.1f} % from a straight line",
+            where,
+            f"departs by {100.0 * worst:.1f} % from a straight line",
             f"at most {100.0 * _LINEAR_SHARE:.0f} %; hang the weights again, the string level and nothing touching the plate",
         )
     spread = max(float(np.sqrt(np.sum(residual**2) / max(len(mv) - 2, 1))), _READING_SD_MV)
@@ -108,7 +109,8 @@ def _check_together(found: Machine, answers: Mapping[str, Any]) -> None:
     low_edge_m = found.plate_pivot_y_m + found.plate_length_m * sin(found.home_plate_angle_rad)
     if not found.plate_pivot_y_m < 0.0 or low_edge_m < -found.paddle_length_m:
         raise InputError(
-            "plate_pivot_above_m", f"puts the plate from {-found.plate_pivot_y_m:g} to {-low_edge_m:g} m above the sprocket",
+            "plate_pivot_above_m",
+            f"puts the plate from {-found.plate_pivot_y_m:g} to {-low_edge_m:g} m above the sprocket",
             f"a plate that reaches from above the centre to below the tips at {found.paddle_length_m:g} m",
         )
     nearest = found.plate_pivot_x_m + found.plate_length_m * min(cos(found.max_plate_angle_rad), cos(found.home_plate_angle_rad))
@@ -118,7 +120,8 @@ def _check_together(found: Machine, answers: Mapping[str, Any]) -> None:
     passes = speed_m_s / found.paddle_spacing_m
     if not 2.0 <= passes <= 40.0:
         raise InputError(
-            "nominal_elevator_speed_rpm", f"gives {passes:.1f} paddles a second at {speed_m_s:.1f} m/s of chain",
+            "nominal_elevator_speed_rpm",
+            f"gives {passes:.1f} paddles a second at {speed_m_s:.1f} m/s of chain",
             "2 to 40; is it the speed of this sprocket, and the radius of its pitch circle?",
         )
     full_kg = (found.paddle_length_m**2 - found.sprocket_pitch_radius_m**2) * found.paddle_width_m * 1000.0

@@ -75,8 +75,13 @@ def ask(
         if question.drawing:
             say(question.drawing)
         unit = f" [{question.unit}]" if question.unit else ""
-        default = f" ({question.default:g})" if isinstance(question.default, float) else \
-            f" ({question.default})" if question.default is not None else ""
+        default = (
+            f" ({question.default:g})"
+            if isinstance(question.default, float)
+            else f" ({question.default})"
+            if question.default is not None
+            else ""
+        )
         several = ", several" if question.kind == "numbers" else ""
         given = read(f"{place + 1}/{len(QUESTIONS)} {question.text}{unit}{several}{default}: ").strip()
         if given == "back":

@@ -58,9 +58,7 @@ def content(result: HarvestMap) -> dict[str, Any]:
     totals, flow, moisture = result.totals, result.flow_delay, result.moisture_delay
     units = result.units
     shown, mass = units.yield_unit, units.mass_unit
-    middle, lowest, highest = (
-        _number(shown.of(value), 2) for value in (totals.yield_kg_m2, totals.low_kg_m2, totals.high_kg_m2)
-    )
+    middle, lowest, highest = (_number(shown.of(value), 2) for value in (totals.yield_kg_m2, totals.low_kg_m2, totals.high_kg_m2))
     bushels = result.bushels_per_acre(totals.yield_kg_m2) if shown.name == "t/ha" else None
     name = " ".join(dict.fromkeys(_plain(text) for text in result.table.labels["field"].names if text)) or "Harvest"
     span = (

@@ -41,9 +41,7 @@ EFFECT = Effect(
     signature="loss of exp(-g L / v_t^2): longer paths, to a steep plate, lose more; no change with speed",
     source="quadratic drag, dv/ds = -(g / v_t^2) v; terminal speeds of grain: Mohsenin, Physical Properties of Plant and "
     "Animal Materials",
-    parameters=(
-        EffectParameter("rate_per_m", "1/m", 0.0, 0.0, 0.6, 0.08, "g over the terminal speed squared", 0.2),
-    ),
+    parameters=(EffectParameter("rate_per_m", "1/m", 0.0, 0.0, 0.6, 0.08, "g over the terminal speed squared", 0.2),),
     arrival=_arrival,
 )
 

@@ -26,9 +26,7 @@ EFFECT = Effect(
     summary="The cell reads less than in proportion as the force grows (or more).",
     signature="a curve over force alone: loads, angles and speeds that give the same force read the same",
     source="cell characteristic F / (1 + c F)",
-    parameters=(
-        EffectParameter("softening_per_n", "1/N", 0.0, -0.001, 0.01, 0.0005, "relative loss per force", 0.001),
-    ),
+    parameters=(EffectParameter("softening_per_n", "1/N", 0.0, -0.001, 0.01, 0.0005, "relative loss per force", 0.001),),
     reading=_reading,
     unit_follows_response=True,
 )

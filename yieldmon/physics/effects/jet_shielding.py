@@ -30,9 +30,7 @@ EFFECT = Effect(
     summary="Rebound dies in a thick stream, because grain rebounds into the grain behind it.",
     signature="sublinear over load from the first kernels on: gain from 1 + e for a thin stream to 1 for a thick one",
     source="inelastic landing of dense granular jets: Cheng et al., Physical Review Letters 99, 188001 (2007)",
-    parameters=(
-        EffectParameter("rate_per_m", "1/m", 0.0, 0.0, 300.0, 20.0, "1 / stream thickness that halves rebound", 20.0),
-    ),
+    parameters=(EffectParameter("rate_per_m", "1/m", 0.0, 0.0, 300.0, 20.0, "1 / stream thickness that halves rebound", 20.0),),
     impulse=_impulse,
 )
 

@@ -32,9 +32,7 @@ EFFECT = Effect(
     signature="flow lost in proportion to fill and to 1/speed; the same at every plate angle for a given load",
     source="continuity: loss rate proportional to head over the gap, time on the way up proportional to 1/speed",
     parameters=(
-        EffectParameter(
-            "loss_at_full", "", 0.0, 0.0, 1.0, 0.1, "mass lost over mass kept, per fill, at the nominal speed", 0.3
-        ),
+        EffectParameter("loss_at_full", "", 0.0, 0.0, 1.0, 0.1, "mass lost over mass kept, per fill, at the nominal speed", 0.3),
     ),
     load=_load,
 )

@@ -19,8 +19,6 @@ EFFECT = Effect(
     summary="The housing's edge is not at the top of the paddle's circle.",
     signature="the whole jet turned by one angle, the same at every mass and speed",
     source="geometry: start angle 3 pi/2 of [8.16]",
-    parameters=(
-        EffectParameter("angle_rad", "rad", 0.0, -0.6, 0.5, 0.1, "paddle angle at release, past the vertical", -0.1),
-    ),
+    parameters=(EffectParameter("angle_rad", "rad", 0.0, -0.6, 0.5, 0.1, "paddle angle at release, past the vertical", -0.1),),
     setting=_setting,
 )

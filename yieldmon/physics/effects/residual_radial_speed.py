@@ -19,8 +19,6 @@ EFFECT = Effect(
     summary="Grain does not start from rest on the paddle but with a radial speed.",
     signature="the jet leaves earlier, faster and higher: more at low plate angles than at high ones",
     source="the source thesis's own hypothesis for its residuals; initial condition of [8.13]",
-    parameters=(
-        EffectParameter("share", "", 0.0, 0.0, 1.0, 0.1, "radial speed over (elevator speed x radius)", 0.2),
-    ),
+    parameters=(EffectParameter("share", "", 0.0, 0.0, 1.0, 0.1, "radial speed over (elevator speed x radius)", 0.2),),
     setting=_setting,
 )

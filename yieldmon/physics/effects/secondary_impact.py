@@ -39,9 +39,7 @@ EFFECT = Effect(
     summary="Grain that rebounds straight back into the stream is thrown onto the plate once more.",
     signature="extra gain near normal incidence, cos^2 of the incidence; the same at every load",
     source="second collision of a share s cos^2(alpha) of the rebounding grain, bounded by elastic exchange",
-    parameters=(
-        EffectParameter("share", "", 0.0, 0.0, 1.0, 0.2, "share of rebounding grain at normal incidence", 0.4),
-    ),
+    parameters=(EffectParameter("share", "", 0.0, 0.0, 1.0, 0.2, "share of rebounding grain at normal incidence", 0.4),),
     impulse=_impulse,
 )
 

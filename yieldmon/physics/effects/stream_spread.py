@@ -57,9 +57,7 @@ EFFECT = Effect(
     summary="Grain leaves the tip in a fan of directions, so that the plate's low edge cuts it softly.",
     signature="smeared low edge: gain at low plate angles where grain misses, loss where it hits; a uniform loss of s^2/2",
     source="Gaussian fan of directions about the path of [8.17], cut by the plate's low edge; moments of a truncated normal",
-    parameters=(
-        EffectParameter("spread_rad", "rad", 0.0, 0.0, 0.5, 0.1, "standard deviation of direction", 0.15),
-    ),
+    parameters=(EffectParameter("spread_rad", "rad", 0.0, 0.0, 0.5, 0.1, "standard deviation of direction", 0.15),),
     arrival=_arrival,
     needs_misses=True,
     rank=1,
