@@ -100,9 +100,14 @@ def test_a_store_made_anew_by_the_last_write_has_the_tickets_too(tmp_path, capsy
         season.ticket(bench, 2, 1.0)
         works = os.statvfs(tmp_path)
         monkeypatch.setattr(os, "statvfs", lambda _path: types.SimpleNamespace(f_flag=works.f_flag | os.ST_RDONLY))
-        bench.play(2, 0.0)
-        bench.played()
-        wait_for(lambda: ask(season.folder, capsys, "status")["store"]["failing"], "a store that says that it fails")
+
+        def failing() -> bool:
+            """Whether the answer made after one more second says so: the writer finds out beside the engine."""
+            bench.play(1, 0.0)
+            bench.played()
+            return bool(ask(season.folder, capsys, "status")["store"]["failing"])
+
+        wait_for(failing, "a store that says that it fails")
         for file in season.folder.glob("yieldmon.sqlite*"):
             file.unlink()
         monkeypatch.undo()

@@ -62,6 +62,7 @@ class StandIn:
     start_s: float = field(default_factory=lambda: float(int(time.time()) - 7200))
     field_name: str = "north"
     crop: str = "corn"
+    units: str = "metric"
     faults: list[dict[str, Any]] = field(default_factory=list)
     asked: list[Mapping[str, Any]] = field(default_factory=list)
     statuses: int = 0
@@ -94,7 +95,7 @@ class StandIn:
         """The whole status document."""
         self.statuses += 1
         document = json.loads(json.dumps(TEMPLATE))
-        document |= {"age_s": 0.0, "stale": False, "state": "harvesting", "faults": self.faults}
+        document |= {"age_s": 0.0, "stale": False, "state": "harvesting", "faults": self.faults, "units": self.units}
         document["load"] |= {"field": self.field_name, "crop": self.crop, "mass_kg": 7.0 * self.number, "std_dev_kg": 40.0}
         document["total"]["mass_kg"] = 7.0 * self.number
         document["store"]["file"] = str(self.store_path)

@@ -147,7 +147,7 @@ def test_every_button_with_a_real_daemon(browser: Browser, tmp_path: Path) -> No
 
             def ticket(mass_kg: float) -> str:
                 text = str(number)
-                return press("Ticket", "Correct the loads", first_load=text, last_load=text, mass_kg=str(mass_kg))
+                return press("Ticket", "Correct the loads", first_load=text, last_load=text, mass=str(mass_kg))
 
             number = bench.status["load"]["number"]
             measured_kg = bench.status["load"]["mass_kg"]
@@ -158,6 +158,11 @@ def test_every_button_with_a_real_daemon(browser: Browser, tmp_path: Path) -> No
             assert "no load is open" in press("End load", "End load")
             said = ticket(2.0 * measured_kg)
             assert "That is a lot" in said
+            tab.get_by_role("group", name="Commands").get_by_role("button", name="Undo ticket").click()
+            dialog = tab.locator("dialog[open]")
+            dialog.get_by_role("option", name=f"1: load {number},").wait_for(state="attached")
+            dialog.get_by_role("button", name="Undo ticket").click()
+            watched.wait("document.getElementById('answer').textContent === 'Ticket 1 undone.'")
             assert press("New load", "Begin load", field="south <b>", crop="") == f"Load {number + 1} begun."
             assert bench.status["load"]["field"] == "south <b>"
             assert "as soon as the conditions hold" in press("Sweep", "Start sweep")
@@ -171,6 +176,31 @@ def test_every_button_with_a_real_daemon(browser: Browser, tmp_path: Path) -> No
             tab.keyboard.press("Escape")
             assert tab.locator("dialog[open]").count() == 0
             assert bench.status["load"]["number"] == loads
+
+
+def test_us_units(browser: Browser, tmp_path: Path) -> None:
+    with standing_in(tmp_path, units="us", crop="corn") as daemon:
+        daemon.seconds(60)
+        with page(daemon.socket) as site, Watched(browser) as watched:
+            watched.page.goto(site)
+            watched.wait(READY)
+            text = watched.page.inner_text("main")
+            # 420 kg; 1.1 ha; 0.92 kg/m2 of 25.4 kg bushels; 1.8 m/s
+            assert "926 lb" in text
+            assert "2.72 ac" in text
+            assert "147 bu/ac" in text
+            assert "4.0 mph" in text
+            assert "kg" not in text
+            watched.page.get_by_role("button", name="Ticket", exact=True).click()
+            for name, value in {"first_load": "1", "last_load": "1", "mass": "2000"}.items():
+                watched.page.locator(f"dialog[open] [name={name}]").fill(value)
+            daemon.asked.clear()
+            watched.page.get_by_role("button", name="Correct the loads").click()
+            watched.wait("document.getElementById('answer').textContent.startsWith('Measured 2 lb')")
+            assert [asked["mass_kg"] for asked in daemon.asked] == [pytest.approx(907.18474)]
+            watched.page.goto(f"{site}/history")
+            watched.wait("document.getElementById('days-table').textContent.includes('Grain, lb')")
+            assert "kg" not in watched.page.inner_text("main")
 
 
 def test_a_button_by_keyboard_alone(browser: Browser, daemon: StandIn, site: str) -> None:

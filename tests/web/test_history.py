@@ -131,7 +131,7 @@ def test_loads_tickets_sweeps_and_faults(daemon: StandIn) -> None:
         (2, "south", 50.0, None), (1, "<i>north</i>", pytest.approx(1100.0), 40.0)
     ]  # fmt: skip
     assert [one["document"]["angles_deg"] for one in found["sweeps"]] == [[60.0, 70.0]]
-    assert [one["note"] for one in found["tickets"]] == ["scale"]
+    assert [(one["number"], one["note"], one["undone_s"]) for one in found["tickets"]] == [(1, "scale", None)]
     assert [(one["code"], one["active"]) for one in found["faults"]] == [("FramesLost", True)]
 
 

@@ -1,24 +1,12 @@
-"""The option --units, and the units that a crop's name and a setting give."""
+"""The option --units."""
 
 from __future__ import annotations
 
 import argparse
 
-from yieldmon.units import Units, UnitSystem
+from yieldmon.units import UnitSystem
 
 
 def add_units(parser: argparse.ArgumentParser, default: str) -> None:
     """--units. default: where the choice comes from without it, for the help."""
     parser.add_argument("--units", choices=[str(system) for system in UnitSystem], help=f"what people read (default: {default})")
-
-
-def units_of(chosen: str | None, configured: str = "metric", crop: str = "") -> Units:
-    """The units chosen, else those configured. crop: whose bushels; pounds stand for those of a crop that is not known."""
-    system = UnitSystem(chosen or configured)
-    if system is UnitSystem.METRIC or not crop:
-        return Units(system)
-    # A third of a second, which metric units do without.
-    from yieldmon.files.crops import crops
-
-    known = crops().get(crop.lower())
-    return Units(system, known.bushel_kg if known is not None else None)

@@ -9,8 +9,9 @@ from typing import Any
 
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
 from yieldmon.cli._records import show
-from yieldmon.cli._units import add_units, units_of
+from yieldmon.cli._units import add_units
 from yieldmon.files.crops import crops
+from yieldmon.files.units import units_of
 from yieldmon.units import UNKNOWN, crop_yield_kg_m2
 
 

@@ -24,8 +24,9 @@ from yieldmon.bus.waiting import receive
 from yieldmon.cli import _outputs
 from yieldmon.cli._cab import DaemonLink, Status
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon, daemon_socket, mass
-from yieldmon.cli._units import add_units, units_of
+from yieldmon.cli._units import add_units
 from yieldmon.errors import InputError
+from yieldmon.files.units import units_of
 from yieldmon.frames import Unusable
 from yieldmon.screen import keys
 from yieldmon.screen.cab import Cab, from_frames

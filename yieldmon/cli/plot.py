@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from yieldmon.cli import _outputs, model_options
-from yieldmon.cli._units import add_units, units_of
+from yieldmon.cli._units import add_units
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file, strict_yaml, table, whole_file
+from yieldmon.files.units import units_of
 from yieldmon.physics.machine import RPM
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array

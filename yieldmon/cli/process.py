@@ -18,10 +18,11 @@ from pathlib import Path
 from yieldmon.bus import mf4
 from yieldmon.bus.logs import SUFFIXES, open_bytes
 from yieldmon.cli import _outputs
-from yieldmon.cli._units import add_units, units_of
+from yieldmon.cli._units import add_units
 from yieldmon.documents import ProcessSummary, ReprocessSummary
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
+from yieldmon.files.units import units_of
 from yieldmon.resources import shipped
 from yieldmon.service import configuration, log_record, recorded
 from yieldmon.service.bulk_processing import EndOfLog, Stretch

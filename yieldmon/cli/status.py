@@ -14,7 +14,8 @@ from rich.text import Text
 
 from yieldmon import units as read
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
-from yieldmon.cli._units import add_units, units_of
+from yieldmon.cli._units import add_units
+from yieldmon.files.units import units_of
 from yieldmon.units import Units
 
 _SHOWN_WINDOWS = 5

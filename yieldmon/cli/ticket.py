@@ -12,8 +12,9 @@ import sys
 
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon, mass
 from yieldmon.cli._records import back, show, undone, when
-from yieldmon.cli._units import add_units, units_of
+from yieldmon.cli._units import add_units
 from yieldmon.errors import InputError
+from yieldmon.files.units import units_of
 
 #: A correction beyond this is a wrong unit or load rather than a drifted calibration.
 UNLIKELY_PCT = 30.0

@@ -31,6 +31,7 @@ from yieldmon.web.guard import COMMANDS, COOKIE, SIGN_IN, Access, Door, Guard
 from yieldmon.web.history import History
 from yieldmon.web.limits import RateLimit, peer_name
 from yieldmon.web.tiles import Tiles
+from yieldmon.web.units import page_units
 
 STATIC = Path(__file__).resolve().parent / "static"
 MOST_BODY_BYTES = 4096
@@ -96,6 +97,8 @@ def build_app(
     return Guard(app, access, door, page.stop, clock, unix_clock, page.prepare)
 
 
+#: A page does not wait longer than this for the units of a daemon that does not answer.
+_UNITS_S = 1.0
 Answer = Callable[[Request], Coroutine[Any, Any, Response]]
 
 
@@ -138,9 +141,17 @@ class _Page:
                 "read_only": self._access.read_only,
                 "flow_delay_s": self._sources.flow_delay_s,
                 "columns": list(COLUMNS),
+                "units": await self._units(),
                 "tiles": None if tiles is None else {"zooms": tiles.zooms, "attribution": tiles.attribution},
             }
         )
+
+    async def _units(self) -> dict[str, Any]:
+        """As the daemon's configuration has them; metric where it cannot be asked."""
+        with contextlib.suppress(ControlError, KeyError, TypeError, TimeoutError):
+            status = await asyncio.wait_for(self._feed.ask({"command": "status"}), _UNITS_S)
+            return page_units(status["units"], status["load"]["crop"])
+        return page_units()
 
     async def live(self, request: Request) -> Response:
         if self._feed.full:

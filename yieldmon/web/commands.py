@@ -12,6 +12,7 @@ ALLOWED: Mapping[str, frozenset[str]] = {
     "load-start": frozenset({"field", "crop"}),
     "load-stop": frozenset(),
     "ticket": frozenset({"first_load", "last_load", "mass_kg", "std_dev_kg", "note"}),
+    "ticket-undo": frozenset({"ticket"}),
     "zero": frozenset(),
     "zero-undo": frozenset(),
     "sweep-start": frozenset(),

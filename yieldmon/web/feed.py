@@ -18,6 +18,7 @@ from typing import Any
 from yieldmon.errors import InputError
 from yieldmon.service.control import ControlError, ask
 from yieldmon.service.store import Store, StoreError
+from yieldmon.web.units import page_units
 
 #: Columns of a row as pages get it, with the decimals that they are worth on a screen.
 COLUMNS: Mapping[str, int] = {
@@ -186,8 +187,9 @@ class Feed:
 
 def _shown(status: Mapping[str, Any]) -> dict[str, Any]:
     parts = {name: {key: status[name].get(key) for key in keys} for name, keys in _SHOWN_OF.items()}
-    now = status["windows"][-1] if status["windows"] else None
-    return {"problem": None, **{name: status[name] for name in _SHOWN}, **parts, "now": now}
+    now = {**status["windows"][-1], "yield_kg_m2": status.get("now", {}).get("yield_kg_m2")} if status["windows"] else None
+    units = page_units(status.get("units", "metric"), status["load"]["crop"])
+    return {"problem": None, **{name: status[name] for name in _SHOWN}, **parts, "now": now, "units": units}
 
 
 def _row(window: Mapping[str, Any]) -> Row:

@@ -23,6 +23,7 @@ from yieldmon.files import parameter_file
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.service import sweep_table
+from yieldmon.service.ledger import ticket_rows
 from yieldmon.service.store import Store, StoreError
 from yieldmon.service.store_file import read_only
 
@@ -116,7 +117,7 @@ class History:
                     "sweeps": [asdict(sweep) for sweep in reversed(store.sweeps(_SWEEPS))],
                     "parameters": _parameters(store, path),
                     "faults": [asdict(fault) for fault in reversed(store.faults(_FAULTS))],
-                    "tickets": [asdict(ticket) for ticket in reversed(store.tickets())],
+                    "tickets": ticket_rows(store.tickets(), store.actions())[::-1],
                 }
 
     def points(self, path: Path, day: str = "", load: int | None = None) -> bytes:

@@ -2,7 +2,7 @@
 
 import { BandChart } from "./chart.js";
 import { FieldMap } from "./map.js";
-import { getJson, getPoints, make, number, set, table, time, words } from "./ui.js";
+import { getJson, getPoints, inUnit, make, number, set, table, time, words } from "./ui.js";
 
 // Asked for together; what the map shows is in the page's address (?map=all, day 2025-10-09, load 3), else the newest day.
 const wanted = new URLSearchParams(location.search).get("map") ?? "";
@@ -15,12 +15,17 @@ early.catch(() => {});
 const asked = getJson("/api/history");
 asked.catch(() => {});
 const page = await getJson("/api/page");
-const map = new FieldMap(document.getElementById("map"), { tiles: page.tiles, name: "Map" });
+const { units } = page;
+for (const element of document.querySelectorAll("[data-unit]")) element.textContent = units[element.dataset.unit].name;
+const mass = (kg) => number(inUnit(kg, units.mass));
+const total = (kg) => number(inUnit(kg, units.total), units.total.name === "t" ? 2 : 0);
+const flow = (kgS, decimals = 2) => number(inUnit(kgS, units.flow), units.hourly ? decimals : 0);
+const map = new FieldMap(document.getElementById("map"), { tiles: page.tiles, name: "Map", unit: units.flow });
 
 function days(rows) {
   table(document.getElementById("days-table"), [
-    ["Day", (day) => day.day], ["Grain, t", (day) => number(day.mass_kg / 1000, 2), true],
-    ["Harvesting, h", (day) => number(day.harvesting_s / 3600, 2), true], ["Mean flow, kg/s", (day) => number(day.mean_flow_kg_s, 2), true],
+    ["Day", (day) => day.day], [`Grain, ${units.total.name}`, (day) => total(day.mass_kg), true],
+    ["Harvesting, h", (day) => number(day.harvesting_s / 3600, 2), true], [`Mean flow, ${units.flow.name}`, (day) => flow(day.mean_flow_kg_s), true],
     ["Moisture, %", (day) => number(day.moisture_pct, 1), true], ["Positions", (day) => number(day.points), true],
   ], rows);
 }
@@ -29,9 +34,21 @@ function loads(rows) {
   table(document.getElementById("loads-table"), [
     ["Load", (load) => load.number, true], ["Field", (load) => load.field || "-"], ["Crop", (load) => load.crop || "-"],
     ["Begun", (load) => time(load.started_s)], ["Ended", (load) => time(load.ended_s)],
-    ["Measured, kg", (load) => number(load.mass_kg), true], ["± kg", (load) => number(load.std_dev_kg), true],
-    ["Dry, kg", (load) => number(load.dry_mass_kg), true],
-    ["Corrected, kg", (load) => (load.ticket_id === null ? "-" : number(load.corrected_mass_kg)), true],
+    [`Measured, ${units.mass.name}`, (load) => mass(load.mass_kg), true], [`± ${units.mass.name}`, (load) => mass(load.std_dev_kg), true],
+    [`Dry, ${units.mass.name}`, (load) => mass(load.dry_mass_kg), true],
+    [`Corrected, ${units.mass.name}`, (load) => (load.ticket_id === null ? "-" : mass(load.corrected_mass_kg)), true],
+  ], rows);
+}
+
+function tickets(rows) {
+  table(document.getElementById("tickets-table"), [
+    ["Ticket", (ticket) => ticket.number, true], ["Time", (ticket) => time(ticket.time_s)],
+    ["Loads", (ticket) => (ticket.first_load === ticket.last_load ? ticket.first_load : `${ticket.first_load} to ${ticket.last_load}`), true],
+    [`Weighed, ${units.mass.name}`, (ticket) => mass(ticket.weighed_mass_kg), true],
+    [`Measured, ${units.mass.name}`, (ticket) => mass(ticket.measured_mass_kg), true],
+    ["Difference, %", (ticket) => number(100 * (ticket.weighed_mass_kg / ticket.measured_mass_kg - 1), 2), true],
+    ["Entered by", (ticket) => ticket.who || "-"], ["Note", (ticket) => ticket.note || "-"],
+    ["Undone", (ticket) => (ticket.undone_s === null ? "-" : `${time(ticket.undone_s)} ${ticket.undone_by}`.trim())],
   ], rows);
 }
 
@@ -80,8 +97,8 @@ async function residuals() {
     const at = new Map(found.cells.map((cell) => [`${cell.plate_angle_deg} ${cell.mass_flow_kg_s}`, cell]));
     table(element, [
       ["Plate, °", (angle) => number(angle, 1), true],
-      ...flows.map((flow) => [`${number(flow, 1)} kg/s`, (angle) => {
-        const cell = at.get(`${angle} ${flow}`);
+      ...flows.map((kgS) => [`${flow(kgS, 1)} ${units.flow.name}`, (angle) => {
+        const cell = at.get(`${angle} ${kgS}`);
         return cell ? `${cell.residual_pct > 0 ? "+" : ""}${number(cell.residual_pct, 1)} ± ${number(cell.std_dev_pct, 1)}` : "";
       }, true]),
     ], angles);
@@ -138,6 +155,7 @@ try {
   mapChoices(found);
   days(found.days);
   loads(found.loads);
+  tickets(found.tickets);
   parameters(found.parameters);
   sweeps(found.sweeps);
   faults(found.faults);

@@ -2,7 +2,7 @@
 
 import { BandChart } from "./chart.js";
 import { FieldMap } from "./map.js";
-import { command, getJson, getPoints, make, number, set, words } from "./ui.js";
+import { command, getJson, getPoints, inUnit, make, number, set, time, words } from "./ui.js";
 
 const HOUR = 3600;
 const RETRY_MS = 3000;
@@ -13,7 +13,8 @@ const UNLIKELY_PCT = 30;
 const page = await getJson("/api/page");
 const at = Object.fromEntries(page.columns.map((name, index) => [name, index]));
 const trend = new BandChart(document.getElementById("trend"));
-const map = new FieldMap(document.getElementById("map"), { tiles: page.tiles, name: "Today's map" });
+let units = page.units;
+const map = new FieldMap(document.getElementById("map"), { tiles: page.tiles, name: "Today's map", unit: units.flow });
 const hour = { time: [], flow: [], deviation: [] };
 const seen = { first: 0, last: 0, missed: 0 };
 let state = null;
@@ -29,9 +30,9 @@ function mapRow(row) {
   if (row[at.latitude_deg] !== null && row[at.longitude_deg] !== null) places.push(row);
   while (places.length && places[0][at.time_s] < now + SAME_SECOND_S) {
     const place = places.shift();
-    const flow = row[at.mass_flow_kg_s];
-    const known = flow !== null && flow > 0 && place[at.number] > mapped;
-    if (known && Math.abs(place[at.time_s] - now) <= SAME_SECOND_S) map.add(place[at.longitude_deg], place[at.latitude_deg], flow);
+    const value = row[at.mass_flow_kg_s];
+    const known = value !== null && value > 0 && place[at.number] > mapped;
+    if (known && Math.abs(place[at.time_s] - now) <= SAME_SECOND_S) map.add(place[at.longitude_deg], place[at.latitude_deg], value);
   }
 }
 
@@ -56,20 +57,36 @@ let arrived = [];
 
 // Values
 
+const mass = (kg) => number(inUnit(kg, units.mass));
+// Flows of tens by the second need decimals that those by the hour do not.
+const flow = (kgS, decimals = 2) => number(inUnit(kgS, units.flow), units.hourly ? decimals : 0);
+
+// Names of the units; the curve and the map are drawn anew where they change, with the crop or the daemon's configuration.
+function showUnits(begins) {
+  if (!begins && JSON.stringify(state.units) === JSON.stringify(units)) return;
+  units = state.units;
+  for (const element of document.querySelectorAll("[data-unit]")) {
+    if (element.textContent !== units[element.dataset.unit].name) element.textContent = units[element.dataset.unit].name;
+  }
+  map.setUnit(units.flow);
+}
+
 function show() {
   const now = state.now ?? {};
   const harvesting = now.mass_flow_kg_s !== null && now.mass_flow_kg_s !== undefined;
-  set("flow", number(now.mass_flow_kg_s, 2));
-  set("flow-band", harvesting ? `± ${number(now.std_dev_kg_s, 2)} kg/s` : words(now.quality ?? ""));
-  set("flow-hour", harvesting ? `${number(3.6 * now.mass_flow_kg_s, 1)} t/h` : "");
+  set("flow", flow(now.mass_flow_kg_s));
+  set("flow-band", harvesting ? `± ${flow(now.std_dev_kg_s)} ${units.flow.name}` : words(now.quality ?? ""));
+  set("flow-hour", harvesting && units.hourly ? `${number(inUnit(now.mass_flow_kg_s, units.hourly), 1)} ${units.hourly.name}` : "");
   const load = state.load;
-  const names = [load.field, load.crop].filter(Boolean).join(", ");
+  const area = load.area_m2 ? `${number(inUnit(load.area_m2, units.area), 2)} ${units.area.name}` : "";
+  const names = [load.field, load.crop, area].filter(Boolean).join(", ");
   set("load-name", `Load ${load.number}${load.open ? "" : " (ended)"}${names ? `: ${names}` : ""}`);
-  set("load", number(load.mass_kg));
-  set("load-band", load.std_dev_kg === null ? "" : `± ${number(load.std_dev_kg)}`);
-  set("total", number(state.total.mass_kg / 1000, 2));
+  set("load", mass(load.mass_kg));
+  set("load-band", load.std_dev_kg === null ? "" : `± ${mass(load.std_dev_kg)}`);
+  set("total", number(inUnit(state.total.mass_kg, units.total), units.total.name === "t" ? 2 : 0));
+  set("yield", number(inUnit(now.yield_kg_m2, units.yield), units.hourly ? 2 : 0));
   set("moisture", number(now.moisture_pct, 1));
-  set("speed", number(now.ground_speed_m_s === null || now.ground_speed_m_s === undefined ? null : 3.6 * now.ground_speed_m_s, 1));
+  set("speed", number(inUnit(now.ground_speed_m_s, units.speed), 1));
   set("elevator", number(now.elevator_speed_rpm));
   set("plate", number(now.plate_angle_deg, 1));
   const sweep = state.sweep;
@@ -113,16 +130,21 @@ function take(rows, begins) {
   }
   const surplus = hour.time.length - HOUR;
   if (surplus > 0) for (const list of Object.values(hour)) list.splice(0, surplus);
-  if (rows.length || begins) trend.show(hour.time, hour.flow, hour.deviation);
+  if (rows.length || begins) showTrend();
   Object.assign(document.body.dataset, seen);
 }
 
+function showTrend() {
+  const shown = (values) => values.map((value) => inUnit(value, units.flow));
+  trend.show(hour.time, shown(hour.flow), shown(hour.deviation));
+}
+
 function describe() {
-  const known = hour.flow.filter((flow) => flow !== null);
+  const known = hour.flow.filter((value) => value !== null);
   if (!known.length) return;
-  const [low, high] = known.reduce(([a, b], flow) => [Math.min(a, flow), Math.max(b, flow)], [Infinity, -Infinity]);
-  const mean = known.reduce((sum, flow) => sum + flow, 0) / known.length;
-  const text = `Mass flow of the last hour: mean ${number(mean, 1)}, lowest ${number(low, 1)}, highest ${number(high, 1)} kg/s`;
+  const [low, high] = known.reduce(([a, b], value) => [Math.min(a, value), Math.max(b, value)], [Infinity, -Infinity]);
+  const mean = known.reduce((sum, value) => sum + value, 0) / known.length;
+  const text = `Mass flow of the last hour: mean ${flow(mean, 1)}, lowest ${flow(low, 1)}, highest ${flow(high, 1)} ${units.flow.name}`;
   document.getElementById("trend").setAttribute("aria-label", text);
 }
 
@@ -134,6 +156,7 @@ function live(event) {
   }
   const first = state === null;
   state = news;
+  showUnits(first);
   take(news.rows, news.begins);
   if (first || news.begins) {
     arrived = [];
@@ -165,15 +188,20 @@ function answerOf(name, answer) {
     const crop = answer.parameters?.changed ? `; measuring with the parameters of ${answer.crop}` : "";
     return `Load ${answer.load} begun${crop}.`;
   }
-  if (name === "load-stop") return `Load ${answer.load} ended: ${number(answer.mass_kg)} kg.`;
+  if (name === "load-stop") return `Load ${answer.load} ended: ${mass(answer.mass_kg)} ${units.mass.name}.`;
   if (name === "ticket") {
     const change = 100 * (answer.factor - 1);
     const doubt = Math.abs(change) > UNLIKELY_PCT ? " That is a lot; if it is a slip, enter the right mass as another ticket." : "";
     const use = answer.anchor ? "a reference for the calibration" : "no reference for the calibration";
-    return `Measured ${number(answer.measured_mass_kg)} kg, weighed ${number(answer.weighed_mass_kg)} kg (${number(change, 2)} %); ${use}.${doubt}`;
+    const masses = `Measured ${mass(answer.measured_mass_kg)} ${units.mass.name}, weighed ${mass(answer.weighed_mass_kg)} ${units.mass.name}`;
+    return `${masses} (${number(change, 2)} %); ${use}.${doubt}`;
+  }
+  if (name === "ticket-undo") {
+    const back = answer.version === undefined ? "" : `; measuring with the parameters from before it (version ${answer.version})`;
+    return `Ticket ${answer.ticket} undone${back}.`;
   }
   if (name === "zero") return `Zero calibration ${answer.zero}.`;
-  if (name === "zero-undo") return `Zero calibration undone; ${number(answer.restored_kg, 1)} kg since then.`;
+  if (name === "zero-undo") return `Zero calibration undone; ${mass(answer.restored_kg)} ${units.mass.name} since then.`;
   return `Sweep: ${answer.sweep}.`;
 }
 
@@ -182,7 +210,11 @@ function requestOf(dialog) {
   const request = { command: dialog.dataset.command };
   for (const [name, value] of Object.entries(given)) {
     if (String(value).trim() === "") continue;
-    request[name] = ["first_load", "last_load", "mass_kg"].includes(name) ? Number(value) : String(value).trim();
+    request[name] = ["first_load", "last_load", "ticket"].includes(name) ? Number(value) : String(value).trim();
+  }
+  if ("mass" in request) {
+    request.mass_kg = Number(request.mass) * units.mass.si;
+    delete request.mass;
   }
   if (request.command.startsWith("load-")) request.shown_load = Number(dialog.dataset.load);
   return request;
@@ -194,13 +226,14 @@ function open(dialog) {
   if (state) {
     dialog.dataset.load = state.load.number;
     const text = dialog.querySelector("[data-text=load]");
-    if (text) text.textContent = `Load ${state.load.number} has ${number(state.load.mass_kg)} kg${state.load.open ? "" : " and is ended"}.`;
+    if (text) text.textContent = `Load ${state.load.number} has ${mass(state.load.mass_kg)} ${units.mass.name}${state.load.open ? "" : " and is ended"}.`;
     if (dialog.dataset.command === "load-start") {
       dialog.querySelector("[name=field]").value = state.load.field;
       dialog.querySelector("[name=crop]").value = state.load.crop;
     }
   }
   if (dialog.dataset.command === "ticket") prepareTicket(dialog);
+  if (dialog.dataset.command === "ticket-undo") prepareTicketUndo(dialog);
   dialog.showModal();
 }
 
@@ -208,19 +241,43 @@ async function prepareTicket(dialog) {
   const text = dialog.querySelector("[data-text=ticket]");
   const form = dialog.querySelector("form");
   text.textContent = "";
+  // Before the store has answered: by then somebody may be typing.
+  const ended = state === null ? 0 : state.load.number - (state.load.open ? 1 : 0);
+  if (ended > 0) form.first_load.value = form.last_load.value = ended;
   try {
     const { loads } = await getJson("/api/history");
-    const ended = loads.filter((load) => load.ended_s !== null || load.number !== state?.load.number || !state.load.open);
-    if (ended.length && !form.first_load.value) form.first_load.value = form.last_load.value = ended[0].number;
     const compare = () => {
-      const [first, last, mass] = ["first_load", "last_load", "mass_kg"].map((name) => Number(form[name].value));
+      const [first, last] = ["first_load", "last_load"].map((name) => Number(form[name].value));
+      const weighed = Number(form.mass.value) * units.mass.si;
       const measured = loads.filter((load) => first <= load.number && load.number <= last).reduce((sum, load) => sum + load.mass_kg, 0);
-      const change = measured > 0 && mass > 0 ? 100 * (mass / measured - 1) : null;
+      const change = measured > 0 && weighed > 0 ? 100 * (weighed / measured - 1) : null;
       const doubt = change !== null && Math.abs(change) > UNLIKELY_PCT ? " Is that the right load and unit?" : "";
-      text.textContent = `Measured ${number(measured)} kg${change === null ? "" : `: ${number(change, 1)} %`}.${doubt}`;
+      text.textContent = `Measured ${mass(measured)} ${units.mass.name}${change === null ? "" : `: ${number(change, 1)} %`}.${doubt}`;
     };
     form.oninput = compare;
     compare();
+  } catch (error) {
+    text.textContent = error.message;
+  }
+}
+
+async function prepareTicketUndo(dialog) {
+  const text = dialog.querySelector("[data-text=tickets]");
+  const select = dialog.querySelector("[name=ticket]");
+  const yes = dialog.querySelector(".yes");
+  select.replaceChildren();
+  yes.disabled = true;
+  text.textContent = "";
+  try {
+    const { tickets } = await getJson("/api/history");
+    const standing = tickets.filter((ticket) => ticket.undone_s === null);
+    const loads = ({ first_load: first, last_load: last }) => (first === last ? `load ${first}` : `loads ${first} to ${last}`);
+    select.replaceChildren(...standing.map((ticket) => {
+      const label = `${ticket.number}: ${loads(ticket)}, ${mass(ticket.weighed_mass_kg)} ${units.mass.name}, ${time(ticket.time_s)}`;
+      return Object.assign(make("option", label), { value: ticket.number });
+    }));
+    if (!standing.length) text.textContent = "There is no ticket.";
+    yes.disabled = !standing.length;
   } catch (error) {
     text.textContent = error.message;
   }

@@ -28,9 +28,12 @@ export class FieldMap {
   #pending = false;
   #fingers = new Map();
   #tiles; #pictures = new Map();
+  #unit;
 
-  constructor(box, { tiles = null, name = "Map" } = {}) {
+  // unit: of the flow, with its name and its worth in kg/s.
+  constructor(box, { tiles = null, name = "Map", unit = { name: "kg/s", si: 1 } } = {}) {
     this.#box = box;
+    this.#unit = unit;
     this.#tiles = tiles;
     this.#canvas = make("canvas");
     this.#canvas.tabIndex = 0;
@@ -82,6 +85,17 @@ export class FieldMap {
     this.show();
   }
 
+  setUnit(unit) {
+    this.#unit = unit;
+    if (this.#count) this.#range();
+    this.#later();
+  }
+
+  #shown(value) {
+    const shown = value / this.#unit.si;
+    return number(shown, shown < 100 ? 1 : 0);
+  }
+
   show() {
     if (this.#count > 1.1 * this.#rangedAt || this.#count < this.#rangedAt) this.#range();
     if (this.#follows) this.fit();
@@ -118,7 +132,7 @@ export class FieldMap {
     this.#high = Math.max(sorted[Math.ceil(0.98 * (this.#count - 1))] ?? 1, this.#low + 1e-3);
     this.#rangedAt = this.#count;
     const name = this.#canvas.dataset.name;
-    const span = `${number(this.#low, 1)} to ${number(this.#high, 1)} kg/s`;
+    const span = `${this.#shown(this.#low)} to ${this.#shown(this.#high)} ${this.#unit.name}`;
     this.#canvas.setAttribute("aria-label", `${name}: ${number(this.#count)} points, ${span}, dark is low, light is high`);
   }
 
@@ -197,7 +211,7 @@ export class FieldMap {
     this.#context.drawImage(this.#layer, 0, 0);
     this.#empty.hidden = this.#count > 0;
     this.#scale.hidden = this.#count === 0;
-    this.#scale.textContent = `dark ${number(this.#low, 1)}, light ${number(this.#high, 1)} kg/s`;
+    this.#scale.textContent = `dark ${this.#shown(this.#low)}, light ${this.#shown(this.#high)} ${this.#unit.name}`;
     this.#canvas.dataset.points = String(this.#count);
     this.#canvas.dataset.drawn = String(Number(this.#canvas.dataset.drawn ?? 0) + 1);
   }

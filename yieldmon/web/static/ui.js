@@ -35,6 +35,9 @@ export function number(value, decimals = 0) {
   return value.toLocaleString("en", { minimumFractionDigits: decimals, maximumFractionDigits: decimals });
 }
 
+// A value in SI in a unit of the page, null where it is not known.
+export const inUnit = (value, unit) => (value === null || value === undefined || !unit ? null : value / unit.si);
+
 export function set(id, text) {
   const element = document.getElementById(id);
   if (element.textContent !== text) element.textContent = text;

@@ -1,0 +1,17 @@
+"""The units that a setting and a crop's name give."""
+
+from __future__ import annotations
+
+from yieldmon.units import Units, UnitSystem
+
+
+def units_of(chosen: str | None, configured: str = "metric", crop: str = "") -> Units:
+    """The units chosen, else those configured. crop: whose bushels; pounds stand for those of a crop that is not known."""
+    system = UnitSystem(chosen or configured)
+    if system is UnitSystem.METRIC or not crop:
+        return Units(system)
+    # A third of a second, which metric units do without.
+    from yieldmon.files.crops import crops
+
+    known = crops().get(crop.lower())
+    return Units(system, known.bushel_kg if known is not None else None)

@@ -1,0 +1,40 @@
+"""Units as the page shows them."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+from yieldmon.files.units import units_of
+from yieldmon.units import KG_PER_LB, KG_PER_T, Unit, UnitSystem
+
+
+@lru_cache(maxsize=64)
+def page_units(system: str = "metric", crop: str = "") -> dict[str, Any]:
+    """Name and worth in SI of each unit.
+
+    Parameters
+    ----------
+    system : str
+        "metric" or "us".
+    crop : str
+        Whose bushels; "" for none.
+
+    Returns
+    -------
+    dict
+        ``mass``, ``total`` (of days and more), ``flow``, ``hourly`` (None where ``flow`` is one by the hour), ``yield``, ``area``
+        and ``speed``, each with ``name`` and ``si``.
+    """
+    units = units_of(system, crop=crop)
+    us = units.system is UnitSystem.US
+    shown: dict[str, Unit | None] = {
+        "mass": units.mass_unit,
+        "total": Unit("lb", KG_PER_LB) if us else Unit("t", KG_PER_T),
+        "flow": units.flow_unit,
+        "hourly": None if us else Unit("t/h", KG_PER_T / 3600.0),
+        "yield": units.yield_unit,
+        "area": units.area_unit,
+        "speed": units.speed_unit,
+    }
+    return {name: None if unit is None else {"name": unit.name, "si": unit.si} for name, unit in shown.items()}
