@@ -10,6 +10,7 @@ import sqlite3
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -147,21 +148,54 @@ MISTAKES = {
 }
 
 
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    (tmp_path / "folder").mkdir()
+def fill(folder: Path) -> None:
+    (folder / "folder").mkdir()
     for name, content in (FILES | more_mistakes.FILES).items():
-        (tmp_path / name).write_text(content)
-    with sqlite3.connect(tmp_path / "other.db") as database:
+        (folder / name).write_text(content)
+    with sqlite3.connect(folder / "other.db") as database:
         database.execute("CREATE TABLE cows (name TEXT)")
     database.close()
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of one's own, in which a command may write."""
+    fill(tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "200")
     return tmp_path
 
 
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    folder = tmp_path_factory.mktemp("mistakes")
+    fill(folder)
+    before = hashes(folder)
+    yield folder
+    assert hashes(folder) == before
+
+
+@pytest.fixture
+def untouched(filled: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """In a folder that all these tests share, each of which fails where a file has been written, made or removed."""
+    monkeypatch.chdir(filled)
+    monkeypatch.setenv("COLUMNS", "200")
+    before = stamps(filled)
+    yield
+    assert stamps(filled) == before
+
+
 def hashes(folder: Path) -> dict[str, str]:
     return {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.rglob("*") if path.is_file()}
+
+
+def stamps(folder: Path) -> dict[str, tuple[int, ...]]:
+    """What changes with any writing: file number, size, times of the last change of content and of anything."""
+    found = {path: path.stat() for path in folder.rglob("*")}
+    return {
+        str(path): (seen.st_ino, seen.st_size, seen.st_mtime_ns, seen.st_ctime_ns)
+        for path, seen in found.items() if path.is_file()
+    }  # fmt: skip
 
 
 ROWS = [(name, *row) for name, row in MISTAKES.items()]
@@ -169,27 +203,25 @@ ROWS += [(words, words, told) for words, told in more_mistakes.MISTAKES.items()]
 
 
 @pytest.mark.parametrize(("words", "told"), [row[1:] for row in ROWS], ids=[row[0] for row in ROWS])
-def test_a_mistake_costs_a_line_and_no_file(folder: Path, capsys: pytest.CaptureFixture[str], words: str, told: str) -> None:
-    before = hashes(folder)
+@pytest.mark.usefixtures("untouched")
+def test_a_mistake_costs_a_line_and_no_file(capsys: pytest.CaptureFixture[str], words: str, told: str) -> None:
     assert main(words.split()) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.count("\n") == 1, err
     assert told in err
     assert err.startswith("yieldmon: ")
-    assert hashes(folder) == before
 
 
 @pytest.mark.parametrize("words", more_mistakes.USAGE)
-def test_words_that_do_not_fit_show_the_usage(folder: Path, capsys: pytest.CaptureFixture[str], words: str) -> None:
-    before = hashes(folder)
+@pytest.mark.usefixtures("untouched")
+def test_words_that_do_not_fit_show_the_usage(capsys: pytest.CaptureFixture[str], words: str) -> None:
     with pytest.raises(SystemExit) as caught:
         main(words.split())
     out, err = capsys.readouterr()
     assert (caught.value.code, out) == (2, "")
     assert err.startswith("usage: yieldmon")
     assert ": error: " in err.splitlines()[-1]
-    assert hashes(folder) == before
 
 
 def test_rows_without_a_reading_are_counted(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

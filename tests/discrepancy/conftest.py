@@ -16,12 +16,12 @@ GRAIN = generator.Grain(friction=0.3, restitution=0.55, density=1150.0)
 START = {"friction": 0.2, "density": 1100.0, "shape_ratio": 2.0, "restitution": 0.6}
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def start() -> ParameterSet:
     return ParameterSet(values=START)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_rows() -> Callable[..., Rows]:
     """make_rows(effects, seed=, noise=, speeds_rpm=, repeats=, alter=): 6 angles x 4 flows x speeds x repeats."""
 

@@ -27,6 +27,24 @@ from yieldmon.physics.model import Conditions, ForwardModel
 QUICK = diagnosis.Options(policy=Policy(refits=8, exchanges=4, beam=2))
 
 
+@pytest.fixture(scope="module")
+def offset_seen(make_rows, start) -> diagnosis.Examination:
+    """Of rows that hide an offset of 4 N."""
+    return diagnosis.examine(make_rows({"zero_offset": 4.0}), start, QUICK)
+
+
+@pytest.fixture(scope="module")
+def offset_found(make_rows, start) -> diagnosis.Diagnosis:
+    """Of the same rows, whole."""
+    return diagnosis.diagnose_rows(make_rows({"zero_offset": 4.0}), start, QUICK)
+
+
+@pytest.fixture(scope="module")
+def clean_found(make_rows, start) -> diagnosis.Diagnosis:
+    """Of rows that hide nothing."""
+    return diagnosis.diagnose_rows(make_rows(), start, QUICK)
+
+
 @pytest.mark.parametrize(
     ("effect", "size"),
     [
@@ -39,8 +57,8 @@ QUICK = diagnosis.Options(policy=Policy(refits=8, exchanges=4, beam=2))
         ("speed_dependent_shape", -1.0),
     ],
 )
-def test_a_hidden_effect_is_named_and_the_gap_closes(make_rows, start, effect: str, size: float) -> None:
-    seen = diagnosis.examine(make_rows({effect: size}), start, QUICK)
+def test_a_hidden_effect_is_named_and_the_gap_closes(make_rows, start, offset_seen, effect: str, size: float) -> None:
+    seen = offset_seen if effect == "zero_offset" else diagnosis.examine(make_rows({effect: size}), start, QUICK)
     assert seen.choice.verdict == "effect"
     first = seen.choice.steps[0]
     assert effect in (first.added, *first.equivalent)
@@ -142,8 +160,8 @@ def test_more_ties_than_a_class_holds_are_no_name(make_rows, start) -> None:
     assert (choice.verdict, choice.named) == ("unknown", ())
 
 
-def test_the_error_of_a_law_is_a_share_of_what_its_effect_changes(make_rows, start) -> None:
-    best = diagnosis.examine(make_rows({"zero_offset": 4.0}), start, QUICK).choice.best
+def test_the_error_of_a_law_is_a_share_of_what_its_effect_changes(offset_seen) -> None:
+    best = offset_seen.choice.best
     changed = best.values["zero_offset.force_n"] / best.frame.sd
     spread = np.sqrt(np.sum(best.shape_error**2, axis=1)) / np.abs(changed)
     assert np.sqrt(np.mean(spread**2)) <= LAW_SD * (1.0 + 1e-9)
@@ -153,10 +171,9 @@ def test_the_error_of_a_law_is_a_share_of_what_its_effect_changes(make_rows, sta
     assert volume > 0.0
 
 
-def test_sealed_rows_are_not_fitted(make_rows, start) -> None:
+def test_sealed_rows_are_not_fitted(make_rows, start, offset_seen) -> None:
     """Whatever stands in the sealed rows, the choice and its parameters are the same."""
-    rows = make_rows({"zero_offset": 4.0})
-    first = diagnosis.examine(rows, start, QUICK)
+    rows, first = make_rows({"zero_offset": 4.0}), offset_seen
     spoilt = replace(rows, value=np.where(first.sealed, -5.0 * rows.value, rows.value))
     second = diagnosis.examine(spoilt, start, QUICK)
     assert first.choice.best.values == second.choice.best.values
@@ -236,8 +253,8 @@ def test_a_plan_has_the_power_that_it_states_and_the_best_row(make_rows, start) 
                 assert power_to_separate(choice.best, rival, noise, row) <= one.power + 2e-3
 
 
-def test_adopted_parameters_predict_what_was_fitted(make_rows, start) -> None:
-    found = diagnosis.diagnose_rows(make_rows({"zero_offset": 4.0}), start, QUICK)
+def test_adopted_parameters_predict_what_was_fitted(offset_found, start) -> None:
+    found = offset_found
     adopted = diagnosis.adopted(found, start, {"parent": "x"})
     assert adopted.version == start.version + 1
     assert adopted.effects == ("zero_offset",)
@@ -250,15 +267,15 @@ def test_adopted_parameters_predict_what_was_fitted(make_rows, start) -> None:
     assert abs(adopted.values["zero_offset.force_n"] - 4.0) < 4.0 * sd
 
 
-def test_what_is_adopted_is_as_uncertain_as_what_is_said(make_rows, start) -> None:
-    found = diagnosis.diagnose_rows(make_rows({"zero_offset": 4.0}), start, QUICK)
+def test_what_is_adopted_is_as_uncertain_as_what_is_said(offset_found, start) -> None:
+    found = offset_found
     found = replace(found, best=replace(found.best, chi2=3.0 * found.best.dof))
     said = diagnosis.to_document(found)["effects"][0]["parameters"]["force_n"]["sd"]
     assert diagnosis.adopted(found, start, {}).standard_deviation("zero_offset.force_n") == pytest.approx(said, rel=1e-12)
 
 
-def test_loads_that_share_an_error_leave_the_scale_uncertain(make_rows, start) -> None:
-    found = diagnosis.diagnose_rows(make_rows({"zero_offset": 4.0}), start, QUICK)
+def test_loads_that_share_an_error_leave_the_scale_uncertain(offset_found, start) -> None:
+    found = offset_found
     exact, shared = (diagnosis.adopted(found, start, {}, scale_sd=sd) for sd in (0.0, 0.05))
     values = found.best.values
     along = {"friction": 0.0, "density": values["density"], "restitution": -(1.0 + values["restitution"])}
@@ -267,9 +284,8 @@ def test_loads_that_share_an_error_leave_the_scale_uncertain(make_rows, start) -
     np.testing.assert_allclose(shared.covariance - exact.covariance, added, rtol=1e-6, atol=1e-12)
 
 
-def test_a_wild_row_among_the_sealed_is_left_out_and_counted(make_rows, start) -> None:
-    rows = make_rows({"zero_offset": 4.0})
-    first = diagnosis.examine(rows, start, QUICK)
+def test_a_wild_row_among_the_sealed_is_left_out_and_counted(make_rows, start, offset_seen) -> None:
+    rows, first = make_rows({"zero_offset": 4.0}), offset_seen
     value = rows.value.copy()
     value[np.flatnonzero(first.sealed)[4]] += 0.5 * value.max()
     second = diagnosis.examine(replace(rows, value=value), start, QUICK)
@@ -328,10 +344,9 @@ def test_the_unit_is_that_of_the_table_whatever_the_parents(make_rows, start, si
     assert diagnosis.adopted(found, parent, {}).response_unit == unit
 
 
-def test_nothing_is_adopted_without_a_name(make_rows, start) -> None:
-    found = diagnosis.diagnose_rows(make_rows(), start, QUICK)
+def test_nothing_is_adopted_without_a_name(clean_found, start) -> None:
     with pytest.raises(ValueError, match="only a named effect"):
-        diagnosis.adopted(found, start, {})
+        diagnosis.adopted(clean_found, start, {})
 
 
 def test_what_no_size_would_show_is_said(make_rows, start) -> None:
@@ -362,12 +377,12 @@ def test_the_least_size_shown_is_of_the_leading_parameter() -> None:
     assert found == {"one": pytest.approx(0.1 * 4.04 / 5.0)}
 
 
-def test_a_gap_that_is_not_there_is_not_closed_by_nothing(make_rows, start) -> None:
-    assert diagnosis.to_document(diagnosis.diagnose_rows(make_rows(), start, QUICK))["gap"]["closed_pct"] is None
+def test_a_gap_that_is_not_there_is_not_closed_by_nothing(clean_found) -> None:
+    assert diagnosis.to_document(clean_found)["gap"]["closed_pct"] is None
 
 
-def test_held_out_rows_within_their_scatter_do_not_tell(make_rows, start, capsys) -> None:
-    found = diagnosis.diagnose_rows(make_rows({"zero_offset": 4.0}), start, QUICK)
+def test_held_out_rows_within_their_scatter_do_not_tell(offset_found, capsys) -> None:
+    found = offset_found
     assert re.search(r"rows kept aside F = [0-9.]+ \([0-9.]+ to [0-9.]+\) before and", report.summary(found))
     held = replace(found.held_out, closed_pct=diagnosis._closed(before=1.0, after=0.9, floor=1.1))
     found = replace(found, held_out=held)

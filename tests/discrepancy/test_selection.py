@@ -16,13 +16,17 @@ USUAL = Policy()
 NAMED_NOTHING = diagnosis.Options(policy=Policy(most_effects=0), hold_out="none")
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def published(make_rows, start):
-    """published(effects): the fit of the published model to rows that hide them, and the noise."""
+    """published(effects): the fit of the published model to rows that hide them, and the noise; made once for each."""
+    made = {}
 
-    def make(effects: dict[str, float] | None = None, **more):
-        seen = diagnosis.examine(make_rows(effects, **more), start, NAMED_NOTHING)
-        return seen.choice.base, seen.noise
+    def make(effects: dict[str, float]):
+        key = tuple(effects.items())
+        if key not in made:
+            seen = diagnosis.examine(make_rows(effects), start, NAMED_NOTHING)
+            made[key] = seen.choice.base, seen.noise
+        return made[key]
 
     return make
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from math import floor
 
 import numpy as np
@@ -74,15 +75,21 @@ class Truth:
 
 
 def pulse_table(scenario: Scenario, machine: Machine) -> PulseTable:
-    """Pulses of a scenario's crop and machine; worth keeping when several combines share them."""
+    """Pulses of a scenario's crop and machine; the same table for the same crop, effects and machine."""
     crop, effects = scenario.crop, scenario.effects
     end = crop.moisture_pct if crop.end_moisture_pct is None else crop.end_moisture_pct
     if effects.moisture_dependence is None or end == crop.moisture_pct:
         grain = crop.grain.at_moisture(crop.moisture_pct, effects.moisture_dependence)
-        return PulseTable(machine, [Condition(crop.moisture_pct, grain, effects)])
+        return _table(machine, (Condition(crop.moisture_pct, grain, effects),), None)
     nodes = np.linspace(min(end, crop.moisture_pct), max(end, crop.moisture_pct), _MOISTURE_NODES)
-    conditions = [Condition(float(m), crop.grain.at_moisture(float(m), effects.moisture_dependence), effects) for m in nodes]
-    return PulseTable(machine, conditions, _CHANGING)
+    conditions = (Condition(float(m), crop.grain.at_moisture(float(m), effects.moisture_dependence), effects) for m in nodes)
+    return _table(machine, tuple(conditions), _CHANGING)
+
+
+@lru_cache(maxsize=4)
+def _table(machine: Machine, conditions: tuple[Condition, ...], detail: Detail | None) -> PulseTable:
+    """A table takes a second to build and holds about 3 MB; the latest are kept."""
+    return PulseTable(machine, conditions, detail)
 
 
 class VirtualCombine:
