@@ -17,6 +17,8 @@ PRODUCT = ("yieldmon", "dbc", "config")
 
 DRIVE = """
 import json, sys
+from yieldmon.bus import mf4
+mf4.defer()
 from yieldmon.bus.codec import Codec
 from yieldmon.engine.results import frames_in, records_in
 from yieldmon.frames import Frame
@@ -48,7 +50,7 @@ class Scratch:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         for name in PRODUCT:
-            shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__", "dem"))
+            shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("dem"))
 
     def edit(self, name: str, *changes: tuple[str, str]) -> None:
         """Replace texts that stand there once or more, each its first time."""
