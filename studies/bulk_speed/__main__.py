@@ -1,28 +1,36 @@
 """How many frames a second go from a log to rows with flow: our frames with real traffic of a tractor between them.
 
     python -m studies.bulk_speed RECORDINGS [--frames N] [--keep FOLDER] [--json]
+    python -m studies.bulk_speed RECORDINGS --frames 69000000 --json     # all of it: 3.5 GB of text in a temporary folder
 
 RECORDINGS is a folder of candump logs of other nodes' traffic (the excerpts in tests/data/tractor_bus do as well). They are
 laid end to end, as often as it takes, beside a simulated harvest, each at its own rate; the same frames are written as candump
-text and packed. CPU time of one process, in one run; beside it python-can and cantools on a sample of the same text.
+text and packed. CPU time of one process, in one run; beside it, on samples of the same frames, python-can with cantools, and
+asammdf, which decodes bus logs (MF4) by numpy; neither has an engine behind it.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
+import marshal
+import os
 import resource
+import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from operator import attrgetter
 from pathlib import Path
 
+import asammdf
 import can
 import cantools
 import numpy as np
 
-from yieldmon.bus.bulk import FrameBlock, block_of, concatenate
+from yieldmon.bus.bulk import FrameBlock, block_of, concatenate, messages_of
 from yieldmon.bus.candump import EXTENDED_FLAG
 from yieldmon.bus.codec import Codec
 from yieldmon.bus.loading import iter_blocks, load_frames
@@ -38,6 +46,7 @@ TILE_S = 600.0
 START_S = 1_760_000_000.0
 SEED = 11
 SAMPLE_FRAMES = 40_000
+MF4_FRAMES = 400_000
 
 
 def ours() -> FrameBlock:
@@ -90,13 +99,42 @@ def write_text(blocks: Iterator[FrameBlock], path: Path) -> None:
                 file.write(f"({time_s:.6f}) can0 {name}#{payload.to_bytes(8, 'little')[:length].hex().upper()}\n")
 
 
-def to_rows(path: Path) -> tuple[float, list[SecondRow]]:
-    """CPU seconds and rows, as `process --jobs 1` makes them."""
+class Digest:
+    """Takes rows: their number and a hash of all their bits. Its own CPU time is kept apart, and no more than some rows."""
+
+    _TOGETHER = 2000
+    _values = attrgetter("number", *SecondRow.__dataclass_fields__)
+
+    def __init__(self) -> None:
+        self._hash, self._waiting = hashlib.blake2b(), list[SecondRow]()
+        self.rows, self.spent_s = 0, 0.0
+
+    def take(self, row: SecondRow) -> None:
+        """The next row."""
+        self._waiting.append(row)
+        if len(self._waiting) >= self._TOGETHER:
+            self.finish()
+
+    def finish(self) -> str:
+        """The hash of all rows so far."""
+        began = time.process_time()
+        for row in self._waiting:
+            self._hash.update(marshal.dumps(self._values(row)))
+        self.rows += len(self._waiting)
+        self._waiting.clear()
+        self.spent_s += time.process_time() - began
+        return self._hash.hexdigest()
+
+
+def to_rows(path: Path) -> tuple[float, int, str]:
+    """CPU seconds, number of rows and their hash, as `process --jobs 1` makes them."""
     loaded = configuration.load(shipped("config/yieldmon.yaml"))
-    rows: list[SecondRow] = []
+    digest = Digest()
     began = time.process_time()
-    log_record.measure([str(path)], loaded, rows.append)
-    return time.process_time() - began, rows
+    log_record.measure([str(path)], loaded, digest.take)
+    taken_s = time.process_time() - began - digest.spent_s
+    found = digest.finish()
+    return taken_s, digest.rows, found
 
 
 def reading_alone(path: Path) -> float:
@@ -122,6 +160,20 @@ def obvious_loop(path: Path) -> tuple[float, int]:
     return time.process_time() - began, count
 
 
+def fast_decoder(blocks: Iterator[FrameBlock], folder: Path) -> tuple[float, int, int]:
+    """CPU seconds, frames and decoded channels of asammdf, from the same frames as MF4; no engine."""
+    path, count = folder / "bulk.mf4", 0
+    with can.MF4Writer(path) as writer:
+        for block in blocks:
+            for message in messages_of(block):
+                writer.on_message_received(message)
+            count += len(block)
+    began = time.process_time()
+    with asammdf.MDF(path) as log, log.extract_bus_logging({"CAN": [(str(shipped("dbc/yieldmon.dbc")), 0)]}) as decoded:
+        channels = sum(len(signal) > 0 for signal in decoded.iter_channels(skip_master=True))
+    return time.process_time() - began, count, channels
+
+
 def main() -> int:
     """Exit code 0 when rows from text and packed frames are the same."""
     parser = argparse.ArgumentParser(
@@ -140,15 +192,21 @@ def main() -> int:
         size = pack(tiled(one, args.frames), packed, Codec().layouts).size_bytes
         to_rows(packed)  # compiled code is made once
         found = {name: (to_rows(path), reading_alone(path)) for name, path in (("packed", packed), ("text", text))}
-        same = found["packed"][0][1] == found["text"][0][1]
+        peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+        same = found["packed"][0][1:] == found["text"][0][1:]
+        mf4_s, mf4_frames, mf4_channels = fast_decoder(tiled(one, min(args.frames, MF4_FRAMES)), folder)
+        commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
         loop_s, loop_frames = obvious_loop(text)
         document = {
-            "frames": args.frames, "share_of_ours": share, "tile_frames": len(one), "seconds_of_log": len(found["text"][0][1]),
+            "frames": args.frames, "share_of_ours": share, "tile_frames": len(one), "seconds_of_log": found["text"][0][1],
+            "seed": SEED, "commit": commit.stdout.strip(), "load_average": os.getloadavg()[0],
             "text_bytes": text.stat().st_size, "packed_bytes": size, "rows_equal": same,
-            "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
-            **{name: _figures(rows_s, read_s, args.frames) for name, ((rows_s, _), read_s) in found.items()},
+            "rows_hash": found["text"][0][2], "peak_memory_mb": peak_mb,
+            **{name: _figures(rows_s, read_s, args.frames) for name, ((rows_s, _, _), read_s) in found.items()},
             "python_can_cantools": {"frames": loop_frames, "mframes_s": loop_frames / loop_s / 1e6,
                                     "cpu_s_scaled": WANTED_FRAMES * loop_s / loop_frames},
+            "asammdf": {"frames": mf4_frames, "mframes_s": mf4_frames / mf4_s / 1e6, "channels": mf4_channels,
+                        "cpu_s_scaled": WANTED_FRAMES * mf4_s / mf4_frames},
         }  # fmt: skip
     print(json.dumps(document, indent=2) if args.json else _text(document))
     return 0 if same else 1
@@ -178,6 +236,11 @@ def _text(document: dict) -> str:
     lines.append(
         f"python-can and cantools, no engine, on {loop['frames']} frames: {loop['mframes_s']:.4f} M frames/s; "
         f"scaled: {loop['cpu_s_scaled']:.0f} CPU-s"
+    )
+    other = document["asammdf"]
+    lines.append(
+        f"asammdf, no engine, on {other['frames']} frames (MF4): {other['mframes_s']:.2f} M frames/s, "
+        f"{other['channels']} channels; scaled: {other['cpu_s_scaled']:.0f} CPU-s"
     )
     return "\n".join(lines)
 

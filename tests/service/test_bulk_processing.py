@@ -29,6 +29,7 @@ from yieldmon.service.tables import COLUMNS
 
 LOADED = configuration.load(shipped("config/yieldmon.yaml"))
 DURATION_S = 24
+DATA = Path(__file__).resolve().parents[1] / "data"
 
 
 def new_monitor():
@@ -134,6 +135,20 @@ def test_every_format(ending, tmp_path):
     in_bulk, summary = rows_of(process_in_bulk, [path])
     assert in_bulk == rows_of(process_logs, [path])[0]
     assert summary.ours == len(messages(16))
+
+
+def test_traffic_of_others_is_counted_and_changes_nothing(tmp_path):
+    ours, others = messages(16), list(read_log(DATA / "tractor_bus" / "start1.log"))
+    others += [can.Message(is_error_frame=True, dlc=8, data=bytes(8)), can.Message(arbitration_id=0x123, is_extended_id=False)]
+    for place, message in enumerate(others):
+        message.timestamp, message.channel = round(START_S + 16.0 * place / len(others), 6), "can0"
+    path = write(tmp_path / "tractor.log", sorted(ours + others, key=lambda message: message.timestamp))
+    assert cli.main(["pack", str(path), "--out", str(tmp_path / "tractor.parquet")]) == 0
+    expected = rows_of(process_logs, [path])
+    assert expected[0] == rows_of(process_in_bulk, [write(tmp_path / "ours.log", ours)])[0]
+    assert expected[1].frames == len(ours) + len(others)
+    assert rows_of(process_in_bulk, [path]) == expected
+    assert rows_of(process_in_bulk, [tmp_path / "tractor.parquet"]) == expected
 
 
 def test_several_logs_are_one_record(log, tmp_path):

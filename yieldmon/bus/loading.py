@@ -26,7 +26,7 @@ from yieldmon.bus.logs import (
     refuse_unreadable,
     without_byte_order_mark,
 )
-from yieldmon.bus.packed import read_blocks
+from yieldmon.bus.packed import Wanted, read_blocks
 from yieldmon.errors import InputError
 
 _CHUNK_BYTES = 4 * 1024 * 1024
@@ -39,7 +39,12 @@ def load_frames(path: Path | str, notes: LogNotes | None = None) -> FrameBlock:
 
 
 def iter_blocks(
-    path: Path | str, notes: LogNotes | None = None, *, chunk_bytes: int = _CHUNK_BYTES, compiled: bool | None = None
+    path: Path | str,
+    notes: LogNotes | None = None,
+    *,
+    chunk_bytes: int = _CHUNK_BYTES,
+    compiled: bool | None = None,
+    wanted: Wanted | None = None,
 ) -> Iterator[FrameBlock]:
     """The log in blocks of some 100,000 frames: the frames that logs.read_log() gives, in the same order.
 
@@ -55,6 +60,8 @@ def iter_blocks(
         How much of a candump log is read at a time.
     compiled : bool, optional
         As for fast_candump.parse_lines().
+    wanted : callable, optional
+        Of identifiers with flags, shape (n,): frames of others may be left out of the blocks; they are counted all the same.
 
     Yields
     ------
@@ -64,13 +71,16 @@ def iter_blocks(
     notes = notes if notes is not None else LogNotes()
     suffix = log_format(path)[0]
     if suffix == PACKED_SUFFIX:
-        for block in read_blocks(path):
-            notes.frames += len(block)
-            notes.error_frames += int(np.count_nonzero(block.can_id & np.uint32(ERROR_FLAG)))
-            yield block
+
+        def count(can_id: int, frames: int) -> None:
+            notes.frames += frames
+            notes.error_frames += frames if can_id & ERROR_FLAG else 0
+
+        yield from read_blocks(path, wanted, count)
         return
     if suffix == ".log":
-        yield from _candump_blocks(path, notes, chunk_bytes, compiled)
+        for block in _candump_blocks(path, notes, chunk_bytes, compiled):
+            yield block if wanted is None else block.take(np.flatnonzero(wanted(block.can_id)))
         return
     messages = read_log(path, notes)
     while batch := list(islice(messages, _MESSAGES_PER_BLOCK)):

@@ -10,7 +10,7 @@ that were packed, to the last bit and in their order.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -45,6 +45,7 @@ _PER_S = {_MICROS: 1e6, _NANOS: 1e9}
 _LARGEST_EXACT = 2.0**53
 _DATA_BITS = 64
 _NAMES = ("block", "channel", "can_id", "length", "frames", "column", "start", "bits", "coding", "width", "size", "data")
+_CAN_ID, _FRAMES, _COLUMN = (_NAMES.index(name) for name in ("can_id", "frames", "column"))
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,10 @@ class Packed:
 
     frames: int
     size_bytes: int
+
+
+Wanted = Callable[[NDArray[np.uint32]], NDArray[np.bool_]]
+"""Says of identifiers with flags, shape (n,), which of them somebody takes."""
 
 
 def pack(blocks: Iterable[FrameBlock], path: Path, layouts: Mapping[str, MessageLayout]) -> Packed:
@@ -164,12 +169,18 @@ class Writer:
         self.close()
 
 
-def read_blocks(path: Path | str) -> Iterator[FrameBlock]:
+def read_blocks(
+    path: Path | str, wanted: Wanted | None = None, counted: Callable[[int, int], None] | None = None
+) -> Iterator[FrameBlock]:
     """The frames of a packed file, a block at a time.
 
     Parameters
     ----------
     path : Path or str
+    wanted : callable, optional
+        Of identifiers with flags, shape (n,): which of them are read; by default all.
+    counted : callable, optional
+        Called with each identifier of a block, with flags, and the number of its frames, read or not.
 
     Yields
     ------
@@ -191,7 +202,14 @@ def read_blocks(path: Path | str) -> Iterator[FrameBlock]:
                 raise InputError(str(path), "a Parquet file without packed CAN frames", _EXPECTED)
             for group in range(source.num_row_groups):
                 columns = source.read_row_group(group).to_pydict()
-                rows = zip(*(columns[name] for name in _NAMES), strict=True)
+                rows = list(zip(*(columns[name] for name in _NAMES), strict=True))
+                if counted is not None:
+                    for row in rows:
+                        if row[_COLUMN] == _TIME:
+                            counted(row[_CAN_ID], row[_FRAMES])
+                if wanted is not None and rows:
+                    taken = wanted(np.array([row[_CAN_ID] for row in rows], np.uint32)).tolist()
+                    rows = [row for row, take in zip(rows, taken, strict=True) if take]
                 compiled = source.num_row_groups >= _WORTH_COMPILING
                 yield _block(rows, all_compressed=version == _ALL_COMPRESSED, compiled=compiled)
     except InputError:

@@ -49,10 +49,18 @@ class FaultBook:
     def __init__(self) -> None:
         self._entries = {code: _Entry() for code in FAULTS}
         self._reported: dict[FaultCode, str] = {}
+        self._stirred: set[FaultCode] = set()
+        """Codes that are shown, or whose verdict has begun to differ from what is shown."""
 
     def observe(self, code: FaultCode, present: bool, time_s: float, detail: str = "") -> FaultEvent | None:
         """One window's verdict on a condition; returns the change once the verdict has lasted as long as the table says."""
-        definition, entry = FAULTS[code], self._entries[code]
+        entry = self._entries[code]
+        event = self._observe(code, entry, present, time_s, detail)
+        (self._stirred.add if entry.active or entry.streak else self._stirred.discard)(code)
+        return event
+
+    def _observe(self, code: FaultCode, entry: _Entry, present: bool, time_s: float, detail: str) -> FaultEvent | None:
+        definition = FAULTS[code]
         if not present and code in self._reported:
             present, detail = True, self._reported[code]
         if present and detail:
@@ -74,12 +82,9 @@ class FaultBook:
 
         Returns what was withdrawn, then what was shown, each by name.
         """
-        events = []
-        for code, entry in self._entries.items():
-            if code in present:
-                events.append(self.observe(code, True, time_s, present[code]))
-            elif entry.active or entry.streak or code in self._reported:
-                events.append(self.observe(code, False, time_s))
+        events = [self.observe(code, True, time_s, detail) for code, detail in present.items()]
+        gone = (self._stirred | self._reported.keys()) - present.keys()
+        events += [self.observe(code, False, time_s) for code in gone]
         changed = [event for event in events if event is not None]
         return tuple(sorted(changed, key=lambda event: (event.active, event.code.value)))
 
@@ -97,7 +102,7 @@ class FaultBook:
     @property
     def active(self) -> tuple[FaultCode, ...]:
         """Faults shown, in the table's order."""
-        return tuple(code for code, entry in self._entries.items() if entry.active)
+        return tuple(code for code, entry in self._entries.items() if entry.active) if self._stirred else ()
 
     def detail(self, code: FaultCode) -> str:
         """What was said when the condition was last seen."""

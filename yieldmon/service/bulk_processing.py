@@ -20,11 +20,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.bus.bulk import USABLE, FrameBlock, SignalColumn, decode_block
-from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG
+from yieldmon.bus.bulk import USABLE, FrameBlock, SignalColumn, concatenate, decode_block
+from yieldmon.bus.candump import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from yieldmon.bus.codec import Codec
 from yieldmon.bus.loading import iter_blocks
 from yieldmon.bus.logs import LogNotes
+from yieldmon.bus.packed import Wanted
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import Result
 from yieldmon.engine.runs import FrameRun, SampleRun, SignalRun, in_millivolts, sample_columns
@@ -112,11 +113,41 @@ class Taking:
 def stretches_of(paths: Iterable[str], taking: Taking) -> Iterator[Stretch | EndOfLog]:
     """The logs, one after the other, decoded. Raises InputError for a log that cannot be read."""
     decoder, side = MapDecoder(taking.signals), SideInputs()
+    wanted = _wanted(taking, decoder, side)
     for path in paths:
-        notes = LogNotes()
-        for block in iter_blocks(path, notes):
-            yield _stretch(*_decoded(taking, decoder, side, block), block, taking.signals.sources)
+        notes, frames = LogNotes(), 0
+        for block in _joined(iter_blocks(path, notes, wanted=wanted)):
+            yield _stretch(*_decoded(taking, decoder, side, block), block, notes.frames - frames, taking.signals.sources)
+            frames = notes.frames
         yield EndOfLog(path, [str(damage) for damage in notes.damages])
+
+
+def _joined(blocks: Iterator[FrameBlock]) -> Iterator[FrameBlock]:
+    """The same frames in fewer blocks, of not much more than _RUN_FRAMES: what a run costs, whatever is in it, is shared."""
+    waiting: list[FrameBlock] = []
+    for block in blocks:
+        if waiting and sum(map(len, waiting)) + len(block) > _RUN_FRAMES:
+            yield concatenate(waiting)
+            waiting = []
+        waiting.append(block)
+    if waiting:
+        yield concatenate(waiting)
+
+
+def _wanted(taking: Taking, decoder: MapDecoder, side: SideInputs) -> Wanted:
+    """Identifiers of frames that codec, decoder or side inputs look at."""
+    own = taking.signals.own_messages if taking.signals.groups else None
+    layouts = [layout for layout in taking.codec.layouts.values() if own is None or layout.name in own]
+    ranges = [(layout.identity | EXTENDED_FLAG, layout.identity_mask | EXTENDED_FLAG) for layout in layouts]
+    ranges += [(match.identity, match.mask) for match in decoder.matches]
+
+    def wanted(identifiers: NDArray[np.uint32]) -> NDArray[np.bool_]:
+        taken = side.concerns(identifiers)
+        for identity, mask in ranges:
+            taken |= (identifiers & np.uint32(mask)) == np.uint32(identity)
+        return taken
+
+    return wanted
 
 
 @dataclass(frozen=True)
@@ -147,7 +178,8 @@ def _decoded(taking: Taking, decoder: MapDecoder, side: SideInputs, block: Frame
     return found, refused
 
 
-def _stretch(found: dict[str, _Columns], refused: int, block: FrameBlock, sources: Sources) -> Stretch:
+def _stretch(found: dict[str, _Columns], refused: int, block: FrameBlock, frames: int, sources: Sources) -> Stretch:
+    """frames: in the log, of which the block holds those that somebody may want."""
     inputs = {name: found[name] for name in sources.messages if name in found}
     taken = np.zeros(len(block), bool)
     for columns in inputs.values():
@@ -155,7 +187,7 @@ def _stretch(found: dict[str, _Columns], refused: int, block: FrameBlock, source
     rows = np.flatnonzero(taken)
     times = block.time_s[rows]
     runs = [_run(inputs, rows[part], times[part], sources) for part in _parts(times)]
-    return Stretch(len(block), len(rows), refused, runs)
+    return Stretch(frames, len(rows), refused, runs)
 
 
 def _parts(times: NDArray[np.float64]) -> Iterator[slice]:

@@ -119,11 +119,15 @@ class SideInputs:
         kept = {name: c for name, c in decoded.messages.items() if name not in parts}
         return DecodedBlock(kept | found, decoded.wrong_length)
 
+    def concerns(self, identifiers: NDArray[np.uint32]) -> NDArray[np.bool_]:
+        """Whether frames of these identifiers, with flags (n,), may concern this."""
+        flags = np.uint32(EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG)
+        found: NDArray[np.bool_] = self._concerned[identifiers >> np.uint32(8) & np.uint32(_MOST_GROUPS - 1)]
+        return found & ((identifiers & flags) == np.uint32(EXTENDED_FLAG))
+
     def _rows(self, block: FrameBlock) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Rows that concern this: those of other groups than the DBC's, and those of the DBC's."""
-        flags = np.uint32(EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG)
-        concerned = self._concerned[block.can_id >> np.uint32(8) & np.uint32(_MOST_GROUPS - 1)]
-        rows = np.flatnonzero(concerned & ((block.can_id & flags) == np.uint32(EXTENDED_FLAG)))
+        rows = np.flatnonzero(self.concerns(block.can_id))
         identifiers = block.can_id[rows]
         groups = identifiers >> np.uint32(8) & np.uint32(_MOST_GROUPS - 1)
         native = np.isin(groups, np.array(_IN_THE_DBC, np.uint32))
