@@ -149,8 +149,8 @@ class StatusFault(TypedDict):
 
 
 class StatusBus(TypedDict):
-    """Counts since the start. dropped: never reached the engine; kernel_drops: nor the receiver. late, refused: not sent.
-    time_stamps: who stamped the frames."""
+    """Counts since the start. dropped: never reached the engine; kernel_drops: nor the receiver. incomplete: messages of several
+    frames that lacked one. late, refused: not sent. time_stamps: who stamped the frames."""
 
     interface: str
     channel: str
@@ -164,6 +164,7 @@ class StatusBus(TypedDict):
     interface_losses: int
     failures: int
     malformed: int
+    incomplete: int
     sent: int
     late: int
     refused: int
@@ -292,6 +293,7 @@ class ProcessSummary(Harvested):
     frames: int
     frames_of_ours: int
     frames_malformed: int
+    messages_incomplete: int
     windows: int
     total_mass_kg: float
     dry_mass_kg: Number

@@ -332,4 +332,71 @@ signals:
     Proprietary,
 )
 
+
+
+@dataclass
+class Long(Packer):
+    """28 samples of 1 kHz in a CAN FD frame; the speed in broadcasts of the transport protocol, which another node sends as well;
+    the angle in fast packets."""
+
+    counter: int = 0
+    packets: int = 0
+    pending: list[float] = field(default_factory=list)
+
+    def samples(self, at_s: float, values_mv: Sequence[float]) -> Iterator[can.Message]:
+        self.pending += values_mv
+        if len(self.pending) == 28:
+            data = struct.pack("<30H", self.counter, 0, *(round(10.0 * value) for value in self.pending)).ljust(64, b"\0")
+            found = message(at_s, 0x18FFA055, data, True)
+            found.is_fd, found.dlc = True, 64
+            yield found
+            self.counter, self.pending = self.counter + 1 & 0xFFFF, []
+
+    def speed(self, at_s: float, rpm: float) -> Iterator[can.Message]:
+        for source, value in ((0x55, rpm), (0x56, 0.0)):
+            data = bytes(12) + struct.pack(">H", round(10.0 * value)) + b"\xff" * 6
+            yield message(at_s - 0.030, 0x1CECFF00 | source, bytes([32, 20, 0, 3, 255, 0x02, 0xFF, 0]), True)
+            for part in range(3):
+                packet = bytes([part + 1]) + data[7 * part : 7 * part + 7].ljust(7, b"\xff")
+                yield message(at_s - 0.010 * (2 - part), 0x1CEBFF00 | source, packet, True)
+
+    def angle(self, at_s: float, angle_deg: float) -> Iterator[can.Message]:
+        data = bytes(9) + struct.pack("<h", round(100.0 * (angle_deg - 90.0))) + b"\0"
+        lead, self.packets = (self.packets & 7) << 5, self.packets + 1
+        yield message(at_s - 0.001, 0x19FBD057, bytes([lead, 12]) + data[:6], True)
+        yield message(at_s, 0x19FBD057, bytes([lead | 1]) + data[6:].ljust(7, b"\xff"), True)
+
+
+_SAMPLES = "\n".join(f' SG_ S{k} : {32 + 16 * k}|16@1+ (0.1,0) [0|6425.5] "mV" Node' for k in range(28))
+LONG = Layout(
+    "long",
+    f"""VERSION ""
+NS_ :
+BS_:
+BU_: Node
+BO_ 2566889557 Samples: 64 Node
+ SG_ Count : 0|16@1+ (1,0) [0|65535] "" Node
+{_SAMPLES}
+BO_ 2566849278 Machine: 20 Node
+ SG_ Shaft : 103|16@0+ (0.1,0) [0|6553.5] "rpm" Node
+BO_ 2583417086 Plate: 12 Node
+ SG_ Tilt : 72|16@1- (0.01,90) [-100|200] "deg" Node
+""",
+    f"""\
+sweep: {{enabled: false}}
+signals:
+  impact_voltage:
+    dbc: long.dbc
+    message: Samples
+    signals: [{", ".join(f"S{k}" for k in range(28))}]
+    rate_hz: 1000
+    counter: Count
+  elevator_speed: {{dbc: long.dbc, message: Machine, signal: Shaft, source: 0x55}}
+  plate_angle: {{dbc: long.dbc, message: Plate, signal: Tilt}}
+  actuator_state: null
+""",
+    Long,
+)
+"""CAN FD, which not every interface has."""
+
 LAYOUTS = (COUNTS, NEWTONS, MULTIPLEXED, BLOCKS, PROPRIETARY)

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.signals.layouts import LAYOUTS
+from tests.signals.layouts import LAYOUTS, LONG
 from yieldmon.bus.databases import load_messages
 from yieldmon.signals.extraction import Extraction
 from yieldmon.signals.pulses import PulseSpeed
@@ -48,7 +48,7 @@ def test_any_signal_decodes_as_cantools_decodes_it(made: tuple[str, int], tmp_pa
     assert ours.values(column, column.byteswap())[0] == value
 
 
-@pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: layout.name)
+@pytest.mark.parametrize("layout", [*LAYOUTS, LONG], ids=lambda layout: layout.name)
 def test_the_tests_own_databases_are_those_of_cantools(layout, tmp_path: Path) -> None:
     layout.write(tmp_path)
     ours = load_messages(tmp_path / f"{layout.name}.dbc")

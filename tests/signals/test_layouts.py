@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.service.bench import running
-from tests.signals.layouts import COUNTS, LAYOUTS, Layout
+from tests.signals.layouts import COUNTS, LAYOUTS, LONG, Layout
 from yieldmon.bus.codec import Codec
 from yieldmon.engine.faults import FaultCode
 from yieldmon.frames import EstimateQuality, Frame
@@ -75,7 +75,7 @@ def measured(how: Callable[..., Any], log: Path, config: Path) -> tuple[list[Sec
     return rows, monitor
 
 
-@pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: layout.name)
+@pytest.mark.parametrize("layout", [*LAYOUTS, LONG], ids=lambda layout: layout.name)
 def test_a_foreign_bus_is_measured_by_configuration_alone(
     layout: Layout, frames: list[Frame], native: tuple[list[SecondRow], float], tmp_path: Path
 ) -> None:
@@ -96,7 +96,7 @@ def test_a_foreign_bus_is_measured_by_configuration_alone(
     assert repr(other.snapshot()) == repr(monitor.snapshot())
 
 
-@pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: layout.name)
+@pytest.mark.parametrize("layout", [*LAYOUTS, LONG], ids=lambda layout: layout.name)
 def test_the_daemon_measures_it_too(layout: Layout, frames: list[Frame], tmp_path: Path) -> None:
     layout.write(tmp_path)
     until_s = 34.0

@@ -48,10 +48,13 @@ CASES = {
     "a constant that cannot be": ("elevator_speed: {value: -4}", "elevator_speed.value", "-4", "rpm"),
     "volts and newtons": (f"{IMPACT}\n  impact_force: {{dbc: counts.dbc, message: Linear, signal: Tilt, unit: N, rate_hz: 10}}",
                           "signals", "impact_voltage and impact_force", "one of the two"),
-    "multi-packet": (
-        "moisture: {dbc: counts.dbc, message: Long, signal: Water}",
-        "moisture.message", "24 bytes, which come in several frames", "8 bytes",
+    "longer than any transport": (
+        "moisture: {dbc: counts.dbc, message: Long, signal: Water}", "moisture.message", "1800 bytes", "at most 1785 bytes",
     ),
+    "longer than CAN FD": (
+        "moisture: {dbc: counts.dbc, message: Short, signal: Water}", "moisture.message", "80 bytes", "at most 64 bytes",
+    ),
+    "a text": ("moisture: {dbc: counts.dbc, message: Text, signal: Maker}", "moisture.signal", "80 bits", "within eight bytes"),
     "nothing to measure": ("impact_voltage: null", "impact_voltage", "null", "a signal"),
 }  # fmt: skip
 
@@ -68,7 +71,9 @@ def test_one_line_names_the_key(name: str, tmp_path: Path, capsys: pytest.Captur
     text, *wanted = CASES[name]
     COUNTS.write(tmp_path)
     with (tmp_path / "counts.dbc").open("a") as file:
-        file.write('BO_ 2566849534 Long: 24 Analog\n SG_ Water : 160|16@1+ (0.01,0) [0|100] "%" Analog\n')
+        for head in ("2566849534 Long: 1800", "900 Short: 80"):
+            file.write(f'BO_ {head} Analog\n SG_ Water : 160|16@1+ (0.01,0) [0|100] "%" Analog\n')
+        file.write('BO_ 2566849790 Text: 20 Analog\n SG_ Maker : 0|80@1+ (1,0) [0|0] "%" Analog\n')
     MULTIPLEXED.write(tmp_path)
     path = tmp_path / "c.yaml"
     path.write_text(f"signals:\n  {text}\n")

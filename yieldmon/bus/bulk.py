@@ -7,7 +7,8 @@ one little-endian 64-bit number.
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import accumulate
 
 import can
 import numpy as np
@@ -34,7 +35,8 @@ class FrameBlock:
 
     time_s: float64, seconds, the recorder's epoch. can_id: uint32 with flags. length: uint8, bytes of data (of a remote
     frame: the length asked for). payload: uint64, the first 8 bytes of data, first byte lowest, absent bytes 0 (beyond
-    8 bytes a CAN FD frame's data are not kept: no frame of ours is longer). channel: int32 index into `channels`.
+    8 bytes those of a CAN FD frame are in `long`). channel: int32 index into `channels`. long: row -> all data, of frames that
+    have more than 8 bytes.
     """
 
     time_s: NDArray[np.float64]
@@ -43,6 +45,7 @@ class FrameBlock:
     payload: NDArray[np.uint64]
     channel: NDArray[np.int32]
     channels: tuple[str, ...]
+    long: Mapping[int, bytes] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -56,7 +59,15 @@ class FrameBlock:
             self.payload[rows],
             self.channel[rows],
             self.channels,
+            self.long_of(rows) if self.long else {},
         )
+
+    def long_of(self, rows: NDArray[np.intp] | slice) -> dict[int, bytes]:
+        """`long` of a block of these rows."""
+        if not self.long:
+            return {}
+        places = np.arange(len(self))[rows].tolist()
+        return {place: self.long[row] for place, row in enumerate(places) if row in self.long}
 
 
 @dataclass(frozen=True)
@@ -126,7 +137,7 @@ def frames_of(columns: MessageColumns) -> list[Frame]:
 
 def block_of(messages: Iterable[can.Message]) -> FrameBlock:
     """The same frames as a block."""
-    channels: dict[str, int] = {}
+    messages, channels = list(messages), dict[str, int]()
     rows = [
         (
             message.timestamp,
@@ -145,6 +156,7 @@ def block_of(messages: Iterable[can.Message]) -> FrameBlock:
         np.array(payload, np.uint64),
         np.array(channel, np.int32),
         tuple(channels),
+        {row: bytes(message.data) for row, message in enumerate(messages) if len(message.data) > _PAYLOAD_BYTES},
     )
 
 
@@ -154,14 +166,14 @@ def messages_of(block: FrameBlock) -> Iterator[can.Message]:
     Parameters
     ----------
     block : FrameBlock
-        Frames of at most 8 bytes.
 
     Yields
     ------
     can.Message
     """
     columns = (block.time_s, block.can_id, block.length, block.payload, block.channel)
-    for time_s, flagged, length, payload, channel in zip(*(column.tolist() for column in columns), strict=True):
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    for row, (time_s, flagged, length, payload, channel) in enumerate(rows):
         remote, error = bool(flagged & REMOTE_FLAG), bool(flagged & ERROR_FLAG)
         yield can.Message(
             timestamp=time_s,
@@ -169,8 +181,9 @@ def messages_of(block: FrameBlock) -> Iterator[can.Message]:
             is_extended_id=bool(flagged & EXTENDED_FLAG),
             is_remote_frame=remote,
             is_error_frame=error,
+            is_fd=row in block.long,
             dlc=length,
-            data=None if remote else payload.to_bytes(_PAYLOAD_BYTES, "little")[:length],
+            data=None if remote else block.long.get(row, payload.to_bytes(_PAYLOAD_BYTES, "little")[:length]),
             channel=block.channels[channel] or None,
         )
 
@@ -180,6 +193,8 @@ def concatenate(blocks: Sequence[FrameBlock]) -> FrameBlock:
     names = tuple(dict.fromkeys(name for block in blocks for name in block.channels))
     place = {name: index for index, name in enumerate(names)}
     channel = [np.array([place[name] for name in block.channels], np.int32)[block.channel] for block in blocks if len(block)]
+    starts = accumulate((len(block) for block in blocks), initial=0)
+    long = {start + row: data for start, block in zip(starts, blocks, strict=False) for row, data in block.long.items()}
     return FrameBlock(
         np.concatenate([np.empty(0), *(block.time_s for block in blocks)]),
         np.concatenate([np.empty(0, np.uint32), *(block.can_id for block in blocks)]),
@@ -187,6 +202,7 @@ def concatenate(blocks: Sequence[FrameBlock]) -> FrameBlock:
         np.concatenate([np.empty(0, np.uint64), *(block.payload for block in blocks)]),
         np.concatenate([np.empty(0, np.int32), *channel]),
         names,
+        long,
     )
 
 

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from cantools.database.can import Signal as DbcSignal
 
 
-_MOST_BYTES = 8
+CLASSIC_BYTES = 8
+"""Most in a frame that is not one of CAN FD."""
 NULL_ADDRESS = 0xFE
 
 
@@ -24,10 +25,10 @@ NULL_ADDRESS = 0xFE
 class SignalBits:
     """A signal of a message.
 
-    little: least significant byte first; shift: of its lowest bit in the first eight bytes, read as one number in that order.
-    kind: "int", "uint" or "float". Physical value = raw * scale + offset. raw_max: largest raw value that is a measurement
-    (J1939 signals; None elsewhere). mux: value of the message's multiplexer in frames that hold it, None: all do. choices: name
-    of a raw value -> the value.
+    little: least significant byte first; byte: the first of the eight bytes that hold it, 0 in a message of no more; shift: of
+    its lowest bit in these, read as one number in that order. kind: "int", "uint" or "float". Physical value = raw * scale +
+    offset. raw_max: largest raw value that is a measurement (J1939 signals; None elsewhere). mux_by, mux: multiplexer, and its
+    values in frames that hold the signal; None and empty: all do. choices: name of a raw value -> the value.
     """
 
     name: str
@@ -40,13 +41,26 @@ class SignalBits:
     unit: str
     raw_max: int | None
     raw_not_available: int | None
-    mux: int | None
+    mux_by: str | None
+    mux: tuple[int, ...]
     choices: Mapping[str, int]
+    byte: int = 0
+
+    @property
+    def readable(self) -> bool:
+        """Whether eight successive bytes hold it whole."""
+        return self.shift >= 0 and self.shift + self.bits <= 8 * CLASSIC_BYTES
+
+    @property
+    def end(self) -> int:
+        """Bytes that a message must have to hold it."""
+        return self.byte + ((self.shift + self.bits + 7) // 8 if self.little else CLASSIC_BYTES - self.shift // 8)
 
 
 @dataclass(frozen=True, slots=True)
 class MessageBits:
-    """A message. multiplexer: the signal whose value says what a frame holds, None for none. j1939: as the DBC calls it."""
+    """A message. multiplexer: the signal whose value says what a frame holds, None for none; below it may be others. j1939: as
+    the DBC calls it."""
 
     name: str
     frame_id: int
@@ -55,6 +69,20 @@ class MessageBits:
     multiplexer: str | None
     signals: Mapping[str, SignalBits]
     j1939: bool = False
+
+    @property
+    def is_long(self) -> bool:
+        """Whether it does not fit a classic frame: it comes in several, or in one of CAN FD."""
+        return self.length > CLASSIC_BYTES
+
+    def pages(self, signal: SignalBits) -> list[tuple[SignalBits, tuple[int, ...]]]:
+        """Multiplexers above a signal, the nearest first, and their values in frames that hold it."""
+        found: list[tuple[SignalBits, tuple[int, ...]]] = []
+        while signal.mux_by is not None and len(found) < len(self.signals):
+            above = self.signals[signal.mux_by]
+            found.append((above, signal.mux))
+            signal = above
+        return found
 
     @property
     def group(self) -> int:
@@ -123,7 +151,7 @@ def _check_numbers(signal: DbcSignal, where: str) -> None:
 def _message(message: DbcMessage) -> MessageBits:
     j1939 = message.protocol == "j1939" or _is_j1939(message)
     multiplexer = next((signal.name for signal in message.signals if signal.is_multiplexer and not signal.multiplexer_ids), None)
-    signals = {signal.name: _signal(signal, j1939) for signal in message.signals}
+    signals = {signal.name: _signal(signal, j1939, message.length) for signal in message.signals}
     return MessageBits(message.name, message.frame_id, message.is_extended_frame, message.length, multiplexer, signals, j1939)
 
 
@@ -132,10 +160,12 @@ def _is_j1939(message: DbcMessage) -> bool:
     return "VFrameFormat" in attributes and attributes["VFrameFormat"].value in (3, "J1939PG")
 
 
-def _signal(signal: DbcSignal, j1939: bool) -> SignalBits:
+def _signal(signal: DbcSignal, j1939: bool, length: int) -> SignalBits:
     little = signal.byte_order == "little_endian"
+    byte = signal.start // 8 if length > CLASSIC_BYTES else 0
+    start = signal.start - 8 * byte
     # Big-endian: the start is that of the highest bit, counted 7..0 within each byte.
-    shift = signal.start if little else 8 * _MOST_BYTES - (signal.start // 8 * 8 + 7 - signal.start % 8) - signal.length
+    shift = start if little else 8 * CLASSIC_BYTES - (start // 8 * 8 + 7 - start % 8) - signal.length
     kind = "float" if signal.is_float else "int" if signal.is_signed else "uint"
     bits = signal.length
     # Half a step below the highest raw value: as DBC files have it, rounded to a few decimals.
@@ -152,6 +182,8 @@ def _signal(signal: DbcSignal, j1939: bool) -> SignalBits:
         unit=signal.unit or "",
         raw_max=largest_valid_raw(bits) if reserved else None,
         raw_not_available=smallest_not_available_raw(bits) if reserved else None,
-        mux=signal.multiplexer_ids[0] if signal.multiplexer_ids else None,
+        mux_by=signal.multiplexer_signal if signal.multiplexer_ids else None,
+        mux=tuple(signal.multiplexer_ids or ()),
         choices={str(name): int(raw) for raw, name in (signal.choices or {}).items()},
+        byte=byte,
     )

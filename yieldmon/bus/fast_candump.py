@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from types import ModuleType
 
@@ -32,6 +32,7 @@ _COMMON = re.compile(
 _SHAPES_TRIED = 8
 
 _INVALID = 0xFF
+_CLASSIC_BYTES = 8
 
 #: Loading the compiled pass takes about a second: smaller chunks are done before.
 _COMPILED_FROM_BYTES = 2 * 1024 * 1024
@@ -62,6 +63,7 @@ class ParsedLines:
     length: NDArray[np.uint8]
     payload: NDArray[np.uint64]
     channel: NDArray[np.int32]
+    long: dict[int, bytes] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -147,8 +149,15 @@ def parse_lines(
             _fill_slowly(parsed, index, message, channels)
     if kept.all():
         return parsed
+    places = np.cumsum(kept) - 1
     return ParsedLines(
-        lines, parsed.time_s[kept], parsed.can_id[kept], parsed.length[kept], parsed.payload[kept], parsed.channel[kept]
+        lines,
+        parsed.time_s[kept],
+        parsed.can_id[kept],
+        parsed.length[kept],
+        parsed.payload[kept],
+        parsed.channel[kept],
+        {int(places[row]): data for row, data in parsed.long.items()},
     )
 
 
@@ -254,6 +263,8 @@ def _fill_slowly(parsed: ParsedLines, row: int, message: can.Message, channels: 
     parsed.length[row] = message.dlc if message.is_remote_frame else len(message.data)
     parsed.payload[row] = int.from_bytes(message.data[:8], "little")
     parsed.channel[row] = _channel_index(channel_name(message), channels)
+    if len(message.data) > _CLASSIC_BYTES:
+        parsed.long[row] = bytes(message.data)
 
 
 def _channel_index(name: str, channels: list[str]) -> int:

@@ -95,7 +95,8 @@ def _candump_blocks(path: Path, notes: LogNotes, chunk_bytes: int, compiled: boo
             for chunk in _whole_lines(stream, path, chunk_bytes):
                 parsed = _parse(chunk, path, notes, channels, line, compiled)
                 line += parsed.lines
-                yield FrameBlock(parsed.time_s, parsed.can_id, parsed.length, parsed.payload, parsed.channel, tuple(channels))
+                columns = (parsed.time_s, parsed.can_id, parsed.length, parsed.payload, parsed.channel)
+                yield FrameBlock(*columns, tuple(channels), parsed.long)
             early_end = early_end_of(stream)
     except OSError as error:
         raise InputError(str(path), error.strerror or str(error), "a readable CAN log") from error

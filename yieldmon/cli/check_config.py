@@ -78,7 +78,9 @@ def _held_against(
     problems = plausible.implausible(loaded)
     if log is None:
         return None, notes, [InputError(*problem) for problem in problems]
-    found = mapping_check.seen_in(loaded, log)
+    found, incomplete = mapping_check.seen_in(loaded, log)
+    if incomplete:
+        notes.append(f"{incomplete} messages of several frames lack one and are not used")
     problems += mapping_check.problems(loaded, found, log)
     return mapping_check.as_json(found), notes, [InputError(*problem) for problem in problems]
 

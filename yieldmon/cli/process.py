@@ -275,6 +275,8 @@ def _line(document: ProcessSummary, units: Units) -> str:
     if document["area_m2"] is not None:
         line += f" on {units.area(document['area_m2'])}, {units.crop_yield(document['yield_kg_m2'])}"
     line += f", {document['frames_malformed']} malformed frames" if document["frames_malformed"] else ""
+    incomplete = document["messages_incomplete"]
+    line += f", {incomplete} messages that lack a frame" if incomplete else ""
     lines = [line, *(f"damaged: {damage}" for damage in document["damages"])]
     if document["faults"]:
         lines.append("faults: " + ", ".join(f"{code} {count} x" for code, count in document["faults"].items()))

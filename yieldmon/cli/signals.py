@@ -59,9 +59,12 @@ def run(args: argparse.Namespace) -> int:
     survey = Survey({name: load_messages(path) for name, path in paths.items()})
     for block in _log_blocks(args.log) if args.log else _bus_blocks(args):
         rows = np.flatnonzero((block.can_id & np.uint32(REMOTE_FLAG | ERROR_FLAG)) == 0)
-        survey.add(block.time_s[rows], block.can_id[rows], block.length[rows], block.payload[rows])
+        columns = (block.time_s[rows], block.can_id[rows], block.length[rows], block.payload[rows])
+        survey.add(*columns, block.long_of(rows))
     if not survey.frames:
         raise InputError(args.log or "the bus", "no data frame", "a bus or log with traffic")
+    if survey.incomplete:
+        print(f"yieldmon: {survey.incomplete} messages of several frames lack one and are not used", file=sys.stderr)
     if args.write is not None:
         with scratch_for(args.write) as scratch:
             scratch.write_text(mapping_text(survey, _as_written(paths, Path(args.write))), encoding="utf-8")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 
 from .assembly import MAX_BYTES, Assembly, parts_in
@@ -61,15 +62,24 @@ class TransportReceiver:
 
     One session for each pair of sender and destination; a new one replaces it, as the sender has begun anew. At most
     `max_sessions` are open: beyond them a connection to us is refused and others are passed over.
+
+    Parameters
+    ----------
+    max_sessions : int
+    groups : set of int, optional
+        Parameter groups that are wanted; sessions of others are passed over. None: all are.
     """
 
-    def __init__(self, max_sessions: int = MAX_SESSIONS) -> None:
+    def __init__(self, max_sessions: int = MAX_SESSIONS, groups: AbstractSet[int] | None = None) -> None:
         self._max_sessions = max_sessions
+        self._groups = groups
         self._sessions: dict[tuple[int, int], _Session] = {}
         self.refused = 0
         """Sessions for which there was no space."""
         self.abandoned = 0
         """Sessions that were begun and not ended in time."""
+        self.aborted = 0
+        """Sessions that sender or receiver ended early."""
 
     def __len__(self) -> int:
         return len(self._sessions)
@@ -109,8 +119,8 @@ class TransportReceiver:
         key = (parts.source, parts.destination)
         if kind == ABORT:
             # Either side may end a session.
-            self._sessions.pop(key, None)
-            self._sessions.pop((parts.destination, parts.source), None)
+            for ended in (key, (parts.destination, parts.source)):
+                self.aborted += self._sessions.pop(ended, None) is not None
         elif kind in (RTS, BROADCAST) and (kind == BROADCAST) == (parts.destination == GLOBAL_ADDRESS):
             return self._open(parts, data, group, now_s, our_address)
         return _NOTHING
@@ -120,6 +130,8 @@ class TransportReceiver:
         to_us = our_address is not None and parts.destination == our_address
         size, count = int.from_bytes(data[1:3], "little"), data[3]
         self.abandoned += self._sessions.pop(key, None) is not None
+        if self._groups is not None and group not in self._groups:
+            return _NOTHING
         refusal = None
         if not 8 < size <= MAX_BYTES or count != parts_in(size):
             refusal = NO_RESOURCES
@@ -145,6 +157,11 @@ class TransportReceiver:
         expected = session.assembly.first_missing
         if session.to_us and number != expected:
             return self._out_of_order(key, session, number, expected or 0)
+        if parts.destination == GLOBAL_ADDRESS and number != expected:
+            # A broadcast is never repeated in part: what follows a lost part may be of the next one.
+            del self._sessions[key]
+            self.abandoned += 1
+            return _NOTHING
         session.assembly.put(number, data[1:])
         session.due_s = now_s + T1_S
         session.asked_again = False

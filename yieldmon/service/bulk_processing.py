@@ -12,7 +12,7 @@ import multiprocessing
 import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -49,12 +49,14 @@ _COLLECTED_TOGETHER = 50_000
 @dataclass(frozen=True)
 class Stretch:
     """Some frames of a log, ready for the engine. frames: all of the log in this stretch, ours: those among them that
-    the engine takes, malformed: those of ours with a wrong length. runs: for Monitor.feed_run()."""
+    the engine takes, malformed: those of ours with a wrong length, incomplete: messages given up that lack a frame. runs: for
+    Monitor.feed_run()."""
 
     frames: int
     ours: int
     malformed: int
     runs: list[FrameRun] = field(default_factory=list)
+    incomplete: int = 0
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,7 @@ def process_in_bulk(
                 summary.frames += stretch.frames
                 summary.ours += stretch.ours
                 summary.malformed += stretch.malformed
+                summary.incomplete += stretch.incomplete
                 for run in stretch.runs:
                     summary.samples += sum(part.places.size for part in run.samples)
                     hand_over(monitor.feed_run(run, reports=False), take_row, summary, take_results)
@@ -117,9 +120,13 @@ def stretches_of(paths: Iterable[str], taking: Taking) -> Iterator[Stretch | End
     for path in paths:
         notes, frames = LogNotes(), 0
         for block in _joined(iter_blocks(path, notes, wanted=wanted)):
-            yield _stretch(*_decoded(taking, decoder, side, block), block, notes.frames - frames, taking.signals.sources)
+            before = decoder.incomplete
+            found = _stretch(*_decoded(taking, decoder, side, block), block, notes.frames - frames, taking.signals.sources)
+            yield replace(found, incomplete=decoder.incomplete - before)
             frames = notes.frames
         yield EndOfLog(path, [str(damage) for damage in notes.damages])
+    if decoder.under_way:
+        yield Stretch(0, 0, 0, incomplete=decoder.under_way)
 
 
 def _joined(blocks: Iterator[FrameBlock]) -> Iterator[FrameBlock]:
@@ -171,7 +178,8 @@ def _decoded(taking: Taking, decoder: MapDecoder, side: SideInputs, block: Frame
     refused = len(own.wrong_length)
     if taking.signals.groups:
         data = np.flatnonzero((block.can_id & np.uint32(REMOTE_FLAG | ERROR_FLAG)) == 0)
-        groups, wrong = decoder.decode_block(block.time_s[data], block.can_id[data], block.length[data], block.payload[data])
+        columns = (block.time_s[data], block.can_id[data], block.length[data], block.payload[data])
+        groups, wrong = decoder.decode_block(*columns, block.long_of(data))
         refused += len(wrong)
         for group in groups:
             found[group.name] = _Columns(data[group.rows], group.time_s, partial(_part, group.signals), tuple(group.signals))

@@ -310,10 +310,11 @@ class Daemon:
         try:
             heard = self._inputs.heard(message)
         except FrameError as error:
+            # To the network it may still be a frame, the last one of a message that is too short for the mapping.
+            heard = []
             self._malformed += 1
             if self._malformed == 1:
                 _log.warning("%s", error)
-            return
         concerned = self._link.concerns(message)
         published = [frame.message for frame in heard if frame.message in frames.OUTPUTS]
         mapped = self._outputs.name_of(message, self._link.address)
@@ -606,6 +607,7 @@ class Daemon:
             store_note=self._store_note,
             frames_per_s=self._rates.frames_per_s,
             malformed=self._malformed,
+            incomplete=self._inputs.incomplete,
             reload_note=self._reload_note,
             reloads=self._reloads,
             uptime_s=monotonic() - self._started_s,

@@ -7,7 +7,8 @@ import can
 from yieldmon.bus.codec import Codec, FrameError
 from yieldmon.frames import OUTPUTS, Frame
 from yieldmon.service.side_inputs import SideInputs
-from yieldmon.signals.decoding import EXTENDED, MapDecoder
+from yieldmon.signals.decoding import MapDecoder
+from yieldmon.signals.long_messages import EXTENDED
 from yieldmon.signals.mapping import SignalMap
 
 _EXTENDED_IDENTIFIER = 0x1FFFFFFF
@@ -37,6 +38,16 @@ class InputFrames:
         own = self._codec.decode(message) if layout is not None and layout.name in self._own else None
         return found + [frame for frame in self._side.frames(message, own) if frame.message in self._wanted]
 
+    @property
+    def incomplete(self) -> int:
+        """Messages of several frames that were begun and are given up: a part is lost."""
+        return self._decoder.incomplete
+
+    @property
+    def under_way(self) -> int:
+        """Messages of which parts are still to come."""
+        return self._decoder.under_way
+
     def filters(self) -> list[can.typechecking.CanFilter]:
         """python-can filters that let through what the engine takes, and what only a yield monitor sends."""
         own = self._codec.filters(sorted(self._own))
@@ -54,5 +65,5 @@ class InputFrames:
         refused = self._decoder.refused
         found = self._decoder.decode(message.timestamp, message.arbitration_id, message.is_extended_id, bytes(message.data))
         if self._decoder.refused > refused and not found:
-            raise FrameError(f"0x{message.arbitration_id:X}: {len(message.data)} bytes of data, fewer than its DBC says")
+            raise FrameError(f"0x{message.arbitration_id:X}: a message with fewer bytes of data than its DBC says")
         return found

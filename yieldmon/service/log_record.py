@@ -81,6 +81,7 @@ def document(summary: Summary, monitor: Monitor) -> ProcessSummary:
         "frames": summary.frames,
         "frames_of_ours": summary.ours,
         "frames_malformed": summary.malformed,
+        "messages_incomplete": summary.incomplete,
         "windows": summary.windows,
         "total_mass_kg": totals.total_kg,
         "dry_mass_kg": totals.total_dry_kg if totals.total_unknown_moisture_kg == 0.0 else None,

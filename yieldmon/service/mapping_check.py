@@ -109,8 +109,10 @@ def _carried(packing: Packing, unit: str) -> str:
     return f", from {max(packing.low, ends[0]):.6g} to {min(packing.high, ends[1]):.6g} {unit}{silent}"
 
 
-def seen_in(configuration: Configuration, log: Path | str) -> dict[str, QuantitySeen]:
-    """Each quantity in a recording. Raises InputError for a log that cannot be read."""
+def seen_in(configuration: Configuration, log: Path | str) -> tuple[dict[str, QuantitySeen], int]:
+    """Each quantity in a recording, and how many messages of several frames lack one. Raises InputError for a log that cannot be
+    read."""
+    incomplete = 0
     parts: dict[str, list[tuple[Array, Array]]] = {}
     sources = configuration.signals.sources
     from yieldmon.bus.codec import Codec
@@ -118,10 +120,11 @@ def seen_in(configuration: Configuration, log: Path | str) -> dict[str, Quantity
 
     for stretch in stretches_of([str(log)], Taking(Codec(), configuration.signals)):
         if not isinstance(stretch, EndOfLog):
+            incomplete += stretch.incomplete
             for run in stretch.runs:
                 _take(run, configuration, parts)
     expected = [*(_impact_name(k) for k in range(len(sources.impact))), *(source.quantity for source in sources.inputs)]
-    return {name: _summary(name, parts.get(name, [])) for name in dict.fromkeys(expected)}
+    return {name: _summary(name, parts.get(name, [])) for name in dict.fromkeys(expected)}, incomplete
 
 
 def _impact_name(number: int) -> str:

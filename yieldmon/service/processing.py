@@ -19,12 +19,13 @@ from yieldmon.signals.mapping import SignalMap, default_map
 @dataclass
 class Summary:
     """What a pass over logs met. frames: all in the logs; ours: those that the engine was fed; samples: those among them that
-    bring an impact sensor's samples."""
+    bring an impact sensor's samples; incomplete: messages of several frames that lack one."""
 
     frames: int = 0
     ours: int = 0
     samples: int = 0
     malformed: int = 0
+    incomplete: int = 0
     windows: int = 0
     damages: list[str] = field(default_factory=list)
 
@@ -60,6 +61,7 @@ def process_logs(
                 hand_over(monitor.feed(frame), take_row, summary)
         summary.frames += notes.frames
         summary.damages += [str(damage) for damage in notes.damages]
+    summary.incomplete = bus.incomplete + bus.under_way
     refuse_nothing(paths, summary)
     return summary
 
@@ -69,6 +71,7 @@ def refuse_nothing(paths: Sequence[Path | str], summary: Summary) -> None:
     if not summary.ours:
         found = f"none of {summary.frames} frames is one that yieldmon takes in" if summary.frames else "no frame at all"
         wrong = f", {summary.malformed} of wrong length" if summary.malformed else ""
+        wrong += f", {summary.incomplete} messages lack a frame" if summary.incomplete else ""
         raise InputError(", ".join(map(str, paths)), found + wrong, "a log with sensor, speed and plate frames")
     if not summary.samples:
         where = ", ".join(map(str, paths))

@@ -11,13 +11,22 @@ from numpy.typing import NDArray
 from yieldmon.frames import NOT_AVAILABLE, Frame, Value
 from yieldmon.network.addresses import AddressTable
 from yieldmon.network.name import Name, NameMatch
+from yieldmon.signals.long_messages import (
+    EXTENDED,
+    PRIORITY,
+    TRANSPORT,
+    TRANSPORT_MASK,
+    LongMessages,
+    Numbers,
+    Whole,
+    number,
+    numbers,
+)
 from yieldmon.signals.mapping import Group, SignalMap, any_source
 from yieldmon.signals.pulses import PulseSpeed
 
 Array = NDArray[np.float64]
 
-EXTENDED = 1 << 31
-"""Marks a 29-bit identifier in `Match.identity`, as SocketCAN does."""
 _ALL = 0x1FFFFFFF
 _CLAIM, _CLAIM_MASK = 0x00EEFF00, 0x03FFFF00
 _FIRST_BROADCAST_FORMAT = 0xF0
@@ -31,6 +40,11 @@ class Match:
     identity: int
     mask: int
     named: NameMatch | None
+
+    def takes(self, whole: Whole) -> bool:
+        """Whether a long message is the group's, whoever sent it."""
+        mask = self.mask & ~PRIORITY if whole.by_transport else self.mask
+        return whole.identifier & mask == self.identity & mask
 
 
 def match_of(group: Group) -> Match:
@@ -63,10 +77,13 @@ class MapDecoder:
     """Decodes for one engine; holds what pulses and address claims need of the frames before."""
 
     def __init__(self, signal_map: SignalMap) -> None:
-        self._groups = [_GroupDecoder(group) for group in signal_map.groups]
+        decoders = [_GroupDecoder(group) for group in signal_map.groups]
+        self._groups = [decoder for decoder in decoders if not decoder.group.message.is_long]
+        self._of_long = [decoder for decoder in decoders if decoder.group.message.is_long]
+        self._long = LongMessages(decoder.group.message for decoder in self._of_long)
         self._table = AddressTable()
-        self._by_name = any(decoder.match.named is not None for decoder in self._groups)
-        self._of_identifier: dict[int, tuple[_GroupDecoder, ...]] = {}
+        self._by_name = any(decoder.match.named is not None for decoder in decoders)
+        self._of_identifier: dict[int, tuple[tuple[_GroupDecoder, ...], bool]] = {}
         self.refused = 0
         """Frames of a group that were too short."""
 
@@ -74,25 +91,45 @@ class MapDecoder:
     def matches(self) -> tuple[Match, ...]:
         """What is listened to, for filters; with a NAME, address claims too."""
         claims = (Match(_CLAIM | EXTENDED, _CLAIM_MASK | EXTENDED, None),) if self._by_name else ()
-        return (*(decoder.match for decoder in self._groups), *claims)
+        transport = [Match(identity, TRANSPORT_MASK, None) for identity in TRANSPORT] if self._long.by_transport else []
+        return (*(decoder.match for decoder in (*self._groups, *self._of_long)), *transport, *claims)
+
+    @property
+    def incomplete(self) -> int:
+        """Long messages that were begun and are given up: a part is lost."""
+        return self._long.incomplete
+
+    @property
+    def under_way(self) -> int:
+        """Long messages of which parts are still to come."""
+        return self._long.under_way
 
     def decode(self, time_s: float, identifier: int, extended: bool, data: bytes) -> list[Frame]:
         """The frames that one data frame of the bus brings, usually none or one."""
         key = identifier | EXTENDED if extended else identifier
-        decoders = self._of_identifier.get(key)
-        if decoders is None:
+        known = self._of_identifier.get(key)
+        if known is None:
             if len(self._of_identifier) >= _KEPT_IDENTIFIERS:
                 self._of_identifier.clear()
-            decoders = tuple(d for d in self._groups if key & d.match.mask == d.match.identity)
-            self._of_identifier[key] = decoders
+            known = tuple(d for d in self._groups if key & d.match.mask == d.match.identity), self._long.takes(key)
+            self._of_identifier[key] = known
         if self._by_name and key & (_CLAIM_MASK | EXTENDED) == _CLAIM | EXTENDED:
             self._table.hear(identifier, data)
+        decoders, of_long = known
+        found = self._decoded(decoders, time_s, identifier, data) if decoders else []
+        whole = self._long.feed(time_s, key, data) if of_long else None
+        if whole is not None:
+            decoders = tuple(decoder for decoder in self._of_long if decoder.match.takes(whole))
+            found += self._decoded(decoders, time_s, whole.identifier, whole.data)
+        return found
+
+    def _decoded(self, decoders: Sequence[_GroupDecoder], time_s: float, identifier: int, data: bytes) -> list[Frame]:
         found = []
         for decoder in decoders:
             named = decoder.match.named
             if named is not None and self._table.address_of(named) != identifier & 0xFF:
                 continue
-            if len(data) < decoder.group.message.length:
+            if len(data) < decoder.needed:
                 self.refused += 1
                 continue
             frame = decoder.frame(time_s, data)
@@ -101,11 +138,17 @@ class MapDecoder:
         return found
 
     def decode_block(
-        self, time_s: Array, identifiers: NDArray[np.uint32], lengths: NDArray[np.uint8], payloads: NDArray[np.uint64]
+        self,
+        time_s: Array,
+        identifiers: NDArray[np.uint32],
+        lengths: NDArray[np.uint8],
+        payloads: NDArray[np.uint64],
+        long: Mapping[int, bytes] | None = None,
     ) -> tuple[list[GroupColumns], NDArray[np.intp]]:
         """Each group's frames among data frames of the bus, and the rows that were too short.
 
-        identifiers (n,): with the `EXTENDED` flag. payloads (n,): the first eight bytes, first byte lowest.
+        identifiers (n,): with the `EXTENDED` flag. payloads (n,): the first eight bytes, first byte lowest. long: row -> all data
+        of frames that have more.
         """
         claims = self._claims(identifiers, lengths, payloads)
         columns, refused = [], [np.empty(0, np.intp)]
@@ -114,16 +157,45 @@ class MapDecoder:
             rows = np.flatnonzero((identifiers & np.uint32(match.mask)) == np.uint32(match.identity))
             if match.named is not None:
                 rows = self._from(match.named, rows, identifiers, claims)
-            whole = lengths[rows] >= decoder.group.message.length
+            whole = lengths[rows] >= decoder.needed
             refused.append(rows[~whole])
-            found = decoder.columns(rows[whole], time_s, payloads)
+            rows = rows[whole]
+            found = decoder.columns(rows, time_s, _first_eight(payloads[rows]))
             if found is not None:
                 columns.append(found)
+        if self._of_long:
+            messages = self._long.feed_block(time_s, identifiers, lengths, payloads, long or {})
+            for decoder in self._of_long:
+                columns += self._long_columns(decoder, messages, time_s, identifiers, claims, refused)
         for _, address, name in claims:
             self._table.claimed(address, name)
         wrong = np.unique(np.concatenate(refused))
+        if self._of_long:
+            wrong = np.setdiff1d(wrong, np.concatenate([wrong[:0], *(one.rows for one in columns)]))
         self.refused += int(wrong.size)
         return columns, wrong
+
+    def _long_columns(
+        self,
+        decoder: _GroupDecoder,
+        messages: Sequence[Whole],
+        time_s: Array,
+        identifiers: NDArray[np.uint32],
+        claims: Sequence[tuple[int, int, Name]],
+        refused: list[NDArray[np.intp]],
+    ) -> list[GroupColumns]:
+        """Of a group of long messages; adds the rows of those that were too short to `refused`."""
+        of_row = {message.row: message.data for message in messages if decoder.match.takes(message)}
+        rows = np.array(list(of_row), np.intp)
+        if decoder.match.named is not None:
+            rows = self._from(decoder.match.named, rows, identifiers, claims)
+        whole = np.array([len(of_row[row]) >= decoder.needed for row in rows.tolist()], bool)
+        refused.append(rows[~whole])
+        rows = rows[whole]
+        if not rows.size:
+            return []
+        found = decoder.columns(rows, time_s, numbers([of_row[row] for row in rows.tolist()], decoder.needed))
+        return [] if found is None else [found]
 
     def _claims(
         self, identifiers: NDArray[np.uint32], lengths: NDArray[np.uint8], payloads: NDArray[np.uint64]
@@ -161,22 +233,29 @@ _KEPT_IDENTIFIERS = 4096
 """A bus has few identifiers; a hostile node may send any."""
 
 
+def _first_eight(payloads: NDArray[np.uint64]) -> Numbers:
+    return lambda _byte: payloads
+
+
 class _GroupDecoder:
     def __init__(self, group: Group) -> None:
         self.group = group
         self.match = match_of(group)
+        bits = [extraction.bits for extraction in (*group.signals.values(), *(page for page, _ in group.pages))]
+        self.needed = max((one.end for one in bits), default=0) if group.message.is_long else group.message.length
+        """Bytes that a message must have. Long ones are often longer in the DBC than on the bus."""
         self._pulses = [(pulses, PulseSpeed(pulses.pulses_per_turn, pulses.modulus)) for pulses in group.pulses]
         self._signals = tuple(group.signals.items())
+        self._bytes = tuple(sorted({one.byte for one in bits}))
 
     def frame(self, time_s: float, data: bytes) -> Frame | None:
-        whole = data[:8].ljust(8, b"\x00")
-        little, big = int.from_bytes(whole, "little"), int.from_bytes(whole, "big")
-        mux = self.group.mux
-        if mux is not None and mux[0].raw(little, big) != mux[1]:
-            return None
+        at = {byte: number(data, byte) for byte in self._bytes}
+        for page, values in self.group.pages:
+            if page.raw(*at[page.bits.byte]) not in values:
+                return None
         signals: dict[str, Value] = {}
         for name, extraction in self._signals:
-            value = extraction.value(little, big)
+            value = extraction.value(*at[extraction.bits.byte])
             signals[name] = value if value == value else NOT_AVAILABLE  # noqa: PLR0124
         for pulses, speed in self._pulses:
             count = signals[pulses.signal]
@@ -185,17 +264,19 @@ class _GroupDecoder:
                 signals[pulses.signal] = rpm if rpm == rpm else NOT_AVAILABLE  # noqa: PLR0124
         return Frame(time_s, self.group.name, signals)
 
-    def columns(self, rows: NDArray[np.intp], time_s: Array, payloads: NDArray[np.uint64]) -> GroupColumns | None:
-        little = payloads[rows]
-        big = little.byteswap()
-        mux = self.group.mux
-        if mux is not None:
-            wanted = mux[0].raws(little, big) == mux[1]
-            rows, little, big = rows[wanted], little[wanted], big[wanted]
+    def columns(self, rows: NDArray[np.intp], time_s: Array, numbers: Numbers) -> GroupColumns | None:
+        at = {byte: numbers(byte) for byte in self._bytes}
+        wanted = np.ones(rows.shape, bool)
+        for page, values in self.group.pages:
+            little = at[page.bits.byte]
+            wanted &= np.isin(page.raws(little, little.byteswap()), values)
+        if not wanted.all():
+            rows, at = rows[wanted], {byte: little[wanted] for byte, little in at.items()}
         if not rows.size:
             return None
         times = time_s[rows]
-        signals = {name: extraction.values(little, big) for name, extraction in self._signals}
+        both = {byte: (little, little.byteswap()) for byte, little in at.items()}
+        signals = {name: extraction.values(*both[extraction.bits.byte]) for name, extraction in self._signals}
         for pulses, speed in self._pulses:
             counts = signals[pulses.signal]
             signals[pulses.signal] = np.array(

@@ -13,13 +13,18 @@ from dataclasses import dataclass, field, replace
 from yieldmon.bus.databases import NULL_ADDRESS, MessageBits, SignalBits
 from yieldmon.engine.sources import DEFAULT_SOURCES, QUANTITIES, InputSource, SampleSource, Sources
 from yieldmon.errors import InputError
+from yieldmon.network.assembly import MAX_BYTES
 from yieldmon.physics.machine import Machine
 from yieldmon.signals.binding import IMPACT, Binding, Source, check
 from yieldmon.signals.extraction import Extraction
 from yieldmon.signals.units import accepted, factor
 
+Pages = tuple[tuple[Extraction, tuple[int, ...]], ...]
 Load = Callable[[str], Mapping[str, MessageBits]]
 """Reads the DBC of that name; raises InputError."""
+
+
+_MOST_IN_A_FRAME = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,12 +39,13 @@ class Pulses:
 
 @dataclass(frozen=True)
 class Group:
-    """The bound signals of one message. name: of the frames that reach the engine. mux: (its signal, the value wanted)."""
+    """The bound signals of one message. name: of the frames that reach the engine. pages: multiplexers, and the values that they
+    have in frames that are taken."""
 
     name: str
     message: MessageBits
     source: Source
-    mux: tuple[Extraction, int] | None
+    pages: Pages
     signals: Mapping[str, Extraction]
     pulses: tuple[Pulses, ...] = ()
 
@@ -65,7 +71,7 @@ class _Draft:
     name: str
     message: MessageBits
     source: Source
-    mux: tuple[Extraction, int] | None
+    pages: Pages
     signals: dict[str, Extraction] = field(default_factory=dict)
     pulses: list[Pulses] = field(default_factory=list)
 
@@ -98,7 +104,7 @@ def build(
     InputError
         One line: the key, what is wrong, what was expected.
     """
-    drafts: dict[tuple[str, str, str, int | None], _Draft] = {}
+    drafts: dict[tuple[object, ...], _Draft] = {}
     impact: list[SampleSource] = []
     inputs: list[InputSource] = []
     constants = dict(fixed or {})
@@ -110,10 +116,11 @@ def build(
             continue
         messages = load(binding.dbc or "")
         message = _message(binding, messages)
-        key = (binding.dbc or "", message.name, str(binding.source), binding.mux)
+        pages = _pages(binding, message)
+        key = (binding.dbc or "", message.name, str(binding.source), *((page.bits.name, values) for page, values in pages))
         if key not in drafts:
             name = f"{message.name}/{len(drafts) + 1}"
-            drafts[key] = _Draft(name, message, binding.source, _mux(binding, message))
+            drafts[key] = _Draft(name, message, binding.source, pages)
         if binding.is_impact:
             impact.append(_impact(binding, drafts[key], len(impact), machine))
         else:
@@ -121,7 +128,7 @@ def build(
     taken = {binding.quantity for binding in bindings} | set(switched_off) | set(constants)
     defaults = tuple(source for source in DEFAULT_SOURCES.inputs if source.quantity not in taken)
     sources = Sources(tuple(impact) or DEFAULT_SOURCES.impact, (*inputs, *defaults), constants)
-    groups = tuple(Group(d.name, d.message, d.source, d.mux, d.signals, tuple(d.pulses)) for d in drafts.values())
+    groups = tuple(Group(d.name, d.message, d.source, d.pages, d.signals, tuple(d.pulses)) for d in drafts.values())
     return SignalMap(sources, groups, tuple(bindings))
 
 
@@ -145,9 +152,10 @@ def _message(binding: Binding, messages: Mapping[str, MessageBits]) -> MessageBi
         near = difflib.get_close_matches(binding.message, messages, n=3) or sorted(messages)[:5]
         absent = f"{binding.message} is not in {binding.dbc or 'the shipped DBC'}"
         raise binding.refuse("message", absent, f"one of its messages, such as {', '.join(near)}")
-    if message.length > 8:
-        problem = f"{message.name} has {message.length} bytes, which come in several frames"
-        raise binding.refuse("message", problem, "a message of one frame, at most 8 bytes: longer ones are not put together here")
+    longest, of_what = (MAX_BYTES, "the transport protocol") if message.extended else (_MOST_IN_A_FRAME, "CAN FD")
+    if message.length > longest:
+        problem = f"{message.name} has {message.length} bytes"
+        raise binding.refuse("message", problem, f"at most {longest} bytes, as {of_what} carries them with its identifier")
     if binding.source is not None and not message.extended:
         raise binding.refuse("source", f"{message.name} has an 11-bit identifier", "no source; only 29-bit identifiers carry one")
     return message
@@ -158,18 +166,34 @@ def _signal(binding: Binding, message: MessageBits, name: str, key: str = "signa
     if signal is None:
         near = difflib.get_close_matches(name, message.signals, n=3) or list(message.signals)[:5]
         raise binding.refuse(key, f"{name} is not in {message.name}", f"one of its signals, such as {', '.join(near)}")
-    if signal.mux is not None and signal.mux != binding.mux:
-        given = "is missing" if binding.mux is None else f"{binding.mux}"
-        raise binding.refuse("mux", given, f"{signal.mux}, the multiplexer value with which {name} is sent")
+    if not signal.readable:
+        problem = f"{name} has {signal.bits} bits from bit {signal.shift} of its first byte on"
+        raise binding.refuse(key, problem, "a number that lies within eight bytes")
+    taken = {page.bits.name: values for page, values in _pages(binding, message)}
+    for above, values in message.pages(signal):
+        if not set(taken.get(above.name, ())) & set(values):
+            given = "is missing" if binding.mux is None else f"{binding.mux}"
+            expected = f"{any_of(values)}, the multiplexer value with which {name} is sent"
+            raise binding.refuse("mux", given, expected if message.multiplexer == above.name else f"{expected} ({above.name})")
     return signal
 
 
-def _mux(binding: Binding, message: MessageBits) -> tuple[Extraction, int] | None:
+def any_of(values: Sequence[int]) -> str:
+    """Whole numbers as a message lists them."""
+    return " or ".join(map(str, values)) if len(values) < 5 else f"{values[0]}, {values[1]} ... or {values[-1]}"
+
+
+def _pages(binding: Binding, message: MessageBits) -> Pages:
+    """The multiplexer above the binding's signal with the value that is given, and those above it as the DBC has them."""
     if binding.mux is None:
-        return None
-    if message.multiplexer is None:
+        return ()
+    signal = message.signals.get(binding.signals[0])
+    by = signal.mux_by if signal is not None and signal.mux_by is not None else message.multiplexer
+    if by is None:
         raise binding.refuse("mux", f"{binding.mux}", f"no such key: {message.name} has no multiplexer")
-    return Extraction(message.signals[message.multiplexer], 1.0, 0.0), binding.mux
+    above = message.signals[by]
+    pages = [(above, (binding.mux,)), *message.pages(above)]
+    return tuple((Extraction(page, 1.0, 0.0), values) for page, values in pages)
 
 
 def _unit_factor(binding: Binding, unit_of_dbc: str) -> float:
@@ -261,4 +285,4 @@ def any_source(source: Source, message: MessageBits) -> bool:
     return source == "any" or (source is None and message.extended and message.frame_id & 0xFF == NULL_ADDRESS)
 
 
-__all__ = ["Group", "InputError", "Load", "Pulses", "SignalMap", "any_source", "build", "default_map"]
+__all__ = ["Group", "InputError", "Load", "Pulses", "SignalMap", "any_of", "any_source", "build", "default_map"]

@@ -18,7 +18,7 @@ from yieldmon.network.identifier import (
 )
 from yieldmon.network.process_data import PROCESS_DATA
 from yieldmon.physics.machine import Machine
-from yieldmon.signals.mapping import Load, SignalMap, any_source
+from yieldmon.signals.mapping import Load, SignalMap, any_of, any_source
 from yieldmon.signals.packing import Packing, encoded, span
 from yieldmon.signals.published import PUBLISHED, Published
 from yieldmon.signals.units import accepted, factor
@@ -178,8 +178,11 @@ def _signal(binding: OutputBinding, message: MessageBits, name: str, key: str = 
         raise binding.refuse(key, f"{name} is not in {message.name}", f"one of its signals, such as {', '.join(near)}")
     if name == message.multiplexer:
         raise binding.refuse(key, f"{name} is the multiplexer of {message.name}", "another signal; mux gives its value")
-    if signal.mux is not None and signal.mux != binding.mux:
-        raise binding.refuse("mux", f"{binding.mux}", f"{signal.mux}, the multiplexer value with which {name} is sent")
+    if signal.mux_by not in (None, message.multiplexer):
+        problem = f"{name} is behind a multiplexer of its own, {signal.mux_by}"
+        raise binding.refuse(key, problem, f"a signal under {message.multiplexer} alone")
+    if signal.mux and binding.mux not in signal.mux:
+        raise binding.refuse("mux", f"{binding.mux}", f"{any_of(signal.mux)}, the multiplexer value with which {name} is sent")
     return signal
 
 

@@ -14,9 +14,9 @@ from yieldmon.engine.sources import QUANTITIES
 from yieldmon.network.addresses import AddressTable
 from yieldmon.network.name import Name
 from yieldmon.signals.binding import IMPACT, MIN_RATE_HZ
-from yieldmon.signals.decoding import EXTENDED
 from yieldmon.signals.extraction import Extraction
 from yieldmon.signals.group_names import group_name
+from yieldmon.signals.long_messages import EXTENDED, LongMessages, Numbers, Whole, numbers
 from yieldmon.signals.units import factor
 
 Array = NDArray[np.float64]
@@ -116,6 +116,7 @@ class Survey:
         self._exact: dict[int, tuple[str, MessageBits]] = {}
         self._groups: dict[int, tuple[str, MessageBits]] = {}
         self._table = AddressTable()
+        self._long = LongMessages(message for messages in databases.values() for message in messages.values())
         self.frames = 0
         for name, messages in databases.items():
             for message in messages.values():
@@ -124,10 +125,20 @@ class Survey:
                 if message.extended:
                     self._groups.setdefault(message.group, (name, message))
 
+    @property
+    def incomplete(self) -> int:
+        """Messages of several frames, of those that a DBC names, that lack one."""
+        return self._long.incomplete + self._long.under_way
+
     def add(
-        self, time_s: Array, identifiers: NDArray[np.uint32], lengths: NDArray[np.uint8], payloads: NDArray[np.uint64]
+        self,
+        time_s: Array,
+        identifiers: NDArray[np.uint32],
+        lengths: NDArray[np.uint8],
+        payloads: NDArray[np.uint64],
+        long: Mapping[int, bytes] | None = None,
     ) -> None:
-        """Data frames, in order; identifiers with the `EXTENDED` flag, payloads as in `MapDecoder.decode_block`."""
+        """Data frames, in order; identifiers with the `EXTENDED` flag, payloads and long as in `MapDecoder.decode_block`."""
         self.frames += time_s.size
         is_claim = (identifiers & np.uint32(_CLAIM_MASK | EXTENDED)) == np.uint32(_CLAIM | EXTENDED)
         for row in np.flatnonzero(is_claim & (lengths == 8)).tolist():
@@ -136,30 +147,38 @@ class Survey:
         found, starts = np.unique(identifiers[order], return_index=True)
         for identifier, rows in zip(found.tolist(), np.split(order, starts[1:]), strict=True):
             self._add(int(identifier), time_s[rows], lengths[rows], payloads[rows])
+        self._add_long(self._long.feed_block(time_s, identifiers, lengths, payloads, long or {}), time_s)
 
     def _add(self, identifier: int, times: Array, lengths: NDArray[np.uint8], payloads: NDArray[np.uint64]) -> None:
+        seen = self._counted(identifier, times)
+        if seen is None or seen.message is None or seen.message[1].is_long:
+            return
+        whole = payloads[lengths >= seen.message[1].length]
+        if whole.size:
+            _take(seen, lambda _byte: whole, whole.size, seen.message[1].length)
+
+    def _counted(self, identifier: int, times: Array) -> _Identifier | None:
         seen = self._seen.get(identifier)
         if seen is None:
             if len(self._seen) >= _MOST_IDENTIFIERS:
-                return
+                return None
             seen = self._seen[identifier] = _Identifier(first_s=float(times[0]), message=self._named(identifier))
         seen.frames += times.size
         seen.last_s = float(times[-1])
-        if seen.message is None:
-            return
-        message = seen.message[1]
-        whole = payloads[lengths >= message.length]
-        if not whole.size:
-            return
-        big = whole.byteswap()
-        page = None
-        if message.multiplexer is not None:
-            page = Extraction(message.signals[message.multiplexer], 1.0, 0.0).raws(whole, big)
-        for name, bits in message.signals.items():
-            values = Extraction(bits, bits.scale, bits.offset).values(whole, big)
-            if bits.mux is not None and page is not None:
-                values = values[page == bits.mux]
-            seen.signals[name] = _merged(bits, seen.signals.get(name), values)
+        return seen
+
+    def _add_long(self, messages: Sequence[Whole], time_s: Array) -> None:
+        """Those of the transport protocol are listed as its frames and as themselves."""
+        of_identifier: dict[tuple[int, bool], list[Whole]] = {}
+        for message in messages:
+            of_identifier.setdefault((message.identifier, message.by_transport), []).append(message)
+        for (identifier, by_transport), found in of_identifier.items():
+            times = time_s[[message.row for message in found]]
+            seen = self._counted(identifier, times) if by_transport else self._seen.get(identifier)
+            if seen is not None and seen.message is not None:
+                # What every one of them holds is looked at.
+                end = min(len(message.data) for message in found)
+                _take(seen, numbers([message.data for message in found], seen.message[1].length), len(found), end)
 
     def _named(self, identifier: int) -> tuple[str, MessageBits] | None:
         exact = self._exact.get(identifier)
@@ -204,12 +223,32 @@ class Survey:
                     if score > 0.0:
                         bits, share = signal.bits, signal.frames / message.frames
                         place = message.dbc, message.name, bits.name
-                        candidate = Candidate(quantity, *place, bits.unit, message.rate_hz * share, bits.mux)
+                        candidate = Candidate(quantity, *place, bits.unit, message.rate_hz * share, next(iter(bits.mux), None))
                         found.setdefault(quantity, []).append((score, candidate))
         return {
             quantity: list(dict.fromkeys(c for _, c in sorted(scored, key=lambda item: -item[0])))
             for quantity, scored in sorted(found.items())
         }
+
+
+def _take(seen: _Identifier, numbers: Numbers, count: int, end: int) -> None:
+    """Takes the signals of `count` messages that have at least `end` bytes."""
+    assert seen.message is not None, "asked before"
+    message = seen.message[1]
+
+    def raws(bits: SignalBits) -> NDArray[np.int64]:
+        little = numbers(bits.byte)
+        return Extraction(bits, 1.0, 0.0).raws(little, little.byteswap())
+
+    for name, bits in message.signals.items():
+        if not bits.readable or bits.end > end:
+            continue
+        little = numbers(bits.byte)
+        values = Extraction(bits, bits.scale, bits.offset).values(little, little.byteswap())
+        held = np.ones(count, bool)
+        for above, pages in message.pages(bits):
+            held &= np.isin(raws(above), pages)
+        seen.signals[name] = _merged(bits, seen.signals.get(name), values[held])
 
 
 def _merged(bits: SignalBits, before: SignalSeen | None, values: Array) -> SignalSeen:
