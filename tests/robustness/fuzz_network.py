@@ -47,7 +47,7 @@ NS_ :
 BS_:
 BU_: N
 """ + "".join(
-    f"BO_ {group << 8 | 0x980000FE} M{number}: 20 N\n SG_ S : 64|16@1+ (0.125,0) [0|0] \"rpm\" N\n"
+    f'BO_ {group << 8 | 0x980000FE} M{number}: 20 N\n SG_ S : 64|16@1+ (0.125,0) [0|0] "rpm" N\n'
     for number, group in enumerate((0xFECA, 0xFEDA, 0xCB00, 0xFED8, 0x1F805))
 )
 

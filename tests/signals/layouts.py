@@ -333,7 +333,6 @@ signals:
 )
 
 
-
 @dataclass
 class Long(Packer):
     """28 samples of 1 kHz in a CAN FD frame; the speed in broadcasts of the transport protocol, which another node sends as well;

@@ -359,7 +359,9 @@ class Daemon:
     def _send(self, out: list[Frame]) -> None:
         for frame in out:
             try:
-                message = self._link.addressed(self._codec.encode(frame))
+                # A late command is worse than none.
+                waits_from_s = None if frame.message == frames.PLATE_ACTUATOR_COMMAND else self._network_clock()
+                message = self._link.addressed(self._codec.encode(frame), waits_from_s)
             except FrameError as error:
                 self._unsendable += 1
                 if self._unsendable == 1:
@@ -372,10 +374,9 @@ class Daemon:
         for item in out:
             message: can.Message | None = item.message
             if item.own_address:
-                if self._link.address is None:
-                    continue
-                item.message.arbitration_id = item.message.arbitration_id & ~0xFF | self._link.address
-                message = self._link.addressed(item.message)
+                if self._link.address is not None:
+                    item.message.arbitration_id = item.message.arbitration_id & ~0xFF | self._link.address
+                message = self._link.addressed(item.message, self._network_clock() if item.may_wait else None)
             if message is not None:
                 self._transmitter.submit(message)
 

@@ -6,6 +6,7 @@ Only the engine's thread uses it. Times are seconds of one clock that does not s
 from __future__ import annotations
 
 import hashlib
+from collections import deque
 from collections.abc import Iterable
 from math import isfinite
 from pathlib import Path
@@ -52,6 +53,11 @@ _HEARD_FORMATS = frozenset(group >> 8 for group in _HEARD)
 _FORMAT_MASK = 0x03FF0000
 _LAMPS = {Severity.NOTE: None, Severity.WARNING: Lamp.AMBER_WARNING, Severity.STOP_TRUSTING: Lamp.AMBER_WARNING}
 _SOURCE_MASK = 0xFF
+#: How long a second's frames wait for an address: after it the next second is there.
+WAITS_S = 1.0
+#: Frames further apart than this are of different seconds.
+_ONE_WINDOW_S = 0.5
+_MOST_WAITING = 64
 
 
 def trouble_code(code: FaultCode) -> TroubleCode:
@@ -108,8 +114,9 @@ class Link(Protocol):
     def poll(self, now_s: float) -> list[can.Message]:
         """What has fallen due by now; to be called about every 50 ms."""
 
-    def addressed(self, message: can.Message) -> can.Message | None:
-        """One of our frames from our address; None while we have none."""
+    def addressed(self, message: can.Message, waits_from_s: float | None = None) -> can.Message | None:
+        """One of our frames from our address; None while we have none. waits_from_s: it is of the newest second, this old, and
+        comes out of poll() where a claim comes to stand soon; None: it is of no use later."""
 
     def tell_trouble(self, active: Iterable[FaultCode], now_s: float) -> list[can.Message]:
         """DM1 with the faults that are shown now."""
@@ -171,7 +178,7 @@ class FixedLink:
         """See Link."""
         return _messages(self._sender.poll(self._address, now_s)) if now_s >= self._sender.due_s else []
 
-    def addressed(self, message: can.Message) -> can.Message | None:
+    def addressed(self, message: can.Message, waits_from_s: float | None = None) -> can.Message | None:
         """See Link."""
         return message
 
@@ -234,6 +241,8 @@ class NetworkLink:
             )
             self._client = TaskControllerClient(device, machine.implement.working_width_m)
         self._client_at: int | None = None
+        self._waiting: deque[tuple[float, can.Message]] = deque(maxlen=_MOST_WAITING)
+        """Frames of the newest second that wait for the claim, with the time of each."""
 
     def filters(self) -> list[CanFilter]:
         """See Link; whatever comes from the preferred address too."""
@@ -274,14 +283,22 @@ class NetworkLink:
     def poll(self, now_s: float) -> list[can.Message]:
         """See Link."""
         out = self._followed(self._node.poll(now_s) if now_s >= self._node.due_s else [], now_s)
+        if self._node.address is not None:
+            fresh = [message for since_s, message in self._waiting if now_s - since_s <= WAITS_S]
+            self._waiting.clear()
+            out += filter(None, map(self.addressed, fresh))
         if self._client is not None and self._client_at is not None:
             out += self._deliver(self._client.poll(now_s), now_s)
         return out
 
-    def addressed(self, message: can.Message) -> can.Message | None:
+    def addressed(self, message: can.Message, waits_from_s: float | None = None) -> can.Message | None:
         """See Link."""
         address = self._node.address
+        if waits_from_s is not None and self._waiting and waits_from_s - self._waiting[-1][0] > _ONE_WINDOW_S:
+            self._waiting.clear()
         if address is None:
+            if waits_from_s is not None:
+                self._waiting.append((waits_from_s, message))
             return None
         group = Identifier.of(message.arbitration_id).group
         self._node.answer_with({group: bytes(message.data)})

@@ -12,10 +12,10 @@ from can.typechecking import CanFilter
 from yieldmon.engine.results import Result, WindowResult
 from yieldmon.engine.settings import TotalsSettings
 from yieldmon.engine.totals import Totals, dry_mass
-from yieldmon.frames import Frame, Unusable
+from yieldmon.frames import PLATE_ACTUATOR_COMMAND, Frame, Unusable
 from yieldmon.signals.output_mapping import OutputGroup, OutputMap
 from yieldmon.signals.packing import packed
-from yieldmon.signals.published import CARRIED, FRAME_COUNTER
+from yieldmon.signals.published import CARRIED, FRAME_COUNTER, PUBLISHED
 
 #: From this age on a value is not known any more.
 STALE_S = 3.0
@@ -27,10 +27,12 @@ _STANDARD_MASK = 0x7FF
 
 @dataclass(frozen=True, slots=True)
 class OutputMessage:
-    """A frame to send. own_address: from our address, and not without one; else whenever the identifier has 11 bits."""
+    """A frame to send. own_address: from our address, and not without one; else whenever the identifier has 11 bits. may_wait: of
+    a second that is over, so that it may go when an address is there."""
 
     message: can.Message
     own_address: bool
+    may_wait: bool
 
 
 class MappedOutputs:
@@ -100,7 +102,8 @@ class MappedOutputs:
         self._counts[place] += 1
         data = packed(group.length, group.ones, signals)
         message = can.Message(arbitration_id=group.frame_id, is_extended_id=group.extended, data=data)
-        return [OutputMessage(message, group.own_address)]
+        commands = any(PUBLISHED[name].message == PLATE_ACTUATOR_COMMAND for name, _ in group.quantities)
+        return [OutputMessage(message, group.own_address, group.period_s is None and not commands)]
 
 
 def _identifier(group: OutputGroup, address: int | None) -> int | None:
