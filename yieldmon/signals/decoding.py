@@ -80,7 +80,8 @@ class MapDecoder:
         decoders = [_GroupDecoder(group) for group in signal_map.groups]
         self._groups = [decoder for decoder in decoders if not decoder.group.message.is_long]
         self._of_long = [decoder for decoder in decoders if decoder.group.message.is_long]
-        self._long = LongMessages(decoder.group.message for decoder in self._of_long)
+        direct = [(decoder.match.identity, decoder.match.mask) for decoder in self._of_long]
+        self._long = LongMessages((decoder.group.message for decoder in self._of_long), direct)
         self._table = AddressTable()
         self._by_name = any(decoder.match.named is not None for decoder in decoders)
         self._of_identifier: dict[int, tuple[tuple[_GroupDecoder, ...], bool]] = {}

@@ -36,9 +36,13 @@ class Whole(NamedTuple):
 
 
 class LongMessages:
-    """Puts these messages together, one bus's frames in order; what is begun and not ended is dropped, counted and bounded."""
+    """Puts these messages together, one bus's frames in order; what is begun and not ended is dropped, counted and bounded.
 
-    def __init__(self, messages: Iterable[MessageBits]) -> None:
+    direct: (identity, mask) of frames of the messages' own identifiers that are taken; None: all of their groups.
+    """
+
+    def __init__(self, messages: Iterable[MessageBits], direct: Sequence[tuple[int, int]] | None = None) -> None:
+        self._direct = direct
         wanted = [message for message in messages if message.is_long]
         self._standard = frozenset(message.frame_id for message in wanted if not message.extended)
         self._groups = frozenset(message.group for message in wanted if message.extended)
@@ -61,10 +65,11 @@ class LongMessages:
 
     def takes(self, identifier: int) -> bool:
         """Whether frames with this identifier, with the `EXTENDED` flag, may be of one of the messages."""
-        if not identifier & EXTENDED:
-            return identifier in self._standard
-        transport = bool(self._groups) and identifier & TRANSPORT_MASK in TRANSPORT
-        return transport or group_of(identifier & _ALL) in self._groups
+        if self._groups and identifier & TRANSPORT_MASK in TRANSPORT:
+            return True
+        if self._direct is not None:
+            return any(identifier & mask == identity for identity, mask in self._direct)
+        return group_of(identifier & _ALL) in self._groups if identifier & EXTENDED else identifier in self._standard
 
     def feed(self, time_s: float, identifier: int, data: bytes) -> Whole | None:
         """The message that a frame which is taken completes."""
