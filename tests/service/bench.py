@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import itertools
 import math
 import socket
@@ -65,6 +66,12 @@ def encoded(frame: Frame) -> can.Message:
     return message
 
 
+@functools.lru_cache(maxsize=24)
+def _messages(start_s: float, duration_s: float, force_mv: float, **how: float) -> list[can.Message]:
+    """`traffic` as messages, kept: most tests begin with the same."""
+    return [encoded(frame) for frame in traffic(start_s, duration_s, force_mv, **how)]
+
+
 def wait_for(condition: Callable[[], object], what: str) -> None:
     """Waits until the condition holds; fails loudly when it does not within PATIENCE_S."""
     deadline = time.monotonic() + PATIENCE_S
@@ -83,11 +90,13 @@ class Bench:
     seen: list[can.Message] = field(default_factory=list)
     failure: list[BaseException] = field(default_factory=list)
     thread: threading.Thread | None = None
+    _signals: dict[int, dict] = field(default_factory=dict)
+    """Of the messages in `seen`, by their identity."""
 
     def play(self, duration_s: float, force_mv: float, **how: float) -> None:
         """Sends traffic for so long, as fast as the daemon takes it."""
-        for frame in traffic(self.now_s, duration_s, force_mv, **how):
-            self.peer.send(encoded(frame))
+        for message in _messages(self.now_s, duration_s, force_mv, **how):
+            self.peer.send(message)
         self.now_s += duration_s
 
     def played(self) -> None:
@@ -111,7 +120,12 @@ class Bench:
     def published(self, message: str) -> list[dict]:
         """Signals of the daemon's frames of this name so far."""
         identifier = CODEC.layouts[message].frame_id
-        return [dict(CODEC.decode(frame).signals) for frame in self.heard() if frame.arbitration_id == identifier]
+        return [dict(self._signals_of(frame)) for frame in self.heard() if frame.arbitration_id == identifier]
+
+    def _signals_of(self, frame: can.Message) -> dict:
+        if id(frame) not in self._signals:
+            self._signals[id(frame)] = dict(CODEC.decode(frame).signals)
+        return self._signals[id(frame)]
 
     def heard(self) -> list[can.Message]:
         """The daemon's frames so far."""
