@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,13 +10,13 @@ from engine_bench import MACHINE, Bench, feed, flows, monitor
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.in_process import program
 from yieldmon.engine.aliasing import aliasing_share
 from yieldmon.engine.settings import WindowSettings
 from yieldmon.engine.sources import SampleSource
 from yieldmon.engine.windows import Window, WindowBuilder
 from yieldmon.physics.machine import RPM
 
-ROOT = Path(__file__).resolve().parents[2]
 NAN = float("nan")
 
 
@@ -43,8 +40,8 @@ def close_seconds(builder: WindowBuilder, table: np.ndarray, rpm: np.ndarray, ex
 
 
 def test_constant_flow_gives_constant_results_at_every_speed() -> None:
-    command = [sys.executable, "-m", "studies.aliasing", "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
+    done = program("studies.aliasing.__main__", "--json")
+    assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert [row["rpm"] for row in found["rows"]] == [float(rpm) for rpm in range(300, 501)]
     assert found["worst"]["windows_pct"] < 0.5

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import csv
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -23,13 +21,13 @@ from tests.facility.bench_log import (
     measured,
     published,
 )
+from tests.in_process import program
 from yieldmon.bus.bulk import decode_block
 from yieldmon.bus.codec import Codec
 from yieldmon.bus.loading import load_frames
 from yieldmon.cli.main import main
 from yieldmon.frames import IMPACT_SENSOR_SAMPLES
 
-ROOT = DATA.parents[1]
 GAIN_N_PER_MV = 0.4448
 
 
@@ -69,13 +67,11 @@ def test_masses_as_published(tmp_path):
 
 def test_the_log_is_what_its_tool_makes(tmp_path):
     again = tmp_path / "again.log.gz"
-    command = [sys.executable, "-m", "studies.published.bench_log", "--out", again]
-    subprocess.run(command, check=True, capture_output=True, cwd=ROOT)
+    assert program("studies.published.bench_log", "--out", again).returncode == 0
     assert load_frames(again).payload.tolist() == load_frames(LOG).payload.tolist()
 
 
 def test_an_angle_without_trials(tmp_path: Path):
-    words = [sys.executable, "-m", "studies.published.bench_log", "--plate-angle", "41", "--out", tmp_path / "x.log.gz"]
-    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+    done = program("studies.published.bench_log", "--plate-angle", 41, "--out", tmp_path / "x.log.gz")
     assert done.returncode == 2
     assert done.stderr.startswith("python -m studies.published.bench_log: no trials at 41 deg in ")

@@ -15,12 +15,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import can
+from yieldmon.bus import mf4
 
-from tests.service.bench import CODEC, START_S, traffic
-from yieldmon.service import configuration
-from yieldmon.service.daemon import Daemon
-from yieldmon.service.store import Batch, Store
+# python-can would import asammdf, and with it pandas: a third of a life's start.
+mf4.defer()
+
+import can  # noqa: E402
+
+from tests.service.bench import CODEC, START_S, traffic  # noqa: E402
+from yieldmon.service import configuration  # noqa: E402
+from yieldmon.service.daemon import Daemon  # noqa: E402
+from yieldmon.service.store import Batch, Store  # noqa: E402
 
 #: As long as a slow drive takes for a transaction, so that kills fall between the two.
 BETWEEN_S = 0.02

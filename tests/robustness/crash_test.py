@@ -285,7 +285,7 @@ def power_cut_test(cuts: int, rng: random.Random, folder: Path, broken: str, lif
     calls = "openat,pwrite64,write,ftruncate,fsync,fdatasync,unlink"
     subprocess.run(
         [
-            "strace", "-f", "-xx", "-s", "100000", "-e", f"trace={calls}", "-o", str(trace),
+            "strace", "-f", "--seccomp-bpf", "-xx", "-s", "100000", "-e", f"trace={calls}", "-o", str(trace),
             sys.executable, *LIFE, str(folder), "--seconds", str(life_s), "--broken", broken,
         ],
         check=True, stdout=subprocess.DEVNULL, cwd=ROOT,

@@ -5,13 +5,12 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import yaml
 
+from tests.in_process import program
 from yieldmon.cli import main as cli
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.settings import EngineSettings
@@ -219,10 +218,7 @@ def test_plate_range_of_the_machine_is_taken_exactly(written):
 
 
 def test_mutated_files_give_a_line_or_a_configuration():
-    finished = subprocess.run(
-        [sys.executable, "-m", "tests.robustness", "fuzz-config", "--count", "100", "--seed", "1", "--json"],
-        capture_output=True, text=True, cwd=ROOT, check=False,
-    )  # fmt: skip
+    finished = program("tests.robustness.__main__", "fuzz-config", "--count", 100, "--seed", 1, "--json")
     assert finished.returncode == 0, finished.stderr
     counts = json.loads(finished.stdout)
     assert counts["escapes"] == 0

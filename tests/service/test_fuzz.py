@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 import random
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
+from tests.in_process import program
 from tests.robustness import fuzz_frames as tool
 from yieldmon import frames
 from yieldmon.bus.codec import Codec
@@ -18,12 +17,9 @@ from yieldmon.engine.plate_commands import PlateCommander
 from yieldmon.engine.totals import Totals
 from yieldmon.service import configuration
 
-ROOT = Path(__file__).parents[2]
-
 
 def test_nothing_escapes():
-    command = [sys.executable, "-m", "tests.robustness", "fuzz-frames", "--count", "60000", "--seed", "20261121", "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+    done = program("tests.robustness.__main__", "fuzz-frames", "--count", 60000, "--seed", 20261121, "--json")
     assert done.returncode == 0, done.stderr
     counts = json.loads(done.stdout)
     assert counts["escapes"] == 0

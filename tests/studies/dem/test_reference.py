@@ -5,8 +5,6 @@ from __future__ import annotations
 import csv
 import gzip
 import json
-import subprocess
-import sys
 from collections import defaultdict
 from pathlib import Path
 
@@ -14,6 +12,7 @@ import numpy as np
 import pytest
 
 from studies.dem import campaign
+from tests.in_process import program
 from yieldmon.files import table
 from yieldmon.physics.machine import RPM, Machine
 
@@ -111,8 +110,9 @@ def test_the_page_can_be_made_again(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     names = ("heap", "release", "landing", "impact", "plate-friction", "plate-end")
     page.write_text("\n".join(f"<!-- {n} -->\n<!-- /{n} -->" for n in names), encoding="utf-8")
-    command = [sys.executable, "-m", "studies.dem.report", "heap", "release", "landing", "impact"]
-    subprocess.run([*command, "--page", str(page), "--pictures", str(tmp_path)], check=True)
+    chapters = ("heap", "release", "landing", "impact")
+    done = program("studies.dem.report", *chapters, "--page", page, "--pictures", tmp_path)
+    assert done.returncode == 0, done.stderr
     text = page.read_text(encoding="utf-8")
     shipped_page = (ROOT / "studies" / "dem" / "README.md").read_text(encoding="utf-8")
     for name in names:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import csv
 import gzip
 import json
-import subprocess
-import sys
 from collections import defaultdict
 from pathlib import Path
 
@@ -14,6 +12,7 @@ import numpy as np
 import pytest
 
 from studies.dem import campaign
+from tests.in_process import program
 
 from .mechanics import assert_obeyed
 
@@ -86,8 +85,8 @@ def test_the_page_can_be_made_again(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     names = ("clump-heap", "clump-release", "clump-gain", "clump-impulse", "clump-published")
     page.write_text("\n".join(f"<!-- {n} -->\n<!-- /{n} -->" for n in names), encoding="utf-8")
-    command = [sys.executable, "-m", "studies.dem.report", "clumps", "--page", str(page), "--pictures", str(tmp_path)]
-    subprocess.run(command, check=True)
+    done = program("studies.dem.report", "clumps", "--page", page, "--pictures", tmp_path)
+    assert done.returncode == 0, done.stderr
     text, shipped_page = page.read_text(encoding="utf-8"), (ROOT / "studies" / "dem" / "README.md").read_text(encoding="utf-8")
     for name in names:
         block = text.split(f"<!-- {name} -->\n")[1].split(f"<!-- /{name} -->")[0]

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import csv
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import yaml
 
+from tests.in_process import program
 from yieldmon.cli.main import main
 
 ROOT = Path(__file__).parents[3]
@@ -51,23 +50,10 @@ def test_the_monitor_weighs_grain(friction: float, tmp_path: Path, capsys: pytes
         encoding="utf-8",
     )
     log, out = tmp_path / "c.log", tmp_path / "out.csv"
-    subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "studies.dem",
-            "combine",
-            str(DATA / "dem_campaign_forces.csv.gz"),
-            "--friction",
-            str(friction),
-            "--scenario",
-            str(scenario),
-            "--log",
-            str(log),
-        ],
-        check=True,
-        capture_output=True,
-    )
+    forces = DATA / "dem_campaign_forces.csv.gz"
+    words = ("combine", forces, "--friction", friction, "--scenario", scenario, "--log", log)
+    done = program("studies.dem.__main__", *words)
+    assert done.returncode == 0, done.stderr
     assert main(["process", str(log), "--config", str(configuration), "--out", str(out)]) == 0
     capsys.readouterr()
     with out.open(encoding="utf-8", newline="") as stream:
