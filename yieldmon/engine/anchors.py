@@ -8,6 +8,7 @@ from enum import StrEnum
 
 from yieldmon.engine.budget import EMPTY, MassBudget
 from yieldmon.engine.load_forces import LoadForces
+from yieldmon.engine.rivals import tank_leaps
 from yieldmon.engine.settings import AnchorSettings
 
 
@@ -55,6 +56,7 @@ class TankScale:
         self._settings = settings
         self._pending: tuple[float, float] | None = None
         self._start: _Weighing | None = None
+        self._last: tuple[float, float] | None = None
         self._complete = True
         self._zero_doubted = False
         self.anchors: deque[ReferenceMass] = deque(maxlen=settings.keep)
@@ -62,6 +64,10 @@ class TankScale:
     def reading(self, time_s: float, mass_kg: float) -> None:
         """A stable reading; it is matched with the measured total when the window around it closes."""
         self._pending = (time_s, mass_kg)
+
+    def forget(self) -> None:
+        """What it has read is not known to be the tank's: the next reading is the first."""
+        self._pending = self._start = self._last = None
 
     def doubt_zero(self) -> None:
         """What is measured now rests on a zero that is doubted: no update, but the scale still tells the mass."""
@@ -91,6 +97,10 @@ class TankScale:
         return self._weigh(_Weighing(time_s, scale_kg, total_before_kg + share * mass_kg, budget))
 
     def _weigh(self, now: _Weighing) -> ReferenceMass | None:
+        last, self._last = self._last, (now.time_s, now.mass_kg)
+        if last is not None and tank_leaps(now.time_s - last[0], now.mass_kg - last[1]):
+            # No grain did that: another scale speaks, or this one was reset.
+            self._start = None
         start = self._start
         if start is None or now.mass_kg < start.mass_kg - self._settings.unloading_kg:
             self._start, self._complete, self._zero_doubted = now, True, False

@@ -102,6 +102,7 @@ class Conclusion:
     def _sweep_window(self, reading: Reading, flow: Flow) -> SweepWindow:
         window, settings = reading.window, self._parts.settings.windows
         whole = window.coverage >= settings.full_coverage and not flow.saturated and window.lost_frames == 0
+        whole = whole and not window.contested
         support_s = support_start_s(window, self._parts.machine, settings.max_ramp_s)
         return SweepWindow.of(window, support_s, flow.rate_kg_s, flow.force_n, whole, reading.still)
 

@@ -121,12 +121,18 @@ def _if(present: bool) -> str | None:
 
 
 def _frames_lost(o: Observation) -> bool:
-    if o.window.lost_frames > 0 or o.window.surplus_frames > 0:
+    if o.window.lost_frames > 0 or o.window.contested or o.reading.inputs.tank_disputed:
         return True
     # A sensor that starts or stops within a window covers a part of it and has lost nothing.
     began = not o.reading.sampled_before
     ended = o.window.end_s - o.window.last_frame_s > o.settings.inputs.sensor_timeout_s
     return 0.0 < o.window.coverage < o.settings.windows.full_coverage and not (began or ended)
+
+
+def _frames_lost_detail(o: Observation) -> str:
+    disputed = [name for name in (o.window.disputed, "tank mass" if o.reading.inputs.tank_disputed else "") if name]
+    rivals = f"; two nodes send {' and '.join(disputed)}" if disputed else ""
+    return f"{o.window.lost_frames} lost, {o.window.surplus_frames} too many{rivals}"
 
 
 def _scale_fault(inputs: InputSnapshot) -> str | None:
@@ -272,12 +278,10 @@ _TABLE = (
     ),
     FaultDefinition(
         _C.FRAMES_LOST, 520202, 19, _N, 1, 10,
-        "The sample counter shows frames lost, or more frames than one sensor sends.",
-        "The seconds concerned use the samples there are and are marked as degraded.",
-        "Check bus load, termination and for a second node that sends samples.",
-        lambda o: (
-            f"{o.window.lost_frames} lost, {o.window.surplus_frames} too many" if _frames_lost(o) else None
-        ),
+        "The sample counter shows frames lost, or two nodes send samples, speed, plate angle or tank mass.",
+        "The seconds concerned are degraded; with two senders their mass is counted apart.",
+        "Check bus load, termination and for a second sender.",
+        lambda o: _frames_lost_detail(o) if _frames_lost(o) else None,
     ),
     FaultDefinition(
         _C.CLOCK_JUMPED, 520203, 2, _N, 1, 1,

@@ -162,7 +162,7 @@ class FlowMeter:
         return (
             window.coverage < settings.full_coverage
             or window.lost_frames > 0
-            or window.surplus_frames > 0
+            or window.contested
             or window.sensor_fault_frames > 0
             or window.held_s > 0.25 * settings.window_s
         )

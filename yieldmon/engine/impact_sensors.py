@@ -33,10 +33,17 @@ class ImpactSensors:
         """traces: windows keep their samples; only those of a single sensor do."""
         speed, angle = (_fixed(sources, name) for name in MOVING)
         at_start = float("nan") if angle is None else angle
+        speed_interval_s, angle_interval_s = (sources.interval_s(name) for name in MOVING)
         self._sensors = [
-            (source, WindowBuilder(settings, machine, source, speed_rad_s=speed, angle_rad=at_start, traces=traces))
+            (
+                source,
+                WindowBuilder(
+                    settings, machine, source, speed_rad_s=speed, angle_rad=at_start, traces=traces,
+                    speed_interval_s=speed_interval_s, angle_interval_s=angle_interval_s,
+                ),
+            )
             for source in sources.impact
-        ]
+        ]  # fmt: skip
         self._of_message: dict[str, list[tuple[SampleSource, WindowBuilder]]] = {}
         for source, builder in self._sensors:
             self._of_message.setdefault(source.message, []).append((source, builder))

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.engine.rivals import TankWatch
 from yieldmon.engine.runs import FrameRun, SignalRun
 from yieldmon.engine.settings import InputSettings
 from yieldmon.engine.sources import CONDITIONS, DEFAULT_SOURCES, PAIRS, QUANTITIES, InputSource, Sources
@@ -30,6 +31,7 @@ _NAN = float("nan")
 _NEVER = float("-inf")
 _ALWAYS = float("inf")
 _NAMES = tuple(QUANTITIES)
+_TANK = "tank_mass"
 
 
 class Held:
@@ -55,7 +57,7 @@ class InputSnapshot(NamedTuple):
     """What is held at an instant of engine time.
 
     fresh: quantity -> value in the engine's unit, nan for what is too old. speed_time_s, scale_status and the last stable reading
-    of the tank scale are of any age.
+    of the tank scale are of any age. tank_disputed: of late two nodes have sent readings of the tank's scale.
     """
 
     time_s: float
@@ -67,6 +69,7 @@ class InputSnapshot(NamedTuple):
     tank_time_s: float
     tank_kg: float
     fresh: Mapping[str, float]
+    tank_disputed: bool = False
 
     @property
     def angle_stale(self) -> bool:
@@ -89,6 +92,7 @@ class Inputs:
         for source in sources.inputs:
             self._sources.setdefault(source.message, []).append(source)
         self._bound = {source.quantity for source in sources.inputs}
+        self.tank = TankWatch()
         self._timeouts = {name: float(getattr(settings, quantity.timeout)) for name, quantity in QUANTITIES.items()}
         self.held = {name: Held() for name in QUANTITIES}
         self.held["actuator_state"].value = float(ActuatorState.IDLE)
@@ -113,6 +117,8 @@ class Inputs:
                 self.held[name].set(now_s, value * quantity.factor)
                 if name in MOVING:
                     brought.append(name)
+                elif name == _TANK:
+                    self.tank.take(now_s, value)
         return brought
 
     def follow(self, run: FrameRun, offset_s: float) -> RunInputs:
@@ -149,10 +155,11 @@ class Inputs:
             tank_time_s=tank.time_s,
             tank_kg=tank.value,
             fresh=fresh,
+            tank_disputed=at_s - self.tank.disputed_s <= timeouts[_TANK],
         )
 
-    def snapshots(self, tracks: Mapping[str, Track], at_s: Array) -> list[InputSnapshot]:
-        """The same for several instants of a run (n,)."""
+    def snapshots(self, tracks: Mapping[str, Track], disputes: Track, at_s: Array) -> list[InputSnapshot]:
+        """The same for several instants of a run (n,). disputes: when the tank's readings were last disputed, after each."""
         times, values = {}, {}
         for name in _NAMES:
             held, track = self.held[name], tracks.get(name)
@@ -175,7 +182,9 @@ class Inputs:
         )
         by_name = zip(*(column.tolist() for column in fresh.values()), strict=True)
         held_fresh = (dict(zip(names, row, strict=True)) for names, row in zip(repeat(_NAMES), by_name, strict=False))
-        return [InputSnapshot(*row) for row in zip(*(column.tolist() for column in columns), held_fresh, strict=True)]
+        disputed_s = np.append(self.tank.disputed_s, disputes.values)[np.searchsorted(disputes.times_s, at_s, side="left")]
+        disputed = (at_s - disputed_s <= self._timeouts[_TANK]).tolist()
+        return [InputSnapshot(*row) for row in zip(*(column.tolist() for column in columns), held_fresh, disputed, strict=True)]
 
     def plate_at(self, held_angle: tuple[float, float], at_s: float) -> float:
         """The plate angle, deg, of a reading (time s, angle deg) seen from at_s; nan when it is stale."""
@@ -219,6 +228,12 @@ class RunInputs:
     def __init__(self, inputs: Inputs, tracks: dict[str, Track]) -> None:
         self._inputs = inputs
         self._tracks = tracks
+        self._tank = inputs.tank.copy()
+        readings, disputes_s = tracks.get(_TANK, _NOTHING), []
+        for time_s, mass_kg in zip(readings.times_s.tolist(), readings.values.tolist(), strict=True):
+            self._tank.take(time_s, mass_kg)
+            disputes_s.append(self._tank.disputed_s)
+        self._disputes = Track(readings.times_s, np.array(disputes_s))
         self._plate: list[list[float]] = []
 
     def track(self, name: str) -> Track:
@@ -227,7 +242,7 @@ class RunInputs:
 
     def snapshots(self, at_s: Sequence[float]) -> list[InputSnapshot]:
         """What is held at instants of the run; frames of that very time or later have not come."""
-        return self._inputs.snapshots(self._tracks, np.array(at_s))
+        return self._inputs.snapshots(self._tracks, self._disputes, np.array(at_s))
 
     def plate_at(self, at_s: float) -> tuple[float, ActuatorState]:
         """Plate angle, deg, nan while it is stale, and the actuator's state, at any instant of the run."""
@@ -245,6 +260,7 @@ class RunInputs:
 
     def finish(self) -> None:
         """The run is over: hold what came last."""
+        self._inputs.tank = self._tank
         for name, track in self._tracks.items():
             if track.times_s.size:
                 self._inputs.held[name].set(float(track.times_s[-1]), float(track.values[-1]))

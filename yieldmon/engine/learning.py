@@ -120,10 +120,14 @@ class Learning:
         """
         if zero_doubted:
             self._scale.doubt_zero()
+        if inputs.tank_disputed:
+            self._scale.forget()
+            return 0.0
         if inputs.tank_time_s != self._weighed_s:
             self._weighed_s = inputs.tank_time_s
             self._scale.reading(inputs.tank_time_s, inputs.tank_kg)
-        weighed = self._scale.window(window.start_s, window.end_s, total_before_kg, mass_kg, flow.measured, budget)
+        measured = flow.measured and not window.contested
+        weighed = self._scale.window(window.start_s, window.end_s, total_before_kg, mass_kg, measured, budget)
         if weighed is None:
             return 0.0
         if not weighed.zero_doubted:

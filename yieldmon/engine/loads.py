@@ -126,7 +126,7 @@ class Loads:
         mass_kg = flow.rate_kg_s * seconds
         if not enough:
             self._complete = False
-        if window.surplus_frames > 0:
+        if window.contested:
             # Whose samples they were is not known.
             self._complete = False
             self.totals = self.totals.with_contested(mass_kg)

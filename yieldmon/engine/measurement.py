@@ -189,7 +189,9 @@ class Measurement:
         )
 
     def _watch_tank(self, inputs: InputSnapshot) -> None:
-        if isfinite(inputs.tank_kg) and (not self._tank or inputs.tank_time_s > self._tank[-1][0]):
+        if inputs.tank_disputed:
+            self._tank.clear()
+        elif isfinite(inputs.tank_kg) and (not self._tank or inputs.tank_time_s > self._tank[-1][0]):
             self._tank.append((inputs.tank_time_s, inputs.tank_kg))
         while self._tank and inputs.time_s - self._tank[0][0] > _TANK_S:
             self._tank.popleft()
@@ -219,7 +221,7 @@ class Measurement:
         if isfinite(window.std_dev_mv):
             seen, own = (window.std_dev_mv * gain) ** 2, float(window.patterns - 1)
             prior = self._scatter.patterns
-            if abs(force_n) > self._settings.gate.certain_force_n:
+            if abs(force_n) > self._settings.gate.certain_force_n and not window.contested:
                 self._scatter.see(seen / per_scatter, own)
             variance = (own * seen + prior * variance) / (own + prior)
         variance /= max(window.coverage, 1e-3)
@@ -249,7 +251,7 @@ class Measurement:
 
     def _follow_zero(self, window: Window, inputs: InputSnapshot, elevator_runs: bool, plate_rests_at_home: bool) -> bool:
         """Show the window to the zero; returns whether a zero was learnt from it."""
-        whole = window.coverage >= self._settings.windows.full_coverage
+        whole = window.coverage >= self._settings.windows.full_coverage and not window.contested
         if inputs.fresh["header_down"] == 1.0 and inputs.fresh["work_state"] != 0.0:
             self._cutting_s = window.end_s
         self._obstacle = self._zero_obstacle(window, inputs, elevator_runs, whole, plate_rests_at_home)

@@ -123,13 +123,15 @@ class SampleSource:
 
 @dataclass(frozen=True, slots=True)
 class InputSource:
-    """Which signal brings a quantity, and how its value becomes the quantity's: value * scale + offset."""
+    """Which signal brings a quantity, and how its value becomes the quantity's: value * scale + offset. interval_s: at which one
+    node sends it; nan: not known."""
 
     quantity: str
     message: str
     signal: str
     scale: float = 1.0
     offset: float = 0.0
+    interval_s: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,6 +152,10 @@ class Sources:
         sensors, inputs = (source.message for source in self.impact), (source.message for source in self.inputs)
         return tuple(dict.fromkeys((*sensors, *inputs)))
 
+    def interval_s(self, quantity: str) -> float:
+        """At which a quantity's one sender sends it, s; nan: not known."""
+        return next((source.interval_s for source in self.inputs if source.quantity == quantity), float("nan"))
+
 
 DEFAULT_SOURCES = Sources(
     impact=(
@@ -162,9 +168,9 @@ DEFAULT_SOURCES = Sources(
         ),
     ),
     inputs=(
-        InputSource("elevator_speed", bus.ELEVATOR_SPEED, "ElevatorSpeed"),
+        InputSource("elevator_speed", bus.ELEVATOR_SPEED, "ElevatorSpeed", interval_s=0.1),
         InputSource("actuator_state", bus.PLATE_ACTUATOR_FEEDBACK, "ActuatorState"),
-        InputSource("plate_angle", bus.PLATE_ACTUATOR_FEEDBACK, "PlateAngle"),
+        InputSource("plate_angle", bus.PLATE_ACTUATOR_FEEDBACK, "PlateAngle", interval_s=0.05),
         InputSource("moisture", bus.GRAIN_CONDITION, "Moisture"),
         InputSource("grain_temperature", bus.GRAIN_CONDITION, "GrainTemperature"),
         InputSource("test_weight", bus.GRAIN_CONDITION, "TestWeight"),

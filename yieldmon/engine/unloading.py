@@ -46,6 +46,9 @@ class Unloading:
 
     def _by_scale(self, inputs: InputSnapshot, duration_s: float) -> bool:
         tank_kg = inputs.tank_kg
+        if inputs.tank_disputed:
+            self._highest_kg, self._lowest_kg, self._over_s = float("-inf"), float("inf"), 0.0
+            return False
         if not isfinite(tank_kg):
             return False
         self._highest_kg = max(self._highest_kg, tank_kg)

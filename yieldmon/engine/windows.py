@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.engine.quick import maker_of
+from yieldmon.engine.rivals import RivalWatch, angle_limits, speed_limits
 from yieldmon.engine.settings import WindowSettings
 from yieldmon.engine.sources import DEFAULT_SOURCES, SampleSource
 from yieldmon.frames import SensorStatus
@@ -38,6 +39,13 @@ ROW_COLUMNS = 3
 
 HARMONICS = 4
 """Harmonics of the paddle pattern that make up the pulse amplitude: with two paddles a pattern, two of the paddle passes."""
+
+_DISPUTED = {
+    (False, False): "",
+    (True, False): "elevator speed",
+    (False, True): "plate angle",
+    (True, True): "elevator speed and plate angle",
+}
 
 _WHOLE_TURN = 2.0 * np.pi
 _LONGEST_EXACT_S = 0.0105
@@ -69,8 +77,9 @@ class Window:
     (patterns of them). harmonics_mv: complex amplitudes of what repeats with the paddle pattern, their phase counted along the
     chain from the first window, so that windows can be averaged coherently; pulse_mv: amplitude of all of them together. trend:
     difference of the window's halves in standard errors. lost_frames by counter and time; surplus_frames: more than the time
-    allows, or the same counter with other samples, as a second sender makes them; repeated_frames: same counter twice (one is
-    used). last_frame_s: engine time of the last sample frame until now.
+    allows, or the same counter with other samples, as a second sender makes them, and elevator speeds and plate angles of a
+    second sender (disputed: which of them); repeated_frames: same counter twice (one is used). last_frame_s: engine time of the
+    last sample frame until now.
     span_mv: largest less smallest sample. held_s: how long the last sample had not moved at the end. plate_min_rad ..
     plate_max_rad: over the whole support.
     """
@@ -99,12 +108,18 @@ class Window:
     lost_frames: int
     surplus_frames: int
     repeated_frames: int
+    disputed: str = ""
     trace: Trace | None = field(default=None, compare=False, repr=False)
 
     @property
     def coverage(self) -> float:
         """Share of the window's weight that was measured, 0 .. 1."""
         return min(1.0, self.covered_s / self.weight_s) if self.weight_s > 0.0 else 0.0
+
+    @property
+    def contested(self) -> bool:
+        """Whether more than one node sent what it was measured with."""
+        return self.surplus_frames > 0
 
 
 _made = maker_of(Window)
@@ -184,8 +199,9 @@ def _as_array(rows: Sequence[tuple[Any, ...]]) -> Array:
 class _Signal:
     """Measured points of a signal that wait for their window, and the value carried into it."""
 
-    def __init__(self, carried: float) -> None:
+    def __init__(self, carried: float, rivals: RivalWatch) -> None:
         self.carried = carried
+        self._rivals = rivals
         self._times: list[float] = []
         self._values: list[float] = []
 
@@ -202,14 +218,16 @@ class _Signal:
         self._times.clear()
         self._values.clear()
 
-    def take(self, edges: Array) -> tuple[_Knots, NDArray[np.bool_]]:
-        """The knots of the windows between edges, and which of them were measured; the points are used up.
+    def take(self, edges: Array) -> tuple[_Knots, NDArray[np.bool_], Counts]:
+        """The knots of the windows between edges, which of them were measured, and how many points of each window a second
+        sender accounts for; the points are used up.
 
         Before the first point ever the first point's own value holds.
         """
         starts, ends = edges[:-1, None], edges[1:, None]
         times, values = np.array(self._times), np.array([self.carried, *self._values])
         bounds = _window_bounds(times, edges)
+        surplus = self._rivals.take(times, values[1:], bounds, edges)
         counts = np.diff(bounds)
         columns = np.arange(int(counts.max()) + 2)
         measured = (columns >= 1) & (columns <= counts[:, None])
@@ -227,7 +245,7 @@ class _Signal:
         self.carried = float(table[-1, -1])
         self._times.clear()
         self._values.clear()
-        return _Knots(knots, table), measured
+        return _Knots(knots, table), measured, surplus
 
 
 class WindowBuilder:
@@ -247,9 +265,11 @@ class WindowBuilder:
         speed_rad_s: float | None = None,
         angle_rad: float = float("nan"),
         traces: bool = False,
+        speed_interval_s: float = float("nan"),
+        angle_interval_s: float = float("nan"),
     ) -> None:
         """source: layout of the sample frames. speed_rad_s, angle_rad: before the first that is measured; speed_rad_s None: the
-        machine's nominal speed."""
+        machine's nominal speed. speed_interval_s, angle_interval_s: at which their one sender sends them; nan: not known."""
         self._traces = traces
         if 2.0 * settings.max_ramp_s > settings.window_s:
             raise ValueError(f"max_ramp_s is {settings.max_ramp_s}; expected at most half of window_s, {settings.window_s}")
@@ -268,8 +288,11 @@ class WindowBuilder:
         self.rows: list[tuple[Any, ...]] = []
         """Pending sample rows (engine time, counter, status, samples...); the caller appends."""
         self._blocks: list[Array] = []
-        self._speed = _Signal(machine.nominal_elevator_speed_rad_s if speed_rad_s is None else speed_rad_s)
-        self._angle = _Signal(angle_rad)
+        self._speed = _Signal(
+            machine.nominal_elevator_speed_rad_s if speed_rad_s is None else speed_rad_s,
+            RivalWatch(speed_limits(machine, speed_interval_s)),
+        )
+        self._angle = _Signal(angle_rad, RivalWatch(angle_limits(angle_interval_s)))
         self._earlier_angles = (float("inf"), float("-inf"))
         self._left = np.zeros(4)
         self._left_s = 0.0
@@ -315,8 +338,8 @@ class WindowBuilder:
         """Close the windows between consecutive edges (w + 1,), engine time; each takes what arrived before its end."""
         edges = np.array(edges_s)
         frames = self._take_frames(edges)
-        speeds, _ = self._speed.take(edges)
-        angles, measured = self._angle.take(edges)
+        speeds, _, rival_speeds = self._speed.take(edges)
+        angles, measured, rival_angles = self._angle.take(edges)
         plate_min, plate_max = self._plate_range(angles, measured, edges)
         phases, weight_s = self._phases(speeds, edges)
         end_phases = phases[:, -1]
@@ -352,7 +375,8 @@ class WindowBuilder:
             edges[:-1], edges[1:], mean, std_dev, waves, pulse, trend, patterns, weight_s,
             self._covered_s(total, weight_s), speed, angle, plate_min, plate_max, sizes, samples, frames.last_frame_s,
             span, held * self._sample_interval_s, saturated,
-            _counts(frames.fault, frames.bounds), frames.lost, frames.surplus, frames.repeated,
+            _counts(frames.fault, frames.bounds), frames.lost, frames.surplus + rival_speeds + rival_angles, frames.repeated,
+            [_DISPUTED[speed > 0, angle > 0] for speed, angle in zip(rival_speeds.tolist(), rival_angles.tolist(), strict=True)],
         )  # fmt: skip
         lists = (column.tolist() if isinstance(column, np.ndarray) else column for column in columns)
         if not self._traces:

@@ -28,10 +28,11 @@ from .identifier import (
     frame,
     is_broadcast,
 )
+from .moves import Moves
 from .name import Name
 from .rates import Budget
 from .receiving import TransportReceiver
-from .requests import NEGATIVE, POSITIVE, Request, acknowledgement, request_in
+from .requests import NEGATIVE, POSITIVE, Request, acknowledgement, request_frame, request_in
 from .sending import TransportSender
 
 _REQUESTS_PER_S, _REQUESTS_AT_ONCE = 50.0, 50.0
@@ -115,6 +116,7 @@ class Node:
         self._violations = Budget(_VIOLATIONS_PER_S, _VIOLATIONS_AT_ONCE)
         self._duplicate_s = float("-inf")
         self._address_before: int | None = None
+        self._moves = Moves()
 
     @property
     def address(self) -> int | None:
@@ -212,7 +214,9 @@ class Node:
     def troubles(self, now_s: float) -> tuple[str, ...]:
         """What is wrong with the network at now_s, a sentence each."""
         counters = self._claim.counters()
+        twice = self._moves.claimed_twice(now_s)
         found = {
+            f"two nodes claim the NAME {twice}": twice is not None,
             "no address: every one that could be ours is held by a lower NAME": self._claim.state is ClaimState.CANNOT_CLAIM,
             f"our address is contested without end ({counters.contested} claims)": self._claims.exceeded(now_s),
             f"another node sends from our address ({counters.violations} frames)": self._violations.exceeded(now_s),
@@ -230,6 +234,7 @@ class Node:
         address, name = identifier & 0xFF, Name.of_bytes(data)
         before = self._claim.counters()
         if int(name) != int(self.settings.name):
+            self._hear_move(address, name, now_s, heard)
             self.addresses.claimed(address, name)
         heard.frames += self._claim.hear_claim(address, name, now_s)
         after = self._claim.counters()
@@ -238,6 +243,12 @@ class Node:
         if after.duplicates > before.duplicates:
             self._duplicate_s = now_s
         self._follow_address()
+
+    def _hear_move(self, address: int, name: Name, now_s: float, heard: Heard) -> None:
+        held = self.addresses.address_of(name)
+        ours = self.address
+        if address < NULL_ADDRESS and self._moves.claimed(name, held, address, now_s) and ours is not None and held is not None:
+            heard.frames.append(request_frame(ADDRESS_CLAIMED, ours, held))
 
     def _follow_address(self) -> None:
         """Sessions end with the address that they were opened under."""
