@@ -11,7 +11,8 @@ writer's and the recovery's code is the daemon's own, stepped on one thread; the
 Invariants: a start always succeeds; the total after a start is that of the last commit, or something is said; no total is above
 what was measured, and none goes back unsaid; a state that is damaged alone, and a replacement that was interrupted, cost nothing;
 seconds are numbered without a gap or a double; the seconds kept add up; what counts as committed is in the file of that name, or
-something is said; tickets that were committed are there once, or something is said; what could not be written says so.
+something is said; tickets that were committed are there once, or something is said; what could not be written says so; files that
+are removed or replaced under an open store cost no second of the history.
 Ends with 1 when one is broken.
 """
 
@@ -28,7 +29,7 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -109,6 +110,8 @@ class Life:
         """Total of the last batch handed over that a store can take: one that none can take commits nothing."""
         self.failing = False
         """The writer says that it cannot use the store."""
+        self.owed: frozenset[int] = frozenset()
+        """Seconds that an open store had when its files were removed: it can write them anew."""
 
     def _judge_start(self, note: str) -> None:
         world, total_kg = self.world, self.totals.total_kg
@@ -216,6 +219,15 @@ class Life:
                 self.submit(self._batch())
             self.writer.close()
 
+    def files_go(self) -> None:
+        """The files are about to be removed or replaced: what an open store has is owed, what a closed one had is gone."""
+        world = self.world
+        if self.writer._store is None or world.full or world.read_only or self.failing:
+            self.owed = frozenset()
+            return
+        with suppress(StoreError, sqlite3.Error), Store.reading(world.path) as store:
+            self.owed |= {row.number for row in store.seconds()}
+
     def look(self) -> None:
         """The seconds in the store are numbered and add up."""
         if self.world.read_only:
@@ -233,6 +245,8 @@ class Life:
             self.world.troubles[f"unreadable {type(error).__name__}"] += 1
             return
         world = self.world
+        if lost := self.owed - {row.number for row in rows}:
+            world.wrong(f"{len(lost)} seconds of the history lost with files that an open store could write anew")
         in_file_kg = rows[-1].total_kg if rows else 0.0
         if not self.said and not self.failing and in_file_kg < world.committed_kg - 1e-6:
             world.wrong(f"{in_file_kg} kg in the file where {world.committed_kg} kg count as committed, unsaid")
@@ -270,11 +284,13 @@ def _protect(world: World, life: Life) -> None:
 
 
 def _remove(world: World, life: Life) -> None:
+    life.files_go()
     for suffix in world.rng.choice((("",), ("-wal",), ("", "-wal"), ("", "-wal", "-shm"))):
         world.path.with_name(world.path.name + suffix).unlink(missing_ok=True)
 
 
 def _swap(world: World, life: Life) -> None:
+    life.files_go()
     world.path.unlink(missing_ok=True)
     world.path.write_bytes(b"another file")
 
@@ -282,6 +298,7 @@ def _swap(world: World, life: Life) -> None:
 def _exchange(world: World, life: Life) -> None:
     """While the store is closed, as after each failure, that of another machine comes into its place."""
     life.writer.close()
+    life.files_go()
     for suffix in ("", "-wal", "-shm"):
         world.path.with_name(world.path.name + suffix).unlink(missing_ok=True)
     other = world.folder / "other"

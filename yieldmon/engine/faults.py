@@ -280,7 +280,7 @@ _TABLE = (
         _C.FRAMES_LOST, 520202, 19, _N, 1, 10,
         "The sample counter shows frames lost, or two nodes send samples, speed, plate angle or tank mass.",
         "The seconds concerned are degraded; with two senders their mass is counted apart.",
-        "Check bus load, termination and for a second sender.",
+        "Check bus load, termination and for second senders.",
         lambda o: _frames_lost_detail(o) if _frames_lost(o) else None,
     ),
     FaultDefinition(
