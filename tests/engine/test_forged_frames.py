@@ -220,6 +220,6 @@ def test_one_sender_each_is_none_too_many(name: str) -> None:
 
 def test_intervals_are_those_of_the_dbc() -> None:
     layouts = load_layouts()
-    known = [source for source in DEFAULT_SOURCES.inputs if source.interval_s == source.interval_s]  # noqa: PLR0124
+    known = [source for source in DEFAULT_SOURCES.inputs if source.interval_s == source.interval_s]
     assert [source.quantity for source in known] == ["elevator_speed", "plate_angle"]
     assert all(source.interval_s == layouts[source.message].cycle_time_s for source in known)

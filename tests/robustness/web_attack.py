@@ -122,14 +122,16 @@ class Attack:
 
     def _other_site(self, rng: random.Random) -> None:
         command = json.dumps({"command": rng.choice(("load-start", "zero", "sweep-start"))})
-        origin = rng.choice(("https://evil.example", "null", f"http://127.0.0.1:{self._port + 1}", f"http://localhost.evil:{self._port}"))
+        origin = rng.choice(
+            ("https://evil.example", "null", f"http://127.0.0.1:{self._port + 1}", f"http://localhost.evil:{self._port}")
+        )
         kind = rng.choice(("application/json", "text/plain", "application/x-www-form-urlencoded"))
         authorised = {"authorization": f"Bearer {TOKEN}"} if rng.random() < 0.5 else {}
         headers = {"origin": origin, "content-type": kind, "sec-fetch-site": "cross-site", **authorised}
         self._ask("other site", "POST", "/api/command", headers, command)
 
     def _other_host(self, rng: random.Random) -> None:
-        host = rng.choice(("evil.example", f"evil.example:{self._port}", "127.0.0.1.nip.io", "", "[::1", "127.0.0.1:1", "169.254.169.254"))
+        host = rng.choice(("evil.example", f"evil.example:{self._port}", "127.0.0.1.nip.io", "", "[::1", "127.0.0.1:1"))
         self._ask("other host", "GET", "/api/page", {"host": host, "authorization": f"Bearer {TOKEN}"})
 
     def _guess(self, rng: random.Random) -> None:

@@ -4,7 +4,7 @@ machine can."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf, radians
+from math import inf, isfinite, radians
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +72,7 @@ class RivalWatch:
             leaps &= np.abs(step_s) <= _LONGEST_LEAP_S
         sizes = np.diff(bounds)
         crowded = np.zeros(sizes.size)
-        if limits.interval_s == limits.interval_s:  # noqa: PLR0124
+        if isfinite(limits.interval_s):
             possible = np.diff(edges_s) / limits.interval_s * (1.0 + _CROWDED_SHARE) + _CROWDED_FRAMES
             crowded = np.floor(np.maximum(sizes - possible, 0.0))
         if not leaps.any() and not any(self._before):
