@@ -106,6 +106,19 @@ def test_a_wrong_number_is_named_in_one_line_and_nothing_is_written(tmp_path, ca
     assert not list(out.glob("*")) if out.exists() else True
 
 
+def test_files_are_for_the_services_user_whatever_the_umask(tmp_path, capsys):
+    folder = tmp_path / "etc" / "yieldmon"
+    before = os.umask(0o077)
+    try:
+        assert main(["setup", "--answers", answers(tmp_path), "--out", str(folder), "--json"]) == 0
+    finally:
+        os.umask(before)
+    written = [Path(name) for name in json.loads(capsys.readouterr().out)["files"].values()]
+    assert len(written) >= 3
+    assert {path.stat().st_mode & 0o777 for path in written} == {0o644}
+    assert {path.stat().st_mode & 0o777 for path in (folder, folder.parent)} == {0o755}
+
+
 def test_through_a_terminal_of_80_by_24_with_a_break_between(tmp_path):
     pexpect, pyte = pytest.importorskip("pexpect"), pytest.importorskip("pyte")
     lines = [" ".join(map(str, value)) if isinstance(value, list) else str(value) for value in ANSWERS.values()]

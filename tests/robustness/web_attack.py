@@ -78,10 +78,10 @@ class Attack:
             with suppress(OSError, HTTPException):
                 kind(rng)
 
-    def _keep(self, make: Callable[[], socket.socket], most: int, rng: random.Random, byte: bytes) -> None:
+    def _keep(self, make: Callable[[], socket.socket], most: int, rng: random.Random, byte: bytes, pause_s: float = 0.01) -> None:
         """Holds so many connections, each with another byte now and then; those that were cut off are opened again."""
         held: list[socket.socket] = []
-        while not self._over.wait(0.01):
+        while not self._over.wait(pause_s):
             if len(held) < most:
                 with suppress(OSError):
                     held.append(make())
@@ -106,7 +106,8 @@ class Attack:
             peer.connect(str(self._control))
             return peer
 
-        self._keep(make, self._connections, rng, b"{")
+        # Faster than those at the page, so that some speak while they are cut off.
+        self._keep(make, self._connections, rng, b"{", 0.0005)
 
     def _come_and_go(self, rng: random.Random) -> None:
         for _ in range(20):
@@ -197,6 +198,15 @@ def threads(pid: int) -> int:
     return len(list(Path(f"/proc/{pid}/task").iterdir()))
 
 
+def answers_status(control: Path) -> bool:
+    """Whether the daemon's socket answers the operator within five tries, in the middle of the attack."""
+    for _ in range(5):
+        with suppress(ControlError):
+            ask(control, {"command": "status"}, 5.0)
+            return True
+    return False
+
+
 def driver_s(port: int) -> float:
     """How long the page takes to answer somebody with the token, s; infinite where it does not."""
     began_s = time.monotonic()
@@ -248,7 +258,7 @@ def run(folder: Path, options: argparse.Namespace) -> tuple[dict[str, Any], bool
     shares: dict[str, list[float]] = {"quiet": [], "attacked": []}
     latencies: dict[str, list[float]] = {"quiet": [], "attacked": []}
     missed, answers, memory = 0, Counter[str](), []
-    most_threads = 0
+    most_threads = unanswered = 0
     with (
         processes(folder) as (daemon, page, port),
         can.Bus(GROUP, interface="udp_multicast", port=PORT) as sender,
@@ -263,6 +273,7 @@ def run(folder: Path, options: argparse.Namespace) -> tuple[dict[str, Any], bool
             if kind == "attacked":
                 with Attack(port, folder / "yieldmon.sock", options.connections, turn) as attack:
                     player.play(options.seconds, filler=False)
+                    unanswered += not answers_status(folder / "yieldmon.sock")
                     memory.append((memory_mb(daemon.pid), memory_mb(page.pid)))
                     most_threads = max(most_threads, threads(daemon.pid))
                 answers += attack.answers
@@ -283,12 +294,12 @@ def run(folder: Path, options: argparse.Namespace) -> tuple[dict[str, Any], bool
         "missed_windows": missed, "frames_dropped": status["bus"]["dropped"], "late": status["bus"]["late"],
         "core_share_pct": {name: [round(x, 2) for x in found] for name, found in shares.items()}, "rise_pct": round(rise_pct, 2),
         "latency_p50_ms": {name: [round(x, 1) for x in found] for name, found in latencies.items()},
-        "memory_mb": [[round(x, 1) for x in pair] for pair in memory], "growth_mb": growth_mb, "daemon_threads": most_threads,
+        "memory_mb": [[round(x, 1) for x in pair] for pair in memory], "growth_mb": growth_mb, "daemon_threads": most_threads, "status_unanswered": unanswered,
         "answers": dict(sorted(answers.items())), "let_in": let_in(answers), "driver_answered_s": round(answer_s, 2),
         "journal_lines": len(journal), "load_number": status["load"]["number"],
     }  # fmt: skip
     held = (
-        alive and not missed and not figures["let_in"] and not status["bus"]["dropped"] and rise_pct <= options.rise_pct
+        alive and not missed and not unanswered and not figures["let_in"] and not status["bus"]["dropped"] and rise_pct <= options.rise_pct
         and max(growth_mb) <= options.growth_mb and answer_s <= options.answer_s and status["load"]["number"] == 1
     )  # fmt: skip
     return figures, held

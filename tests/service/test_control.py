@@ -8,6 +8,7 @@ import os
 import pwd
 import socket
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -114,3 +115,22 @@ def test_a_socket_left_by_an_earlier_run_is_replaced(tmp_path):
     server.start()
     assert ask(path, {"command": "status"})
     server.stop()
+
+
+def test_peers_that_are_cut_off_while_they_speak_end_nothing(path):
+    """More peers than there is room for, all of whom go on sending bytes of a request."""
+    peers: list[socket.socket] = []
+    try:
+        for number in range(400):
+            peers.append(socket.socket(socket.AF_UNIX))
+            peers[-1].settimeout(10.0)
+            with suppress(BlockingIOError):
+                peers[-1].connect(str(path))
+            for peer in peers[-60:]:
+                with suppress(OSError):
+                    peer.send(b"{")
+            if number % 50 == 49:
+                assert ask(path, {"command": "status"})["echo"]["command"] == "status"
+    finally:
+        for peer in peers:
+            peer.close()

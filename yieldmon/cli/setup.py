@@ -13,7 +13,7 @@ from yieldmon.cli._setup import derive, session
 from yieldmon.cli._setup.questions import QUESTIONS
 from yieldmon.errors import InputError
 from yieldmon.files import machine_file, parameter_file, strict_yaml
-from yieldmon.files.whole_file import scratch_for
+from yieldmon.files.whole_file import READABLE, readable_folder, scratch_for
 from yieldmon.service import configuration
 
 CONFIGURATION, MACHINE, RECORD = "yieldmon.yaml", "machine.yaml", "setup-record.yaml"
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     missing = [q.key for q in QUESTIONS if q.key not in answers]
     if missing and (args.json or not sys.stdin.isatty()):
         raise InputError(args.answers or "setup", f"has no {missing[0]}", "an answer to each question, or a terminal to ask in")
-    folder.mkdir(parents=True, exist_ok=True)
+    readable_folder(folder)
     if missing:
         session.ask(answers, input, print, lambda now: session.keep(now, folder))
     document = write(answers, folder, force=args.force)
@@ -95,7 +95,7 @@ def write(answers: dict[str, Any], folder: Path, *, force: bool) -> dict[str, An
     angles = _sweep_angles(answers)
     config["sweep"] = {"angles_deg": angles} if angles else {"enabled": False}
     for name, content in ((MACHINE, machine_file.to_document(machine)), (CONFIGURATION, config), (RECORD, found)):
-        with scratch_for(folder / name, durable=True) as scratch:
+        with scratch_for(folder / name, durable=True, mode=READABLE) as scratch:
             scratch.write_text(strict_yaml.dump(content), encoding="utf-8")
     parameter_file.save(parameters, folder / names["parameters"])
     configuration.load(folder / CONFIGURATION)

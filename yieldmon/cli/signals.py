@@ -22,7 +22,7 @@ from yieldmon.bus.opening import add_bus_arguments, open_bus_from
 from yieldmon.bus.waiting import receive
 from yieldmon.cli import _outputs
 from yieldmon.errors import InputError
-from yieldmon.files.whole_file import scratch_for
+from yieldmon.files.whole_file import READABLE, scratch_for
 from yieldmon.network.name import Name
 from yieldmon.resources import shipped
 from yieldmon.signals.survey import MessageSeen, Survey, mapping_text
@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     if survey.incomplete:
         print(f"yieldmon: {survey.incomplete} messages of several frames lack one and are not used", file=sys.stderr)
     if args.write is not None:
-        with scratch_for(args.write) as scratch:
+        with scratch_for(args.write, mode=READABLE) as scratch:
             scratch.write_text(mapping_text(survey, _as_written(paths, Path(args.write))), encoding="utf-8")
         print(f"written: {args.write}", file=sys.stderr)
     if args.json:

@@ -30,6 +30,15 @@ def check_place(path: str | Path) -> None:
         raise InputError(str(path), f"there is no folder {target.parent}", "a file in a folder that exists")
 
 
+def readable_folder(path: str | Path) -> None:
+    """A folder that is made where it is missing, with those above it, for everybody to enter, whatever the umask."""
+    folder = Path(path)
+    if not folder.is_dir():
+        readable_folder(folder.parent)
+        folder.mkdir(exist_ok=True)
+        folder.chmod(0o755)
+
+
 @contextmanager
 def scratch_for(path: str | Path, *, durable: bool = False, mode: int | None = None) -> Iterator[Path]:
     """A path to write to, in a folder beside `path`; it takes that name at the end, and goes when something fails.

@@ -151,19 +151,32 @@ class _Server:
     def run(self) -> None:
         """Until `stopping`."""
         self._listening.setblocking(False)
-        with selectors.DefaultSelector() as selector, self._listening:
-            selector.register(self._listening, selectors.EVENT_READ)
+        with self._listening:
             while not self.stopping:
-                for key, _ in selector.select(_POLL_S):
-                    if key.fileobj is self._listening:
-                        self._accept(selector)
-                    else:
-                        self._read(selector, self._asking[key.fd])
-                now_s = monotonic()
-                for asking in [a for a in self._asking.values() if a.until_s <= now_s]:
+                try:
+                    self._serve()
+                except Exception:  # noqa: BLE001 - without this thread nobody learns how the daemon does
+                    _log.exception("control")
+                    sleep(_POLL_S)
+
+    def _serve(self) -> None:
+        """Until `stopping`, or an error that was not foreseen; connections under way end with it."""
+        with selectors.DefaultSelector() as selector:
+            selector.register(self._listening, selectors.EVENT_READ)
+            try:
+                while not self.stopping:
+                    for key, _ in selector.select(_POLL_S):
+                        if key.fileobj is self._listening:
+                            self._accept(selector)
+                        elif self._asking.get(key.fd) is key.data:
+                            self._read(selector, key.data)
+                        # Else cut off since the selection, for another's place.
+                    now_s = monotonic()
+                    for asking in [a for a in self._asking.values() if a.until_s <= now_s]:
+                        self._drop(selector, asking)
+            finally:
+                for asking in list(self._asking.values()):
                     self._drop(selector, asking)
-            for asking in list(self._asking.values()):
-                self._drop(selector, asking)
 
     def _accept(self, selector: selectors.BaseSelector) -> None:
         try:
@@ -177,8 +190,8 @@ class _Server:
             _log.warning("control: more than %d connections; the one that has asked nothing for longest is cut off", _CONNECTIONS)
             self._drop(selector, min(self._asking.values(), key=lambda asking: asking.until_s))
         connection.setblocking(False)
-        self._asking[connection.fileno()] = _Asking(connection, monotonic() + _PATIENCE_S)
-        selector.register(connection, selectors.EVENT_READ)
+        asking = self._asking[connection.fileno()] = _Asking(connection, monotonic() + _PATIENCE_S)
+        selector.register(connection, selectors.EVENT_READ, asking)
 
     def _read(self, selector: selectors.BaseSelector, asking: _Asking) -> None:
         try:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from yieldmon.engine.faults import FaultCode
-from yieldmon.errors import InputError
 from yieldmon.files.whole_file import scratch_for
 
 _log = logging.getLogger(__name__)
@@ -50,7 +49,7 @@ class MetricsFile:
             try:
                 write(self._path, self._status())
                 failed = False
-            except (OSError, InputError) as error:
+            except Exception as error:  # noqa: BLE001 - a thread that dies in silence would leave what is stale for fresh
                 if not failed:
                     _log.warning("metrics: %s", error)
                 failed = True
