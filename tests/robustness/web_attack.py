@@ -294,12 +294,14 @@ def run(folder: Path, options: argparse.Namespace) -> tuple[dict[str, Any], bool
         "missed_windows": missed, "frames_dropped": status["bus"]["dropped"], "late": status["bus"]["late"],
         "core_share_pct": {name: [round(x, 2) for x in found] for name, found in shares.items()}, "rise_pct": round(rise_pct, 2),
         "latency_p50_ms": {name: [round(x, 1) for x in found] for name, found in latencies.items()},
-        "memory_mb": [[round(x, 1) for x in pair] for pair in memory], "growth_mb": growth_mb, "daemon_threads": most_threads, "status_unanswered": unanswered,
+        "memory_mb": [[round(x, 1) for x in pair] for pair in memory], "growth_mb": growth_mb,
+        "daemon_threads": most_threads, "status_unanswered": unanswered,
         "answers": dict(sorted(answers.items())), "let_in": let_in(answers), "driver_answered_s": round(answer_s, 2),
         "journal_lines": len(journal), "load_number": status["load"]["number"],
     }  # fmt: skip
     held = (
-        alive and not missed and not unanswered and not figures["let_in"] and not status["bus"]["dropped"] and rise_pct <= options.rise_pct
+        alive and not missed and not unanswered
+        and not figures["let_in"] and not status["bus"]["dropped"] and rise_pct <= options.rise_pct
         and max(growth_mb) <= options.growth_mb and answer_s <= options.answer_s and status["load"]["number"] == 1
     )  # fmt: skip
     return figures, held
