@@ -127,10 +127,11 @@ class ValueWithStdDev(TypedDict):
 
 
 class StatusParameters(TypedDict):
-    """Parameters in use, by name; age_s since they were calibrated or updated."""
+    """Parameters in use, by name; age_s since they were calibrated or updated. estimator: "physical", "alpha_beta", "table"."""
 
     version: int
     age_s: Number
+    estimator: str
     values: dict[str, ValueWithStdDev]
     provenance: dict[str, str]
 
@@ -382,6 +383,30 @@ class CalibrationDocument(TypedDict):
     written: NotRequired[str]
 
 
+class CurveErrors(TypedDict):
+    """Of the loads' flow, %; left_out: where only the other loads calibrate."""
+
+    fitted_mean: float
+    fitted_max: float
+    left_out_mean: Number
+    left_out_max: Number
+
+
+class CurveCalibrationDocument(TypedDict):
+    """`yieldmon calibrate --estimator --json`. mass_flow_kg_s: lowest and highest."""
+
+    file: str
+    rows: int
+    estimator: str
+    plate_angles_deg: list[float]
+    coefficients: dict[str, float]
+    mass_flow_kg_s: list[float]
+    relative_std_dev_pct: float
+    error_pct: CurveErrors
+    loads: int
+    written: NotRequired[str]
+
+
 class LoadResidualSummary(TypedDict):
     """Of the loads, kg."""
 
@@ -554,6 +579,7 @@ DOCUMENTS: dict[str, Any] = {
     "status": Status,
     "process": ProcessSummary,
     "calibrate": CalibrationDocument,
+    "calibrate-curve": CurveCalibrationDocument,
     "calibrate-loads": LoadCalibrationDocument,
     "diagnose": DiagnosisDocument,
 }

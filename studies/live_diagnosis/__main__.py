@@ -81,7 +81,7 @@ def judged(lived: Lived, args: argparse.Namespace):  # type: ignore[no-untyped-d
     from studies.live_diagnosis import cases as live
     from yieldmon.files import parameter_file
     from yieldmon.physics.machine import RPM
-    from yieldmon.service.assembly import build_estimator
+    from yieldmon.estimation.estimators import estimator_of
     from yieldmon.service.store import Store
 
     with Store(lived.store) as store:
@@ -99,7 +99,7 @@ def judged(lived: Lived, args: argparse.Namespace):  # type: ignore[no-untyped-d
 
     def with_parameters(version: int):  # type: ignore[no-untyped-def]
         """The seconds after adoption with one set of parameters, window by window, no filter."""
-        loop = build_estimator(lived.machine, parameter_file.from_document(versions[version], "store"))
+        loop = estimator_of(lived.machine, parameter_file.from_document(versions[version], "store"))
         force, angle, rpm = (
             np.array([np.nan if getattr(row, name) is None else getattr(row, name) for row in after], dtype=float)
             for name in ("force_n", "plate_angle_deg", "elevator_speed_rpm")

@@ -42,6 +42,20 @@ def tickets(folder: Path, rows: list[tuple[object, float]], header: str = "load,
     return str(path)
 
 
+def test_loads_calibrate_a_curve_that_measures_them(loads, tmp_path, capsys):
+    logs, masses = loads
+    curve, rows = tmp_path / "curve.yaml", list(enumerate(masses, 1))
+    words = ["--estimator", "alpha_beta", "--tickets", tickets(tmp_path, rows), "--out", str(curve), "--json"]
+    assert main(["calibrate", "--loads", *logs, *words]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert problems(found, "calibrate-curve") == []
+    assert (found["estimator"], found["loads"], found["plate_angles_deg"]) == ("alpha_beta", 4, [pytest.approx(70.0)])
+    out = ["--out", str(tmp_path / "out.csv"), "--jobs", "1", "--json"]
+    assert main(["process", logs[1], "--estimator", str(curve), *out]) == 0
+    measured_kg = json.loads(capsys.readouterr().out)["total_mass_kg"]
+    assert measured_kg == pytest.approx(masses[1], rel=max(0.01, 2.0 * found["relative_std_dev_pct"] / 100.0))
+
+
 def test_three_loads_calibrate_and_a_fourth_of_another_truck_is_named(loads, tmp_path, capsys):
     logs, masses = loads
     out = tmp_path / "wheat.yaml"

@@ -368,9 +368,10 @@ def test_each_empirical_model_recovers_what_it_can_describe() -> None:
     mass = np.asarray(conditions.paddle_mass_kg)
     linear = Measurements(conditions, 5.0 * mass)
     assert empirical.ForceProportional.fit(linear, mass).load_kg(linear.columns(), linear.momentum) == pytest.approx(mass)
-    bent = Measurements(conditions, 5.0 * mass * (1.0 - 0.2 * mass))
-    curve = empirical.AlphaBeta.fit(bent, mass, MACHINE)
-    assert curve.beta < 0.0 < curve.alpha
+    # Solves mass = 0.2 momentum + 0.01 momentum^2, which is quadratic in force over speed.
+    bent = Measurements(conditions, 10.0 * (np.sqrt(1.0 + mass) - 1.0))
+    curve = empirical.AlphaBetaLoad.fit(bent, mass, MACHINE)
+    assert min(curve.law.alpha, curve.law.beta) > 0.0
     assert curve.load_kg(bent.columns(), bent.momentum) == pytest.approx(mass)
     table_model = empirical.InterpolatedTable.fit(bent, mass)
     assert table_model.load_kg(bent.columns(), bent.momentum) == pytest.approx(mass)

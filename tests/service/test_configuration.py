@@ -150,7 +150,7 @@ WRONG = [
     ("network: {preferred_address: 254}", "network.preferred_address: 254; expected a whole number from 0 to 253"),
     ("gate: {certain_force_n: 0.5}", "gate.certain_force_n: 0.5; expected at least gate.grain_on_n, 1 N"),
     ("windows: {min_coverage: 1}", "windows.min_coverage: 1; expected at most windows.full_coverage, 0.98"),
-    ("[]", "[]; expected keys machine_file, parameter_file, moisture_map_file, units"),
+    ("[]", "[]; expected keys machine_file, parameter_file, estimator_file, moisture_map_file, units"),
 ]  # fmt: skip
 
 

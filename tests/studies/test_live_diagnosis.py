@@ -12,8 +12,8 @@ import pytest
 from studies.live_diagnosis import cases as live
 from studies.live_diagnosis.stepped_daemon import SteppedDaemon
 from tests.plant_sweeps import MACHINE, STRONG, shown_force, sweep_windows, window
+from yieldmon.estimation.estimators import estimator_of
 from yieldmon.files import parameter_file
-from yieldmon.service.assembly import build_estimator
 from yieldmon.service.rows import SecondRow, second_row
 from yieldmon.service.store import Store
 
@@ -114,7 +114,7 @@ def test_a_calibration_at_home_is_right_at_home_whatever_the_effect() -> None:
     assert found.covariance_names == ("friction", "density", "restitution")
     flow = np.array([6.0, 10.0, 16.0])
     speed = MACHINE.nominal_elevator_speed_rad_s
-    loop = build_estimator(MACHINE, found)
+    loop = estimator_of(MACHINE, found)
     for angle_deg, limit in ((70.0, 0.02), (40.0, 0.5)):
         angle = np.full(3, np.radians(angle_deg))
         measured = loop.invert(shown_force(MACHINE, STRONG)(flow, angle), angle, np.full(3, speed))

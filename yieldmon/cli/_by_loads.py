@@ -15,7 +15,7 @@ import numpy as np
 
 from yieldmon.documents import CalibratedParameter, LoadCalibrationDocument
 from yieldmon.errors import InputError
-from yieldmon.estimation.loads import LoadCalibration, calibrate_loads
+from yieldmon.estimation.loads import LoadCalibration, WeighedLoad, calibrate_loads
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file, ticket_file, whole_file
 from yieldmon.physics.model import ForwardModel
@@ -53,19 +53,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> LoadCalibrationDocument:
     """The report as plain data. Raises InputError."""
-    if args.tickets is None:
-        raise InputError("--tickets", "is missing", "a table with the columns load and weighed_kg beside --loads")
-    if args.data is not None:
-        raise InputError(args.data, "is given beside --loads", "either a table of a test facility or weighed loads")
     for name in _TABLE_ONLY:
         if getattr(args, name) not in (None, False, "", []):
             raise InputError(f"--{name.replace('_', '-')}", "belongs to a table of a test facility", "none with --loads")
-    from yieldmon.service import weighed_loads  # The daemon's own modules, which a table of a test facility does not need.
+    from yieldmon.service import weighed_loads
 
-    configured = _configured(args)
-    tickets = ticket_file.load(args.tickets)
-    measured = weighed_loads.read(args.loads, configured)
-    loads = weighed_loads.match(measured, tickets, configured.machine)
+    configured, measured, loads = _measured(args)
     prior = _prior(args, measured, configured)
     sweeps = weighed_loads.sweeps_of(measured)
     if sweeps:
@@ -82,6 +75,25 @@ def run(args: argparse.Namespace) -> LoadCalibrationDocument:
     return document
 
 
+def matched(args: argparse.Namespace) -> tuple[Configuration, tuple[WeighedLoad, ...]]:
+    """The weighed loads that the arguments name, and what measured them. Raises InputError."""
+    configured, _, loads = _measured(args)
+    return configured, loads
+
+
+def _measured(args: argparse.Namespace) -> tuple[Configuration, tuple[MeasuredLoad, ...], tuple[WeighedLoad, ...]]:
+    if args.tickets is None:
+        raise InputError("--tickets", "is missing", "a table with the columns load and weighed_kg beside --loads")
+    if args.data is not None:
+        raise InputError(args.data, "is given beside --loads", "either a table of a test facility or weighed loads")
+    from yieldmon.service import weighed_loads  # The daemon's own modules, which a table of a test facility does not need.
+
+    configured = _configured(args)
+    tickets = ticket_file.load(args.tickets)
+    measured = weighed_loads.read(args.loads, configured)
+    return configured, measured, weighed_loads.match(measured, tickets, configured.machine)
+
+
 def _configured(args: argparse.Namespace) -> Configuration:
     from yieldmon.service import configuration
 
@@ -94,11 +106,12 @@ def _configured(args: argparse.Namespace) -> Configuration:
 
 
 def _prior(args: argparse.Namespace, measured: tuple[MeasuredLoad, ...], configured: Configuration) -> ParameterSet:
-    """What --prior names, else what measured the newest load."""
-    if args.prior is not None or not measured:
-        return configured.parameters
-    newest = measured[-1]
-    return newest.parameters.get(newest.seconds[-1].parameter_version, configured.parameters)
+    """The physics of what --prior names, else of what measured the newest load."""
+    known = configured.parameters
+    if args.prior is None and measured:
+        newest = measured[-1]
+        known = newest.parameters.get(newest.seconds[-1].parameter_version, known)
+    return dataclasses.replace(known, curve=None)
 
 
 def report(found: LoadCalibration, args: argparse.Namespace) -> LoadCalibrationDocument:

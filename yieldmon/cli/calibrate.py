@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from yieldmon.cli import _by_loads, _outputs, model_options
+from yieldmon.cli import _by_loads, _flow_curve, _outputs, model_options
 from yieldmon.documents import CalibrationDocument, ComparedModel
 from yieldmon.errors import InputError
 from yieldmon.estimation import empirical, identifiability
@@ -70,6 +70,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--plate-angle", type=float, metavar="DEG", help="use the rows at this angle only")
     parser.add_argument("--robust", action="store_true", help="soft-L1 loss: outliers lose weight")
     parser.add_argument("--by-moisture", action="store_true", help="a fit for each moisture_pct and a map; --out names a folder")
+    _flow_curve.add_argument(parser)
     parser.add_argument("--compare", action="store_true", help="beside the empirical models, by cross-validation over loads")
     parser.add_argument("--identifiability", action="store_true", help="what these rows determine, what would add to it")
     parser.add_argument(
@@ -83,6 +84,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Fit, report, write. Exit code 1 when weighed loads refuse the calibration."""
+    if args.estimator is not None:
+        curve = _flow_curve.run(args)
+        print(json.dumps(_finite(curve), indent=1) if args.json else _flow_curve.text(curve))
+        return 0
     if args.loads is not None:
         document = _by_loads.run(args)
         print(json.dumps(_finite(document), indent=1) if args.json else _by_loads.text(document))

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from yieldmon.cli import model_options
+from yieldmon.cli import _flow_curve, model_options
 from yieldmon.errors import InputError
-from yieldmon.estimation.open_loop import FlowStatus, OpenLoop
+from yieldmon.estimation.estimators import estimator_of
+from yieldmon.estimation.open_loop import FlowStatus
 from yieldmon.files import table
-from yieldmon.physics.model import ForwardModel
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -27,6 +27,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("data", metavar="DATA.csv", help="plate_angle_deg and force_n, momentum_kg_m_s or response")
     model_options.add_model_arguments(parser)
+    _flow_curve.add_file(parser)
     parser.add_argument(
         "--sigma", type=float, default=0.0, metavar="SD", help="noise of the reading where the table has no sigma; default: 0"
     )
@@ -37,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     """A row of output for each row of the table; rows of bad input are errors, rows without a reading have a status."""
     if not 0.0 <= args.sigma < np.inf:
         raise InputError("--sigma", f"is {args.sigma:g}", "a number of at least 0")
-    machine, known = model_options.machine(args), model_options.parameters(args)
+    machine, known = model_options.machine(args), _flow_curve.with_file(model_options.parameters(args), args.estimator)
     data = table.load(args.data, need_load=False)
     model_options.check_unit(known, data)
     data.check_doubled(machine)
@@ -50,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     noise = np.where(np.isnan(noise), args.sigma, noise) * to_force
     angle = np.radians(data.columns["plate_angle_deg"])
     force = data.columns[data.reading] * to_force
-    loop = OpenLoop(ForwardModel(machine, known.effects), known)
+    loop = estimator_of(machine, known)
     try:
         found = loop.estimate(force, angle, speed, noise, data.columns.get("moisture_pct"))
     except ValueError as error:

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from yieldmon.bus import mf4
 from yieldmon.bus.logs import SUFFIXES, open_bytes
-from yieldmon.cli import _outputs
+from yieldmon.cli import _flow_curve, _outputs
 from yieldmon.cli._units import add_units
 from yieldmon.documents import ProcessSummary, ReprocessSummary
 from yieldmon.errors import InputError
@@ -52,6 +52,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--params", metavar="F", help="parameter file; default: the configuration's; of a store its newest")
     parser.add_argument("--config", metavar="F", help="configuration (YAML); default: the shipped one")
+    _flow_curve.add_file(parser)
     parser.add_argument(
         "--out",
         metavar="F",
@@ -74,11 +75,9 @@ def run(args: argparse.Namespace) -> int:
     """Exit code 0 when every log was read to its end, damaged places aside."""
     _check(args)
     config = args.config if args.config is not None else shipped("config/yieldmon.yaml")
-    loaded = configuration.load(config)
+    loaded = _configured(config, args.params, args.estimator)
     for note in loaded.notes:
         print(f"note: {note}", file=sys.stderr)
-    if args.params is not None:
-        loaded = replace(loaded, parameters=parameter_file.load(args.params))
     units = units_of(args.units, loaded.document.units, loaded.parameters.provenance.get("crop", ""))
     if any(is_store(log) for log in args.logs):
         return _store_again(args, loaded, units)
@@ -94,6 +93,16 @@ def run(args: argparse.Namespace) -> int:
     else:
         print(_line(document, units), file=sys.stderr)
     return 0
+
+
+def _configured(config: str | Path, params: str | None, estimator: str | None) -> configuration.Configuration:
+    """The configuration with what --params and --estimator put in its place."""
+    loaded = configuration.load(config)
+    if params is not None:
+        loaded = replace(loaded, parameters=parameter_file.load(params))
+    if estimator is not None:
+        loaded = configuration.with_estimator(loaded, estimator)
+    return loaded
 
 
 def _check(args: argparse.Namespace) -> None:
@@ -119,11 +128,12 @@ def _store_again(args: argparse.Namespace, loaded: configuration.Configuration, 
         raise InputError("LOG", "names a store beside others", "one store alone")
     if not 0 <= args.delay <= _LONGEST_DELAY_S:
         raise InputError("--delay", f"is {args.delay}", f"0 to {_LONGEST_DELAY_S} s")
-    if args.params is None and args.zero_mv is None and not args.delay:
-        raise InputError(args.logs[0], "is a store, measured already", "--params, --zero-mv or --delay to measure it again")
+    if args.params is None and args.estimator is None and args.zero_mv is None and not args.delay:
+        expected = "--params, --estimator, --zero-mv or --delay to measure it again"
+        raise InputError(args.logs[0], "is a store, measured already", expected)
     rows = recorded.read_seconds(args.logs[0])
     parameters = loaded.parameters
-    if args.params is None:
+    if args.params is None and args.estimator is None:
         with recorded.opened(Path(args.logs[0])) as store:
             versions = store.parameter_versions()
         if not versions:
@@ -185,7 +195,15 @@ def _separately(args: argparse.Namespace, config: str | Path, units: Units) -> i
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError("--separate", f"several logs are named {twice}", "logs whose names differ")
     folder.mkdir(parents=True, exist_ok=True)
-    work = partial(_separate_record, folder=folder, kind=kind, config=config, params=args.params, zero_mv=args.zero_mv)
+    work = partial(
+        _separate_record,
+        folder=folder,
+        kind=kind,
+        config=config,
+        params=args.params,
+        estimator=args.estimator,
+        zero_mv=args.zero_mv,
+    )
     context = multiprocessing.get_context("fork")
     documents: dict[str, ProcessSummary] = {}
     with (
@@ -208,13 +226,11 @@ def _separately(args: argparse.Namespace, config: str | Path, units: Units) -> i
 
 
 def _separate_record(
-    log: str, folder: Path, kind: str, config: str | Path, params: str | None, zero_mv: float | None
+    log: str, folder: Path, kind: str, config: str | Path, params: str | None, estimator: str | None, zero_mv: float | None
 ) -> tuple[ProcessSummary | None, tuple[str, str, str] | None]:
     """The record's summary, or what InputError was raised with."""
     try:
-        loaded = configuration.load(config)
-        if params is not None:
-            loaded = replace(loaded, parameters=parameter_file.load(params))
+        loaded = _configured(config, params, estimator)
         return _one_record([log], str(folder / f"{_stem(log)}.{kind}"), kind, loaded, False, None, zero_mv), None
     except InputError as error:
         return None, (error.where, error.problem, error.expected)

@@ -73,7 +73,8 @@ def _show(status: Mapping[str, Any], units: Units, console: Console) -> None:
         facts.add_row(name, text)
     values = ", ".join(f"{name} {entry['value']:.4g} ± {entry['std_dev']:.2g}" for name, entry in parameters["values"].items())
     age = "age not known" if parameters["age_s"] is None else f"{_span(parameters['age_s'])} old"
-    facts.add_row("parameters", f"version {parameters['version']}, {age}: {values}")
+    curve = "" if parameters["estimator"] == "physical" else f", {parameters['estimator']}"
+    facts.add_row("parameters", f"version {parameters['version']}{curve}, {age}" + (f": {values}" if values else ""))
     for note in status["signals"]["notes"]:
         facts.add_row("signals", note)
     facts.add_row("reload", status["configuration"]["reload"])

@@ -170,8 +170,11 @@ class FlowMeter:
     def _angle_uncertainty(self, reading: Reading, rate: float, estimator: FlowEstimator) -> float:
         """Standard deviation of flow from a plate angle that is held, not measured, kg/s."""
         moved = reading.window.plate_angle_rad - radians(self._settings.inputs.held_angle_std_dev_deg)
-        other = float(_ask(reading, estimator, reading.force_n, moved).rate_kg_s)
-        return abs(other - rate) if isfinite(other) else rate
+        other = _ask(reading, estimator, reading.force_n, moved)
+        if not isfinite(other.rate_kg_s):
+            return rate
+        # A curve gives the same flow at any angle; how far that is wrong stands in its standard deviation.
+        return other.std_dev_kg_s if other.rate_kg_s == rate else abs(other.rate_kg_s - rate)
 
 
 def _noise(rate: float, own: float | None, reading: Reading) -> float:

@@ -74,13 +74,15 @@ class Publisher:
 
     def _calibration(self, beside: Published) -> dict[str, Value]:
         message, values, age_s = bus.SELF_CALIBRATION_STATUS, beside.parameters.values, beside.calibration_age_s
+        # A curve has neither; what its parameter set holds of them gives no flow.
+        physical = beside.parameters.curve is None
         gain = 1.0 + values["restitution"] if "restitution" in values else values["k1"] + values["k2"]
         age = NOT_AVAILABLE if age_s is None else self._fitting(message, "CalibrationAge", floor(age_s / 60.0))
         return {
             "SweepState": int(beside.sweep.state),
             "SweepProgress": beside.sweep.progress_pct,
-            "Friction": self._fitting(message, "Friction", values["friction"]),
-            "ImpactGain": self._fitting(message, "ImpactGain", gain),
+            "Friction": self._fitting(message, "Friction", values["friction"]) if physical else NOT_AVAILABLE,
+            "ImpactGain": self._fitting(message, "ImpactGain", gain) if physical else NOT_AVAILABLE,
             "CalibrationAge": age,
         }
 

@@ -17,10 +17,9 @@ from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 
 from .calibration import Measurements
+from .flow_curve import AlphaBeta
 from .open_loop import OpenLoop
 from .parameters import ParameterSet
-
-_REFERENCE_DENSITY_KG_M3 = 1000.0
 
 
 class LoadModel(Protocol):
@@ -47,31 +46,24 @@ class ForceProportional:
 
 
 @dataclass(frozen=True)
-class AlphaBeta:
-    """Dimensionless momentum P / (M v) = alpha + beta M / M_ref.
+class AlphaBetaLoad:
+    """The alpha-beta model's flow as a load of each paddle; one pair of coefficients for all angles."""
 
-    v: tip speed l Omega; M_ref = 1000 kg/m3 x w l^2, so that beta has no unit. Two coefficients for all angles.
-    """
-
-    alpha: float
-    beta: float
+    law: AlphaBeta
     machine: Machine
 
     @classmethod
-    def fit(cls, data: Measurements, mass_kg: Array, machine: Machine) -> AlphaBeta:
-        """Least squares of momentum."""
-        carried = mass_kg * machine.paddle_length_m * data.columns()[1]
-        design = np.stack((carried, carried * mass_kg / _reference_mass(machine)), axis=-1)
-        alpha, beta = np.linalg.lstsq(design, data.momentum, rcond=None)[0]
-        return cls(float(alpha), float(beta), machine)
+    def fit(cls, data: Measurements, mass_kg: Array, machine: Machine) -> AlphaBetaLoad:
+        """Least squares of flow's relative error, over loads above 0."""
+        used = mass_kg > 0.0
+        angle, speed = data.columns()[:2, used]
+        passes = machine.passes_per_s(speed)
+        return cls(AlphaBeta.fit(data.momentum[used] * passes, mass_kg[used] * passes, speed, float(angle.mean())), machine)
 
     def load_kg(self, columns: Array, momentum: Array) -> Array:
-        """The smaller root of the quadratic; nan above its top."""
-        target = momentum / (self.machine.paddle_length_m * columns[1])
-        curve = self.beta / _reference_mass(self.machine)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            root = np.sqrt(self.alpha**2 + 4.0 * curve * target)
-            return np.asarray(2.0 * target / (self.alpha + root))
+        """See LoadModel."""
+        passes = self.machine.passes_per_s(columns[1])
+        return np.asarray(self.law.flow(momentum * passes, columns[0], columns[1]) / passes)
 
 
 @dataclass(frozen=True)
@@ -158,7 +150,7 @@ def compare(
         raise ValueError(f"{loads.size} loads; cross-validation over loads needs 3 or more")
     fits: dict[str, Callable[[Measurements], LoadModel]] = {
         "force-proportional (1 constant)": lambda d: ForceProportional.fit(d, paddle_mass(d, machine)),
-        "alpha-beta (2 coefficients)": lambda d: AlphaBeta.fit(d, paddle_mass(d, machine), machine),
+        "alpha-beta (2 coefficients)": lambda d: AlphaBetaLoad.fit(d, paddle_mass(d, machine), machine),
         "interpolated table": lambda d: InterpolatedTable.fit(d, paddle_mass(d, machine)),
         **(others or {}),
     }
@@ -199,7 +191,3 @@ def _validate(name: str, fit: Callable[[Measurements], LoadModel], data: Measure
         float(errors.max()) if errors.size else float("nan"),
         int(np.sum(~known)),
     )
-
-
-def _reference_mass(machine: Machine) -> float:
-    return _REFERENCE_DENSITY_KG_M3 * machine.paddle_width_m * machine.paddle_length_m**2

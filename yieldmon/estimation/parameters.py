@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from yieldmon.physics.effects import get_effect
 from yieldmon.physics.grain import REQUIRED
 from yieldmon.physics.numerics import Array
+
+if TYPE_CHECKING:
+    from .flow_curve import FlowCurve
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +44,8 @@ class ParameterSet:
     provenance: Mapping[str, str] = field(default_factory=dict)
     model_error: float = 0.0
     """Relative standard deviation of a predicted force that is the model's own and no parameter's; 0: not known to have one."""
+    curve: FlowCurve | None = None
+    """What gives the flow in place of the physics; None: the physics."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
@@ -70,7 +75,7 @@ class ParameterSet:
         # Read-only views of mappings cannot be pickled as they are.
         return ParameterSet, (
             dict(self.values), self.covariance_names, np.array(self.covariance), self.calibrated, self.response_unit,
-            self.version, dict(self.provenance), self.model_error,
+            self.version, dict(self.provenance), self.model_error, self.curve,
         )  # fmt: skip
 
     @property

@@ -6,20 +6,20 @@ Numbers are written with Python's shortest exact representation, so a file read 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import isfinite, radians
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from yieldmon.errors import InputError
-from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
+from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.effects import effect_parameter
 from yieldmon.physics.grain import GRAIN
-from yieldmon.physics.machine import RPM
 from yieldmon.resources import shipped
 
-from . import strict_yaml
+from . import flow_curve_file, strict_yaml
+from .calibrated_range import calibrated_document, calibrated_range
 from .checked import load_mapping, number
 from .whole_file import READABLE, scratch_for
 
@@ -31,15 +31,9 @@ _LARGEST_VERSION = 10**15
 GRAIN_LIMITS: Mapping[str, tuple[str, float, float]] = {
     p.name: (p.unit, -1e9, 1e9) if p.follows_response else (p.unit, *p.limits) for p in GRAIN.values()
 }
-_RANGES = {
-    "mass_flow_kg_s": ("mass_flow_kg_s", "kg/s", 1.0),
-    "plate_angle_deg": ("plate_angle_rad", "deg", radians(1.0)),
-    "elevator_speed_rpm": ("elevator_speed_rad_s", "rpm", RPM),
-    "moisture_pct": ("moisture_pct", "%", 1.0),
-}
 _LEAST_DENSITY_KG_M3 = 20.0
 """No grain is lighter; a number below it is in another unit."""
-_KEYS = ("format", "version", "effects", "covariance", "calibrated_range", "response_unit", "model_error", "provenance")
+_KEYS = ("format", "version", "effects", "covariance", "calibrated_range", "response_unit", "model_error", "curve", "provenance")
 
 
 def load(path: str | Path | None = None) -> ParameterSet:
@@ -53,6 +47,9 @@ def load(path: str | Path | None = None) -> ParameterSet:
 
 def from_document(document: Mapping[str, Any], where: str) -> ParameterSet:
     """ParameterSet from the mapping of a parameter file. Raises InputError as `load`."""
+    if "estimator" in document:
+        expected = "a parameter file; the configuration takes a curve as estimator_file, `estimate` and `process` as --estimator"
+        raise InputError(where, f"is a curve ({document['estimator']})", expected)
     for key in document:
         if key not in GRAIN_LIMITS and key not in _KEYS:
             raise InputError(f"{where}: {key}", "unknown key", f"one of {', '.join([*GRAIN_LIMITS, *_KEYS])}")
@@ -70,16 +67,20 @@ def from_document(document: Mapping[str, Any], where: str) -> ParameterSet:
         raise InputError(f"{where}: response_unit", f"is {unit!r}", "a text such as N")
     if not isinstance(version, int) or isinstance(version, bool) or not 1 <= version <= _LARGEST_VERSION:
         raise InputError(f"{where}: version", f"is {version!r}", f"a whole number from 1 to {_LARGEST_VERSION}")
+    model_error = number(document.get("model_error", 0.0), f"{where}: model_error", "", 0.0, 10.0)
+    curve = flow_curve_file.from_document(document["curve"], f"{where}: curve") if "curve" in document else None
+    calibrated = calibrated_range(document.get("calibrated_range") or {}, where)
     try:
         return ParameterSet(
             values=values,
             covariance_names=names,
             covariance=covariance,
-            calibrated=_calibrated(document.get("calibrated_range") or {}, where),
+            calibrated=calibrated,
             response_unit=unit,
             version=version,
             provenance={k: str(v) for k, v in provenance.items()},
-            model_error=number(document.get("model_error", 0.0), f"{where}: model_error", "", 0.0, 10.0),
+            model_error=model_error,
+            curve=curve,
         )
     except ValueError as error:
         raise InputError(where, str(error)) from error
@@ -98,15 +99,13 @@ def to_document(parameters: ParameterSet) -> dict[str, Any]:
     document["response_unit"] = parameters.response_unit
     if parameters.model_error:
         document["model_error"] = float(parameters.model_error)
+    if parameters.curve is not None:
+        document["curve"] = flow_curve_file.to_document(parameters.curve)
     document["covariance"] = {
         "names": list(parameters.covariance_names),
         "matrix": [[float(v) for v in row] for row in parameters.covariance],
     }
-    document["calibrated_range"] = {
-        key: [float(_outward(v, scale)) for v in limits]
-        for key, (attribute, _, scale) in _RANGES.items()
-        if (limits := getattr(parameters.calibrated, attribute)) is not None
-    }
+    document["calibrated_range"] = calibrated_document(parameters.calibrated)
     document["provenance"] = dict(parameters.provenance)
     return document
 
@@ -116,10 +115,6 @@ def save(parameters: ParameterSet, path: str | Path) -> None:
     text = strict_yaml.dump(to_document(parameters))
     with scratch_for(path, durable=True, mode=READABLE) as scratch:
         scratch.write_text(text, encoding="utf-8")
-
-
-def _outward(value: float, scale: float) -> float:
-    return value if scale == 1.0 else round(value / scale, 10)
 
 
 def _effect_values(effects: Any, where: str) -> dict[str, float]:
@@ -155,20 +150,3 @@ def _covariance(document: Any, where: str) -> tuple[tuple[str, ...], np.ndarray]
     if len(rows) != len(names):
         raise InputError(f"{where}: covariance.matrix", f"has {len(rows)} rows", f"{len(names)}")
     return tuple(names), np.array(flat).reshape(len(names), len(names))
-
-
-def _calibrated(document: Any, where: str) -> CalibratedRange:
-    if not isinstance(document, dict):
-        raise InputError(f"{where}: calibrated_range", f"is {document!r}", "a mapping of ranges")
-    limits: dict[str, tuple[float, float]] = {}
-    for key, value in document.items():
-        if key not in _RANGES:
-            raise InputError(f"{where}: calibrated_range.{key}", "unknown key", f"one of {', '.join(_RANGES)}")
-        attribute, unit, scale = _RANGES[key]
-        if not isinstance(value, list) or len(value) != 2:
-            raise InputError(f"{where}: calibrated_range.{key}", f"is {value!r}", f"[lowest, highest] in {unit}")
-        low, high = (number(v, f"{where}: calibrated_range.{key}", unit, -1e6, 1e6) for v in value)
-        if low > high:
-            raise InputError(f"{where}: calibrated_range.{key}", f"is {value!r}", "the lowest first")
-        limits[attribute] = (low * scale, high * scale)
-    return CalibratedRange(**limits)

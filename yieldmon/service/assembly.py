@@ -9,7 +9,7 @@ from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sources import DEFAULT_SOURCES, Sources
-from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files.crops import crops
 from yieldmon.physics.machine import Machine
@@ -36,8 +36,9 @@ def build_monitor(
     sources: Sources = DEFAULT_SOURCES,
 ) -> Monitor:
     """A monitor that starts from these parameters and, with a calibrator, learns from sweeps and weighed loads."""
-    estimator = build_estimator(machine, parameters)
-    learner = ClosedLoopCalibrator(estimator.model, calibrator) if calibrator is not None else None
+    estimator = estimator_of(machine, parameters)
+    teachable = calibrator is not None and parameters.curve is None
+    learner = ClosedLoopCalibrator(ForwardModel(machine, parameters.effects), calibrator) if teachable and calibrator else None
     monitor = Monitor(settings, machine, estimator, learner, sources=sources)
     known = crops().get(parameters.provenance.get("crop", ""))
     if known is not None:
@@ -45,11 +46,6 @@ def build_monitor(
     if (weight_g := settings.waveform.thousand_kernel_weights_g.get(parameters.provenance.get("crop", ""))) is not None:
         monitor.set_kernel_weight(weight_g)
     return monitor
-
-
-def build_estimator(machine: Machine, parameters: ParameterSet) -> OpenLoop:
-    """The open loop with the effects that the parameters speak of."""
-    return OpenLoop(ForwardModel(machine, parameters.effects), parameters)
 
 
 def calibration_age_s(parameters: ParameterSet, now_s: float) -> float | None:

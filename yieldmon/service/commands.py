@@ -8,9 +8,10 @@ from typing import Any
 
 from yieldmon.engine.monitor import Monitor
 from yieldmon.errors import InputError
+from yieldmon.estimation.estimators import estimator_of
 from yieldmon.files.crops import crops
 from yieldmon.service import ledger
-from yieldmon.service.assembly import build_estimator, calibration_age_s
+from yieldmon.service.assembly import calibration_age_s
 from yieldmon.service.journal import Journal
 from yieldmon.service.reference_loads import StoredLoad, reference
 from yieldmon.service.store import Load, Ticket
@@ -67,14 +68,15 @@ def _load_start(request: Mapping[str, Any], monitor: Monitor, journal: Journal, 
         # What was told of one crop's kernels does not hold for another's.
         journal.kernel_weight_g = weight_g
     in_use = monitor.estimator.parameters
-    chosen = journal.change_crop(crop, in_use, _who(request)) if crop else None
+    # A curve is one grain's: another crop's parameters would not give the flow.
+    chosen = journal.change_crop(crop, in_use, _who(request)) if crop and in_use.curve is None else None
     if chosen is not None:
-        monitor.set_estimator(build_estimator(monitor.machine, chosen), calibration_age_s(chosen, now_s))
+        monitor.set_estimator(estimator_of(monitor.machine, chosen), calibration_age_s(chosen, now_s))
     journal.name_load(_name(request, "field"), crop)
     journal.happened(monitor.start_load())
     set_crop(monitor, journal)
     parameters = monitor.estimator.parameters
-    known = not crop or crop in crops() or parameters.provenance.get("crop") == crop
+    known = not crop or parameters.provenance.get("crop") == crop or (crop in crops() and parameters.curve is None)
     return {
         "load": monitor.totals.load_number,
         "field": journal.field,
@@ -175,8 +177,12 @@ def _calibration_undo(request: Mapping[str, Any], monitor: Monitor, journal: Jou
 def _back_before(version: int, request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> dict[str, Any]:
     """The parameters before a version again, as a new version."""
     last = monitor.estimator.parameters.version
+    if monitor.estimator.parameters.curve is not None:
+        raise InputError(
+            f"version {version}", "the flow comes from estimator_file, which learns nothing", "another estimator_file"
+        )
     chosen = journal.undo_parameters(version, _who(request), now_s)
-    monitor.set_estimator(build_estimator(monitor.machine, chosen), calibration_age_s(chosen, now_s))
+    monitor.set_estimator(estimator_of(monitor.machine, chosen), calibration_age_s(chosen, now_s))
     return {"undone": version, "until": last, "version": chosen.version, "effects": list(chosen.effects)}
 
 
@@ -241,6 +247,8 @@ def _zero_undo(request: Mapping[str, Any], monitor: Monitor, journal: Journal, n
 
 def _sweep_start(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
     if not monitor.settings.sweep.enabled:
+        if monitor.estimator.parameters.curve is not None:
+            raise InputError("sweep", "teaches the estimator in use (estimator_file) nothing", "the physical model")
         raise InputError("sweep", "switched off by sweep.enabled in the configuration")
     monitor.request_sweep()
     return {"sweep": "as soon as the conditions hold"}

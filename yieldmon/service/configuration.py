@@ -23,10 +23,11 @@ from yieldmon.engine.settings import EngineSettings
 from yieldmon.errors import InputError
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.drift_rates import DriftRates
+from yieldmon.estimation.flow_curve import FlowCurve, with_curve
 from yieldmon.estimation.moisture import MoistureMap
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.files import machine_file, moisture_file, parameter_file, strict_yaml
-from yieldmon.physics.machine import Machine
+from yieldmon.files import flow_curve_file, machine_file, moisture_file, parameter_file, strict_yaml
+from yieldmon.physics.machine import SAME_ANGLE_RAD, Machine
 from yieldmon.resources import shipped
 from yieldmon.service.document import ENGINE_SECTIONS, Document, Section
 from yieldmon.service.folders import runtime_folder, state_folder
@@ -53,7 +54,7 @@ class ConfigurationError(InputError):
 @dataclass(frozen=True)
 class Configuration:
     """All that the daemon runs with. Paths are absolute. calibrator is None where nothing may be learnt. notes: a sentence
-    for each key that the file has under a former name."""
+    for each key that the file has under a former name, and on a curve that gives the flow."""
 
     path: Path
     document: Document
@@ -101,6 +102,8 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
     machine_path = _beside(path, document.machine_file, DEFAULT_MACHINE)
     parameter_path = _beside(path, document.parameter_file, DEFAULT_PARAMETERS)
     machine = machine_file.load(machine_path)
+    curve_path = path.parent / document.estimator_file if document.estimator_file is not None else None
+    curve = flow_curve_file.load(curve_path) if curve_path is not None else None
     named = document.moisture_map_file
     moisture_map = moisture_file.load(path.parent / named) if named is not None else None
     mapping, databases = signal_map(document.signals, path, machine, document.plate.fixed_angle_deg)
@@ -113,6 +116,11 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
     problems = [InputError(f"{path}: {key}", *rest) for key, *rest in _contradictions(document, machine)]
     if problems:
         raise ConfigurationError(problems)
+    machine = _with_fixed_plate(machine, document.plate.fixed_angle_deg)
+    parameters = _in_newtons(parameter_path)
+    if curve is not None:
+        parameters = with_curve(parameters, curve)
+        check_curve_angle(curve, machine, str(curve_path))
     prometheus = document.status.prometheus_file
     return Configuration(
         path=path,
@@ -121,16 +129,45 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
         signals=mapping,
         outputs=outputs,
         database_paths=tuple(dict.fromkeys((*databases, *written))),
-        calibrator=calibrator_settings(document, moisture_map) if document.learning.enabled else None,
-        machine=_with_fixed_plate(machine, document.plate.fixed_angle_deg),
+        calibrator=calibrator_settings(document, moisture_map) if document.learning.enabled and curve is None else None,
+        machine=machine,
         machine_path=machine_path,
-        parameters=_in_newtons(parameter_path),
+        parameters=parameters,
         parameter_path=parameter_path,
         store_path=state_folder(environment) / document.store.path,
         retention=Retention(document.store.record_hours, document.store.size_mb, document.store.event_rows),
         socket_path=runtime_folder(environment) / document.status.socket,
         prometheus_path=runtime_folder(environment) / prometheus if prometheus is not None else None,
-        notes=renamed,
+        notes=(*renamed, *([] if curve is None else [_on_curve(curve, Path(str(curve_path)))])),
+    )
+
+
+def with_estimator(configuration: Configuration, path: Path | str) -> Configuration:
+    """The configuration with the flow from the curve in the file at `path`. Raises InputError."""
+    curve = flow_curve_file.load(path)
+    check_curve_angle(curve, configuration.machine, str(path))
+    return dataclasses.replace(
+        configuration,
+        engine=_without_sweeps(configuration.engine),
+        calibrator=None,
+        parameters=with_curve(configuration.parameters, curve),
+    )
+
+
+def check_curve_angle(curve: FlowCurve, machine: Machine, where: str) -> None:
+    """Raises InputError for a curve that was not calibrated at the plate's home angle."""
+    angles = curve.law.angles_rad
+    if angles[0] - SAME_ANGLE_RAD <= machine.home_plate_angle_rad <= angles[-1] + SAME_ANGLE_RAD:
+        return
+    known = " to ".join(f"{math.degrees(angle):g}" for angle in dict.fromkeys((angles[0], angles[-1])))
+    home = f"{math.degrees(machine.home_plate_angle_rad):g} deg, the home angle of {machine.name}"
+    raise InputError(f"{where}: plate_angle_deg", f"calibrated at {known} deg", home)
+
+
+def _on_curve(curve: FlowCurve, path: Path) -> str:
+    return (
+        f"the flow comes from {path.name} ({curve.law.kind}, standard deviation {100.0 * curve.relative_std_dev:.2g} %): "
+        "no sweep runs and weighed loads change nothing"
     )
 
 
@@ -159,14 +196,18 @@ def engine_settings(document: Document) -> EngineSettings:
 
 
 def _fitted(settings: EngineSettings, document: Document, mapping: SignalMap) -> EngineSettings:
-    """The settings with what a bolted plate and a slow sensor ask for: no sweep, and ten frames of patience."""
-    if document.plate.fixed_angle_deg is not None:
-        settings = dataclasses.replace(settings, sweep=dataclasses.replace(settings.sweep, enabled=False))
+    """The settings with what a bolted plate, a curve and a slow sensor ask for: no sweep, and ten frames of patience."""
+    if document.plate.fixed_angle_deg is not None or document.estimator_file is not None:
+        settings = _without_sweeps(settings)
     if "sensor_timeout_s" not in document.inputs.model_fields_set:
         slowest_s = max(source.interval_s * len(source.signals) for source in mapping.sources.impact)
         patience_s = max(settings.inputs.sensor_timeout_s, 10.0 * slowest_s)
         settings = dataclasses.replace(settings, inputs=dataclasses.replace(settings.inputs, sensor_timeout_s=patience_s))
     return settings
+
+
+def _without_sweeps(settings: EngineSettings) -> EngineSettings:
+    return dataclasses.replace(settings, sweep=dataclasses.replace(settings.sweep, enabled=False))
 
 
 def _with_fixed_plate(machine: Machine, angle_deg: float | None) -> Machine:

@@ -532,6 +532,10 @@ class Document(Section):
 
     machine_file: str | None = text(None, "machine geometry; null: the shipped 8-tooth sprocket; relative to this file")
     parameter_file: str | None = text(None, "grain parameters; null: the shipped corn; relative to this file")
+    estimator_file: str | None = text(
+        None,
+        "curve that gives the flow (`calibrate --estimator`); null: the physics; relative to this file",
+    )
     moisture_map_file: str | None = text(
         None, "how parameters change with moisture (`calibrate --by-moisture`); null: they do not; relative to this file"
     )

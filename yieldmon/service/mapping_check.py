@@ -65,10 +65,10 @@ def _largest_share(sources: Sequence[SampleSource], machine: Machine, speed_rad_
 
 def _flow_per_force(configuration: Configuration, speed_rad_s: float) -> float:
     """Largest relative change of the flow over that of the force, for any flow that the elevator can carry."""
-    from yieldmon.service.assembly import build_estimator
+    from yieldmon.estimation.estimators import estimator_of
 
     machine = configuration.machine
-    estimator = build_estimator(machine, configuration.parameters)
+    estimator = estimator_of(machine, configuration.parameters)
     angles, speeds = (np.full(_FORCES_N.shape, value) for value in (machine.home_plate_angle_rad, speed_rad_s))
     flow_kg_s = estimator.estimate(_FORCES_N, angles, speeds).mass_flow_kg_s
     known = flow_kg_s > 0.0

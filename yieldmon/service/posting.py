@@ -17,7 +17,7 @@ import numpy as np
 
 from yieldmon.engine.records import CalibrationStep
 from yieldmon.errors import InputError
-from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.steady_drift import DriftingParameters, smoothed
 from yieldmon.files import parameter_file
@@ -102,7 +102,7 @@ def factors(loads: Sequence[MeasuredLoad], known: Timeline, machine: Machine) ->
         if not mass.sum() > _LEAST_SHARE * load.mass_kg:
             continue
         moment_s = float(np.average([row.time_s for row in load.seconds], weights=[row.mass_kg for row in load.seconds]))
-        flow = OpenLoop(model, known.at(moment_s)).invert(force, angle, speed, moisture)
+        flow = estimator_of(machine, known.at(moment_s), model).invert(force, angle, speed, moisture)
         measured = np.isfinite(flow)
         if np.sum(mass[measured]) > _LEAST_SHARE * load.mass_kg:
             out[int(load.name)] = float(np.sum(duration[measured] * flow[measured]) / np.sum(mass[measured]))

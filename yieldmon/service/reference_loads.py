@@ -16,12 +16,11 @@ import numpy as np
 from yieldmon.engine.budget import MassBudget
 from yieldmon.engine.loads import LoadSummary
 from yieldmon.engine.since_zero import KeptSecond
-from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
 from yieldmon.frames import EstimateQuality
 from yieldmon.physics.machine import RPM, Machine
-from yieldmon.physics.model import ForwardModel
 from yieldmon.service import ledger
 from yieldmon.service.recorded import opened
 from yieldmon.service.rows import SecondRow, kept_second
@@ -149,6 +148,6 @@ def _parameters_kg(seconds: Sequence[SecondRow], known: ParameterSet, machine: M
         [nan if v is None else v for v in (s.force_n, s.plate_angle_deg, s.elevator_speed_rpm, s.moisture_pct, s.duration_s)]
         for s in seconds
     ]).T  # fmt: skip
-    loop = OpenLoop(ForwardModel(machine, known.effects), known)
+    loop = estimator_of(machine, known)
     found = loop.estimate(columns[0], np.radians(columns[1]), columns[2] * RPM, moisture_pct=columns[3])
     return float(np.nansum(found.std_dev_kg_s * columns[4]))

@@ -13,7 +13,7 @@ import numpy as np
 
 from yieldmon.documents import ReprocessedLoad
 from yieldmon.engine.settings import EngineSettings
-from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
@@ -62,7 +62,7 @@ def measured_again(
         usable &= np.isfinite(moisture)
     flow, std_dev = np.full(len(rows), np.nan), np.full(len(rows), np.nan)
     if np.any(usable):
-        found = OpenLoop(model, parameters).estimate(
+        found = estimator_of(machine, parameters, model).estimate(
             force[usable], np.radians(angle[usable]), speed[usable] * RPM, np.nan_to_num(noise[usable]), moisture[usable]
         )
         flow[usable], std_dev[usable] = found.mass_flow_kg_s, found.std_dev_kg_s

@@ -8,11 +8,12 @@ from math import isfinite
 import yieldmon
 from yieldmon.bus.opening import time_stamps_of
 from yieldmon.bus.receiver import ReceiverCounters
-from yieldmon.documents import StatusCrop, StatusFigures, StatusNetwork, StatusNow, StatusWaveform, StdDevByCause
+from yieldmon.documents import StatusCrop, StatusFigures, StatusNetwork, StatusNow, StatusWaveform, StdDevByCause, ValueWithStdDev
 from yieldmon.engine.budget import MassBudget
 from yieldmon.engine.faults import FAULTS
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord
+from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files.crops import crops
 from yieldmon.frames import EstimateQuality, OperatingState
 from yieldmon.service.configuration import Configuration
@@ -114,10 +115,8 @@ def snapshot(
         "parameters": {
             "version": parameters.version,
             "age_s": engine.calibration_age_s,
-            "values": {
-                name: {"value": float(value), "std_dev": parameters.standard_deviation(name)}
-                for name, value in parameters.values.items()
-            },
+            "estimator": parameters.curve.law.kind if parameters.curve is not None else "physical",
+            "values": _values(parameters),
             "provenance": dict(parameters.provenance),
         },
         "faults": [
@@ -237,3 +236,16 @@ def _window(row: SecondRow) -> dict[str, float | str | None]:
 
 def _finite(value: float) -> float | None:
     return value if isfinite(value) else None
+
+
+def _values(parameters: ParameterSet) -> dict[str, ValueWithStdDev]:
+    """What gives the flow: the coefficients of a curve that has some, else the grain's parameters."""
+    if parameters.curve is None:
+        return {
+            name: {"value": float(value), "std_dev": parameters.standard_deviation(name)}
+            for name, value in parameters.values.items()
+        }
+    return {
+        name: {"value": value, "std_dev": abs(value) * parameters.curve.relative_std_dev}
+        for name, value in parameters.curve.law.coefficients.items()
+    }

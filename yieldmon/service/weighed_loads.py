@@ -16,8 +16,8 @@ import numpy as np
 from yieldmon.bus.codec import Codec
 from yieldmon.errors import InputError
 from yieldmon.estimation.closed_loop import Sweep
+from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.loads import WeighedLoad
-from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
 from yieldmon.files.ticket_file import WeighedTicket
@@ -199,7 +199,9 @@ def force_columns(rows: Sequence[SecondRow], parameters: ParameterSet, machine: 
         usable &= np.isfinite(moisture)
     flow = np.full(force.shape, np.nan)
     if np.any(usable):
-        flow[usable] = OpenLoop(model, parameters).invert(force[usable], angle[usable], speed[usable], moisture[usable])
+        flow[usable] = estimator_of(machine, parameters, model).invert(
+            force[usable], angle[usable], speed[usable], moisture[usable]
+        )
     with np.errstate(divide="ignore", invalid="ignore"):
         duration = np.where(flow > 0.0, mass / flow, np.nan)
     return np.stack((duration, force, angle, speed, moisture, mass))

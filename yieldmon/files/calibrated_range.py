@@ -1,0 +1,50 @@
+"""The range that a calibration covers, as parameter files and curves hold it."""
+
+from __future__ import annotations
+
+from math import radians
+from typing import Any
+
+from yieldmon.errors import InputError
+from yieldmon.estimation.parameters import CalibratedRange
+from yieldmon.physics.machine import RPM
+
+from .checked import number
+
+_RANGES = {
+    "mass_flow_kg_s": ("mass_flow_kg_s", "kg/s", 1.0),
+    "plate_angle_deg": ("plate_angle_rad", "deg", radians(1.0)),
+    "elevator_speed_rpm": ("elevator_speed_rad_s", "rpm", RPM),
+    "moisture_pct": ("moisture_pct", "%", 1.0),
+}
+
+
+def calibrated_range(document: Any, where: str) -> CalibratedRange:
+    """The range in the mapping `calibrated_range`. Raises InputError naming key, value and unit."""
+    if not isinstance(document, dict):
+        raise InputError(f"{where}: calibrated_range", f"is {document!r}", "a mapping of ranges")
+    limits: dict[str, tuple[float, float]] = {}
+    for key, value in document.items():
+        if key not in _RANGES:
+            raise InputError(f"{where}: calibrated_range.{key}", "unknown key", f"one of {', '.join(_RANGES)}")
+        attribute, unit, scale = _RANGES[key]
+        if not isinstance(value, list) or len(value) != 2:
+            raise InputError(f"{where}: calibrated_range.{key}", f"is {value!r}", f"[lowest, highest] in {unit}")
+        low, high = (number(v, f"{where}: calibrated_range.{key}", unit, -1e6, 1e6) for v in value)
+        if low > high:
+            raise InputError(f"{where}: calibrated_range.{key}", f"is {value!r}", "the lowest first")
+        limits[attribute] = (low * scale, high * scale)
+    return CalibratedRange(**limits)
+
+
+def calibrated_document(calibrated: CalibratedRange) -> dict[str, list[float]]:
+    """The mapping that `calibrated_range` reads back to an equal range."""
+    return {
+        key: [float(_outward(v, scale)) for v in limits]
+        for key, (attribute, _, scale) in _RANGES.items()
+        if (limits := getattr(calibrated, attribute)) is not None
+    }
+
+
+def _outward(value: float, scale: float) -> float:
+    return value if scale == 1.0 else round(value / scale, 10)

@@ -1,0 +1,132 @@
+"""Files of a flow curve: YAML with the estimator's name, its coefficients or points, their deviation, range and provenance."""
+
+from __future__ import annotations
+
+from math import degrees, radians
+from pathlib import Path
+from typing import Any
+
+from yieldmon.errors import InputError
+from yieldmon.estimation.flow_curve import AlphaBeta, FlowCurve, LookUpTable, TableColumn
+from yieldmon.files.calibrated_range import calibrated_document, calibrated_range
+from yieldmon.physics.machine import RPM
+
+from . import strict_yaml
+from .checked import load_mapping, number
+from .whole_file import READABLE, scratch_for
+
+FORMAT = 1
+_LAWS = {
+    AlphaBeta.kind: ("plate_angle_deg", "alpha", "beta"),
+    LookUpTable.kind: ("elevator_speed_rpm", "columns"),
+}
+_KEYS = ("format", "estimator", "relative_std_dev", "calibrated_range", "provenance")
+_HEAD = {
+    AlphaBeta.kind: "# Mass flow (kg/s) = alpha x + beta x^2, x = mean force (N) / elevator speed (rad/s).\n",
+    LookUpTable.kind: "# Mass flow by mean force at elevator_speed_rpm, a column for each plate angle.\n",
+}
+
+
+def load(path: str | Path) -> FlowCurve:
+    """The curve in a YAML file. Raises InputError naming file, key, value and what was expected."""
+    document = load_mapping(path)
+    if "estimator" not in document and "friction" in document:
+        raise InputError(str(path), "is a parameter file", "a curve that `calibrate --estimator` has written")
+    return from_document(document, str(path))
+
+
+def from_document(document: Any, where: str) -> FlowCurve:
+    """The curve in the mapping of such a file. Raises InputError as `load`."""
+    if not isinstance(document, dict):
+        raise InputError(where, f"is {document!r}", "a mapping")
+    kind = document.get("estimator")
+    if kind not in _LAWS:
+        raise InputError(f"{where}: estimator", f"is {kind!r}", f"one of {', '.join(_LAWS)}")
+    known = (*_KEYS, *_LAWS[kind])
+    for key in document:
+        if key not in known:
+            raise InputError(f"{where}: {key}", f"unknown key of {kind}", f"one of {', '.join(known)}")
+    if document.get("format", FORMAT) != FORMAT:
+        raise InputError(f"{where}: format", f"is {document['format']!r}", f"{FORMAT}")
+    provenance = document.get("provenance") or {}
+    if not isinstance(provenance, dict) or not all(isinstance(k, str) for k in provenance):
+        raise InputError(f"{where}: provenance", f"is {provenance!r}", "a mapping of texts")
+    law = _alpha_beta(document, where) if kind == AlphaBeta.kind else _table(document, where)
+    return FlowCurve(
+        law,
+        number(document.get("relative_std_dev"), f"{where}: relative_std_dev", "", 0.0, 10.0),
+        calibrated_range(document.get("calibrated_range") or {}, where),
+        {k: str(v) for k, v in provenance.items()},
+    )
+
+
+def to_document(curve: FlowCurve) -> dict[str, Any]:
+    """The mapping that `from_document` reads back to an equal curve."""
+    law = curve.law
+    document: dict[str, Any] = {"format": FORMAT, "estimator": law.kind}
+    if isinstance(law, AlphaBeta):
+        document |= {"plate_angle_deg": _round(degrees(law.plate_angle_rad)), "alpha": law.alpha, "beta": law.beta}
+    else:
+        document["elevator_speed_rpm"] = _round(law.elevator_speed_rad_s / RPM)
+        document["columns"] = [
+            {
+                "plate_angle_deg": _round(degrees(column.plate_angle_rad)),
+                "force_n": list(column.force_n),
+                "mass_flow_kg_s": list(column.mass_flow_kg_s),
+            }
+            for column in law.columns
+        ]
+    document["relative_std_dev"] = curve.relative_std_dev
+    document["calibrated_range"] = calibrated_document(curve.calibrated)
+    document["provenance"] = dict(curve.provenance)
+    return document
+
+
+def save(curve: FlowCurve, path: str | Path) -> None:
+    """Write the file whole or not at all. Raises InputError or OSError as `whole_file.scratch_for`."""
+    text = _HEAD[curve.law.kind] + strict_yaml.dump(to_document(curve))
+    with scratch_for(path, durable=True, mode=READABLE) as scratch:
+        scratch.write_text(text, encoding="utf-8")
+
+
+def _round(value: float) -> float:
+    return round(value, 10)
+
+
+def _alpha_beta(document: dict[str, Any], where: str) -> AlphaBeta:
+    alpha = number(document.get("alpha"), f"{where}: alpha", "kg/s for each N s", 1e-9, 1e9)
+    beta = number(document.get("beta"), f"{where}: beta", "kg/s for each (N s)^2", -1e9, 1e9)
+    return AlphaBeta(alpha, beta, _angle(document, where))
+
+
+def _table(document: dict[str, Any], where: str) -> LookUpTable:
+    speed = number(document.get("elevator_speed_rpm"), f"{where}: elevator_speed_rpm", "rpm", 150.0, 5000.0) * RPM
+    entries = document.get("columns")
+    if not isinstance(entries, list) or not entries:
+        raise InputError(f"{where}: columns", f"is {entries!r}", "a list with a column for each plate angle")
+    columns = []
+    for i, entry in enumerate(entries):
+        place = f"{where}: columns[{i}]"
+        if not isinstance(entry, dict) or set(entry) != {"plate_angle_deg", "force_n", "mass_flow_kg_s"}:
+            raise InputError(place, f"is {str(entry)[:60]}", "a mapping of plate_angle_deg, force_n and mass_flow_kg_s")
+        force_n = _numbers(entry["force_n"], f"{place}.force_n", "N")
+        flow_kg_s = _numbers(entry["mass_flow_kg_s"], f"{place}.mass_flow_kg_s", "kg/s")
+        angle_rad = _angle(entry, place)
+        try:
+            columns.append(TableColumn(angle_rad, force_n, flow_kg_s))
+        except ValueError as error:
+            raise InputError(place, str(error)) from error
+    try:
+        return LookUpTable(speed, tuple(columns))
+    except ValueError as error:
+        raise InputError(f"{where}: columns", str(error)) from error
+
+
+def _angle(document: dict[str, Any], where: str) -> float:
+    return radians(number(document.get("plate_angle_deg"), f"{where}: plate_angle_deg", "deg", 1.0, 179.0))
+
+
+def _numbers(value: Any, where: str, unit: str) -> tuple[float, ...]:
+    if not isinstance(value, list):
+        raise InputError(where, f"is {value!r}", "a list of numbers")
+    return tuple(number(v, f"{where}[{i}]", unit, 0.0, 1e6) for i, v in enumerate(value))
