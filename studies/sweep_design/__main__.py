@@ -1,11 +1,13 @@
-"""Which plate angles should a sweep visit? Even steps, a D-optimal sequence of the same length, and the default between them.
+"""Which plate angles should a sweep visit? Even steps, a D-optimal sequence of the same length, and the default between them;
+and what the plate's position adds as a second swept variable (thesis, section 4.2).
 
     python -m studies.sweep_design [--json]
 
 Information about friction, restitution and density that one sweep adds to the prior (the flow is free in every sweep), from the
 forward model's own derivatives; two windows at each of ten angles, home windows in between as the engine drives them. The
 D-optimal sequence, which visits the two ends alone and so could never show that the model is wrong between them, is found by
-exchanging one angle at a time from 40 to 90 deg in steps of 2.5, for the mean over flows.
+exchanging one angle at a time from 40 to 90 deg in steps of 2.5, for the mean over flows. With position, each visit is an angle
+and a place of the plate, 50 mm nearer to the elevator, as built, or 50 mm further away.
 """
 
 from __future__ import annotations
@@ -19,16 +21,23 @@ WINDOW_NOISE = 0.022
 """Relative standard deviation of one window's force."""
 FLOW_WANDER = 0.03
 """Relative standard deviation of the flow about its bracketed course, for each visited angle."""
+PLACES_M = (-0.05, 0.0, 0.05)
+"""Of the plate from where the machine has it, away from the elevator."""
 
 
-def information(model, values, names, prior, angles_deg, flow):  # type: ignore[no-untyped-def]
-    """Posterior information of the parameters after one sweep, the flow marginalised. prior: their covariance."""
+def information(model, values, names, prior, visits, flow):  # type: ignore[no-untyped-def]
+    """Posterior information of the parameters after one sweep, the flow marginalised.
+
+    prior: their covariance. visits: (angle, deg; plate position, m) of each.
+    """
     import numpy as np
 
     from yieldmon.physics.machine import RPM
     from yieldmon.physics.model import Conditions
 
-    conditions = Conditions(np.radians(angles_deg), 400.0 * RPM, mass_flow_kg_s=np.full(len(angles_deg), flow))
+    angles_deg, places_m = np.array(visits).T
+    flows = np.full(len(visits), flow)
+    conditions = Conditions(np.radians(angles_deg), 400.0 * RPM, mass_flow_kg_s=flows, plate_position_m=places_m)
     force, jacobian = model.derivatives(conditions, values, (*names, "mass_flow_kg_s"), of="force")
     slope = jacobian[:, -1] * flow
     noise = np.sqrt((WINDOW_NOISE * force) ** 2 / 2.0 + (FLOW_WANDER * slope) ** 2)
@@ -55,9 +64,9 @@ def main() -> int:
     prior = np.diag([(share * known.values[n]) ** 2 for n, share in zip(names, (0.2, 0.1, 0.1), strict=True)])
     home = float(np.degrees(Machine().home_plate_angle_rad))
 
-    def judge(angles):  # type: ignore[no-untyped-def]
+    def judge(visits):  # type: ignore[no-untyped-def]
         """Mean gain in log determinant over the flows, and each parameter's posterior over prior width at each flow."""
-        plan = np.array([home] * 6 + list(angles))
+        plan = [(home, 0.0)] * 6 + list(visits)
         gain, ratios = [], {}
         for flow in FLOWS_KG_S:
             posterior = np.linalg.inv(information(model, known.values, names, prior, plan, flow))
@@ -65,27 +74,42 @@ def main() -> int:
             ratios[flow] = np.sqrt(np.diag(posterior) / np.diag(prior))
         return float(np.mean(gain)), ratios
 
-    default = SweepSettings().angles_deg
-    grid = np.arange(40.0, 90.1, 2.5)
-    best, (score, _) = list(default), judge(default)
-    # Exchange ends where no single angle can be bettered.
-    improved = True
-    while improved:
-        improved = False
-        for i in range(len(best)):
-            for angle in grid:
-                trial = [*best[:i], float(angle), *best[i + 1 :]]
-                found, _ = judge(trial)
-                if found > score + 1e-9:
-                    best, score, improved = trial, found, True
-    even = (40.0, 45.0, 50.0, 55.0, 60.0, 65.0, 75.0, 80.0, 85.0, 90.0)
+    def best_of(start, grid):  # type: ignore[no-untyped-def]
+        """Exchange, which ends where no single visit can be bettered."""
+        best, (score, _) = list(start), judge(start)
+        improved = True
+        while improved:
+            improved = False
+            for i in range(len(best)):
+                for visit in grid:
+                    trial = [*best[:i], visit, *best[i + 1 :]]
+                    found, _ = judge(trial)
+                    if found > score + 1e-9:
+                        best, score, improved = trial, found, True
+        return sorted(best)
+
+    default = [(angle, 0.0) for angle in SweepSettings().angles_deg]
+    angles = np.arange(40.0, 90.1, 2.5).tolist()
+    in_place = [(angle, 0.0) for angle in angles]
+    everywhere = [(angle, place) for angle in angles for place in PLACES_M]
+    even = [(angle, 0.0) for angle in (40.0, 45.0, 50.0, 55.0, 60.0, 65.0, 75.0, 80.0, 85.0, 90.0)]
+    at_home = [(home, place) for place in (-0.05, -0.05, -0.05, -0.025, -0.025, 0.025, 0.025, 0.05, 0.05, 0.05)]
+    turned = [(angle, place) for (angle, _), place in zip(default, [0.05, -0.05] * 5, strict=True)]
     rows = []
-    for label, angles in (("even steps of 5 deg", even), ("D-optimal", sorted(best)), ("default", default)):
-        gain, ratios = judge(angles)
+    for label, visits in (
+        ("even steps of 5 deg", even),
+        ("D-optimal", best_of(default, in_place)),
+        ("default", default),
+        ("position alone, at home", at_home),
+        ("default angles, position to and fro", turned),
+        ("D-optimal in angle and position", best_of(default, everywhere)),
+    ):
+        gain, ratios = judge(visits)
         rows.append(
             {
                 "sequence": label,
-                "angles_deg": list(angles),
+                "angles_deg": [angle for angle, _ in visits],
+                "positions_m": [place for _, place in visits],
                 "information_nats": round(0.5 * gain, 3),
                 "friction_ratio": {f"{flow:g}": round(float(r[0]), 3) for flow, r in ratios.items()},
                 "restitution_ratio": {f"{flow:g}": round(float(r[1]), 3) for flow, r in ratios.items()},
@@ -96,7 +120,9 @@ def main() -> int:
         print(json.dumps(rows, indent=2))
         return 0
     for row in rows:
-        print(f"{row['sequence']}: {', '.join(f'{a:g}' for a in row['angles_deg'])} deg; {row['information_nats']} nats a sweep")
+        visits = zip(row["angles_deg"], row["positions_m"], strict=True)
+        shown = ", ".join(f"{angle:g}" + (f" at {1000.0 * place:+g} mm" if place else "") for angle, place in visits)
+        print(f"{row['sequence']}: {shown} deg; {row['information_nats']} nats a sweep")
         for name in names:
             print(f"  {name:<12} posterior / prior: " + "  ".join(f"{k} kg/s {v}" for k, v in row[f"{name}_ratio"].items()))
     return 0

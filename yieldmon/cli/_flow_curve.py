@@ -60,6 +60,7 @@ def _of_table(args: argparse.Namespace) -> tuple[CurveFit, dict[str, str]]:
     data = table.load(args.data)
     for note in data.notes:
         print(f"yieldmon: {note}", file=sys.stderr)
+    data.at_one_position(machine)
     if data.reading == model_options.RESPONSE and args.response_scale is None:
         raise InputError(data.path, "holds a response", "forces, momenta, or --response-scale: a curve gives flow from newtons")
     rows = model_options.measurements(data, machine, args.response_scale)

@@ -78,6 +78,7 @@ def run(args: argparse.Namespace) -> int:
     machine = machine_file.load(args.machine)
     source = _from_store(args, machine) if sweep_table.is_store(args.data) else _from_csv(args)
     data, parameters = source.data, source.parameters
+    machine = data.at_one_position(machine)
     options = replace(
         diagnosis.Options(),
         form=args.form,

@@ -40,6 +40,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--sigma", f"is {args.sigma:g}", "a number of at least 0")
     machine, known = model_options.machine(args), _flow_curve.with_file(model_options.parameters(args), args.estimator)
     data = table.load(args.data, need_load=False)
+    machine = data.at_one_position(machine)
     model_options.check_unit(known, data)
     data.check_doubled(machine)
     for note in data.notes:

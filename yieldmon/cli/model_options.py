@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from math import isfinite
 from pathlib import Path
 
@@ -197,11 +197,8 @@ def measurements(data: Table, machine: Machine, response_scale: float | None = N
     if np.any(known) and not np.all(known & (sigma[usable] > 0.0)):
         raise InputError(data.path, "column sigma has gaps or zeros", "a number above 0 in each row, or no such column")
     conditions = data.conditions(machine)
-    chosen = {
-        name: np.asarray(getattr(conditions, name))[usable]
-        for name in ("plate_angle_rad", "elevator_speed_rad_s", "mass_flow_kg_s", "paddle_mass_kg", "moisture_pct")
-        if getattr(conditions, name) is not None
-    }
+    given = {field.name: getattr(conditions, field.name) for field in fields(conditions)}
+    chosen = {name: np.asarray(column)[usable] for name, column in given.items() if column is not None}
     return Measurements(Conditions(**chosen), values[usable], sigma[usable] if np.all(known) else None, np.flatnonzero(usable))
 
 

@@ -27,6 +27,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--mass-flow", nargs="+", required=True, metavar="KG_S", help="e.g. 2,5,9 or 2:26:1 (kg/s)")
     parser.add_argument("--plate-angle", nargs="+", metavar="DEG", help="e.g. 40:90:5 (deg); default: home")
+    parser.add_argument("--plate-position", nargs="+", metavar="M", help="away from the elevator (m)")
     parser.add_argument("--elevator-speed", nargs="+", metavar="RPM", help="default: the machine's nominal speed")
     parser.add_argument("--moisture", type=float, metavar="PCT", help="for effects that need it (%%)")
     model_options.add_model_arguments(parser)
@@ -49,9 +50,16 @@ def run(args: argparse.Namespace) -> int:
     )
     model_options.check_operating_points(flow, angle, speed)
     model_options.check_moisture(args.moisture)
-    grid = np.meshgrid(flow, angle, speed, indexing="ij")
-    flow, angle, speed = (axis.ravel() for axis in grid)
-    conditions = Conditions(np.radians(angle), speed * RPM, mass_flow_kg_s=flow, moisture_pct=args.moisture)
+    place = np.zeros(1) if args.plate_position is None else model_options.numbers(args.plate_position, "--plate-position")
+    nearest = [machine.plate_reach_m(float(p)) > machine.paddle_length_m for p in place]
+    clear = f"above {machine.paddle_length_m - machine.plate_reach_m(0.0):.3g} m, where the plate clears the paddles"
+    model_options.check_each(np.array(nearest), place, "--plate-position", clear)
+    grid = np.meshgrid(flow, angle, place, speed, indexing="ij")
+    flow, angle, place, speed = (axis.ravel() for axis in grid)
+    moved = None if args.plate_position is None else place
+    conditions = Conditions(
+        np.radians(angle), speed * RPM, mass_flow_kg_s=flow, moisture_pct=args.moisture, plate_position_m=moved
+    )
     try:
         model = ForwardModel(machine, known.effects)
         momentum = model.paddle_momentum(conditions, known.values)
@@ -62,6 +70,8 @@ def run(args: argparse.Namespace) -> int:
     values = [flow, angle, speed, flow / passes, momentum, momentum * passes]
     if args.moisture is not None:
         columns, values = (*COLUMNS, "moisture_pct"), [*values, np.full(flow.shape, args.moisture)]
+    if moved is not None:
+        columns, values = (*columns, "plate_position_m"), [*values, moved]
     table = np.stack(values, axis=-1).tolist()
     if args.json:
         rows = [dict(zip(columns, row, strict=True)) for row in table]

@@ -60,6 +60,7 @@ def run(args: argparse.Namespace) -> int:
     if not 0.0 <= args.model_error < 1.0:
         raise InputError("--model-error", f"is {args.model_error:g}", "a share from 0 to 1")
     data = table.load(args.data, need_load=False)
+    machine = data.at_one_position(machine)
     model_options.check_unit(prior, data)
     for note in data.notes:
         print(f"yieldmon: {note}", file=sys.stderr)

@@ -30,7 +30,8 @@ class MomentumBatch:
         self.fixed = dict(fixed)
         self._by_flow = conditions.paddle_mass_kg is None
         self._knows_moisture = conditions.moisture_pct is not None
-        self.angle, self.speed, self.load, self.moisture = np.broadcast_arrays(
+        self._knows_position = conditions.plate_position_m is not None
+        self.angle, self.speed, self.load, self.moisture, self.position = np.broadcast_arrays(
             *(
                 np.atleast_1d(np.asarray(v, dtype=float))
                 for v in (
@@ -38,6 +39,7 @@ class MomentumBatch:
                     conditions.elevator_speed_rad_s,
                     conditions.mass_flow_kg_s if self._by_flow else conditions.paddle_mass_kg,
                     conditions.moisture_pct if self._knows_moisture else np.nan,
+                    conditions.plate_position_m if self._knows_position else 0.0,
                 )
             )
         )
@@ -89,6 +91,7 @@ class MomentumBatch:
             amount if self._by_flow else None,
             None if self._by_flow else amount,
             self.moisture if self._knows_moisture else None,
+            self.position if self._knows_position else None,
         )
         # Complex division warns about the nan of an overfull paddle, which is the answer asked for.
         with np.errstate(invalid="ignore"):

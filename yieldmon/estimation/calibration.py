@@ -65,8 +65,8 @@ class Measurements:
             raise ValueError("measurements: momentum must be one row of finite numbers")
         if self.sigma is not None and not (self.sigma.shape == self.momentum.shape and np.all(self.sigma > 0.0)):
             raise ValueError("measurements: sigma must hold a number above 0 for each row")
-        if not np.all(np.isfinite(self.columns()[:3])):
-            raise ValueError("measurements: angle, speed and load must be finite")
+        if not np.all(np.isfinite(self._all()[[0, 1, 2, 4]])):
+            raise ValueError("measurements: angle, speed, load and plate position must be finite")
 
     def columns(self) -> Array:
         """(4, n): plate angle, elevator speed, load, moisture (nan where unknown)."""
@@ -80,7 +80,7 @@ class Measurements:
         """Those rows alone."""
         places = np.flatnonzero(rows) if self.places is None else self.places[rows]
         return Measurements(
-            self._conditions(self.columns()[:, rows]),
+            self._conditions(self._all()[:, rows]),
             self.momentum[rows],
             None if self.sigma is None else self.sigma[rows],
             places,
@@ -88,16 +88,22 @@ class Measurements:
 
     def cells(self) -> tuple[Conditions, NDArray[np.intp]]:
         """The distinct conditions, and for each row the index of its own."""
-        columns = np.nan_to_num(self.columns(), nan=-1.0)
+        columns = np.nan_to_num(self._all(), nan=-1.0)
         distinct, index = np.unique(columns, axis=1, return_inverse=True)
-        distinct = np.where((np.arange(4)[:, None] == 3) & (distinct < 0.0), np.nan, distinct)
+        distinct = np.where((np.arange(5)[:, None] == 3) & (distinct < 0.0), np.nan, distinct)
         return self._conditions(distinct), index.ravel()
 
+    def _all(self) -> Array:
+        """(5, n): the columns, and the plate's position (0 where it is not given)."""
+        position = 0.0 if self.conditions.plate_position_m is None else np.asarray(self.conditions.plate_position_m, dtype=float)
+        return np.vstack((self.columns(), np.broadcast_to(position, self.momentum.shape)[None]))
+
     def _conditions(self, columns: Array) -> Conditions:
-        angle, speed, load, moisture = columns
+        angle, speed, load, moisture, position = columns
         by_flow = self.conditions.paddle_mass_kg is None
         known = None if self.conditions.moisture_pct is None else moisture
-        return Conditions(angle, speed, load if by_flow else None, None if by_flow else load, known)
+        place = None if self.conditions.plate_position_m is None else position
+        return Conditions(angle, speed, load if by_flow else None, None if by_flow else load, known, place)
 
 
 @dataclass(frozen=True, slots=True)

@@ -217,17 +217,20 @@ def _remedies(
     )
     speeds = machine.nominal_elevator_speed_rad_s * np.array([0.75, 1.0, 1.25])
     amounts = np.unique([loads.min(), np.median(loads), loads.max()])
-    grid = np.array([(a, s, m) for a in angles for s in speeds for m in amounts if m > 0.0])
+    places = np.unique([*machine.plate_travel_m, 0.0])
+    grid = np.array([(a, s, m, p) for a in angles for s in speeds for m in amounts if m > 0.0 for p in places])
     by_flow = conditions.paddle_mass_kg is None
     moisture = None if conditions.moisture_pct is None else float(np.nanmedian(np.asarray(conditions.moisture_pct, dtype=float)))
-    planned = Conditions(grid[:, 0], grid[:, 1], grid[:, 2] if by_flow else None, None if by_flow else grid[:, 2], moisture)
+    planned = Conditions(
+        grid[:, 0], grid[:, 1], grid[:, 2] if by_flow else None, None if by_flow else grid[:, 2], moisture, grid[:, 3]
+    )
     extra, _ = relative_jacobian(model, planned, values, names, middle_noise)
     unit = "kg/s" if by_flow else "kg a paddle"
-    for row, (angle, speed, load) in zip(extra, grid, strict=True):
+    for row, (angle, speed, load, place) in zip(extra, grid, strict=True):
         if np.all(np.isfinite(row)):
-            text = (
-                f"three more rows at {np.degrees(angle):.0f} deg, {speed * 30.0 / np.pi:.0f} rpm, {load:.3g} {unit} (load known)"
-            )
+            moved = f", plate moved by {1000.0 * place:+.0f} mm" if place else ""
+            at = f"{np.degrees(angle):.0f} deg, {speed * 30.0 / np.pi:.0f} rpm, {load:.3g} {unit}{moved}"
+            text = f"three more rows at {at} (load known)"
             tried.append(Remedy(text, _worst(np.vstack((relative, np.sqrt(3.0) * row[None])))))
     tried.sort(key=lambda r: r.worst_sd_after)
     return tried[:5]

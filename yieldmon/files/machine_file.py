@@ -30,6 +30,8 @@ _SENSOR = {"gain_n_per_mv": ("N/mV", 1e-4, 1e3), "full_scale_mv": ("mV", 1.0, 1e
 #: Of the sensor, where it is stated.
 _SENSOR_OPTIONAL = {"response_s": ("s", 0.0, 0.1)}
 
+_OPTIONAL = {"implement", "plate_travel_m"}
+
 #: Of the optional section: unit and range.
 _IMPLEMENT = {
     "working_width_m": ("m", 0.1, 30.0),
@@ -49,8 +51,8 @@ def from_document(document: Mapping[str, Any], path: str | Path) -> Machine:
     """Machine from the mapping of a file; path: for errors. Raises InputError as `load`."""
     known = {"name", "paddle_spacings_m", "sensor", *_LENGTHS, *_ANGLES, *_SPEEDS}
     for key in document:
-        if key not in known | {"implement"}:
-            raise InputError(f"{path}: {key}", "unknown key", f"one of {', '.join(sorted(known | {'implement'}))}")
+        if key not in known | _OPTIONAL:
+            raise InputError(f"{path}: {key}", "unknown key", f"one of {', '.join(sorted(known | _OPTIONAL))}")
     for key in sorted(known):
         if key not in document:
             raise InputError(f"{path}: {key}", "missing")
@@ -65,6 +67,7 @@ def from_document(document: Mapping[str, Any], path: str | Path) -> Machine:
     values["paddle_spacings_m"] = tuple(
         number(d, f"{path}: paddle_spacings_m[{i}]", "m", 0.01, 2.0) for i, d in enumerate(spacings)
     )
+    values["plate_travel_m"] = _travel(document.get("plate_travel_m", [0.0, 0.0]), f"{path}: plate_travel_m")
     values["sensor"] = _sensor(document["sensor"], path)
     values["implement"] = _implement(document.get("implement", {}), path)
     if not isinstance(document["name"], str):
@@ -84,10 +87,19 @@ def to_document(machine: Machine) -> dict[str, Any]:
     document["sensor"] = {key: getattr(machine.sensor, key) for key in _SENSOR}
     if machine.sensor.response_s != ImpactSensor().response_s:
         document["sensor"]["response_s"] = machine.sensor.response_s
+    if machine.plate_travel_m != (0.0, 0.0):
+        document["plate_travel_m"] = list(machine.plate_travel_m)
     implement = {key: getattr(machine.implement, key) for key in _IMPLEMENT}
     if machine.implement != Implement():
         document["implement"] = {key: value for key, value in implement.items() if value is not None}
     return document
+
+
+def _travel(value: Any, where: str) -> tuple[float, float]:
+    if not isinstance(value, list) or len(value) != 2:
+        raise InputError(where, f"is {value!r}", "[towards the elevator, away from it] in m, e.g. [-0.03, 0.05]")
+    low, high = (number(v, where, "m", -2.0, 2.0) for v in value)
+    return low, high
 
 
 def _implement(document: Any, path: str | Path) -> Implement:

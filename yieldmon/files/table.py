@@ -29,6 +29,7 @@ _LIMITS = {
     "paddle_mass_kg": (0.0, 100.0, "kg"),
     "elevator_speed_rpm": (0.0, 5000.0, "rpm"),
     "moisture_pct": (0.0, 100.0, "%"),
+    "plate_position_m": (-2.0, 2.0, "m"),
     "sigma": (0.0, 1e12, "the reading's unit"),
 }
 
@@ -68,8 +69,15 @@ class Table:
         rpm = self.columns.get("elevator_speed_rpm", np.full(len(self), np.nan))
         return np.where(np.isnan(rpm), machine.nominal_elevator_speed_rad_s, rpm * RPM)
 
+    def at_one_position(self, machine: Machine) -> Machine:
+        """The machine with its plate where the whole table has it. Raises InputError for a table of several positions."""
+        places = np.unique(self.columns.get("plate_position_m", np.zeros(1)))
+        if places.size > 1:
+            raise InputError(f"{self.path}: plate_position_m", f"holds {places.size} positions", "one, but for `calibrate`")
+        return machine.with_plate_at(float(places[0])) if places[0] else machine
+
     def conditions(self, machine: Machine) -> Conditions:
-        """Angle, speed, load and moisture of each row. Raises InputError when the table gives no load."""
+        """Angle, speed, load, moisture and plate position of each row. Raises InputError when the table gives no load."""
         if self.load is None:
             raise InputError(self.path, "has no load column", f"one of {', '.join(LOADS)}")
         self.check_doubled(machine)
@@ -77,6 +85,7 @@ class Table:
             plate_angle_rad=np.radians(self.columns["plate_angle_deg"]),
             elevator_speed_rad_s=self.speed_rad_s(machine),
             moisture_pct=self.columns.get("moisture_pct"),
+            plate_position_m=self.columns.get("plate_position_m"),
             **{self.load: self.columns[self.load]},
         )
 
@@ -130,6 +139,9 @@ def load(path: str | Path, *, need_load: bool = True) -> Table:
     missing = np.flatnonzero(np.isnan(columns["plate_angle_deg"]))
     if missing.size:
         raise InputError(source.where(int(missing[0]), "plate_angle_deg"), "is unknown", "an angle in degrees")
+    places = columns.get("plate_position_m", np.zeros(1))
+    if np.any(np.isnan(places)):
+        raise InputError(source.where(int(np.argmax(np.isnan(places))), "plate_position_m"), "is unknown", "a position in m")
     angles = columns["plate_angle_deg"]
     if len(angles) > 1 and float(angles.max()) <= np.pi:
         raise InputError(f"{where}: plate_angle_deg", f"has nothing above {angles.max():g}", "degrees; these look like radians")

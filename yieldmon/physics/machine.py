@@ -6,8 +6,8 @@ Axes: origin at the upper sprocket's centre, x to the right, y down, angles cloc
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import pi
+from dataclasses import dataclass, replace
+from math import cos, pi
 from typing import TypeVar
 
 import numpy as np
@@ -52,7 +52,8 @@ class Machine:
     """Clean-grain elevator head and impact plate. Lengths in m, angles in rad, speeds in rad/s.
 
     paddle_spacings_m is the repeating pattern of distances along the chain. The plate turns about its top edge
-    (plate_pivot_x_m, plate_pivot_y_m); paddle_length_m is from the sprocket's centre to the tip.
+    (plate_pivot_x_m, plate_pivot_y_m); paddle_length_m is from the sprocket's centre to the tip. plate_travel_m: how far the
+    plate can be moved from there, level (towards the elevator, at most 0; away from it).
     """
 
     name: str = "sprocket-8"
@@ -71,6 +72,7 @@ class Machine:
     max_elevator_speed_rad_s: float = 599.0 * RPM
     sensor: ImpactSensor = ImpactSensor()
     implement: Implement = Implement()
+    plate_travel_m: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         for key in ("sprocket_pitch_radius_m", "paddle_length_m", "paddle_width_m", "plate_length_m"):
@@ -80,6 +82,21 @@ class Machine:
             raise ValueError(f"machine {self.name}: paddle_spacings_m is {self.paddle_spacings_m}, expected lengths above 0 m")
         if not self.min_plate_angle_rad <= self.home_plate_angle_rad <= self.max_plate_angle_rad:
             raise ValueError(f"machine {self.name}: the home plate angle lies outside the plate's range")
+        if not self.plate_travel_m[0] <= 0.0 <= self.plate_travel_m[1]:
+            raise ValueError(f"machine {self.name}: plate_travel_m is {self.plate_travel_m}, expected [at most 0, at least 0] m")
+        if self.plate_reach_m(self.plate_travel_m[0]) <= self.paddle_length_m < self.plate_reach_m(0.0):
+            raise ValueError(f"machine {self.name}: plate_travel_m lets the plate into the paddles' way")
+
+    def plate_reach_m(self, plate_position_m: float) -> float:
+        """Level distance from the sprocket's centre to the nearest point of the plate over its angles, at a position of it."""
+        low_edge_m = self.plate_length_m * min(0.0, cos(self.max_plate_angle_rad))
+        return self.plate_pivot_x_m + plate_position_m + low_edge_m
+
+    def with_plate_at(self, plate_position_m: float) -> Machine:
+        """The machine with its plate moved away from the elevator by so much, for good."""
+        low, high = self.plate_travel_m
+        travel = (min(0.0, low - plate_position_m), max(0.0, high - plate_position_m))
+        return replace(self, plate_pivot_x_m=self.plate_pivot_x_m + plate_position_m, plate_travel_m=travel)
 
     @property
     def paddle_spacing_m(self) -> float:

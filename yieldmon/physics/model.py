@@ -31,6 +31,7 @@ class Conditions:
     """What the machine does while it is measured; arrays that broadcast against each other and against the parameters.
 
     plate_angle_rad, elevator_speed_rad_s; one of mass_flow_kg_s and paddle_mass_kg; moisture_pct only where an effect needs it.
+    plate_position_m: of the plate from where the machine has it, away from the elevator; None: there.
     """
 
     plate_angle_rad: ArrayLike
@@ -38,6 +39,7 @@ class Conditions:
     mass_flow_kg_s: ArrayLike | None = None
     paddle_mass_kg: ArrayLike | None = None
     moisture_pct: ArrayLike | None = None
+    plate_position_m: ArrayLike | None = None
 
     def __post_init__(self) -> None:
         if (self.mass_flow_kg_s is None) == (self.paddle_mass_kg is None):
@@ -91,9 +93,10 @@ class ForwardModel:
         elevator_speed_rad_s: ArrayLike,
         parameters: Parameters,
         moisture_pct: ArrayLike | None = None,
+        plate_position_m: ArrayLike | None = None,
     ) -> Throw:
         """All that does not depend on the load, worked out once; see `Throw`."""
-        return Throw(self, plate_angle_rad, elevator_speed_rad_s, parameters, moisture_pct)
+        return Throw(self, plate_angle_rad, elevator_speed_rad_s, parameters, moisture_pct, plate_position_m)
 
     def paddle_momentum(self, conditions: Conditions, parameters: Parameters, *, overfull: str = "raise") -> AnyArray:
         """Horizontal momentum given to the plate per paddle, kg m/s (or the response's unit where k1, k2 carry it).
@@ -143,7 +146,13 @@ class ForwardModel:
         return value, np.where(np.isnan(value)[..., None], np.nan, jacobian)
 
     def _throw(self, conditions: Conditions, parameters: Parameters) -> Throw:
-        return self.throw(conditions.plate_angle_rad, conditions.elevator_speed_rad_s, parameters, conditions.moisture_pct)
+        return self.throw(
+            conditions.plate_angle_rad,
+            conditions.elevator_speed_rad_s,
+            parameters,
+            conditions.moisture_pct,
+            conditions.plate_position_m,
+        )
 
     def _refuse_overfull(self, throw: Throw, conditions: Conditions, momentum: AnyArray) -> None:
         mass, full = np.broadcast_arrays(real(throw.load_mass(throw.offered_mass(conditions))), real(throw.full_mass_kg))
@@ -169,17 +178,21 @@ class Throw:
         elevator_speed_rad_s: ArrayLike,
         parameters: Parameters,
         moisture_pct: ArrayLike | None = None,
+        plate_position_m: ArrayLike | None = None,
     ) -> None:
         self._model = model
         self._values = _effect_values(model._effects, parameters)
         machine = model.machine
+        pivot_x: AnyArray = np.asarray([machine.plate_pivot_x_m])
+        if plate_position_m is not None:
+            pivot_x = pivot_x + _with_nodes(plate_position_m)
         setting = Setting(
             machine=machine,
             plate_angle_rad=_with_nodes(plate_angle_rad),
             elevator_speed_rad_s=_with_nodes(elevator_speed_rad_s),
             moisture_pct=_with_nodes(np.nan if moisture_pct is None else moisture_pct),
             paddle_length_m=np.asarray([machine.paddle_length_m]),
-            plate_pivot_x_m=np.asarray([machine.plate_pivot_x_m]),
+            plate_pivot_x_m=pivot_x,
             plate_pivot_y_m=np.asarray([machine.plate_pivot_y_m]),
             friction=_parameter(parameters, "friction"),
             density=_parameter(parameters, "density"),
