@@ -79,9 +79,9 @@ def judged(lived: Lived, args: argparse.Namespace):  # type: ignore[no-untyped-d
     import numpy as np
 
     from studies.live_diagnosis import cases as live
+    from yieldmon.estimation.estimators import estimator_of
     from yieldmon.files import parameter_file
     from yieldmon.physics.machine import RPM
-    from yieldmon.estimation.estimators import estimator_of
     from yieldmon.service.store import Store
 
     with Store(lived.store) as store:

@@ -54,7 +54,7 @@ MISTAKES = {
     "setup --answers mm.yaml --out good.csv": "--out: good.csv is no folder",
     "process a.log a.log.gz --out x.csv": "a.log.gz: is the same log as a.log, one of them gzipped, and would double its mass",
     "process s.sqlite --out s.sqlite --zero-mv 1": "is a file that is read as well",
-    "process s.sqlite --out x.csv": "is a store, measured already; expected --params, --estimator, --delay",
+    "process s.sqlite --out x.csv": "is a store, measured already; expected --params, --estimator,",
     "process s.sqlite --out x.csv --zero-mv -3": "--zero-mv: is -3; expected 0 to 100000 mV",
     "process s.sqlite a.log --out x.csv": "names a store beside others; expected one store alone",
     f"ticket 7 {NOBODY}": "MASS: is missing; expected the weighed mass",

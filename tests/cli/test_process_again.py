@@ -92,7 +92,7 @@ def test_a_store_measured_again_follows_parameters_zero_and_delay(capsys, tmp_pa
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ((STORE,), "is a store, measured already; expected --params, --estimator, --delay"),
+        ((STORE,), "is a store, measured already; expected --params, --estimator, --zero-mv or"),
         ((STORE, STORE.with_name("x.sqlite"), "--delay", 3), "names a store beside others; expected one store alone"),
         ((STORE, "--delay", 900), "--delay: is 900; expected 0 to 60 s"),
         ((STORE, "--params", "none.yaml"), "none.yaml"),
