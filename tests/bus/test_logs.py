@@ -295,10 +295,9 @@ def damaged(content: bytes, how: str) -> bytes:
     }[how]
 
 
-@pytest.mark.parametrize("how", ["cut off", "junk in the middle", "junk at the end"])
-@pytest.mark.parametrize("suffix", [".blf", ".db", ".blf.gz", ".db.gz"])
-def test_damaged_binary_format_is_told_with_its_place(tmp_path: Path, suffix: str, how: str) -> None:
-    long_log = [
+@pytest.fixture(scope="module")
+def long_log() -> list[can.Message]:
+    return [
         can.Message(
             timestamp=START_S + 0.001 * k,
             arbitration_id=k * 7919 % 0x1FFFFFFF,
@@ -306,8 +305,21 @@ def test_damaged_binary_format_is_told_with_its_place(tmp_path: Path, suffix: st
         )
         for k in range(40_000)
     ]
-    plain = write(tmp_path / f"whole{suffix.removesuffix('.gz')}", long_log)
-    content = damaged(plain.read_bytes(), how)
+
+
+@pytest.fixture(scope="module")
+def whole(long_log: list[can.Message], tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """The same log in each binary format."""
+    folder = tmp_path_factory.mktemp("whole")
+    return {suffix: write(folder / f"whole{suffix}", long_log).read_bytes() for suffix in (".blf", ".db")}
+
+
+@pytest.mark.parametrize("how", ["cut off", "junk in the middle", "junk at the end"])
+@pytest.mark.parametrize("suffix", [".blf", ".db", ".blf.gz", ".db.gz"])
+def test_damaged_binary_format_is_told_with_its_place(
+    tmp_path: Path, long_log: list[can.Message], whole: dict[str, bytes], suffix: str, how: str
+) -> None:
+    content = damaged(whole[suffix.removesuffix(".gz")], how)
     path = tmp_path / f"drive{suffix}"
     path.write_bytes(gzip.compress(content, 1) if suffix.endswith(".gz") else content)
     messages: list[can.Message] = []

@@ -297,7 +297,7 @@ def interruptible() -> None:
 
 INTERRUPTED = {
     "simulate": (
-        "simulate --scenario demo --duration 90000 --log new.log",
+        "simulate --scenario demo --duration 9000 --log new.log",
         "new.log",
         r"yieldmon: interrupted; new.log holds \d+ s\n",
     ),

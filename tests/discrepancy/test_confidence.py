@@ -56,10 +56,11 @@ def test_what_ships_never_says_certain() -> None:
 
 def test_a_doubtful_name_is_a_partial_candidate(make_rows, start) -> None:
     rows = make_rows({"plate_friction": 0.2})
-    sure = diagnosis.examine(rows, start, diagnosis.Options())
+    quick = Policy(refits=8, exchanges=4, beam=2)
+    sure = diagnosis.examine(rows, start, diagnosis.Options(policy=quick))
     assert sure.choice.named[0] == "plate_friction"
     assert 0.5 < sure.choice.steps[0].confidence < 1.0
-    unsure = diagnosis.examine(rows, start, diagnosis.Options(policy=replace(Policy(), least_confidence=1.0)))
+    unsure = diagnosis.examine(rows, start, diagnosis.Options(policy=replace(quick, least_confidence=1.0)))
     assert unsure.choice.verdict == "unknown"
     assert unsure.choice.steps[0].added == "plate_friction"
     assert any("of 100 cases" in note for note in unsure.notes)

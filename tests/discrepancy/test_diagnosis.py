@@ -49,12 +49,12 @@ def clean_found(make_rows, start) -> diagnosis.Diagnosis:
     ("effect", "size"),
     [
         ("zero_offset", 4.0),
-        ("plate_angle_offset", 0.06),
+        pytest.param("plate_angle_offset", 0.06, marks=pytest.mark.slow),
         ("release_angle", -0.12),
         ("plate_friction", 0.3),
-        ("resting_grain", 0.1),
+        pytest.param("resting_grain", 0.1, marks=pytest.mark.slow),
         ("gravity", 9.81),
-        ("speed_dependent_shape", -1.0),
+        pytest.param("speed_dependent_shape", -1.0, marks=pytest.mark.slow),
     ],
 )
 def test_a_hidden_effect_is_named_and_the_gap_closes(make_rows, start, offset_seen, effect: str, size: float) -> None:
@@ -67,7 +67,7 @@ def test_a_hidden_effect_is_named_and_the_gap_closes(make_rows, start, offset_se
     assert seen.held_out.closed_pct > 50.0
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
 def test_clean_data_raise_no_alarm(make_rows, start, seed: int) -> None:
     assert diagnosis.examine(make_rows(seed=seed), start, QUICK).choice.verdict == "none"
 

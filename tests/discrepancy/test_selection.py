@@ -125,7 +125,7 @@ def test_a_rival_that_misses_a_tie_by_little_is_fitted_again(published) -> None:
 def test_a_pair_hidden_behind_each_other_is_named(make_rows, start) -> None:
     """Each of the two alone is a compromise of both; the exchange takes it apart."""
     rows = make_rows({"miss_capture": 0.5, "residual_radial_speed": 0.14})
-    choice = diagnosis.examine(rows, start, diagnosis.Options(policy=Policy(beam=1))).choice
+    choice = diagnosis.examine(rows, start, diagnosis.Options(policy=Policy(refits=12, beam=1))).choice
     classes = [{s.added, *s.equivalent} for s in choice.steps]
     assert choice.verdict == "effect"
     assert any("miss_capture" in c for c in classes)
@@ -172,7 +172,8 @@ def test_a_bound_that_the_data_do_not_refute_is_no_reason_to_refuse(make_rows, s
 
 def test_a_pair_whose_first_step_misleads_is_found_by_screening(make_rows, start) -> None:
     rows = make_rows({"residual_radial_speed": 0.06, "secondary_impact": 0.8})
-    choice = diagnosis.examine(rows, start, diagnosis.Options(hold_out="none")).choice
+    options = diagnosis.Options(policy=Policy(refits=12, beam=3, pairs=6), hold_out="none")
+    choice = diagnosis.examine(rows, start, options).choice
     classes = [{s.added, *s.equivalent} for s in choice.steps]
     assert choice.verdict == "effect"
     assert any("residual_radial_speed" in c for c in classes)

@@ -33,7 +33,7 @@ def harvest(target: Disagreement, effects: Effects, sweeps: int, seed: int = 0, 
     return said
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))])
 def test_quiet_over_a_season_without_a_hidden_effect(seed: int) -> None:
     """40 sweeps a seed, paddle scatter of 7 %, a wandering flow, physics that is not the model's."""
     assert not any(harvest(Disagreement(SETTINGS, MACHINE), NONE, 40, seed))

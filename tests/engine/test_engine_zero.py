@@ -10,6 +10,7 @@ from engine_bench import Bench, feed, monitor, only
 
 from yieldmon import frames as bus
 from yieldmon.engine.faults import FaultCode
+from yieldmon.engine.runs import run_of
 from yieldmon.frames import EstimateQuality, Frame, OperatingState
 
 SHAKING = Bench(noise_mv=5.0, shaft_vibration_mv=7.0, paddle_vibration_mv=7.0, scatter=0.1)
@@ -17,9 +18,9 @@ SHAKING = Bench(noise_mv=5.0, shaft_vibration_mv=7.0, paddle_vibration_mv=7.0, s
 
 
 def zeros(bench: Bench, seconds: float) -> np.ndarray:
-    """Zero after each window, mV; nan while there is none."""
+    """Zero after each window, mV; nan while there is none. Fed as a run, which gives the same bits (test_engine_runs)."""
     target = monitor()
-    feed(target, bench.frames(seconds))
+    target.feed_run(run_of(bench.frames(seconds)))
     return np.array([record.zero_mv for record in target.records])
 
 
@@ -79,7 +80,7 @@ def test_no_zero_is_learnt_from_a_full_flow() -> None:
 
 def test_far_drift_raises_the_fault() -> None:
     target = monitor()
-    feed(target, Bench(zero=lambda t: 150.0 + 0.15 * (t - 1000.0)).frames(320))
+    target.feed_run(run_of(Bench(zero=lambda t: 150.0 + 0.15 * (t - 1000.0)).frames(320)))
     assert FaultCode.ZERO_DRIFTED in target.faults.active
     assert target.records[-1].quality is not EstimateQuality.OK
 

@@ -121,7 +121,7 @@ def test_the_face_gains_alike_at_each_angle(campaign: stages.Rows) -> None:
 
 
 @pytest.mark.parametrize("column", ["momentum_kg_m_s", "momentum_total_kg_m_s"])
-@pytest.mark.parametrize(("judged", "learnt_at"), [(0.15, 0.3), (0.3, 0.15)])
+@pytest.mark.parametrize(("judged", "learnt_at"), [(0.15, 0.3), pytest.param(0.3, 0.15, marks=pytest.mark.slow)])
 def test_the_open_loop_reaches_its_goal(judged: float, learnt_at: float, column: str) -> None:
     """Mean 3 % and largest 8 %: k1 and k2 from two loads at one angle, all sizes and the angle from the other crop."""
     sizes = report.recorded_sizes(learnt_at)
