@@ -10,14 +10,23 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from tests.plant_sweeps import MACHINE, NONE, shown_force, sweep_windows
+from tests.plant_sweeps import MACHINE, NONE, STRONG, shown_force, sweep_windows
 from yieldmon.cli.main import main
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file
 from yieldmon.fleet import tables
 from yieldmon.fleet.dataset import Dataset
-from yieldmon.fleet.diagnosis import MachineSweeps, MachineVerdict, Named, diagnose, shared_effects, sweeps_of
+from yieldmon.fleet.diagnosis import (
+    Explanation,
+    MachineSweeps,
+    MachineVerdict,
+    Named,
+    diagnose,
+    shared_effects,
+    sweeps_of,
+    verdict_of,
+)
 from yieldmon.service import sweep_table
 from yieldmon.service.rows import second_row
 from yieldmon.service.store import Batch, ParameterVersion, Store
@@ -54,6 +63,75 @@ def test_values_of_a_shared_effect_are_the_machines_mean() -> None:
     named = [Named("air_drag", (), 1.0, {"air_drag.factor": value}) for value in (0.8, 1.0, 1.2)]
     [found] = shared_effects([verdict(f"m{i}", item) for i, item in enumerate(named)])
     assert found.values == {"air_drag.factor": pytest.approx(1.0)}
+
+
+def tied(friction_behind: float, lever_behind: float, friction: float = 0.2, law: str = "plate_friction") -> Named:
+    """A machine whose sweeps cannot tell friction from the lever arm, and how far each is behind."""
+    explanations = {
+        "plate_friction": Explanation(law, {f"{law}.friction": friction}, friction_behind),
+        "lever_arm": Explanation("lever_arm", {"lever_arm.slope": 0.3}, lever_behind),
+    }
+    first, other = ("plate_friction", "lever_arm") if friction_behind <= lever_behind else ("lever_arm", "plate_friction")
+    return Named(first, (other,), 0.6, explanations[first].values, explanations)
+
+
+@pytest.mark.parametrize(
+    ("machines", "shared"),
+    [
+        # Named first more often, but where it is not, it is further behind.
+        ([(0.0, 1.0), (0.0, 1.0), (5.0, 0.0)], "lever_arm"),
+        ([(0.0, 3.0), (0.0, 3.0), (5.0, 0.0)], "plate_friction"),
+    ],
+)
+def test_all_machines_evidence_together_tells_what_one_cannot(machines: list[tuple[float, float]], shared: str) -> None:
+    [found] = shared_effects([verdict(f"m{i}", tied(*behind)) for i, behind in enumerate(machines)])
+    assert found.effect == shared
+
+
+def test_values_are_the_median_by_the_law_that_most_machines_fitted() -> None:
+    named = [tied(0.0, 9.0, 0.1), tied(0.0, 9.0, 0.2), tied(4.0, 0.0, 0.6), tied(0.0, 9.0, 7.0, "friction_by_another_law")]
+    [found] = shared_effects([verdict(f"m{i}", item) for i, item in enumerate(named)])
+    assert found.values == {"plate_friction.friction": 0.2}
+
+
+@pytest.mark.parametrize(("naming", "shared"), [(2, []), (3, ["plate_friction"])])
+def test_effects_that_are_no_name_by_themselves_count_where_enough_machines_name_them(naming: int, shared: list[str]) -> None:
+    unsure = [MachineVerdict(f"u{i}", "unknown", (), (tied(0.0, 1.0),)) for i in range(4)]
+    found = shared_effects([*(verdict(f"m{i}", FRICTION) for i in range(naming)), *unsure])
+    assert [item.effect for item in found] == shared
+
+
+def test_what_most_machines_still_show_is_the_models_too() -> None:
+    machines = [MachineSweeps(f"m{i}", MACHINE, SHIPPED, ()) for i in range(4)]
+
+    def ask(pairs: Sequence[tuple[MachineSweeps, ParameterSet]]) -> Iterable[MachineVerdict]:
+        left = {"plate_friction": FRICTION, "air_drag": AIR}
+        return [verdict(m.name, *[item for name, item in left.items() if name not in p.effects][:1]) for m, p in pairs]
+
+    found = diagnose(machines, ask)
+    assert [item.effect for item in found.model] == ["plate_friction", "air_drag"]
+    assert found.of_machines == ()
+
+
+@pytest.mark.slow
+def test_a_named_effect_comes_with_its_laws_values_and_with_what_was_fitted_in_its_place() -> None:
+    force = shown_force(MACHINE, STRONG)
+    windows = [
+        window
+        for sweep in range(4)
+        for window in sweep_windows(
+            MACHINE, force, flow_kg_s=7.0 + 3.0 * sweep, seed=sweep, start_s=1800.0 * sweep, sweep_id=sweep + 1
+        )
+    ]
+    seconds = tuple(second_row(number, window) for number, window in enumerate(windows, 1))
+    found = verdict_of(MachineSweeps("m", MACHINE, SHIPPED, (seconds,)), SHIPPED)
+    for item in (*found.named, *found.partial):
+        own = item.explanations[item.effect]
+        assert own.behind == 0.0
+        assert own.values == item.values
+        assert {name.partition(".")[0] for name in item.values} == {own.law}
+        assert set(item.equivalent) <= set(item.explanations)
+    assert found.named or found.partial
 
 
 def test_what_the_shared_effect_leaves_is_the_machines_own() -> None:

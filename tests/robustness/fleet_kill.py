@@ -20,6 +20,7 @@ from collections import Counter
 from pathlib import Path
 
 from tests.fleet import logs
+from yieldmon.fleet.dataset import MARK
 
 _WORKERS = 2
 _QUIET = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
@@ -64,12 +65,14 @@ class Cluster:
             self.starts[name] += 1
         return None
 
-    def kill(self, name: str) -> None:
-        """Kill -9, now."""
+    def kill(self, name: str) -> bool:
+        """Kill -9, now; whether there was something to kill."""
         process = self._running.get(name)
-        if process is not None:
-            process.kill()
-            process.wait()
+        if process is None or process.poll() is not None:
+            return False
+        process.kill()
+        process.wait()
+        return True
 
     def stop(self) -> None:
         """End all."""
@@ -111,17 +114,18 @@ def _run(args: argparse.Namespace, folder: Path) -> int:
     chance.shuffle(kills)
     # Each when a certain share is done, so that all of them meet a run at work.
     at = sorted(chance.uniform(0.0, 0.95) * args.partitions for _ in kills)
-    cluster, done = Cluster(source, out, folder), Counter[str]()
+    cluster, done, began_s = Cluster(source, out, folder), Counter[str](), time.monotonic()
     try:
         code = None
         while code is None:
             code = cluster.keep_up()
             time.sleep(chance.uniform(0.0, 0.3))
             if at and len(list(out.glob("machine=*/day=*/_COMMITTED"))) >= at[0]:
-                at.pop(0)
-                kind = kills.pop()
-                done[kind] += 1
-                cluster.kill(f"worker-{chance.randrange(_WORKERS)}" if kind == "worker" else kind)
+                kind = kills[-1]
+                if cluster.kill(f"worker-{chance.randrange(_WORKERS)}" if kind == "worker" else kind):
+                    at.pop(0)
+                    kills.pop()
+                    done[kind] += 1
             if cluster.starts["client"] > args.clients_killed + 20:
                 break
     finally:
@@ -129,11 +133,12 @@ def _run(args: argparse.Namespace, folder: Path) -> int:
     expected, found = content(undisturbed), content(out)
     differ = [path for path in expected if found.get(path) != expected[path]]
     orphans = [path for path in found if path not in expected]
-    starts = cluster.starts["client"]
-    print(f"{args.partitions} partitions; killed: {dict(done)}; client's exit code {code}, started {starts} times")
+    marks = sum(path.endswith(f"/{MARK}") for path in found)
+    print(f"{args.partitions} partitions, seed {args.seed}; killed: {dict(done)}; client's exit code {code}")
+    print(f"starts: {dict(cluster.starts)}; {marks} partitions committed; {time.monotonic() - began_s:.0f} s")
     print(f"{len(expected) - len(differ)} of {len(expected)} files equal to the undisturbed run, {len(orphans)} orphans")
     for path in (*differ[:5], *orphans[:5]):
         print(f"  {path}")
     if code != 0:
         print("\n".join(cluster.said.read_text().splitlines()[-10:]))
-    return 0 if code == 0 and not differ and not orphans and not kills else 1
+    return 0 if code == 0 and not differ and not orphans and not kills and marks == args.partitions else 1

@@ -1,21 +1,25 @@
 """Diagnosis over the sweeps of many machines: what many show is the model's, what one shows is the machine's.
 
 Each machine's sweeps are diagnosed by themselves. An effect that most machines name (or hold for possible, where several cannot
-be told apart) is taken into the model, and all machines are diagnosed once more with it: what is named then is their own.
+be told apart) is taken into the model, and all machines are diagnosed once more with it: what is named then is their own, unless
+most machines show it again. Among effects that one machine cannot tell apart, all machines' evidence together decides.
 """
 
 from __future__ import annotations
 
 import json
+import statistics
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from yieldmon.discrepancy import diagnosis
+from yieldmon.discrepancy import diagnosis, observations
+from yieldmon.discrepancy.selection import Choice, Policy, Step, merit, misfit
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file
 from yieldmon.fleet.querying import Query, opened
+from yieldmon.physics.effects import family_of
 from yieldmon.physics.machine import Machine
 from yieldmon.service import sweep_table
 from yieldmon.service.rows import SecondRow
@@ -26,20 +30,42 @@ SELECT * EXCLUDE (machine, day) FROM records WHERE usable_for_calibration = 1 AN
 """
 _SHARE = 0.5
 """Of the machines with a verdict that must show an effect which is the model's."""
+_FAR = 30.0
+"""-2 log evidence that counts against an effect which a machine has not fitted in the place of the one it names."""
+_ROUNDS = 3
+"""Diagnoses of all machines, each with what the last one found to be the model's."""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """An effect in the place of a named one. law: by which it was fitted; values: of the law's parameters; behind: -2 log
+    evidence by which it is worse than the named one."""
+
+    law: str
+    values: Mapping[str, float]
+    behind: float
 
 
 @dataclass(frozen=True)
 class Named:
-    """An effect that a diagnosis names. equivalent: those that its data cannot tell from it; values: of its parameters."""
+    """An effect that a diagnosis names. equivalent: those that its data cannot tell from it; values: of its parameters;
+    explanations: by effect, itself and what was fitted in its place."""
 
     effect: str
     equivalent: tuple[str, ...] = ()
     confidence: float = 1.0
     values: Mapping[str, float] = field(default_factory=dict)
+    explanations: Mapping[str, Explanation] = field(default_factory=dict)
 
     def may_be(self, effect: str) -> bool:
         """Whether the data allow that it is this one."""
         return effect == self.effect or effect in self.equivalent
+
+    def behind(self, effect: str) -> float:
+        """-2 log evidence by which the effect is worse than the named one."""
+        if effect in self.explanations:
+            return self.explanations[effect].behind
+        return 0.0 if self.may_be(effect) else _FAR
 
 
 @dataclass(frozen=True)
@@ -54,11 +80,13 @@ class MachineSweeps:
 
 @dataclass(frozen=True)
 class MachineVerdict:
-    """What one machine's sweeps say. verdict: effect, none, unknown, or why there is none."""
+    """What one machine's sweeps say. verdict: effect, none, unknown, or why there is none; partial: effects of an unknown one
+    that help and are no name by this machine alone."""
 
     name: str
     verdict: str
     named: tuple[Named, ...] = ()
+    partial: tuple[Named, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -76,26 +104,38 @@ Ask = Callable[[Sequence[tuple[MachineSweeps, ParameterSet]]], Iterable[MachineV
 
 
 def shared_effects(verdicts: Sequence[MachineVerdict]) -> tuple[Named, ...]:
-    """Effects that most machines show, the most frequent first; each with the machines' mean values.
+    """Effects that most machines show, the most frequent first; each with the machines' median values.
 
-    A machine whose diagnosis holds several effects for possible counts for each of them; among equally frequent ones that which
-    is named first more often is taken.
+    A machine whose diagnosis holds several effects for possible counts for each of them, also where they are too many for a name
+    by itself; but LEAST_MACHINES must name the effect or one tied with it. Among those that most machines may have, that is taken
+    for which the evidence of all machines together is best.
     """
     judged = [verdict for verdict in verdicts if verdict.verdict in ("effect", "none", "unknown")]
-    left = [list(verdict.named) for verdict in judged]
+    named_by = Counter(effect for v in judged for effect in {e for item in v.named for e in (item.effect, *item.equivalent)})
+    left = [list(verdict.named or verdict.partial) for verdict in judged]
     found: list[Named] = []
     while True:
         possible = Counter(effect for named in left for effect in {e for item in named for e in (item.effect, *item.equivalent)})
         first = Counter(item.effect for named in left for item in named)
-        enough = [e for e, count in possible.items() if count >= LEAST_MACHINES and count > _SHARE * len(judged) and first[e]]
+        enough = [e for e, n in possible.items() if named_by[e] >= LEAST_MACHINES and n > _SHARE * len(judged) and first[e]]
         if not enough:
             return tuple(found)
-        best = max(enough, key=lambda effect: (possible[effect], first[effect], effect))
-        values = [item.values for named in left for item in named if item.effect == best]
-        mean = {key: sum(each[key] for each in values) / len(values) for key in values[0]}
-        confidence = possible[best] / len(judged)
-        found.append(Named(best, (), confidence, mean))
+        behind = {e: sum(min(item.behind(e) for item in named) for named in left if named) for e in enough}
+        best = min(enough, key=lambda effect: (behind[effect], -possible[effect], -first[effect], effect))
+        showing = [item for named in left for item in named if item.may_be(best)]
+        found.append(Named(best, (), possible[best] / len(judged), _common_values(best, showing)))
         left = [[item for item in named if not item.may_be(best)] for named in left]
+
+
+def _common_values(effect: str, showing: Sequence[Named]) -> dict[str, float]:
+    """The median values of an effect's parameters, by the law that most machines fitted."""
+    fitted = [item.explanations[effect] for item in showing if effect in item.explanations]
+    if not fitted:
+        values = [item.values for item in showing if item.effect == effect]
+    else:
+        law = Counter(item.law for item in fitted).most_common(1)[0][0]
+        values = [item.values for item in fitted if item.law == law]
+    return {key: statistics.median(each[key] for each in values) for key in values[0]}
 
 
 def diagnose(machines: Sequence[MachineSweeps], ask: Ask) -> FleetDiagnosis:
@@ -112,12 +152,16 @@ def diagnose(machines: Sequence[MachineSweeps], ask: Ask) -> FleetDiagnosis:
     -------
     FleetDiagnosis
     """
-    before = tuple(ask([(machine, machine.parameters) for machine in machines]))
-    model = shared_effects(before)
-    if not model:
-        return FleetDiagnosis((), tuple(verdict for verdict in before if verdict.verdict != "none"), before)
-    values = {name: value for item in model for name, value in item.values.items()}
-    after = ask([(machine, replace(machine.parameters, values={**machine.parameters.values, **values})) for machine in machines])
+    before = after = tuple(ask([(machine, machine.parameters) for machine in machines]))
+    model: tuple[Named, ...] = ()
+    for _ in range(_ROUNDS - 1):
+        more = tuple(item for item in shared_effects(after) if item.effect not in {known.effect for known in model})
+        if not more:
+            break
+        model += more
+        values = {name: value for item in model for name, value in item.values.items()}
+        with_model = [replace(machine.parameters, values={**machine.parameters.values, **values}) for machine in machines]
+        after = tuple(ask(list(zip(machines, with_model, strict=True))))
     return FleetDiagnosis(model, tuple(verdict for verdict in after if verdict.verdict != "none"), before)
 
 
@@ -125,16 +169,30 @@ def verdict_of(machine: MachineSweeps, parameters: ParameterSet) -> MachineVerdi
     """The diagnosis of one machine's sweeps by a model that has the effects of these parameters."""
     try:
         table = sweep_table.of_seconds(machine.days, machine.name, machine.machine, parameters).table
-        found = diagnosis.diagnose(table, machine.machine, parameters, diagnosis.Options(keep_effects=True))
+        options = diagnosis.Options(keep_effects=True)
+        rows = observations.from_table(table, machine.machine)
+        choice = diagnosis.examine(rows, parameters, options, name=machine.name).choice
     except InputError as error:
         return MachineVerdict(machine.name, str(error))
-    steps = found.choice.steps if found.verdict == "effect" else ()
-    named = tuple(
-        Named(step.added, tuple(step.equivalent), step.confidence,
-              {name: value for name, value in found.best.values.items() if name.startswith(f"{step.added}.")})
-        for step in steps
-    )  # fmt: skip
-    return MachineVerdict(machine.name, found.verdict, named)
+    steps = tuple(_named(step, choice, options.policy) for step in choice.steps)
+    if choice.verdict == "effect":
+        return MachineVerdict(machine.name, choice.verdict, steps)
+    return MachineVerdict(machine.name, choice.verdict, (), steps if choice.verdict == "unknown" else ())
+
+
+def _named(step: Step, choice: Choice, policy: Policy) -> Named:
+    usable = [c for c in step.candidates if not c.refused and family_of(c.effect) != step.added]
+    scale = misfit([choice.best, *(c.fit for c in usable)])
+    here = merit(choice.best, scale, policy)
+    fitted = [(step.law, choice.best), *((c.effect, c.fit) for c in usable)]
+    explanations = {
+        family_of(law): Explanation(law, _values(law, fit.values), merit(fit, scale, policy) - here) for law, fit in fitted
+    }
+    return Named(step.added, tuple(step.equivalent), step.confidence, explanations[step.added].values, explanations)
+
+
+def _values(law: str, values: Mapping[str, float]) -> dict[str, float]:
+    return {name: value for name, value in values.items() if name.startswith(f"{law}.")}
 
 
 def sweeps_of(address: str) -> tuple[MachineSweeps, ...]:
