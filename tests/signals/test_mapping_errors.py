@@ -6,12 +6,31 @@ from pathlib import Path
 
 import pytest
 
-from tests.signals.layouts import COUNTS, MULTIPLEXED
+from tests.signals.layouts import COUNTS, MULTIPLEXED, PROPRIETARY
 from yieldmon.cli.main import main
 
 IMPACT = "impact_voltage: {dbc: counts.dbc, message: Bridge, signal: Counts, unit: counts, scale: 0.1, rate_hz: 100}"
 OVERLAP = COUNTS.dbc.replace("SG_ Counts : 23|16@0+", "SG_ Counts : 15|16@0+")
 
+TWIN = 'BO_ {} {}: 4 Analog\n SG_ X : 0|8@1+ (1,0) [0|0] "deg" Analog\n'
+FILES = {
+    "other.dbc": COUNTS.dbc.replace("Linear", "Lineal"),
+    "twins.dbc": COUNTS.dbc + TWIN.format(801, "Twin"),
+    "names.dbc": COUNTS.dbc + TWIN.format(901, "Linear"),
+    "beyond.dbc": COUNTS.dbc.replace("SG_ Tilt : 7|", "SG_ Tilt : 15|"),
+    "marks.dbc": COUNTS.dbc.replace("BO_ 802 ", "BO_ 419381761 "),
+    "nested.dbc": """VERSION ""
+NS_ :
+BS_:
+BU_: N
+BO_ 1024 Nested: 8 N
+ SG_ Page M : 0|8@1+ (1,0) [0|0] "" N
+ SG_ Sub m1M : 8|8@1+ (1,0) [0|0] "" N
+ SG_ Deep m2 : 16|16@1+ (0.1,0) [0|0] "mV" N
+SG_MUL_VAL_ 1024 Sub Page 1-1;
+SG_MUL_VAL_ 1024 Deep Sub 2-2, 5-6;
+""",
+}
 CASES = {
     "wrong unit": (
         "plate_angle: {dbc: counts.dbc, message: Linear, signal: Tilt, unit: kPa}", "plate_angle.unit", "'kPa'", "deg",
@@ -55,6 +74,80 @@ CASES = {
         "moisture: {dbc: counts.dbc, message: Short, signal: Water}", "moisture.message", "80 bytes", "at most 64 bytes",
     ),
     "a text": ("moisture: {dbc: counts.dbc, message: Text, signal: Maker}", "moisture.signal", "80 bits", "within eight bytes"),
+    "one signal by two files": (
+        "plate_angle: {dbc: counts.dbc, message: Linear, signal: Tilt}\n"
+        "  elevator_speed: {dbc: other.dbc, message: Lineal, signal: Tilt, unit: rpm}",
+        "elevator_speed.signal", "bound to plate_angle as Linear.Tilt", "own",
+    ),
+    "one signal from any and from the DBC's any": (
+        "elevator_speed: {dbc: proprietary.dbc, message: PropB02, signal: ShaftSpeed}\n"
+        "  ground_speed: {dbc: proprietary.dbc, message: PropB02, signal: ShaftSpeed, unit: km/h, source: any}",
+        "ground_speed.signal", "bound to elevator_speed", "own",
+    ),
+    "a counter that is a sample": (IMPACT.replace("}", ", counter: Counts}"), "impact_voltage.signal", "Counts", "own"),
+    "one identifier twice": (
+        "plate_angle: {dbc: twins.dbc, message: Twin, signal: X}",
+        "plate_angle.message", "Bridge and Twin have one identifier", "0x321",
+    ),
+    "one name twice": ("plate_angle: {dbc: names.dbc, message: Linear, signal: X}", "names.dbc: Linear", "twice", "own"),
+    "a signal beyond the message": ("plate_angle: {dbc: beyond.dbc, message: Linear, signal: Tilt}", "beyond.dbc", "Tilt", "fit"),
+    "29 bits without their mark": (
+        "plate_angle: {dbc: marks.dbc, message: Linear, signal: Tilt}",
+        "marks.dbc", "11 bits", "Linear",
+    ),
+    "the null address": (
+        "elevator_speed: {dbc: counts.dbc, message: EEC1, signal: EngineSpeed, source: 0xFE}",
+        "elevator_speed.source", "0xFE", "253",
+    ),
+    "a NAME's field twice": (
+        "elevator_speed: {dbc: counts.dbc, message: EEC1, signal: EngineSpeed, source: {function: 3, function: 4}}",
+        "c.yaml:2", "function", "twice",
+    ),
+    "a quantity twice": (f"{IMPACT}\n  {IMPACT}", "c.yaml:3", "impact_voltage", "twice"),
+    "a page that cannot be": (
+        "plate_angle: {dbc: multiplexed.dbc, message: Everything, signal: Page, unit: deg, mux: 0x100}",
+        "plate_angle.mux", "256", "0 to 255",
+    ),
+    "another page": (
+        "plate_angle: {dbc: multiplexed.dbc, message: Everything, signal: Angle, mux: 1}", "plate_angle.mux", "1", "expected 2",
+    ),
+    "samples of two pages": (
+        "impact_voltage: {dbc: multiplexed.dbc, message: Everything, signals: [Voltage, Angle], mux: 0, rate_hz: 100}",
+        "impact_voltage.mux", "0", "Angle",
+    ),
+    "a page below a page": (
+        "impact_voltage: {dbc: nested.dbc, message: Nested, signal: Deep, rate_hz: 100}",
+        "impact_voltage.mux", "missing", "2 or 5 or 6", "(Sub)",
+    ),
+    "a factor of 0": (IMPACT.replace("0.1", "0"), "impact_voltage.scale", "0", "other than 0"),
+    "a decimal comma": (IMPACT.replace("0.1", '"0,1"'), "impact_voltage.scale", "'0,1'", "number"),
+    "a rate with its unit": (IMPACT.replace("100}", "100 Hz}"), "impact_voltage.rate_hz", "100 Hz", "10 to 2000 Hz"),
+    "a spacing of no rate": (
+        IMPACT.replace("rate_hz: 100", "spacing_ms: 0.1"),
+        "impact_voltage.spacing_ms", "0.1", "0.5 to 100 ms",
+    ),
+    "a range of no angle": (
+        "plate_angle: {dbc: counts.dbc, message: Linear, signal: Tilt, range: [500, 900]}", "plate_angle.range", "500", "deg",
+    ),
+    "raw values that cannot be": (
+        "plate_angle: {dbc: counts.dbc, message: Linear, signal: Tilt, not_available: [0x10000]}",
+        "plate_angle.not_available", "65536", "-32768 to 65535",
+    ),
+    "one raw value": (
+        "plate_angle: {dbc: counts.dbc, message: Linear, signal: Tilt, not_available: 255}",
+        "plate_angle.not_available", "255", "[255]",
+    ),
+    "a code that is none": (
+        "header_down: {dbc: counts.dbc, message: Bridge, signal: Spare, values: {0: 7}}",
+        "header_down.values", "7", "cutting height",
+    ),
+    "codes of an angle": (
+        "plate_angle: {dbc: counts.dbc, message: Linear, signal: Tilt, values: {0: 1}}", "plate_angle.values", "0: 1", "states",
+    ),
+    "a range of pulses": (
+        "elevator_speed: {dbc: counts.dbc, message: Bridge, signal: Spare, pulses_per_turn: 60, range: [0, 900]}",
+        "elevator_speed.range", "pulses_per_turn", "no such key",
+    ),
     "nothing to measure": ("impact_voltage: null", "impact_voltage", "null", "a signal"),
 }  # fmt: skip
 
@@ -75,6 +168,9 @@ def test_one_line_names_the_key(name: str, tmp_path: Path, capsys: pytest.Captur
             file.write(f'BO_ {head} Analog\n SG_ Water : 160|16@1+ (0.01,0) [0|100] "%" Analog\n')
         file.write('BO_ 2566849790 Text: 20 Analog\n SG_ Maker : 0|80@1+ (1,0) [0|0] "%" Analog\n')
     MULTIPLEXED.write(tmp_path)
+    PROPRIETARY.write(tmp_path)
+    for file_name, content in FILES.items():
+        (tmp_path / file_name).write_text(content)
     path = tmp_path / "c.yaml"
     path.write_text(f"signals:\n  {text}\n")
     line = said(capsys, path)

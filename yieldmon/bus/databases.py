@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
@@ -50,6 +51,14 @@ class SignalBits:
     def readable(self) -> bool:
         """Whether eight successive bytes hold it whole."""
         return self.shift >= 0 and self.shift + self.bits <= 8 * CLASSIC_BYTES
+
+    @property
+    def places(self) -> frozenset[int]:
+        """The bits of the message that it takes: eight times the byte, and 0 to 7 from its lowest bit on."""
+        bits = range(self.shift, self.shift + self.bits)
+        if self.little:
+            return frozenset(8 * self.byte + bit for bit in bits)
+        return frozenset(8 * (self.byte + CLASSIC_BYTES - 1 - bit // 8) + bit % 8 for bit in bits)
 
     @property
     def end(self) -> int:
@@ -122,6 +131,8 @@ def load_messages(path: Path | str) -> dict[str, MessageBits]:
         except UnicodeDecodeError as error:
             problem = f"byte {error.start} is neither UTF-8 nor Windows-1252"
             raise InputError(where, problem, "a DBC file in UTF-8 or Windows-1252") from error
+    # What it warns of, messages with one name or identifier, is refused in a line here or where it matters.
+    logging.getLogger("cantools.database.can.database").setLevel(logging.ERROR)
     try:
         database = cantools.database.load_string(text, database_format="dbc")
     except DbcError as error:
@@ -129,6 +140,10 @@ def load_messages(path: Path | str) -> dict[str, MessageBits]:
     except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
         raise InputError(where, f"cannot be read: {error!r}", "a DBC file") from error
     assert isinstance(database, Database), "what the dbc format gives"
+    names = [message.name for message in database.messages]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"{where}: {twice}", "is there twice", "a name of its own for each message")
     if not database.messages:
         raise InputError(where, "names no message", "a DBC file")
     for message in database.messages:

@@ -57,7 +57,9 @@ class SignalEntry(BaseModel):
     not_available: list[int] = Field(default_factory=list, max_length=64, description="raw values that mean it")
     values: dict[int, int] = Field(default_factory=dict, description="raw value to the quantity's code")
     rate_hz: float | None = Field(None, ge=MIN_RATE_HZ, le=MAX_RATE_HZ, description="impact samples per second")
-    spacing_ms: float | None = Field(None, gt=0.0, le=1000.0, description="the same as time between samples")
+    spacing_ms: float | None = Field(
+        None, ge=1000.0 / MAX_RATE_HZ, le=1000.0 / MIN_RATE_HZ, description="the same as time between samples"
+    )
     counter: str | None = Field(None, description="signal that counts the frames")
     status: str | None = Field(None, description="signal: 0 good, 1 over range, 2 fault")
     pulses_per_turn: float | None = Field(None, gt=0.0, le=1e5, description="the signal counts pulses, so many per turn")
@@ -67,7 +69,19 @@ class SignalEntry(BaseModel):
 
 _EXPECTED = {
     "rate_hz": f"a number from {MIN_RATE_HZ:g} to {MAX_RATE_HZ:g} Hz",
-    "spacing_ms": "a number above 0, at most 1000 ms",
+    "spacing_ms": f"a number from {1000.0 / MAX_RATE_HZ:g} to {1000.0 / MIN_RATE_HZ:g} ms",
+    "dbc": "the name of a file, in quotes where it is a number",
+    "message": "the name of a message in the DBC",
+    "signal": "the name of one signal; impact samples of one frame are `signals`",
+    "signals": "names of the impact samples of one frame, oldest first, as a list",
+    "scale": "a factor, a number other than 0",
+    "offset": "a number",
+    "unit": "a unit such as rpm, deg or mV",
+    "mux": "a whole number from 0 on",
+    "not_available": "raw values as a list, such as [255]",
+    "pulses_per_turn": "a number above 0",
+    "time_constant_s": "a number from 0 to 10 s",
+    "value": "a number in the quantity's unit",
     "range": "two numbers, the smaller first",
     "ratio": "a number above 0",
     "values": "raw value: code, both whole numbers",
@@ -127,7 +141,7 @@ def database_reader(path: Path) -> Callable[[str], dict[str, MessageBits]]:
 
 
 def _binding(quantity: str, entry: Any, where: str) -> Binding:
-    found = checked(SignalEntry, entry, where, _EXPECTED)
+    found = checked(SignalEntry, _hexadecimal(entry), where, _EXPECTED)
     if found.signal is not None and found.signals is not None:
         raise InputError(f"{where}.signals", "stands beside signal", "one of the two")
     if found.rate_hz is not None and found.spacing_ms is not None:
@@ -158,6 +172,20 @@ def _binding(quantity: str, entry: Any, where: str) -> Binding:
         time_constant_s=found.time_constant_s,
         value=found.value,
     )
+
+
+def _hexadecimal(entry: Any) -> Any:
+    """The entry with raw values and the multiplexer's as numbers, however they are written."""
+    if not isinstance(entry, Mapping):
+        return entry
+    found = dict(entry)
+    if "mux" in found:
+        found["mux"] = whole(found["mux"])
+    if isinstance(found.get("not_available"), list):
+        found["not_available"] = [whole(raw) for raw in found["not_available"]]
+    if isinstance(found.get("values"), Mapping):
+        found["values"] = {whole(raw): code for raw, code in found["values"].items()}
+    return found
 
 
 def _source(value: Any, where: str) -> Source:

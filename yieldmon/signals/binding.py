@@ -14,6 +14,8 @@ IMPACT = {"impact_voltage": "mV", "impact_force": "N"}
 """The two ways in which an impact sensor speaks, and their units."""
 BINDABLE = (*IMPACT, *QUANTITIES)
 MIN_RATE_HZ, MAX_RATE_HZ = 10.0, 2000.0
+_LOOKS = 1000
+"""Steps in which a range is searched for a value that can be true."""
 
 Source = str | int | NameMatch | None
 """None: as the DBC's identifier says; "any"; an address; the NAME of a node."""
@@ -92,5 +94,31 @@ def check(binding: Binding) -> None:
     elif not MIN_RATE_HZ <= binding.rate_hz <= MAX_RATE_HZ:
         expected = f"{MIN_RATE_HZ:g} to {MAX_RATE_HZ:g} Hz: no other rate serves an impact sensor"
         raise binding.refuse("rate_hz", f"{binding.rate_hz:g} Hz", expected)
+    _check_effect(binding)
     if binding.pulses_per_turn is not None and binding.quantity != "elevator_speed":
         raise binding.refuse("pulses_per_turn", f"{binding.pulses_per_turn:g}", "no such key here; it belongs to elevator_speed")
+
+
+def _check_effect(binding: Binding) -> None:
+    """No key without an effect, and none that leaves no value."""
+    if binding.scale == 0.0:
+        raise binding.refuse("scale", "0", "a factor other than 0")
+    refused = {"offset": binding.offset != 0.0, "range": binding.low is not None, "values": bool(binding.values)}
+    for key, present in refused.items():
+        if present and binding.pulses_per_turn is not None:
+            raise binding.refuse(key, "stands beside pulses_per_turn", "no such key for a counter of pulses")
+    if binding.is_impact:
+        if binding.values:
+            raise binding.refuse("values", repr(dict(binding.values))[:60], "no such key here; it belongs to states")
+        return
+    quantity = QUANTITIES[binding.quantity]
+    if binding.values and quantity.unit:
+        raise binding.refuse("values", repr(dict(binding.values))[:60], "no such key here; it belongs to states")
+    for code in binding.values.values():
+        if not quantity.usable(float(code)):
+            raise binding.refuse("values", f"the code {code}", f"codes of {binding.quantity}: {quantity.meaning}")
+    if binding.low is not None and binding.high is not None:
+        share = (binding.high - binding.low) / _LOOKS
+        if not any(quantity.usable(binding.low + share * step) for step in range(_LOOKS + 1)):
+            given = f"[{binding.low:g}, {binding.high:g}]"
+            raise binding.refuse("range", given, f"values that {binding.quantity} can have, {quantity.unit}".rstrip(" ,"))

@@ -25,6 +25,7 @@ Load = Callable[[str], Mapping[str, MessageBits]]
 
 
 _MOST_IN_A_FRAME = 64
+_BUT_PRIORITY, _SOURCE = 0x03FFFFFF, 0xFF
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +109,7 @@ def build(
     impact: list[SampleSource] = []
     inputs: list[InputSource] = []
     constants = dict(fixed or {})
+    bound: list[tuple[Binding, _Draft, SignalBits]] = []
     _check_overlaps(bindings)
     for binding in bindings:
         check(binding)
@@ -125,6 +127,7 @@ def build(
             impact.append(_impact(binding, drafts[key], len(impact), machine))
         else:
             inputs.append(_input(binding, drafts[key]))
+        _check_bits(binding, drafts[key], bound)
     taken = {binding.quantity for binding in bindings} | set(switched_off) | set(constants)
     defaults = tuple(source for source in DEFAULT_SOURCES.inputs if source.quantity not in taken)
     sources = Sources(tuple(impact) or DEFAULT_SOURCES.impact, (*inputs, *defaults), constants)
@@ -138,11 +141,38 @@ def _check_overlaps(bindings: Sequence[Binding]) -> None:
     for binding in bindings:
         if binding.message is None or binding.value is not None:
             continue
-        for signal in binding.signals:
+        for signal in (*binding.signals, *filter(None, (binding.counter, binding.status))):
             key = (binding.dbc, binding.message, signal, str(binding.source), binding.mux)
-            if key in seen:
+            if key in seen and (signal in binding.signals or seen[key] is binding):
                 raise binding.refuse("signal", f"{signal} is bound to {seen[key].quantity} as well", "a signal of its own")
             seen[key] = binding
+
+
+def _check_bits(binding: Binding, draft: _Draft, bound: list[tuple[Binding, _Draft, SignalBits]]) -> None:
+    """The same for frames that two DBC files name. Adds the binding's signals to those that are bound."""
+    mine = [draft.message.signals[name] for name in binding.signals]
+    for other, theirs, signal in bound:
+        if other is binding or _frames_of(draft) != _frames_of(theirs) or _never_together(draft.pages, theirs.pages):
+            continue
+        same = next((one for one in mine if one.places & signal.places), None)
+        if same is not None:
+            problem = f"{same.name} has bits that are bound to {other.quantity} as {theirs.message.name}.{signal.name}"
+            raise binding.refuse("signal", problem, "a signal of its own")
+    bound += [(binding, draft, signal) for signal in mine]
+
+
+def _frames_of(draft: _Draft) -> tuple[object, ...]:
+    message = draft.message
+    if not message.extended:
+        return (message.frame_id,)
+    from_all = any_source(draft.source, message)
+    group = message.frame_id & (_BUT_PRIORITY if draft.source is None and not from_all else _BUT_PRIORITY & ~_SOURCE)
+    return group, "any" if from_all else str(draft.source)
+
+
+def _never_together(pages: Pages, others: Pages) -> bool:
+    values = {page.bits.places: set(wanted) for page, wanted in pages}
+    return any(not values[page.bits.places] & set(wanted) for page, wanted in others if page.bits.places in values)
 
 
 def _message(binding: Binding, messages: Mapping[str, MessageBits]) -> MessageBits:
@@ -152,6 +182,10 @@ def _message(binding: Binding, messages: Mapping[str, MessageBits]) -> MessageBi
         near = difflib.get_close_matches(binding.message, messages, n=3) or sorted(messages)[:5]
         absent = f"{binding.message} is not in {binding.dbc or 'the shipped DBC'}"
         raise binding.refuse("message", absent, f"one of its messages, such as {', '.join(near)}")
+    alike = [m.name for m in messages.values() if (m.frame_id, m.extended) == (message.frame_id, message.extended)]
+    if len(alike) > 1:
+        problem = f"{' and '.join(alike)} have one identifier, 0x{message.frame_id:X}"
+        raise binding.refuse("message", problem, "a DBC with one message for each")
     longest, of_what = (MAX_BYTES, "the transport protocol") if message.extended else (_MOST_IN_A_FRAME, "CAN FD")
     if message.length > longest:
         problem = f"{message.name} has {message.length} bytes"
@@ -192,6 +226,8 @@ def _pages(binding: Binding, message: MessageBits) -> Pages:
     if by is None:
         raise binding.refuse("mux", f"{binding.mux}", f"no such key: {message.name} has no multiplexer")
     above = message.signals[by]
+    if binding.mux >= 1 << above.bits:
+        raise binding.refuse("mux", f"{binding.mux}", f"0 to {(1 << above.bits) - 1}, what {above.name} can say")
     pages = [(above, (binding.mux,)), *message.pages(above)]
     return tuple((Extraction(page, 1.0, 0.0), values) for page, values in pages)
 
@@ -217,9 +253,10 @@ def _unit_factor(binding: Binding, unit_of_dbc: str) -> float:
 
 def _extraction(binding: Binding, signal: SignalBits, into: float = 1.0) -> Extraction:
     """Of a value in the quantity's unit times `into`."""
+    absent = frozenset(_raw(binding, signal, "not_available", raw) for raw in binding.not_available)
     if binding.values:
-        codes = tuple((raw, float(code)) for raw, code in binding.values.items())
-        return Extraction(signal, 1.0, 0.0, not_available=frozenset(binding.not_available), codes=codes)
+        codes = tuple((_raw(binding, signal, "values", raw), float(code)) for raw, code in binding.values.items())
+        return Extraction(signal, 1.0, 0.0, not_available=absent, codes=codes)
     found = _unit_factor(binding, signal.unit) * into
     return Extraction(
         bits=signal,
@@ -227,8 +264,17 @@ def _extraction(binding: Binding, signal: SignalBits, into: float = 1.0) -> Extr
         offset=(signal.offset * binding.scale + binding.offset) * found,
         low=float("-inf") if binding.low is None else binding.low * into,
         high=float("inf") if binding.high is None else binding.high * into,
-        not_available=frozenset(binding.not_available),
+        not_available=absent,
     )
+
+
+def _raw(binding: Binding, signal: SignalBits, key: str, raw: int) -> int:
+    """A raw value as frames give it; of a signed signal the pattern of its bits, such as 65535, means the same."""
+    signed = signal.kind == "int"
+    if not -(1 << signal.bits - 1) * signed <= raw < 1 << signal.bits:
+        lowest = -(1 << signal.bits - 1) if signed else 0
+        raise binding.refuse(key, f"{raw}", f"raw values from {lowest} to {(1 << signal.bits) - 1}, what {signal.name} can say")
+    return raw - (1 << signal.bits) if signed and raw >= 1 << signal.bits - 1 else raw
 
 
 def _impact(binding: Binding, draft: _Draft, number: int, machine: Machine) -> SampleSource:
@@ -266,7 +312,8 @@ def _input(binding: Binding, draft: _Draft) -> InputSource:
         if signal.kind == "float":
             raise binding.refuse("signal", f"{signal.name} is a floating-point number", "a counter of pulses")
         counter = replace(signal, raw_max=None)
-        draft.signals[binding.quantity] = Extraction(counter, 1.0, 0.0, not_available=frozenset(binding.not_available))
+        absent = frozenset(_raw(binding, signal, "not_available", raw) for raw in binding.not_available)
+        draft.signals[binding.quantity] = Extraction(counter, 1.0, 0.0, not_available=absent)
         draft.pulses.append(Pulses(binding.quantity, binding.pulses_per_turn, binding.scale, 1 << signal.bits))
     else:
         draft.signals[binding.quantity] = _extraction(binding, signal)
