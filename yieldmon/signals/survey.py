@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -55,14 +56,23 @@ _OF_SHAFTS_ELSEWHERE = re.compile(r"engine|pto|front|rear|feeder", re.IGNORECASE
 
 @dataclass(frozen=True)
 class SignalSeen:
-    """A signal of a message that a DBC names: range of its usable values, nan without any, the last one, and how many frames
-    held it."""
+    """A signal of a message that a DBC names: range of its usable values, nan without any, the last one, how many frames held it,
+    and how many with each value of its multiplexer."""
 
     bits: SignalBits
     low: float
     high: float
     last: float
     frames: int
+    pages: Mapping[int, int] = field(default_factory=dict)
+
+    @property
+    def page(self) -> tuple[int | None, int]:
+        """The value of the multiplexer that came most, None without one, and how many frames held the signal with it."""
+        if not self.pages:
+            return None, self.frames
+        mux = max(self.pages, key=lambda value: self.pages[value])
+        return mux, self.pages[mux]
 
 
 @dataclass
@@ -97,7 +107,8 @@ class MessageSeen:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A signal that could serve a quantity. unit: as the DBC says; mux: value of the multiplexer with which it is sent."""
+    """A signal that could serve a quantity. unit: as the DBC says; mux: value of the multiplexer with which it is sent most;
+    source: of the sender where there are several."""
 
     quantity: str
     dbc: str
@@ -106,6 +117,7 @@ class Candidate:
     unit: str
     rate_hz: float
     mux: int | None = None
+    source: int | None = None
 
 
 class Survey:
@@ -214,6 +226,7 @@ class Survey:
     def candidates(self) -> dict[str, list[Candidate]]:
         """Quantity -> the signals that could serve it, the likeliest first; quantities without any are left out."""
         found: dict[str, list[tuple[float, Candidate]]] = {}
+        senders = Counter((message.dbc, message.name) for message in self.messages)
         for message in self.messages:
             if message.dbc is None or message.rate_hz is None or message.name is None:
                 continue
@@ -221,9 +234,11 @@ class Survey:
                 for quantity in _HINTS:
                     score = _score(quantity, message, signal)
                     if score > 0.0:
-                        bits, share = signal.bits, signal.frames / message.frames
-                        place = message.dbc, message.name, bits.name
-                        candidate = Candidate(quantity, *place, bits.unit, message.rate_hz * share, next(iter(bits.mux), None))
+                        mux, frames = signal.page
+                        place = message.dbc, message.name, signal.bits.name
+                        source = message.source if senders[message.dbc, message.name] > 1 else None
+                        rate_hz = message.rate_hz * frames / message.frames
+                        candidate = Candidate(quantity, *place, signal.bits.unit, rate_hz, mux, source)
                         found.setdefault(quantity, []).append((score, candidate))
         return {
             quantity: list(dict.fromkeys(c for _, c in sorted(scored, key=lambda item: -item[0])))
@@ -246,22 +261,25 @@ def _take(seen: _Identifier, numbers: Numbers, count: int, end: int) -> None:
         little = numbers(bits.byte)
         values = Extraction(bits, bits.scale, bits.offset).values(little, little.byteswap())
         held = np.ones(count, bool)
-        for above, pages in message.pages(bits):
-            held &= np.isin(raws(above), pages)
-        seen.signals[name] = _merged(bits, seen.signals.get(name), values[held])
+        above = message.pages(bits)
+        for page, wanted in above:
+            held &= np.isin(raws(page), wanted)
+        pages = Counter(raws(above[0][0])[held].tolist()) if above else Counter[int]()
+        seen.signals[name] = _merged(bits, seen.signals.get(name), values[held], pages)
 
 
-def _merged(bits: SignalBits, before: SignalSeen | None, values: Array) -> SignalSeen:
-    """A signal after more of its values (n,), nan for unusable ones."""
+def _merged(bits: SignalBits, before: SignalSeen | None, values: Array, pages: Counter[int]) -> SignalSeen:
+    """A signal after more of its values (n,), nan for unusable ones. pages: how many came with each value of the multiplexer."""
     low = high = last = float("nan")
     frames = int(values.size)
     if before is not None:
         low, high, last, frames = before.low, before.high, before.last, frames + before.frames
+        pages = pages + Counter(before.pages)
     known = values[np.isfinite(values)]
     if known.size:
         low, high = float(np.fmin(known.min(), low)), float(np.fmax(known.max(), high))
         last = float(known[-1])
-    return SignalSeen(bits, low, high, last, frames)
+    return SignalSeen(bits, low, high, last, frames, pages)
 
 
 def _score(quantity: str, message: MessageSeen, signal: SignalSeen) -> float:
@@ -320,14 +338,16 @@ def mapping_text(survey: Survey, paths: Mapping[str, str]) -> str:
         used.add((first.message, first.signal))
         if any(_GUESS in _entry(one, paths, candidates) for one in (first, *others[:3])):
             lines.append("  # The ratio is a guess: turns of the elevator's upper shaft per turn of the measured one.")
-        lines.append(f"  {quantity}: {_entry(first, paths, candidates)}")
-        lines += [f"  # or {quantity}: {_entry(other, paths, candidates)}" for other in others[:3]]
+        entries = list(dict.fromkeys(_entry(one, paths, candidates) for one in (first, *others)))
+        lines.append(f"  {quantity}: {entries[0]}")
+        lines += [f"  # or {quantity}: {entry}" for entry in entries[1:4]]
     return "\n".join(lines if len(lines) > 3 else [*lines[:-1], "signals: {}"]) + "\n"
 
 
 def _entry(found: Candidate, paths: Mapping[str, str], candidates: Mapping[str, Sequence[Candidate]]) -> str:
     keys = [f"dbc: {paths[found.dbc]}", f"message: {found.message}"]
-    alike = [c.signal for c in candidates[found.quantity] if c.message == found.message and c.mux == found.mux]
+    of_one_frame = (found.dbc, found.message, found.mux, found.source)
+    alike = [c.signal for c in candidates[found.quantity] if (c.dbc, c.message, c.mux, c.source) == of_one_frame]
     if found.quantity in IMPACT and len(alike) > 1 and re.fullmatch(r".*\d", found.signal):
         keys += [f"signals: [{', '.join(sorted(alike))}]", f"rate_hz: {found.rate_hz * len(alike):.4g}"]
     else:
@@ -338,6 +358,8 @@ def _entry(found: Candidate, paths: Mapping[str, str], candidates: Mapping[str, 
         keys += ["unit: counts", "scale: 0.1"]
     if found.mux is not None:
         keys.append(f"mux: {found.mux}")
+    if found.source is not None:
+        keys.append(f"source: {found.source}")
     if found.quantity == "elevator_speed" and _OF_SHAFTS_ELSEWHERE.search(found.signal):
         keys.append(_GUESS)
     return "{" + ", ".join(keys) + "}"
