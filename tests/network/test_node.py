@@ -337,3 +337,12 @@ def test_a_stream_of_anything_leaves_memory_bounded() -> None:
     assert grown < 200_000
     assert node.held <= 64
     assert spoken > 0
+
+
+def test_a_fast_packet_reaches_whoever_listens_to_the_node() -> None:
+    node = node_at()
+    data = bytes(range(20))
+    frames = [bytes([0, 20, *data[:6]]), bytes([1, *data[6:13]]), bytes([2, *data[13:20]])]
+    heard = [node.feed(0x0DF80517, one, 2.0 + 0.01 * number) for number, one in enumerate(frames)]
+    assert [p.data for h in heard for p in h.payloads] == [data]
+    assert heard[-1].payloads[0].group == 129029

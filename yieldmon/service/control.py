@@ -40,6 +40,8 @@ _BACKLOG = 64
 _WRONG_PATH = frozenset({errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP, errno.EINVAL})
 #: Connections whose requests are awaited, and requests that are answered, at the same time.
 _CONNECTIONS, _ANSWERS_AT_ONCE = 32, 8
+#: From so many connections on the thread rests between two looks at them.
+_CROWDED, _CROWDED_PAUSE_S = 8, 0.02
 _PIECE_BYTES = 65_536
 _MAX_ANSWER_BYTES = 64 * 1024 * 1024
 
@@ -174,6 +176,9 @@ class _Server:
                     now_s = monotonic()
                     for asking in [a for a in self._asking.values() if a.until_s <= now_s]:
                         self._drop(selector, asking)
+                    if len(self._asking) >= _CROWDED:
+                        # Peers that come and speak without end get this many looks and not the processor.
+                        sleep(_CROWDED_PAUSE_S)
             finally:
                 for asking in list(self._asking.values()):
                     self._drop(selector, asking)

@@ -1,0 +1,67 @@
+"""Gaps, overlaps and missing inputs of a record, counted and said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from tests.service.test_store import second
+from yieldmon.service.record_check import RecordCheck, record_lines
+
+WHOLE: dict[str, Any] = {"coverage": 1.0, "moisture_pct": 15.0, "latitude_deg": 50.0, "ground_speed_m_s": 1.5, "mass_kg": 10.0}
+
+
+def checked(*times_s: float, **changes: Any) -> RecordCheck:
+    check = RecordCheck()
+    for number, time_s in enumerate(times_s, 1):
+        check.take(replace(second(number, time_s=time_s), **{**WHOLE, **changes}))
+    return check
+
+
+def test_a_whole_record_lacks_nothing():
+    check = checked(1.0, 2.0, 3.0)
+    assert (check.seconds, check.gaps, check.gap_s, check.overlap_s, check.overlap_kg, check.missing) == (3, 0, 0.0, 0.0, 0.0, {})
+
+
+@pytest.mark.parametrize(("times_s", "gaps", "gap_s"), [((1.0, 2.4), 0, 0.0), ((1.0, 3.0), 1, 1.0), ((1.0, 3.0, 10.0), 2, 7.0)])
+def test_a_stretch_without_seconds_is_a_gap(times_s, gaps, gap_s):
+    check = checked(*times_s)
+    assert (check.gaps, check.gap_s) == (gaps, pytest.approx(gap_s))
+
+
+def test_seconds_without_samples_are_one_gap_and_count_for_nothing_else():
+    check = RecordCheck()
+    for time_s, coverage in ((1.0, 1.0), (2.0, 0.0), (3.0, 0.0), (4.0, 1.0)):
+        check.take(replace(second(1, time_s=time_s), **{**WHOLE, "coverage": coverage}))
+    assert (check.seconds, check.gaps, check.gap_s) == (2, 1, 2.0)
+
+
+def test_seconds_that_come_again_overlap():
+    check = checked(1.0, 2.0, 3.0, 2.0, 3.0, 4.0)
+    assert (check.overlap_s, check.overlap_kg) == (1.0, 10.0)
+    assert checked(1.0, 2.0, 0.5, 1.5).overlap_kg == 20.0
+
+
+def test_missing_inputs_by_their_share():
+    check = checked(1.0, 2.0, moisture_pct=None)
+    check.take(replace(second(3, time_s=3.0), **WHOLE))
+    check.take(replace(second(4, time_s=4.0), **WHOLE))
+    assert check.missing == {"moisture": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("document", "begins"),
+    [
+        ({}, []),
+        ({"gaps": 0, "gap_s": 0.0, "overlap_s": 0.0, "missing": {}}, []),
+        ({"gaps": 2, "gap_s": 7.4}, ["gaps: 2, 7 s in all without samples"]),
+        ({"overlap_s": 3.0, "overlap_kg": 30.0}, ["overlap: 3 s with 30.0 kg lie before"]),
+        ({"missing": {"moisture": 0.25, "position": 1.0}}, ["missing: moisture in 25 % of the seconds, position in 100 % of"]),
+    ],
+)
+def test_it_is_said_where_there_is_something_to_say(document, begins):
+    lines = record_lines(document)
+    assert len(lines) == len(begins)
+    assert all(line.startswith(begin) for line, begin in zip(lines, begins, strict=True))
