@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -95,3 +96,38 @@ def test_a_copy_of_our_own_frame_beside_its_echo_is_another_node():
     assert all(transmitter.is_echo(message) for message in messages)
     assert not any(transmitter.is_echo(message) for message in messages)
     transmitter.stop()
+
+
+def test_a_bus_that_shows_no_frame_of_ours_shows_anothers_copies():
+    """Learnt from the first frames: none of them came back."""
+    now_s, sent = [0.0], list[can.Message]()
+    transmitter = Transmitter(lambda message, timeout: sent.append(message), 100, 100.0, clock=lambda: now_s[0])
+    transmitter.start()
+    first, later = ([can.Message(arbitration_id=5, data=[k, n]) for n in range(61)] for k in range(2))
+    for message in first:
+        transmitter.submit(message)
+    wait_for(lambda: len(sent) == 61, "the first frames")
+    now_s[0] = 2.0
+    for message in later:
+        transmitter.submit(message)
+    wait_for(lambda: len(sent) == 122, "the frames")
+    assert not any(transmitter.is_echo(message) for message in later)
+    transmitter.stop()
+
+
+def test_our_frames_repeated_verbatim_are_a_conflict_within_two_seconds(tmp_path: Path):
+    with running(tmp_path) as bench:
+        bench.play(14, 0.0)
+        bench.played()
+        # Until it is known that none of these comes back.
+        wait_for(lambda: len(bench.heard()) > 61, "frames of ours")
+        threading.Event().wait(1.1)
+        bench.play(2, 0.0)
+        bench.played()
+        assert "OutputConflict" not in bench.faults
+        for message in bench.heard()[-5:]:
+            bench.peer.send(message)
+        for _ in range(2):
+            bench.play(1, 0.0)
+            bench.played()
+        assert "OutputConflict" in bench.faults

@@ -18,6 +18,8 @@ _SEND_TIMEOUT_S = 0.2
 ECHO_S = 1.0
 #: The same where the interface was asked to show them: a frame waits in the driver while the bus is busy.
 ASKED_ECHO_S = 10.0
+#: So many frames sent, and none come back in time, tell of an interface that shows a node no frame of its own.
+_ENOUGH_WITHOUT_ECHO = 20
 _FAILURE_HOLD_S = 2.0
 #: How long a stop waits for the frame that is being sent.
 _STOP_S = 1.0
@@ -56,7 +58,7 @@ class Transmitter:
     ) -> None:
         """send: sends one frame, waiting as long as its second argument says; raises can.CanError or OSError.
         capacity: frames that may wait; beyond it the oldest go. max_age_s: a frame that waited longer is not sent.
-        echo_s: how long a frame that was sent may take to come back."""
+        echo_s: how long a frame that was sent may take to come back; ASKED_ECHO_S: the interface shows each."""
         self._send = send
         self._clock = clock
         self._echo_s = echo_s
@@ -64,6 +66,8 @@ class Transmitter:
         self._max_age_s = max_age_s
         self._queue: deque[tuple[float, can.Message]] = deque()
         self._echoes: deque[tuple[float, int, bytes]] = deque()
+        self._learns = echo_s < ASKED_ECHO_S
+        self._without_echo = 0
         self._changed = threading.Condition()
         self._stopping = False
         self._busy_since_s: float | None = None
@@ -98,13 +102,17 @@ class Transmitter:
 
     def is_echo(self, message: can.Message) -> bool:
         """Whether a received frame is one of those sent within the last second. Each counts as an echo once: some
-        interfaces show a node its own frames, and another node's copies come on top."""
+        interfaces show a node its own frames, and another node's copies come on top. Of an interface that has shown none of the
+        first ones each copy is another node's."""
         seen = (message.arbitration_id, bytes(message.data))
         with self._changed:
             self._forget_echoes()
+            if self._learns and self._without_echo >= _ENOUGH_WITHOUT_ECHO:
+                return False
             for entry in self._echoes:
                 if entry[1:] == seen:
                     self._echoes.remove(entry)
+                    self._learns = False
                     return True
         return False
 
@@ -136,6 +144,7 @@ class Transmitter:
             try:
                 self._send(message, _SEND_TIMEOUT_S)
             except (can.CanError, OSError, ValueError) as error:
+                self._forget_last_echo()
                 self._count(failed=1, failure=str(error))
             else:
                 self._count(sent=1)
@@ -144,6 +153,13 @@ class Transmitter:
         oldest_s = self._clock() - self._echo_s
         while self._echoes and self._echoes[0][0] < oldest_s:
             self._echoes.popleft()
+            self._without_echo += 1
+
+    def _forget_last_echo(self) -> None:
+        """The frame was not sent; it may have been found meanwhile, in a copy."""
+        with self._changed:
+            if self._echoes:
+                self._echoes.pop()
 
     def _count(self, sent: int = 0, late: int = 0, failed: int = 0, failure: str = "") -> None:
         with self._changed:
