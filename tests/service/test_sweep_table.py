@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sqlite3
 from contextlib import closing
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.in_process import program
 from tests.plant_sweeps import MACHINE, NONE, STRONG, Effects, shown_force, sweep_windows
 from yieldmon.cli.main import main
 from yieldmon.errors import InputError
@@ -213,14 +215,23 @@ def test_damaged_pages_get_one_line(tmp_path: Path) -> None:
         sweep_table.read(path, MACHINE, SHIPPED)
 
 
-def test_the_effect_is_named_adopted_and_kept_with_what_was_known(
-    strong: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.fixture(scope="module")
+def diagnosed(strong: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any], str]:
+    """Folder with the adopted parameters, from ones that know the scale to 5 %; the document; what is said beside it."""
+    folder = tmp_path_factory.mktemp("diagnosed")
+    parameter_file.save(uncertain(0.05), folder / "wide.yaml")
+    options = ("--params", folder / "wide.yaml", "--adopt", folder / "new.yaml", "--plan", folder / "plan.csv")
+    done = program("yieldmon.cli.main", "diagnose", strong, "--json", *options)
+    assert done.returncode == 0, done.stderr
+    return folder, json.loads(done.stdout), done.stderr
+
+
+def test_the_effect_is_named_adopted_and_kept_with_what_was_known(diagnosed: tuple[Path, dict[str, Any], str]) -> None:
     """Friction of 0.2 on the plate, from 18 sweeps; the model's own gravity stays and is not found anew."""
-    out = tmp_path / "new.yaml"
-    assert main(["diagnose", str(strong), "--json", "--adopt", str(out), "--plan", str(tmp_path / "plan.csv")]) == 0
-    document, told = capsys.readouterr()
-    found = json.loads(document)
+    folder, found, told = diagnosed
+    out = folder / "undone.yaml"
+    for path in folder.glob("new*"):
+        shutil.copy(path, folder / path.name.replace("new", "undone"))
     assert found["verdict"] == "effect"
     named = found["effects"][0]
     assert "plate_friction" in {named["name"], *named["equivalent"]}
@@ -234,13 +245,11 @@ def test_the_effect_is_named_adopted_and_kept_with_what_was_known(
     assert parameter_file.load(out).values == SHIPPED.values
 
 
-def test_the_parameters_adopted_are_no_surer_of_the_scale_than_their_parents(strong: Path, tmp_path: Path) -> None:
-    out = tmp_path / "new.yaml"
-    wide = uncertain(0.05)
-    parameter_file.save(wide, tmp_path / "wide.yaml")
-    assert main(["diagnose", str(strong), "--params", str(tmp_path / "wide.yaml"), "--adopt", str(out)]) == 0
-    adopted = parameter_file.load(out)
-    scale_sd = sweep_table.read(strong, MACHINE, wide).scale_sd
+def test_the_parameters_adopted_are_no_surer_of_the_scale_than_their_parents(
+    strong: Path, diagnosed: tuple[Path, dict[str, Any], str]
+) -> None:
+    adopted = parameter_file.load(diagnosed[0] / "new.yaml")
+    scale_sd = sweep_table.read(strong, MACHINE, uncertain(0.05)).scale_sd
     assert adopted.standard_deviation("density") / adopted.values["density"] >= scale_sd
 
 
