@@ -24,7 +24,7 @@ from yieldmon.physics.effects import family_of
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 
-QUICK = diagnosis.Options(policy=Policy(refits=8, exchanges=4, beam=2))
+QUICK = diagnosis.Options(policy=Policy(refits=8, exchanges=2, beam=2, pairs=4))
 
 
 @pytest.fixture(scope="module")

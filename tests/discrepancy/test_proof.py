@@ -13,7 +13,7 @@ from yieldmon.discrepancy.selection import Policy
 from yieldmon.estimation import model_error
 from yieldmon.estimation.parameters import ParameterSet
 
-QUICK = diagnosis.Options(policy=Policy(refits=8, exchanges=4, beam=2))
+QUICK = diagnosis.Options(policy=Policy(refits=8, exchanges=2, beam=2, pairs=4))
 NONE = np.zeros((400, 0))
 
 
