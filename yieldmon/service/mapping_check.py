@@ -174,13 +174,24 @@ def problems(configuration: Configuration, seen: dict[str, QuantitySeen], log: s
         entry = seen.get(name)
         if entry is not None and not entry.usable:
             what = "no usable value" if entry.values else "no frame of it"
-            found.append((f"{log}: {name}", what, "values that the mapping decodes"))
+            instead = _instead(configuration, name, log) if not entry.values else None
+            found.append((f"{log}: {name}", f"{what}: {instead}" if instead else what, "values that the mapping decodes"))
     for number, source in enumerate(configuration.signals.sources.impact):
         rate_hz = seen[_impact_name(number)].rate_hz
         if rate_hz is not None and abs(rate_hz / source.rate_hz - 1.0) > RATE_TOLERANCE:
             where = f"{log}: {_impact_name(number)}"
             found.append((where, f"{rate_hz:.4g} samples per second", f"{source.rate_hz:g}, as mapped"))
     return found
+
+
+def _instead(configuration: Configuration, name: str, log: str) -> str | None:
+    """What a recording has in place of a mapped quantity's frames."""
+    from yieldmon.service.silent_inputs import Traffic
+
+    sources = configuration.signals.sources
+    message = sources.impact[0].message if name == "impact" else {s.quantity: s.message for s in sources.inputs}.get(name)
+    group = next((group for group in configuration.signals.groups if group.name == message), None)
+    return Traffic(log).instead_of(group) if group is not None else None
 
 
 def as_json(seen: dict[str, QuantitySeen]) -> dict[str, Any]:

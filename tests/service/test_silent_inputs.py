@@ -1,0 +1,53 @@
+"""`check-config --log` says what a recording has in place of a mapped quantity's frames."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import can
+import pytest
+
+from yieldmon.cli.main import main
+
+DBC = """VERSION ""
+NS_ :
+BS_:
+BU_: N
+BO_ 417 Narrow: 2 N
+ SG_ V : 0|16@1+ (0.1,0) [0|0] "rpm" N
+BO_ 2147484066 Wide: 2 N
+ SG_ V : 0|16@1+ (0.1,0) [0|0] "rpm" N
+BO_ 2566849278 Group: 2 N
+ SG_ V : 0|16@1+ (0.1,0) [0|0] "rpm" N
+"""
+DATA = (4000).to_bytes(2, "little")
+FRAMES = [
+    (417, True, DATA), (418, False, DATA), (0x18FF0211, True, DATA), (0x18FF0212, True, DATA),
+    *((0x18EEFF00 | address, True, (0x2000800000000000 | number).to_bytes(8, "little")) for address, number in ((1, 7), (2, 8))),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("mapped", "said"),
+    [
+        ("message: Narrow", "it comes with a 29-bit identifier, the DBC gives it 11 bits"),
+        ("message: Wide", "it comes with an 11-bit identifier, the DBC gives it 29 bits"),
+        ("message: Group, source: 5", "it comes from 17, 18 only"),
+        ("message: Group, source: {identity_number: 9}", "no node with that NAME claims an address"),
+        ("message: Group, source: {function: 128}", "nodes 1, 2 all have that NAME"),
+        ("message: Group, source: {identity_number: 7}", "it comes from 17, 18 only"),
+    ],
+)
+def test_what_comes_instead_is_said(mapped: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "bus.log"
+    with can.Logger(str(log)) as logger:
+        for number, (identifier, extended, data) in enumerate(FRAMES * 3):
+            logger.on_message_received(
+                can.Message(timestamp=0.1 * number, arbitration_id=identifier, is_extended_id=extended, data=data, channel="can0")
+            )
+    (tmp_path / "a.dbc").write_text(DBC)
+    config = tmp_path / "c.yaml"
+    config.write_text(f"signals:\n  elevator_speed: {{dbc: a.dbc, {mapped}, signal: V}}\n")
+    assert main(["check-config", str(config), "--log", str(log)]) == 2
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "elevator_speed" in line]
+    assert f"bus.log: elevator_speed: no frame of it: {said}; expected" in line

@@ -1,0 +1,56 @@
+"""Why a quantity of a mapping does not come in a recording: what comes in place of its frames."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from yieldmon.bus.candump import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from yieldmon.bus.databases import group_of
+from yieldmon.bus.loading import iter_blocks
+from yieldmon.bus.logs import LogNotes
+from yieldmon.network.addresses import AddressTable
+from yieldmon.network.identifier import ADDRESS_CLAIMED, GLOBAL_ADDRESS
+from yieldmon.network.name import Name, NameMatch
+from yieldmon.signals.mapping import Group
+
+_LARGEST_STANDARD = 0x7FF
+_IDENTIFIER = 0x1FFFFFFF
+_CLAIM, _CLAIM_MASK = EXTENDED_FLAG | ADDRESS_CLAIMED << 8 | GLOBAL_ADDRESS << 8, EXTENDED_FLAG | 0x03FFFF00
+
+
+class Traffic:
+    """Identifiers and address claims of a recording. Raises InputError for one that cannot be read."""
+
+    def __init__(self, log: Path | str) -> None:
+        self._identifiers: set[int] = set()
+        table = AddressTable()
+        for block in iter_blocks(log, LogNotes()):
+            data = (block.can_id & np.uint32(ERROR_FLAG | REMOTE_FLAG)) == 0
+            self._identifiers |= set(np.unique(block.can_id[data]).tolist())
+            claims = data & ((block.can_id & np.uint32(_CLAIM_MASK)) == np.uint32(_CLAIM))
+            for row in np.flatnonzero(claims & (block.length == 8)).tolist():
+                name = Name.of_bytes(int(block.payload[row]).to_bytes(8, "little"))
+                table.claimed(int(block.can_id[row]) & 0xFF, name)
+        self._holders = table.items()
+
+    def instead_of(self, group: Group) -> str | None:
+        """What comes in place of a group's frames; None where nothing like them does."""
+        message = group.message
+        if not message.extended:
+            wide = message.frame_id | EXTENDED_FLAG in self._identifiers
+            return "it comes with a 29-bit identifier, the DBC gives it 11 bits" if wide else None
+        if message.frame_id <= _LARGEST_STANDARD and message.frame_id in self._identifiers:
+            return "it comes with an 11-bit identifier, the DBC gives it 29 bits"
+        if isinstance(group.source, NameMatch):
+            of_name = [address for address, name in self._holders if group.source.matches(name)]
+            if len(of_name) != 1:
+                return f"nodes {_listed(of_name)} all have that NAME" if of_name else "no node with that NAME claims an address"
+        wanted = {i & _IDENTIFIER for i in self._identifiers if i & EXTENDED_FLAG}
+        senders = sorted({identifier & 0xFF for identifier in wanted if group_of(identifier) == message.group})
+        return f"it comes from {_listed(senders)} only" if senders else None
+
+
+def _listed(addresses: list[int]) -> str:
+    return ", ".join(map(str, addresses))
