@@ -346,3 +346,10 @@ def test_a_fast_packet_reaches_whoever_listens_to_the_node() -> None:
     heard = [node.feed(0x0DF80517, one, 2.0 + 0.01 * number) for number, one in enumerate(frames)]
     assert [p.data for h in heard for p in h.payloads] == [data]
     assert heard[-1].payloads[0].group == 129029
+
+
+def test_groups_of_one_frame_are_taken_for_no_part_of_anything() -> None:
+    node = node_at()
+    for number in range(64):
+        heard = node.feed(0x0CF00400 + 0x17 + (number << 8 & 0x300), bytes([number, 8, *range(6)]), 2.0 + 0.01 * number)
+        assert (heard.frames, heard.payloads, node.held) == ([], [], 0)
