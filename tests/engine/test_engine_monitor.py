@@ -328,6 +328,24 @@ def test_tank_scale_gives_reference_masses() -> None:
     assert anchor.complete
 
 
+def test_a_tank_scale_that_stands_still_between_passes_only_gives_reference_masses() -> None:
+    def flow(time_s: float) -> float:
+        return 10.0 if 1025.0 <= time_s < 1065.0 or 1085.0 <= time_s < 1125.0 else 0.0
+
+    def tank(time_s: float) -> Frame:
+        held_kg = 10.0 * (min(max(time_s - 1025.0, 0.0), 40.0) + min(max(time_s - 1085.0, 0.0), 40.0))
+        return Frame(time_s, bus.TANK_SCALE, {"TankMass": held_kg, "TankScaleStatus": 1 if flow(time_s) else 0})
+
+    target = monitor(replace(EngineSettings(), anchors=AnchorSettings(min_increment_kg=700.0)))
+    frames = replace(STEADY, flow=flow, scatter=0.0).frames(150)
+    feed(target, sorted([*frames, *(tank(1000.5 + i) for i in range(149))], key=lambda f: f.time_s))
+    (anchor,) = target.anchors
+    assert anchor.complete
+    # The gate opens with the second second of a pass.
+    assert anchor.reference_kg - 25.0 < anchor.measured_kg < anchor.reference_kg
+    assert FaultCode.NOT_IDENTIFIABLE not in target.faults.active
+
+
 class Scales:
     """A calibrator that keeps what it is given to weigh by."""
 

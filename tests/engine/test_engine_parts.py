@@ -185,6 +185,12 @@ SCALE = [
     ([(10.0, 1000.0), (60.0, 1500.0)], {33}, [(500.0, 490.0, False)]),
     ([(10.0, 1000.0), (40.0, 200.0), (90.0, 700.0)], set(), [(500.0, 500.0, True)]),
     ([(10.5, 1000.0), (60.25, 1497.5)], set(), [(497.5, 497.5, True)]),
+    # Emptied on the move between the first two readings, in which it then gains again.
+    ([(10.0, 1000.0), (40.0, 1100.0), (90.0, 1600.0)], set(), [(500.0, 500.0, True)]),
+    # 30 % off is a calibration.
+    ([(10.0, 1000.0), (90.0, 1560.0)], set(), [(560.0, 800.0, True)]),
+    # What went by unmeasured held no grain.
+    ([(2.0, 1000.0), (3.0, 1010.0), (10.0, 1080.0), (90.0, 1880.0)], {2}, [(870.0, 870.0, True)]),
 ]
 
 
@@ -202,6 +208,21 @@ def test_tank_scale(readings: list[tuple[float, float]], missing: set[int], expe
     assert found == expected
     # An increment is the difference of two readings.
     assert all(a.std_dev_kg == pytest.approx(2.0**0.5 * AnchorSettings().scale_std_dev_kg) for a in scale.anchors)
+
+
+def test_seconds_in_which_a_zero_was_taken_held_no_grain() -> None:
+    def weighed(empty_since_s: float) -> list[bool]:
+        scale = TankScale(AnchorSettings(min_increment_kg=300.0))
+        for second in range(100):
+            if second in (4, 60):
+                scale.reading(second + 0.5, 0.0 if second == 4 else 500.0)
+            scale.window(float(second), second + 1.0, 10.0 * max(0, second - 10), 10.0 * (second >= 10), second >= 8)
+            if second == 7:
+                scale.empty_since(empty_since_s)
+        return [anchor.complete for anchor in scale.anchors]
+
+    assert weighed(3.0) == [True]
+    assert weighed(6.0) == [False]
 
 
 ZERO = ZeroState(151.0, 150.0, 41.9, 3.0, (0.1, 2.0, 0.3, 0.4))

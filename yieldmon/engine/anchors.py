@@ -11,6 +11,11 @@ from yieldmon.engine.load_forces import LoadForces
 from yieldmon.engine.rivals import tank_leaps
 from yieldmon.engine.settings import AnchorSettings
 
+_AS_BEFORE_SDS = 4.0
+"""Standard deviations of the scale within which two readings are of the same mass."""
+_LACKING_SHARE = 0.5
+"""Of the mass measured between two readings, what no calibration is wrong by: the rest was unloaded."""
+
 
 class AnchorSource(StrEnum):
     """Where a reference mass came from."""
@@ -56,7 +61,7 @@ class TankScale:
         self._settings = settings
         self._pending: tuple[float, float] | None = None
         self._start: _Weighing | None = None
-        self._last: tuple[float, float] | None = None
+        self._last: _Weighing | None = None
         self._complete = True
         self._zero_doubted = False
         self.anchors: deque[ReferenceMass] = deque(maxlen=settings.keep)
@@ -73,10 +78,17 @@ class TankScale:
         """What is measured now rests on a zero that is doubted: no update, but the scale still tells the mass."""
         self._complete, self._zero_doubted = False, True
 
+    def empty_since(self, time_s: float) -> None:
+        """No grain came between a time and now: what was not measured since then is missing nowhere."""
+        if self._start is not None and self._start.time_s >= time_s:
+            self._complete = True
+
     def counted(self, mass_kg: float) -> None:
         """So much joined the total without having been measured."""
         if self._start is not None:
             self._start = replace(self._start, measured_kg=self._start.measured_kg + mass_kg)
+        if self._last is not None:
+            self._last = replace(self._last, measured_kg=self._last.measured_kg + mass_kg)
 
     def window(
         self, start_s: float, end_s: float, total_before_kg: float, mass_kg: float, measured: bool, budget: MassBudget = EMPTY
@@ -97,15 +109,15 @@ class TankScale:
         return self._weigh(_Weighing(time_s, scale_kg, total_before_kg + share * mass_kg, budget))
 
     def _weigh(self, now: _Weighing) -> ReferenceMass | None:
-        last, self._last = self._last, (now.time_s, now.mass_kg)
-        if last is not None and tank_leaps(now.time_s - last[0], now.mass_kg - last[1]):
-            # No grain did that: another scale speaks, or this one was reset.
-            self._start = None
-        start = self._start
-        if start is None or now.mass_kg < start.mass_kg - self._settings.unloading_kg:
+        start, last, self._last = self._start, self._last, now
+        if start is None or last is None or self._interrupted(last, now):
             self._start, self._complete, self._zero_doubted = now, True, False
             return None
         increment = now.mass_kg - start.mass_kg
+        if not self._complete and not self._zero_doubted and abs(increment) <= _AS_BEFORE_SDS * self._settings.scale_std_dev_kg:
+            # What was not measured held no grain, as before the first zero.
+            self._start, self._complete = now, True
+            return None
         if increment < self._settings.min_increment_kg:
             return None
         self.anchors.append(
@@ -123,3 +135,12 @@ class TankScale:
         )
         self._start, self._complete, self._zero_doubted = now, True, False
         return self.anchors[-1]
+
+    def _interrupted(self, last: _Weighing, now: _Weighing) -> bool:
+        """Whether more than grain coming changed two stable readings: another scale speaks or it was reset, the tank weighs less,
+        or it lacks much of what was measured."""
+        gained_kg, counted_kg = now.mass_kg - last.mass_kg, now.measured_kg - last.measured_kg
+        if tank_leaps(now.time_s - last.time_s, gained_kg):
+            return True
+        lacking_kg = max(self._settings.unloading_kg, _LACKING_SHARE * counted_kg)
+        return gained_kg < -self._settings.unloading_kg or counted_kg - gained_kg > lacking_kg

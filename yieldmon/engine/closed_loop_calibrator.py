@@ -128,7 +128,8 @@ class ClosedLoopCalibrator:
             self._used = frozenset(anchors)
             return CalibrationOutcome(None, doubt, identifiable=False, weighed=True, checks=checks)
         if not masses:
-            return CalibrationOutcome(None, "no weighed mass that was measured whole; the parameters stay", identifiable=False)
+            # Nothing was to be determined.
+            return CalibrationOutcome(None, "no weighed mass that was measured whole; the parameters stay")
         self._given = None
         try:
             outcome, drifting = self._believe(drifting, masses, None)

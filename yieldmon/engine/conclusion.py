@@ -81,6 +81,8 @@ class Conclusion:
         )
         if doubted:
             loads.doubt()
+        elif reading.zero_taken:
+            learning.empty_since(self._parts.measurement.zero.taken_from_s)
         if missed_kg > 0.0:
             self._parts.since_zero.add_scale(totals.load_number, missed_kg)
             loads.correct({totals.load_number: missed_kg})

@@ -260,7 +260,7 @@ _TABLE = (
         "The last sweep left what it was to determine as uncertain as before.",
         "The parameters stay as they were.",
         "Enter a scale ticket or use a tank scale; sweep at higher flow.",
-        lambda o: o.outcome.reason if o.outcome is not None and not o.outcome.identifiable else None,
+        lambda o: o.outcome.reason if o.outcome is not None and not (o.outcome.identifiable or o.outcome.weighed) else None,
     ),
     FaultDefinition(
         _C.MODEL_DISAGREES, 520200, 31, _W, 1, 1,

@@ -24,6 +24,7 @@ from yieldmon.engine.sweep import SweepAbort, SweepMachine
 from yieldmon.engine.windows import Window
 from yieldmon.estimation.admission import refusal
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.frames import EstimateQuality
 from yieldmon.physics.machine import Machine
 
 _KEPT_TICKETS = 12
@@ -126,8 +127,9 @@ class Learning:
         if inputs.tank_time_s != self._weighed_s:
             self._weighed_s = inputs.tank_time_s
             self._scale.reading(inputs.tank_time_s, inputs.tank_kg)
-        measured = flow.measured and not window.contested
-        weighed = self._scale.window(window.start_s, window.end_s, total_before_kg, mass_kg, measured, budget)
+        # Between passes the plate is watched as in them, and no grain comes.
+        watched = (flow.measured or flow.quality is EstimateQuality.NOT_HARVESTING) and not window.contested
+        weighed = self._scale.window(window.start_s, window.end_s, total_before_kg, mass_kg, watched, budget)
         if weighed is None:
             return 0.0
         if not weighed.zero_doubted:
@@ -136,6 +138,10 @@ class Learning:
         missed_kg = max(0.0, weighed.reference_kg - weighed.measured_kg)
         self._scale.counted(missed_kg)
         return missed_kg
+
+    def empty_since(self, time_s: float) -> None:
+        """No grain came between a time and now, though no flow could be given."""
+        self._scale.empty_since(time_s)
 
     def measured(self, load_number: int, reading: Reading, flow: Flow, mass_kg: float) -> None:
         """A window that added mass to a load."""

@@ -72,6 +72,8 @@ class ZeroTracker:
         self._refusal: ZeroRefusal | None = None
         self.known_s: float | None = None
         """Engine time at which the zero was last taken or followed; None before."""
+        self.taken_from_s = float("inf")
+        """Engine time from which on the windows were that the zero was last taken from."""
 
     def calibrate(self, *, against_signs: bool = False) -> None:
         """Operator's zero calibration: the next windows are empty by the operator's word; learn zero and vibration from them.
@@ -174,7 +176,7 @@ class ZeroTracker:
                 self._calibrating = False
                 away_mv = abs(self.state.zero_mv - self._before.zero_mv) if self._before is not None else 0.0
                 self.suspect = self._against_signs and away_mv > self._settings.level_range_mv
-                self.known_s = window.end_s
+                self.known_s, self.taken_from_s = window.end_s, self._recent[0].start_s
         elif may_be_empty and self.state is None:
             self._first(list(self._recent)[-self._settings.first_zero_windows :])
         elif may_be_empty and self.state is not None:
@@ -190,7 +192,7 @@ class ZeroTracker:
             zero = _mean_level(windows)
             pulse = max(window.pulse_mv for window in windows)
             self.state = ZeroState(zero, zero, _mean_speed(windows), pulse)
-            self.known_s = windows[-1].end_s
+            self.known_s, self.taken_from_s = windows[-1].end_s, windows[0].start_s
             return
         waited_s = (self._refusal.waited_s if self._refusal is not None else 0.0) + windows[-1].end_s - windows[-1].start_s
         levels = [window.mean_mv for window in windows]
