@@ -251,6 +251,29 @@ def test_the_newest_ticket_corrects_and_originals_stay(path):
     assert [row["ticket_id"] for row in rows] == [1, 2, 1, None]
 
 
+def test_a_store_is_read_where_its_disk_has_no_room_for_the_journals_index(path, monkeypatch):
+    class Full(sqlite3.Connection):
+        """As SQLite on a full ext4: the first access fails, since the index cannot be made."""
+
+        def execute(self, statement, *arguments):
+            if "application_id" in statement:
+                error = sqlite3.OperationalError("disk I/O error")
+                error.sqlite_errorcode = 4874  # SQLITE_IOERR_SHMSIZE
+                raise error
+            return super().execute(statement, *arguments)
+
+    connect = sqlite3.connect
+    with Store(path) as writer:
+        writer.commit([batch(1)])
+        before = sorted(path.parent.iterdir())
+        here = f"file:{path}?"
+        monkeypatch.setattr(sqlite3, "connect", lambda at, **how: connect(at, **how, factory=Full if here in at else sqlite3.Connection))
+        with Store.reading(path) as reader:
+            assert [row.number for row in reader.seconds()] == [1]
+            assert reader.state() == {"total_mass_kg": 10.0}
+        assert sorted(path.parent.iterdir()) == before
+
+
 def test_a_reader_does_not_stop_the_writer(path):
     with Store(path) as writer:
         writer.commit([batch(1)])

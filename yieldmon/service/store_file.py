@@ -4,10 +4,12 @@ have made."""
 from __future__ import annotations
 
 import os
+import shutil
 import sqlite3
 import time
 from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from urllib.parse import quote
 
 from yieldmon.errors import InputError
@@ -23,6 +25,9 @@ _DEFENSIVE = 1010
 _READING_S, _READING_S_PER_MB = 10.0, 1.0
 _STEPS_BETWEEN_LOOKS = 100_000
 _WITNESS_BYTES = 64
+_NO_INDEX = (8, 10, 14)
+"""SQLITE_READONLY, SQLITE_IOERR and SQLITE_CANTOPEN: what making the journal's index fails with."""
+_COPIES = 3
 
 
 def _tolerant(text: bytes) -> str:
@@ -103,21 +108,16 @@ def read_only(path: Path) -> sqlite3.Connection:
     if not path.is_file():
         raise InputError(str(path), "is a folder" if path.is_dir() else "no such file", "a daemon's store")
     # Reading beside a writer needs the writer's journal index; without a journal the file alone is the whole store.
-    quiet = not path.with_name(f"{path.name}-wal").exists()
-    location = f"file:{quote(str(path.absolute()))}?{'immutable=1' if quiet else 'mode=ro'}"
+    journal = path.with_name(f"{path.name}-wal").exists()
     try:
-        database = sqlite3.connect(location, uri=True, isolation_level=None)
-    except sqlite3.OperationalError as error:
-        raise InputError(str(path), str(error), "a daemon's store that may be read") from error
-    prepared(database)
-    _distrust(database, path)
-    try:
-        application, version = (database.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version"))
-        strange = database.execute(_STRANGE).fetchall()
-    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
-        # SQLite's own message about a damaged schema may be no text.
-        database.close()
-        raise InputError(str(path), str(error), "a daemon's store") from error
+        database, application, version, strange = _opened(path, "mode=ro" if journal else "immutable=1")
+    except InputError as error:
+        cause = error.__cause__
+        if not (journal and isinstance(cause, sqlite3.OperationalError) and cause.sqlite_errorcode & 0xFF in _NO_INDEX):
+            raise
+        # A disk that is full or read-only has no room for the index.
+        with TemporaryDirectory(prefix="yieldmon-") as folder:
+            database, application, version, strange = _opened(_copied(path, Path(folder), error), "mode=ro")
     problem = ""
     if strange:
         problem = f"has a {strange[0][0]} {strange[0][1]!r} where a store has a plain table"
@@ -129,6 +129,42 @@ def read_only(path: Path) -> sqlite3.Connection:
         database.close()
         raise InputError(str(path), problem, "a store of this version or an older one")
     return database
+
+
+def _opened(path: Path, how: str) -> tuple[sqlite3.Connection, int, int, list[tuple[str, str]]]:
+    """A connection, application and version of its file, and what is strange in it. Raises InputError."""
+    try:
+        database = sqlite3.connect(f"file:{quote(str(path.absolute()))}?{how}", uri=True, isolation_level=None)
+    except sqlite3.OperationalError as error:
+        raise InputError(str(path), str(error), "a daemon's store that may be read") from error
+    try:
+        prepared(database)
+        _distrust(database, path)
+        application, version = (database.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version"))
+        return database, application, version, database.execute(_STRANGE).fetchall()
+    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
+        # SQLite's own message about a damaged schema may be no text.
+        database.close()
+        raise InputError(str(path), str(error), "a daemon's store") from error
+
+
+def _copied(path: Path, folder: Path, why: InputError) -> Path:
+    """The file and its journal in another folder, both of one moment. Raises why where a writer goes on changing them."""
+    for _ in range(_COPIES):
+        before = [_state(part) for part in parts(path)[:2]]
+        try:
+            for part in parts(path)[:2]:
+                shutil.copyfile(part, folder / part.name)
+        except OSError as error:
+            raise why from error
+        if before == [_state(part) for part in parts(path)[:2]]:
+            return folder / path.name
+    raise why
+
+
+def _state(path: Path) -> tuple[int, int]:
+    found = path.stat()
+    return found.st_mtime_ns, found.st_size
 
 
 #: Tables are plain data. The one view that stores have had is not read; triggers run nowhere, since nothing is written.
