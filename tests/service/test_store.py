@@ -267,7 +267,11 @@ def test_a_store_is_read_where_its_disk_has_no_room_for_the_journals_index(path,
         writer.commit([batch(1)])
         before = sorted(path.parent.iterdir())
         here = f"file:{path}?"
-        monkeypatch.setattr(sqlite3, "connect", lambda at, **how: connect(at, **how, factory=Full if here in at else sqlite3.Connection))
+
+        def on_the_full_disk(at, **how):
+            return connect(at, **how, factory=Full if here in at else sqlite3.Connection)
+
+        monkeypatch.setattr(sqlite3, "connect", on_the_full_disk)
         with Store.reading(path) as reader:
             assert [row.number for row in reader.seconds()] == [1]
             assert reader.state() == {"total_mass_kg": 10.0}
