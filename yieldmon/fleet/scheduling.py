@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import islice
@@ -93,8 +94,9 @@ class _SchedulerLost(Exception):
 def _lost() -> tuple[type[BaseException], ...]:
     from distributed.comm.core import CommClosedError
 
-    # RuntimeError is what a client says whose connections were closed under it.
-    return (_SchedulerLost, CommClosedError, TimeoutError, OSError, RuntimeError)
+    # RuntimeError is what a client says whose connections were closed under it, CancelledError what it says when that happens
+    # while it fetches a result.
+    return (_SchedulerLost, CommClosedError, CancelledError, TimeoutError, OSError, RuntimeError)
 
 
 @contextmanager

@@ -1,0 +1,108 @@
+"""A scheduler that goes while a client asks it is waited for; what was answered is not asked again."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, ClassVar
+
+import distributed
+import pytest
+from distributed.client import FutureCancelledError
+from distributed.comm.core import CommClosedError
+
+from yieldmon.errors import InputError
+from yieldmon.fleet import scheduling
+from yieldmon.fleet.manifest import Partition
+from yieldmon.fleet.scheduling import Cluster, run_all
+from yieldmon.fleet.worker import Outcome
+
+
+class Future:
+    """Answered by a worker; fetching the answer may fail."""
+
+    status = "finished"
+
+    def __init__(self, name: str, harm: Exception | None) -> None:
+        self._name, self._harm = name, harm
+
+    def exception(self) -> None:
+        """What the task raised."""
+
+    def result(self) -> Outcome:
+        """The answer."""
+        if self._harm is not None:
+            raise self._harm
+        return Outcome(self._name, "done")
+
+    def release(self) -> None:
+        """Not needed any more."""
+
+
+class Client:
+    """Fetches the first answer; the next one finds the scheduler gone, once for each entry of `harms`."""
+
+    harms: ClassVar[list[Exception]] = []
+    submitted: ClassVar[list[str]] = []
+    dashboard_link = ""
+
+    def __init__(self, address: str, timeout: int) -> None:
+        self._harm = Client.harms.pop() if Client.harms else None
+        self._asked = 0
+
+    def submit(self, work: Any, task: Any, **how: Any) -> Future:
+        """One more task."""
+        self._asked += 1
+        Client.submitted.append(task.partition.name)
+        return Future(task.partition.name, self._harm if self._asked == 2 else None)
+
+    def close(self, timeout: int) -> None:
+        """The end."""
+
+
+class Completed(list):
+    """In the order of submission."""
+
+    add = list.append
+
+
+def tasks(count: int) -> list[Any]:
+    return [SimpleNamespace(partition=Partition("m", f"d{n}", ()), token="t", dataset="season") for n in range(count)]
+
+
+@pytest.fixture
+def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No scheduler and no waiting."""
+    monkeypatch.setattr(distributed, "Client", Client)
+    monkeypatch.setattr(distributed, "as_completed", Completed)
+    monkeypatch.setattr(scheduling.time, "sleep", lambda _: None)
+    monkeypatch.setattr(Client, "submitted", [])
+
+
+@pytest.mark.parametrize(
+    "harms",
+    [
+        [FutureCancelledError("machine=m/day=d1-t", "scheduler-connection-lost")],
+        [CommClosedError("in <TCP>: Stream is closed"), FutureCancelledError("k", "scheduler-restart"), OSError("gone")],
+    ],
+)
+def test_a_scheduler_that_goes_while_a_result_is_fetched_is_waited_for(
+    harms: list[Exception], at_once: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Client, "harms", list(harms))
+    taken: list[str] = []
+    said: list[str] = []
+    run_all(tasks(4 + len(harms)), Cluster("tcp://127.0.0.1:1"), lambda outcome: taken.append(outcome.name), said.append)
+    assert taken == [f"machine=m/day=d{n}" for n in range(4 + len(harms))]
+    assert Client.submitted.count("machine=m/day=d0") == 1
+    assert Client.submitted.count("machine=m/day=d1") == 2
+    assert sum("is gone; waiting for it" in line for line in said) == len(harms)
+
+
+def test_what_the_client_has_no_word_for_is_raised(at_once: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Client, "harms", [InputError("season", "was taken over", "one run at a time")])
+    with pytest.raises(InputError, match="taken over"):
+        run_all(tasks(3), Cluster("tcp://127.0.0.1:1"), _ignore, _ignore)
+
+
+def _ignore(_: Any) -> None:
+    """Of no interest."""
