@@ -93,8 +93,8 @@ def live(folder: Path, seconds: int, broken: str = "") -> None:
         silence_s=float("inf"),
     )
     daemon._open_store = lambda: TellingStore(loaded.store_path, loaded.retention)  # type: ignore[method-assign]
-    daemon._writer._open_store = daemon._open_store
-    submit = daemon._writer.submit
+    daemon.writer._open_store = daemon._open_store
+    submit = daemon.writer.submit
     closed: list[int] = []
 
     def telling_submit(batch: Batch) -> None:
@@ -104,7 +104,7 @@ def live(folder: Path, seconds: int, broken: str = "") -> None:
         # Only now: whoever waits for it also waits for the batch to be written.
         closed.extend(row.number for row in batch.seconds)
 
-    daemon._writer.submit = telling_submit  # type: ignore[method-assign]
+    daemon.writer.submit = telling_submit  # type: ignore[method-assign]
     thread = threading.Thread(target=daemon.run)
     thread.start()
     daemon.started.wait()
@@ -112,12 +112,12 @@ def live(folder: Path, seconds: int, broken: str = "") -> None:
     now_s = START_S
     with peer:
         for second in range(seconds):
-            force_mv = 0.0 if daemon._monitor.snapshot().zero is None else 60.0
+            force_mv = 0.0 if daemon.monitor.snapshot().zero is None else 60.0
             for frame in traffic(now_s, 1.0, force_mv):
                 peer.send(CODEC.encode(frame))
             now_s += 1.0
             # In real time the store is done long before the next second; here it has to be waited for.
-            while len(closed) < second or daemon._writer.health().pending:
+            while len(closed) < second or daemon.writer.health().pending:
                 thread.join(0.0005)
     daemon.request_stop()
     thread.join()

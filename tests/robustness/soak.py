@@ -148,15 +148,15 @@ def live(folder: Path, hours: float, real_time: bool) -> dict[str, object]:
         bus_factory=machine.open_bus,
         silence_s=SILENCE_S if real_time else math.inf,
     )
-    machine.backlog = lambda: len(daemon._receiver._queue) + 20 * daemon._writer.health().pending
+    machine.backlog = lambda: len(daemon.receiver._queue) + 20 * daemon.writer.health().pending
     witness = Witness()
-    submit = daemon._writer.submit
+    submit = daemon.writer.submit
 
     def watched(batch: Batch) -> None:
         witness.see(batch)
         submit(batch)
 
-    daemon._writer.submit = watched  # type: ignore[method-assign]
+    daemon.writer.submit = watched  # type: ignore[method-assign]
     thread = threading.Thread(target=daemon.run)
     begin_s, cpu_s = time.monotonic(), time.process_time()
     thread.start()
@@ -177,12 +177,12 @@ def live(folder: Path, hours: float, real_time: bool) -> dict[str, object]:
                 gc.collect()
                 before = resident_mb(), open_files()
             most_mb = max(most_mb, resident_mb())
-    while daemon._receiver._queue or daemon._writer.health().pending:
+    while daemon.receiver._queue or daemon.writer.health().pending:
         time.sleep(0.1)
     gc.collect()
     after = resident_mb(), open_files()
     took_s, cpu_s = time.monotonic() - begin_s, time.process_time() - cpu_s
-    status = dict(daemon._answer)
+    status = dict(daemon.snapshot)
     daemon.request_stop()
     thread.join()
     assert before is not None, "too short"

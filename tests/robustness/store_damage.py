@@ -62,7 +62,7 @@ def original(folder: Path, seconds: int = 24) -> Original:
         bench.daemon._command({"command": "ticket", "first_load": 1, "mass_kg": 50.0})
         bench.play(4, 60.0)
         bench.played()
-        assert bench.daemon._writer.wait_until_written(10.0)
+        assert bench.daemon.writer.wait_until_written(10.0)
         main, journal, witness = (path.with_name(path.name + end).read_bytes() for end in ("", "-wal", ".last"))
     apart = folder / "apart"
     apart.mkdir()

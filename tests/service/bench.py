@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import itertools
 import math
 import socket
@@ -66,12 +65,6 @@ def encoded(frame: Frame) -> can.Message:
     return message
 
 
-@functools.lru_cache(maxsize=24)
-def _messages(start_s: float, duration_s: float, force_mv: float, **how: float) -> list[can.Message]:
-    """`traffic` as messages, kept: most tests begin with the same."""
-    return [encoded(frame) for frame in traffic(start_s, duration_s, force_mv, **how)]
-
-
 def wait_for(condition: Callable[[], object], what: str) -> None:
     """Waits until the condition holds; fails loudly when it does not within PATIENCE_S."""
     deadline = time.monotonic() + PATIENCE_S
@@ -95,8 +88,8 @@ class Bench:
 
     def play(self, duration_s: float, force_mv: float, **how: float) -> None:
         """Sends traffic for so long, as fast as the daemon takes it."""
-        for message in _messages(self.now_s, duration_s, force_mv, **how):
-            self.peer.send(message)
+        for frame in traffic(self.now_s, duration_s, force_mv, **how):
+            self.peer.send(encoded(frame))
         self.now_s += duration_s
 
     def played(self) -> None:
@@ -107,7 +100,7 @@ class Bench:
 
     @property
     def status(self) -> dict:
-        return dict(self.daemon._answer)
+        return dict(self.daemon.snapshot)
 
     @property
     def rows(self) -> list[dict]:

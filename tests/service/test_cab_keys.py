@@ -55,7 +55,7 @@ def test_every_key_does_on_the_daemon_what_it_asks(tmp_path) -> None:
         measured_kg = bench.status["load"]["mass_kg"]
         told = cab.press("t", *f"2 {1.02 * measured_kg:.4f}kg", "\r", "y")
         assert told == "ticket for load 2 taken: +2.0 % against what was measured"
-        assert [anchor.load_number for anchor in bench.daemon._monitor.anchors] == [2]
+        assert [anchor.load_number for anchor in bench.daemon.monitor.anchors] == [2]
         told = cab.press("t", *"1 9kg", "\r", "y")
         assert told == "ticket for load 1: nothing was measured for it; expected a load with a measured mass"
         assert cab.press("w", "y") == "a sweep begins as soon as the conditions hold"

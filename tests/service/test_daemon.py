@@ -138,19 +138,19 @@ def test_store_failing_is_a_fault_and_measuring_goes_on(tmp_path, monkeypatch):
     with running(tmp_path) as bench:
         bench.play(3, EMPTY_MV)
         bench.played()
-        wait_for(lambda: bench.daemon._writer.health().pending == 0, "the first seconds in the store")
-        monkeypatch.setattr(bench.daemon._writer, "_retry_s", 0.05)
+        wait_for(lambda: bench.daemon.writer.health().pending == 0, "the first seconds in the store")
+        monkeypatch.setattr(bench.daemon.writer, "_retry_s", 0.05)
         blocker = sqlite3.connect(tmp_path / "yieldmon.sqlite", isolation_level=None)
         blocker.execute("BEGIN IMMEDIATE")
         bench.play(2, EMPTY_MV)
-        wait_for(lambda: bench.daemon._writer.health().failing, "the disk's failing to be noticed")
+        wait_for(lambda: bench.daemon.writer.health().failing, "the disk's failing to be noticed")
         bench.play(4, EMPTY_MV)
         wait_for(lambda: "StoreFailing" in bench.faults, "StoreFailing")
         assert "locked" in bench.faults["StoreFailing"]
         wait_for(lambda: bench.published(frames.YIELD_MONITOR_STATUS)[-1]["StoreFailing"], "it on the bus")
         blocker.execute("ROLLBACK")
         blocker.close()
-        wait_for(lambda: not bench.daemon._writer.health().failing, "the store's recovery")
+        wait_for(lambda: not bench.daemon.writer.health().failing, "the store's recovery")
         bench.play(6, EMPTY_MV)
         bench.played()
         assert "StoreFailing" not in bench.faults
@@ -233,7 +233,7 @@ def test_a_slow_disk_is_a_fault_until_it_has_caught_up(tmp_path, monkeypatch):
             bench.played()
         assert re.fullmatch(r"the disk is slow, \d+ seconds wait", bench.faults["StoreFailing"])
         gate.set()
-        wait_for(lambda: bench.daemon._writer.health().pending == 0, "the disk to catch up")
+        wait_for(lambda: bench.daemon.writer.health().pending == 0, "the disk to catch up")
         bench.play(6, EMPTY_MV)
         bench.played()
         assert "StoreFailing" not in bench.faults
@@ -301,7 +301,7 @@ def test_reload_takes_a_good_configuration_and_refuses_a_bad_one(tmp_path):
         bench.daemon.request_reload()
         wait_for(lambda: bench.status["configuration"]["reload"].startswith("taken"), "the reload")
         assert bench.status["configuration"]["reload"] == "taken; store will be at the next start"
-        assert bench.daemon._monitor.settings.sweep.interval_s == 7200.0
+        assert bench.daemon.monitor.settings.sweep.interval_s == 7200.0
         bench.play(3, GRAIN_MV)
         bench.played()
         after = bench.status
@@ -311,18 +311,18 @@ def test_reload_takes_a_good_configuration_and_refuses_a_bad_one(tmp_path):
         bench.daemon.request_reload()
         wait_for(lambda: bench.status["configuration"]["reload"].startswith("refused"), "the refusal")
         assert "sweep.interval_s: 1; expected a number" in bench.status["configuration"]["reload"]
-        assert bench.daemon._monitor.settings.sweep.interval_s == 7200.0
+        assert bench.daemon.monitor.settings.sweep.interval_s == 7200.0
 
 
 def test_an_interface_that_goes_and_comes_back(tmp_path):
     with running(tmp_path) as bench:
         bench.play(3, EMPTY_MV)
         bench.played()
-        lost = bench.daemon._receiver.bus
+        lost = bench.daemon.receiver.bus
         assert lost is not None
         lost.shutdown()
-        wait_for(lambda: bench.daemon._receiver.counters().interface_losses == 1, "the loss")
-        wait_for(lambda: bench.daemon._receiver.bus not in (None, lost), "the return")
+        wait_for(lambda: bench.daemon.receiver.counters().interface_losses == 1, "the loss")
+        wait_for(lambda: bench.daemon.receiver.bus not in (None, lost), "the return")
         bench.play(3, EMPTY_MV)
         bench.played()
         with suppress(IndexError):
@@ -351,7 +351,7 @@ def test_loads_tickets_and_names(tmp_path, capsys):
         assert ticket["factor"] == pytest.approx(1.02)
         assert ticket["anchor"] is False, "load 1 began before there was a zero"
         assert ask(tmp_path, capsys, "ticket", "2", f"{1.02 * loads[1]['mass_kg']}kg")["anchor"] is True
-        assert [anchor.load_number for anchor in bench.daemon._monitor.anchors] == [2]
+        assert [anchor.load_number for anchor in bench.daemon.monitor.anchors] == [2]
         after = ask(tmp_path, capsys, "load", "list")["loads"]
         assert [load["mass_kg"] for load in after] == [load["mass_kg"] for load in loads]
         assert after[0]["corrected_mass_kg"] == pytest.approx(1.02 * loads[0]["mass_kg"])

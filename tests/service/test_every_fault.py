@@ -97,7 +97,7 @@ def drift(bench: Bench) -> None:
 
 def sweep_with_a_plate_that_stands(bench: Bench) -> None:
     warm_up(bench)
-    bench.daemon._monitor.request_sweep()
+    bench.daemon.monitor.request_sweep()
     bench.play(25, GRAIN_MV)
 
 
@@ -137,10 +137,10 @@ def forge(bench: Bench) -> None:
 def lose_the_interface(bench: Bench) -> None:
     bench.play(2, EMPTY_MV)
     bench.played()
-    lost = bench.daemon._receiver.bus
+    lost = bench.daemon.receiver.bus
     assert lost is not None
     lost.shutdown()
-    wait_for(lambda: bench.daemon._receiver.bus not in (None, lost), "the interface's return")
+    wait_for(lambda: bench.daemon.receiver.bus not in (None, lost), "the interface's return")
     # The address is claimed anew.
     claims = 0x18EEFF83
     wait_for(lambda: sum(m.arbitration_id == claims for m in bench.heard()) > 1, "another claim")
@@ -151,7 +151,7 @@ def lose_the_interface(bench: Bench) -> None:
 def weigh_a_third_too_much(bench: Bench) -> None:
     bench.play(14, EMPTY_MV)
     bench.played()
-    monitor = bench.daemon._monitor
+    monitor = bench.daemon.monitor
     monitor.start_load()
     bench.play(20, GRAIN_MV)
     bench.played()
@@ -166,7 +166,7 @@ def lock_the_store(bench: Bench) -> None:
     blocker = sqlite3.connect(bench.daemon.configuration.store_path, isolation_level=None)
     blocker.execute("BEGIN IMMEDIATE")
     bench.play(2, EMPTY_MV)
-    wait_for(lambda: bench.daemon._writer.health().failing, "the failing to be noticed")
+    wait_for(lambda: bench.daemon.writer.health().failing, "the failing to be noticed")
     bench.play(4, EMPTY_MV)
     wait_for(lambda: "StoreFailing" in bench.faults, "the fault")
     blocker.execute("ROLLBACK")
@@ -181,8 +181,8 @@ def overrun(bench: Bench) -> None:
     for message in burst:
         bench.peer.send(message)
     bench.now_s += 30.0
-    wait_for(lambda: bench.daemon._receiver.counters().dropped > 0, "the queue to run over")
-    wait_for(lambda: not bench.daemon._receiver._queue, "what is left of it to be worked off")
+    wait_for(lambda: bench.daemon.receiver.counters().dropped > 0, "the queue to run over")
+    wait_for(lambda: not bench.daemon.receiver._queue, "what is left of it to be worked off")
     bench.play(3, EMPTY_MV)
 
 
@@ -238,7 +238,7 @@ class PlateNode:
     def _obey(self, bench: Bench, time_s: float) -> None:
         daemon = bench.daemon
         wait_for(lambda: daemon._last_heard is not None and daemon._last_heard[0] >= time_s, "the engine")
-        wait_for(lambda: not daemon._transmitter._queue, "its commands")
+        wait_for(lambda: not daemon.transmitter._queue, "its commands")
         while (received := bench.peer.recv(0)) is not None:
             bench.seen.append(received)
             if received.arbitration_id != COMMAND_ID:
@@ -271,7 +271,7 @@ def sweep(count: int, force_at: Callable[[float], float]) -> Callable[[Bench], N
         plate = PlateNode(lambda angle: float(np.interp(angle, np.arange(38.0, 93.0), table)))
         warm_up(bench)
         for number in range(1, count + 1):
-            bench.daemon._monitor.request_sweep()
+            bench.daemon.monitor.request_sweep()
             for _ in range(30):
                 plate.play(bench, 4.0)
                 if bench.status["sweep"]["sweeps"] == number and bench.status["sweep"]["state"] in ("updated", "not_learned"):
@@ -284,7 +284,7 @@ def sweep(count: int, force_at: Callable[[float], float]) -> Callable[[Bench], N
 
 def harvest_a_lifetime(bench: Bench) -> None:
     """A monitor that has measured 410,000 t so far."""
-    monitor = bench.daemon._monitor
+    monitor = bench.daemon.monitor
     monitor.restore(replace(monitor.snapshot(), totals=Totals(total_kg=4.1e8)))
     bench.play(3, EMPTY_MV)
 

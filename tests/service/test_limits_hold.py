@@ -41,7 +41,7 @@ def idle(tmp_path: Path):
 def test_bus_off_lasts_until_the_restart_and_then_ends(idle: Bench, monkeypatch):
     now_s = [1000.0]
     monkeypatch.setattr("yieldmon.service.daemon.monotonic", lambda: now_s[0])
-    monkeypatch.setattr(idle.daemon._receiver, "hangs_s", lambda: 0.0)
+    monkeypatch.setattr(idle.daemon.receiver, "hangs_s", lambda: 0.0)
     idle.daemon._take_event(BusEvent(BusEventKind.BUS_OFF, 0.0))
     assert "bus off" in faults_at(idle, 9000.0)["BusError"]
     now_s[0] = 9000.0
@@ -51,7 +51,7 @@ def test_bus_off_lasts_until_the_restart_and_then_ends(idle: Bench, monkeypatch)
 
 
 def test_a_restart_does_not_hide_the_bus_off_behind_it(idle: Bench, monkeypatch):
-    monkeypatch.setattr(idle.daemon._receiver, "hangs_s", lambda: 0.0)
+    monkeypatch.setattr(idle.daemon.receiver, "hangs_s", lambda: 0.0)
     idle.daemon._take_event(BusEvent(BusEventKind.BUS_RESTARTED, 0.0))
     idle.daemon._take_event(BusEvent(BusEventKind.BUS_OFF, 0.0))
     assert "bus off" in faults_at(idle, 1e9)["BusError"]
@@ -60,7 +60,7 @@ def test_a_restart_does_not_hide_the_bus_off_behind_it(idle: Bench, monkeypatch)
 def test_an_interface_that_is_back_takes_its_bus_off_along(idle: Bench, monkeypatch):
     now_s = [1000.0]
     monkeypatch.setattr("yieldmon.service.daemon.monotonic", lambda: now_s[0])
-    monkeypatch.setattr(idle.daemon._receiver, "hangs_s", lambda: 0.0)
+    monkeypatch.setattr(idle.daemon.receiver, "hangs_s", lambda: 0.0)
     idle.daemon._take_event(BusEvent(BusEventKind.BUS_OFF, 0.0))
     idle.daemon._take_event(BusEvent(BusEventKind.INTERFACE_LOST, 0.0))
     assert "interface lost" in faults_at(idle, 5000.0)["BusError"]

@@ -121,12 +121,12 @@ def test_a_medium_that_takes_no_writing_is_read_and_measuring_goes_on(tmp_path, 
     with running(tmp_path, start_s=START_S + 60.0) as bench:
         assert bench.status["total"]["mass_kg"] == pytest.approx(before_kg, abs=10.0)
         bench.play(2, GRAIN_MV)
-        wait_for(lambda: bench.daemon._writer.health().failing, "the failing to be noticed")
+        wait_for(lambda: bench.daemon.writer.health().failing, "the failing to be noticed")
         bench.play(3, GRAIN_MV)
         wait_for(lambda: "StoreFailing" in bench.faults, "StoreFailing")
         assert bench.rows[-1]["mass_flow_kg_s"] > 1.0, "the zero is remembered"
         monkeypatch.undo()
-        wait_for(lambda: bench.daemon._writer.health().pending == 0, "what waited, written once the medium is back")
+        wait_for(lambda: bench.daemon.writer.health().pending == 0, "what waited, written once the medium is back")
     with Store(tmp_path / "yieldmon.sqlite") as store:
         rows = store.seconds()
     assert [row.number for row in rows] == list(range(1, len(rows) + 1))
@@ -167,12 +167,12 @@ def test_a_power_cut_mid_load_leaves_a_load_that_teaches_nothing(tmp_path):
         bench.play(6, GRAIN_MV)
         bench.played()
         assert bench.status["load"]["number"] == number, "the load goes on"
-        summary = next(load for load in bench.daemon._monitor.loads if load.number == number)
+        summary = next(load for load in bench.daemon.monitor.loads if load.number == number)
         assert not summary.complete
-        bench.daemon._monitor.start_load()
+        bench.daemon.monitor.start_load()
         bench.play(3, GRAIN_MV)
         bench.played()
-        newer = next(load for load in bench.daemon._monitor.loads if load.number == number + 1)
+        newer = next(load for load in bench.daemon.monitor.loads if load.number == number + 1)
         assert newer.complete
 
 

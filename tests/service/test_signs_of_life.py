@@ -46,9 +46,9 @@ def test_a_hanging_send_is_a_fault_and_the_daemon_stops_all_the_same(tmp_path: P
     with running(tmp_path) as bench:
         bench.play(3, 0.0)
         bench.played()
-        bench.daemon._transmitter._send = lambda message, timeout: gate.wait(PATIENCE_S) and None
+        bench.daemon.transmitter._send = lambda message, timeout: gate.wait(PATIENCE_S) and None
         bench.play(2, 0.0)
-        wait_for(lambda: bench.daemon._transmitter.hangs_s() > 2.1, "the hang")
+        wait_for(lambda: bench.daemon.transmitter.hangs_s() > 2.1, "the hang")
         bench.play(2, 0.0)
         wait_for(lambda: "BusError" in bench.faults, "the fault")
         assert "the transmit thread hangs" in bench.faults["BusError"]
@@ -137,13 +137,13 @@ def test_a_store_that_is_removed_is_told_and_written_anew_from_memory(tmp_path: 
         bench.play(14, 0.0)
         bench.play(6, 60.0)
         bench.played()
-        assert bench.daemon._writer.wait_until_written(PATIENCE_S)
+        assert bench.daemon.writer.wait_until_written(PATIENCE_S)
         for file in tmp_path.glob("yieldmon.sqlite*"):
             if not file.name.endswith(".lock"):
                 file.unlink()
         bench.play(3, 60.0)
         bench.played()
-        wait_for(lambda: bench.daemon._writer.health().replacements == 1, "the replacement")
+        wait_for(lambda: bench.daemon.writer.health().replacements == 1, "the replacement")
         bench.play(3, 60.0)
         bench.played()
         wait_for(lambda: "StoreFailing" in bench.faults, "the fault")

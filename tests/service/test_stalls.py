@@ -51,8 +51,8 @@ def test_a_stall_of_the_receiver_is_no_jump_of_the_clock(tmp_path: Path):
     daemon = Daemon(loaded, environment=environment, bus_factory=lambda: bus)
     thread = threading.Thread(target=daemon.run)
     thread.start()
-    wait_for(lambda: len(daemon._answer.get("windows", [])) >= 4, "the windows of 5 s")
-    rows = daemon._answer["windows"][:4]
+    wait_for(lambda: len(daemon.snapshot.get("windows", [])) >= 4, "the windows of 5 s")
+    rows = daemon.snapshot["windows"][:4]
     daemon.request_stop()
     thread.join(PATIENCE_S)
     assert [row["time_s"] - START_S for row in rows[1:]] == pytest.approx([2.1, 3.1, 4.1], abs=1e-6)

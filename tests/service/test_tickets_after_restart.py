@@ -73,7 +73,7 @@ def learnt(folder, capsys, runs: tuple[int, ...]) -> tuple[list, list[str]]:
                 bench.play(2, 0.0)
                 bench.played()
                 assert season.ticket(bench, *left.pop(0))["anchor"] is True
-                told.append(bench.daemon._monitor.outcome.reason)
+                told.append(bench.daemon.monitor.outcome.reason)
             season.now_s = bench.now_s
     return season.lessons(), told
 

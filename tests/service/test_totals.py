@@ -23,7 +23,7 @@ def test_totals_are_archived_and_reset_and_stay_so(tmp_path: Path, capsys: pytes
         assert total_kg > 5.0
         with pytest.raises(ControlError, match="nothing is reset by mistake"):
             ask(tmp_path / "yieldmon.sock", {"command": "totals-reset", "total_kg": 1})
-        assert bench.daemon._writer.wait_until_written(10.0)
+        assert bench.daemon.writer.wait_until_written(10.0)
         assert main(["totals", "archive", str(out), *socket]) == 0
         assert main(["totals", "archive", str(out), *socket]) == 2
         assert main(["totals", "reset", str(round(total_kg)), *socket]) == 0

@@ -56,14 +56,14 @@ def test_adopted_parameters_are_taken_on_reload_and_the_fault_goes(tmp_path: Pat
     adopted = replace(SHIPPED, values={**SHIPPED.values, "plate_friction.coefficient": 0.15})
     with SteppedDaemon(live.combine_of(CONTROL, MACHINE, 0.02, seed=3), path, tmp_path) as stepped:
         stepped.run_until(35.0)
-        engine = stepped.daemon._monitor
+        engine = stepped.daemon.monitor
         for seed in range(12):
             windows = sweep_windows(MACHINE, shown_force(MACHINE, STRONG), flow_kg_s=6.0 + 4.0 * (seed % 4), seed=seed)
             engine.disagreement.add(windows, engine.estimator.parameters)
         stepped.run_until(40.0)
         assert stepped.reload() == "taken"
         stepped.run_until(42.0)
-        assert stepped.daemon._monitor.disagreement.present
+        assert stepped.daemon.monitor.disagreement.present
         parameter_file.save(adopted, tmp_path / "parameters.yaml")
         assert stepped.reload() == "taken"
         stepped.run_until(50.0)

@@ -43,12 +43,12 @@ def test_a_full_disk_is_a_fault_and_nothing_is_lost(small_disk: Path, tmp_path: 
         bench.play(4, 0.0)
         bench.play(3, 60.0)
         bench.played()
-        wait_for(lambda: bench.daemon._writer.health().pending == 0, "the first seconds in the store")
+        wait_for(lambda: bench.daemon.writer.health().pending == 0, "the first seconds in the store")
         ballast = fill(small_disk)
         for _ in range(60):
             bench.play(1, 60.0)
             bench.played()
-            if bench.daemon._writer.health().failing:
+            if bench.daemon.writer.health().failing:
                 break
         bench.play(3, 60.0)
         wait_for(lambda: "StoreFailing" in bench.faults, "StoreFailing")
@@ -60,7 +60,7 @@ def test_a_full_disk_is_a_fault_and_nothing_is_lost(small_disk: Path, tmp_path: 
         bench.play(4, 60.0)
         wait_for(lambda: "StoreFailing" in bench.faults, "StoreFailing after a start on a full disk")
         ballast.unlink()
-        wait_for(lambda: not bench.daemon._writer.health().failing, "recovery")
+        wait_for(lambda: not bench.daemon.writer.health().failing, "recovery")
         bench.play(6, 60.0)
         bench.played()
         assert "StoreFailing" not in bench.faults

@@ -158,6 +158,31 @@ class Daemon:
         self._answered_s = monotonic()
         self._replacements = 0
 
+    @property
+    def monitor(self) -> Monitor:
+        """The one in use, from the start on; a reload makes another. The engine's thread feeds it."""
+        return self._monitor
+
+    @property
+    def receiver(self) -> Receiver:
+        """Takes frames off the bus."""
+        return self._receiver
+
+    @property
+    def transmitter(self) -> Transmitter:
+        """Sends frames."""
+        return self._transmitter
+
+    @property
+    def writer(self) -> StoreWriter:
+        """Commits to the store."""
+        return self._writer
+
+    @property
+    def snapshot(self) -> Answer:
+        """What `status` answers, as of the last window or command."""
+        return self._answer
+
     def request_stop(self) -> None:
         """End `run` soon, with everything written."""
         self._stop_wanted = True
