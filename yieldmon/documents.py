@@ -521,11 +521,12 @@ class ExperimentRow(TypedDict):
 
 
 class NextExperiment(TypedDict):
-    """Rows that distinguish the pairs of effects best."""
+    """Rows that distinguish the pairs of effects best; power of the hardest pair, and of each."""
 
     rows: list[ExperimentRow]
     separates: list[list[str]]
     power: float
+    powers: list[float]
 
 
 class BaseModel(TypedDict):

@@ -111,6 +111,10 @@ def test_adopt_plan_report_and_rollback(offset_table: Path, tmp_path: Path, caps
     assert "zero-load reading" in page
     assert re.search(r"force_n = -?[0-9.]+ ± [0-9.]+ N", page)
     assert not re.search(r'(src|href)="(?!data:)', page)
+    # Held-out lack of fit with its interval, and no share of a gap above 100 %.
+    assert len(re.findall(r"<td>[0-9.]+ \([0-9.]+ to [0-9.]+\)</td>", page)) == 2
+    assert "closed" not in page
+    assert "<th>power at the 5 % level</th>" in page
     assert [path.read_text() for path in kept] == ["old"] * len(kept)
     assert {p.name for p in report.glob("[!k]*.png")} == {"where.png", "after.png", "profiles.png", "ranking.png"}
 

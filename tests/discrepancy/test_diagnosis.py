@@ -138,6 +138,12 @@ def test_where_nothing_is_named_the_best_candidates_are_told_apart(make_rows, st
     assert found.choice.steps == ()
     first, second, third = (family_of(c.effect) for c in found.choice.looked_at[:3])
     assert set(found.plan.separates) == {(first, second), (first, third)}
+    assert len(found.plan.powers) == 2
+    assert min(found.plan.powers) == found.plan.power
+    told = report.plan_lines(found.plan)
+    table = told[told.index(next(line for line in told if "power at the 5 % level" in line)) + 1 :]
+    assert [tuple(line.split()[:2]) for line in table] == list(found.plan.separates)
+    assert [float(line.split()[2]) for line in table] == pytest.approx(found.plan.powers, abs=0.005)
 
 
 def test_two_effects_are_both_named(make_rows, start) -> None:

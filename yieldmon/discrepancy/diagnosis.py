@@ -484,6 +484,7 @@ def to_document(diagnosis: Diagnosis) -> DiagnosisDocument:
             ],
             "separates": [list(pair) for pair in diagnosis.plan.separates],
             "power": diagnosis.plan.power,
+            "powers": list(diagnosis.plan.powers),
         },
         "minimum_detectable": diagnosis.minimum_detectable,
         "undetectable": list(diagnosis.undetectable),

@@ -31,11 +31,13 @@ class PlannedRow:
 
 @dataclass(frozen=True)
 class Plan:
-    """Rows to run (each `REPEATS` times), the pairs of effects they separate, and the power to do so at the 5 % level."""
+    """Rows to run (each `REPEATS` times), the pairs of effects they separate, and the power to do so at the 5 % level: of the
+    hardest pair, and of each."""
 
     rows: tuple[PlannedRow, ...]
     separates: tuple[tuple[str, str], ...]
     power: float
+    powers: tuple[float, ...] = ()
 
 
 def plan(best: Fit, rivals: Sequence[Fit], noise: Noise, *, rows: int = 8) -> Plan:
@@ -83,8 +85,12 @@ def plan(best: Fit, rivals: Sequence[Fit], noise: Noise, *, rows: int = 8) -> Pl
         PlannedRow(float(grid.plate_angle_rad[i]), float(grid.mass_flow_kg_s[i]), float(grid.elevator_speed_rad_s[i]))
         for i in sorted(set(chosen))
     )
-    names = sorted({(_different(best, rival)) for rival in rivals})
-    return Plan(picked, tuple(names), float(np.min(power)))
+    pairs: dict[tuple[str, str], float] = {}
+    for rival, found in zip(rivals, power.tolist(), strict=True):
+        pair = _different(best, rival)
+        pairs[pair] = min(pairs.get(pair, 1.0), found)
+    names = sorted(pairs)
+    return Plan(picked, tuple(names), float(np.min(power)), tuple(pairs[name] for name in names))
 
 
 def _different(best: Fit, rival: Fit) -> tuple[str, str]:

@@ -136,8 +136,11 @@ def plan_lines(plan: Plan) -> list[str]:
     lines += [
         f"  {degrees(r.plate_angle_rad):>18.0f}{r.mass_flow_kg_s:>18.1f}{r.elevator_speed_rad_s / RPM:>14.0f}" for r in plan.rows
     ]
-    lines += [f"  separates {a or 'no effect'} from {b or 'no effect'}" for a, b in plan.separates]
-    return [*lines, f"  power {plan.power:.2f} (5 % level, the pair that is hardest to separate)"]
+    lines.append(f"  {'separates':>28}{'from':>28}{'power at the 5 % level':>25}")
+    return lines + [
+        f"  {a or 'no effect':>28}{b or 'no effect':>28}{power:>25.2f}"
+        for (a, b), power in zip(plan.separates, plan.powers, strict=True)
+    ]
 
 
 def _figure(width: float, height: float):  # type: ignore[no-untyped-def]
@@ -255,18 +258,22 @@ def _page(diagnosis: Diagnosis, title: str, pictures: dict[str, bytes]) -> str:
 
 
 def _gap_table(diagnosis: Diagnosis) -> str:
-    rows = [("all rows", diagnosis.before, diagnosis.after)]
-    if diagnosis.held_out is not None:
-        rows.append((f"{diagnosis.held_out.rows} held-out rows", diagnosis.held_out.before, diagnosis.held_out.after))
+    held = diagnosis.held_out
+    rows = [("all rows", diagnosis.before, diagnosis.after, None)]
+    if held is not None:
+        rows.append((f"{held.rows} rows kept aside", held.before, held.after, held.f_interval))
     head = ("", "rms before", "rms after", "% of max before", "after", "F before", "F after")
     out = "<table><tr>" + "".join(f"<th>{h}</th>" for h in head) + "</tr>"
-    for name, before, after in rows:
+    for name, before, after, intervals in rows:
         f = [f"{m.lack_of_fit_f:.2f}" if m.lack_of_fit_f is not None else "" for m in (before, after)]
+        if intervals is not None:
+            f = [f"{value} ({low:.2f} to {high:.2f})" for value, (low, high) in zip(f, intervals, strict=True)]
         out += (
             f"<tr><td>{name}</td><td>{before.rms:.4g}</td><td>{after.rms:.4g}</td><td>{before.rms_over_max_pct:.2f}</td>"
             f"<td>{after.rms_over_max_pct:.2f}</td><td>{f[0]}</td><td>{f[1]}</td></tr>"
         )
-    return out + f"</table><p>Noise floor (rms of a perfect model): {diagnosis.noise_floor_rms:.4g}</p>"
+    floor = f"Noise floor (rms of a perfect model): {diagnosis.noise_floor_rms:.4g}. In brackets: 95 % intervals."
+    return out + f"</table><p>{floor}</p>"
 
 
 def _where_table(diagnosis: Diagnosis) -> str:
@@ -275,9 +282,8 @@ def _where_table(diagnosis: Diagnosis) -> str:
     out = "<table><tr><th>plate angle, deg</th><th>fill</th><th>speed, rpm</th><th>model minus measurement, %</th><th>p</th></tr>"
     for r in diagnosis.regions:
         out += (
-            f"<tr><td>{degrees(r.plate_angle_rad[0]):.0f} to {degrees(r.plate_angle_rad[1]):.0f}</td>"
-            f"<td>{r.fill[0]:.2f} to {r.fill[1]:.2f}</td>"
-            f"<td>{r.elevator_speed_rad_s[0] / RPM:.0f} to {r.elevator_speed_rad_s[1] / RPM:.0f}</td>"
+            f"<tr><td>{_range(r.plate_angle_rad, degrees(1.0), 0)}</td><td>{_range(r.fill, 1.0, 3)}</td>"
+            f"<td>{_range(r.elevator_speed_rad_s, 1.0 / RPM, 0)}</td>"
             f"<td>{r.mean_error_pct:+.1f}</td><td>{r.p_value:.3g}</td></tr>"
         )
     return out + "</table>"
@@ -312,5 +318,7 @@ def _plan_table(diagnosis: Diagnosis) -> str:
             f"<tr><td>{degrees(r.plate_angle_rad):.0f}</td><td>{r.mass_flow_kg_s:.1f}</td>"
             f"<td>{r.elevator_speed_rad_s / RPM:.0f}</td></tr>"
         )
-    pairs = "; ".join(f"{a} from {b}" for a, b in plan.separates)
-    return out + f"</table><p>Each three times. Separates {html.escape(pairs)} with power {plan.power:.2f}.</p>"
+    out += "</table><p>Each three times.</p><table><tr><th>separates</th><th>from</th><th>power at the 5 % level</th></tr>"
+    for (a, b), power in zip(plan.separates, plan.powers, strict=True):
+        out += f"<tr><td>{html.escape(a or 'no effect')}</td><td>{html.escape(b or 'no effect')}</td><td>{power:.2f}</td></tr>"
+    return out + "</table>"
