@@ -86,9 +86,9 @@ def plan(best: Fit, rivals: Sequence[Fit], noise: Noise, *, rows: int = 8) -> Pl
         for i in sorted(set(chosen))
     )
     pairs: dict[tuple[str, str], float] = {}
-    for rival, found in zip(rivals, power.tolist(), strict=True):
+    for rival, found in zip(rivals, np.atleast_1d(power), strict=True):
         pair = _different(best, rival)
-        pairs[pair] = min(pairs.get(pair, 1.0), found)
+        pairs[pair] = min(pairs.get(pair, 1.0), float(found))
     names = sorted(pairs)
     return Plan(picked, tuple(names), float(np.min(power)), tuple(pairs[name] for name in names))
 

@@ -17,11 +17,14 @@ from yieldmon.physics.effects import get_effect, registry
 from yieldmon.physics.machine import RPM
 from yieldmon.physics.numerics import Array
 
-from .diagnosis import Diagnosis, HeldOut
+from .diagnosis import Diagnosis, HeldOut, Measure
 from .experiment import Plan
 from .fit import Fit
 from .gap import Region
 from .selection import Step
+
+Intervals = tuple[tuple[float, float], tuple[float, float]]
+"""Of the lack of fit before and after."""
 
 _STYLE = (
     "body{font:15px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}table{border-collapse:collapse}"
@@ -259,7 +262,7 @@ def _page(diagnosis: Diagnosis, title: str, pictures: dict[str, bytes]) -> str:
 
 def _gap_table(diagnosis: Diagnosis) -> str:
     held = diagnosis.held_out
-    rows = [("all rows", diagnosis.before, diagnosis.after, None)]
+    rows: list[tuple[str, Measure, Measure, Intervals | None]] = [("all rows", diagnosis.before, diagnosis.after, None)]
     if held is not None:
         rows.append((f"{held.rows} rows kept aside", held.before, held.after, held.f_interval))
     head = ("", "rms before", "rms after", "% of max before", "after", "F before", "F after")
