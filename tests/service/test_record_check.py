@@ -31,6 +31,13 @@ def test_a_stretch_without_seconds_is_a_gap(times_s, gaps, gap_s):
     assert (check.gaps, check.gap_s) == (gaps, pytest.approx(gap_s))
 
 
+def test_a_second_with_the_machines_speed_in_place_of_a_measured_one_lacks_it():
+    check = RecordCheck()
+    for number, faults in enumerate(("", "SpeedMissing", "BusError SpeedMissing", "BusError"), 1):
+        check.take(replace(second(number, time_s=float(number)), **WHOLE, faults=faults, elevator_speed_rpm=400.0))
+    assert check.missing == {"elevator speed": 0.5}
+
+
 def test_seconds_without_samples_are_one_gap_and_count_for_nothing_else():
     check = RecordCheck()
     for time_s, coverage in ((1.0, 1.0), (2.0, 0.0), (3.0, 0.0), (4.0, 1.0)):

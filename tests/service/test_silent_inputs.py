@@ -34,7 +34,7 @@ FRAMES = [
         ("message: Wide", "it comes with an 11-bit identifier, the DBC gives it 29 bits"),
         ("message: Group, source: 5", "it comes from 17, 18 only"),
         ("message: Group, source: {identity_number: 9}", "no node with that NAME claims an address"),
-        ("message: Group, source: {function: 128}", "nodes 1, 2 all have that NAME"),
+        ("message: Group, source: {function: 128}", "nodes 1, 2 all fit that NAME"),
         ("message: Group, source: {identity_number: 7}", "it comes from 17, 18 only"),
     ],
 )
@@ -51,3 +51,27 @@ def test_what_comes_instead_is_said(mapped: str, said: str, tmp_path: Path, caps
     assert main(["check-config", str(config), "--log", str(log)]) == 2
     (line,) = [line for line in capsys.readouterr().err.splitlines() if "elevator_speed" in line]
     assert f"bus.log: elevator_speed: no frame of it: {said}; expected" in line
+
+
+@pytest.mark.parametrize(
+    ("scale", "said"),
+    [
+        ("scale: 100", "no usable value: it decodes to 40000 rpm; expected values that it can have; look at signal, unit, scale"),
+        ("not_available: [4000]", "no usable value; expected"),
+    ],
+)
+def test_what_cannot_be_true_is_said_with_its_value(
+    scale: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "bus.log"
+    with can.Logger(str(log)) as logger:
+        for number in range(5):
+            message = can.Message(timestamp=0.1 * number, arbitration_id=417, is_extended_id=False, data=DATA, channel="can0")
+            logger.on_message_received(message)
+    (tmp_path / "a.dbc").write_text(DBC)
+    config = tmp_path / "c.yaml"
+    config.write_text(f"signals:\n  elevator_speed: {{dbc: a.dbc, message: Narrow, signal: V, {scale}}}\n")
+    assert main(["check-config", str(config), "--log", str(log)]) == 2
+    assert f"bus.log: elevator_speed: {said}" in capsys.readouterr().err
+    assert main(["process", str(log), "--config", str(config), "--out", str(tmp_path / "x.csv")]) == 2
+    assert "no impact sensor" in capsys.readouterr().err

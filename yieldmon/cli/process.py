@@ -38,6 +38,9 @@ from yieldmon.units import Units
 _LONGEST_DELAY_S = 60
 _BEGINNING_BYTES = 1 << 16
 
+#: Share of a record's seconds from which on an input counts as not there.
+_MOSTLY = 0.5
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
@@ -297,7 +300,12 @@ def _line(document: ProcessSummary, units: Units) -> str:
     if document["faults"]:
         lines.append("faults: " + ", ".join(f"{code} {count} x" for code, count in document["faults"].items()))
     lines += record_lines(document)
-    if not document["zero_known"]:
+    if not document["zero_known"] and document.get("missing", {}).get("elevator speed", 0.0) > _MOSTLY:
+        lines.append(
+            "no mass: the elevator's speed does not come, and without it there is no zero; what comes is shown by "
+            "`yieldmon check-config CONFIG --log LOG`"
+        )
+    elif not document["zero_known"]:
         lines.append(
             "no mass: the log begins in grain, with no stretch of the elevator running empty, so there is no zero; --zero-mv "
             "gives a known one, as the table of an earlier log or `yieldmon status` has it"

@@ -36,7 +36,7 @@ _FORCES_N = np.geomspace(5.0, 500.0, 24)
 @dataclass(frozen=True)
 class QuantitySeen:
     """A quantity in a recording, in its own unit: samples or values and how many were usable, values per second, range, the
-    longest time without one, s, and the first values. None where there is nothing to say."""
+    longest time without one, s, the first values, and the range of all that was decoded. None where there is nothing to say."""
 
     unit: str
     values: int
@@ -46,6 +46,7 @@ class QuantitySeen:
     high: float | None
     largest_gap_s: float | None
     first: tuple[float, ...]
+    decoded: tuple[float, float] | None
 
 
 def aliasing_pct(configuration: Configuration) -> dict[str, float]:
@@ -113,7 +114,7 @@ def seen_in(configuration: Configuration, log: Path | str) -> tuple[dict[str, Qu
     """Each quantity in a recording, and how many messages of several frames lack one. Raises InputError for a log that cannot be
     read."""
     incomplete = 0
-    parts: dict[str, list[tuple[Array, Array]]] = {}
+    parts: dict[str, list[tuple[Array, Array, Array]]] = {}
     sources = configuration.signals.sources
     from yieldmon.bus.codec import Codec
     from yieldmon.service.bulk_processing import EndOfLog, Taking, stretches_of
@@ -131,29 +132,30 @@ def _impact_name(number: int) -> str:
     return "impact" if number == 0 else f"impact {number + 1}"
 
 
-def _take(run: FrameRun, configuration: Configuration, parts: dict[str, list[tuple[Array, Array]]]) -> None:
+def _take(run: FrameRun, configuration: Configuration, parts: dict[str, list[tuple[Array, Array, Array]]]) -> None:
     sources = configuration.signals.sources
     for number, (source, samples) in enumerate(zip(sources.impact, run.samples, strict=True)):
         if samples.places.size:
             lags = np.arange(len(source.signals) - 1, -1, -1) * source.interval_s
             times = run.times_s[samples.places][:, None] - lags
-            parts.setdefault(_impact_name(number), []).append((times.ravel(), samples.rows[:, 2:].ravel()))
+            values = samples.rows[:, 2:].ravel()
+            parts.setdefault(_impact_name(number), []).append((times.ravel(), values, values))
     by_message = {part.message: part for part in run.others}
     for entry in sources.inputs:
         part = by_message.get(entry.message)
         if part is not None and entry.signal in part.signals:
             values = part.signals[entry.signal] * entry.scale + entry.offset
             usable = QUANTITIES[entry.quantity].usable(values)
-            parts.setdefault(entry.quantity, []).append((part.times_s, np.where(usable, values, np.nan)))
+            parts.setdefault(entry.quantity, []).append((part.times_s, np.where(usable, values, np.nan), values))
 
 
-def _summary(name: str, parts: list[tuple[Array, Array]]) -> QuantitySeen:
+def _summary(name: str, parts: list[tuple[Array, Array, Array]]) -> QuantitySeen:
     unit = "mV" if name.startswith("impact") else QUANTITIES[name].unit
     if not parts:
-        return QuantitySeen(unit, 0, 0, None, None, None, None, ())
-    times, values = (np.concatenate(column) for column in zip(*parts, strict=True))
+        return QuantitySeen(unit, 0, 0, None, None, None, None, (), None)
+    times, values, decoded = (np.concatenate(column) for column in zip(*parts, strict=True))
     known = np.isfinite(values)
-    good, at = values[known], times[known]
+    good, at, finite = values[known], times[known], decoded[np.isfinite(decoded)]
     span_s = float(times[-1] - times[0])
     return QuantitySeen(
         unit=unit,
@@ -164,6 +166,7 @@ def _summary(name: str, parts: list[tuple[Array, Array]]) -> QuantitySeen:
         high=float(good.max()) if good.size else None,
         largest_gap_s=float(np.diff(at).max()) if good.size > 1 else None,
         first=tuple(good[:_FIRST].tolist()),
+        decoded=(float(finite.min()), float(finite.max())) if finite.size else None,
     )
 
 
@@ -175,7 +178,12 @@ def problems(configuration: Configuration, seen: dict[str, QuantitySeen], log: s
         if entry is not None and not entry.usable:
             what = "no usable value" if entry.values else "no frame of it"
             instead = _instead(configuration, name, log) if not entry.values else None
-            found.append((f"{log}: {name}", f"{what}: {instead}" if instead else what, "values that the mapping decodes"))
+            if entry.values and entry.decoded is not None:
+                instead = "it decodes to " + " to ".join(f"{end:.6g}" for end in dict.fromkeys(entry.decoded)) + f" {entry.unit}"
+            expected = (
+                "values that it can have; look at signal, unit, scale and range" if entry.values else "frames that are mapped"
+            )
+            found.append((f"{log}: {name}", f"{what}: {instead}".rstrip() if instead else what, expected))
     for number, source in enumerate(configuration.signals.sources.impact):
         rate_hz = seen[_impact_name(number)].rate_hz
         if rate_hz is not None and abs(rate_hz / source.rate_hz - 1.0) > RATE_TOLERANCE:

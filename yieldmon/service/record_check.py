@@ -5,15 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from yieldmon.documents import ProcessSummary
+from yieldmon.engine.faults import FaultCode
 from yieldmon.service.rows import SecondRow
 
 _GAP_S = 0.5
 """Between one second's end and the next one's begin; more is a gap."""
+_SPEED = "elevator_speed_rpm"
 _INPUTS = {
     "moisture_pct": "moisture",
     "latitude_deg": "position",
     "ground_speed_m_s": "ground speed",
-    "elevator_speed_rpm": "elevator speed",
+    _SPEED: "elevator speed",
     "plate_angle_deg": "plate angle",
 }
 
@@ -50,7 +52,9 @@ class RecordCheck:
             return
         self.seconds += 1
         for name in _INPUTS:
-            self._unknown[name] += getattr(row, name) is None
+            # A second without a measured speed has the machine's.
+            unknown = name == _SPEED and FaultCode.SPEED_MISSING in (row.faults or "").split()
+            self._unknown[name] += unknown or getattr(row, name) is None
 
     @property
     def missing(self) -> dict[str, float]:

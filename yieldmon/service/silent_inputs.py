@@ -46,7 +46,7 @@ class Traffic:
         if isinstance(group.source, NameMatch):
             of_name = [address for address, name in self._holders if group.source.matches(name)]
             if len(of_name) != 1:
-                return f"nodes {_listed(of_name)} all have that NAME" if of_name else "no node with that NAME claims an address"
+                return f"nodes {_listed(of_name)} all fit that NAME" if of_name else "no node with that NAME claims an address"
         wanted = {i & _IDENTIFIER for i in self._identifiers if i & EXTENDED_FLAG}
         senders = sorted({identifier & 0xFF for identifier in wanted if group_of(identifier) == message.group})
         return f"it comes from {_listed(senders)} only" if senders else None

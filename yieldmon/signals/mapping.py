@@ -141,7 +141,8 @@ def _check_overlaps(bindings: Sequence[Binding]) -> None:
     for binding in bindings:
         if binding.message is None or binding.value is not None:
             continue
-        for signal in (*binding.signals, *filter(None, (binding.counter, binding.status))):
+        beside = (binding.counter, binding.status) if binding.is_impact else ()
+        for signal in (*binding.signals, *filter(None, beside)):
             key = (binding.dbc, binding.message, signal, str(binding.source), binding.mux)
             if key in seen and (signal in binding.signals or seen[key] is binding):
                 raise binding.refuse("signal", f"{signal} is bound to {seen[key].quantity} as well", "a signal of its own")
