@@ -42,7 +42,7 @@ class Coverage:
         finally:
             sys.settrace(before)
             threading.settrace(before)
-        return frozenset((*step, count.bit_length()) for step, count in self._counts.items()), raised
+        return frozenset((*step, count.bit_length()) for step, count in list(self._counts.items())), raised
 
     def _enter(self, frame: FrameType, event: str, arg: Any) -> Any:
         wanted = self._wanted.get(frame.f_code)

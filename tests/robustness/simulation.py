@@ -38,6 +38,7 @@ from unittest import mock
 from tests.service.test_store import second
 from yieldmon.engine.state import EngineState
 from yieldmon.engine.totals import Totals
+from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.service import recovery, rescue
 from yieldmon.service.retention import Retention
@@ -225,7 +226,7 @@ class Life:
         if self.writer._store is None or world.full or world.read_only or self.failing:
             self.owed = frozenset()
             return
-        with suppress(StoreError, sqlite3.Error), Store.reading(world.path) as store:
+        with suppress(StoreError, InputError, sqlite3.Error), Store.reading(world.path) as store:
             self.owed |= {row.number for row in store.seconds()}
 
     def look(self) -> None:
