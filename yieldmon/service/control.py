@@ -170,8 +170,8 @@ class _Server:
                     for key, _ in selector.select(_POLL_S):
                         if key.fileobj is self._listening:
                             self._accept(selector)
-                        elif self._asking.get(key.fd) is key.data:
-                            self._read(selector, key.data)
+                        elif (asking := self._asking.get(key.fd)) is not None and asking is key.data:
+                            self._read(selector, asking)
                         # Else cut off since the selection, for another's place.
                     now_s = monotonic()
                     for asking in [a for a in self._asking.values() if a.until_s <= now_s]:

@@ -123,7 +123,7 @@ class SideInputs:
         """Whether frames of these identifiers, with flags (n,), may concern this."""
         flags = np.uint32(EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG)
         found: NDArray[np.bool_] = self._concerned[identifiers >> np.uint32(8) & np.uint32(_MOST_GROUPS - 1)]
-        return found & ((identifiers & flags) == np.uint32(EXTENDED_FLAG))
+        return np.asarray(found & ((identifiers & flags) == np.uint32(EXTENDED_FLAG)), dtype=bool)
 
     def _rows(self, block: FrameBlock) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Rows that concern this: those of other groups than the DBC's, and those of the DBC's."""
