@@ -206,8 +206,9 @@ def to_dict(value: Any) -> dict[str, Any]:
     plain: dict[str, Any] = json.loads(json.dumps(asdict(value)))
     machine = plain.get("machine")
     if isinstance(machine, dict):
-        # Neither bears on a throw.
+        # None of these bears on a throw.
         machine.pop("implement", None)
+        machine.pop("plate_travel_m", None)
         machine.get("sensor", {}).pop("response_s", None)
     if isinstance(value, Throw) and value.grain.kernel == "sphere":
         del plain["grain"]["kernel"]

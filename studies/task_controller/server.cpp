@@ -1,25 +1,18 @@
-// A task controller server of AgIsoStack++ on a UDP port of this machine: each datagram is a frame (identifier, big-endian; length;
-// data). It takes every pool, asks for each process data of it that can come by time once a second, and prints what it gets.
+// A task controller server of AgIsoStack++ on SocketCAN. It takes every pool, asks for each process data of it that can come by time
+// once a second, and prints what it gets.
 
 #include "isobus/hardware_integration/can_hardware_interface.hpp"
-#include "isobus/hardware_integration/can_hardware_plugin.hpp"
+#include "isobus/hardware_integration/socket_can_interface.hpp"
 #include "isobus/isobus/can_network_manager.hpp"
 #include "isobus/isobus/can_stack_logger.hpp"
 #include "isobus/isobus/isobus_device_descriptor_object_pool.hpp"
 #include "isobus/isobus/isobus_preferred_addresses.hpp"
 #include "isobus/isobus/isobus_task_controller_server.hpp"
 
-#include <arpa/inet.h>
-#include <sys/socket.h>
-#include <sys/time.h>
-#include <unistd.h>
-
 #include <atomic>
 #include <chrono>
 #include <csignal>
 #include <cstdio>
-#include <cstdlib>
-#include <cstring>
 #include <iostream>
 #include <mutex>
 #include <thread>
@@ -44,75 +37,6 @@ namespace
 		std::printf("\n");
 		std::fflush(stdout);
 	}
-
-	class UdpDriver : public isobus::CANHardwarePlugin
-	{
-	public:
-		UdpDriver(int ownPort, int peerPort) :
-		  ownPort(ownPort), peerPort(peerPort) {}
-		std::string get_name() const override { return "UDP"; }
-		bool get_is_valid() const override { return handle >= 0; }
-		void close() override
-		{
-			if (handle >= 0)
-			{
-				::close(handle);
-			}
-			handle = -1;
-		}
-		void open() override
-		{
-			handle = ::socket(AF_INET, SOCK_DGRAM, 0);
-			const sockaddr_in own = address(ownPort);
-			timeval patience{ 0, 100000 };
-			::setsockopt(handle, SOL_SOCKET, SO_RCVTIMEO, &patience, sizeof patience);
-			if (::bind(handle, reinterpret_cast<const sockaddr *>(&own), sizeof own) != 0)
-			{
-				close();
-			}
-		}
-		bool read_frame(isobus::CANMessageFrame &frame) override
-		{
-			std::uint8_t bytes[16];
-			const ssize_t count = ::recv(handle, bytes, sizeof bytes, 0);
-			if (count < 5 || count != 5 + bytes[4] || bytes[4] > 8)
-			{
-				return false;
-			}
-			std::uint32_t identifier;
-			std::memcpy(&identifier, bytes, 4);
-			frame.timestamp_us = static_cast<std::uint64_t>(1e6 * seconds());
-			frame.identifier = ntohl(identifier);
-			frame.isExtendedFrame = true;
-			frame.dataLength = bytes[4];
-			std::memcpy(frame.data, bytes + 5, bytes[4]);
-			return true;
-		}
-		bool write_frame(const isobus::CANMessageFrame &frame) override
-		{
-			std::uint8_t bytes[16];
-			const std::uint32_t identifier = htonl(frame.identifier);
-			std::memcpy(bytes, &identifier, 4);
-			bytes[4] = frame.dataLength;
-			std::memcpy(bytes + 5, frame.data, frame.dataLength);
-			const sockaddr_in peer = address(peerPort);
-			const ssize_t length = 5 + frame.dataLength;
-			return ::sendto(handle, bytes, length, 0, reinterpret_cast<const sockaddr *>(&peer), sizeof peer) == length;
-		}
-
-	private:
-		static sockaddr_in address(int port)
-		{
-			sockaddr_in made{};
-			made.sin_family = AF_INET;
-			made.sin_port = htons(static_cast<std::uint16_t>(port));
-			made.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-			return made;
-		}
-		int ownPort;
-		int peerPort;
-		int handle = -1;
-	};
 
 	class Log : public isobus::CANStackLogger
 	{
@@ -234,9 +158,9 @@ namespace
 
 int main(int count, char **arguments)
 {
-	if (count != 3)
+	if (count != 2)
 	{
-		std::fprintf(stderr, "usage: server OWN_PORT PEER_PORT\n");
+		std::fprintf(stderr, "usage: server CHANNEL\n");
 		return 2;
 	}
 	std::signal(SIGTERM, [](int) { running = false; });
@@ -244,12 +168,12 @@ int main(int count, char **arguments)
 	static Log log;
 	isobus::CANStackLogger::set_can_stack_logger_sink(&log);
 	isobus::CANStackLogger::set_log_level(isobus::CANStackLogger::LoggingLevel::Info);
-	auto driver = std::make_shared<UdpDriver>(std::atoi(arguments[1]), std::atoi(arguments[2]));
+	auto driver = std::make_shared<isobus::SocketCANInterface>(arguments[1]);
 	isobus::CANHardwareInterface::set_number_of_can_channels(1);
 	isobus::CANHardwareInterface::assign_can_channel_frame_handler(0, driver);
 	if (!isobus::CANHardwareInterface::start() || !driver->get_is_valid())
 	{
-		std::fprintf(stderr, "the port cannot be used\n");
+		std::fprintf(stderr, "%s cannot be used\n", arguments[1]);
 		return 1;
 	}
 	isobus::NAME name(0);
