@@ -106,8 +106,12 @@ def judge(seed: int) -> list[str]:
     return wrong
 
 
+LOST_BY_A_MOVE = (916, 1672, 5449, 8657)
+"""A NAME comes from another address to the one that another node holds."""
+
+
 def test_one_owner_an_address_and_none_talks_without_one() -> None:
-    wrong = {seed: problems for seed in range(500) if (problems := judge(seed))}
+    wrong = {seed: problems for seed in (*range(500), *LOST_BY_A_MOVE) if (problems := judge(seed))}
     assert wrong == {}
 
 

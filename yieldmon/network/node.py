@@ -233,8 +233,9 @@ class Node:
             return
         address, name = identifier & 0xFF, Name.of_bytes(data)
         before = self._claim.counters()
+        left: int | None = None
         if int(name) != int(self.settings.name):
-            self._hear_move(address, name, now_s, heard)
+            left = self._left_address(address, name, now_s)
             self.addresses.claimed(address, name)
         heard.frames += self._claim.hear_claim(address, name, now_s)
         after = self._claim.counters()
@@ -243,12 +244,14 @@ class Node:
         if after.duplicates > before.duplicates:
             self._duplicate_s = now_s
         self._follow_address()
+        # After the claim, which may have cost us our own address.
+        if left is not None and self.address is not None:
+            heard.frames.append(request_frame(ADDRESS_CLAIMED, self.address, left))
 
-    def _hear_move(self, address: int, name: Name, now_s: float, heard: Heard) -> None:
+    def _left_address(self, address: int, name: Name, now_s: float) -> int | None:
+        """The address that a NAME has left with a claim, where it is to be asked for its claim."""
         held = self.addresses.address_of(name)
-        ours = self.address
-        if address < NULL_ADDRESS and self._moves.claimed(name, held, address, now_s) and ours is not None and held is not None:
-            heard.frames.append(request_frame(ADDRESS_CLAIMED, ours, held))
+        return held if address < NULL_ADDRESS and self._moves.claimed(name, held, address, now_s) else None
 
     def _follow_address(self) -> None:
         """Sessions end with the address that they were opened under."""
