@@ -123,9 +123,14 @@ def test_signals_in_bursts_are_taken_between_any_two_instructions(tmp_path: Path
         try:
             for _ in range(2000):
                 os.kill(os.getpid(), signal.SIGHUP)
-            bench.play(4, 0.0)
-            bench.played()
             wait_for(lambda: bench.status["configuration"]["reloads"] >= 1, "a reload")
+
+            def measures() -> bool:
+                """A reload that is still to come begins with no windows."""
+                bench.play(1, 0.0)
+                return len(bench.rows) >= 3
+
+            wait_for(measures, "three windows")
         finally:
             signal.signal(signal.SIGHUP, before)
         assert bench.status["configuration"]["reloads"] <= 2000
