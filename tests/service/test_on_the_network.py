@@ -12,7 +12,7 @@ import j1939
 import pytest
 
 from tests.network.task_server import TaskServer
-from tests.service.bench import Bench, running, wait_for
+from tests.service.bench import Bench, encoded, running, traffic, wait_for
 from yieldmon.bus.logs import read_log
 from yieldmon.network.identifier import (
     ACKNOWLEDGEMENT,
@@ -105,6 +105,33 @@ def test_a_lower_name_takes_the_address_and_frames_follow(tmp_path: Path) -> Non
         bench.played()
         assert sent(bench)
         assert {parts.source for parts, _ in sent(bench)} == {taken}
+
+
+@pytest.mark.parametrize("name", ["FFFFFFFFFFFFFFFF", "0000000000000000"], ids=["higher", "lower"])
+def test_a_hostile_node_stops_nothing(tmp_path: Path, name: str) -> None:
+    """Each 4 ms four claims of our address and a request, each 20 ms a transport session that never goes on, by every node."""
+    with running(tmp_path, TEXT) as bench:
+        claimed(bench)
+        bench.play(10, 0.0)
+        for second in range(8):
+            start_s = bench.now_s
+            for number, frame in enumerate(traffic(start_s, 1.0, 60.0)):
+                bench.peer.send(encoded(frame))
+                address = bench.daemon.snapshot["network"]["address"] or US
+                for hostile, text in [(0x18EEFF00 | address, name)] * 4 + [(0x18EA0017 | address << 8, "00EE00")]:
+                    bench.peer.send(can.Message(arbitration_id=hostile, data=bytes.fromhex(text), timestamp=frame.time_s))
+                if number % 5 == 0:
+                    opening = 0x18EC0000 | address << 8 | (number + 7 * second) % 254
+                    data = bytes.fromhex("10FF0024FF00CB00")
+                    bench.peer.send(can.Message(arbitration_id=opening, data=data, timestamp=frame.time_s))
+            bench.now_s = start_s + 1.0
+            bench.played()
+        status = bench.status
+        rows = status["windows"][-7:]
+        assert [row["coverage"] for row in rows] == pytest.approx([1.0] * 7, abs=1e-3)
+        assert sum(row["lost_frames"] + row["surplus_frames"] + row["repeated_frames"] for row in rows) == 0
+        assert all(row["mass_kg"] > 0.0 for row in rows[-4:])
+        assert "NetworkFault" in bench.faults
 
 
 def test_network_off_sends_as_the_dbc_says(tmp_path: Path) -> None:
