@@ -15,8 +15,9 @@ class GateInputs:
     """One window as the gate sees it.
 
     force_n: mean, zero taken off (nan: unknown). pulses: in this window, beyond vibration. looks_empty, looks_loaded: verdicts of
-    the last windows together. speed_in_range: the elevator turns at a speed at which grain is measured. idle_s: how long header,
-    work state or ground speed have said that no crop is taken in (0: they do not say so, or are not fitted).
+    the windows before this one together; its own pulses overrule looks_empty. speed_in_range: the elevator turns at a speed at
+    which grain is measured. idle_s: how long header, work state or ground speed have said that no crop is taken in (0: they do
+    not say so, or are not fitted).
     """
 
     force_n: float
@@ -37,7 +38,7 @@ class HarvestGate:
 
     def grain(self, inputs: GateInputs) -> bool:
         """Whether a window holds grain."""
-        if inputs.looks_empty:
+        if inputs.looks_empty and not inputs.pulses:
             return False
         if inputs.force_n > self._settings.certain_force_n:
             return True
