@@ -87,6 +87,34 @@ def test_size_and_shift_of_the_pulses_do_not_matter() -> None:
     assert second.volume_flow_m3_s == pytest.approx(first.volume_flow_m3_s, rel=2e-3)
 
 
+@pytest.mark.parametrize("indexed", [False, True])
+@pytest.mark.parametrize(
+    ("flow_kg_s", "angle_deg", "rpm"), [(1.0, 70.0, 400.0), (8.0, 47.3, 331.0), (18.0, 88.0, 452.0), (25.0, 63.0, 390.0)]
+)
+def test_linearised_harmonics_are_those_of_the_stages(flow_kg_s: float, angle_deg: float, rpm: float, indexed: bool) -> None:
+    """Value and every derivative against differences of `waves`, which computes the throw itself."""
+    law = pulse_shape.ArrivalLaw(
+        (0.1, 0.05, 0.02, 0.01, -0.02, 0.01), (np.log(0.004), 0.3, 0.1, 0.02, 0.03, -0.02), (0.04, 0.04, 0.001),
+        (0.002, 0.001, -0.001, 5e-4, 2e-4, 1e-4), 1e-3,
+    )  # fmt: skip
+    model, where = pulses(arrival=law, indexed=indexed), (rpm * RPM, float(np.deg2rad(angle_deg)))
+    moved = np.array([0.03, 0.2, -0.02, 0.1, -0.2, 0.05, 0.01, 0.3, 0.02, -0.03])
+    theta = model.start(flow_kg_s / 1100.0) + moved
+    at, size = model.linearised(theta, *where), np.abs(model.waves(theta, *where)).max()
+    assert np.abs(at.waves - model.waves(theta, *where)).max() < 2e-4 * size
+    for i, step in enumerate(np.diag(np.full(theta.size, 1e-4))):
+        expected = (model.waves(theta + step, *where) - model.waves(theta - step, *where)) / 2e-4
+        assert np.abs(at.jacobian[:, i] - expected).max() < 0.02 * np.abs(expected).max()
+
+
+def test_what_was_looked_at_before_changes_no_estimate() -> None:
+    where, fresh, used = (SPEED, HOME), pulses(), pulses()
+    for flow in np.geomspace(2.0, 20.0, 7):
+        used.linearised(used.start(flow / 1100.0), *where)
+    theta = fresh.start(8.0 / 1100.0)
+    assert np.array_equal(used.linearised(theta, *where).jacobian, fresh.linearised(theta, *where).jacobian)
+
+
 @pytest.mark.parametrize(("flow_kg_s", "angle_deg", "rpm"), [(8.0, 70.0, 400.0), (18.0, 90.0, 450.0)])
 def test_scatter_of_the_estimate_is_what_fisher_information_says(flow_kg_s: float, angle_deg: float, rpm: float) -> None:
     model = pulses()

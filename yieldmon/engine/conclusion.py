@@ -61,7 +61,7 @@ class Conclusion:
         flow = parts.flow_meter.flow(reading, estimate, estimator, circumstances)
         if parts.waveform is None:
             return flow, NOTHING
-        seen = parts.waveform.see(reading, flow.rate_kg_s, flow.std_dev_kg_s, estimator)
+        seen = parts.waveform.see(reading, flow, estimator)
         if parts.settings.waveform.combine and seen.combined_kg_s > 0.0:
             flow = replace(flow, rate_kg_s=seen.combined_kg_s, std_dev_kg_s=seen.combined_std_dev_kg_s)
         return flow, seen

@@ -8,10 +8,12 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, replace
 from math import exp, hypot, isfinite, log, sqrt
+from statistics import median
 
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.engine.flow import Flow
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.records import FlowEstimator
 from yieldmon.engine.settings import WaveformSettings
@@ -111,12 +113,12 @@ class Waveform:
         self._differences: deque[tuple[float, float]] = deque(maxlen=settings.contradiction_windows)
         self._stretches: deque[float] = deque(maxlen=settings.contradiction_windows)
 
-    def see(self, reading: Reading, rate_kg_s: float, std_dev_kg_s: float, estimator: FlowEstimator) -> WaveformReading:
-        """The window's own word beside that of the mean force (nan: none)."""
-        self.last = self._seen(reading, rate_kg_s, std_dev_kg_s, estimator)
+    def see(self, reading: Reading, flow: Flow, estimator: FlowEstimator) -> WaveformReading:
+        """The window's own word beside flow, that of the mean force."""
+        self.last = self._seen(reading, flow, estimator)
         return self.last
 
-    def _seen(self, reading: Reading, rate_kg_s: float, std_dev_kg_s: float, estimator: FlowEstimator) -> WaveformReading:
+    def _seen(self, reading: Reading, flow: Flow, estimator: FlowEstimator) -> WaveformReading:
         trace = reading.window.trace
         if trace is None:
             return WaveformReading(shape_reason=_NO_TRACE, kernels_reason=_NO_TRACE)
@@ -132,13 +134,13 @@ class Waveform:
             self._see_empty(kernel_noise.density(force_n, trace.interval_s, segment=_SEGMENT), reading)
             return WaveformReading(shape_reason=_NO_GRAIN, kernels_reason=_NO_GRAIN)
         self._waiting.clear()
-        if not (isfinite(rate_kg_s) and rate_kg_s > 0.0 and reading.still):
+        if not (flow.rate_kg_s > 0.0 and reading.still):
             self._last = None
             return WaveformReading(shape_reason=_NOT_STILL, kernels_reason=_NOT_STILL)
         folded = fold(force_n, trace.phase, bins=_BINS)
         shape = self._shape(folded, reading, estimator)
         kernels = None if shape is None else self._kernels(force_n, self._aligned(trace, shape, reading), reading.force_n)
-        return self._judged(reading, rate_kg_s, std_dev_kg_s, estimator, shape, kernels)
+        return self._judged(reading, flow, estimator, shape, kernels)
 
     def _see_empty(self, shown: Density, reading: Reading) -> None:
         """A window of the empty machine counts once grain has neither just gone nor comes with the next windows."""
@@ -240,18 +242,18 @@ class Waveform:
     def _judged(
         self,
         reading: Reading,
-        rate: float,
-        std_dev: float,
+        mean_flow: Flow,
         estimator: FlowEstimator,
         shape: PulseEstimate | None,
         kernels: KernelImpulse | None,
     ) -> WaveformReading:
+        rate, std_dev = mean_flow.rate_kg_s, mean_flow.std_dev_kg_s
         seen = WaveformReading(mean_kg_s=rate, mean_std_dev_kg_s=std_dev, kernel_weight_g=self._weight_g(reading) or _NAN)
         if shape is not None and isfinite(shape.volume_flow_m3_s):
             parameters = estimator.parameters
             flow = shape.volume_flow_m3_s * parameters.values["density"]
             flow_sd = flow * hypot(shape.relative_sd, sqrt(relative_covariance(parameters)[0]))
-            exponent = _exponent(reading, rate, estimator)
+            exponent = _exponent(mean_flow)
             together = combine(rate, std_dev / rate, flow, shape.relative_sd, exponent=exponent, parameters=parameters)
             seen = replace(
                 seen,
@@ -303,14 +305,14 @@ class Waveform:
         slope = shape.covariance[flow, stretch] / shape.covariance[flow, flow]
         moved = shape.values["log_stretch"] + slope * log(volume_flow_m3_s / shape.volume_flow_m3_s)
         self._stretches.append(self._settings.stretch * exp(moved))
-        return float(np.median(self._stretches))
+        return median(self._stretches)
 
     def _contradiction(self, z: float, misfit: float) -> str:
         if isfinite(z):
             self._differences.append((z, min(misfit, _NO_FIT)))
         if len(self._differences) < self._settings.contradiction_windows:
             return ""
-        seen, off = (float(np.median(column)) for column in zip(*self._differences, strict=True))
+        seen, off = (median(column) for column in zip(*self._differences, strict=True))
         if abs(seen) > self._settings.contradiction_z:
             return f"pulse shape and mean force differ by {abs(seen):.1f} standard deviations"
         if off > self._settings.largest_misfit:
@@ -323,18 +325,9 @@ def _usable(found: PulseEstimate) -> bool:
     return found.converged or (isfinite(found.misfit) and found.misfit < _FITS)
 
 
-def _exponent(reading: Reading, rate: float, estimator: FlowEstimator) -> float:
-    """d ln(force) / d ln(flow) from the estimator's own answer to a little more force."""
-    more = 1.02
-    window = reading.window
-    found = estimator.estimate(
-        np.array([reading.force_n * more]),
-        np.array([window.plate_angle_rad]),
-        np.array([window.speed_rad_s]),
-        np.array([reading.force_std_dev_n]),
-        np.array([reading.inputs.fresh["moisture"]]),
-    )
-    other = float(np.ravel(found.mass_flow_kg_s)[0])
-    if not (isfinite(other) and other > rate > 0.0):
+def _exponent(flow: Flow) -> float:
+    """d ln(force) / d ln(flow), from what the force's noise is worth in flow."""
+    noise_kg_s, noise_n = flow.budget.noise_kg_s, flow.force_std_dev_n
+    if not (noise_kg_s > 0.0 and noise_n > 0.0 and flow.force_n > 0.0) or flow.saturated:
         return 0.7
-    return float(np.clip(np.log(more) / np.log(other / rate), 0.2, 1.5))
+    return min(max(noise_n / noise_kg_s * flow.rate_kg_s / flow.force_n, 0.2), 1.5)

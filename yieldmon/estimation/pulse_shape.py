@@ -17,7 +17,9 @@ import numpy as np
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import AnyArray, Array
-from yieldmon.physics.pulse import arrivals, spectrum
+from yieldmon.physics.pulse import Arrivals, arrivals, spectrum
+
+from .arrival_expansion import SHAPES, ArrivalExpansions, spectrum_and_slopes
 
 SHAPE_NAMES = ("log_volume_flow", "log_friction", "log_shape_ratio", "log_stretch", "log_tail")
 """Parameters that move the pulse before the cell; natural logarithms, so that a change is a relative one."""
@@ -40,6 +42,7 @@ _SCAN = np.geomspace(0.06, 0.9, 16)
 """Fills (load over a full paddle) at which a start is looked for."""
 _SHIFTS = 256
 _INDEX_REACH_S = 0.015
+_LEAST_FILL = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,8 +87,19 @@ class ArrivalLaw:
         return np.asarray(np.exp(_features(fill, plate_angle_rad) @ np.asarray(self.tail)))
 
 
+def _law(coefficients: tuple[float, ...], fill: Array, plate_angle_rad: float) -> tuple[Array, Array]:
+    """A law's value at fills, and its derivative by ln fill."""
+    one, line, cos_one, cos_line, cos_square, square = coefficients
+    cos = float(np.cos(plate_angle_rad))
+    log_fill = np.log(np.clip(fill, _LEAST_FILL, 1.0))
+    slope = line + cos_line * cos
+    value = one + cos * (cos_one + cos_square * cos) + log_fill * (slope + square * log_fill)
+    inside = (fill >= _LEAST_FILL) & (fill <= 1.0)
+    return np.asarray(value), np.where(inside, slope + 2.0 * square * log_fill, 0.0)
+
+
 def _features(fill: AnyArray, plate_angle_rad: float) -> Array:
-    log_fill = np.log(np.clip(fill, 0.02, 1.0))
+    log_fill = np.log(np.clip(fill, _LEAST_FILL, 1.0))
     cos = np.full(log_fill.shape, np.cos(plate_angle_rad))
     return np.stack((np.ones_like(cos), log_fill, cos, cos * log_fill, cos * cos, log_fill * log_fill), axis=-1)
 
@@ -227,6 +241,8 @@ class PulseModel:
         self._places = np.cumsum(self._gaps)
         size = self.machine.paddle_width_m * self.machine.paddle_length_m**2
         self.full_paddle_kg = 0.5 * self.parameters["shape_ratio"] * self.parameters["density"] * size
+        self._free_shapes: list[int] = np.flatnonzero(self.prior_sd(1.0)[:_SHAPES] > 0.0).tolist()
+        self._expansions = ArrivalExpansions(self._arrivals)
 
     def fundamental_rad_s(self, elevator_speed_rad_s: float) -> float:
         """Angular frequency of the paddle pattern."""
@@ -257,26 +273,78 @@ class PulseModel:
         precision = np.diag(np.where(free, np.where(free, sd, 1.0) ** -2.0, 0.0))
         first, second, both = self.settings.arrival.covariance
         if first > 0.0 and second > 0.0:
-            block = np.linalg.inv(np.array([[first, both], [both, second]]))
+            block = np.array([[second, -both], [-both, first]]) / (first * second - both * both)
             precision[_STRETCH : _TAIL + 1, _STRETCH : _TAIL + 1] = block
         return precision
 
-    def shapes(self, theta: Array, elevator_speed_rad_s: float, plate_angle_rad: float) -> AnyArray:
-        """Spectra (batch, paddles, k) of pulses before the cell for shape parameters theta (batch, 5)."""
-        flow, friction, ratio, stretch, tail = (np.exp(theta[:, i])[:, None] for i in range(_SHAPES))
+    def _arrivals(self, points: Array) -> Arrivals:
+        """Arrivals (m, paddles, nodes) at points (m, 5): ln volume flow, ln friction, ln shape ratio, ln speed, plate angle."""
+        flow, friction, ratio, speed_rad_s = (np.exp(points[:, i])[:, None] for i in range(4))
         values: dict[str, object] = dict(self.parameters)
         values["friction"], values["shape_ratio"] = friction, ratio
-        throw = self.model.throw(plate_angle_rad, elevator_speed_rad_s, values)  # type: ignore[arg-type]
-        speed = self.machine.paddle_speed_m_s(elevator_speed_rad_s)
-        mass = flow * self.parameters["density"] * self._gaps / speed
-        parts = arrivals(throw, mass, edge_release=self.settings.edge_release)
-        omega = self.fundamental_rad_s(elevator_speed_rad_s) * np.arange(1.0, self.settings.harmonics + 1.0)
-        fill, law = mass / self.full_paddle_kg, self.settings.arrival
+        throw = self.model.throw(points[:, 4:5], speed_rad_s, values)  # type: ignore[arg-type]
+        mass = flow * self.parameters["density"] * self._gaps / self.machine.paddle_speed_m_s(speed_rad_s)
+        return arrivals(throw, mass, edge_release=self.settings.edge_release)
+
+    def _fill(self, flow: Array, elevator_speed_rad_s: float) -> Array:
+        """Loads over a full paddle."""
+        mass = flow * self.parameters["density"] * self._gaps / self.machine.paddle_speed_m_s(elevator_speed_rad_s)
+        return np.asarray(mass / self.full_paddle_kg)
+
+    def _omega(self, elevator_speed_rad_s: float) -> Array:
+        return np.asarray(self.fundamental_rad_s(elevator_speed_rad_s) * np.arange(1.0, self.settings.harmonics + 1.0))
+
+    def shapes(self, theta: Array, elevator_speed_rad_s: float, plate_angle_rad: float) -> AnyArray:
+        """Spectra (batch, paddles, k) of pulses before the cell for shape parameters theta (batch, 5)."""
+        flow, stretch, tail = (np.exp(theta[:, i])[:, None] for i in (_FLOW, _STRETCH, _TAIL))
+        given = np.broadcast_to([np.log(elevator_speed_rad_s), plate_angle_rad], (len(theta), 2))
+        parts = self._arrivals(np.concatenate((theta[:, :SHAPES], given), axis=1))
+        omega = self._omega(elevator_speed_rad_s)
+        fill, law = self._fill(flow, elevator_speed_rad_s), self.settings.arrival
         waves = spectrum(parts, omega, stretch * np.exp(law.log_stretch(fill, plate_angle_rad)))
         late = (tail * law.tail_s(fill, plate_angle_rad))[..., None]
         if self.settings.indexed:
             waves = waves * np.exp(-1j * omega * law.delay_s(fill, plate_angle_rad)[..., None])
         return np.asarray(waves / (1.0 + 1j * omega * late))
+
+    def _shapes_and_slopes(
+        self, theta: Array, elevator_speed_rad_s: float, plate_angle_rad: float, free: list[int]
+    ) -> tuple[AnyArray, AnyArray]:
+        """Spectra (paddles, k), and their derivatives (free, paddles, k)."""
+        given = (np.log(elevator_speed_rad_s), plate_angle_rad)
+        expanded = self._expansions.at(np.array([*theta[:SHAPES], *given])) if np.all(np.isfinite(theta[:SHAPES])) else None
+        if expanded is None:
+            return self._by_differences(theta, elevator_speed_rad_s, plate_angle_rad, free)
+        omega, law = self._omega(elevator_speed_rad_s), self.settings.arrival
+        fill = self._fill(np.exp(theta[_FLOW]), elevator_speed_rad_s)
+        log_stretch, by_fill = _law(law.stretch, fill, plate_angle_rad)
+        by_stretch = np.zeros((_SHAPES, self._gaps.size))
+        by_stretch[_FLOW], by_stretch[_STRETCH] = by_fill, 1.0
+        base = self.fundamental_rad_s(elevator_speed_rad_s)
+        waves = spectrum_and_slopes(expanded, base, omega.size, np.exp(theta[_STRETCH] + log_stretch), by_stretch)
+        if self.settings.indexed:
+            delay_s, by_fill = _law(law.delay, fill, plate_angle_rad)
+            waves = waves * np.exp(-1j * np.outer(delay_s, omega))
+            waves[1 + _FLOW] -= 1j * np.outer(by_fill, omega) * waves[0]
+        if law.tail is not None:
+            log_tail, by_fill = _law(law.tail, fill, plate_angle_rad)
+            lag = 1j * np.outer(np.exp(theta[_TAIL] + log_tail), omega)
+            waves /= 1.0 + lag
+            late = lag / (1.0 + lag) * waves[0]
+            waves[1 + _TAIL] -= late
+            waves[1 + _FLOW] -= by_fill[:, None] * late
+        return waves[0], waves[1:][free]
+
+    def _by_differences(
+        self, theta: Array, elevator_speed_rad_s: float, plate_angle_rad: float, free: list[int]
+    ) -> tuple[AnyArray, AnyArray]:
+        """The same by central differences of the stages themselves, in one batch."""
+        batch = np.repeat(theta[None, :_SHAPES], 1 + 2 * len(free), axis=0)
+        for row, i in enumerate(free):
+            batch[1 + 2 * row, i] += _STEP
+            batch[2 + 2 * row, i] -= _STEP
+        found = self.shapes(batch, elevator_speed_rad_s, plate_angle_rad)
+        return found[0], (found[1::2] - found[2::2]) / (2.0 * _STEP)
 
     def _joined(self, shapes: AnyArray, theta: Array, elevator_speed_rad_s: float) -> tuple[AnyArray, AnyArray]:
         """Each paddle's part (batch, paddles, k) of the pattern's harmonics behind the cell, and 1 + scatter applied."""
@@ -296,20 +364,15 @@ class PulseModel:
         return np.asarray(self._joined(shapes, theta, elevator_speed_rad_s)[1][0].sum(axis=0))
 
     def linearised(self, theta: Array, elevator_speed_rad_s: float, plate_angle_rad: float) -> _Linear:
-        """Harmonics and their derivatives; the shape's by central differences in one batch, the rest in closed form."""
-        free = np.flatnonzero(self.prior_sd(1.0)[:_SHAPES] > 0.0).tolist()
-        batch = np.repeat(theta[None, :_SHAPES], 1 + 2 * len(free), axis=0)
-        for row, i in enumerate(free):
-            batch[1 + 2 * row, i] += _STEP
-            batch[2 + 2 * row, i] -= _STEP
-        shapes = self.shapes(batch, elevator_speed_rad_s, plate_angle_rad)
-        plain, scattered = self._joined(shapes, theta, elevator_speed_rad_s)
+        """Harmonics and their derivatives: the throw's by an expansion (`ArrivalExpansions`), the rest in closed form."""
+        free = self._free_shapes
+        shape, slopes = self._shapes_and_slopes(theta, elevator_speed_rad_s, plate_angle_rad, free)
+        plain, scattered = self._joined(np.concatenate((shape[None], slopes)), theta, elevator_speed_rad_s)
         sums = scattered.sum(axis=1)
         waves = sums[0]
-        omega = self.fundamental_rad_s(elevator_speed_rad_s) * np.arange(1.0, waves.size + 1.0)
+        omega = self._omega(elevator_speed_rad_s)
         jacobian = np.zeros((waves.size, len(self.names)), dtype=complex)
-        for row, i in enumerate(free):
-            jacobian[:, i] = (sums[1 + 2 * row] - sums[2 + 2 * row]) / (2.0 * _STEP)
+        jacobian[:, free] = sums[1:].T
         lag = 1j * omega * np.exp(theta[_CELL])
         jacobian[:, _CELL] = -2.0 * lag / (1.0 + lag) * waves
         jacobian[:, _SHIFT] = -1j * omega * waves

@@ -1,0 +1,177 @@
+"""Arrivals near a point, from a second-order expansion that is worked out once for a cell of a grid.
+
+Between one window and the next flow, friction, heap shape, speed and plate angle hardly move. A cell's expansion needs 31 throws
+and two to check it; an answer from it is two products of small matrices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from yieldmon.physics.numerics import AnyArray, Array
+from yieldmon.physics.pulse import Arrivals
+
+CELL = np.array([0.08, 0.2, 0.1, 0.04, 0.03])
+"""Width of a cell: ln volume flow, ln friction, ln shape ratio, ln elevator speed, plate angle (rad)."""
+SHAPES = 3
+"""The first of them are fitted; speed and angle are given."""
+_SIZE = CELL.size
+_PAIRS = [(i, j) for i in range(_SIZE) for j in range(i + 1, _SIZE)]
+_FIRST, _SECOND = np.array([i for i, _ in _PAIRS]), np.array([j for _, j in _PAIRS])
+_CELLS_KEPT = 256
+_LARGEST_ERROR = 1e-3
+"""Of the expansion at two corners of the cell: of the impulse, and of the arrival times in the pulse's standard deviations."""
+
+
+@dataclass(frozen=True, slots=True)
+class Expanded:
+    """Arrivals at a point and their derivatives; arrays (4, paddles, nodes), first the value, then one for each fitted parameter.
+
+    Attributes
+    ----------
+    impulse_n_s, middle_s, half_width_s : ndarray
+        As in `Arrivals`.
+    """
+
+    impulse_n_s: Array
+    middle_s: Array
+    half_width_s: Array
+
+
+@dataclass(frozen=True, slots=True)
+class _Cell:
+    """Value (n,), slopes (5, n) and bends (5, 5 n) of n quantities at a cell's centre."""
+
+    value: Array
+    slopes: Array
+    bends: Array
+
+    def at(self, move: Array) -> tuple[Array, Array]:
+        """Value and slopes, a move (5,) away."""
+        slopes = self.slopes + (move @ self.bends).reshape(self.slopes.shape)
+        return self.value + 0.5 * (move @ (self.slopes + slopes)), slopes
+
+
+class ArrivalExpansions:
+    """Expansions by cell, the last few hundred kept.
+
+    Parameters
+    ----------
+    exact : callable
+        Points (m, 5) in the order of `CELL` to arrivals (m, paddles, nodes).
+    """
+
+    def __init__(self, exact: Callable[[Array], Arrivals]) -> None:
+        self._exact = exact
+        self._cells: dict[tuple[int, ...], _Cell | None] = {}
+        self._shape: tuple[int, ...] = ()
+
+    def at(self, point: Array) -> Expanded | None:
+        """Arrivals at a point (5,); None where the model is not smooth enough, or has no value, somewhere in its cell.
+
+        The answer depends on the point alone, not on what was asked before.
+        """
+        place = np.rint(point / CELL)
+        key = tuple(place.astype(int).tolist())
+        if key not in self._cells:
+            if len(self._cells) >= _CELLS_KEPT:
+                self._cells.pop(next(iter(self._cells)))
+            self._cells[key] = self._expansion(place * CELL)
+        cell = self._cells[key]
+        if cell is None:
+            return None
+        value, slopes = cell.at(point / CELL - place)
+        found = np.concatenate((value[None], slopes[:SHAPES] / CELL[:SHAPES, None])).reshape(1 + SHAPES, 3, *self._shape)
+        return Expanded(found[:, 0], found[:, 1], found[:, 2])
+
+    def _expansion(self, centre: Array) -> _Cell | None:
+        """Of impulse, middle and half width of all nodes, in widths of the cell from its centre."""
+        half = 0.5
+        unit = half * np.eye(_SIZE)
+        both = unit[_FIRST] + unit[_SECOND]
+        corners = half * np.array([np.ones(_SIZE), [1, -1, 1, -1, 1]])
+        moves = np.concatenate((np.zeros((1, _SIZE)), unit, -unit, both, -both, corners))
+        parts = self._exact(centre + moves * CELL)
+        self._shape = parts.impulse_n_s.shape[1:]
+        values = np.stack((parts.impulse_n_s, parts.middle_s, parts.half_width_s), axis=1).reshape(len(moves), -1)
+        if not np.all(np.isfinite(values)):
+            return None
+        n, m = _SIZE, len(_PAIRS)
+        middle, up, down = values[0], values[1 : 1 + n], values[1 + n : 1 + 2 * n]
+        mixed = values[1 + 2 * n : 1 + 2 * n + m] + values[1 + 2 * n + m : 1 + 2 * n + 2 * m]
+        mixed = (mixed - (up + down)[_FIRST] - (up + down)[_SECOND] + 2.0 * middle) / (2.0 * half * half)
+        bend = np.zeros((n, n, values.shape[1]))
+        bend[_FIRST, _SECOND] = bend[_SECOND, _FIRST] = mixed
+        bend[np.arange(n), np.arange(n)] = (up + down - 2.0 * middle) / (half * half)
+        cell = _Cell(middle, (up - down) / (2.0 * half), bend.reshape(n, -1))
+        if not all(self._near(cell.at(move)[0], true) for move, true in zip(moves[-2:], values[-2:], strict=True)):
+            return None
+        return cell
+
+    def _near(self, found: Array, true: Array) -> bool:
+        shown, exact = (Arrivals(*v.reshape(3, *self._shape)) for v in (found, true))
+        size, width = exact.total_n_s[..., None], exact.sd_s[..., None]
+        weight = np.abs(exact.impulse_n_s) / size
+        off = np.abs(shown.impulse_n_s - exact.impulse_n_s) / size
+        late = weight * (np.abs(shown.middle_s - exact.middle_s) + np.abs(shown.half_width_s - exact.half_width_s)) / width
+        return bool(np.all(off.sum(axis=-1) < _LARGEST_ERROR) and np.all(late.sum(axis=-1) < _LARGEST_ERROR))
+
+
+def spectrum_and_slopes(
+    parts: Expanded, fundamental_rad_s: float, harmonics: int, stretch: Array, log_stretch_slopes: Array
+) -> AnyArray:
+    """`yieldmon.physics.pulse.spectrum` of expanded arrivals, and its derivatives.
+
+    Parameters
+    ----------
+    parts : Expanded
+        (4, paddles, nodes).
+    fundamental_rad_s : float
+        The frequencies are its multiples 1 .. harmonics.
+    harmonics : int
+        k.
+    stretch : ndarray (paddles,)
+    log_stretch_slopes : ndarray (n, paddles)
+        Derivatives of ln stretch by the n parameters, of which the first three are those of `parts`.
+
+    Returns
+    -------
+    ndarray (1 + n, paddles, k)
+        Complex, N s: first the spectrum itself.
+    """
+    impulse, middle, half = (_padded(v, len(log_stretch_slopes)) for v in (parts.impulse_n_s, parts.middle_s, parts.half_width_s))
+    size = impulse[0].sum(axis=-1, keepdims=True)
+    weight = impulse[0] / size
+    mean = (weight * middle[0]).sum(axis=-1, keepdims=True)
+    away, share = middle[0] - mean, impulse[1:] / size
+    # Of the mean arrival: from the parts' impulses and from their times.
+    mean_slopes = (share * away + weight * middle[1:]).sum(axis=-1, keepdims=True)
+    factor, slopes = stretch[:, None], log_stretch_slopes[..., None]
+    middle_slopes = mean_slopes + factor * (middle[1:] - mean_slopes + slopes * away)
+    half_slopes = factor * (half[1:] + slopes * half[0])
+    order = np.arange(1.0, harmonics + 1.0)
+    angles = fundamental_rad_s * np.stack((-(mean + factor * away), factor * half[0]))
+    powers = np.empty((*angles.shape, harmonics), dtype=complex)
+    powers[...] = (np.cos(angles) + 1j * np.sin(angles))[..., None]
+    wave, turned = np.cumprod(powers, axis=-1)
+    # sin(x) / x and its derivative; their series where the difference would drown in rounding.
+    spread = angles[1][..., None] * order
+    thin = np.abs(spread) < 1e-4
+    safe = np.where(thin, 1.0, spread)
+    sinc = np.where(thin, 1.0 - spread * spread / 6.0, turned.imag / safe)
+    slope = np.where(thin, -spread / 3.0, (turned.real - sinc) / safe)
+    even = wave * sinc
+    by_node = np.concatenate((impulse, impulse[0] * middle_slopes)).swapaxes(0, 1) @ even
+    by_half = (impulse[0] * half_slopes).swapaxes(0, 1) @ (wave * slope)
+    found = by_node[:, : len(impulse)].copy()
+    found[:, 1:] += fundamental_rad_s * order * (by_half - 1j * by_node[:, len(impulse) :])
+    return np.asarray(found.swapaxes(0, 1))
+
+
+def _padded(values: Array, parameters: int) -> Array:
+    """Zeros for the parameters that do not move the parts."""
+    more = np.zeros((1 + parameters - len(values), *values.shape[1:]))
+    return np.concatenate((values, more))
