@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import math
 import os
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from tests.vcan.drives import SCENARIO
-from tests.vcan.nodes import Command, candump, combine, daemon, eventually
+from tests.vcan.nodes import Command, DaemonNode, candump, combine, daemon, eventually
 from yieldmon.bus.logs import read_log
 from yieldmon.network.identifier import Identifier
 
@@ -28,6 +29,10 @@ WRONG = {
 }  # fmt: skip
 
 
+def another(node: DaemonNode, seen: int) -> bool:
+    return node.windows > seen
+
+
 @pytest.mark.parametrize("speed", [1, 10])
 def test_a_tractors_bus_beside_ours(vcan0: str, tmp_path: Path, speed: int) -> None:
     log = tmp_path / "candump.log"
@@ -38,9 +43,9 @@ def test_a_tractors_bus_beside_ours(vcan0: str, tmp_path: Path, speed: int) -> N
         tractor = Command(words, tmp_path / "replay.txt", {})
         try:
             eventually(lambda: any(window["coverage"] > 0.999 for window in node.status["windows"]), "samples")
-            first = node.windows
-            for number in range(first, first + windows):
-                eventually(lambda number=number: node.windows > number, "the end of the drive")
+            last = node.windows + windows
+            while (seen := node.windows) < last:
+                eventually(partial(another, node, seen), "the end of the drive")
             status = node.status
         finally:
             tractor.process.terminate()
