@@ -10,6 +10,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 UNIT = "yieldmon.service"
+WEB_UNIT = "yieldmon-web.service"
 #: Bounds a hang; the guest is several times slower than the machine.
 PATIENCE_S = 300.0
 
@@ -22,14 +23,14 @@ def run(*command: str, check: bool = True) -> str:
 
 
 def journal(lines: int = 30) -> str:
-    """The unit's last journal lines, for messages of failed assertions."""
-    command = ("journalctl", "--no-pager", "-o", "cat", "-n", str(lines), "-u", UNIT)
+    """The units' last journal lines, for messages of failed assertions."""
+    command = ("journalctl", "--no-pager", "-o", "cat", "-n", str(lines), "-u", UNIT, "-u", WEB_UNIT)
     return subprocess.run(command, capture_output=True, text=True, check=False).stdout
 
 
-def show(name: str) -> str:
-    """A property of the unit."""
-    return run("systemctl", "show", "--value", "-p", name, UNIT).strip()
+def show(name: str, unit: str = UNIT) -> str:
+    """A property of a unit."""
+    return run("systemctl", "show", "--value", "-p", name, unit).strip()
 
 
 def eventually(holds: Callable[[], bool], what: str) -> None:
@@ -49,8 +50,8 @@ def delete_interface() -> None:
     run("ip", "link", "delete", "can0")
 
 
-def install(command: Path) -> None:
-    run(sys.executable, str(ROOT / "tools" / "install"), "--command", str(command))
+def install(command: Path, *options: str) -> None:
+    run(sys.executable, str(ROOT / "tools" / "install"), "--command", str(command), *options)
 
 
 def uninstall(*, purge: bool = True) -> None:
