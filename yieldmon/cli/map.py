@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 import time
+from collections.abc import Iterable
 from dataclasses import replace
 from datetime import date
 from math import isfinite
@@ -18,7 +19,7 @@ from yieldmon.field.cleaning import NAMES, NEEDED
 from yieldmon.field.products import FORMATS, write_products
 from yieldmon.field.sources.options import ReadOptions
 from yieldmon.field.swath import HeaderPlace
-from yieldmon.field.table import HarvestTable, joined
+from yieldmon.field.table import HarvestTable, Skipped, joined
 from yieldmon.units import UnitSystem
 
 
@@ -103,11 +104,19 @@ def _read(paths: list[Path], options: ReadOptions, progress: sources.Progress) -
         table = sources.read(path, options)
         tables.append(table)
         for source in table.sources:
-            for one in source.skipped:
-                print(f"yieldmon: {source.path}: {one.part}: {one.why}; left out", file=sys.stderr)
+            for why, parts in _by_reason(source.skipped).items():
+                print(f"yieldmon: {source.path}: {', '.join(parts)}: {why}; left out", file=sys.stderr)
             for note in source.notes:
                 print(f"yieldmon: {source.path}: {note}", file=sys.stderr)
     return joined(tables)
+
+
+def _by_reason(skipped: Iterable[Skipped]) -> dict[str, list[str]]:
+    """What was left out for the same reason stands on one line."""
+    parts: dict[str, list[str]] = {}
+    for one in skipped:
+        parts.setdefault(one.why, []).append(one.part)
+    return parts
 
 
 def _tell(document: dict[str, object], result: harvest.HarvestMap) -> None:

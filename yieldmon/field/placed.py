@@ -1,4 +1,8 @@
-"""Grain put back where it was cut: each row's mass moves, whole, to the row of its machine one delay before."""
+"""Grain put back where it was cut: each row's mass moves to the row of its machine one delay before.
+
+Whole where the rows come evenly. Where they do not, what a row measured over its interval is shared out among the rows whose
+intervals, one delay before, overlap it.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +14,8 @@ from .table import Array, HarvestTable
 from .tracks import Flags, Index, Tracks
 
 _TOLERANCE_INTERVALS = 0.75
+_EVEN_INTERVALS = 0.25
+"""How far from the median an interval may be to count as even."""
 
 
 @dataclass(frozen=True)
@@ -62,15 +68,23 @@ def place(
     if factor is not None:
         mass = mass * factor
     target = _targets(table, steps, flow_delay_s)
+    shared = _shares(table, steps, target, flow_delay_s)
+    target[shared.row] = -1
     again = repeated(table, steps)
     # A row recorded twice was cut once: the second stays where it is, and cleaning says why it is left out.
     target[again] = np.flatnonzero(again)
+    shared = shared.without(again)
     going = target >= 0
     count = len(table)
     known = going & np.isfinite(table["flow_kg_s"])
-    at_place = np.bincount(target[going], mass[going], count)
-    arrived = np.bincount(target[known], minlength=count)
+    parts_kg = mass[shared.row] * shared.share
+    known_part = np.isfinite(table["flow_kg_s"][shared.row])
+    at_place = np.bincount(target[going], mass[going], count) + np.bincount(shared.target, parts_kg, count)
+    arrived = np.bincount(target[known], minlength=count) + np.bincount(shared.target[known_part], minlength=count)
     from_row = np.full(count, -1, np.intp)
+    by_share = np.argsort(shared.share, kind="stable")
+    by_share = by_share[known_part[by_share]]
+    from_row[shared.target[by_share]] = shared.row[by_share]
     from_row[target[known]] = np.flatnonzero(known)
     moisture_target = _targets(table, steps, moisture_delay_s)
     moist = (moisture_target >= 0) & np.isfinite(table["moisture_pct"])
@@ -79,7 +93,8 @@ def place(
     sd = np.full(count, np.nan)
     has = from_row >= 0
     sd[has] = table["flow_sd_kg_s"][from_row[has]]
-    return Placed(mass, np.where(arrived > 0, at_place, np.nan), moisture, sd, from_row, float(mass[~going].sum()))
+    lost_kg = max(0.0, float(mass[~going].sum() - parts_kg.sum()))
+    return Placed(mass, np.where(arrived > 0, at_place, np.nan), moisture, sd, from_row, lost_kg)
 
 
 def repeated(table: HarvestTable, steps: Tracks) -> Flags:
@@ -95,6 +110,47 @@ def repeated(table: HarvestTable, steps: Tracks) -> Flags:
     return out
 
 
+@dataclass(frozen=True)
+class _Shares:
+    """Row `row` has the part `share` of its mass from row `target`; several of a row."""
+
+    row: Index
+    target: Index
+    share: Array
+
+    def without(self, rows: Flags) -> _Shares:
+        left = ~rows[self.row]
+        return _Shares(self.row[left], self.target[left], self.share[left])
+
+
+def _shares(table: HarvestTable, steps: Tracks, target: Index, delay_s: float) -> _Shares:
+    """Where the grain of rows was cut that come unevenly, or whose place is a row that does."""
+    interval_s = np.nan_to_num(table["interval_s"])
+    if abs(delay_s) < 0.5 * steps.interval or not len(table):
+        return _Shares(np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0))
+    even = np.abs(interval_s - steps.interval) <= _EVEN_INTERVALS * steps.interval
+    has_clock = 2 * np.count_nonzero(even) > len(table)
+    whole = has_clock & even & (target >= 0) & even[np.maximum(target, 0)]
+    row = np.flatnonzero(~whole & (interval_s > 0))
+    # As far as rows move that are moved whole.
+    shift_s = round(delay_s / steps.interval) * steps.interval if has_clock else delay_s
+    base_s = float(steps.time_s.min())
+    span_s = float(steps.time_s.max()) - base_s + 2.0 * abs(shift_s) + 10_000.0
+    end = steps.stream * span_s + (steps.time_s - base_s)
+    begin = np.maximum(end - steps.interval_s, np.r_[-np.inf, end[:-1]])
+    step = steps.step_of_row[row]
+    to = steps.stream[step] * span_s + (steps.time_s[step] - base_s) - shift_s
+    since = to - interval_s[row]
+    first = np.searchsorted(end, since, side="right")
+    number = np.maximum(np.searchsorted(begin, to, side="left") - first, 0)
+    part = np.repeat(np.arange(len(row)), number)
+    found = first[part] + np.arange(len(part)) - np.repeat(np.cumsum(number) - number, number)
+    overlap_s = np.minimum(to[part], end[found]) - np.maximum(since[part], begin[found])
+    there = _rows_at(table, steps, found, row[part])
+    good = (overlap_s > 0) & (there >= 0)
+    return _Shares(row[part][good], there[good], (overlap_s / interval_s[row[part]])[good])
+
+
 def _targets(table: HarvestTable, steps: Tracks, delay_s: float) -> Index:
     """The row where the grain of each row was cut, -1 for none."""
     count = len(table)
@@ -104,6 +160,13 @@ def _targets(table: HarvestTable, steps: Tracks, delay_s: float) -> Index:
         return np.arange(count)
     # Steps do not merge: to the same nearest number of intervals as all others of an even clock.
     found = steps.nearest(steps.time_s - delay_s, steps.stream, tolerance)[step]
+    return _rows_at(table, steps, found, np.arange(count))
+
+
+def _rows_at(table: HarvestTable, steps: Tracks, found: Index, row: Index) -> Index:
+    """Of each step found for a row, the row of the same section; -1 where there is none."""
+    count = len(table)
+    step = steps.step_of_row
     if len(steps) == count:
         row_of_step = np.empty(count, np.intp)
         row_of_step[step] = np.arange(count)
@@ -111,7 +174,7 @@ def _targets(table: HarvestTable, steps: Tracks, delay_s: float) -> Index:
     sections, code = np.unique(np.nan_to_num(table["section"]), return_inverse=True)
     keys = step * len(sections) + code
     order = np.argsort(keys, kind="stable")
-    wanted = found * len(sections) + code
+    wanted = found * len(sections) + code[row]
     place_in = np.clip(np.searchsorted(keys[order], wanted), 0, count - 1)
     hit = (found >= 0) & (keys[order][place_in] == wanted)
     return np.where(hit, order[place_in], -1)
