@@ -5,7 +5,7 @@ import sys
 from yieldmon import api
 
 loaded = api.load_configuration(api.shipped("config/yieldmon.yaml"))
-monitor = api.build_monitor(loaded.engine, loaded.machine, loaded.parameters)
+monitor = api.build_monitor(loaded.engine, loaded.machine, loaded.parameters, drives_plate=False)
 rows: list[api.SecondRow] = []
 summary = api.process_logs([sys.argv[1]], monitor, api.Codec(), rows.append)
 flows = [row.mass_flow_kg_s for row in rows if row.mass_flow_kg_s is not None]

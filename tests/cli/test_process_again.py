@@ -15,6 +15,7 @@ import pytest
 from tests.service.bench import CODEC, START_S, ZERO_MV, traffic
 from yieldmon.cli.main import main
 from yieldmon.files import parameter_file
+from yieldmon.frames import OperatingState
 from yieldmon.service.recorded import read_seconds
 from yieldmon.service.store import Store
 
@@ -162,3 +163,14 @@ def test_parameters_of_a_file_measure_a_log(capsys, tmp_path, logs, own) -> None
     parameter_file.save(replace(known, values={**known.values, "restitution": known.values["restitution"] - 0.15}), own)
     process(capsys, tmp_path, logs["whole"], "--params", own)
     assert read_seconds(tmp_path / "out.csv")[-1].total_kg > 1.05 * first
+
+
+def test_a_log_whose_plate_stays_at_home_has_no_fault_about_commands_that_nobody_sent(capsys, tmp_path) -> None:
+    config = tmp_path / "soon.yaml"
+    config.write_text("sweep: {first_after_s: 0}\n", encoding="utf-8")
+    log = write(tmp_path / "home.log", (0.0, 14.0, 0.0), (14.0, 22.0, 120.0))
+    code, out, err = process(capsys, tmp_path, log, "--config", config, "--json")
+    assert code == 0, err
+    assert json.loads(out)["faults"] == {}
+    states = {row.operating_state for row in read_seconds(tmp_path / "out.csv") if row.mass_kg > 0.0}
+    assert states == {OperatingState.HARVESTING}

@@ -231,7 +231,7 @@ class Learning:
         """
         sweep.by_schedule = self.calibrator is None or not refusal(self.estimator.parameters)
         if not sweep.visiting and not sweep.completed:
-            self._sweep_records.clear()
+            self._sweep_records = [*self._sweep_records, record][-sweep.lead :] if sweep.lead else []
             return self._learn_from_masses(record)
         if record.usable_for_calibration:
             self._sweep_records.append(record)

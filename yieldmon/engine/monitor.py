@@ -52,6 +52,8 @@ class Monitor:
         Which message and signal brings what.
     ranges
         Of the signals that are published; None: those of the shipped DBC.
+    drives_plate
+        False for a log, whose plate follows no command: learns from the sweeps that it shows, and commands none.
 
     Operator commands are plain methods; they take effect with the next window or tick.
     """
@@ -65,11 +67,14 @@ class Monitor:
         *,
         sources: Sources = DEFAULT_SOURCES,
         ranges: SignalRanges | None = None,
+        drives_plate: bool = True,
     ) -> None:
         self.settings = settings
         self.machine = machine
         self.sources = sources
-        self._parts = Parts.of(settings, machine, estimator, calibrator, sources=sources, ranges=ranges)
+        self._parts = Parts.of(
+            settings, machine, estimator, calibrator, sources=sources, ranges=ranges, drives_plate=drives_plate
+        )
         self._timeline = Timeline(self._parts)
         self.faults = self._parts.faults
 

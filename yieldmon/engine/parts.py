@@ -58,6 +58,7 @@ class Parts:
         *,
         sources: Sources,
         ranges: SignalRanges | None,
+        drives_plate: bool,
     ) -> Parts:
         """Parts at the beginning; see `Monitor`."""
         windows = settings.windows
@@ -79,7 +80,7 @@ class Parts:
             area=AreaCounter(machine.implement, settings.gate),
             loads=Loads(settings),
             unloading=Unloading(settings),
-            plate=Plate(settings, machine),
+            plate=Plate(settings, machine, driven=drives_plate),
             faults=FaultBook(),
             since_zero=SinceZero(),
             learning=Learning(settings, machine, estimator, calibrator),

@@ -8,6 +8,7 @@ from math import degrees
 from yieldmon.engine.plate_commands import RELEASE, PlateCommander
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sweep import PlateReading, SweepMachine
+from yieldmon.engine.sweep_follower import SweepFollower
 from yieldmon.frames import ActuatorState, CommandMode, SweepState, Value
 from yieldmon.physics.machine import Machine
 
@@ -27,10 +28,11 @@ class SweepEnded:
 
 
 class Plate:
-    """One plate with its sweeps. driving: commands go out."""
+    """One plate with its sweeps. driving: commands go out. driven: False in a log, whose plate follows no command."""
 
-    def __init__(self, settings: EngineSettings, machine: Machine) -> None:
-        self.sweep = SweepMachine(settings.sweep, settings.plate, degrees(machine.home_plate_angle_rad))
+    def __init__(self, settings: EngineSettings, machine: Machine, *, driven: bool = True) -> None:
+        kind = SweepMachine if driven else SweepFollower
+        self.sweep = kind(settings.sweep, settings.plate, degrees(machine.home_plate_angle_rad))
         self.driving = False
         self._commander = PlateCommander(settings.plate, machine)
         self._ended_id = 0

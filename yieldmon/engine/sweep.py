@@ -143,6 +143,11 @@ class SweepMachine:
         self._seen: list[tuple[float, float]] = []
 
     @property
+    def lead(self) -> int:
+        """How many of the newest windows would belong to a sweep that begins now."""
+        return 0
+
+    @property
     def driving(self) -> bool:
         """Whether commands go to the plate."""
         return self.state not in RESTING
@@ -207,7 +212,7 @@ class SweepMachine:
             return self._rest(plate)
         if self.state is SweepState.RETURNING:
             return self._return(plate)
-        reason = _plate_trouble(plate)
+        reason = plate_trouble(plate)
         if reason is not None:
             self._abort(now, reason)
             return self._return(plate)
@@ -297,11 +302,11 @@ class SweepMachine:
 
     def _ready(self, plate: PlateReading) -> bool:
         settings = self._settings
-        if _plate_trouble(plate) is not None or len(self._flows) < settings.steady_windows:
+        if plate_trouble(plate) is not None or len(self._flows) < settings.steady_windows:
             return False
         if abs(plate.angle_deg - self._home_deg) > 2.0 * self._plate.at_target_tolerance_deg:
             return False
-        return _steady(self._flows, settings.min_flow_kg_s, settings.steady_cv) and _steady(
+        return steady(self._flows, settings.min_flow_kg_s, settings.steady_cv) and steady(
             self._speeds, 0.0, 0.5 * settings.speed_change
         )
 
@@ -394,7 +399,8 @@ class SweepMachine:
         self._away_s = None
 
 
-def _plate_trouble(plate: PlateReading) -> SweepAbort | None:
+def plate_trouble(plate: PlateReading) -> SweepAbort | None:
+    """Why no sweep can go on with a plate that reads like this; None where it can."""
     if not isfinite(plate.angle_deg):
         return SweepAbort.FEEDBACK_STALE
     if plate.state is ActuatorState.MANUAL:
@@ -404,7 +410,8 @@ def _plate_trouble(plate: PlateReading) -> SweepAbort | None:
     return None
 
 
-def _steady(values: deque[float], least: float, limit_cv: float) -> bool:
+def steady(values: deque[float], least: float, limit_cv: float) -> bool:
+    """Whether the mean is at least `least` and above 0, and the standard deviation over it at most limit_cv."""
     mean = sum(values) / len(values)
     if not mean > 0.0 or mean < least:
         return False

@@ -17,14 +17,15 @@ from yieldmon.physics.model import ForwardModel
 from yieldmon.service.configuration import Configuration
 
 
-def monitor_of(configuration: Configuration, parameters: ParameterSet | None = None) -> Monitor:
-    """The monitor of a configuration. parameters: to start from; None: those that it names."""
+def monitor_of(configuration: Configuration, parameters: ParameterSet | None = None, *, drives_plate: bool = True) -> Monitor:
+    """The monitor of a configuration. parameters: to start from; None: those that it names. drives_plate: see `Monitor`."""
     return build_monitor(
         configuration.engine,
         configuration.machine,
         configuration.parameters if parameters is None else parameters,
         configuration.calibrator,
         configuration.signals.sources,
+        drives_plate=drives_plate,
     )
 
 
@@ -34,12 +35,17 @@ def build_monitor(
     parameters: ParameterSet,
     calibrator: CalibratorSettings | None = None,
     sources: Sources = DEFAULT_SOURCES,
+    *,
+    drives_plate: bool = True,
 ) -> Monitor:
-    """A monitor that starts from these parameters and, with a calibrator, learns from sweeps and weighed loads."""
+    """A monitor that starts from these parameters and, with a calibrator, learns from sweeps and weighed loads.
+
+    drives_plate: False for a log, see `Monitor`.
+    """
     estimator = estimator_of(machine, parameters)
     teachable = calibrator is not None and parameters.curve is None
     learner = ClosedLoopCalibrator(ForwardModel(machine, parameters.effects), calibrator) if teachable and calibrator else None
-    monitor = Monitor(settings, machine, estimator, learner, sources=sources)
+    monitor = Monitor(settings, machine, estimator, learner, sources=sources, drives_plate=drives_plate)
     known = crops().get(parameters.provenance.get("crop", ""))
     if known is not None:
         monitor.set_market_moisture(known.market_moisture_pct)

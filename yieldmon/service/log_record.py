@@ -61,7 +61,7 @@ def measure(
     InputError
         A log cannot be read, or there is nothing in all of them that the engine takes.
     """
-    monitor = monitor_of(configured)
+    monitor = monitor_of(configured, drives_plate=False)
     if zero_mv is not None:
         known = ZeroState(
             zero_mv, zero_mv, configured.machine.nominal_elevator_speed_rad_s, configured.engine.zero.first_pulse_limit_mv

@@ -80,7 +80,9 @@ def _of_logs(
     found: list[MeasuredLoad] = []
     for source in sources:
         rows: list[SecondRow] = []
-        monitor = build_monitor(configured.engine, configured.machine, configured.parameters, None, configured.signals.sources)
+        monitor = build_monitor(
+            configured.engine, configured.machine, configured.parameters, None, configured.signals.sources, drives_plate=False
+        )
         process_in_bulk([source], monitor, Codec(), rows.append, signals=configured.signals, progress=progress)
         versions = {configured.parameters.version: configured.parameters}
         here = _loads(rows, source, versions, len(found))
