@@ -10,9 +10,11 @@ import numpy as np
 from yieldmon.errors import InputError
 from yieldmon.field.plane import Plane
 from yieldmon.field.table import Array, HarvestTable, Label, Skipped, Source, build
+from yieldmon.field.units import crop as known_crop
 from yieldmon.field.units import factor
 
 from . import clocks
+from .delimited import number
 from .naming import Column
 from .options import ReadOptions
 from .positions import plausible
@@ -52,6 +54,11 @@ _KINDS = {
     "section": "none",
 }
 _GAP_INTERVALS = 3.0
+_LOOKED_AT = 100
+_WORDS = dict.fromkeys(("on", "down", "true", "yes", "working", "in work", "harvesting", "active"), 1.0) | dict.fromkeys(
+    ("off", "up", "false", "no", "not working", "raised", "inactive"), 0.0
+)
+"""What files call a header that is at work, or not."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +97,10 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
             unit = column.unit if _KINDS[quantity] not in ("none",) else ""
             scale = 1.0 if not unit else factor(unit, _KINDS[quantity], f"{where}: {column.name}", crop)
             values[quantity] = raw.numbers[column.name] * scale
+    header = raw.columns.get("header")
+    strange: tuple[str, ...] = ()
+    if header is not None and header.name in raw.texts:
+        values["header"], strange = _states(raw.texts[header.name], header.name)
     time, unix_time, notes = _time(raw, options, where)
     time = np.where(np.isfinite(time), time, np.nan)
     if "longitude" not in values or "latitude" not in values:
@@ -107,21 +118,23 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
         for name in ("field", "load", "crop", "machine", "product")
         if name in raw.columns and raw.columns[name].name in raw.texts
     }
+    if "crop" not in labels and (product := labels.get("product")) is not None and all(map(known_crop, product.names)):
+        labels["crop"] = product
     for name, text in (("crop", options.crop), ("field", options.field)):
         if text:
             labels[name] = Label.constant(text, raw.count)
-    source = Source(where, kind, raw.count, raw.skipped, notes=(*raw.notes, *notes, *_backwards(time), *limits))
+    source = Source(where, kind, raw.count, raw.skipped, notes=(*raw.notes, *notes, *strange, *_backwards(time), *limits))
     return build(columns, labels, source, unix_time=unix_time, default_flow_s=raw.default_flow_s)
 
 
 def _crop_name(raw: Raw) -> str:
-    column = raw.columns.get("crop")
+    column = raw.columns.get("crop", raw.columns.get("product"))
     label = None if column is None else raw.texts.get(column.name)
     return label.names[0] if label is not None and len(label.names) == 1 else ""
 
 
 def _time(raw: Raw, options: ReadOptions, where: str) -> tuple[Array, bool, list[str]]:
-    column = raw.columns.get("time")
+    column = raw.columns.get("time") or _dated_column(raw)
     if column is None:
         return (
             np.arange(raw.count, dtype=float),
@@ -147,10 +160,35 @@ def _time(raw: Raw, options: ReadOptions, where: str) -> tuple[Array, bool, list
     return out, unix, [*notes] if column.unit else [*notes, f"{column.name} is taken as seconds"]
 
 
+def _dated_column(raw: Raw) -> Column | None:
+    """The column of days, where it tells the time as well."""
+    day = raw.columns.get("day")
+    if day is None or day.name not in raw.texts:
+        return None
+    times, _ = clocks.parsed(raw.texts[day.name].names[:_LOOKED_AT])
+    return day if (times[np.isfinite(times)] % clocks.DAY_S != 0).any() else None
+
+
+def _states(label: Label, name: str) -> tuple[Array, tuple[str, ...]]:
+    """1 for on, 0 for off, NaN for a word that is not known, and a note on those."""
+    states, unknown = [], []
+    for word in label.names:
+        state = _WORDS.get(word.lower())
+        if state is None:
+            try:
+                state = number(word)
+            except ValueError:
+                state = float("nan")
+                unknown.append(word)
+        states.append(state)
+    note = f"{name}: {', '.join(unknown[:5])} is neither on nor off and counts as unknown"
+    return np.array(states)[label.codes], (note,) if unknown else ()
+
+
 def _with_day(raw: Raw, time: Label) -> Label:
     """Times of the day with the day that stands in a column of its own."""
     day = raw.columns.get("day")
-    if day is None or day.name not in raw.texts:
+    if day is None or day.name not in raw.texts or raw.texts[day.name] is time:
         return time
     dates = raw.texts[day.name]
     return Label.of([f"{a} {b}" for a, b in zip(dates.text().tolist(), time.text().tolist(), strict=True)])

@@ -39,7 +39,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
         raise InputError(f"{path}: header", f"has {', '.join(twice)} more than once", "each column once")
     columns, notes = columns_of(names, options.columns, {}, str(path))
     place = {name: number for number, name in enumerate(names)}
-    text_kinds = ("text", "date")
+    text_kinds = ("text", "date", "state")
     numbers = [place[c.name] for c in columns.values() if QUANTITIES[c.quantity].kind not in text_kinds]
     texts = [place[c.name] for c in columns.values() if QUANTITIES[c.quantity].kind in text_kinds]
     rows = rows_of(path, encoding, delimiter)

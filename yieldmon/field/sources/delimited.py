@@ -48,10 +48,12 @@ class _Bad:
 
 
 def encoding_of(head: bytes) -> str:
-    """By the byte order mark; UTF-8 without one."""
+    """By the byte order mark; without one UTF-8, or Windows-1252 where most letters beyond ASCII are no UTF-8."""
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
-    return "utf-8-sig"
+    text = head.decode("utf-8", "replace")
+    wrong = text.count("\ufffd")
+    return "cp1252" if wrong > sum(not letter.isascii() for letter in text) - wrong else "utf-8-sig"
 
 
 def delimiter_of(line: str) -> str:

@@ -7,6 +7,7 @@ From a map that a person gives, from the file's own metadata, or from a name tha
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -16,64 +17,67 @@ from yieldmon.field.units import FACTORS, plain_unit
 
 @dataclass(frozen=True)
 class Quantity:
-    """kind: of units (see FACTORS), "date" or "text". names: how files call it, in small letters and digits only."""
+    """kind: of units (see FACTORS), "date", "state" (on or off) or "text". names: how files call it, by plain_name."""
 
     kind: str
     names: tuple[str, ...]
 
 
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(text.split())
+
+
 QUANTITIES: Mapping[str, Quantity] = {
-    "longitude": Quantity("angle", ("longitude", "lon", "long", "x", "xcoord", "longitud")),
-    "latitude": Quantity("angle", ("latitude", "lat", "y", "ycoord", "latitud")),
-    "time": Quantity("date", ("isotime", "timeutc", "utctime", "time", "timestamp", "datetime", "gpstime", "unixtime")),
-    "day": Quantity("text", ("date", "gpsdate", "utcdate", "dateutc")),
+    "longitude": Quantity("angle", _names("longitude lon long x xcoord longitud langengrad laengengrad")),
+    "latitude": Quantity("angle", _names("latitude lat y ycoord latitud breitengrad")),
+    "time": Quantity(
+        "date",
+        _names("isotime timeutc utctime time timestamp datetime gpstime unixtime uhrzeit zeit zeitstempel hora heure"),
+    ),
+    "day": Quantity("text", _names("date gpsdate utcdate dateutc datum fecha data")),
     "flow": Quantity(
         "mass_flow",
-        ("flow", "massflow", "grainflow", "cropflow", "cropflowm", "cropflwm", "cropflw", "flowrate", "massflowrate", "flowmass"),
-    ),
-    "flow_sd": Quantity("mass_flow", ("flowsd", "massflowsd", "stddev", "flowstddev")),
-    "yield": Quantity(
-        "mass_per_area",
-        (
-            "yield",
-            "yld",
-            "yldmasswet",
-            "yieldmasswet",
-            "wetmass",
-            "massyield",
-            "wetyield",
-            "yieldmass",
-            "yldmass",
-            "yieldwet",
-            "vryieldmas",
-            "yldvolwet",
-            "yieldvolwet",
-            "vryieldvol",
-            "dryyield",
-            "yldvoldry",
-            "yldmassdry",
-            "yieldvol",
-            "drymatter",
+        _names(
+            "flow massflow grainflow cropflow cropflowm cropflwm cropflw flowrate massflowrate flowmass durchsatz flujo debit"
         ),
     ),
-    "moisture": Quantity("percent", ("moisture", "moist", "grainmoisture", "moisturepercent", "humidity")),
-    "interval": Quantity("time", ("interval", "interv", "duration", "loginterval", "cycles", "cycle", "logint", "dt")),
-    "distance": Quantity("length", ("distance", "dist", "distancetravelled", "distancetraveled")),
-    "speed": Quantity("speed", ("speed", "vehiclespeed", "groundspeed", "vehiclspeed")),
-    "width": Quantity(
-        "length", ("width", "swath", "swathwidth", "swthwdth", "swthwidth", "workingwidth", "headerwidth", "swthwdthm")
+    "flow_sd": Quantity("mass_flow", _names("flowsd massflowsd stddev flowstddev")),
+    "yield": Quantity(
+        "mass_per_area",
+        _names(
+            "yield yld yldmasswet yieldmasswet wetmass massyield wetyield yieldmass yldmass yieldwet vryieldmas "
+            "yldvolwet yieldvolwet vryieldvol dryyield yldvoldry yldmassdry yieldvol drymatter ertrag rendimiento "
+            "rendement produtividade"
+        ),
     ),
-    "heading": Quantity("angle", ("heading", "head", "course", "track", "trackdeg", "bearing")),
-    "elevation": Quantity("length", ("elevation", "altitude", "elev", "height", "z")),
-    "position_sd": Quantity("length", ("positionsd",)),
-    "header": Quantity("none", ("headerdown", "header", "headerstatus", "harvesting", "inwork", "workstate")),
-    "pass": Quantity("none", ("pass", "passnumber", "passnum")),
-    "section": Quantity("none", ("section", "sectionid")),
-    "field": Quantity("text", ("field", "fieldname")),
-    "load": Quantity("text", ("load", "loadname", "loadnumber")),
-    "crop": Quantity("text", ("crop", "grain", "cropname")),
-    "machine": Quantity("text", ("machine", "serial", "serialnumber", "machineid", "combine")),
-    "product": Quantity("text", ("product", "variety", "hybrid")),
+    "moisture": Quantity(
+        "percent",
+        _names("moisture moist grainmoisture moisturepercent humidity feuchte feuchtigkeit kornfeuchte humedad humidite umidade"),
+    ),
+    "interval": Quantity("time", _names("interval interv duration loginterval cycles cycle logint dt")),
+    "distance": Quantity("length", _names("distance dist distancetravelled distancetraveled distanz strecke distancia")),
+    "speed": Quantity(
+        "speed",
+        _names("speed vehiclespeed groundspeed vehiclspeed geschwindigkeit velocidad velocidade vitesse"),
+    ),
+    "width": Quantity(
+        "length",
+        _names(
+            "width swath swathwidth swthwdth swthwidth workingwidth headerwidth swthwdthm arbeitsbreite "
+            "anchodetrabajo ancho largeur largura"
+        ),
+    ),
+    "heading": Quantity("angle", _names("heading head course track trackdeg bearing kurs rumbo")),
+    "elevation": Quantity("length", _names("elevation altitude elev height z hohe hoehe altitud")),
+    "position_sd": Quantity("length", _names("positionsd")),
+    "header": Quantity("state", _names("headerdown header headerstatus headerstate harvesting inwork workstate areacount")),
+    "pass": Quantity("none", _names("pass passnumber passnum")),
+    "section": Quantity("none", _names("section sectionid")),
+    "field": Quantity("text", _names("field fieldname schlag lote parcelle")),
+    "load": Quantity("text", _names("load loadname loadnumber")),
+    "crop": Quantity("text", _names("crop grain cropname frucht kultur cultivo cultura culture")),
+    "machine": Quantity("text", _names("machine serial serialnumber machineid combine")),
+    "product": Quantity("text", _names("product variety hybrid")),
 }
 _NEEDS_NO_UNIT = ("longitude", "latitude", "time", "moisture", "heading")
 _BRACKETS = re.compile(r"[(\[]([^()\[\]]*)[)\]]\s*$")
@@ -123,8 +127,8 @@ def _spellings(name: str, bare: str) -> tuple[str, ...]:
 
 
 def plain_name(name: str) -> str:
-    """Small letters and digits only."""
-    return re.sub(r"[^a-z0-9]", "", name.lower())
+    """Small letters and digits only; letters without their accents."""
+    return re.sub(r"[^a-z0-9]", "", unicodedata.normalize("NFKD", name.lower()))
 
 
 def columns_of(
@@ -166,7 +170,7 @@ def columns_of(
             if named is None:
                 continue
             unit = units.get(named[0], "") or named[1]
-            if facts.kind not in ("text", "date", "none") and not unit and quantity not in _NEEDS_NO_UNIT:
+            if facts.kind not in ("text", "date", "state", "none") and not unit and quantity not in _NEEDS_NO_UNIT:
                 lacking.append(named[0])
                 continue
             if quantity == "moisture" and not unit:

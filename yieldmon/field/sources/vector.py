@@ -135,14 +135,13 @@ def _layer(path: Path, address: str, name: str, options: ReadOptions) -> Harvest
             columns[quantity] = Column(column.name, quantity, "s")
         elif values.dtype == object or QUANTITIES[quantity].kind == "text":
             texts[column.name] = labels_from(list(values))
-            if QUANTITIES[quantity].kind not in ("text", "date"):
+            if QUANTITIES[quantity].kind not in ("text", "date", "state"):
                 numbers[column.name] = _numbers(texts.pop(column.name))
         else:
             numbers[column.name] = values.astype(float)
-    dated = any(np.issubdtype(fields[names.index(c.name)].dtype, np.datetime64) for c in found.values())
-    if dated and columns["time"].name in numbers:
-        renamed = columns["time"].name
-        numbers["unix time"] = numbers.pop(renamed)
+    moment = next((c for q, c in found.items() if q in ("time", "day") and _is_moment(fields[names.index(c.name)])), None)
+    if moment is not None:
+        numbers["unix time"] = numbers.pop(moment.name)
         columns["time"] = Column("unix time", "time", "s")
     if sidecar.crop:
         texts[" crop"] = Label.constant(sidecar.crop, len(x))
@@ -152,6 +151,13 @@ def _layer(path: Path, address: str, name: str, options: ReadOptions) -> Harvest
         columns["field"] = Column(" field", "field", "")
     kind = "John Deere Operations Center" if sidecar.units else KIND
     return assemble(Raw(columns, numbers, texts, len(x), notes=(*notes, *more)), where, kind, options)
+
+
+def _is_moment(values: np.ndarray) -> bool:
+    """Whether it holds times, not only days."""
+    if not np.issubdtype(values.dtype, np.datetime64):
+        return False
+    return bool((values[~np.isnat(values)] != values[~np.isnat(values)].astype("datetime64[D]")).any())
 
 
 def _unix(values: np.ndarray) -> Array:
