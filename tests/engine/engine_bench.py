@@ -17,7 +17,7 @@ from yieldmon.engine.health import FaultEvent
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import Result, events_in, frames_in, records_in
-from yieldmon.engine.runs import FrameRun
+from yieldmon.engine.runs import FrameRun, SampleRun, SignalRun
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.estimation.open_loop import FlowEstimate, FlowStatus
 from yieldmon.estimation.parameters import ParameterSet
@@ -141,6 +141,24 @@ class Bench:
         ]
         out += list(self.slow_frames(seconds))
         return sorted(out, key=lambda frame: frame.time_s)
+
+    def run(self, seconds: float) -> FrameRun:
+        """The same input as columns, in a fifth of the time; the engine makes the same of it (test_engine_runs)."""
+        samples = self.sample_frames(seconds)
+        slow = sorted(self.slow_frames(seconds), key=lambda frame: frame.time_s)
+        times = np.concatenate((samples["times_s"], [frame.time_s for frame in slow]))
+        order = np.argsort(times, kind="stable")
+        places = np.empty(len(order), dtype=np.intp)
+        places[order] = np.arange(len(order))
+        first_slow = len(samples["times_s"])
+        rows = np.column_stack((samples["counters"], samples["statuses"], samples["millivolts"]))
+        others = []
+        for message in (bus.ELEVATOR_SPEED, bus.PLATE_ACTUATOR_FEEDBACK):
+            at = [k for k, frame in enumerate(slow) if frame.message == message]
+            names = slow[at[0]].signals
+            columns = {name: np.array([float(slow[k].signals[name]) for k in at]) for name in names}
+            others.append(SignalRun(message, places[first_slow + np.array(at)], np.array([slow[k].time_s for k in at]), columns))
+        return FrameRun(times[order], [SampleRun(places[:first_slow], rows)], others)
 
     def slow_frames(self, seconds: float) -> Iterator[Frame]:
         """Speed at 10 Hz and plate feedback at 20 Hz."""
@@ -284,9 +302,9 @@ def monitor(settings: EngineSettings | None = None, **options: Any) -> Kept:
     return Kept(settings or EngineSettings(), MACHINE, options.pop("estimator", ForceProportional()), **options)
 
 
-def feed(target: Monitor, frames: list[Frame]) -> list[Frame]:
-    """Feed frames one by one; returns all output."""
-    return frames_in(results(target, frames))
+def feed(target: Monitor, frames: list[Frame] | FrameRun) -> list[Frame]:
+    """Feed frames one by one, or a run of them at once; returns all output."""
+    return frames_in(target.feed_run(frames) if isinstance(frames, FrameRun) else results(target, frames))
 
 
 def results(target: Monitor, frames: list[Frame]) -> list[Result]:

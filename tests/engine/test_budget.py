@@ -81,7 +81,7 @@ def test_other_parameters_have_a_moisture_of_their_own() -> None:
 
 def test_records_and_frames_carry_the_standard_deviation_of_the_masses() -> None:
     target = monitor(estimator=ForceProportional(relative_std_dev=0.04))
-    sent = feed(target, STEADY.frames(60))
+    sent = feed(target, STEADY.run(60))
     record = target.records[-1]
     # 4 % is common to all seconds; the unmeasured moisture adds its 2 %.
     assert record.load_std_dev_kg / record.load_kg == pytest.approx(hypot(0.04, 0.02), rel=0.1)
@@ -112,7 +112,7 @@ EMPTY_ELEVATOR = Bench(noise_mv=2.0)
 
 def test_vibration_too_large_for_a_zero_is_a_fault_with_figures() -> None:
     target = monitor(QUICK)
-    feed(target, replace(EMPTY_ELEVATOR, paddle_vibration_mv=20.0).frames(25))
+    feed(target, replace(EMPTY_ELEVATOR, paddle_vibration_mv=20.0).run(25))
     shown = [FaultCode.ZERO_MISSING in record.faults for record in target.records]
     assert shown.index(True) in range(10, 14)
     assert shown[-1]
@@ -135,11 +135,11 @@ def test_the_operators_zero_ends_it() -> None:
 
 def test_grain_from_the_first_second_is_the_same_fault() -> None:
     target = monitor(QUICK)
-    feed(target, replace(STEADY, flow=lambda t: 10.0).frames(20))
+    feed(target, replace(STEADY, flow=lambda t: 10.0).run(20))
     assert FaultCode.ZERO_MISSING in target.records[-1].faults
 
 
 def test_a_quiet_start_is_none() -> None:
     target = monitor(QUICK)
-    feed(target, STEADY.frames(30))
+    feed(target, STEADY.run(30))
     assert not any(FaultCode.ZERO_MISSING in record.faults for record in target.records)

@@ -79,7 +79,7 @@ NOISE_ALONE = replace(EngineSettings(), budget=BudgetSettings(0.0, 0.0, 0.0, 0.0
 def test_stated_standard_deviation_covers_the_error() -> None:
     bench = replace(STEADY, scatter=0.07, seed=3)
     target = monitor(NOISE_ALONE, estimator=ForceProportional(relative_std_dev=0.0))
-    feed(target, bench.frames(300))
+    feed(target, bench.run(300))
     records = target.records[8:]
     scores = np.array([(r.mass_flow_kg_s - 10.0) / r.std_dev_kg_s for r in records])
     assert np.std(scores) == pytest.approx(1.0, abs=0.35)
@@ -89,7 +89,7 @@ def test_it_covers_the_error_of_seconds_of_which_most_is_lost() -> None:
     """Three quarters of each second in one piece: what is left is too short to show its own scatter."""
     bench = replace(STEADY, scatter=0.07, seed=3, drop=lambda i: i > 2500 and i % 250 >= 62)
     target = monitor(estimator=ForceProportional(relative_std_dev=0.0))
-    feed(target, bench.frames(150))
+    feed(target, bench.run(150))
     records = target.records[14:]
     assert all(r.coverage == pytest.approx(0.25, abs=0.02) for r in records)
     scores = np.array([(r.force_n - 10.0 * N_PER_KG_S) / r.force_std_dev_n for r in records])
@@ -159,7 +159,7 @@ def test_lost_samples_degrade_their_second_and_are_filled(
 ) -> None:
     whole, target = monitor(), monitor()
     feed(whole, STEADY_FRAMES)
-    out = feed(target, replace(STEADY, drop=lost).frames(30))
+    out = feed(target, replace(STEADY, drop=lost).run(30))
     assert expected in (qualities(out)[12], qualities(out)[13])
     assert set(qualities(out)[15:]) == {Q.OK}
     assert target.faults.occurrences(FaultCode.FRAMES_LOST) == 1
@@ -198,7 +198,7 @@ def test_feedback_that_never_came_leaves_the_angle_unknown() -> None:
 def test_elevator_outside_its_range_is_no_flow(rpm: float) -> None:
     bench = Bench(flow=harvest(1005.0, 1015.0), rpm=lambda t: 400.0 if t < 1018 else rpm)
     target = monitor()
-    out = feed(target, bench.frames(30))
+    out = feed(target, bench.run(30))
     total = target.totals.total_kg
     assert set(qualities(out)[21:]) == {Q.NOT_HARVESTING}
     assert all(math.isnan(rate) for rate in flows(out)[21:])
@@ -208,7 +208,7 @@ def test_elevator_outside_its_range_is_no_flow(rpm: float) -> None:
 
 def test_flow_at_a_speed_outside_the_range_is_not_available() -> None:
     bench = Bench(flow=harvest(), rpm=lambda t: 400.0 if t < 1018 else 240.0)
-    out = feed(monitor(), bench.frames(30))
+    out = feed(monitor(), bench.run(30))
     assert set(qualities(out)[21:]) == {Q.NOT_AVAILABLE}
 
 
@@ -254,7 +254,7 @@ def test_samples_that_are_not_available() -> None:
 def test_more_than_a_full_paddle_is_saturated_and_counts_as_a_full_one() -> None:
     bench = Bench(flow=lambda t: 0.0 if t < 1005 else 10.0 if t < 1012 else 40.0)
     target = monitor()
-    out = feed(target, bench.frames(20))
+    out = feed(target, bench.run(20))
     assert set(qualities(out)[13:]) == {Q.SATURATED}
     assert flows(out)[-1] == pytest.approx(30.0, rel=1e-3)
     assert FaultCode.FLOW_OUTSIDE_CALIBRATION in target.faults.active
@@ -264,7 +264,7 @@ def test_standing_header_and_ground_speed_close_the_gate_on_what_is_left() -> No
     bench = Bench(flow=harvest(1005.0, 1e9, rate=0.8))
     header = [Frame(1000.0 + 0.5 * i, bus.HARVEST_STATE, {"HeaderDown": int(8 <= i < 30), "WorkState": 1}) for i in range(120)]
     frames = sorted([*bench.frames(60), *header], key=lambda f: f.time_s)
-    out = feed(monitor(), frames)
+    out = feed(monitor(), run_of(frames))
     # Header up at 1015 s: grain still counts while the elevator empties, and no longer after 20 s.
     assert qualities(out)[25] is Q.OK
     assert set(qualities(out)[37:]) == {Q.NOT_HARVESTING}
@@ -272,7 +272,7 @@ def test_standing_header_and_ground_speed_close_the_gate_on_what_is_left() -> No
 
 def test_end_of_harvest_is_a_state_and_not_a_flow_of_zero() -> None:
     bench = replace(STEADY, flow=harvest(1005.0, 1015.0))
-    out = feed(monitor(), bench.frames(30))
+    out = feed(monitor(), bench.run(30))
     assert set(qualities(out)[20:]) == {Q.NOT_HARVESTING}
     assert set(states(out)[20:]) == {OperatingState.NOT_HARVESTING}
     assert all(f.signals["MassFlowRate"] is NOT_AVAILABLE for f in only(out, bus.MASS_FLOW)[20:])
@@ -322,7 +322,7 @@ def test_tank_scale_gives_reference_masses() -> None:
         for t in np.arange(1004.03, 1070.0).tolist()
     ]
     target = monitor(replace(EngineSettings(), anchors=AnchorSettings(min_increment_kg=300.0)))
-    feed(target, sorted([*replace(STEADY, scatter=0.0).frames(70), *readings], key=lambda f: f.time_s))
+    feed(target, run_of(sorted([*replace(STEADY, scatter=0.0).frames(70), *readings], key=lambda f: f.time_s)))
     (anchor,) = target.anchors
     assert anchor.measured_kg == pytest.approx(anchor.reference_kg, rel=0.01)
     assert anchor.complete
@@ -338,7 +338,7 @@ def test_a_tank_scale_that_stands_still_between_passes_only_gives_reference_mass
 
     target = monitor(replace(EngineSettings(), anchors=AnchorSettings(min_increment_kg=700.0)))
     frames = replace(STEADY, flow=flow, scatter=0.0).frames(150)
-    feed(target, sorted([*frames, *(tank(1000.5 + i) for i in range(149))], key=lambda f: f.time_s))
+    feed(target, run_of(sorted([*frames, *(tank(1000.5 + i) for i in range(149))], key=lambda f: f.time_s)))
     (anchor,) = target.anchors
     assert anchor.complete
     assert anchor.measured_kg == pytest.approx(anchor.reference_kg, abs=12.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -141,6 +141,12 @@ def test_every_input_with_everything_that_may_be_wrong_with_it(seed: int) -> Non
     one_by_one = monitor()
     feed(one_by_one, frames)
     assert_same(one_by_one, monitor(), cut(frames, seed))
+
+
+def test_the_benchs_run_is_that_of_its_frames() -> None:
+    bench = replace(BENCH, drop=lambda i: i % 97 == 5, rpm=lambda t: 380.0 + t % 7.0)
+    whole, expected = asdict(bench.run(12)), asdict(run_of(bench.frames(12)))
+    np.testing.assert_equal(whole, expected)
 
 
 def test_a_run_without_reports_leaves_out_just_those() -> None:

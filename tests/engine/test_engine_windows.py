@@ -56,7 +56,7 @@ def test_constant_flow_while_the_speed_changes(rpm_from: float, rpm_to: float) -
         noise_mv=0.0,
         pulse_std_dev_s=0.02,
     )
-    found = np.array(flows(feed(monitor(), bench.frames(34))))[8:]
+    found = np.array(flows(feed(monitor(), bench.run(34))))[8:]
     assert np.ptp(found) / found.mean() < 0.02
     assert found.mean() == pytest.approx(10.0, rel=0.005)
 

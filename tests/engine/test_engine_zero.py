@@ -20,7 +20,7 @@ SHAKING = Bench(noise_mv=5.0, shaft_vibration_mv=7.0, paddle_vibration_mv=7.0, s
 def zeros(bench: Bench, seconds: float) -> np.ndarray:
     """Zero after each window, mV; nan while there is none. Fed as a run, which gives the same bits (test_engine_runs)."""
     target = monitor()
-    target.feed_run(run_of(bench.frames(seconds)))
+    target.feed_run(bench.run(seconds))
     return np.array([record.zero_mv for record in target.records])
 
 
@@ -72,7 +72,7 @@ def test_no_zero_is_learnt_while_cutting() -> None:
 
 def test_no_zero_is_learnt_from_a_full_flow() -> None:
     target = monitor()
-    out = feed(target, Bench(flow=lambda t: 8.0).frames(20))
+    out = feed(target, Bench(flow=lambda t: 8.0).run(20))
     states = {f.signals["OperatingState"] for f in only(out, bus.YIELD_MONITOR_STATUS)}
     assert states == {OperatingState.ZEROING}
     assert {r.quality for r in target.records} == {EstimateQuality.NOT_AVAILABLE}
@@ -80,14 +80,14 @@ def test_no_zero_is_learnt_from_a_full_flow() -> None:
 
 def test_far_drift_raises_the_fault() -> None:
     target = monitor()
-    target.feed_run(run_of(Bench(zero=lambda t: 150.0 + 0.15 * (t - 1000.0)).frames(320)))
+    target.feed_run(Bench(zero=lambda t: 150.0 + 0.15 * (t - 1000.0)).run(320))
     assert FaultCode.ZERO_DRIFTED in target.faults.active
     assert target.records[-1].quality is not EstimateQuality.OK
 
 
 def test_a_level_that_jumps_without_pulses_is_no_grain_and_raises_the_fault() -> None:
     target = monitor()
-    feed(target, Bench(zero=lambda t: 150.0 if t < 1030 else 175.0).frames(60))
+    feed(target, Bench(zero=lambda t: 150.0 if t < 1030 else 175.0).run(60))
     assert FaultCode.ZERO_DRIFTED in target.faults.active
     assert target.records[-1].quality is EstimateQuality.NOT_HARVESTING
 
@@ -96,10 +96,10 @@ def test_operators_zero_calibration_learns_any_vibration() -> None:
     bench = replace(SHAKING, paddle_vibration_mv=40.0)
     target = monitor()
     frames = bench.frames(40)
-    feed(target, [f for f in frames if f.time_s < 1010.5])
+    feed(target, run_of([f for f in frames if f.time_s < 1010.5]))
     assert np.isnan(target.records[-1].zero_mv)
     target.calibrate_zero()
-    feed(target, [f for f in frames if f.time_s >= 1010.5])
+    feed(target, run_of([f for f in frames if f.time_s >= 1010.5]))
     assert target.records[-1].zero_mv == pytest.approx(150.0, abs=0.5)
     assert target.records[-1].operating_state is OperatingState.NOT_HARVESTING
 

@@ -18,6 +18,7 @@ from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import frames_in
+from yieldmon.engine.runs import run_of
 from yieldmon.engine.scale_alarm import ScaleAlarm, ScaleCheck, as_stated
 from yieldmon.engine.settings import FaultSettings
 from yieldmon.engine.state import EngineState
@@ -118,14 +119,14 @@ def weighed(target: Monitor, factor: float, seconds: float = 60.0) -> str:
     frames = STEADY.frames(seconds)
     cut = len(frames) - 2000
     third = len(frames) // 3
-    feed(target, frames[:third])
+    feed(target, run_of(frames[:third]))
     target.start_load()
-    feed(target, frames[third:cut])
+    feed(target, run_of(frames[third:cut]))
     load = target.open_load
     assert load is not None
     target.start_load()
     target.ticket(load.number, factor * load.measured_kg, 1.0)
-    feed(target, frames[cut:])
+    feed(target, run_of(frames[cut:]))
     return target.faults.detail(CODE) if CODE in target.records[-1].faults else ""  # type: ignore[attr-defined]
 
 
@@ -160,7 +161,7 @@ def test_the_calibrators_own_doubt_decides(spread: float, shown: bool) -> None:
 
 def monitor_record():  # type: ignore[no-untyped-def]
     target = monitor()
-    feed(target, STEADY.frames(15))
+    feed(target, STEADY.run(15))
     return target.records[-1]  # type: ignore[attr-defined]
 
 

@@ -9,6 +9,7 @@ from engine_bench import Bench, feed, monitor
 
 from yieldmon import frames as frames_of_bus
 from yieldmon.engine.faults import FaultCode
+from yieldmon.engine.runs import run_of
 from yieldmon.engine.settings import AnchorSettings, EngineSettings
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
@@ -26,14 +27,14 @@ def ask(target, command: str, **request: object) -> dict:
 
 def test_zero_in_grain_is_refused_then_a_fault_and_an_undo_restores_the_mass() -> None:
     frames, target = BENCH.frames(140), monitor()
-    feed(target, [f for f in frames if f.time_s < 1040.0])
+    feed(target, run_of([f for f in frames if f.time_s < 1040.0]))
     before = target.totals.total_kg
     with pytest.raises(InputError, match=r"there is grain: the paddles throw pulses .* and the plate feels .* N; expected"):
         ask(target, "zero")
-    feed(target, [f for f in frames if 1040.0 <= f.time_s < 1041.0])
+    feed(target, run_of([f for f in frames if 1040.0 <= f.time_s < 1041.0]))
     assert target.totals.total_kg > before + 10.0
     ask(target, "zero", force=True)
-    feed(target, [f for f in frames if 1041.0 <= f.time_s < 1100.0])
+    feed(target, run_of([f for f in frames if 1041.0 <= f.time_s < 1100.0]))
     assert FaultCode.ZERO_DRIFTED in target.faults.active
     lost_kg = 14.0 * 79.0 - target.totals.total_kg
     assert lost_kg > 300.0
@@ -41,7 +42,7 @@ def test_zero_in_grain_is_refused_then_a_fault_and_an_undo_restores_the_mass() -
     assert answer["restored_kg"] == pytest.approx(lost_kg, abs=25.0)
     assert target.totals.total_kg == pytest.approx(14.0 * 79.0, rel=0.03)
     assert target.totals.load_kg == pytest.approx(target.totals.total_kg)
-    feed(target, [f for f in frames if f.time_s >= 1100.0])
+    feed(target, run_of([f for f in frames if f.time_s >= 1100.0]))
     assert FaultCode.ZERO_DRIFTED not in target.faults.active
     assert target.totals.total_kg == pytest.approx(14.0 * 119.0, rel=0.03)
     with pytest.raises(InputError, match="no zero calibration by an operator"):
@@ -51,9 +52,9 @@ def test_zero_in_grain_is_refused_then_a_fault_and_an_undo_restores_the_mass() -
 def test_zero_with_the_elevator_empty_is_taken() -> None:
     target = monitor()
     frames = Bench(noise_mv=2.0).frames(60)
-    feed(target, [f for f in frames if f.time_s < 1030.0])
+    feed(target, run_of([f for f in frames if f.time_s < 1030.0]))
     assert "empty" in ask(target, "zero")["zero"]
-    feed(target, [f for f in frames if f.time_s >= 1030.0])
+    feed(target, run_of([f for f in frames if f.time_s >= 1030.0]))
     assert FaultCode.ZERO_DRIFTED not in target.faults.active
     assert target.totals.total_kg == 0.0
 
@@ -62,13 +63,13 @@ def test_a_zero_that_was_learnt_with_grain_shows_when_the_plate_is_empty() -> No
     bench = Bench(flow=lambda t: 14.0 if t < 1040.0 else 0.0, scatter=0.05)
     target = monitor()
     target.calibrate_zero()
-    feed(target, bench.frames(70))
+    feed(target, bench.run(70))
     assert FaultCode.ZERO_DRIFTED in target.faults.active
 
 
 def test_a_ticket_for_the_open_load_is_refused() -> None:
     target = monitor()
-    feed(target, BENCH.frames(40))
+    feed(target, BENCH.run(40))
     with pytest.raises(InputError, match=r"ticket for load 1: it is still open.*load stop"):
         ask(target, "ticket", first_load=1, mass_kg=1000.0)
 
@@ -81,9 +82,9 @@ def test_under_a_wrong_zero_the_tank_scale_keeps_the_mass_and_an_undo_does_not_c
     seconds = 300
     target = monitor(replace(EngineSettings(), anchors=AnchorSettings(min_increment_kg=500.0)))
     frames = sorted([*BENCH.frames(seconds), *(tank(1000.5 + i) for i in range(seconds - 1))], key=lambda f: f.time_s)
-    feed(target, [f for f in frames if f.time_s < 1041.0])
+    feed(target, run_of([f for f in frames if f.time_s < 1041.0]))
     ask(target, "zero", force=True)
-    feed(target, [f for f in frames if f.time_s >= 1041.0])
+    feed(target, run_of([f for f in frames if f.time_s >= 1041.0]))
     true_kg = 14.0 * (seconds - 21)
     assert FaultCode.ZERO_DRIFTED in target.faults.active
     assert true_kg - 700.0 < target.totals.load_kg < 1.02 * true_kg
