@@ -424,7 +424,7 @@ class _Problem:
     def _whiteners(self, unknown: Array, anchor_flows: Array) -> list[Array]:
         """Inverse of the lower Cholesky factor of each sweep's force covariance."""
         settings = self.settings
-        if settings.flow != "process" and settings.model_error == 0.0:
+        if not self.sweeps or (settings.flow != "process" and settings.model_error == 0.0):
             return [np.diag(1.0 / sweep.force_std_dev_n) for sweep in self.sweeps]
         force, _, by_load = self._forces(unknown, anchor_flows)
         loads = self._loads(unknown, anchor_flows)

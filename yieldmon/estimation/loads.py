@@ -240,6 +240,15 @@ def widened(prior: ParameterSet, settings: LoadSettings) -> ParameterSet:
     return replace(prior, covariance_names=tuple(names), covariance=covariance)
 
 
+def _shifted(known: ParameterSet, name: str, step: float) -> ParameterSet:
+    return replace(known, values=dict(known.values) | {name: known.values[name] + step})
+
+
+def _in_rows(known: Sequence[ParameterSet]) -> dict[str, Array]:
+    """Values of sets that name the same, (k, 1) each: to be evaluated together."""
+    return {name: np.array([[item.values[name]] for item in known]) for name in known[0].values}
+
+
 def _gain_names(known: ParameterSet) -> tuple[str, ...]:
     return ("restitution",) if "restitution" in known.values else ("k1", "k2")
 
@@ -324,11 +333,17 @@ class _Problem:
         """(n,) kg that these parameters make of each load."""
         return self.total(self.flow(known)[0])
 
-    def slope(self, known: ParameterSet, flow: Array, by_flow: Array, step: float) -> Array:
-        """(n,) change of ln mass by what turns the parameters into `known`, over `step`; flow is what they gave before."""
+    def slopes(self, known: Sequence[ParameterSet], flow: Array, by_flow: Array, steps: Sequence[float]) -> Array:
+        """(n, k) change of ln mass by what turns the parameters into each of `known`, over its step; flow: given before."""
         at = Conditions(self.angle, self.speed, mass_flow_kg_s=flow, moisture_pct=self.moisture)
-        shift = (self.force - np.real(self.model.force(at, known.values, overfull="nan"))) / by_flow
-        return self.total(shift) / self.total(flow) / step
+        alike = len({tuple(item.values) for item in known}) == 1
+        forces = (
+            list(np.real(self.model.force(at, _in_rows(known), overfull="nan")))
+            if alike
+            else [np.real(self.model.force(at, item.values, overfull="nan")) for item in known]
+        )
+        shifts = [(self.force - force) / by_flow for force in forces]
+        return np.stack([self.total(shift) / self.total(flow) / step for shift, step in zip(shifts, steps, strict=True)], axis=1)
 
     def fit(self, active: NDArray[np.bool_], directions: int, near: _Fit | None = None) -> _Fit:
         """Most likely step from the active loads, along the best determined `directions` (0, 1 or 2). near: where to begin."""
@@ -361,8 +376,9 @@ class _Problem:
         flow, by_flow = self.flow(moved(self.start, float(step[0]), float(step[1])))
         with np.errstate(divide="ignore", invalid="ignore"):
             error = np.log(self.total(flow) / self.weighed)
-            slopes = [self.slope(moved(self.start, *map(float, step + _STEP * d)), flow, by_flow, _STEP) for d in np.eye(2)]
-        return error, np.stack(slopes, axis=1)
+            beside = [moved(self.start, *map(float, step + _STEP * d)) for d in np.eye(2)]
+            slopes = self.slopes(beside, flow, by_flow, (_STEP, _STEP))
+        return error, slopes
 
     def _basis(self, slope: Array, weight: Array) -> Array:
         """(2, 2): directions of unit prior standard deviation, the one that the loads determine best first."""
@@ -518,12 +534,9 @@ class _Problem:
     def spread(self, known: ParameterSet, active: NDArray[np.bool_]) -> tuple[float, float]:
         """Relative standard deviations of a further load and of these loads' common level, from a set's own covariance."""
         flow, by_flow = self.flow(known)
-        columns = []
-        for name in known.covariance_names:
-            step = 1e-2 * known.standard_deviation(name)
-            shifted = replace(known, values=dict(known.values) | {name: known.values[name] + step})
-            columns.append(self.slope(shifted, flow, by_flow, step))
-        rows = np.nan_to_num(np.stack(columns, axis=1))[active]
+        steps = [1e-2 * known.standard_deviation(name) for name in known.covariance_names]
+        shifted = [_shifted(known, name, step) for name, step in zip(known.covariance_names, steps, strict=True)]
+        rows = np.nan_to_num(self.slopes(shifted, flow, by_flow, steps))[active]
         spread = np.einsum("ki,ij,kj->k", rows, known.covariance, rows)
         mean = rows.mean(axis=0)
         return float(np.sqrt(spread.mean() + self.settings.load_error**2)), float(np.sqrt(mean @ known.covariance @ mean))
@@ -550,12 +563,11 @@ class _Problem:
     def _held_slopes(self, centre: ParameterSet) -> Array:
         """(n, held): change of ln mass with each held parameter."""
         flow, by_flow = self.flow(centre)
-        columns = []
-        for name in self.held:
-            step = 1e-2 * self.start.standard_deviation(name)
-            shifted = replace(centre, values=dict(centre.values) | {name: centre.values[name] + step})
-            columns.append(self.slope(shifted, flow, by_flow, step))
-        return np.nan_to_num(np.stack(columns, axis=1)) if columns else np.zeros((len(self.loads), 0))
+        if not self.held:
+            return np.zeros((len(self.loads), 0))
+        steps = [1e-2 * self.start.standard_deviation(name) for name in self.held]
+        shifted = [_shifted(centre, name, step) for name, step in zip(self.held, steps, strict=True)]
+        return np.asarray(np.nan_to_num(self.slopes(shifted, flow, by_flow, steps)))
 
     def _as_set(self, centre: ParameterSet, covariance: Array) -> ParameterSet:
         values, gain = centre.values, _gain_names(centre)

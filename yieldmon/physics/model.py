@@ -209,6 +209,7 @@ class Throw:
             raise ValueError("parameters: give either restitution, or k1 and k2")
         self.setting = setting
         self._heap_scale_kg = setting.density * machine.paddle_width_m * setting.paddle_length_m**2
+        self._slides = release.slides_of(setting)
         self._miss_rotation = self._find_miss_rotation()
 
     @property
@@ -284,7 +285,7 @@ class Throw:
         setting = self.setting
         # Grain released after LATEST leaves the tip heading back; where misses do not count, nothing after them does.
         limit = np.full(1, LATEST_ROTATION_RAD) if self._model._misses else self._miss_rotation
-        emptied = release.rotation_to_empty(inner, setting, limit)
+        emptied = release.rotation_to_empty(inner, setting, limit, self._slides)
         points, weights = gauss_legendre(self._model.nodes)
         hit_end = minimum(emptied, self._miss_rotation)
         tau, width = hit_end * points, hit_end * weights
@@ -292,7 +293,7 @@ class Throw:
             rest = emptied - hit_end
             tau = np.concatenate((tau, hit_end + rest * points), axis=-1)
             width = np.concatenate((width, rest * weights), axis=-1)
-        flow = release.outflow(tau, setting)
+        flow = release.outflow(tau, setting, self._slides[0])
         psi = settling.opening_angle(flow.release_radius, inner, setting.shape_ratio)
         mass = self._heap_scale_kg * width * flow.inward_rate * flow.release_radius * psi
         x, y, vx, vy = release.at_tip(flow, setting)
@@ -328,12 +329,13 @@ class Throw:
         if setting.radial_speed is not None:
             upper = upper + 0.5 * setting.radial_speed
 
-        def miss(tau: AnyArray, setting: Setting = setting) -> AnyArray:
-            flow = release.outflow(tau, setting)
+        slide, still, still_slide = self._slides
+
+        def miss(tau: AnyArray, setting: Setting = setting, slide: release.Slide = slide) -> AnyArray:
+            flow = release.outflow(tau, setting, slide)
             return flight.miss_measure(*release.at_tip(flow, setting), setting)
 
-        still = setting.unperturbed()
-        return first_root(miss, upper, unperturbed=lambda tau: miss(tau, still))
+        return first_root(miss, upper, unperturbed=lambda tau: miss(tau, still, still_slide))
 
 
 def _with_nodes(value: ArrayLike) -> AnyArray:

@@ -22,7 +22,12 @@ COMPLEX_STEP = 1e-30
 
 def real(x: AnyArray) -> Array:
     """Real part, as float64."""
-    return np.real(x)
+    return x.real
+
+
+def perturbed(x: AnyArray) -> bool:
+    """Whether x carries a complex perturbation."""
+    return x.dtype.kind == "c"
 
 
 def distinct(x: Array) -> Array:
@@ -52,7 +57,7 @@ def _carried(x: AnyArray, value: Array, slope: Array) -> AnyArray:
 
 def exp(x: AnyArray) -> AnyArray:
     """Exponential; a perturbation is carried to first order, at a fraction of the time of the complex function."""
-    if not np.iscomplexobj(x):
+    if not perturbed(x):
         return np.asarray(np.exp(x))
     value = np.exp(x.real)
     return _carried(x, value, value)
@@ -60,7 +65,7 @@ def exp(x: AnyArray) -> AnyArray:
 
 def sin_cos(x: AnyArray) -> tuple[AnyArray, AnyArray]:
     """Sine and cosine, as `exp`."""
-    if not np.iscomplexobj(x):
+    if not perturbed(x):
         return np.sin(x), np.cos(x)
     sin, cos = np.sin(x.real), np.cos(x.real)
     return _carried(x, sin, cos), _carried(x, cos, -sin)
@@ -68,7 +73,7 @@ def sin_cos(x: AnyArray) -> tuple[AnyArray, AnyArray]:
 
 def arccos(x: AnyArray) -> AnyArray:
     """Inverse cosine, as `exp`; at 1, where the slope has no bound, a perturbation is lost."""
-    if not np.iscomplexobj(x):
+    if not perturbed(x):
         return np.asarray(np.arccos(x))
     square = 1.0 - x.real * x.real
     slope = -1.0 / np.sqrt(np.where(square > 0.0, square, np.inf))
@@ -79,7 +84,7 @@ def erf(x: AnyArray) -> AnyArray:
     """Error function, as `exp`."""
     from scipy.special import erf as of_real
 
-    if not np.iscomplexobj(x):
+    if not perturbed(x):
         return np.asarray(of_real(x))
     at = x.real
     return _carried(x, of_real(at), 2.0 / np.sqrt(np.pi) * np.exp(-at * at))
@@ -87,7 +92,7 @@ def erf(x: AnyArray) -> AnyArray:
 
 def arctan(x: AnyArray) -> AnyArray:
     """Inverse tangent, as `exp`."""
-    if not np.iscomplexobj(x):
+    if not perturbed(x):
         return np.asarray(np.arctan(x))
     at = x.real
     return _carried(x, np.arctan(at), 1.0 / (1.0 + at * at))
@@ -95,7 +100,7 @@ def arctan(x: AnyArray) -> AnyArray:
 
 def sqrt(x: AnyArray) -> AnyArray:
     """Square root, as `exp`; at 0 a perturbation is lost."""
-    if not np.iscomplexobj(x):
+    if not perturbed(x):
         return np.asarray(np.sqrt(x))
     value = np.sqrt(x.real)
     return _carried(x, value, 0.5 / np.where(value > 0.0, value, np.inf))
@@ -131,31 +136,33 @@ def first_root(
     unperturbed: the function without perturbations, where it costs less.
     """
     search = unperturbed or function
-    t = real(upper) * chebyshev_points(points)
-    f = real(search(t))
-    t = np.broadcast_to(t, f.shape)
+    end, grid = real(upper), chebyshev_points(points)
+    f = real(search(end * grid))
     positive = f >= 0.0
-    right = np.argmax(positive, axis=-1)[..., None]
-    found = np.take_along_axis(positive, right, -1)
+    right = positive.argmax(axis=-1)[..., None]
     left = np.maximum(right - 1, 0)
-    a, b = np.take_along_axis(t, left, -1), np.take_along_axis(t, right, -1)
-    fa, fb = np.take_along_axis(f, left, -1), np.take_along_axis(f, right, -1)
+    a, b = end * grid[left], end * grid[right]
+    rows, flat = np.arange(right.size).reshape(right.shape), f.reshape(-1, points)
+    fa, fb = flat[rows, left], flat[rows, right]
+    found = fb >= 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
         x = np.where(fb > fa, a - fa * (b - a) / (fb - fa), b)
     for _ in range(refinements):
         h = 1e-3 * (b - a) + 1e-12
         probe = np.concatenate((x - h, x, x + h), axis=-1)
-        fm, f0, fp = np.split(real(search(probe)), 3, axis=-1)
+        probed = real(search(probe))
+        fm, f0, fp = probed[..., :1], probed[..., 1:2], probed[..., 2:]
         slope, curve = (fp - fm) / (2.0 * h), (fp - 2.0 * f0 + fm) / (h * h)
         with np.errstate(divide="ignore", invalid="ignore"):
             newton = f0 / slope
             step = newton * (1.0 + 0.5 * newton * curve / slope)
         x = np.clip(np.where(np.isfinite(step), x - step, x), a, b)
-    x = np.where(found, np.where(right == 0, 0.0, x), real(upper))
+    x = np.where(found, np.where(right == 0, 0.0, x), end)
     value = function(x)
-    if np.iscomplexobj(value):
-        h = 1e-6 * real(upper) + 1e-12
-        slope = (real(search(x + h)) - real(search(x - h))) / (2.0 * h)
+    if perturbed(value):
+        h = 1e-6 * end + 1e-12
+        beside = real(search(np.concatenate(np.broadcast_arrays(x + h, x - h), axis=-1)))
+        slope = (beside[..., :1] - beside[..., 1:]) / (2.0 * h)
         inside = found & (right > 0)
         x = np.where(inside, x - 1j * np.imag(value) / np.where(inside, slope, 1.0), np.where(found, x, upper))
     return x

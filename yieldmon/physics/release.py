@@ -11,10 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .numerics import AnyArray, distinct, exp, real, sin_cos
+from .numerics import AnyArray, distinct, exp, perturbed, real, sin_cos
 from .stages import Setting
 
 TOP = 1.5 * np.pi
+_AT_TOP = np.full(1, TOP)
+_AT_TOP.flags.writeable = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,73 +34,90 @@ class Outflow:
     """Sine and cosine of that angle where the motion needed them."""
 
 
-def outflow(tau: AnyArray, setting: Setting) -> Outflow:
-    """Closed-form solution for the grain that leaves at rotation tau [8.13-8.15], gravity and radial speed included."""
-    mu = setting.friction
+@dataclass(frozen=True, slots=True)
+class Slide:
+    """What of the solution is the same for all grain of a setting."""
+
+    friction: AnyArray
+    growth: AnyArray
+    """s = sqrt(1 + mu^2)"""
+    ratio: AnyArray
+    """mu / s"""
+    radial_speed: AnyArray | None
+    start: AnyArray
+    forced: tuple[AnyArray, AnyArray, AnyArray, AnyArray] | None
+    """Under gravity: factors of sine and cosine, and what these are at the start, itself and its rate."""
+
+
+def slide_of(setting: Setting) -> Slide:
+    """Of a setting; `outflow` makes it itself where it is not given."""
+    mu, start = setting.friction, start_angle(setting)
     s = np.sqrt(1.0 + mu * mu)
-    damping = exp(-mu * tau)
-    grow = exp(s * tau)
-    cosh, sinh = 0.5 * (grow + 1.0 / grow), 0.5 * (grow - 1.0 / grow)
-    free, free_rate = damping * (cosh + mu / s * sinh), damping * sinh / s
+    forced = None
+    if setting.gravity_m_s2 is not None:
+        number = setting.gravity_m_s2 / (setting.paddle_length_m * setting.elevator_speed_rad_s**2)
+        a = -number * (1.0 - mu * mu) / (2.0 * (1.0 + mu * mu))
+        b = -number * mu / (1.0 + mu * mu)
+        sin0, cos0 = np.sin(start), np.cos(start)
+        forced = a, b, a * sin0 + b * cos0, a * cos0 - b * sin0
+    return Slide(mu, s, mu / s, setting.radial_speed, start, forced)
+
+
+def outflow(tau: AnyArray, setting: Setting, slide: Slide | None = None) -> Outflow:
+    """Closed-form solution for the grain that leaves at rotation tau [8.13-8.15], gravity and radial speed included."""
+    known = slide_of(setting) if slide is None else slide
+    damping = exp(-known.friction * tau)
+    grow = exp(known.growth * tau)
+    shrink = 1.0 / grow
+    cosh, sinh = 0.5 * (grow + shrink), 0.5 * (grow - shrink)
+    slowed = known.ratio * sinh
+    free, free_rate = damping * (cosh + slowed), damping * sinh / known.growth
     position, velocity = free, free_rate
-    if setting.radial_speed is not None:
-        rate = damping * (cosh - mu / s * sinh)
-        position, velocity = position + setting.radial_speed * velocity, velocity + setting.radial_speed * rate
-    angle = start_angle(setting) + tau
-    if setting.gravity_m_s2 is None:
+    if known.radial_speed is not None:
+        rate = damping * (cosh - slowed)
+        position, velocity = position + known.radial_speed * velocity, velocity + known.radial_speed * rate
+    angle = known.start + tau
+    if known.forced is None:
         release = 1.0 / position
         radial = release * velocity
         return Outflow(release, radial, radial * release, angle, None)
     sin, cos = sin_cos(angle)
-    free_rate_rate = damping * (cosh - mu / s * sinh)
-    forced, forced_rate = _forced(sin, cos, mu, (free, free_rate, free_rate_rate), setting)
+    free_rate_rate = damping * (cosh - slowed)
+    # G (sin theta + mu cos theta) forces a solution that starts at rest at the centre.
+    a, b, at_start, rate_at_start = known.forced
+    forced = a * sin + b * cos - at_start * free - rate_at_start * free_rate
+    forced_rate = a * cos - b * sin - at_start * free_rate - rate_at_start * free_rate_rate
     release = (1.0 - forced) / position
     radial = release * velocity + forced_rate
     return Outflow(release, radial, radial / position, angle, (sin, cos))
 
 
+def slides_of(setting: Setting) -> tuple[Slide, Setting, Slide]:
+    """The slide of a setting, the setting without perturbations (itself where it has none), and the slide of that."""
+    slide, still = slide_of(setting), setting.unperturbed()
+    return slide, still, slide if still is setting else slide_of(still)
+
+
 def start_angle(setting: Setting) -> AnyArray:
     """Paddle angle at which the heap is let go, rad."""
     if setting.release_angle_rad is None:
-        return np.full(1, TOP)
+        return _AT_TOP
     return TOP + setting.release_angle_rad
 
 
-def _forced(
-    sin: AnyArray,
-    cos: AnyArray,
-    mu: AnyArray,
-    unforced: tuple[AnyArray, AnyArray, AnyArray],
-    setting: Setting,
-) -> tuple[AnyArray, AnyArray]:
-    """Solution for G (sin theta + mu cos theta) that starts at rest at the centre, and its rate; sin, cos: of theta.
-
-    unforced: the solution without that force that starts at 1 at rest, its rate, and the rate of that.
-    """
-    assert setting.gravity_m_s2 is not None
-    number = setting.gravity_m_s2 / (setting.paddle_length_m * setting.elevator_speed_rad_s**2)
-    start = start_angle(setting)
-    a = -number * (1.0 - mu * mu) / (2.0 * (1.0 + mu * mu))
-    b = -number * mu / (1.0 + mu * mu)
-    free, free_rate, free_rate_rate = unforced
-    sin0, cos0 = np.sin(start), np.cos(start)
-    at_start, rate_at_start = a * sin0 + b * cos0, a * cos0 - b * sin0
-    value = a * sin + b * cos - at_start * free - rate_at_start * free_rate
-    rate = a * cos - b * sin - at_start * free_rate - rate_at_start * free_rate_rate
-    return value, rate
-
-
-def rotation_to_empty(inner_radius: AnyArray, setting: Setting, limit: AnyArray) -> AnyArray:
+def rotation_to_empty(
+    inner_radius: AnyArray, setting: Setting, limit: AnyArray, slides: tuple[Slide, Setting, Slide] | None = None
+) -> AnyArray:
     """tau at which the innermost grain (radius `inner_radius`, in l) leaves the tip, at most `limit`, rad.
 
     Newton on log rho_0, kept inside a bracket; complex perturbations are carried by a last step. What has settled stays as it is,
-    so that no value depends on those beside it.
+    so that no value depends on those beside it. slides: `slides_of` the setting, where they are at hand.
     """
-    perturbed = any(map(np.iscomplexobj, (inner_radius, limit))) or setting.perturbed
+    slide, still, still_slide = slides_of(setting) if slides is None else slides
+    carries = perturbed(inner_radius) or perturbed(limit) or still is not setting
     goal, end = np.maximum(real(inner_radius), 1e-12), real(limit)
-    still = setting
-    if perturbed:
-        goal, end, still = distinct(goal), distinct(end), setting.unperturbed()
+    if carries:
+        goal, end = distinct(goal), distinct(end)
     plain = np.arccosh(np.maximum(1.0 / goal, 1.0))
     # Exact without friction; the factor is friction's first order near the tip.
     tau = np.minimum(plain * (1.0 + still.friction * plain / 3.0), end)
@@ -106,7 +125,7 @@ def rotation_to_empty(inner_radius: AnyArray, setting: Setting, limit: AnyArray)
     low, high = np.zeros(shape), end
     settled = np.zeros(shape, dtype=bool)
     for _ in range(60):
-        flow = outflow(tau, still)
+        flow = outflow(tau, still, still_slide)
         rho, rate = flow.release_radius, flow.inward_rate
         late = rho < goal
         low, high = np.where(late, low, tau), np.where(late, tau, high)
@@ -118,8 +137,8 @@ def rotation_to_empty(inner_radius: AnyArray, setting: Setting, limit: AnyArray)
         settled = settled | small
         if settled.all():
             break
-    if perturbed:
-        flow = outflow(tau, setting)
+    if carries:
+        flow = outflow(tau, setting, slide)
         rate = real(flow.inward_rate)
         inside = (tau < end) & (rate > 0.0)
         step = 1j * np.imag(flow.release_radius - inner_radius) / np.where(inside, rate, 1.0)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .numerics import AnyArray, arccos, distinct, real, sin_cos
+from .numerics import AnyArray, arccos, distinct, perturbed, real, sin_cos
 
 
 def filled_fraction(x: AnyArray, shape_ratio: AnyArray) -> AnyArray:
@@ -24,24 +24,24 @@ def inner_radius(fraction: AnyArray, shape_ratio: AnyArray) -> AnyArray:
     thin heaps; steps that leave [0, 1] are halved back. Complex perturbations are carried by a last step. What has settled
     stays as it is, so that no value depends on those beside it.
     """
-    perturbed = np.iscomplexobj(fraction) or np.iscomplexobj(shape_ratio)
+    carries = perturbed(fraction) or perturbed(shape_ratio)
     a, h = real(fraction), real(shape_ratio)
-    if perturbed:
+    if carries:
         a, h = distinct(a), distinct(h)
     with np.errstate(invalid="ignore", divide="ignore"):
         thin = np.sqrt(2.0 * a / h)
         thickness = np.minimum(thin, 1.0)
-        settled = np.zeros(thickness.shape, dtype=bool)
+        settled, none = np.zeros(thickness.shape, dtype=bool), a == 0.0
         for _ in range(60):
-            psi = h * thickness
+            psi, rest = h * thickness, 1.0 - thickness
             sin = np.sin(psi)
-            value = 0.5 * (psi - (1.0 - thickness) * sin) - a
-            slope = 0.5 * (h + sin - (1.0 - thickness) * h * np.cos(psi))
+            value = 0.5 * (psi - rest * sin) - a
+            slope = 0.5 * (h + sin - rest * h * np.cos(psi))
             trial = thickness - value / slope
             trial = np.where(trial > 1.0, 0.5 * (thickness + 1.0), np.where(trial < 0.0, 0.5 * thickness, trial))
             # Quadratic convergence: a step this small leaves an error at rounding.
-            small = ~(np.abs(trial - thickness) > 1e-8 * trial) | (a == 0.0)
-            thickness = np.where(settled, thickness, np.where(a == 0.0, 0.0, trial))
+            small = ~(np.abs(trial - thickness) > 1e-8 * trial) | none
+            thickness = np.where(settled, thickness, np.where(none, 0.0, trial))
             settled = settled | small
             if settled.all():
                 break
@@ -50,7 +50,7 @@ def inner_radius(fraction: AnyArray, shape_ratio: AnyArray) -> AnyArray:
     # Rounding may ask for a hair more than a full paddle; beyond that the heap does not exist.
     thickness = np.where((a >= 0.0) & (a <= 0.5 * h * (1.0 + 1e-12)), thickness, np.nan)
     x: AnyArray = 1.0 - thickness
-    if perturbed:
+    if carries:
         psi = h * thickness
         slope = -(0.5 * h + 0.5 * np.sin(psi) - 0.5 * x * h * np.cos(psi))
         x = x - 1j * np.imag(filled_fraction(x, shape_ratio) - fraction) / np.where(slope == 0.0, 1.0, slope)
@@ -77,7 +77,7 @@ def opening_angle(rho: AnyArray, x: AnyArray, shape_ratio: AnyArray) -> AnyArray
 
 def _arctan2(y: AnyArray, x: AnyArray) -> AnyArray:
     angle: AnyArray = np.arctan2(real(y), real(x))
-    if np.iscomplexobj(y) or np.iscomplexobj(x):
+    if perturbed(y) or perturbed(x):
         yr, xr = real(y), real(x)
         radius2 = xr * xr + yr * yr
         angle = angle + 1j * (xr * np.imag(y) - yr * np.imag(x)) / np.where(radius2 > 0.0, radius2, 1.0)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from .machine import Machine
-from .numerics import AnyArray, distinct
+from .numerics import AnyArray, distinct, perturbed
 
 STAGES = ("setting", "load", "jet", "arrival", "impulse", "reading")
 
@@ -49,16 +49,16 @@ class Setting:
     @property
     def perturbed(self) -> bool:
         """Whether a quantity carries a complex perturbation."""
-        return any(np.iscomplexobj(getattr(self, item.name)) for item in fields(self))
+        return bool(self._perturbed())
 
     def unperturbed(self) -> Setting:
         """The same setting without complex perturbations; one of several that differ in nothing else is kept."""
-        changed: dict[str, Any] = {}
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if isinstance(value, np.ndarray) and np.iscomplexobj(value):
-                changed[item.name] = distinct(value.real)
+        changed: dict[str, Any] = {name: distinct(value.real) for name, value in self._perturbed().items()}
         return replace(self, **changed) if changed else self
+
+    def _perturbed(self) -> dict[str, AnyArray]:
+        values = ((name, getattr(self, name)) for name in _QUANTITIES)
+        return {name: value for name, value in values if value is not None and perturbed(value)}
 
     @property
     def paddle_speed_m_s(self) -> AnyArray:
@@ -75,6 +75,10 @@ class Setting:
         """M_full [8.9]: the heap that reaches from the sprocket's centre to the tip."""
         full: AnyArray = 0.5 * self.shape_ratio * self.density * self.machine.paddle_width_m * self.paddle_length_m**2
         return full
+
+
+_QUANTITIES = tuple(item.name for item in fields(Setting) if item.name not in ("machine", "grain"))
+"""The arrays of a setting."""
 
 
 @dataclass(frozen=True, slots=True)
