@@ -159,9 +159,9 @@ def test_a_calibrated_arrival_law_is_found_again() -> None:
         for flow in flows
     ]
     law = pulse_shape.calibrate_arrival(pulses(model_error=0.005), waves, flows.tolist(), terms=2)
-    fills = np.array([0.2, 0.5])
-    assert law.log_stretch(fills, HOME) == pytest.approx(true.log_stretch(fills, HOME), abs=0.02)
-    assert law.tail_s(fills, HOME) == pytest.approx(true.tail_s(fills, HOME), rel=0.05)
+    fills, at_home = np.array([0.2, 0.5]), law.conditions(HOME, SPEED, GRAIN["friction"])
+    assert law.log_stretch(fills, at_home) == pytest.approx(true.log_stretch(fills, at_home), abs=0.02)
+    assert law.tail_s(fills, at_home) == pytest.approx(true.tail_s(fills, at_home), rel=0.05)
     with pytest.raises(ValueError, match="2 waves, expected more than 2"):
         pulse_shape.calibrate_arrival(pulses(), waves[:2], flows[:2].tolist(), terms=2)
 

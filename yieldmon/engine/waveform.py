@@ -200,8 +200,8 @@ class Waveform:
                     cell_response_s=sensor.response_s,
                     sd=sd,
                     arrival=ArrivalLaw(
-                        (log(settings.stretch), *(0.0,) * 5),
-                        (log(settings.tail_s), *(0.0,) * 5),
+                        (log(settings.stretch),),
+                        (log(settings.tail_s),),
                         (settings.stretch_sd**2, settings.tail_sd**2, 0.0),
                     ),
                 ),

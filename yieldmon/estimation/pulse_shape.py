@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from yieldmon.physics.machine import Machine
+from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import AnyArray, Array
 from yieldmon.physics.pulse import Arrivals, arrivals, spectrum
@@ -43,65 +43,104 @@ _SCAN = np.geomspace(0.06, 0.9, 16)
 _SHIFTS = 256
 _INDEX_REACH_S = 0.015
 _LEAST_FILL = 0.02
+_BEYOND_FILL = 1.1
+_BEYOND_ANGLE_RAD = float(np.deg2rad(5.0))
+TERMS = 14
+"""Of an `ArrivalLaw`."""
+ONE_GRAIN = 6
+"""The first terms of a law: those that loads and plate angles of one grain at one speed can tell apart."""
+SEVERAL_GRAINS = (tuple(range(TERMS)), (0, 1, 2, 3, 4, 8, 9), (0, 1, 2, 3, 4, 5, 8, 9))
+"""Terms of stretch, tail and delay for a calibration over loads, plate angles, speeds and frictions."""
 
 
 @dataclass(frozen=True, slots=True)
 class ArrivalLaw:
     """How a dense stream's arrival differs from that of straight paths, as a calibration found it.
 
-    ln stretch and ln tail are each a sum of coefficients times 1, ln f, cos phi, cos phi ln f, cos^2 phi, ln^2 f; f: load over a
-    full paddle, phi: plate angle. Stretch: time over which the stream arrives over that of straight paths, for grain that strikes
-    grain. Tail: mean time (s) for which grain goes on pushing once its path has met the plate, exponentially distributed.
+    ln stretch and ln tail are each a sum of coefficients times, in this order,
+
+        1, x, c, xc, c^2, x^2, xc^2, x^2 c, r, p, xr, xp, cr, cp
+
+    x: ln of load over a full paddle, c: cosine of the plate angle, r and p: ln of elevator speed and of friction over those of
+    `reference`. Coefficients not given are 0. Stretch: time over which the stream arrives over that of straight paths, for
+    grain that strikes grain. Tail: mean time (s) for which grain goes on pushing once its path has met the plate, exponentially
+    distributed.
 
     Attributes
     ----------
-    stretch : tuple of 6 float
-    tail : tuple of 6 float or None
+    stretch : tuple of float
+    tail : tuple of float or None
         None: no tail.
     covariance : tuple of 3 float
         Of ln stretch and ln tail about the laws: variance, variance, covariance.
-    delay : tuple of 6 float
+    delay : tuple of float
         Mean delay (s) of the whole pulse, in the same terms; only where an index gives the paddles' place.
     delay_sd_s : float
         Standard deviation about it.
+    reference : tuple of 2 float
+        Elevator speed (rad/s) and friction at which r and p are 0.
+    fills : tuple of 2 float
+        Least and largest load over a full paddle that was calibrated; (0, inf) where the law is not from a calibration.
+    plate_angles_rad : tuple of 2 float
+        The same for the plate angle.
     """
 
-    stretch: tuple[float, ...] = (0.0,) * 6
+    stretch: tuple[float, ...] = ()
     tail: tuple[float, ...] | None = None
     covariance: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    delay: tuple[float, ...] = (0.0,) * 6
+    delay: tuple[float, ...] = ()
     delay_sd_s: float = 0.0
+    reference: tuple[float, float] = (400.0 * RPM, 0.3)
+    fills: tuple[float, float] = (0.0, float("inf"))
+    plate_angles_rad: tuple[float, float] = (-float("inf"), float("inf"))
 
-    def delay_s(self, fill: AnyArray, plate_angle_rad: float) -> Array:
+    def conditions(self, plate_angle_rad: float, elevator_speed_rad_s: float, friction: float) -> tuple[float, float, float]:
+        """c, r and p of the laws."""
+        speed, usual = self.reference
+        return float(np.cos(plate_angle_rad)), float(np.log(elevator_speed_rad_s / speed)), float(np.log(friction / usual))
+
+    def delay_s(self, fill: AnyArray, conditions: tuple[float, float, float]) -> Array:
         """Mean delay at fills, s."""
-        return np.asarray(_features(fill, plate_angle_rad) @ np.asarray(self.delay))
+        return _law(self.delay, fill, conditions)[0]
 
-    def log_stretch(self, fill: AnyArray, plate_angle_rad: float) -> Array:
+    def log_stretch(self, fill: AnyArray, conditions: tuple[float, float, float]) -> Array:
         """ln stretch at fills."""
-        return np.asarray(_features(fill, plate_angle_rad) @ np.asarray(self.stretch))
+        return _law(self.stretch, fill, conditions)[0]
 
-    def tail_s(self, fill: AnyArray, plate_angle_rad: float) -> Array:
+    def tail_s(self, fill: AnyArray, conditions: tuple[float, float, float]) -> Array:
         """Tail at fills, s."""
         if self.tail is None:
             return np.zeros(np.shape(fill))
-        return np.asarray(np.exp(_features(fill, plate_angle_rad) @ np.asarray(self.tail)))
+        return np.asarray(np.exp(_law(self.tail, fill, conditions)[0]))
+
+    def outside(self, fill: float, plate_angle_rad: float) -> str:
+        """Why the law says nothing there; empty where it does."""
+        least, largest = self.fills
+        if not least / _BEYOND_FILL <= fill <= largest * _BEYOND_FILL:
+            return f"load {fill:.2f} of a full paddle, calibrated {least:.2f} to {largest:.2f}"
+        low, high = self.plate_angles_rad
+        if not low - _BEYOND_ANGLE_RAD <= plate_angle_rad <= high + _BEYOND_ANGLE_RAD:
+            shown, first, last = np.rad2deg([plate_angle_rad, low, high])
+            return f"plate at {shown:.0f} deg, calibrated {first:.0f} to {last:.0f} deg"
+        return ""
 
 
-def _law(coefficients: tuple[float, ...], fill: Array, plate_angle_rad: float) -> tuple[Array, Array]:
+def _features(fill: float, conditions: tuple[float, float, float]) -> Array:
+    x = float(np.log(min(max(fill, _LEAST_FILL), 1.0)))
+    c, r, p = conditions
+    return np.array([1.0, x, c, x * c, c * c, x * x, x * c * c, x * x * c, r, p, x * r, x * p, c * r, c * p])
+
+
+def _law(coefficients: tuple[float, ...], fill: AnyArray, conditions: tuple[float, float, float]) -> tuple[Array, Array]:
     """A law's value at fills, and its derivative by ln fill."""
-    one, line, cos_one, cos_line, cos_square, square = coefficients
-    cos = float(np.cos(plate_angle_rad))
-    log_fill = np.log(np.clip(fill, _LEAST_FILL, 1.0))
-    slope = line + cos_line * cos
-    value = one + cos * (cos_one + cos_square * cos) + log_fill * (slope + square * log_fill)
+    k = (*coefficients, *(0.0,) * (TERMS - len(coefficients)))
+    c, r, p = conditions
+    one = k[0] + c * (k[2] + k[4] * c) + k[8] * r + k[9] * p + c * (k[12] * r + k[13] * p)
+    line = k[1] + c * (k[3] + k[6] * c) + k[10] * r + k[11] * p
+    square = k[5] + k[7] * c
+    log_fill = np.log(np.minimum(np.maximum(fill, _LEAST_FILL), 1.0))
     inside = (fill >= _LEAST_FILL) & (fill <= 1.0)
-    return np.asarray(value), np.where(inside, slope + 2.0 * square * log_fill, 0.0)
-
-
-def _features(fill: AnyArray, plate_angle_rad: float) -> Array:
-    log_fill = np.log(np.clip(fill, _LEAST_FILL, 1.0))
-    cos = np.full(log_fill.shape, np.cos(plate_angle_rad))
-    return np.stack((np.ones_like(cos), log_fill, cos, cos * log_fill, cos * cos, log_fill * log_fill), axis=-1)
+    return np.asarray(one + log_fill * (line + square * log_fill)), np.where(inside, line + 2.0 * square * log_fill, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,6 +230,9 @@ class PulseEstimate:
     relative_residual : float
         Root of the summed squares of the residual harmonics over that of the harmonics.
     converged : bool
+    outside : str
+        Why the volume flow is not to be used: the fit lies outside the loads or plate angles of the arrival law's calibration.
+        Empty where it lies inside.
     """
 
     volume_flow_m3_s: float
@@ -202,6 +244,7 @@ class PulseEstimate:
     misfit: float
     relative_residual: float
     converged: bool
+    outside: str = ""
 
     def standard_deviation(self, name: str) -> float:
         """Posterior standard deviation of a parameter."""
@@ -291,6 +334,10 @@ class PulseModel:
         mass = flow * self.parameters["density"] * self._gaps / self.machine.paddle_speed_m_s(elevator_speed_rad_s)
         return np.asarray(mass / self.full_paddle_kg)
 
+    def mean_fill(self, volume_flow_m3_s: float, elevator_speed_rad_s: float) -> float:
+        """Load over a full paddle, mean of the paddles."""
+        return float(self._fill(np.asarray(volume_flow_m3_s), elevator_speed_rad_s).mean())
+
     def _omega(self, elevator_speed_rad_s: float) -> Array:
         return np.asarray(self.fundamental_rad_s(elevator_speed_rad_s) * np.arange(1.0, self.settings.harmonics + 1.0))
 
@@ -301,10 +348,11 @@ class PulseModel:
         parts = self._arrivals(np.concatenate((theta[:, :SHAPES], given), axis=1))
         omega = self._omega(elevator_speed_rad_s)
         fill, law = self._fill(flow, elevator_speed_rad_s), self.settings.arrival
-        waves = spectrum(parts, omega, stretch * np.exp(law.log_stretch(fill, plate_angle_rad)))
-        late = (tail * law.tail_s(fill, plate_angle_rad))[..., None]
+        where = law.conditions(plate_angle_rad, elevator_speed_rad_s, self.parameters["friction"])
+        waves = spectrum(parts, omega, stretch * np.exp(law.log_stretch(fill, where)))
+        late = (tail * law.tail_s(fill, where))[..., None]
         if self.settings.indexed:
-            waves = waves * np.exp(-1j * omega * law.delay_s(fill, plate_angle_rad)[..., None])
+            waves = waves * np.exp(-1j * omega * law.delay_s(fill, where)[..., None])
         return np.asarray(waves / (1.0 + 1j * omega * late))
 
     def _shapes_and_slopes(
@@ -317,17 +365,18 @@ class PulseModel:
             return self._by_differences(theta, elevator_speed_rad_s, plate_angle_rad, free)
         omega, law = self._omega(elevator_speed_rad_s), self.settings.arrival
         fill = self._fill(np.exp(theta[_FLOW]), elevator_speed_rad_s)
-        log_stretch, by_fill = _law(law.stretch, fill, plate_angle_rad)
+        where = law.conditions(plate_angle_rad, elevator_speed_rad_s, self.parameters["friction"])
+        log_stretch, by_fill = _law(law.stretch, fill, where)
         by_stretch = np.zeros((_SHAPES, self._gaps.size))
         by_stretch[_FLOW], by_stretch[_STRETCH] = by_fill, 1.0
         base = self.fundamental_rad_s(elevator_speed_rad_s)
         waves = spectrum_and_slopes(expanded, base, omega.size, np.exp(theta[_STRETCH] + log_stretch), by_stretch)
         if self.settings.indexed:
-            delay_s, by_fill = _law(law.delay, fill, plate_angle_rad)
+            delay_s, by_fill = _law(law.delay, fill, where)
             waves = waves * np.exp(-1j * np.outer(delay_s, omega))
             waves[1 + _FLOW] -= 1j * np.outer(by_fill, omega) * waves[0]
         if law.tail is not None:
-            log_tail, by_fill = _law(law.tail, fill, plate_angle_rad)
+            log_tail, by_fill = _law(law.tail, fill, where)
             lag = 1j * np.outer(np.exp(theta[_TAIL] + log_tail), omega)
             waves /= 1.0 + lag
             late = lag / (1.0 + lag) * waves[0]
@@ -511,6 +560,9 @@ def _result(pulses: PulseModel, wave: PatternWave, theta: Array, at: _Linear, co
         misfit=misfit,
         relative_residual=float(np.linalg.norm(wave.amplitudes_n - at.waves)) / size if size > 0.0 else float("nan"),
         converged=converged,
+        outside=pulses.settings.arrival.outside(
+            pulses.mean_fill(float(np.exp(theta[_FLOW])), wave.elevator_speed_rad_s), wave.plate_angle_rad
+        ),
     )
 
 
@@ -568,58 +620,67 @@ def look_for_start(pulses: PulseModel, wave: PatternWave) -> Array:
 
 
 def calibrate_arrival(
-    pulses: PulseModel, waves: Sequence[PatternWave], volume_flows_m3_s: Sequence[float], *, terms: int = 2
+    pulses: PulseModel | Sequence[PulseModel],
+    waves: Sequence[PatternWave],
+    volume_flows_m3_s: Sequence[float],
+    *,
+    terms: int | tuple[Sequence[int], Sequence[int], Sequence[int]] = 2,
 ) -> ArrivalLaw:
     """The arrival law that waves at known volume flows follow.
 
     Parameters
     ----------
-    pulses : PulseModel
-        Its own arrival law is not used; friction, shape_ratio and cell are held at their means.
+    pulses : PulseModel or sequence
+        One, or one for each wave where their grain differs. Its own arrival law is not used; friction, shape_ratio and cell are
+        held at their means.
     waves, volume_flows_m3_s : sequences
         More than terms.
-    terms : int
-        How many coefficients of each law are free, in the order of `ArrivalLaw`; 1 to 6. One plate angle determines two.
+    terms : int or tuple
+        Which coefficients of stretch, tail and delay are free: so many of the first `ArrivalLaw` names, or their places, as
+        `SEVERAL_GRAINS`. One plate angle determines two.
 
     Returns
     -------
     ArrivalLaw
-        covariance from the residuals.
+        covariance from the residuals; fills and plate_angles_rad those of the waves.
 
     Raises
     ------
     ValueError
         For too few waves.
     """
-    if len(waves) <= terms:
-        raise ValueError(f"{len(waves)} waves, expected more than {terms}, the terms of the law")
-    sd = {**pulses.settings.sd, "log_volume_flow": 0.0, "log_friction": 0.0, "log_shape_ratio": 0.0, "log_cell": 0.0}
-    wide = ArrivalLaw((0.0,) * 6, (_TYPICAL_LOG_TAIL, *(0.0,) * 5), (0.3**2, 0.7**2, 0.0))
-    free = PulseModel(pulses.model, pulses.parameters, replace(pulses.settings, arrival=wide, sd=sd))
-    fits = [_at_flow(free, wave, flow) for wave, flow in zip(waves, volume_flows_m3_s, strict=True)]
-    fills = [
-        flow
-        * free.parameters["density"]
-        / free.full_paddle_kg
-        / (free.machine.paddle_speed_m_s(wave.elevator_speed_rad_s) / free.machine.paddle_spacing_m)
-        for wave, flow in zip(waves, volume_flows_m3_s, strict=True)
-    ]
-    table = np.array([_features(np.asarray(f), wave.plate_angle_rad) for f, wave in zip(fills, waves, strict=True)])[:, :terms]
-    target = np.array([[fit.values["log_stretch"], fit.values["log_tail"] + _TYPICAL_LOG_TAIL] for fit in fits])
-    coefficients = np.linalg.lstsq(table, target, rcond=None)[0]
-    left = target - table @ coefficients
-    spread = left.T @ left / (len(left) - terms)
-    pad = (0.0,) * (6 - terms)
-    first, second = (tuple(float(c) for c in column) + pad for column in coefficients.T)
-    shifts = np.array([fit.values["shift_s"] for fit in fits])
-    delay = np.linalg.lstsq(table, shifts, rcond=None)[0]
-    delay_sd = float(np.sqrt(((shifts - table @ delay) ** 2).sum() / (len(left) - terms)))
+    chosen = tuple(tuple(range(terms)) for _ in range(3)) if isinstance(terms, int) else terms
+    most = max(map(len, chosen))
+    if len(waves) <= most:
+        raise ValueError(f"{len(waves)} waves, expected more than {most}, the terms of the law")
+    models = [pulses] * len(waves) if isinstance(pulses, PulseModel) else list(pulses)
+    wide = ArrivalLaw(tail=(_TYPICAL_LOG_TAIL,), covariance=(0.3**2, 0.7**2, 0.0))
+    rows, targets, fills = [], [], []
+    for model, wave, flow in zip(models, waves, volume_flows_m3_s, strict=True):
+        sd = {**model.settings.sd, "log_volume_flow": 0.0, "log_friction": 0.0, "log_shape_ratio": 0.0, "log_cell": 0.0}
+        fit = _at_flow(PulseModel(model.model, model.parameters, replace(model.settings, arrival=wide, sd=sd)), wave, flow)
+        fills.append(model.mean_fill(flow, wave.elevator_speed_rad_s))
+        where = wide.conditions(wave.plate_angle_rad, wave.elevator_speed_rad_s, model.parameters["friction"])
+        rows.append(_features(fills[-1], where))
+        targets.append((fit.values["log_stretch"], fit.values["log_tail"] + _TYPICAL_LOG_TAIL, fit.values["shift_s"]))
+    laws, left = [], []
+    for places, target in zip(chosen, np.array(targets).T, strict=True):
+        table = np.array(rows)[:, list(places)]
+        found = np.linalg.lstsq(table, target, rcond=None)[0]
+        whole = np.zeros(TERMS)
+        whole[list(places)] = found
+        laws.append(tuple(float(v) for v in whole))
+        left.append((target - table @ found) / np.sqrt(len(waves) - len(places)))
+    spread, indexed = np.array(left) @ np.array(left).T, models[0].settings.indexed
+    angles = [wave.plate_angle_rad for wave in waves]
     return ArrivalLaw(
-        first,
-        second,
+        laws[0],
+        laws[1],
         (float(spread[0, 0]), float(spread[1, 1]), float(spread[0, 1])),
-        delay=(*delay.tolist(), *pad) if pulses.settings.indexed else (0.0,) * 6,
-        delay_sd_s=delay_sd if pulses.settings.indexed else 0.0,
+        delay=laws[2] if indexed else (),
+        delay_sd_s=float(np.sqrt(spread[2, 2])) if indexed else 0.0,
+        fills=(min(fills), max(fills)),
+        plate_angles_rad=(min(angles), max(angles)),
     )
 
 
