@@ -1,11 +1,13 @@
 """What the waveform tells: the tables of README.md.
 
-    python -m studies.waveform information --draws 60     # Fisher information, and the estimator's scatter
+    python -m studies.waveform information --draws 150    # Fisher information, and the estimator's scatter
     python -m studies.waveform fill                       # volume flow from discrete-element pulses, loads and angles left out
     python -m studies.waveform attempts                   # what limits that
     python -m studies.waveform kernels                    # kernel noise in discrete-element forces
     python -m studies.waveform hidden                     # effects that the model does not know, through the monitor
     python -m studies.waveform cost                       # processor time, on and off
+    python -m studies.waveform pictures --out DIR         # pulse.png, fill.png (of fill.json)
+    python -m studies.waveform season --seeds 30          # load errors of a season by channel
     python -m studies.waveform pack LEDGER... --out F.npz # a campaign's forces at 10 kHz
 
 Prints one JSON document.
@@ -31,7 +33,7 @@ def _information(args: argparse.Namespace) -> Any:
 def _fill(args: argparse.Namespace) -> Any:
     from studies.waveform import fill
 
-    return [row for indexed in (True, False) for row in fill.report(0.1, indexed)]
+    return fill.report(0.1)
 
 
 def _attempts(args: argparse.Namespace) -> Any:
@@ -58,15 +60,27 @@ def _cost(args: argparse.Namespace) -> Any:
     return cost.report(args.seed)
 
 
+def _pictures(args: argparse.Namespace) -> Any:
+    from studies.waveform import pictures
+
+    return pictures.draw(args.out or Path(__file__).resolve().parent)
+
+
+def _season(args: argparse.Namespace) -> Any:
+    from studies.waveform import season
+
+    return season.report(args.seeds, args.seed)
+
+
 def _pack(args: argparse.Namespace) -> Any:
     from studies.waveform import kernels
 
-    return {"rows": kernels.pack(args.ledgers, args.out)}
+    return {"rows": kernels.pack(args.ledgers, args.out or Path("kernel_forces.npz"))}
 
 
 _PARTS = {
     "information": _information, "fill": _fill, "attempts": _attempts, "kernels": _kernels, "hidden": _hidden, "cost": _cost,
-    "pack": _pack,
+    "pictures": _pictures, "season": _season, "pack": _pack,
 }  # fmt: skip
 
 
@@ -76,7 +90,8 @@ def main() -> int:
     )
     parser.add_argument("part", choices=tuple(_PARTS))
     parser.add_argument("ledgers", nargs="*", type=Path, help="pack: folders of campaigns")
-    parser.add_argument("--out", type=Path, default=Path("kernel_forces.npz"))
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--seeds", type=int, default=30, help="season: so many, from --seed on")
     parser.add_argument("--draws", type=int, default=60)
     parser.add_argument("--seed", type=int, default=SEED)
     args = parser.parse_args()

@@ -14,13 +14,27 @@ from numpy.typing import NDArray
 
 from studies.dem.job import TOP_RAD, Throw
 from studies.dem.script import start_angle_rad
-from yieldmon.estimation.pulse_shape import PatternWave, PulseModel, PulseSettings, calibrate_arrival, estimate
+from yieldmon.estimation.pulse_shape import (
+    SEVERAL_GRAINS,
+    ArrivalLaw,
+    PatternWave,
+    PulseEstimate,
+    PulseModel,
+    PulseSettings,
+    calibrate_arrival,
+    estimate,
+)
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
 
 Array = NDArray[np.float64]
 DATA = Path(__file__).resolve().parents[2] / "tests" / "data" / "dem_campaign_forces.csv.gz"
 LOADS_KG = (0.2, 0.5, 0.9, 1.3, 1.8)
+FRICTIONS = (0.3, 0.15)
+TABLES = tuple((rpm, friction) for rpm in (400.0, 500.0) for friction in FRICTIONS)
+FOLDER = Path(__file__).resolve().parent
+FORCES = FOLDER / "kernel_forces.npz"
+OTHER_RPM = 400.0
 ANGLES_DEG = (40.0, 55.0, 70.0, 80.0, 90.0)
 DENSITY_KG_M3 = 710.0
 SHAPE_RATIO = 2.9
@@ -58,11 +72,8 @@ def volume_flow_m3_s(load_kg: float, rpm: float) -> float:
     return load_kg / DENSITY_KG_M3 * MACHINE.paddle_speed_m_s(rpm * RPM) / MACHINE.paddle_spacing_m
 
 
-def left_out(rpm: float, friction: float, model_error: float, indexed: bool) -> tuple[Array, Array]:
-    """Error of ln(volume flow) and its stated standard deviation, (loads, angles), each cell judged by a calibration without its
-    load and without its angle."""
-    data = histories()
-    model = ForwardModel(MACHINE, ("gravity",))
+def pulse_model(friction: float, model_error: float, indexed: bool) -> PulseModel:
+    """Of the campaign's machine and grain, straight paths."""
     grain = {
         "friction": friction, "density": DENSITY_KG_M3, "shape_ratio": SHAPE_RATIO, "restitution": 0.3,
         "gravity.acceleration_m_s2": 9.81,
@@ -71,34 +82,109 @@ def left_out(rpm: float, friction: float, model_error: float, indexed: bool) -> 
     settings = PulseSettings(
         harmonics=HARMONICS, model_error=model_error, cell_response_s=CELL_S, vibration_n=0.0, sd=sd, indexed=indexed
     )
-    base = PulseModel(model, grain, settings)
-    waves = {(m, a): wave(data[rpm, friction, m, a], rpm, a) for m in LOADS_KG for a in ANGLES_DEG}
+    return PulseModel(ForwardModel(MACHINE, ("gravity",)), grain, settings)
+
+
+class Judge:
+    """Estimates by arrival laws that have seen neither the judged load nor the judged plate angle.
+
+    pooled: one law over speeds and frictions; else one for each of them, of five terms.
+    """
+
+    def __init__(self, model_error: float, indexed: bool, pooled: bool) -> None:
+        self._pooled = pooled
+        self._models = {f: pulse_model(f, model_error, indexed) for f in FRICTIONS}
+        self.waves = {key: wave(history, key[0], key[3]) for key, history in histories().items() if key[2] in LOADS_KG}
+        self._laws: dict[tuple[float, ...], ArrivalLaw] = {}
+
+    def law(self, rpm: float, friction: float, load_kg: float, angle_deg: float) -> ArrivalLaw:
+        """Of all pulses but those of a load or a plate angle."""
+        group = () if self._pooled else (rpm, friction)
+        if (*group, load_kg, angle_deg) not in self._laws:
+            keys = [k for k in self.waves if k[2] != load_kg and k[3] != angle_deg and (self._pooled or k[:2] == (rpm, friction))]
+            self._laws[*group, load_kg, angle_deg] = calibrate_arrival(
+                [self._models[k[1]] for k in keys],
+                [self.waves[k] for k in keys],
+                [volume_flow_m3_s(k[2], k[0]) for k in keys],
+                terms=SEVERAL_GRAINS if self._pooled else 5,
+            )
+        return self._laws[*group, load_kg, angle_deg]
+
+    def estimate(self, shown: PatternWave, rpm: float, friction: float, load_kg: float, angle_deg: float) -> PulseEstimate:
+        """From a wave."""
+        return estimate(self.model(friction, self.law(rpm, friction, load_kg, angle_deg)), shown)
+
+    def model(self, friction: float, law: ArrivalLaw) -> PulseModel:
+        """With an arrival law."""
+        base = self._models[friction]
+        return PulseModel(base.model, base.parameters, replace(base.settings, arrival=law))
+
+
+def left_out(judge: Judge, rpm: float, friction: float) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Error of ln(volume flow), its stated standard deviation, and whether it is published, (loads, angles)."""
     errors, stated = (np.empty((len(LOADS_KG), len(ANGLES_DEG))) for _ in range(2))
+    told = np.zeros(errors.shape, dtype=bool)
     for i, load in enumerate(LOADS_KG):
         for j, angle in enumerate(ANGLES_DEG):
-            known = [key for key in waves if key[0] != load and key[1] != angle]
-            law = calibrate_arrival(base, [waves[k] for k in known], [volume_flow_m3_s(k[0], rpm) for k in known], terms=5)
-            found = estimate(PulseModel(model, grain, replace(settings, arrival=law)), waves[load, angle])
+            found = judge.estimate(judge.waves[rpm, friction, load, angle], rpm, friction, load, angle)
             errors[i, j] = np.log(found.volume_flow_m3_s / volume_flow_m3_s(load, rpm))
-            stated[i, j] = found.relative_sd
-    return errors, stated
+            stated[i, j], told[i, j] = found.relative_sd, not found.outside
+    return errors, stated, told
 
 
-def report(model_error: float, indexed: bool) -> list[dict[str, Any]]:
-    """A row for each speed and friction; `inner`: loads and angles between others."""
+def _row(errors: Array, stated: Array, told: NDArray[np.bool_]) -> dict[str, Any]:
+    size = np.abs(errors)
+    return {
+        "published_pct": round(100.0 * float(told.mean())),
+        "published_mean_pct": round(100.0 * float(size[told].mean()), 1) if told.any() else None,
+        "published_largest_pct": round(100.0 * float(size[told].max()), 1) if told.any() else None,
+        "published_rms_error_over_sd": round(float(np.sqrt(np.mean((errors / stated)[told] ** 2))), 2) if told.any() else None,
+        "all_mean_pct": round(100.0 * float(np.nanmean(size)), 1),
+        "all_largest_pct": round(100.0 * float(np.nanmax(size)), 1),
+        "all_rms_error_over_sd": round(float(np.sqrt(np.nanmean((errors / stated) ** 2))), 2),
+        "errors_pct": np.round(100.0 * errors, 1).tolist(),
+        "told": told.astype(int).tolist(),
+    }
+
+
+def other_grain(judge: Judge) -> list[dict[str, Any]]:
+    """Pulses on which nothing was chosen (`kernel_forces.npz`): other heaps, kernels, restitutions, and a plate at 50 deg."""
+    data = np.load(FORCES)
+    force, interval_s = data["force_n"].astype(float), float(data["interval_s"])
+    keys = np.stack([data[n] for n in ("kernel_g", "load_kg", "restitution", "angle_deg")], axis=1).astype(float).round(4)
+    lead_s = (TOP_RAD - start_angle_rad(Throw(paddle_mass_kg=1.0))) / (OTHER_RPM * RPM)
     rows = []
-    for rpm, friction in ((400.0, 0.3), (400.0, 0.15), (500.0, 0.3), (500.0, 0.15)):
-        errors, stated = left_out(rpm, friction, model_error, indexed)
-        inner = np.abs(errors[1:-1, 1:-1])
+    for key in np.unique(keys, axis=0):
+        kernel_g, load, restitution, angle = (float(v) for v in key)
+        chosen = np.flatnonzero(np.all(keys == key, axis=1))
+        if chosen.size < 3:
+            continue
+        errors, told = [], []
+        for n in chosen:
+            time = float(data["begin_s"][n]) + interval_s * (np.arange(force.shape[1]) + 0.5) - lead_s
+            shown = wave(np.stack((time, force[n] * interval_s / 1e-3), axis=1), OTHER_RPM, angle)
+            found = judge.estimate(shown, OTHER_RPM, 0.3, load, angle)
+            errors.append(float(np.log(found.volume_flow_m3_s / volume_flow_m3_s(load, OTHER_RPM))))
+            told.append(not found.outside)
         rows.append(
             {
-                "rpm": rpm, "friction": friction, "indexed": indexed, "model_error": model_error,
-                "inner_mean_pct": round(100.0 * float(inner.mean()), 1),
-                "inner_largest_pct": round(100.0 * float(inner.max()), 1),
-                "all_mean_pct": round(100.0 * float(np.abs(errors).mean()), 1),
-                "all_largest_pct": round(100.0 * float(np.abs(errors).max()), 1),
-                "rms_error_over_sd": round(float(np.sqrt(np.mean((errors / stated) ** 2))), 2),
-                "errors_pct": np.round(100.0 * errors, 1).tolist(),
+                "kernel_g": kernel_g, "load_kg": load, "restitution": restitution, "angle_deg": angle, "heaps": int(chosen.size),
+                "mean_pct": round(100.0 * float(np.mean(errors)), 1), "heap_sd_pct": round(100.0 * float(np.std(errors)), 1),
+                "published": int(np.sum(told)),
             }
         )  # fmt: skip
     return rows
+
+
+def report(model_error: float) -> dict[str, Any]:
+    """Tables by speed and friction before (a law for each, nothing refused) and after, and the pulses of other grain."""
+    rows = []
+    for indexed in (True, False):
+        for pooled in (False, True):
+            judge = Judge(model_error, indexed, pooled)
+            found = [left_out(judge, rpm, friction) for rpm, friction in TABLES]
+            heads: list[dict[str, Any]] = [{"rpm": rpm, "friction": friction} for rpm, friction in TABLES]
+            errors, stated, told = (np.concatenate(part) for part in zip(*found, strict=True))
+            for head, part in zip([*heads, {"rpm": "all"}], [*found, (errors, stated, told.astype(bool))], strict=True):
+                rows.append({**head, "pooled": pooled, "indexed": indexed, "model_error": model_error, **_row(*part)})
+    return {"left_out": rows, "other_grain": other_grain(Judge(model_error, True, True))}

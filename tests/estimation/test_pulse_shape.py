@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -162,8 +164,37 @@ def test_a_calibrated_arrival_law_is_found_again() -> None:
     fills, at_home = np.array([0.2, 0.5]), law.conditions(HOME, SPEED, GRAIN["friction"])
     assert law.log_stretch(fills, at_home) == pytest.approx(true.log_stretch(fills, at_home), abs=0.02)
     assert law.tail_s(fills, at_home) == pytest.approx(true.tail_s(fills, at_home), rel=0.05)
+    for flow, said in ((5.0, ""), (1.5, "load 0.02 of a full paddle, calibrated 0.04 to 0.25"), (10.0, "")):
+        wave = PatternWave(
+            truth.waves(truth.start(flow / 1100.0, shift_s=0.02), SPEED, HOME), 1e-3 * np.ones(24), 1e4, SPEED, HOME
+        )
+        assert pulse_shape.estimate(pulses(arrival=law), wave).outside == said
+    assert law.outside(0.2, np.deg2rad(50.0)) == "plate at 50 deg, calibrated 70 to 70 deg"
     with pytest.raises(ValueError, match="2 waves, expected more than 2"):
         pulse_shape.calibrate_arrival(pulses(), waves[:2], flows[:2].tolist(), terms=2)
+
+
+def test_a_law_over_several_grains_and_speeds_holds_for_another() -> None:
+    """Stretch that depends on speed and friction is found again where neither was calibrated, and not by a law without them."""
+    true = pulse_shape.ArrivalLaw((0.15, 0.05, *(0.0,) * 6, 0.3, -0.2), (np.log(0.005), 0.3), (1e-4, 1e-2, 0.0))
+    models, waves, flows = [], [], []
+    for rpm, friction in itertools.product((360.0, 440.0), (0.15, 0.3)):
+        grain = {**GRAIN, "friction": friction}
+        truth = PulseModel(MODEL, grain, PulseSettings(arrival=true, model_error=0.005))
+        for flow in np.array([3.0, 8.0, 15.0]) / 1100.0:
+            shown = truth.waves(truth.start(flow, shift_s=0.02), rpm * RPM, HOME)
+            waves.append(PatternWave(shown, 1e-3 * np.ones(24), 1e4, rpm * RPM, HOME))
+            models.append(PulseModel(MODEL, grain, PulseSettings(model_error=0.005)))
+            flows.append(float(flow))
+    where = true.conditions(HOME, 400.0 * RPM, 0.2)
+    fills = np.array([0.2, 0.5])
+    several = (0, 1, 8, 9)
+    law = pulse_shape.calibrate_arrival(models, waves, flows, terms=(several, several, several))
+    assert law.log_stretch(fills, where) == pytest.approx(true.log_stretch(fills, where), abs=0.02)
+    assert law.log_stretch(fills, true.conditions(HOME, 440.0 * RPM, 0.15)) == pytest.approx(
+        true.log_stretch(fills, true.conditions(HOME, 440.0 * RPM, 0.15)), abs=0.02
+    )
+    assert law.covariance[0] < 0.1 * pulse_shape.calibrate_arrival(models, waves, flows, terms=2).covariance[0]
 
 
 def test_folding_keeps_the_harmonics_and_leaves_the_noise() -> None:
