@@ -272,8 +272,8 @@ def sweep(count: int, force_at: Callable[[float], float]) -> Callable[[Bench], N
         warm_up(bench)
         for number in range(1, count + 1):
             bench.daemon.monitor.request_sweep()
-            for _ in range(30):
-                plate.play(bench, 4.0)
+            for _ in range(120):
+                plate.play(bench, 1.0)
                 if bench.status["sweep"]["sweeps"] == number and bench.status["sweep"]["state"] in ("updated", "not_learned"):
                     break
             assert bench.status["sweep"]["aborted_because"] is None
@@ -320,7 +320,7 @@ class Case:
 
 SWEEP = "sweep: {min_flow_kg_s: 0.1, steady_cv: 1.0, move_margin_s: 1}"
 SHORT_SWEEP = """sweep: {first_after_s: 100000, interval_s: 100000, min_flow_kg_s: 0.1, steady_cv: 0.2, angles_deg: [40, 55, 90],
-        home_every: 1, signal_trend: 20}"""
+        home_every: 1, signal_trend: 20, windows_per_step: 1, steady_windows: 3}"""
 QUICK_ZERO = "faults: {zero_missing_s: 5}"
 PROVOKED: dict[FaultCode, tuple[Case, ...]] = {
     C.SENSOR_MISSING: (Case(without(frames.IMPACT_SENSOR_SAMPLES)),),

@@ -50,10 +50,11 @@ class Watched:
 
     def wait(self, condition: str, patience_s: float = 20.0) -> None:
         """Until an expression holds; playwright's own waiting evaluates text, which the page's policy forbids."""
-        end_s = time.monotonic() + patience_s
+        end_s, rest_ms = time.monotonic() + patience_s, 25.0
         while not self._holds(condition):
             assert time.monotonic() < end_s, f"still waiting for {condition}; {self.complaints}"
-            self.page.wait_for_timeout(25)
+            self.page.wait_for_timeout(rest_ms)
+            rest_ms = min(1.3 * rest_ms, 200.0)
 
     def _holds(self, condition: str) -> bool:
         from playwright.sync_api import Error

@@ -121,8 +121,8 @@ def test_markup_in_names_stays_text(browser: Browser, tmp_path: Path) -> None:
 def test_every_button_with_a_real_daemon(browser: Browser, tmp_path: Path) -> None:
     with running(tmp_path) as bench:
         # Empty first, so that the zero is found, then grain.
-        bench.play(30.0, 0.0)
-        bench.play(20.0, 150.0)
+        bench.play(14.0, 0.0)
+        bench.play(8.0, 150.0)
         bench.played()
         with page(bench.daemon.configuration.socket_path) as site, Watched(browser) as watched:
             tab = watched.page
