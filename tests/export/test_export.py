@@ -18,6 +18,7 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
+from tests.seconds import measured_second
 from yieldmon.cli import main as cli
 from yieldmon.errors import InputError
 from yieldmon.export.points import PointSettings, yield_points
@@ -42,41 +43,19 @@ def second(number: int) -> SecondRow:
     measuring = 1 <= number - DELAY_S <= 60 or 101 <= number - DELAY_S <= 160
     flow = 9.0 + (number - DELAY_S) / 100.0
     quality = EstimateQuality.SWEEPING if 130 <= number < 140 else EstimateQuality.OK
-    return SecondRow(
-        number=number,
-        time_s=START_S + number + 0.1,
-        duration_s=1.0,
+    return measured_second(
+        number,
+        START_S + number + 0.1,
+        flow,
         mass_flow_kg_s=flow if measuring else None,
         std_dev_kg_s=0.2 if measuring else None,
         quality=int(quality if measuring else EstimateQuality.NOT_HARVESTING),
-        operating_state=3,
         mass_kg=flow if measuring else 0.0,
         load_number=1 if number < 100 else 2,
         load_kg=0.0,
         total_kg=9.0 * number,
-        coverage=1.0,
-        force_n=60.0,
-        force_std_dev_n=0.8,
-        elevator_speed_rpm=400.0,
-        plate_angle_deg=70.0,
-        plate_still=1,
-        moisture_pct=20.0,
-        test_weight_kg_m3=None,
-        zero_mv=500.0,
-        pulse_mv=3.0,
-        saturated_share=0.0,
-        lost_frames=0,
-        surplus_frames=0,
-        repeated_frames=0,
-        sweep_id=0,
-        sweep_step=-1,
-        usable_for_calibration=0,
-        parameter_version=1,
-        faults="",
         latitude_deg=40.0 + SPEED_M_S * number * METRE_DEG,
-        longitude_deg=-88.25,
         ground_speed_m_s=SPEED_M_S if driving else 0.0,
-        course_deg=0.0,
     )
 
 

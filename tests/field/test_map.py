@@ -17,10 +17,9 @@ import pyogrio
 import pytest
 import rasterio
 
+from tests.seconds import measured_second
 from yieldmon.cli import main as cli
 from yieldmon.field.products import FORMATS, picture
-from yieldmon.frames import EstimateQuality
-from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Batch, Load, Store
 from yieldmon.units import Units, UnitSystem
 
@@ -271,44 +270,11 @@ def store_of(path: Path) -> None:
     rows = []
     for number in range(1, 601):
         along = (number % 100) if (number // 100) % 2 == 0 else 99 - (number % 100)
-        rows.append(
-            SecondRow(
-                number=number,
-                time_s=1_760_000_000.0 + number,
-                duration_s=1.0,
-                mass_flow_kg_s=9.0,
-                std_dev_kg_s=0.2,
-                quality=int(EstimateQuality.OK),
-                operating_state=3,
-                mass_kg=9.0,
-                load_number=1,
-                load_kg=9.0 * number,
-                total_kg=9.0 * number,
-                coverage=1.0,
-                force_n=60.0,
-                force_std_dev_n=0.8,
-                elevator_speed_rpm=400.0,
-                plate_angle_deg=70.0,
-                plate_still=1,
-                moisture_pct=20.0,
-                test_weight_kg_m3=None,
-                zero_mv=500.0,
-                pulse_mv=3.0,
-                saturated_share=0.0,
-                lost_frames=0,
-                surplus_frames=0,
-                repeated_frames=0,
-                sweep_id=0,
-                sweep_step=-1,
-                usable_for_calibration=0,
-                parameter_version=1,
-                faults="",
-                latitude_deg=40.0 + 2.0 * along / 111_195.0,
-                longitude_deg=-88.25 + (number // 100) * 9.0 / 85_000.0,
-                ground_speed_m_s=2.0,
-                course_deg=0.0,
-            )
-        )
+        place = {
+            "latitude_deg": 40.0 + 2.0 * along / 111_195.0,
+            "longitude_deg": -88.25 + (number // 100) * 9.0 / 85_000.0,
+        }
+        rows.append(measured_second(number, 1_760_000_000.0 + number, 9.0, **place))
     with Store(path) as store:
         store.commit(
             [Batch(1, rows[-1].time_s, {}, tuple(rows), (Load(1, "north", "corn", rows[0].time_s, None, 5400.0, None),))]

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
+from tests.seconds import measured_second
 from yieldmon.cli import main as cli
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions, ForwardModel
@@ -31,41 +32,22 @@ def second(number: int) -> SecondRow:
     """A second of a record with a sweep from the 20th to the 39th."""
     sweeping = 20 <= number < 40
     flow = 10.0 + np.sin(number / 9.0)
-    return SecondRow(
-        number=number,
-        time_s=START_S + number + 0.1,
-        duration_s=1.0,
+    return measured_second(
+        number,
+        START_S + number + 0.1,
+        flow,
         mass_flow_kg_s=None if number < 5 else flow,
         std_dev_kg_s=None if number < 5 else 0.2,
-        quality=0,
-        operating_state=3,
-        mass_kg=flow,
-        load_number=1,
         load_kg=10.0 * number,
         total_kg=10.0 * number,
-        coverage=1.0,
         force_n=60.0 + number,
-        force_std_dev_n=0.8,
-        elevator_speed_rpm=400.0,
         plate_angle_deg=40.0 + 5.0 * (number % 4) if sweeping else 70.0,
-        plate_still=1,
         moisture_pct=15.0,
-        test_weight_kg_m3=None,
-        zero_mv=500.0,
-        pulse_mv=3.0,
-        saturated_share=0.0,
-        lost_frames=0,
-        surplus_frames=0,
-        repeated_frames=0,
         sweep_id=int(sweeping),
         sweep_step=number % 4 if sweeping else -1,
         usable_for_calibration=int(sweeping),
-        parameter_version=1,
-        faults="",
-        latitude_deg=40.0,
         longitude_deg=-88.0,
         ground_speed_m_s=1.5,
-        course_deg=0.0,
     )
 
 
