@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.numerics import Array
 
-from .open_loop import FlowEstimate, FlowStatus
+from .open_loop import FlowEstimate, broadcast_inputs, with_status
 from .parameters import CalibratedRange, ParameterSet
 
 LEAST_RELATIVE_STD_DEV = 0.002
@@ -197,11 +197,9 @@ class CurveEstimator:
         moisture_pct: ArrayLike | None = None,
     ) -> FlowEstimate:
         """Mass flow with standard deviation and status; scalars or arrays that broadcast, any of them nan where unknown."""
-        moisture = np.nan if moisture_pct is None else moisture_pct
-        force, angle, speed, noise, moist = np.broadcast_arrays(
-            *(np.asarray(v, dtype=float) for v in (force_n, plate_angle_rad, elevator_speed_rad_s, force_std_dev_n, moisture))
+        (force, angle, speed, noise, moist), usable = broadcast_inputs(
+            force_n, plate_angle_rad, elevator_speed_rad_s, force_std_dev_n, moisture_pct
         )
-        usable = np.isfinite(force) & np.isfinite(angle) & np.isfinite(speed) & (speed > 0.0) & np.isfinite(noise)
         force, angle, speed, noise = (
             np.where(usable, v, other) for v, other in ((force, 0.0), (angle, 1.0), (speed, 1.0), (noise, 0.0))
         )
@@ -215,14 +213,8 @@ class CurveEstimator:
         between = (angle > self._curve.law.angles_rad[0]) & (angle < self._curve.law.angles_rad[-1])
         away = np.where(between | (away <= SAME_ANGLE_RAD), 0.0, away)
         sd = np.hypot(noise_sd, np.hypot(self._own_std_dev(flow), ANGLE_STD_DEV_PER_RAD * away * flow))
-        status = np.full(force.shape, int(FlowStatus.OK))
-        status = np.where(self._outside(flow, away, speed, moist), FlowStatus.OUTSIDE_CALIBRATION, status)
-        status = np.where(force <= 0.0, FlowStatus.NO_GRAIN, status)
-        status = np.where(np.isnan(flow), FlowStatus.SATURATED, status)
-        status = np.where(usable & (np.isfinite(sd) | np.isnan(flow)), status, FlowStatus.NOT_AVAILABLE)
-        known = (status != FlowStatus.SATURATED) & (status != FlowStatus.NOT_AVAILABLE)
-        flow, sd, noise_sd = (np.where(known, v, np.nan) for v in (flow, sd, noise_sd))
-        return FlowEstimate(flow, sd, status, noise_sd)
+        outside = self._outside(flow, away, speed, moist)
+        return with_status(flow, sd, noise_sd, outside=outside, empty=force <= 0.0, usable=usable)
 
     def _flow(self, force: Array, angle: Array, speed: Array) -> Array:
         shape = np.shape(force)

@@ -107,6 +107,36 @@ def invert_force(throw: Throw, force_n: Array, *, tolerance: float = 1e-13) -> t
     return np.where(below, 0.0, np.where(found, flow, np.nan)), np.where(found, gain[..., 0], np.nan)
 
 
+def broadcast_inputs(
+    force_n: ArrayLike,
+    plate_angle_rad: ArrayLike,
+    elevator_speed_rad_s: ArrayLike,
+    force_std_dev_n: ArrayLike,
+    moisture_pct: ArrayLike | None,
+) -> tuple[tuple[Array, ...], NDArray[np.bool_]]:
+    """The inputs in this order as arrays of one shape, unknown moisture as nan, and where the first four can be used."""
+    moisture = np.nan if moisture_pct is None else moisture_pct
+    inputs = (force_n, plate_angle_rad, elevator_speed_rad_s, force_std_dev_n, moisture)
+    arrays = np.broadcast_arrays(*(np.asarray(v, dtype=float) for v in inputs))
+    force, angle, speed, noise, _ = arrays
+    usable = np.isfinite(force) & np.isfinite(angle) & np.isfinite(speed) & (speed > 0.0) & np.isfinite(noise)
+    return tuple(arrays), usable
+
+
+def with_status(
+    flow: Array, sd: Array, noise_sd: Array, *, outside: NDArray[np.bool_], empty: NDArray[np.bool_], usable: NDArray[np.bool_]
+) -> FlowEstimate:
+    """Flow and standard deviations (nan flow: above a full paddle) with their status; nan where that is saturated or unknown."""
+    status = np.full(flow.shape, int(FlowStatus.OK))
+    status = np.where(outside, FlowStatus.OUTSIDE_CALIBRATION, status)
+    status = np.where(empty, FlowStatus.NO_GRAIN, status)
+    status = np.where(np.isnan(flow), FlowStatus.SATURATED, status)
+    status = np.where(usable & (np.isfinite(sd) | np.isnan(flow)), status, FlowStatus.NOT_AVAILABLE)
+    known = (status != FlowStatus.SATURATED) & (status != FlowStatus.NOT_AVAILABLE)
+    flow, sd, noise_sd = (np.where(known, v, np.nan) for v in (flow, sd, noise_sd))
+    return FlowEstimate(flow, sd, status, noise_sd)
+
+
 class OpenLoop:
     """Force to mass flow with one set of parameters.
 
@@ -152,11 +182,9 @@ class OpenLoop:
         moisture_pct: ArrayLike | None = None,
     ) -> FlowEstimate:
         """Mass flow with standard deviation and status; scalars or arrays that broadcast, any of them nan where unknown."""
-        moisture = np.nan if moisture_pct is None else moisture_pct
-        force, angle, speed, noise, moist = np.broadcast_arrays(
-            *(np.asarray(v, dtype=float) for v in (force_n, plate_angle_rad, elevator_speed_rad_s, force_std_dev_n, moisture))
+        (force, angle, speed, noise, moist), usable = broadcast_inputs(
+            force_n, plate_angle_rad, elevator_speed_rad_s, force_std_dev_n, moisture_pct
         )
-        usable = np.isfinite(force) & np.isfinite(angle) & np.isfinite(speed) & (speed > 0.0) & np.isfinite(noise)
         if self.model.needs_moisture:
             usable = usable & np.isfinite(moist)
             moist = np.where(np.isfinite(moist), moist, 0.0)
@@ -170,14 +198,8 @@ class OpenLoop:
         spread = np.hypot(spread, self.parameters.model_error * np.abs(force))
         with np.errstate(divide="ignore", invalid="ignore"):
             sd, noise_sd = spread / np.abs(gain), noise / np.abs(gain)
-        status = np.full(force.shape, int(FlowStatus.OK))
-        status = np.where(self._outside(flow, angle, speed, moist), FlowStatus.OUTSIDE_CALIBRATION, status)
-        status = np.where(flow <= 0.0, FlowStatus.NO_GRAIN, status)
-        status = np.where(np.isnan(flow), FlowStatus.SATURATED, status)
-        status = np.where(usable & (np.isfinite(sd) | np.isnan(flow)), status, FlowStatus.NOT_AVAILABLE)
-        known = (status != FlowStatus.SATURATED) & (status != FlowStatus.NOT_AVAILABLE)
-        flow, sd, noise_sd = (np.where(known, v, np.nan) for v in (flow, sd, noise_sd))
-        return FlowEstimate(flow, sd, status, noise_sd)
+        outside = self._outside(flow, angle, speed, moist)
+        return with_status(flow, sd, noise_sd, outside=outside, empty=flow <= 0.0, usable=usable)
 
     def _throw(self, angle: ArrayLike, speed: ArrayLike, moisture: ArrayLike | None) -> Throw:
         return self.model.throw(
