@@ -130,8 +130,14 @@ def diagnose_rows(
     rows: obs.Rows, parameters: ParameterSet, options: Options = Options(), progress: Progress | None = None, name: str = "table"
 ) -> Diagnosis:
     """`diagnose` on rows already in memory."""
+    return conclude(examine(rows, parameters, options, progress, name), rows, options, progress, name)
+
+
+def conclude(
+    seen: Examination, rows: obs.Rows, options: Options = Options(), progress: Progress | None = None, name: str = "table"
+) -> Diagnosis:
+    """What follows from `examine` of the same rows with the same options: refits on all rows, regions, next experiment."""
     report = progress or (lambda text, share: None)
-    seen = examine(rows, parameters, options, report, name)
     chosen, noise, base = seen.choice, seen.noise, seen.choice.base
     rng = np.random.default_rng([options.seed, 3])
     found = chosen.best if chosen.verdict == "effect" else chosen.base
