@@ -35,7 +35,9 @@ def test_uneven_rows_put_the_grain_where_even_ones_do(tmp_path: Path, delay: int
     uneven = merged(even, rows)
     true_kg = place(even, tracks(even), delay, 0.0).mass_kg
     true_kg = np.add.reduceat(np.nan_to_num(true_kg), np.r_[0, rows[:-1] + 1])
-    placed = place(uneven, tracks(uneven), delay, 0.0)
+    placed = place(uneven, tracks(uneven), delay, delay)
+    known = np.isfinite(placed.mass_kg) & (placed.mass_kg > 0)
+    assert np.isfinite(placed.moisture_pct[known]).mean() > 0.99
     assert np.nansum(placed.mass_kg) + placed.lost_kg == pytest.approx(measured_mass_kg(uneven).sum(), rel=1e-9)
     assert np.abs(np.nan_to_num(placed.mass_kg) - true_kg).sum() < 0.06 * true_kg.sum()
     assert placed.lost_kg < 0.02 * true_kg.sum()

@@ -86,15 +86,25 @@ def place(
     by_share = by_share[known_part[by_share]]
     from_row[shared.target[by_share]] = shared.row[by_share]
     from_row[target[known]] = np.flatnonzero(known)
-    moisture_target = _targets(table, steps, moisture_delay_s)
-    moist = (moisture_target >= 0) & np.isfinite(table["moisture_pct"])
-    moisture = np.full(count, np.nan)
-    moisture[moisture_target[moist]] = table["moisture_pct"][moist]
+    moisture = _moisture(table, steps, moisture_delay_s)
     sd = np.full(count, np.nan)
     has = from_row >= 0
     sd[has] = table["flow_sd_kg_s"][from_row[has]]
     lost_kg = max(0.0, float(mass[~going].sum() - parts_kg.sum()))
     return Placed(mass, np.where(arrived > 0, at_place, np.nan), moisture, sd, from_row, lost_kg)
+
+
+def _moisture(table: HarvestTable, steps: Tracks, delay_s: float) -> Array:
+    """Of the grain cut at each row; where no row comes to it, of the row whose interval holds the time when it was measured."""
+    target = _targets(table, steps, delay_s)
+    told = (target >= 0) & np.isfinite(table["moisture_pct"])
+    moisture = np.full(len(table), np.nan)
+    moisture[target[told]] = table["moisture_pct"][told]
+    lacking = np.flatnonzero(np.isnan(moisture))
+    step = steps.step_of_row[lacking]
+    found = steps.holding(steps.time_s[step] + delay_s, steps.stream[step])
+    moisture[lacking[found >= 0]] = steps.moisture_pct[found[found >= 0]]
+    return moisture
 
 
 def repeated(table: HarvestTable, steps: Tracks) -> Flags:

@@ -84,6 +84,18 @@ class Tracks:
         chosen = np.searchsorted(keys, keys[chosen])
         return np.where(np.abs(keys[chosen] - wanted) <= tolerance_s, chosen, -1)
 
+    def holding(self, time_s: Array, stream: Index) -> Index:
+        """The step of a stream in whose interval, which ends with it, each time lies; -1 where there is none."""
+        if not len(self):
+            return np.full(len(time_s), -1, np.intp)
+        begun_s = float(self.time_s.min())
+        span = float(self.time_s.max()) - begun_s + float(np.ptp(time_s) if len(time_s) else 0.0) + 10_000.0
+        keys = self.stream * span + (self.time_s - begun_s)
+        wanted = stream * span + (time_s - begun_s)
+        found = np.minimum(np.searchsorted(keys, wanted), len(self) - 1)
+        left_s = keys[found] - wanted
+        return np.where((left_s >= 0.0) & (left_s < self.interval_s[found]), found, -1)
+
 
 def tracks(table: HarvestTable) -> Tracks:
     """The steps of a table. Rows without time or position are steps of no place."""
