@@ -332,6 +332,25 @@ def test_damaged_binary_format_is_told_with_its_place(
     assert essence(messages) == essence(long_log)[: len(messages)]
 
 
+@pytest.mark.parametrize("size", [0, 1, 31])
+def test_an_object_of_a_blf_that_has_no_length_ends_the_reading(tmp_path: Path, long_log: list[can.Message], size: int) -> None:
+    """python-can would read it again and again."""
+    path = tmp_path / "drive.blf"
+    with can.BLFWriter(path, compression_level=0) as writer:
+        for message in long_log[:6000]:
+            writer.on_message_received(message)
+    content = bytearray(path.read_bytes())
+    at = content.rindex(b"LOBJ") + 8
+    content[at : at + 4] = size.to_bytes(4, "little")
+    path.write_bytes(content)
+    messages: list[can.Message] = []
+    notes = LogNotes(on_damage=lambda damage: None)
+    assert refusal(path, messages, notes) == ""
+    assert [damage.problem for damage in notes.damages] == [f"an object of {size} bytes; reading stopped"]
+    assert 0 < len(messages) < 6000
+    assert essence(messages) == essence(long_log)[: len(messages)]
+
+
 @pytest.mark.parametrize("content", [b"\xa5" * 5000, b"no log at all\n" * 50], ids=["binary", "text"])
 @pytest.mark.parametrize("suffix", [".log", ".csv", ".blf", ".db", ".log.gz", ".blf.gz", ".db.gz"])
 def test_nothing_readable_is_an_input_error(tmp_path: Path, suffix: str, content: bytes) -> None:

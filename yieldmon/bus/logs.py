@@ -12,7 +12,6 @@ import logging
 import re
 import shutil
 import tempfile
-import zlib
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -20,15 +19,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import can
-from can.io.blf import (
-    FILE_HEADER_STRUCT,
-    LOG_CONTAINER,
-    LOG_CONTAINER_STRUCT,
-    OBJ_HEADER_BASE_STRUCT,
-    ZLIB_DEFLATE,
-)
 
 from yieldmon.bus import mf4
+from yieldmon.bus.blf_check import first_flaw
 from yieldmon.bus.candump import dropped_frames, parse_line
 from yieldmon.bus.gunzip import Gunzip
 from yieldmon.bus.mf4_reading import Mf4Log
@@ -56,8 +49,6 @@ _LARGEST_ID = 0x1FFFFFFF
 #: A compressed log is unpacked up to this size, and to half of the room that there is.
 LARGEST_UNPACKED_BYTES = 8 * 1024**3
 _UNPACK_STEP_BYTES = 1024 * 1024
-#: Vector writes containers of 128 kB.
-_LARGEST_CONTAINER_BYTES = 16 * 1024 * 1024
 
 #: What stands for a header when a reader goes on behind a damaged line: the line it may skip without loss.
 _RESUME_LINE = {".asc": "internal events logged", ".csv": "header", ".trc": ";"}
@@ -309,7 +300,7 @@ def _read_binary(path: Path, suffix: str, compressed: bool, notes: LogNotes) -> 
         flaw: tuple[int, str] | None = None
         count = 0
         try:
-            flaw = _first_flaw_of_blf(plain) if suffix == ".blf" else None
+            flaw = first_flaw(plain) if suffix == ".blf" else None
             reader = _binary_reader(plain, suffix, flaw[0] if flaw is not None else None)
             stack.callback(reader.stop)
             for message in reader:
@@ -393,35 +384,3 @@ def _unpacked(packed: io.BufferedReader, out: io.BufferedWriter, free_bytes: int
             return f"unpacks to more than {limit} bytes"
         out.write(piece)
     return early_end_of(packed)
-
-
-def _first_flaw_of_blf(path: Path) -> tuple[int, str] | None:
-    """Byte at which the first damaged object begins and what is wrong with it; None for a sound file.
-
-    python-can inflates a container without looking at its checksum or its end, and takes what comes out for frames.
-    """
-    with path.open("rb") as stream:
-        header = FILE_HEADER_STRUCT.unpack(stream.read(FILE_HEADER_STRUCT.size))
-        stream.seek(header[1])
-        while True:
-            start = stream.tell()
-            base = stream.read(OBJ_HEADER_BASE_STRUCT.size)
-            if not base:
-                return None
-            if len(base) < OBJ_HEADER_BASE_STRUCT.size:
-                return start, "the file ends within an object"
-            signature, _, _, size, kind = OBJ_HEADER_BASE_STRUCT.unpack(base)
-            if signature != b"LOBJ" or size < len(base):
-                return start, "no object begins here"
-            body = stream.read(size - len(base))
-            if len(body) < size - len(base):
-                return start, f"the file ends within an object of {size} bytes"
-            if kind == LOG_CONTAINER and LOG_CONTAINER_STRUCT.unpack_from(body)[0] == ZLIB_DEFLATE:
-                inflating = zlib.decompressobj()
-                try:
-                    inflating.decompress(body[LOG_CONTAINER_STRUCT.size :], _LARGEST_CONTAINER_BYTES)
-                except zlib.error as error:
-                    return start, f"compressed container damaged: {error}"
-                if not inflating.eof:
-                    return start, "compressed container damaged: it ends early or unpacks to too much"
-            stream.read(size % 4)
