@@ -104,7 +104,8 @@ class Life:
         self.tickets = list(memory.tickets)
         self._judge_start(found.note)
         self.writer = StoreWriter(world.open_store, 3600, retry_s=0.0, path=world.path)
-        self.writer.expect(found.last_batch)
+        if found.made:
+            self.writer.expect(found.last_batch)
         self.whole = True
         self.entered: list[Ticket] = []
         self.acceptable_kg = self.totals.total_kg

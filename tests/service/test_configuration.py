@@ -148,6 +148,7 @@ WRONG = [
     ("gate: {grain_on_n: 0.1}", "gate.grain_off_n: 0.5; expected at most gate.grain_on_n, 0.1 N"),
     ("network: {enabled: false, task_controller: true}", "network.task_controller: true; expected network.enabled: true"),
     ("network: {preferred_address: 254}", "network.preferred_address: 254; expected a whole number from 0 to 253"),
+    (f"status: {{socket: /run/{'x' * 103}}}", "status.socket: has 108 bytes; expected at most 107"),
     ("gate: {certain_force_n: 0.5}", "gate.certain_force_n: 0.5; expected at least gate.grain_on_n, 1 N"),
     ("windows: {min_coverage: 1}", "windows.min_coverage: 1; expected at most windows.full_coverage, 0.98"),
     ("[]", "[]; expected keys machine_file, parameter_file, estimator_file, moisture_map_file, units"),

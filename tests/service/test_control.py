@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from tests.service.bench import wait_for
 from yieldmon.errors import InputError
 from yieldmon.service.control import MAX_REQUEST_BYTES, ControlError, ControlServer, ask
 
@@ -115,6 +116,51 @@ def test_a_socket_left_by_an_earlier_run_is_replaced(tmp_path):
     server.start()
     assert ask(path, {"command": "status"})
     server.stop()
+
+
+def answers_again(path: Path) -> bool:
+    try:
+        return bool(ask(path, {"command": "status"}))
+    except ControlError:
+        return False
+
+
+@pytest.mark.parametrize("folder_too", [False, True], ids=["file", "folder"])
+def test_a_socket_that_is_removed_is_made_anew(path, folder_too):
+    path.unlink()
+    if folder_too:
+        path.parent.rmdir()
+    assert not answers_again(path)
+    wait_for(lambda: answers_again(path), "an answer at the new socket")
+    assert path.stat().st_mode & 0o777 == 0o600
+
+
+def test_the_socket_of_another_daemon_at_the_same_path_is_left_alone(tmp_path):
+    path = tmp_path / "s.sock"
+    first, second = ControlServer(path, None, answer), None
+    first.start()
+    try:
+        path.unlink()
+        second = ControlServer(path, None, lambda request: {"second": True})
+        second.start()
+    finally:
+        first.stop()
+        assert ask(path, {"command": "status"}) == {"second": True}
+        if second is not None:
+            second.stop()
+    assert not path.exists()
+
+
+def test_the_mode_of_the_socket_is_set_whatever_the_umask(tmp_path):
+    for umask in (0o000, 0o077, 0o777):
+        before = os.umask(umask)
+        try:
+            server = ControlServer(tmp_path / "s.sock", None, answer)
+        finally:
+            os.umask(before)
+        assert server.path.stat().st_mode & 0o777 == 0o600
+        server.start()
+        server.stop()
 
 
 def test_peers_that_are_cut_off_while_they_speak_end_nothing(path):

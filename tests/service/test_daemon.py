@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import json
 import os
 import re
@@ -23,6 +24,7 @@ from yieldmon import frames
 from yieldmon.cli import main as cli
 from yieldmon.files import parameter_file
 from yieldmon.frames import EstimateQuality, Frame
+from yieldmon.service import configuration
 from yieldmon.service.control import ControlError
 from yieldmon.service.daemon import SILENCE_S
 from yieldmon.service.journal import Journal
@@ -291,6 +293,20 @@ def test_damaged_store_is_set_aside_and_said(tmp_path):
     assert len(list(tmp_path.glob("yieldmon.sqlite.damaged-*"))) == 1
     with Store(tmp_path / "yieldmon.sqlite") as store:
         assert len(store.seconds()) >= 3
+
+
+def test_a_reload_that_cannot_read_its_file_this_time_ends_nothing(tmp_path, monkeypatch):
+    with running(tmp_path) as bench:
+
+        def read(*_: object) -> None:
+            raise OSError(errno.EIO, os.strerror(errno.EIO), "c.yaml")
+
+        monkeypatch.setattr(configuration, "load", read)
+        bench.daemon.request_reload()
+        wait_for(lambda: bench.status["configuration"]["reload"].startswith("refused"), "the refusal")
+        assert "Input/output error" in bench.status["configuration"]["reload"]
+        bench.play(3, 0.0)
+        bench.played()
 
 
 def test_reload_takes_a_good_configuration_and_refuses_a_bad_one(tmp_path):

@@ -158,6 +158,26 @@ def test_reader_that_leaves_gives_no_traceback(verb_named_probe, tmp_path):
     assert (process.returncode, errors) == (1, b"")
 
 
+CLOSED = [
+    # With no standard output to write to, data cannot be delivered; with none to speak to, work is done all the same.
+    ("check-config --defaults >&-", 1, "yieldmon: Bad file descriptor\n"),
+    ("--version >&-", 0, None),
+    ("check-config >out <&- 2>&-", 0, ""),
+]
+
+
+@pytest.mark.parametrize(("words", "code", "said"), CLOSED)
+def test_a_standard_stream_that_is_closed_is_no_traceback(tmp_path, words, code, said):
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    command = f"exec {sys.executable} -m yieldmon {words}"
+    done = subprocess.run(["sh", "-c", command], cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == code
+    if said is not None:
+        assert done.stderr == said
+    assert "Traceback" not in done.stderr
+    assert "Exception ignored" not in done.stderr
+
+
 def test_completion_lists_verbs(tmp_path):
     answer = tmp_path / "answer"
     environment = os.environ | {

@@ -15,6 +15,8 @@ from yieldmon.errors import InputError
 from yieldmon.service import configuration
 from yieldmon.service.daemon import Daemon
 from yieldmon.service.ownership import owned
+from yieldmon.service.recovery import recover
+from yieldmon.service.retention import DEFAULT_RETENTION
 from yieldmon.service.store import Store, StoreError
 
 EMPTY_MV, GRAIN_MV = 0.0, 60.0
@@ -133,18 +135,52 @@ def test_a_medium_that_takes_no_writing_is_read_and_measuring_goes_on(tmp_path, 
     assert sum(row.mass_kg for row in rows) == pytest.approx(rows[-1].total_kg, rel=1e-12)
 
 
+def no_room(store: Store) -> None:
+    raise sqlite3.OperationalError("database or disk is full")
+
+
 def test_a_store_that_cannot_be_read_at_all_is_told_by_what_is_wrong_with_it(tmp_path, monkeypatch, caplog):
-    """Not by why the ways around that lead nowhere."""
+    """Not by why the ways around that lead nowhere, and not taken for one that holds nothing."""
+    path = tmp_path / "yieldmon.sqlite"
+    with Store(path):
+        pass
 
-    def refuse(store: Store) -> None:
-        raise sqlite3.OperationalError("database or disk is full")
+    def refuse(*_: object, **how: bool) -> Store:
+        raise StoreError(f"{path}: " + ("schema version 0" if how else "database or disk is full"))
 
-    monkeypatch.setattr(Store, "_prepare", refuse)
-    (tmp_path / "yieldmon.sqlite").touch()
+    monkeypatch.setattr("yieldmon.service.recovery.Store", refuse)
     with pytest.raises(StoreError, match=r"yieldmon\.sqlite: database or disk is full$"):
-        daemon_on(tmp_path, "{}").run()
+        recover(path, DEFAULT_RETENTION, refuse)
     said = [record.getMessage() for record in caplog.records]
-    assert len(said) == len(set(said))
+    assert len(said) == len(set(said)) == 2
+
+
+@pytest.mark.parametrize("left", [None, b""], ids=["no file", "an empty file"])
+def test_a_medium_that_is_full_before_there_is_a_store_does_not_stop_the_measuring(tmp_path, monkeypatch, left):
+    path = tmp_path / "yieldmon.sqlite"
+    if left is not None:
+        path.write_bytes(left)
+    monkeypatch.setattr(Store, "_prepare", no_room)
+    with running(tmp_path) as bench:
+        warm_up(bench)
+        wait_for(lambda: "StoreFailing" in bench.faults, "StoreFailing")
+        assert bench.faults["StoreFailing"].endswith("database or disk is full")
+        measured_kg = bench.status["total"]["mass_kg"]
+        assert measured_kg > 1.0
+        monkeypatch.undo()
+        wait_for(lambda: bench.daemon.writer.health().pending == 0, "what waited, written once there is room")
+
+        def mended() -> bool:
+            bench.play(1, GRAIN_MV)
+            bench.played()
+            return "StoreFailing" not in bench.faults
+
+        wait_for(mended, "no fault once there is room")
+    with Store(path) as store:
+        rows = store.seconds()
+    assert [row.number for row in rows] == list(range(1, len(rows) + 1))
+    assert rows[-1].total_kg > measured_kg
+    assert sum(row.mass_kg for row in rows) == pytest.approx(rows[-1].total_kg, rel=1e-12)
 
 
 def test_a_store_with_a_journal_is_not_read_past_it(tmp_path):

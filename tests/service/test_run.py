@@ -24,6 +24,11 @@ def another_daemon(folder: Path, stack: ExitStack) -> str:
     return VIRTUAL
 
 
+def another_daemon_by_a_link(folder: Path, stack: ExitStack) -> str:
+    (folder / "link.sqlite").symlink_to("yieldmon.sqlite")
+    return another_daemon(folder, stack) + "store: {path: link.sqlite}\n"
+
+
 def a_store_that_cannot_be_read(folder: Path, stack: ExitStack) -> str:
     (folder / "yieldmon.sqlite").mkdir()
     return VIRTUAL
@@ -37,6 +42,7 @@ STARTS = [
     (lambda *_: VIRTUAL + "status: {socket: /proc/nope.sock}", 1, "/proc/nope.sock"),
     (lambda *_: "bus: {interface: socketcan, channel: absent0}", 1, "socketcan channel absent0: "),
     (another_daemon, 1, "another daemon is using it"),
+    (another_daemon_by_a_link, 1, "another daemon is using it"),
     (a_store_that_cannot_be_read, 2, "is a folder; expected a store"),
 ]
 

@@ -126,6 +126,26 @@ def _missing_package(error: ModuleNotFoundError) -> str | None:
     return f"needs {top}, which is not installed"
 
 
+def _open_standard_streams() -> None:
+    """A standard stream that was closed is opened, or the next file would take its place; data written to it stays an error."""
+    for number, flags in enumerate((os.O_RDONLY, os.O_RDONLY, os.O_WRONLY)):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, flags)
+    for name, number in (("stdout", 1), ("stderr", 2)):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, "w", encoding="utf-8", closefd=False))  # noqa: SIM115 - as long as the process
+
+
+def _let_go_of_output() -> None:
+    """What cannot be written to standard output is given up here, or the interpreter complains when it flushes at exit."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def _print_anything() -> None:
     """What the terminal's encoding does not have (a plus-minus sign, a name) comes out as a question mark and is no error."""
     for stream in (sys.stdout, sys.stderr):
@@ -153,9 +173,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     0 done, 1 failed, 2 bad usage or input, 130 interrupted.
     """
-    _print_anything()
     if argv is None:
+        _open_standard_streams()
         mf4.defer()
+    _print_anything()
     try:
         code = _run(sys.argv[1:] if argv is None else argv)
         sys.stdout.flush()
@@ -173,12 +194,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         return EXIT_INTERRUPTED
     except SystemExit:
         # Help and usage: what can go wrong outside, below, costs half a second to look up.
+        _let_go_of_output()
         raise
     except BrokenPipeError:
-        # The reader left. Point stdout elsewhere, or the interpreter complains when it flushes at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _let_go_of_output()
         return EXIT_FAILED
     except _operational_errors() as error:
+        _let_go_of_output()
         _tell(error)
         return EXIT_USAGE if isinstance(error, FileNotFoundError | IsADirectoryError) else EXIT_FAILED
 

@@ -29,6 +29,7 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import flow_curve_file, machine_file, moisture_file, parameter_file, strict_yaml
 from yieldmon.physics.machine import SAME_ANGLE_RAD, Machine
 from yieldmon.resources import shipped
+from yieldmon.service.control import LONGEST_SOCKET_BYTES
 from yieldmon.service.document import ENGINE_SECTIONS, Document, Section
 from yieldmon.service.folders import runtime_folder, state_folder
 from yieldmon.service.former_keys import with_present_keys
@@ -134,7 +135,8 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
         machine_path=machine_path,
         parameters=parameters,
         parameter_path=parameter_path,
-        store_path=state_folder(environment) / document.store.path,
+        # As SQLite has it: by another way to the same file a second daemon would have a lock of its own.
+        store_path=Path(os.path.realpath(state_folder(environment) / document.store.path)),
         retention=Retention(document.store.record_hours, document.store.size_mb, document.store.event_rows),
         socket_path=runtime_folder(environment) / document.status.socket,
         prometheus_path=runtime_folder(environment) / prometheus if prometheus is not None else None,
@@ -282,6 +284,9 @@ def _contradictions(document: Document, machine: Machine) -> Iterator[tuple[str,
         yield f"bus.options.{key}", "is set by a key of bus, or by the daemon", "options that the bus section has no key for"
     if document.network.task_controller and not document.network.enabled:
         yield "network.task_controller", "true", "network.enabled: true, without which there is no address to connect from"
+    if Path(document.status.socket).is_absolute() and len(os.fsencode(document.status.socket)) > LONGEST_SOCKET_BYTES:
+        problem = f"has {len(os.fsencode(document.status.socket))} bytes"
+        yield "status.socket", problem, f"at most {LONGEST_SOCKET_BYTES}, which is what a socket's address has room for"
     gate = document.gate
     if gate.grain_off_n > gate.grain_on_n:
         yield "gate.grain_off_n", f"{gate.grain_off_n:g}", f"at most gate.grain_on_n, {gate.grain_on_n:g} N"

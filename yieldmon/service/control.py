@@ -29,6 +29,8 @@ from yieldmon.service.ownership import OccupiedError
 _log = logging.getLogger(__name__)
 
 MAX_REQUEST_BYTES = 64 * 1024
+#: Of a socket's path, on Linux, without the zero at its end.
+LONGEST_SOCKET_BYTES = 107
 #: A peer that takes longer than this for its whole request, or for taking the answer, is cut off.
 _PATIENCE_S = 5.0
 _CONNECT_S = 1.0
@@ -36,6 +38,7 @@ _POLL_S = 0.2
 _STOP_S = 0.5
 _RETRY_S = 0.02
 _BACKLOG = 64
+_LOOK_EVERY_S = 2.0
 #: What only another configuration mends; a medium that is full or a file that is in the way may pass.
 _WRONG_PATH = frozenset({errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP, errno.EINVAL})
 #: Connections whose requests are awaited, and requests that are answered, at the same time.
@@ -63,41 +66,7 @@ class ControlServer:
         now, OccupiedError for one at which a daemon is running.
         """
         self.path = path
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            if _answers(path):
-                raise OccupiedError("status.socket", f"{path}: a daemon is running there", "a socket for each daemon")
-            path.unlink(missing_ok=True)
-            # The mode must be right from the first moment on, so bind() runs under the umask.
-            before = os.umask(0o177)
-            listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-            try:
-                listening.bind(str(path))
-                listening.listen(_BACKLOG)
-            except OSError:
-                listening.close()
-                raise
-            finally:
-                os.umask(before)
-            if group is not None:
-                try:
-                    os.chown(path, -1, grp.getgrnam(group).gr_gid)
-                    path.chmod(0o660)
-                except BaseException:
-                    listening.close()
-                    raise
-        except KeyError as error:
-            raise InputError("status.group", repr(group), "a group of this system") from error
-        except OSError as error:
-            # Without a number: a path that is too long for a socket's address.
-            if error.errno is None or error.errno in _WRONG_PATH:
-                problem = f"{path}: {error.strerror or error}"
-                raise InputError("status.socket", problem, "a path that can be bound") from error
-            if error.filename is None:
-                # bind() does not say what it was asked to bind.
-                raise OSError(error.errno, error.strerror, str(path)) from error
-            raise
-        self._server = _Server(listening, answer)
+        self._server = _Server(path, group, answer)
         self._thread = threading.Thread(target=self._server.run, name="control", daemon=True)
 
     def start(self) -> None:
@@ -110,7 +79,8 @@ class ControlServer:
         self._thread.join(_STOP_S)
         # Left there it is replaced at the next start; what remains to be written at this stop is worth more.
         with suppress(OSError):
-            self.path.unlink(missing_ok=True)
+            if self._server.listening.there():
+                self.path.unlink()
 
 
 def _answers(path: Path) -> bool:
@@ -127,6 +97,60 @@ def _answers(path: Path) -> bool:
     return True
 
 
+@dataclass(frozen=True)
+class _Listening:
+    """A socket that listens at a path, and the file that stands for it there."""
+
+    socket: socket.socket
+    path: Path
+    file: tuple[int, int]
+
+    def there(self) -> bool:
+        """Whether the file is still there; without it nobody finds the socket."""
+        with suppress(OSError):
+            return _identity(self.path) == self.file
+        return False
+
+
+def _identity(path: Path) -> tuple[int, int]:
+    found = path.lstat()
+    return found.st_dev, found.st_ino
+
+
+def _listen(path: Path, group: str | None) -> _Listening:
+    """Raises as ControlServer does."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if _answers(path):
+            raise OccupiedError("status.socket", f"{path}: a daemon is running there", "a socket for each daemon")
+        path.unlink(missing_ok=True)
+        listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            # The file has the socket's mode, less the umask, from the first moment on.
+            os.fchmod(listening.fileno(), 0o600)
+            listening.bind(str(path))
+            path.chmod(0o600)
+            listening.listen(_BACKLOG)
+            if group is not None:
+                os.chown(path, -1, grp.getgrnam(group).gr_gid)
+                path.chmod(0o660)
+            return _Listening(listening, path, _identity(path))
+        except BaseException:
+            listening.close()
+            raise
+    except KeyError as error:
+        raise InputError("status.group", repr(group), "a group of this system") from error
+    except OSError as error:
+        # Without a number: a path that is too long for a socket's address.
+        if error.errno is None or error.errno in _WRONG_PATH:
+            problem = f"{path}: {error.strerror or error}"
+            raise InputError("status.socket", problem, "a path that can be bound") from error
+        if error.filename is None:
+            # bind() does not say what it was asked to bind.
+            raise OSError(error.errno, error.strerror, str(path)) from error
+        raise
+
+
 @dataclass
 class _Asking:
     """A connection whose request is not whole yet."""
@@ -140,40 +164,49 @@ class _Server:
     """One thread collects the requests of all connections, a few others answer those that are whole.
 
     A request has to be whole within _PATIENCE_S of the connection, whatever comes meanwhile, and so has the taking of the answer.
-    Beyond _CONNECTIONS the one that has waited longest is cut off, so idle peers keep no other out.
+    Beyond _CONNECTIONS the one that has waited longest is cut off, so idle peers keep no other out. A socket whose file has been
+    removed is made anew.
     """
 
-    def __init__(self, listening: socket.socket, answer: Callable[[Mapping[str, Any]], Answer]) -> None:
+    def __init__(self, path: Path, group: str | None, answer: Callable[[Mapping[str, Any]], Answer]) -> None:
         self.stopping = False
-        self._listening = listening
+        self.listening = _listen(path, group)
+        self._group = group
+        self._looks_at_s = monotonic() + _LOOK_EVERY_S
+        self._trouble = ""
         self._answer = answer
         self._asking: dict[int, _Asking] = {}
         self._answering = threading.BoundedSemaphore(_ANSWERS_AT_ONCE)
 
     def run(self) -> None:
         """Until `stopping`."""
-        self._listening.setblocking(False)
-        with self._listening:
+        try:
             while not self.stopping:
                 try:
                     self._serve()
                 except Exception:  # noqa: BLE001 - without this thread nobody learns how the daemon does
                     _log.exception("control")
                     sleep(_POLL_S)
+        finally:
+            self.listening.socket.close()
 
     def _serve(self) -> None:
         """Until `stopping`, or an error that was not foreseen; connections under way end with it."""
         with selectors.DefaultSelector() as selector:
-            selector.register(self._listening, selectors.EVENT_READ)
+            self.listening.socket.setblocking(False)
+            selector.register(self.listening.socket, selectors.EVENT_READ)
             try:
                 while not self.stopping:
                     for key, _ in selector.select(_POLL_S):
-                        if key.fileobj is self._listening:
+                        if key.fileobj is self.listening.socket:
                             self._accept(selector)
                         elif (asking := self._asking.get(key.fd)) is not None and asking is key.data:
                             self._read(selector, asking)
                         # Else cut off since the selection, for another's place.
                     now_s = monotonic()
+                    if now_s >= self._looks_at_s:
+                        self._looks_at_s = now_s + _LOOK_EVERY_S
+                        self._listen_again(selector)
                     for asking in [a for a in self._asking.values() if a.until_s <= now_s]:
                         self._drop(selector, asking)
                     if len(self._asking) >= _CROWDED:
@@ -183,9 +216,29 @@ class _Server:
                 for asking in list(self._asking.values()):
                     self._drop(selector, asking)
 
+    def _listen_again(self, selector: selectors.BaseSelector) -> None:
+        """Where the socket's file is no longer there."""
+        old = self.listening
+        if old.there():
+            return
+        try:
+            new = _listen(old.path, self._group)
+        except (InputError, OSError) as error:
+            if self._trouble != str(error):
+                self._trouble = str(error)
+                _log.error("%s has been removed, and cannot be made anew: %s", old.path, error)
+            return
+        self._trouble = ""
+        _log.error("%s has been removed; made anew", old.path)
+        selector.unregister(old.socket)
+        old.socket.close()
+        new.socket.setblocking(False)
+        selector.register(new.socket, selectors.EVENT_READ)
+        self.listening = new
+
     def _accept(self, selector: selectors.BaseSelector) -> None:
         try:
-            connection, _ = self._listening.accept()
+            connection, _ = self.listening.socket.accept()
         except OSError as error:
             _log.warning("control: %s", error)
             # Out of descriptors the listening socket stays readable.

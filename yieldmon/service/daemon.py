@@ -194,9 +194,8 @@ class Daemon:
     def run(self) -> int:
         """Run until asked to stop; returns the exit code.
 
-        Raises can.CanError or InputError when the bus cannot be opened at the start, StoreError when the store can be
-        neither made nor read, OccupiedError when another daemon uses it or the control socket, InputError when that cannot be
-        made.
+        Raises can.CanError or InputError when the bus cannot be opened at the start, StoreError when there is a store that
+        cannot be read, OccupiedError when another daemon uses it or the control socket, InputError when that cannot be made.
         """
         with owned(self.configuration.store_path):
             return self._run()
@@ -204,7 +203,8 @@ class Daemon:
     def _run(self) -> int:
         recovery = recover(self.configuration.store_path, self.configuration.retention, self._open_store)
         memory, self._store_note = recovery.memory, recovery.note
-        self._writer.expect(recovery.last_batch)
+        if recovery.made:
+            self._writer.expect(recovery.last_batch)
         parameters, self._origin = choose_parameters(memory, self.configuration.parameters)
         self._journal = Journal(memory, self.configuration.parameters)
         self._journal.new_monitor(parameters, self._origin)
@@ -584,7 +584,8 @@ class Daemon:
             if self._reload is None:
                 raise InputError("reload", "this run has no configuration file")
             self._use(self._reload())
-        except InputError as error:
+        except (InputError, OSError) as error:
+            # A file that could not be read this time is no reason to stop measuring.
             self._reload_note = f"refused: {error}"
             _log.error("reload refused, going on as before: %s", error)
         self._answer = self._snapshot()

@@ -15,7 +15,7 @@ from yieldmon.service.journal import Memory, recall
 from yieldmon.service.retention import Retention
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store, StoreDamagedError, StoreError
-from yieldmon.service.store_file import refuse_stranger, witnessed
+from yieldmon.service.store_file import parts, refuse_stranger, witnessed
 
 _log = logging.getLogger(__name__)
 
@@ -25,21 +25,25 @@ _UNNOTED_AT_MOST = 60
 
 @dataclass(frozen=True)
 class Recovery:
-    """What the store remembers, and what is to be said of it, empty when all is well. last_batch: the last that it has."""
+    """What the store remembers, and what is to be said of it, empty when all is well. last_batch: the last that it has. made:
+    there is a store; False where there was none and the medium has no room for one yet."""
 
     memory: Memory
     note: str = ""
     last_batch: int = 0
+    made: bool = True
 
 
 def recover(path: Path, retention: Retention, open_store: Callable[[], Store]) -> Recovery:
     """What the store at `path` remembers. A damaged one is set aside and a new one made of what is left of it.
 
-    A medium that is full, or takes no writing, need not stop the measuring: what it holds can be read all the same. Raises
-    StoreError when the store can be neither made nor read, InputError as `store_file.refuse_stranger`.
+    A medium that is full, or takes no writing, need not stop the measuring: what it holds can be read all the same, and where it
+    holds nothing the store can be made later. Raises StoreError when there is a store that cannot be read, InputError as
+    `store_file.refuse_stranger`.
     """
     refuse_stranger(path)
     notes: list[str] = []
+    made = True
     try:
         rescue.finish(path)
     except OSError as error:
@@ -51,6 +55,10 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store]) -
             _log.error("%s", error)
             notes.append(_rescued(path, error, without))
             continue
+        except StoreError:
+            if not _nothing_at(path):
+                raise
+            memory, made = Memory(), False
         last_batch = memory.last_batch
         missing = witnessed(path) - last_batch
         if missing > 0:
@@ -61,8 +69,16 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store]) -
             notes.append(f"it has {-missing} commits more than were made here: the totals may be another machine's")
         for note in notes:
             _log.error("%s: %s", path, note)
-        return Recovery(memory, "; ".join(notes), last_batch)
+        return Recovery(memory, "; ".join(notes), last_batch, made)
     raise StoreError(f"{path}: cannot be used, nor can a new one in its place")
+
+
+def _nothing_at(path: Path) -> bool:
+    """Whether nothing has been written to the store's files yet."""
+    try:
+        return not any(part.exists() and part.stat().st_size for part in parts(path)[:2])
+    except OSError:
+        return False
 
 
 def _rescued(path: Path, error: StoreDamagedError, without: tuple[str, ...]) -> str:
