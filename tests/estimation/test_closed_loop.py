@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from yieldmon.estimation.closed_loop import DensityAnchor, MassAnchor, SelfCalibrator, Sweep, self_calibrate
+from yieldmon.estimation.closed_loop import DensityAnchor, MassAnchor, SelfCalibrator, Sweep, self_calibrate, update_from_tickets
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.identifiability import relative_jacobian, report, scaled, sweep_directions
 from yieldmon.estimation.open_loop import OpenLoop
@@ -282,6 +282,25 @@ def test_a_weighed_load_alone_teaches_too() -> None:
     assert outcome.updated
     force = np.real(MODEL.force(Conditions(np.radians(70.0), SPEED, mass_flow_kg_s=10.0), truth))
     assert OpenLoop(MODEL, outcome.parameter_set).invert(force, np.radians(70.0), SPEED) == pytest.approx(10.0, rel=0.01)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.1, 0.02], ids=lambda share: f"{share:g} of the ticket's")
+def test_a_weighed_load_counts_by_its_own_deviation_however_little_it_says(share: float) -> None:
+    ticket_sd, off, anchor = 0.005, 0.01, load(10.0, CENTRE, 1.0)
+
+    def ln_mass(values: dict[str, float]) -> float:
+        loop = OpenLoop(MODEL, ParameterSet(values))
+        return float(np.log(anchor.duration_s @ loop.invert(anchor.force_n, anchor.plate_angle_rad, anchor.elevator_speed_rad_s)))
+
+    by_restitution = (ln_mass(dict(CENTRE, restitution=0.606)) - ln_mass(CENTRE)) / 0.01
+    known = prior(widths=(1e-7, share * ticket_sd / abs(by_restitution), 1e-7))
+    weighed_kg = anchor.reference_kg * (1.0 - off)
+    weighed = dataclasses.replace(anchor, reference_kg=weighed_kg, std_dev_kg=ticket_sd * weighed_kg)
+    found = update_from_tickets(MODEL, known, [weighed])
+    assert found.updated
+    # Bayes' rule for one number, known to `share` of the deviation that it is weighed to.
+    step = (ln_mass(dict(found.parameter_set.values)) - ln_mass(CENTRE)) / np.log(1.0 - off)
+    assert step == pytest.approx(share**2 / (1.0 + share**2), rel=0.1)
 
 
 def test_condensed_windows_weigh_what_all_of_them_weigh() -> None:

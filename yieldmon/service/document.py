@@ -465,7 +465,7 @@ class Learning(Section):
     flow_process_time_s: float = quantity(_K.flow_process_time_s, 1.0, 3600.0, "s", "process: correlation time of the flow")
     model_error: float = quantity(_K.model_error, 0.0, 0.5, "1", "relative error of the model at an angle of a sweep")
     learned_information: float = quantity(
-        _K.learned_information, 0.0, 100.0, "1", "data over prior information below which nothing is taken from the data"
+        _K.learned_information, 0.0, 100.0, "1", "a sweep's over prior information below which nothing is taken from it"
     )
     kept_ratio: float = quantity(_K.kept_ratio, 0.5, 1.0, "1", "a parameter that keeps more than this share of its width stays")
     consistent_p: float = quantity(_K.consistent_p, 0.0, 0.5, "1", "probability of a misfit below which a sweep changes nothing")
