@@ -9,12 +9,11 @@ import struct
 import xml.etree.ElementTree as ET
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from yieldmon import __version__
 from yieldmon.errors import InputError
+from yieldmon.files import task_data
 from yieldmon.files.plain_text import plain
 from yieldmon.files.whole_file import scratch_for
 
@@ -22,31 +21,19 @@ from .points import YieldPoint
 
 LOG_NAME = "TLG00001"
 FOLDER = "TASKDATA"
-_EPOCH = datetime(1980, 1, 1, tzinfo=UTC)
-_DEVICE, _COMBINE = "DVC-1", "DET-1"
-
-
-@dataclass(frozen=True)
-class Entry:
-    """A data dictionary entry: identifier, designator, and unit of the raw integer."""
-
-    ddi: int
-    designator: str
-    unit: str
-
 
 ENTRIES = (
-    Entry(87, "Mass per time yield", "mg/s"),
-    Entry(84, "Mass per area yield", "mg/m2"),
-    Entry(90, "Yield total mass", "kg"),
-    Entry(99, "Crop moisture", "ppm"),
-    Entry(181, "Dry mass per area yield", "mg/m2"),
-    Entry(182, "Dry mass per time yield", "mg/s"),
-    Entry(183, "Yield total dry mass", "kg"),
-    Entry(184, "Reference moisture for dry mass", "ppm"),
-    Entry(239, "Yield hold status", ""),
+    task_data.Entry(87, "Mass per time yield", "mg/s"),
+    task_data.Entry(84, "Mass per area yield", "mg/m2"),
+    task_data.Entry(90, "Yield total mass", "kg", True),
+    task_data.Entry(99, "Crop moisture", "ppm"),
+    task_data.Entry(181, "Dry mass per area yield", "mg/m2"),
+    task_data.Entry(182, "Dry mass per time yield", "mg/s"),
+    task_data.Entry(183, "Yield total dry mass", "kg", True),
+    task_data.Entry(184, "Reference moisture for dry mass", "ppm"),
+    task_data.Entry(239, "Yield hold status", ""),
 )
-_TOTALS = (90, 183)
+_TOTALS = tuple(entry.ddi for entry in ENTRIES if entry.total)
 _INDEX = {entry.ddi: index for index, entry in enumerate(ENTRIES)}
 
 
@@ -81,7 +68,7 @@ def binary_log(points: Sequence[YieldPoint], reference_moisture_pct: float) -> t
         total_dry_kg += (point.dry_mass_flow_kg_s or 0.0) * point.duration_s
         values = raw_values(point, total_kg, total_dry_kg if dry_known else None, reference_moisture_pct)
         totals |= {ddi: values[ddi] for ddi in _TOTALS if ddi in values}
-        since = datetime.fromtimestamp(round(point.time_s, 3), UTC) - _EPOCH
+        since = datetime.fromtimestamp(round(point.time_s, 3), UTC) - task_data.EPOCH
         milliseconds = since.seconds * 1000 + round(since.microseconds / 1000)
         north, east = round(point.latitude_deg * 1e7), round(point.longitude_deg * 1e7)
         records.append(struct.pack("<IHiiBB", milliseconds, since.days, north, east, 1, len(values)))
@@ -91,52 +78,14 @@ def binary_log(points: Sequence[YieldPoint], reference_moisture_pct: float) -> t
     return b"".join(records), totals
 
 
-def header() -> ET.Element:
-    """The time log's header: what each record holds. Empty attributes are in the binary records."""
-    time = ET.Element("TIM", A="", D="4")
-    ET.SubElement(time, "PTN", A="", B="", D="")
-    for entry in ENTRIES:
-        ET.SubElement(time, "DLV", A=f"{entry.ddi:04X}", B="", C=_COMBINE)
-    return time
-
-
 def task_file(
     points: Sequence[YieldPoint], totals: Mapping[int, int], log_bytes: int, field: str, reference_moisture_pct: float
 ) -> ET.Element:
     """TASKDATA.XML's root. Raises ValueError without points."""
     if not points:
         raise ValueError("no points")
-    root = ET.Element(
-        "ISO11783_TaskData",
-        VersionMajor="4",
-        VersionMinor="3",
-        ManagementSoftwareManufacturer="yieldmon",
-        ManagementSoftwareVersion=__version__,
-        TaskControllerManufacturer="yieldmon",
-        TaskControllerVersion=__version__,
-        DataTransferOrigin="2",
-    )
-    device = ET.SubElement(
-        root,
-        "DVC",
-        A=_DEVICE,
-        B="yieldmon",
-        C=__version__,
-        D="A000840000000000",
-        E="1",
-        F="31000000000000",
-        G="000000000000FF",
-    )
-    combine = ET.SubElement(device, "DET", A=_COMBINE, B="1", C="1", D="combine", E="0", F="0")
-    for index in range(len(ENTRIES)):
-        ET.SubElement(combine, "DOR", A=str(10 + index))
-    for index, entry in enumerate(ENTRIES):
-        method = "16" if entry.ddi in _TOTALS else "1"
-        attributes = {"A": str(10 + index), "B": f"{entry.ddi:04X}", "C": "0", "D": method, "E": entry.designator}
-        ET.SubElement(device, "DPD", attributes | ({"F": str(50 + index)} if entry.unit else {}))
-    for index, entry in enumerate(ENTRIES):
-        if entry.unit:
-            ET.SubElement(device, "DVP", A=str(50 + index), B="0", C="1", D="0", E=entry.unit)
+    root = task_data.task_data()
+    device = task_data.add_combine(root, ENTRIES)
     area_m2 = sum(point.distance_m * point.swath_m for point in points)
     ET.SubElement(root, "PFD", A="PFD1", C=field, D=str(round(area_m2)))
     task = ET.SubElement(root, "TSK", A="TSK1", B=f"Harvest {field}", E="PFD1", G="4")
@@ -144,8 +93,8 @@ def task_file(
     seconds = round((last - first).total_seconds())
     time = ET.SubElement(task, "TIM", A=_iso(first), B=_iso(last), C=str(seconds), D="4")
     for ddi, value in totals.items():
-        ET.SubElement(time, "DLV", A=f"{ddi:04X}", B=str(value), C=_COMBINE)
-    ET.SubElement(task, "DAN", A=device.attrib["D"], C=_DEVICE)
+        ET.SubElement(time, "DLV", A=f"{ddi:04X}", B=str(value), C=task_data.COMBINE)
+    ET.SubElement(task, "DAN", A=device.attrib["D"], C=task_data.DEVICE)
     ET.SubElement(task, "TLG", A=LOG_NAME, B=str(log_bytes), C="1")
     return root
 
@@ -158,16 +107,10 @@ def files(points: Sequence[YieldPoint], field: str, reference_moisture_pct: floa
     """File name -> content of a TASKDATA folder."""
     log, totals = binary_log(points, reference_moisture_pct)
     return {
-        "TASKDATA.XML": _document(task_file(points, totals, len(log), field, reference_moisture_pct)),
-        f"{LOG_NAME}.xml": _document(header()),
+        "TASKDATA.XML": task_data.as_file(task_file(points, totals, len(log), field, reference_moisture_pct)),
+        f"{LOG_NAME}.xml": task_data.as_file(task_data.log_header(ENTRIES)),
         f"{LOG_NAME}.bin": log,
     }
-
-
-def _document(root: ET.Element) -> bytes:
-    ET.indent(root)
-    text: str = ET.tostring(root, encoding="unicode")
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()
 
 
 def write(path: Path, points: Sequence[YieldPoint], field: str, reference_moisture_pct: float) -> None:

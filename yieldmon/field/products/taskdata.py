@@ -9,41 +9,28 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 import zipfile
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
 
-from yieldmon import __version__
 from yieldmon.field.grid import Grid
 from yieldmon.field.harvest import HarvestMap
 from yieldmon.field.table import Array
+from yieldmon.files import task_data
 from yieldmon.files.whole_file import scratch_for
 
-EPOCH = datetime(1980, 1, 1, tzinfo=UTC)
 DAY_S = 86_400.0
-_DEVICE, _ELEMENT = "DVC-1", "DET-1"
-
-
-@dataclass(frozen=True)
-class Entry:
-    """A data dictionary entry: identifier, designator, unit of the raw integer, and whether it counts up."""
-
-    ddi: int
-    designator: str
-    unit: str
-    total: bool = False
-
 
 ENTRIES = (
-    Entry(67, "Actual working width", "mm"),
-    Entry(84, "Mass per area yield", "mg/m2"),
-    Entry(87, "Mass per time yield", "mg/s"),
-    Entry(90, "Yield total mass", "kg", True),
-    Entry(99, "Crop moisture", "ppm"),
-    Entry(116, "Total area", "m2", True),
-    Entry(141, "Actual work state", ""),
-    Entry(259, "Yield lag ignore time", "ms"),
+    task_data.Entry(67, "Actual working width", "mm"),
+    task_data.Entry(84, "Mass per area yield", "mg/m2"),
+    task_data.Entry(87, "Mass per time yield", "mg/s"),
+    task_data.Entry(90, "Yield total mass", "kg", True),
+    task_data.Entry(99, "Crop moisture", "ppm"),
+    task_data.Entry(116, "Total area", "m2", True),
+    task_data.Entry(141, "Actual work state", ""),
+    task_data.Entry(259, "Yield lag ignore time", "ms"),
 )
 _LAG = 259
 
@@ -65,9 +52,12 @@ def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
     ]
     if not logs:
         return []
-    content = {"TASKDATA/TASKDATA.XML": _document(_tasks(result, logs))}
+    content = {"TASKDATA/TASKDATA.XML": task_data.as_file(_tasks(result, logs))}
     for log in logs:
-        content |= {f"TASKDATA/{log.name}.xml": _document(_header()), f"TASKDATA/{log.name}.bin": log.content}
+        content |= {
+            f"TASKDATA/{log.name}.xml": task_data.as_file(task_data.log_header(ENTRIES)),
+            f"TASKDATA/{log.name}.bin": log.content,
+        }
     path = folder / "taskdata.zip"
     with scratch_for(path) as scratch, zipfile.ZipFile(scratch, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, data in content.items():
@@ -118,7 +108,7 @@ def _log(result: HarvestMap, stream: int, number: int) -> _Log | None:
 
 def _since_epoch(time_s: Array, unix: bool) -> Array:
     """Seconds since 1980; a clock without a date keeps its time of the day, from the first day on."""
-    seconds = time_s - EPOCH.timestamp() if unix else time_s - np.floor(time_s.min() / DAY_S) * DAY_S
+    seconds = time_s - task_data.EPOCH.timestamp() if unix else time_s - np.floor(time_s.min() / DAY_S) * DAY_S
     return np.asarray(np.clip(np.round(seconds, 3), 0.0, 65_535 * DAY_S))
 
 
@@ -144,53 +134,11 @@ def _records(time: Array, longitude: Array, latitude: Array, raw: dict[int, np.n
     return out.tobytes()
 
 
-def _header() -> ET.Element:
-    time = ET.Element("TIM", A="", D="4")
-    ET.SubElement(time, "PTN", A="", B="", D="")
-    for entry in ENTRIES:
-        ET.SubElement(time, "DLV", A=f"{entry.ddi:04X}", B="", C=_ELEMENT)
-    return time
-
-
 def _tasks(result: HarvestMap, logs: list[_Log]) -> ET.Element:
-    root = ET.Element(
-        "ISO11783_TaskData",
-        VersionMajor="4",
-        VersionMinor="3",
-        ManagementSoftwareManufacturer="yieldmon",
-        ManagementSoftwareVersion=__version__,
-        TaskControllerManufacturer="yieldmon",
-        TaskControllerVersion=__version__,
-        DataTransferOrigin="2",
-    )
+    root = task_data.task_data()
     if result.crop:
         ET.SubElement(root, "CTP", A="CTP1", B=result.crop[:32])
-    device = ET.SubElement(
-        root,
-        "DVC",
-        A=_DEVICE,
-        B="yieldmon",
-        C=__version__[:32],
-        D="A000840000000000",
-        E="1",
-        F="31000000000000",
-        G="000000000000FF",
-    )
-    combine = ET.SubElement(device, "DET", A=_ELEMENT, B="1", C="1", D="combine", E="0", F="0")
-    for index in range(len(ENTRIES)):
-        ET.SubElement(combine, "DOR", A=str(10 + index))
-    for index, entry in enumerate(ENTRIES):
-        attributes = {
-            "A": str(10 + index),
-            "B": f"{entry.ddi:04X}",
-            "C": "0",
-            "D": "16" if entry.total else "1",
-            "E": entry.designator,
-        }
-        ET.SubElement(device, "DPD", attributes | ({"F": str(50 + index)} if entry.unit else {}))
-    for index, entry in enumerate(ENTRIES):
-        if entry.unit:
-            ET.SubElement(device, "DVP", A=str(50 + index), B="0", C="1", D="0", E=entry.unit)
+    device = task_data.add_combine(root, ENTRIES)
     fields = {name: f"PFD{number + 1}" for number, name in enumerate(dict.fromkeys(log.field for log in logs))}
     area = round(result.totals.area_m2 / len(fields))
     for name, key in fields.items():
@@ -199,8 +147,8 @@ def _tasks(result: HarvestMap, logs: list[_Log]) -> ET.Element:
         task = ET.SubElement(root, "TSK", A=f"TSK{number}", B=f"Harvest {_clean(log.field)}"[:32], E=fields[log.field], G="4")
         time = ET.SubElement(task, "TIM", A=_iso(log.first_s), B=_iso(log.last_s), C=str(round(log.last_s - log.first_s)), D="4")
         for ddi, value in log.totals.items():
-            ET.SubElement(time, "DLV", A=f"{ddi:04X}", B=str(value), C=_ELEMENT)
-        ET.SubElement(task, "DAN", A=device.attrib["D"], C=_DEVICE)
+            ET.SubElement(time, "DLV", A=f"{ddi:04X}", B=str(value), C=task_data.COMBINE)
+        ET.SubElement(task, "DAN", A=device.attrib["D"], C=task_data.DEVICE)
         ET.SubElement(task, "TLG", A=log.name, B=str(len(log.content)), C="1")
     return root
 
@@ -210,10 +158,4 @@ def _clean(name: str) -> str:
 
 
 def _iso(since_s: float) -> str:
-    return (EPOCH + timedelta(seconds=since_s)).strftime("%Y-%m-%dT%H:%M:%SZ")
-
-
-def _document(root: ET.Element) -> bytes:
-    ET.indent(root)
-    text: str = ET.tostring(root, encoding="unicode")
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()
+    return (task_data.EPOCH + timedelta(seconds=since_s)).strftime("%Y-%m-%dT%H:%M:%SZ")

@@ -1,0 +1,84 @@
+"""ISO 11783-10 task data: the parts of TASKDATA.XML and of a time log's header that do not depend on what was measured.
+
+Layout: ISO 11783-10:2015; values by the data dictionary of ISO 11783-11.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from yieldmon import __version__
+
+EPOCH = datetime(1980, 1, 1, tzinfo=UTC)
+"""Day 0 of a time log."""
+DEVICE, COMBINE = "DVC-1", "DET-1"
+"""Identifiers of the combine as a device and as that device's one element."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A data dictionary entry: identifier, designator, unit of the raw integer, and whether it counts up."""
+
+    ddi: int
+    designator: str
+    unit: str
+    total: bool = False
+
+
+def log_header(entries: Sequence[Entry]) -> ET.Element:
+    """The time log's header: what each record holds. Empty attributes are in the binary records."""
+    time = ET.Element("TIM", A="", D="4")
+    ET.SubElement(time, "PTN", A="", B="", D="")
+    for entry in entries:
+        ET.SubElement(time, "DLV", A=f"{entry.ddi:04X}", B="", C=COMBINE)
+    return time
+
+
+def task_data() -> ET.Element:
+    """TASKDATA.XML's root, empty."""
+    return ET.Element(
+        "ISO11783_TaskData",
+        VersionMajor="4",
+        VersionMinor="3",
+        ManagementSoftwareManufacturer="yieldmon",
+        ManagementSoftwareVersion=__version__,
+        TaskControllerManufacturer="yieldmon",
+        TaskControllerVersion=__version__,
+        DataTransferOrigin="2",
+    )
+
+
+def add_combine(root: ET.Element, entries: Sequence[Entry]) -> ET.Element:
+    """The device that measures these entries, in the root; returned."""
+    device = ET.SubElement(
+        root,
+        "DVC",
+        A=DEVICE,
+        B="yieldmon",
+        C=__version__[:32],
+        D="A000840000000000",
+        E="1",
+        F="31000000000000",
+        G="000000000000FF",
+    )
+    combine = ET.SubElement(device, "DET", A=COMBINE, B="1", C="1", D="combine", E="0", F="0")
+    for index in range(len(entries)):
+        ET.SubElement(combine, "DOR", A=str(10 + index))
+    for index, entry in enumerate(entries):
+        method = "16" if entry.total else "1"
+        attributes = {"A": str(10 + index), "B": f"{entry.ddi:04X}", "C": "0", "D": method, "E": entry.designator}
+        ET.SubElement(device, "DPD", attributes | ({"F": str(50 + index)} if entry.unit else {}))
+    for index, entry in enumerate(entries):
+        if entry.unit:
+            ET.SubElement(device, "DVP", A=str(50 + index), B="0", C="1", D="0", E=entry.unit)
+    return device
+
+
+def as_file(root: ET.Element) -> bytes:
+    """The file's content, indented."""
+    ET.indent(root)
+    text: str = ET.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()
