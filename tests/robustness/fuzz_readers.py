@@ -19,13 +19,14 @@ import logging
 import random
 import resource
 import shutil
+import signal
 import socket
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
@@ -46,6 +47,28 @@ _FRAMES = 200
 #: Code whose steps guide: the project's, and what reads its files.
 TRACED = ("/yieldmon/", "/can/io/", "/yaml/", "/asammdf/", "/cantools/database/can/formats/")
 KEPT = Path("out/fuzz")
+#: Processor time of one file, traced, beyond which its reader is taken to read for ever.
+ENDLESS_S = 60.0
+
+
+class Endless(BaseException):
+    """Raised in a reader that does not end; no reader catches it."""
+
+
+@contextmanager
+def ended() -> Iterator[None]:
+    """Within it, reading ends after ENDLESS_S seconds of processor time."""
+
+    def end(*_: object) -> None:
+        raise Endless(f"more than {ENDLESS_S:g} s")
+
+    before = signal.signal(signal.SIGPROF, end)
+    signal.setitimer(signal.ITIMER_PROF, ENDLESS_S)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
 
 
 def _log(path: Path) -> None:
@@ -181,7 +204,7 @@ def fuzz(name: str, count: int, seed: int, seconds: float) -> Counter[str]:
             path.write_bytes(mutated(good, rng))
             began_s = time.process_time()
             try:
-                read(path)
+                _to_an_end(path, read)
                 outcomes["read"] += 1
             except InputError:
                 outcomes["refused"] += 1
@@ -206,7 +229,7 @@ def guided(name: str, cpu_minutes: float, seed: int, seconds: float) -> Counter[
             for left in Path(place).iterdir():
                 left.unlink()
             path.write_bytes(content)
-            steps, raised = coverage.of(lambda: read(path))
+            steps, raised = coverage.of(lambda: _to_an_end(path, read))
             outcomes["new"] += corpus.take(content, steps)
             outcomes["refused" if isinstance(raised, InputError) else "read" if raised is None else "raised"] += 1
             escape = "" if raised is None or isinstance(raised, InputError) else f"{type(raised).__name__}: {str(raised)[:80]}"
@@ -222,13 +245,21 @@ def guided(name: str, cpu_minutes: float, seed: int, seconds: float) -> Counter[
     return outcomes
 
 
+def _to_an_end(path: Path, read: Callable[[Path], object]) -> None:
+    try:
+        with ended():
+            read(path)
+    except Endless as error:
+        raise RuntimeError(f"reads for ever: {error}") from error
+
+
 def _slow(path: Path, read: Callable[[Path], object], seconds: float) -> str:
     """Whether reading takes too long, without the tracing that makes everything slow; only files of some size are asked."""
     if path.stat().st_size < 4096:
         return ""
     began_s = cpu_s()
     with suppress(Exception):
-        read(path)
+        _to_an_end(path, read)
     return "too slow" if cpu_s() - began_s > seconds else ""
 
 

@@ -236,6 +236,12 @@ def test_a_log_without_a_frame_is_refused(how, tmp_path, capsys):
     assert capsys.readouterr() == ("", f"yieldmon: {path}: no frame at all; expected a log with frames\n")
 
 
+def test_a_screen_without_a_terminal_is_refused(log, capsys):
+    assert main(["monitor", str(log)]) == 2
+    expected = "yieldmon: standard output: is no terminal; expected a terminal, --once, --json or --record F\n"
+    assert capsys.readouterr() == ("", expected)
+
+
 def test_recording_writes_every_frame(log, tmp_path, capsys):
     copy = tmp_path / "copy.asc"
     assert main(["monitor", str(log), "--once", "--record", str(copy)]) == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import threading
@@ -13,6 +14,7 @@ import pytest
 import yieldmon
 from tests.service.bench import PATIENCE_S, running
 from yieldmon.cli import main as cli
+from yieldmon.service import configuration
 
 UNIT = Path(yieldmon.__file__).parents[1] / "systemd" / "yieldmon.service"
 VIRTUAL = "bus: {interface: virtual, channel: start}\n"
@@ -22,6 +24,11 @@ def another_daemon(folder: Path, stack: ExitStack) -> str:
     (folder / "first").mkdir()
     stack.enter_context(running(folder / "first", state=folder))
     return VIRTUAL
+
+
+def a_pipe_for_parameters(folder: Path, stack: ExitStack) -> str:
+    os.mkfifo(folder / "p.yaml")
+    return VIRTUAL + "parameter_file: p.yaml\n"
 
 
 def another_daemon_by_a_link(folder: Path, stack: ExitStack) -> str:
@@ -35,6 +42,7 @@ def a_store_that_cannot_be_read(folder: Path, stack: ExitStack) -> str:
 
 
 STARTS = [
+    (a_pipe_for_parameters, 2, "p.yaml: is empty"),
     (lambda *_: "bus: {channl: can0}", 2, "bus.channl: unknown key"),
     (lambda *_: "bus: {interface: udp_multicast, channel: 239.74.163.2, options: {port: 70000}}", 2, "udp_multicast channel"),
     (lambda *_: VIRTUAL + "status: {group: no-such-group}", 2, "status.group: 'no-such-group'"),
@@ -73,3 +81,29 @@ def test_a_start_that_fails_says_whether_another_try_can_help(prepare, code, say
 def test_the_unit_is_not_started_again_on_bad_input_alone():
     prevented = re.findall(r"^RestartPreventExitStatus=(.*)$", UNIT.read_text(encoding="utf-8"), re.MULTILINE)
     assert prevented == [str(cli.EXIT_USAGE)]
+
+
+def test_a_hangup_before_the_daemon_is_there_reloads_it(tmp_path, monkeypatch):
+    """It would end the process."""
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+    path = tmp_path / "yieldmon.yaml"
+    path.write_text(VIRTUAL)
+    read, loads = configuration.load, []
+
+    def load(*how: Path) -> configuration.Configuration:
+        if not loads:
+            signal.raise_signal(signal.SIGHUP)
+        else:
+            signal.raise_signal(signal.SIGTERM)
+        loads.append(read(*how))
+        return loads[-1]
+
+    monkeypatch.setattr(configuration, "load", load)
+    before = {number: signal.getsignal(number) for number in (signal.SIGHUP, signal.SIGTERM, signal.SIGINT)}
+    try:
+        assert cli.main(["run", "--config", str(path)]) == 0
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    assert len(loads) == 2

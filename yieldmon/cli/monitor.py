@@ -74,6 +74,8 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--speed", f"is {args.speed:g}", "a number of at least 0")
     if not 0.0 < args.seconds < inf:
         raise InputError("--seconds", f"is {args.seconds:g}", "a number above 0")
+    if not (args.once or args.json or args.record or sys.stdout.isatty()):
+        raise InputError("standard output", "is no terminal", "a terminal, --once, --json or --record F")
     codec = Codec()
     traffic = Traffic(codec)
     with ExitStack() as stack:

@@ -29,6 +29,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Run until a signal ends it. Exit code 2, on which the unit is not started again, is for what only a person can mend."""
+    early: list[int] = []
+    # Until the daemon is there a hangup would end the process.
+    signal.signal(signal.SIGHUP, lambda number, _: early.append(number))
     path = Path(args.config) if args.config is not None else shipped("config/yieldmon.yaml")
     loaded = configuration.load(path)
     # Under a service manager the journal has the time and takes the level from the prefix.
@@ -40,6 +43,8 @@ def run(args: argparse.Namespace) -> int:
     for name in (signal.SIGTERM, signal.SIGINT):
         signal.signal(name, lambda *_: daemon.request_stop())
     signal.signal(signal.SIGHUP, lambda *_: daemon.request_reload())
+    if early:
+        daemon.request_reload()
     try:
         return daemon.run()
     except (StoreError, OccupiedError, OSError) as error:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import os
 import re
 from collections.abc import Callable, Hashable
 from math import isfinite
@@ -186,10 +187,17 @@ def load(path: Path | str) -> Any:
     return parse(read(path), str(path))
 
 
+def _at_once(path: str, flags: int) -> int:
+    descriptor = os.open(path, flags | os.O_NONBLOCK)
+    os.set_blocking(descriptor, True)
+    return descriptor
+
+
 def read(path: Path | str) -> str:
     """The text of the file at `path`, no more of it than parse() refuses. Raises InputError when it cannot be read."""
     try:
-        with open(path, "rb") as file:
+        # A pipe into which nobody writes is empty; opening it the usual way would wait for ever.
+        with open(path, "rb", opener=_at_once) as file:
             return file.read(MAX_BYTES + 1).decode("utf-8")
     except OSError as error:
         if error.errno in _PASSING:
