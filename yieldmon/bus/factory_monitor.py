@@ -11,13 +11,10 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-import cantools
-from cantools.database.can import Database
 from cantools.database.can import Message as DbcMessage
 from cantools.database.can import Signal as DbcSignal
-from cantools.database.errors import Error as DbcError
 
-from yieldmon.bus.layout import largest_valid_raw
+from yieldmon.bus.layout import largest_valid_raw, read_database
 from yieldmon.errors import InputError
 from yieldmon.resources import shipped
 
@@ -108,22 +105,11 @@ def _shipped_layouts() -> _Layouts:
 def _layouts(paths: Sequence[Path | str]) -> _Layouts:
     found = {}
     for path in paths:
-        for message in _load(path).messages:
+        for message in read_database(path).messages:
             fields = tuple(field for signal in message.signals if (field := _field(message, signal, str(path))))
             if fields:
                 found[identity_of(message.frame_id)] = (message.name, message.length, fields)
     return found
-
-
-def _load(path: Path | str) -> Database:
-    try:
-        database = cantools.database.load_file(path, database_format="dbc")
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "a readable DBC file") from error
-    except (DbcError, UnicodeDecodeError) as error:
-        raise InputError(str(path), str(error), "a DBC file") from error
-    assert isinstance(database, Database), "what the dbc format gives"
-    return database
 
 
 def _field(message: DbcMessage, signal: DbcSignal, path: str) -> _Field | None:

@@ -15,6 +15,7 @@ from yieldmon.errors import InputError
 from yieldmon.resources import shipped
 
 if TYPE_CHECKING:
+    from cantools.database.can import Database
     from cantools.database.can import Message as DbcMessage
     from cantools.database.can import Signal as DbcSignal
 
@@ -115,6 +116,11 @@ def _shipped() -> dict[str, MessageLayout]:
 
 
 def _read(path: Path) -> dict[str, MessageLayout]:
+    return {message.name: _message_layout(message, str(path)) for message in read_database(path).messages}
+
+
+def read_database(path: Path | str) -> Database:
+    """A DBC file as cantools reads it. Raises InputError for a file that is missing or no DBC."""
     # Half a second of import, for those who read a DBC only.
     import cantools
     from cantools.database.can import Database
@@ -127,7 +133,7 @@ def _read(path: Path) -> dict[str, MessageLayout]:
     except (DbcError, UnicodeDecodeError) as error:
         raise InputError(str(path), str(error), "a DBC file") from error
     assert isinstance(database, Database), "what the dbc format gives"
-    return {message.name: _message_layout(message, str(path)) for message in database.messages}
+    return database
 
 
 def _message_layout(message: DbcMessage, path: str) -> MessageLayout:
