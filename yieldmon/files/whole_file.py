@@ -60,7 +60,7 @@ def scratch_for(path: str | Path, *, durable: bool = False, mode: int | None = N
             elif target.exists() and scratch.is_file():
                 scratch.chmod(stat.S_IMODE(target.stat().st_mode))
             if durable:
-                _sync(scratch)
+                sync(scratch)
             scratch.replace(target)
     except OSError as error:
         # A file opened through its Path is named by that.
@@ -81,7 +81,8 @@ def _private_folder(target: Path, path: str | Path) -> Path:
         raise
 
 
-def _sync(path: Path) -> None:
+def sync(path: Path) -> None:
+    """Puts a file or a folder's entries on the medium."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -6,7 +6,6 @@ is ended at the next start (`finish`). The damaged files are kept under another 
 
 from __future__ import annotations
 
-import os
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
@@ -17,6 +16,7 @@ from typing import Any
 from urllib.parse import quote
 
 from yieldmon.engine.records import COLUMNS
+from yieldmon.files.whole_file import sync
 from yieldmon.service import schema
 from yieldmon.service.checksums import UNCHECKED, row_checksum
 from yieldmon.service.rows import SecondRow
@@ -121,25 +121,17 @@ def _ready(path: Path) -> Path:
 
 
 def _replace(path: Path, fresh: Path, label: str) -> Path:
-    _sync(fresh)
+    sync(fresh)
     fresh.rename(_ready(path))
-    _sync(path.parent)
+    sync(path.parent)
     return _put_in_place(path, label)
 
 
 def _put_in_place(path: Path, label: str) -> Path:
     aside = set_aside(path, label)
     _ready(path).rename(path)
-    _sync(path.parent)
+    sync(path.parent)
     return aside
-
-
-def _sync(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 @contextmanager
