@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from yieldmon.cli.diagnose import _print_text
+from yieldmon.cli.diagnose import print_text
 from yieldmon.discrepancy import diagnosis, experiment, report
 from yieldmon.discrepancy.candidates import Signature
 from yieldmon.discrepancy.fit import LAW_SD, Fit, Parameter
@@ -393,8 +393,8 @@ def test_a_gap_that_is_not_there_is_not_closed_by_nothing(clean_found) -> None:
 def test_held_out_rows_within_their_scatter_do_not_tell(offset_found, capsys) -> None:
     found = offset_found
     assert re.search(r"rows kept aside F = [0-9.]+ \([0-9.]+ to [0-9.]+\) before and", report.summary(found))
-    held = replace(found.held_out, closed_pct=diagnosis._closed(before=1.0, after=0.9, floor=1.1))
+    held = replace(found.held_out, closed_pct=diagnosis.share_closed_pct(before=1.0, after=0.9, floor=1.1))
     found = replace(found, held_out=held)
     assert diagnosis.to_document(found)["gap"]["closed_pct"] is None
-    _print_text(found)
+    print_text(found)
     assert "rows kept aside F = " in capsys.readouterr().out

@@ -148,7 +148,7 @@ def live(folder: Path, hours: float, real_time: bool) -> dict[str, object]:
         bus_factory=machine.open_bus,
         silence_s=SILENCE_S if real_time else math.inf,
     )
-    machine.backlog = lambda: len(daemon.receiver._queue) + 20 * daemon.writer.health().pending
+    machine.backlog = lambda: daemon.receiver.waiting + 20 * daemon.writer.health().pending
     witness = Witness()
     submit = daemon.writer.submit
 
@@ -177,7 +177,7 @@ def live(folder: Path, hours: float, real_time: bool) -> dict[str, object]:
                 gc.collect()
                 before = resident_mb(), open_files()
             most_mb = max(most_mb, resident_mb())
-    while daemon.receiver._queue or daemon.writer.health().pending:
+    while daemon.receiver.waiting or daemon.writer.health().pending:
         time.sleep(0.1)
     gc.collect()
     after = resident_mb(), open_files()

@@ -195,9 +195,9 @@ def test_a_command_that_was_not_answered_is_not_carried_out_later(tmp_path, monk
         monkeypatch.setattr(bench.daemon, "_do_commands", late)
         assert held.wait(PATIENCE_S)
         with pytest.raises(ControlError, match="did not answer in time; nothing was done"):
-            bench.daemon._command({"command": "load-start"})
+            bench.daemon.command({"command": "load-start"})
         gate.set()
-        assert bench.daemon._command({"command": "load-start"})["load"] == 2
+        assert bench.daemon.command({"command": "load-start"})["load"] == 2
 
 
 def test_names_are_shown_as_they_were_given(tmp_path, capsys):

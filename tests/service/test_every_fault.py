@@ -182,7 +182,7 @@ def overrun(bench: Bench) -> None:
         bench.peer.send(message)
     bench.now_s += 30.0
     wait_for(lambda: bench.daemon.receiver.counters().dropped > 0, "the queue to run over")
-    wait_for(lambda: not bench.daemon.receiver._queue, "what is left of it to be worked off")
+    wait_for(lambda: not bench.daemon.receiver.waiting, "what is left of it to be worked off")
     bench.play(3, EMPTY_MV)
 
 
@@ -237,8 +237,8 @@ class PlateNode:
 
     def _obey(self, bench: Bench, time_s: float) -> None:
         daemon = bench.daemon
-        wait_for(lambda: daemon._last_heard is not None and daemon._last_heard[0] >= time_s, "the engine")
-        wait_for(lambda: not daemon.transmitter._queue, "its commands")
+        wait_for(lambda: (daemon.heard_bus_s or 0.0) >= time_s, "the engine")
+        wait_for(lambda: not daemon.transmitter.waiting, "its commands")
         while (received := bench.peer.recv(0)) is not None:
             bench.seen.append(received)
             if received.arbitration_id != COMMAND_ID:

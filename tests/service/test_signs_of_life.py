@@ -18,12 +18,17 @@ from yieldmon.service.transmit import Transmitter
 
 
 def test_a_transmit_thread_that_hangs_is_seen_and_stops_nothing():
-    gate, now_s = threading.Event(), [0.0]
-    transmitter = Transmitter(lambda message, timeout: gate.wait(PATIENCE_S) and None, 10, 0.5, clock=lambda: now_s[0])
+    gate, begun, now_s = threading.Event(), threading.Event(), [0.0]
+
+    def send(message: can.Message, timeout: float) -> None:
+        begun.set()
+        gate.wait(PATIENCE_S)
+
+    transmitter = Transmitter(send, 10, 0.5, clock=lambda: now_s[0])
     transmitter.start()
     assert transmitter.hangs_s() == 0.0
     transmitter.submit(can.Message())
-    wait_for(lambda: transmitter._busy_since_s is not None, "the send that hangs")
+    assert begun.wait(PATIENCE_S), "the send that hangs"
     now_s[0] = 9.0
     assert transmitter.hangs_s() == 9.0
     assert not transmitter.stop(0.05), "it does not end, and the stop does not wait for it"
@@ -55,18 +60,12 @@ def test_a_hanging_send_is_a_fault_and_the_daemon_stops_all_the_same(tmp_path: P
     gate.set()
 
 
-@pytest.mark.parametrize("name", ["_transmitter", "_writer", "_receiver"])
+@pytest.mark.parametrize("name", ["transmitter", "writer", "receiver"])
 def test_a_dead_thread_ends_the_daemon(tmp_path: Path, name: str):
 
     def live() -> None:
         with running(tmp_path) as bench:
-            thread = getattr(bench.daemon, name)
-            if name == "_receiver":
-                thread._stopping.set()
-            else:
-                with thread._changed:
-                    thread._stopping = True
-                    thread._changed.notify_all()
+            getattr(bench.daemon, name).stop()
             ended(bench)
 
     with pytest.raises(RuntimeError, match="thread has died"):
@@ -103,10 +102,10 @@ def test_an_answer_tells_its_age(tmp_path: Path, monkeypatch):
     with running(tmp_path) as bench:
         bench.play(3, 0.0)
         bench.played()
-        status = bench.daemon._command({"command": "status"})
+        status = bench.daemon.command({"command": "status"})
         assert status["stale"] is False
         bench.daemon._answered_s -= 60.0
-        status = bench.daemon._command({"command": "status"})
+        status = bench.daemon.command({"command": "status"})
         assert status["stale"] is True
         assert status["age_s"] >= 60.0
         written = "\n".join(metrics.lines(status))

@@ -166,6 +166,11 @@ class Receiver:
         return time.monotonic() - self._beat_s
 
     @property
+    def waiting(self) -> int:
+        """Frames and events that nobody has taken yet."""
+        return len(self._queue)
+
+    @property
     def bus(self) -> can.BusABC | None:
         """The open bus, None while the interface is away."""
         return self._bus

@@ -94,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(diagnosis.to_document(found), indent=2))
     else:
-        _print_text(found)
+        print_text(found)
     if args.report is not None:
         page = report.write_report(found, Path(args.report), f"Diagnosis of {Path(args.data).name}")
         print(f"report: {page}", file=sys.stderr)
@@ -176,7 +176,7 @@ def _progress() -> Iterator[Callable[[str, float], None]]:
         yield lambda text, share: bar.update(task, description=text, completed=share)
 
 
-def _print_text(found: diagnosis.Diagnosis) -> None:
+def print_text(found: diagnosis.Diagnosis) -> None:
     print(report.summary(found))
     print(f"\nverdict: {found.verdict}")
     for step in found.choice.steps if found.verdict == "effect" else ():

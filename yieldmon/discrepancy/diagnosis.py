@@ -116,7 +116,7 @@ class Diagnosis:
             return None
         if self.held_out is not None:
             return self.held_out.closed_pct
-        return _closed(self.before.rms, self.after.rms, self.noise_floor_rms)
+        return share_closed_pct(self.before.rms, self.after.rms, self.noise_floor_rms)
 
 
 def diagnose(
@@ -358,7 +358,7 @@ def _open(
         ends = [(2.0 * (found.value + s * found.sd) - 1.0) * found.power / (count * (square[0] - 1.0)) for s in (-1.96, 1.96)]
         interval = (100.0 * ends[0], 100.0 * ends[1])
     intervals = (mean_square_interval(square[0], count), mean_square_interval(square[1], count))
-    closed = _closed(rms[0], rms[1], floor)
+    closed = share_closed_pct(rms[0], rms[1], floor)
     return HeldOut(count, measures[0], measures[1], floor, closed, interval, intervals, found), outlying
 
 
@@ -377,7 +377,8 @@ def _doubted(choice: Choice) -> str:
     return f"{names}: not named, right in {100.0 * first.confidence:.0f} of 100 cases that look like this one"
 
 
-def _closed(before: float, after: float, floor: float) -> float | None:
+def share_closed_pct(before: float, after: float, floor: float) -> float | None:
+    """Share of a gap (rms before and after, of noise alone) that is closed, %; None where there is none above the noise."""
     return 100.0 * (before - after) / (before - floor) if before > floor else None
 
 

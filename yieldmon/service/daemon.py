@@ -179,6 +179,11 @@ class Daemon:
         return self._writer
 
     @property
+    def heard_bus_s(self) -> float | None:
+        """Bus time of the last frame that the engine has taken, s; None before the first."""
+        return None if self._last_heard is None else self._last_heard[0]
+
+    @property
     def snapshot(self) -> Answer:
         """What `status` answers, as of the last window or command."""
         return self._answer
@@ -215,7 +220,7 @@ class Daemon:
         self._receiver.start()
         try:
             status = self.configuration.document.status
-            control = ControlServer(self.configuration.socket_path, status.group, self._command)
+            control = ControlServer(self.configuration.socket_path, status.group, self.command)
         except BaseException:
             self._receiver.stop()
             raise
@@ -523,8 +528,11 @@ class Daemon:
 
     # Operator
 
-    def _command(self, request: Mapping[str, Any]) -> Answer:
-        """Called on the control server's threads."""
+    def command(self, request: Mapping[str, Any]) -> Answer:
+        """Carries out a request as it comes over the control socket; called on any thread but the engine's.
+
+        Raises InputError for a request that is refused, ControlError where the engine does not answer in time.
+        """
         if request["command"] == "status":
             return self._status()
         job = _Job(request, Future(), self._stored(request))

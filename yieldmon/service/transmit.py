@@ -117,6 +117,11 @@ class Transmitter:
         return False
 
     @property
+    def waiting(self) -> int:
+        """Frames that wait to be sent."""
+        return len(self._queue)
+
+    @property
     def alive(self) -> bool:
         """Whether the thread runs."""
         return self._thread.is_alive()
