@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -55,6 +56,8 @@ def _hidden(args: argparse.Namespace) -> Any:
 
 
 def _cost(args: argparse.Namespace) -> Any:
+    # As the service has it (systemd/yieldmon.service).
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from studies.waveform import cost
 
     return cost.report(args.seed)

@@ -163,12 +163,17 @@ def spectrum_and_slopes(
     safe = np.where(thin, 1.0, spread)
     sinc = np.where(thin, 1.0 - spread * spread / 6.0, turned.imag / safe)
     slope = np.where(thin, -spread / 3.0, (turned.real - sinc) / safe)
-    even = wave * sinc
-    by_node = np.concatenate((impulse, impulse[0] * middle_slopes)).swapaxes(0, 1) @ even
-    by_half = (impulse[0] * half_slopes).swapaxes(0, 1) @ (wave * slope)
-    found = by_node[:, : len(impulse)].copy()
+    rows = np.concatenate((impulse, impulse[0] * middle_slopes)).swapaxes(0, 1)
+    by_node = _of_reals(rows, wave * sinc)
+    by_half = _of_reals((impulse[0] * half_slopes).swapaxes(0, 1), wave * slope)
+    found = by_node[:, : len(impulse)]
     found[:, 1:] += fundamental_rad_s * order * (by_half - 1j * by_node[:, len(impulse) :])
     return np.asarray(found.swapaxes(0, 1))
+
+
+def _of_reals(first: Array, second: AnyArray) -> AnyArray:
+    """Product of real (p, m, n) and complex matrices (p, n, k), in real arithmetic."""
+    return np.asarray((first @ second.view(np.float64)).view(np.complex128))
 
 
 def _padded(values: Array, parameters: int) -> Array:

@@ -285,6 +285,7 @@ class PulseModel:
         size = self.machine.paddle_width_m * self.machine.paddle_length_m**2
         self.full_paddle_kg = 0.5 * self.parameters["shape_ratio"] * self.parameters["density"] * size
         self._free_shapes: list[int] = np.flatnonzero(self.prior_sd(1.0)[:_SHAPES] > 0.0).tolist()
+        self._own_scatter = np.array([name.startswith("scatter_") for name in self.names])
         self._expansions = ArrivalExpansions(self._arrivals)
 
     def fundamental_rad_s(self, elevator_speed_rad_s: float) -> float:
@@ -526,9 +527,9 @@ def _covariances(pulses: PulseModel, at: _Linear, wave: PatternWave) -> tuple[Ar
     variance = random + pulses.lasting_variance(at.envelope)
     white, _ = _whitened(at, wave, variance)
     jacobian = white[:, free]
-    small = np.linalg.inv(jacobian.T @ jacobian + pulses.prior_precision(wave.patterns)[np.ix_(free, free)])
-    share = np.tile(random / variance, 2)
-    own = np.array([name.startswith("scatter_") for name in pulses.names])[free]
+    small = np.linalg.inv(jacobian.T @ jacobian + pulses.prior_precision(wave.patterns)[free][:, free])
+    share = np.concatenate((random, random)) / np.concatenate((variance, variance))
+    own = pulses._own_scatter[free]
     # The paddles' scatter is drawn anew in every window, as noise is.
     part = small @ (jacobian.T @ (share[:, None] * jacobian) + np.diag(np.where(own, sd[free] ** -2.0, 0.0))) @ small
     full, averaging = (np.zeros((sd.size, sd.size)) for _ in range(2))
