@@ -4,6 +4,7 @@
     python -m studies.waveform fill                       # volume flow from discrete-element pulses, loads and angles left out
     python -m studies.waveform attempts                   # what limits that
     python -m studies.waveform kernels                    # kernel noise in discrete-element forces
+    python -m studies.waveform verdicts                   # what the daemon says of kernel noise, by cell
     python -m studies.waveform hidden                     # effects that the model does not know, through the monitor
     python -m studies.waveform cost                       # processor time, on and off
     python -m studies.waveform pictures --out DIR         # pulse.png, fill.png (of fill.json)
@@ -63,6 +64,12 @@ def _cost(args: argparse.Namespace) -> Any:
     return cost.report(args.seed)
 
 
+def _verdicts(args: argparse.Namespace) -> Any:
+    from studies.waveform import verdicts
+
+    return verdicts.report(args.seed)
+
+
 def _pictures(args: argparse.Namespace) -> Any:
     from studies.waveform import pictures
 
@@ -83,7 +90,7 @@ def _pack(args: argparse.Namespace) -> Any:
 
 _PARTS = {
     "information": _information, "fill": _fill, "attempts": _attempts, "kernels": _kernels, "hidden": _hidden, "cost": _cost,
-    "pictures": _pictures, "season": _season, "pack": _pack,
+    "pictures": _pictures, "season": _season, "verdicts": _verdicts, "pack": _pack,
 }  # fmt: skip
 
 

@@ -24,7 +24,7 @@ CELLS_S = (0.0, 0.0002, 0.001, 0.003, 0.008)
 
 
 def pack(ledgers: list[Path], out: Path) -> int:
-    """Force on the plate at 10 kHz of each row of the campaigns' ledgers; returns their number."""
+    """Force on the plate at 10 kHz of each row of the campaigns' ledgers, behind those of the file; returns how many it has."""
     rows: list[dict[str, float]] = []
     forces = []
     for ledger in ledgers:
@@ -47,8 +47,12 @@ def pack(ledgers: list[Path], out: Path) -> int:
                 }
             )  # fmt: skip
     columns = {name: np.array([row[name] for row in rows], dtype=np.float32) for name in rows[0]}
-    np.savez_compressed(out, force_n=np.array(forces, dtype=np.float16), interval_s=INTERVAL_S, **columns)  # type: ignore[arg-type]
-    return len(rows)
+    columns["force_n"] = np.array(forces, dtype=np.float16)
+    if out.exists():
+        with np.load(out) as held:
+            columns = {name: np.concatenate((held[name], column)) for name, column in columns.items()}
+    np.savez_compressed(out, interval_s=INTERVAL_S, **columns)  # type: ignore[arg-type]
+    return len(columns["force_n"])
 
 
 def _through(force_n: Array, cell_s: float, every: int) -> Array:

@@ -111,7 +111,10 @@ def monitored(response_s: float, weight_g: float = 0.0, *, told: bool = False) -
 
 @pytest.mark.parametrize(
     ("response_s", "verdict"),
-    [(2e-4, KernelVerdict.USED), (8e-3, (KernelVerdict.NO_NOISE, KernelVerdict.BACKGROUND, KernelVerdict.SLOW_CELL))],
+    [
+        (2e-4, KernelVerdict.USED),
+        (8e-3, (KernelVerdict.NO_NOISE, KernelVerdict.BACKGROUND, KernelVerdict.SLOW_CELL, KernelVerdict.UNEVEN)),
+    ],
 )
 def test_says_whether_the_cell_lets_kernels_through(response_s: float, verdict: object) -> None:
     seen = monitored(response_s, 175.0).waveform

@@ -45,6 +45,24 @@ def test_finds_the_impulse_of_a_kernel_within_its_deviation(cell_s: float, rate_
     assert found.random_sd < 0.03
 
 
+@pytest.mark.parametrize("line_hz", [250.0, 350.0])
+def test_a_line_that_only_harvesting_has_is_covered_or_refused(line_hz: float) -> None:
+    for line_n in (0.0, 3.0, 10.0):
+        samples = felt(20.0, 0.0002, 1e-3, 31)
+        samples = samples + line_n * np.sin(2.0 * np.pi * line_hz * 1e-3 * np.arange(samples.size))
+        found = kernel_impulse(
+            density(samples, 1e-3),
+            density(quiet(samples.size, 32), 1e-3),
+            FORCE_N,
+            cell_response_s=0.0002,
+            sample_interval_s=1e-3,
+        )
+        assert found.usable is (line_n < 10.0)
+        assert ("not even over the band" in found.reason) is (line_n == 10.0)
+        if found.usable:
+            assert found.impulse_n_s == pytest.approx(IMPULSE_N_S, rel=2.0 * found.relative_sd)
+
+
 def test_random_deviation_is_the_scatter_over_seeds() -> None:
     values = []
     for seed in range(40):

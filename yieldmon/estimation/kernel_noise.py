@@ -34,6 +34,7 @@ class KernelVerdict(IntEnum):
     TOO_RANDOM = 6
     BACKGROUND = 7
     SLOW_CELL = 8
+    UNEVEN = 9
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +92,8 @@ class KernelImpulse:
     impulse_n_s : float
         nan where nothing can be said.
     random_sd, lasting_sd : float
-        Relative standard deviations: of what averages out, and of background and cell.
+        Relative standard deviations: of what averages out; and of background, cell, and a density that is not that of kernels
+        over the whole band.
     verdict : KernelVerdict
     reason : str
         The verdict in words; empty where usable.
@@ -232,11 +234,15 @@ def kernel_impulse(
     background = s.quiet_error * float((weight * ground).sum()) / slope
     turned = (2.0 * np.pi * frequency * cell_response_s) ** 2
     cell = s.response_error * float((weight * gain * 4.0 * turned / (1.0 + turned)).sum() / (weight * gain).sum())
-    lasting = float(np.hypot(background, cell))
+    cell_sd = s.response_error * 4.0 * turned / (1.0 + turned)
+    per_half = _halves(shown - ground, gain, weight, variance, s.quiet_error * ground, cell_sd)
+    uneven = _unevenness(per_half / impulse)
+    lasting = float(np.hypot(np.hypot(background, cell), uneven))
     total = float(np.hypot(random, lasting))
     if total <= s.largest_sd:
         return KernelImpulse(impulse, random, lasting, KernelVerdict.USED, "")
     parts = {KernelVerdict.TOO_RANDOM: random, KernelVerdict.BACKGROUND: background, KernelVerdict.SLOW_CELL: cell}
+    parts[KernelVerdict.UNEVEN] = uneven
     why = max(parts, key=parts.__getitem__)
     reason = f"deviation {100.0 * total:.0f} %, mostly {_CAUSES[why]}; the limit is {100.0 * s.largest_sd:.0f} %"
     return KernelImpulse(impulse, random, lasting, why, reason)
@@ -246,7 +252,27 @@ _CAUSES = {
     KernelVerdict.TOO_RANDOM: "chance",
     KernelVerdict.BACKGROUND: "the empty machine's noise, behind which the cell leaves too little",
     KernelVerdict.SLOW_CELL: "the cell's response, which is not known well enough",
+    KernelVerdict.UNEVEN: "noise that is not even over the band, as that of kernels is",
 }
+
+
+def _halves(above: Array, gain: Array, weight: Array, variance: Array, ground_sd: Array, cell_sd: Array) -> Array:
+    """Impulse by the lower and the upper half of a band, and its deviations by chance, background and cell (2, 4), all N s."""
+    rows = []
+    for half in (slice(None, gain.size // 2), slice(gain.size // 2, None)):
+        w, slope = weight[half], float((weight[half] * gain[half]).sum())
+        impulse = float((w * above[half]).sum()) / slope
+        chance = float(np.sqrt((w**2 * variance[half]).sum())) / slope
+        of_cell = impulse * float((w * gain[half] * cell_sd[half]).sum()) / slope
+        rows.append((impulse, chance, float((w * ground_sd[half]).sum()) / slope, of_cell))
+    return np.array(rows)
+
+
+def _unevenness(per_half: Array) -> float:
+    """Half of what two halves of a band differ by beyond their deviations; background and cell err in both alike."""
+    apart = per_half[1] - per_half[0]
+    expected = float((per_half[:, 1] ** 2).sum() + apart[2] ** 2 + apart[3] ** 2)
+    return 0.5 * float(np.sqrt(max(0.0, float(apart[0]) ** 2 - expected)))
 
 
 def _unusable(verdict: KernelVerdict, reason: str) -> KernelImpulse:
