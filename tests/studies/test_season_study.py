@@ -11,9 +11,9 @@ from yieldmon.physics.machine import Machine
 from yieldmon.plant.scenario import Scenario
 
 SEED = 20261121
-HOURS = 1.5
-SETTINGS = study.StudySettings(day_s=900.0)
-"""Six days of a quarter of an hour."""
+HOURS = 1.0
+SETTINGS = study.StudySettings(day_s=600.0)
+"""Six days of ten minutes."""
 
 
 @pytest.fixture(scope="module")
