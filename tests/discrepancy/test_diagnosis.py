@@ -14,6 +14,7 @@ from scipy import stats
 from yieldmon.cli.diagnose import print_text
 from yieldmon.discrepancy import diagnosis, experiment, report
 from yieldmon.discrepancy.candidates import Signature
+from yieldmon.discrepancy.diagnosis_document import to_document
 from yieldmon.discrepancy.fit import LAW_SD, Fit, Parameter
 from yieldmon.discrepancy.noise import Noise
 from yieldmon.discrepancy.observations import with_cells
@@ -101,7 +102,7 @@ def test_what_no_candidate_describes_stays_unknown(make_rows, start, outside, ki
     assert found.verdict == "unknown"
     assert found.choice.named == ()
     assert found.correction.closed_pct > 50.0
-    document = diagnosis.to_document(found)
+    document = to_document(found)
     assert document["effects"] == []
     assert "names no cause" in document["stop_gap"]["kind"]
 
@@ -119,7 +120,7 @@ def test_the_stop_gap_takes_up_what_it_says_on_cells_left_out(make_rows, start, 
     found = outside(make_rows, start, "resonance in speed")
     base, surface = found.base, found.correction
     measured, predicted = base.frame.cells.mean, base.predict(base.frame.cells.conditions())
-    cells = diagnosis.to_document(found)["stop_gap"]["cells"]
+    cells = to_document(found)["stop_gap"]["cells"]
     corrected = predicted * (1.0 + 0.01 * np.array([c["correction_pct"] for c in cells]))
     assert np.std((corrected - measured) / base.frame.sd) < 0.6 * np.std((predicted - measured) / base.frame.sd)
     distance = np.sum((surface.points[:, None, :] - surface.points) ** 2, axis=-1) / surface.length**2
@@ -192,7 +193,7 @@ def test_sealed_rows_are_not_fitted(make_rows, start, offset_seen) -> None:
 
 def test_the_same_seed_gives_the_same_document(make_rows, start, offset_found) -> None:
     again = diagnosis.diagnose_rows(make_rows({"zero_offset": 4.0}), start, QUICK)
-    assert json.dumps(diagnosis.to_document(again)) == json.dumps(diagnosis.to_document(offset_found))
+    assert json.dumps(to_document(again)) == json.dumps(to_document(offset_found))
 
 
 def test_a_sensor_unit_takes_the_exchange_form(make_rows, start) -> None:
@@ -279,7 +280,7 @@ def test_adopted_parameters_predict_what_was_fitted(offset_found, start) -> None
 def test_what_is_adopted_is_as_uncertain_as_what_is_said(offset_found, start) -> None:
     found = offset_found
     found = replace(found, best=replace(found.best, chi2=3.0 * found.best.dof))
-    said = diagnosis.to_document(found)["effects"][0]["parameters"]["force_n"]["sd"]
+    said = to_document(found)["effects"][0]["parameters"]["force_n"]["sd"]
     assert diagnosis.adopted(found, start, {}).standard_deviation("zero_offset.force_n") == pytest.approx(said, rel=1e-12)
 
 
@@ -316,7 +317,7 @@ def test_sealed_loads_that_overfill_what_was_fitted_without_them_are_told(make_r
     assert found.held_out is None
     assert any(note.startswith("18 held-out rows prove nothing") for note in found.notes)
     assert found.base.values["density"] > 1500.0
-    json.dumps(diagnosis.to_document(found), allow_nan=False)
+    json.dumps(to_document(found), allow_nan=False)
 
 
 def test_loads_that_no_paddle_holds_are_refused(make_rows, start) -> None:
@@ -364,7 +365,7 @@ def test_what_no_size_would_show_is_said(make_rows, start) -> None:
     assert "chain_slip" in found.undetectable
     assert not {"zero_offset", "plate_angle_offset"} & set(found.undetectable)
     assert set(found.undetectable).isdisjoint(found.minimum_detectable)
-    document = diagnosis.to_document(found)
+    document = to_document(found)
     assert document["undetectable"] == list(found.undetectable)
     assert any("chain_slip" in note for note in document["notes"])
 
@@ -387,7 +388,7 @@ def test_the_least_size_shown_is_of_the_leading_parameter() -> None:
 
 
 def test_a_gap_that_is_not_there_is_not_closed_by_nothing(clean_found) -> None:
-    assert diagnosis.to_document(clean_found)["gap"]["closed_pct"] is None
+    assert to_document(clean_found)["gap"]["closed_pct"] is None
 
 
 def test_held_out_rows_within_their_scatter_do_not_tell(offset_found, capsys) -> None:
@@ -395,6 +396,6 @@ def test_held_out_rows_within_their_scatter_do_not_tell(offset_found, capsys) ->
     assert re.search(r"rows kept aside F = [0-9.]+ \([0-9.]+ to [0-9.]+\) before and", report.summary(found))
     held = replace(found.held_out, closed_pct=diagnosis.share_closed_pct(before=1.0, after=0.9, floor=1.1))
     found = replace(found, held_out=held)
-    assert diagnosis.to_document(found)["gap"]["closed_pct"] is None
+    assert to_document(found)["gap"]["closed_pct"] is None
     print_text(found)
     assert "rows kept aside F = " in capsys.readouterr().out

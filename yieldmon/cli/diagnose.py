@@ -13,6 +13,7 @@ from pathlib import Path
 
 from yieldmon.cli import _outputs
 from yieldmon.discrepancy import adoption, diagnosis, planning, report
+from yieldmon.discrepancy.diagnosis_document import to_document
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file, table
@@ -92,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
     for note in data.notes:
         print(note, file=sys.stderr)
     if args.json:
-        print(json.dumps(diagnosis.to_document(found), indent=2))
+        print(json.dumps(to_document(found), indent=2))
     else:
         print_text(found)
     if args.report is not None:
