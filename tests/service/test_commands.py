@@ -101,6 +101,58 @@ def test_a_ticket_that_makes_no_sense_is_refused(request_: dict, problem: str) -
         ask(Told({1: True, 2: True}), **request_)
 
 
+@pytest.mark.parametrize(
+    ("totals", "first", "last", "problem"),
+    [
+        (Totals(load_number=2, load_open=True), 2, None, "ticket for load 2: it is still open"),
+        (Totals(load_number=2, load_open=True), 1, 2, "ticket for load 2: it is still open"),
+        (Totals(load_number=1, load_open=True), 1, 2, "ticket for load 1: it is still open"),
+        (Totals(load_number=2, load_open=True), 1, None, ""),
+        (Totals(load_number=2, load_open=False), 2, None, ""),
+    ],
+)
+def test_a_ticket_waits_until_its_loads_are_closed(totals: Totals, first: int, last: int | None, problem: str) -> None:
+    monitor = Told({1: True, 2: True})
+    monitor.totals = totals
+    told = ""
+    try:
+        ask(monitor, first_load=first, last_load=last, mass_kg=1000.0)
+    except InputError as error:
+        told = str(error)
+    assert told.startswith(problem)
+    assert bool(told) is bool(problem)
+    assert bool(monitor.tickets) is not bool(problem)
+
+
+@pytest.mark.parametrize(("mass_kg", "taken"), [(0.001, True), (0.0009, False), (1e6, True), (1000001.0, False), (-1.0, False)])
+def test_the_range_of_a_weighed_mass(mass_kg: float, taken: bool) -> None:
+    monitor = Told({1: True, 2: True})
+    if taken:
+        assert ask(monitor, first_load=1, mass_kg=mass_kg)["factor"] == mass_kg / 3000.0
+    else:
+        with pytest.raises(InputError, match="expected a mass from"):
+            ask(monitor, first_load=1, mass_kg=mass_kg)
+        assert monitor.tickets == []
+
+
+@pytest.mark.parametrize(
+    ("told", "reset"), [(1235, True), (1234, False), (1236, False), ("1235", False), (None, False), (0, False)]
+)
+def test_totals_are_reset_by_their_figure_alone(told: object, reset: bool) -> None:
+    calls = []
+    monitor = SimpleNamespace(totals=Totals(total_kg=1234.6, load_number=7), reset_totals=lambda: calls.append(1) or [])
+    log = journal()
+    request = {"command": "totals-reset", "total_kg": told, "who": "anna"}
+    if reset:
+        assert commands.execute(request, monitor, log, 1.7e9) == {"total_kg": 1234.6, "load": 7}
+    else:
+        expected = "totals reset: the total is 1235 kg; expected that figure, so that nothing is reset by mistake"
+        with pytest.raises(InputError) as caught:
+            commands.execute(request, monitor, log, 1.7e9)
+        assert str(caught.value) == expected
+    assert calls == [1] * reset
+
+
 @pytest.mark.parametrize(("unknown_kg", "dry_kg"), [(0.0, 91.0), (5.0, None)])
 def test_a_load_of_unknown_moisture_has_no_dry_mass(unknown_kg: float, dry_kg: float | None) -> None:
     known = configuration.load(shipped("config/yieldmon.yaml"))

@@ -176,6 +176,23 @@ def test_no_value_is_no_frame_where_the_signal_cannot_say_so(dbc: Path) -> None:
     assert [data[2:4].hex() for data in sent(outputs(dbc, said), 70.0, NOT_AVAILABLE, 400.0)] == ["581b", "0080", "0080"]
 
 
+@pytest.mark.parametrize(
+    ("values", "not_available", "sent_raw"),
+    [({}, 15, [0, 1, 2]), ({0: 4, 1: 5, 2: 6}, 15, [4, 5, 6]), ({0: 4, 2: 6}, 15, [4, 15, 6]), ({1: 5}, 9, [9, 5, 9])],
+)
+def test_codes_without_a_raw_value_are_sent_as_not_available(
+    dbc: Path, values: dict[int, int], not_available: int, sent_raw: list[int]
+) -> None:
+    angle = OutputBinding("here", "plate_target_angle", "d.dbc", "Drive", "Position")
+    mode = OutputBinding("here", "plate_command_mode", "d.dbc", "Drive", "Mode", values=values, not_available=not_available)
+    frames = [
+        PlateCommand((Frame(0.0, "PlateActuatorCommand", {"TargetPlateAngle": 70.0, "CommandMode": code, "CommandCounter": 0}),))
+        for code in range(3)
+    ]
+    found = [bytes(item.message.data) for item in outputs(dbc, angle, mode).take(frames, Totals(), 0.0)]
+    assert [data[4] & 0xF for data in found] == sent_raw
+
+
 def test_frames_with_a_period_repeat_the_newest_value_until_it_is_old(dbc: Path) -> None:
     binding = OutputBinding("here", "plate_target_angle", "d.dbc", "Drive", "Position", period_s=0.1, not_available=0x8000)
     bound = outputs(dbc, binding)
