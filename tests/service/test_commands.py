@@ -124,6 +124,28 @@ def test_a_ticket_waits_until_its_loads_are_closed(totals: Totals, first: int, l
     assert bool(monitor.tickets) is not bool(problem)
 
 
+def test_a_load_of_which_nothing_was_measured_takes_no_ticket() -> None:
+    monitor, nothing = Told({1: True}), Load(1, "north", "corn", None, None, 0.0, 0.0)
+    empty = Journal(Memory(loads=(nothing,)), parameter_file.load())
+    with pytest.raises(InputError, match=r"^ticket for load 1: nothing was measured for it; expected a load with a measured mass$"):
+        commands.execute({"command": "ticket", "first_load": 1, "mass_kg": 5.0}, monitor, empty, 1.7e9)
+    assert monitor.tickets == []
+
+
+@pytest.mark.parametrize("is_open", [True, False])
+def test_only_an_open_load_is_stopped(is_open: bool) -> None:
+    calls = []
+    totals = Totals(load_number=3, load_open=is_open, load_kg=12.5)
+    monitor = SimpleNamespace(totals=totals, estimator=Told.estimator, stop_load=lambda: calls.append(1) or [])
+    request = {"command": "load-stop"}
+    if is_open:
+        assert commands.execute(request, monitor, journal(), 1.7e9) == {"load": 3, "mass_kg": 12.5, "crop": "corn"}
+    else:
+        with pytest.raises(InputError, match="^load stop: no load is open"):
+            commands.execute(request, monitor, journal(), 1.7e9)
+    assert calls == [1] * is_open
+
+
 @pytest.mark.parametrize(("mass_kg", "taken"), [(0.001, True), (0.0009, False), (1e6, True), (1000001.0, False), (-1.0, False)])
 def test_the_range_of_a_weighed_mass(mass_kg: float, taken: bool) -> None:
     monitor = Told({1: True, 2: True})
