@@ -127,7 +127,7 @@ def test_a_ticket_waits_until_its_loads_are_closed(totals: Totals, first: int, l
 def test_a_load_of_which_nothing_was_measured_takes_no_ticket() -> None:
     monitor, nothing = Told({1: True}), Load(1, "north", "corn", None, None, 0.0, 0.0)
     empty = Journal(Memory(loads=(nothing,)), parameter_file.load())
-    with pytest.raises(InputError, match=r"^ticket for load 1: nothing was measured for it; expected a load with a measured mass$"):
+    with pytest.raises(InputError, match=r"^ticket for load 1: nothing was measured for it; expected a load"):
         commands.execute({"command": "ticket", "first_load": 1, "mass_kg": 5.0}, monitor, empty, 1.7e9)
     assert monitor.tickets == []
 
@@ -141,7 +141,7 @@ def test_only_an_open_load_is_stopped(is_open: bool) -> None:
     if is_open:
         assert commands.execute(request, monitor, journal(), 1.7e9) == {"load": 3, "mass_kg": 12.5, "crop": "corn"}
     else:
-        with pytest.raises(InputError, match="^load stop: no load is open"):
+        with pytest.raises(InputError, match=r"^load stop: no load is open"):
             commands.execute(request, monitor, journal(), 1.7e9)
     assert calls == [1] * is_open
 
