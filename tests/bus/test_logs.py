@@ -332,6 +332,18 @@ def test_damaged_binary_format_is_told_with_its_place(
     assert essence(messages) == essence(long_log)[: len(messages)]
 
 
+@pytest.mark.parametrize("lines", [1, 2, 3, 5])
+def test_a_trc_that_ends_in_its_header_is_one_damage(tmp_path: Path, lines: int) -> None:
+    """As a power cut leaves it; python-can's reader wants the columns, again and again."""
+    whole = write(tmp_path / "whole.trc", [can.Message(timestamp=START_S, arbitration_id=1, data=b"1")]).read_bytes()
+    path = tmp_path / "drive.trc"
+    path.write_bytes(b";$FILEVERSION=2.1\n" + b"".join(whole.splitlines(keepends=True)[1:lines]).replace(b"COLUMNS", b"COLUMN"))
+    messages: list[can.Message] = []
+    notes = LogNotes(on_damage=lambda damage: None)
+    assert "no frame in the whole file" in refusal(path, messages, notes)
+    assert notes.damaged_places == 1
+
+
 @pytest.mark.parametrize("size", [0, 1, 31])
 def test_an_object_of_a_blf_that_has_no_length_ends_the_reading(tmp_path: Path, long_log: list[can.Message], size: int) -> None:
     """python-can would read it again and again."""

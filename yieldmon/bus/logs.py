@@ -265,6 +265,7 @@ def _read_candump(lines: _Lines, notes: LogNotes) -> Iterator[can.Message]:
 
 def _read_with_python_can(lines: _Lines, suffix: str) -> Iterator[can.Message]:
     reader: can.io.generic.MessageReader = cast("Any", can.io.player.MESSAGE_READERS[suffix])(lines)
+    told = -1
     while True:
         try:
             for message in reader:
@@ -275,6 +276,10 @@ def _read_with_python_can(lines: _Lines, suffix: str) -> Iterator[can.Message]:
                     lines.damage(problem)
             return
         except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
+            if lines.number == told:
+                # No line has come since: it is the end of the file that the reader cannot do with.
+                return
+            told = lines.number
             lines.damage(f"not as {suffix} has it: {error}")
             lines.resume_with = _RESUME_LINE[suffix]
 
