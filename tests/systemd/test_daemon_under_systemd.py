@@ -135,7 +135,7 @@ def test_status_tells_what_it_measures(daemon_command: Path) -> None:
 def asked(path: str, body: dict[str, Any] | None = None) -> Any:
     """The page's answer, from JSON."""
     data = json.dumps(body).encode() if body is not None else None
-    request = urllib.request.Request(PAGE + path, data, {"Content-Type": "application/json"})
+    request = urllib.request.Request(PAGE + path, data, {"Content-Type": "application/json", "Origin": PAGE})
     with urllib.request.urlopen(request, timeout=PATIENCE_S) as answer:
         return json.load(answer)
 
@@ -175,8 +175,12 @@ def test_the_page_is_the_daemons_user_and_its_death_is_not_the_daemons() -> None
     assert pid() == daemon
 
 
-def test_the_pages_unit_is_sound() -> None:
+def test_the_pages_unit_is_sound_and_stops_cleanly() -> None:
     assert run("systemd-analyze", "verify", "--man=no", WEB_UNIT) == ""
+    daemon = pid()
+    run("systemctl", "stop", WEB_UNIT)
+    assert show("Result", WEB_UNIT) == "success"
+    assert pid() == daemon
 
 
 def test_a_good_configuration_is_taken() -> None:
