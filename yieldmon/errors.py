@@ -16,3 +16,14 @@ class InputError(ValueError):
         self.expected = expected
         text = f"{where}: {problem}" + (f"; expected {expected}" if expected else "")
         super().__init__(" ".join(text.split()))
+
+
+def brief(what: object, most: int = 160) -> str:
+    """What a library or a file says, in one line of at most `most` characters; its middle is left out.
+
+    >>> brief("File name in directory differs", most=16)
+    'File n... iffers'
+    """
+    text = " ".join(str(what).split())
+    half = (most - 3) // 2
+    return text if len(text) <= most else f"{text[:half]}... {text[len(text) - half :]}"

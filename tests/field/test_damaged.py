@@ -127,3 +127,15 @@ def test_a_zip_of_several_reads_what_it_can(corn: Path, tmp_path: Path) -> None:
     table = sources.read(tmp_path / "all.zip", ReadOptions())
     assert len(table) == 6000
     assert table.sources[0].skipped[0].part == "notes.txt"
+
+
+def test_a_member_that_is_named_at_length_is_told_in_brief(tmp_path: Path) -> None:
+    path = tmp_path / "all.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr(f"{'a' * 5000}.txt", "bring oil")
+    data = path.read_bytes()
+    # The directory and the file itself then give it two names.
+    path.write_bytes(data.replace(b"aaa", b"bbb", 1))
+    with pytest.raises(InputError) as caught:
+        sources.read(path, ReadOptions())
+    assert len(str(caught.value)) < 1000

@@ -16,7 +16,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, brief
 from yieldmon.field.plane import Plane
 from yieldmon.field.table import DEFAULT_FLOW_S, Array, HarvestTable, Label, Skipped, Source, build, joined
 
@@ -56,7 +56,7 @@ class Folder:
         try:
             return self.get(real)
         except _DAMAGE as error:
-            raise InputError(f"{self.where}: {name}", f"cannot be read: {error}", "") from error
+            raise InputError(f"{self.where}: {name}", f"cannot be read: {brief(error)}", "") from error
 
 
 def recognises(path: Path, head: bytes) -> bool:

@@ -8,7 +8,7 @@ import zlib
 from dataclasses import replace
 from pathlib import Path
 
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, brief
 from yieldmon.field.table import HarvestTable, Skipped, joined
 
 from .options import ReadOptions
@@ -34,7 +34,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
             with zipfile.ZipFile(path) as archive:
                 members = [info for info in archive.infolist() if not info.is_dir()]
         except _DAMAGE as error:
-            raise InputError(str(path), f"is a damaged zip: {error}", "a zip") from error
+            raise InputError(str(path), f"is a damaged zip: {brief(error)}", "a zip") from error
         if sum(info.file_size for info in members) > MAX_BYTES:
             raise InputError(str(path), f"unpacks to more than {MAX_BYTES} bytes", "a smaller zip")
         for number, info in enumerate(members):
@@ -48,9 +48,9 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
                     raise InputError(name, "is a zip within a zip", "one zip")
                 tables.append(read_any(place, options))
             except InputError as error:
-                skipped.append(Skipped(info.filename, error.problem))
+                skipped.append(Skipped(brief(info.filename), error.problem))
             except _DAMAGE as error:
-                skipped.append(Skipped(info.filename, f"cannot be unpacked: {error}"))
+                skipped.append(Skipped(brief(info.filename), f"cannot be unpacked: {brief(error)}"))
     if not tables:
         reasons = "; ".join(f"{one.part}: {one.why}" for one in skipped[:3]) or "it is empty"
         raise InputError(str(path), f"holds no harvest ({reasons})", "a zip with one")
