@@ -16,6 +16,7 @@ RUNS = {
     "fuzz-frames": "random and mutated frames through codec and engine",
     "fuzz-harvests": "damaged harvests of every kind through the map",
     "fuzz-network": "random network traffic through node, transport, task controller client and side inputs",
+    "map-size": "what a large map costs: CPU time by step on one core, and memory",
     "monitor-load": "the live monitor on a saturated bus",
     "replay-timing": "how well a replay keeps time",
     "request-times": "requests to a daemon that measures, by the clock; none to others is answered",
