@@ -58,9 +58,7 @@ def measured(path: Path, out: Path) -> dict[str, object]:
         "exit_code": done.returncode,
         "cpu_s": round(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, 2),
         "memory_mb": round(after.ru_maxrss / 1024.0, 1),
-        "steps_s": {
-            step.split()[0] if "/" in step else step: round(end - s, 1) for (s, step), end in zip(begun, ends, strict=True)
-        },
+        "steps_s": steps_s,
         "said": done.stderr.splitlines()[-1:],
     }
 
