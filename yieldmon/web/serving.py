@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import signal
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
-from threading import Thread
+from threading import Thread, current_thread, main_thread
+from types import FrameType
 
 import uvicorn
 
@@ -39,6 +41,27 @@ class _Server(uvicorn.Server):
     def __init__(self, configuration: uvicorn.Config, stop: Callable[[], None]) -> None:
         super().__init__(configuration)
         self._stop = stop
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """SIGTERM and SIGINT end the server. uvicorn would raise them again afterwards, which the unit does not allow."""
+        if current_thread() is not main_thread():
+            yield
+            return
+        seen: list[int] = []
+
+        def end(number: int, frame: FrameType | None) -> None:
+            seen.append(number)
+            self.handle_exit(number, frame)
+
+        before = {number: signal.signal(number, end) for number in (signal.SIGTERM, signal.SIGINT)}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+        if signal.SIGINT in seen:
+            raise KeyboardInterrupt
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         self._stop()
@@ -83,14 +106,9 @@ def serve(access: Access, build: Callable[[Access], Guard], ready: Callable[[str
             timeout_graceful_shutdown=_STOP_S,
             h11_max_incomplete_event_size=_HEADER_BYTES,
         )
-        # uvicorn raises the signal again after its own end; this process then ends by itself.
-        before = signal.signal(signal.SIGTERM, lambda *_: None)
-        try:
-            Thread(target=app.prepare, daemon=True).start()
-            ready(listen.url)
-            _Server(configuration, app.stop).run(sockets=[listening])
-        finally:
-            signal.signal(signal.SIGTERM, before)
+        Thread(target=app.prepare, daemon=True).start()
+        ready(listen.url)
+        _Server(configuration, app.stop).run(sockets=[listening])
 
 
 def _listening(listen: Listen) -> socket.socket:
