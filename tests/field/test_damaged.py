@@ -139,3 +139,14 @@ def test_a_member_that_is_named_at_length_is_told_in_brief(tmp_path: Path) -> No
     with pytest.raises(InputError) as caught:
         sources.read(path, ReadOptions())
     assert len(str(caught.value)) < 1000
+
+
+@pytest.mark.parametrize("member", ["TASKDATA.XML", "field.shp", "field.txt"])
+def test_a_zip_whose_names_are_no_text_is_one_line(member: str, tmp_path: Path) -> None:
+    path = tmp_path / "field.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr(f"\u00e4{member}", "bring oil")
+    # The flag says that the name is UTF-8.
+    path.write_bytes(path.read_bytes().replace("\u00e4".encode(), b"\x9b\x9b"))
+    with pytest.raises(InputError, match="damaged zip"):
+        sources.read(path, ReadOptions())

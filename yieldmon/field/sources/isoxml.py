@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 import zipfile
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,6 +20,7 @@ from yieldmon.field.plane import Plane
 from yieldmon.field.table import DEFAULT_FLOW_S, Array, HarvestTable, Label, Skipped, Source, build, joined
 
 from . import timelog
+from .damage import ZIP_DAMAGE
 from .options import ReadOptions
 from .positions import plausible
 
@@ -37,7 +37,6 @@ _KNOWN = {WIDTH, MASS_PER_AREA, MASS_PER_TIME, TOTAL_MASS, MOISTURE, TOTAL_AREA,
 _LOG_NAME = re.compile(r"^TLG\d+$", re.IGNORECASE)
 _LONGEST_INTERVAL_S = 10.0
 _SECTION = "4"
-_DAMAGE = (OSError, zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError)
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,7 @@ class Folder:
             raise InputError(f"{self.where}: {name}", "is missing", "")
         try:
             return self.get(real)
-        except _DAMAGE as error:
+        except ZIP_DAMAGE as error:
             raise InputError(f"{self.where}: {name}", f"cannot be read: {brief(error)}", "") from error
 
 
@@ -67,7 +66,7 @@ def recognises(path: Path, head: bytes) -> bool:
         try:
             with zipfile.ZipFile(path) as archive:
                 return any(_is_task_member(name) for name in archive.namelist())
-        except _DAMAGE:
+        except ZIP_DAMAGE:
             return False
     return path.name.upper() == TASK_FILE or b"<ISO11783_TaskData" in head
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from yieldmon.errors import InputError
 from yieldmon.field.table import Array, HarvestTable, Label, Skipped, joined
 
 from .assembled import Raw, assemble, labels_from
+from .damage import ZIP_DAMAGE
 from .naming import QUANTITIES, Column, columns_of
 from .options import ReadOptions
 
@@ -23,7 +23,6 @@ KIND = "GeoPackage, GeoJSON or shapefile"
 ORDER = 30
 _SUFFIXES = (".gpkg", ".geojson", ".json", ".shp", ".gml", ".fgb", ".kml")
 _WGS84 = "EPSG:4326"
-_DAMAGE = (OSError, zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, UnicodeError)
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -45,7 +44,7 @@ def _members(path: Path) -> list[str]:
                 for name in archive.namelist()
                 if name.lower().endswith((".shp", ".geojson", ".gpkg")) and not name.startswith("__MACOSX")
             )
-    except _DAMAGE:
+    except ZIP_DAMAGE:
         return []
 
 
@@ -223,5 +222,5 @@ def _metadata(path: Path, member: str) -> _Metadata:
         document = json.loads(text) if text else {}
         units = {str(one["Name"]): str(one.get("Unit", "")) for one in document.get("DataAttributes", [])}
         return _Metadata(units, str(document.get("CropToken", "")), str(document.get("FieldName", "")))
-    except (*_DAMAGE, ValueError, KeyError, TypeError, AttributeError):
+    except (*ZIP_DAMAGE, ValueError, KeyError, TypeError, AttributeError):
         return _Metadata({})

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import tempfile
 import zipfile
-import zlib
 from dataclasses import replace
 from pathlib import Path
 
 from yieldmon.errors import InputError, brief
 from yieldmon.field.table import HarvestTable, Skipped, joined
 
+from .damage import ZIP_DAMAGE
 from .options import ReadOptions
 
 KIND = "zip of harvests"
 ORDER = 90
 MAX_BYTES = 4 << 30
-_DAMAGE = (OSError, zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError)
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -33,7 +32,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
         try:
             with zipfile.ZipFile(path) as archive:
                 members = [info for info in archive.infolist() if not info.is_dir()]
-        except _DAMAGE as error:
+        except ZIP_DAMAGE as error:
             raise InputError(str(path), f"is a damaged zip: {brief(error)}", "a zip") from error
         if sum(info.file_size for info in members) > MAX_BYTES:
             raise InputError(str(path), f"unpacks to more than {MAX_BYTES} bytes", "a smaller zip")
@@ -49,7 +48,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
                 tables.append(read_any(place, options))
             except InputError as error:
                 skipped.append(Skipped(brief(info.filename), error.problem))
-            except _DAMAGE as error:
+            except ZIP_DAMAGE as error:
                 skipped.append(Skipped(brief(info.filename), f"cannot be unpacked: {brief(error)}"))
     if not tables:
         reasons = "; ".join(f"{one.part}: {one.why}" for one in skipped[:3]) or "it is empty"
