@@ -233,6 +233,22 @@ def test_known_synthetic_mass_and_delay(tmp_path: Path, capsys: pytest.CaptureFi
     assert document["yield_t_ha"] == pytest.approx(10.0 * mass / (24 * 80 * 12), rel=0.03)
 
 
+def test_a_pause_within_a_log_is_no_way_that_was_cut(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "field.txt"
+    ag_leader(path, delay_s=0, seed=3, passes=8)
+    rows = [line.split(",") for line in path.read_text().splitlines()]
+    middle = len(rows) // 2 + 20
+    for row in rows[middle:]:
+        row[1], row[3] = f"{float(row[1]) + 0.02:.8f}", str(float(row[3]) + 10_000.0)
+    path.write_text("".join(",".join(row) + "\n" for row in rows))
+    found = []
+    for source, out in ((path, tmp_path / "out"), (tmp_path / "out" / "taskdata.zip", tmp_path / "again")):
+        assert cli.main(["map", str(source), "--out", str(out), "--flow-delay", "0", "--products", "taskdata", "--json"]) == 0
+        found.append(json.loads(capsys.readouterr().out))
+    assert found[1]["area_ha"] == pytest.approx(found[0]["area_ha"], rel=0.01)
+    assert found[1]["mass_kg"]["integrated"] == pytest.approx(found[0]["mass_kg"]["integrated"], rel=0.001)
+
+
 def test_rows_told_twice_count_once(corn: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = corn.read_text().splitlines()
     path = tmp_path / "twice.txt"

@@ -223,13 +223,14 @@ def _log(folder: Folder, task: _Task, device: _Device, options: ReadOptions) -> 
     interval = np.diff(log.time_s, prepend=log.time_s[0])
     usual = np.median(interval[interval > 0]) if (interval > 0).any() else 1.0
     longest = max(_LONGEST_INTERVAL_S, 3.0 * usual)
-    # After a pause the machine cut for one usual interval, not for the pause.
-    interval = np.where((interval < 0) | (interval > longest), usual, interval)
-    interval[0] = usual
+    # After a pause the machine cut for one usual interval and drove as far as in the next, not for all of the pause.
+    begins = (interval < 0) | (interval > longest)
+    begins[0] = True
+    interval = np.where(begins, usual, interval)
     plane = Plane.about(log.longitude_deg, log.latitude_deg)
     x, y = plane.to_m(log.longitude_deg, log.latitude_deg)
     way = np.hypot(np.diff(x, prepend=x[0]), np.diff(y, prepend=y[0]))
-    way[0] = way[1] if count > 1 else 0.0
+    way = np.where(begins, np.append(np.where(begins, 0.0, way)[1:], 0.0), way)
     notes = []
     width = of.width_m()
     if options.width_m is not None:
