@@ -1,54 +1,50 @@
-"""Mutated files through every reader: logs, YAML, tables, stores, control requests. No traceback, no hang, bounded memory.
+"""Mutated files through every reader: logs, YAML, tables, harvests, stores, requests. No traceback, no hang, bounded memory.
 
     python -m tests.robustness fuzz-readers --count 2000 --reader candump
     python -m tests.robustness fuzz-readers --cpu-minutes 60 --reader candump      # guided by coverage
+    python -m tests.robustness fuzz-readers --rotate 90 --cpu-minutes 2            # 90 minutes by the clock, all in turn
+    python -m tests.robustness fuzz-readers --recorded                             # what was run so far, a line a reader
 
-Mutations of good files (bits, slices doubled, cut, swapped, long runs). With --cpu-minutes those that reach new steps of the
-reader's code, or of the package that it stands on, are mutated further, and inputs that escape are kept in out/fuzz. An escape is
-an exception that is no InputError, a file that takes more than --seconds of processor time, or a process above --memory-mb. Ends
-with 1 when there is one.
+Mutations of good files (bits, slices doubled, cut, swapped, long runs; within zips and Parquet as well). With --cpu-minutes those
+that reach new steps of the reader's code, or of the package that it stands on, are mutated further, here and in later runs;
+inputs that escape are kept in out/fuzz. An escape is an exception that is no InputError, a file that takes more than --seconds
+of processor time (for each MB), a process that dies, or one above --memory-mb. Ends with 1 when there is one.
+
+--rotate gives each turn to the reader with the least processor time in the record, in a process of its own and with a seed of its
+own, and adds a line to the record for each.
 """
 
 from __future__ import annotations
 
 import argparse
-import atexit
-import gzip
 import json
 import logging
+import os
 import random
 import resource
-import shutil
 import signal
-import socket
+import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from functools import cache
 from pathlib import Path
-
-import can
+from typing import Any
 
 from tests.robustness.guided import Corpus, Coverage, cpu_s, kept, spliced
-from yieldmon.bus.databases import load_messages
-from yieldmon.bus.logs import LogNotes, read_log
+from tests.robustness.readers import READERS, Reader
 from yieldmon.errors import InputError
-from yieldmon.files import machine_file, parameter_file, table
-from yieldmon.resources import shipped
-from yieldmon.service import configuration, recorded
-from yieldmon.service.control import ControlServer
-from yieldmon.service.store import Store
 
-Seed = Callable[[Path], None]
-_FRAMES = 200
 #: Code whose steps guide: the project's, and what reads its files.
 TRACED = ("/yieldmon/", "/can/io/", "/yaml/", "/asammdf/", "/cantools/database/can/formats/")
 KEPT = Path("out/fuzz")
+RECORD = Path(__file__).with_name("fuzz_readers.jsonl")
 #: Processor time of one file, traced, beyond which its reader is taken to read for ever.
 ENDLESS_S = 60.0
+#: Inputs of earlier runs that a run begins with.
+_FROM_BEFORE = 200
 
 
 class Endless(BaseException):
@@ -71,178 +67,78 @@ def ended() -> Iterator[None]:
         signal.signal(signal.SIGPROF, before)
 
 
-def _log(path: Path) -> None:
-    with can.Logger(path) as logger:
-        for number in range(_FRAMES):
-            data = bytes([number % 256] * 8)
-            logger.on_message_received(
-                can.Message(timestamp=1.7e9 + 0.01 * number, arbitration_id=0x18FF0000 + number % 7, data=data)
-            )
-        if isinstance(logger, can.SqliteWriter):
-            while not logger.buffer.empty():
-                time.sleep(0.01)
-
-
-def _zipped_log(path: Path) -> None:
-    path.write_bytes(gzip.compress(b"(1.000000) can0 123#01\n" * 400))
-
-
-def _copy(name: str) -> Seed:
-    def write(path: Path) -> None:
-        path.write_bytes(shipped(name).read_bytes())
-
-    return write
-
-
-def _store(path: Path) -> None:
-    from tests.service.test_store import batch
-
-    with Store(path) as store:
-        store.commit([batch(number) for number in range(1, 60)])
-
-
-def _signals(path: Path) -> None:
-    path.write_text(
-        "plate: {fixed_angle_deg: 60}\nsignals:\n"
-        "  impact_voltage: {message: ImpactSensorSamples, signals: [Sample0, Sample1], spacing_ms: 2, range: [0, 5000],\n"
-        "    not_available: [65535]}\n"
-        "  elevator_speed: {message: ElevatorSpeed, signal: ElevatorSpeed, ratio: 1.5,\n"
-        "    source: {name: {function: 3}}}\n"
-        "  moisture: {value: 18.0}\n"
-    )
-
-
-def _table(path: Path) -> None:
-    path.write_text("plate_angle_deg,mass_flow_kg_s,force_n,trial\n" + "60,5,12.5,a\n70,9,-,b\n" * 20)
-
-
-def _request(path: Path) -> None:
-    path.write_bytes(b'{"command": "ticket", "mass_kg": 12000.5, "loads": [1, 2], "note": "a"}\n')
-
-
-def _ask(path: Path) -> object:
-    """The file as a request to a control server, whose answer has to be JSON."""
-    with socket.socket(socket.AF_UNIX) as connection:
-        connection.settimeout(10.0)
-        connection.connect(str(_server().path))
-        with suppress(ConnectionError):
-            connection.sendall(path.read_bytes().split(b"\n")[0] + b"\n")
-        answer = connection.makefile("rb").readline()
-    return json.loads(answer)
-
-
-@cache
-def _server() -> ControlServer:
-    """One for the whole process, answering what the daemon's would look at first."""
-    place = Path(tempfile.mkdtemp())
-    server = ControlServer(place / "s", None, lambda request: {"ok": True, "seen": request["command"]})
-    server.start()
-    atexit.register(shutil.rmtree, place)
-    atexit.register(server.stop)
-    return server
-
-
-def _read(path: Path) -> object:
-    return sum(1 for _ in read_log(path, LogNotes(on_damage=lambda damage: None)))
-
-
-READERS: dict[str, tuple[str, Seed, Callable[[Path], object]]] = {
-    "candump": ("x.log", _log, _read),
-    "asc": ("x.asc", _log, _read),
-    "blf": ("x.blf", _log, _read),
-    "trc": ("x.trc", _log, _read),
-    "csv": ("x.csv", _log, _read),
-    "db": ("x.db", _log, _read),
-    "candump-gz": ("x.log.gz", _zipped_log, _read),
-    "parameters": ("x.yaml", _copy("config/parameters/corn.yaml"), parameter_file.load),
-    "machine": ("x.yaml", _copy("config/machines/sprocket-8.yaml"), machine_file.load),
-    "configuration": ("x.yaml", _copy("config/yieldmon.yaml"), lambda path: configuration.load(path, {})),
-    "signals": ("x.yaml", _signals, lambda path: configuration.load(path, {})),
-    "dbc": ("x.dbc", _copy("dbc/yieldmon.dbc"), load_messages),
-    "mf4": ("x.mf4", _log, _read),
-    "control": ("x.json", _request, _ask),
-    "table": ("x.csv", _table, table.load),
-    "store": ("x.sqlite", _store, recorded.read_seconds),
-}
-
-
-def mutated(content: bytes, rng: random.Random) -> bytes:
-    """One to eight changes."""
-    out = bytearray(content)
-    for _ in range(rng.randint(1, 8)):
-        at, size = rng.randrange(len(out) + 1), rng.choice((1, 2, 4, 16, 512))
-        kind = rng.randrange(6)
-        if kind == 0 and at < len(out):
-            out[at] ^= 1 << rng.randrange(8)
-        elif kind == 1:
-            out[at : at + size] = rng.randbytes(size)
-        elif kind == 2:
-            out[at:at] = out[at : at + size] * rng.choice((1, 2, 64))
-        elif kind == 3:
-            del out[at : at + size]
-        elif kind == 4:
-            out[at:at] = rng.choice((b"9" * 400, b" " * 4000, b"\x00", b"'", b"-", b"1e999", b"\xff\xfe", b"{" * 50, b"\n"))
-        else:
-            del out[at:]
-        if not out:
-            out = bytearray(content)
-    return bytes(out)
-
-
 def fuzz(name: str, count: int, seed: int, seconds: float) -> Counter[str]:
     """Outcomes of one reader; an escape's key begins with `escape`."""
-    file, make, read = READERS[name]
+    reader = READERS[name]
     rng, outcomes = random.Random(f"{seed}/{name}"), Counter[str]()
     with tempfile.TemporaryDirectory() as place:
-        path = Path(place) / file
-        make(path)
+        path = Path(place) / reader.file
+        reader.make(path)
         good = path.read_bytes()
-        read(path)
+        reader.read(path)
         for _ in range(count):
-            for left in Path(place).iterdir():
-                left.unlink()
-            path.write_bytes(mutated(good, rng))
-            began_s = time.process_time()
+            _only(path, reader.damage(good, rng))
+            began_s = cpu_s()
             try:
-                _to_an_end(path, read)
+                _to_an_end(path, reader.read)
                 outcomes["read"] += 1
             except InputError:
                 outcomes["refused"] += 1
             except Exception as error:  # noqa: BLE001 - what is looked for
-                outcomes[f"escape {type(error).__name__}: {str(error)[:80]}"] += 1
-            if time.process_time() - began_s > seconds:
-                outcomes["escape: too slow"] += 1
+                outcomes[f"escape {_said(error)}"] += 1
+            if cpu_s() - began_s > _allowed_s(path, reader, seconds):
+                outcomes["escape too slow"] += 1
     return outcomes
 
 
 def guided(name: str, cpu_minutes: float, seed: int, seconds: float) -> Counter[str]:
     """The same for so much processor time, guided by coverage."""
-    file, make, read = READERS[name]
+    reader = READERS[name]
     rng, outcomes, coverage = random.Random(f"{seed}/{name}"), Counter[str](), Coverage(TRACED)
+    folder = KEPT / "corpus" / name
     with tempfile.TemporaryDirectory() as place:
-        path = Path(place) / file
-        make(path)
+        path = Path(place) / reader.file
+        reader.make(path)
         good = path.read_bytes()
+        reader.read(path)
         corpus = Corpus(good)
-        content, until_s = good, cpu_s() + 60.0 * cpu_minutes
+        before = sorted(folder.iterdir()) if folder.is_dir() else []
+        waiting = [good, *(one.read_bytes() for one in rng.sample(before, min(len(before), _FROM_BEFORE)))]
+        until_s = cpu_s() + 60.0 * cpu_minutes
         while cpu_s() < until_s:
-            for left in Path(place).iterdir():
-                left.unlink()
-            path.write_bytes(content)
-            steps, raised = coverage.of(lambda: _to_an_end(path, read))
-            outcomes["new"] += corpus.take(content, steps)
+            fresh = not waiting
+            content = _next(reader, corpus, good, rng) if fresh else waiting.pop(0)
+            _only(path, content)
+            steps, raised = coverage.of(lambda: _to_an_end(path, reader.read))
+            if corpus.take(content, steps) and fresh:
+                outcomes["new"] += 1
+                kept(folder, name, content)
             outcomes["refused" if isinstance(raised, InputError) else "read" if raised is None else "raised"] += 1
-            escape = "" if raised is None or isinstance(raised, InputError) else f"{type(raised).__name__}: {str(raised)[:80]}"
-            escape = escape or _slow(path, read, seconds)
+            escape = "" if raised is None or isinstance(raised, InputError) else _said(raised)
+            escape = escape or _slow(path, reader, seconds)
             if escape:
                 outcomes[f"escape {escape}"] += 1
                 if outcomes[f"escape {escape}"] == 1:
-                    print(f"{name}: {escape}: {kept(KEPT, name, content)}", file=sys.stderr)
-            base = corpus.chosen(rng)
-            content = spliced(base, corpus.chosen(rng), rng)[: 4 * len(good)] if rng.random() < 0.1 else base
-            content = mutated(content or good, rng)
+                    print(f"{name}: {escape}: {kept(KEPT, name, content)}", file=sys.stderr, flush=True)
     outcomes["steps"] = len(corpus.reached)
     return outcomes
+
+
+def _next(reader: Reader, corpus: Corpus, good: bytes, rng: random.Random) -> bytes:
+    base = corpus.chosen(rng)
+    content = spliced(base, corpus.chosen(rng), rng)[: 4 * len(good)] if rng.random() < 0.1 else base
+    return reader.damage(content or good, rng)
+
+
+def _said(error: BaseException) -> str:
+    return f"{type(error).__name__}: {str(error)[:80]}"
+
+
+def _only(path: Path, content: bytes) -> None:
+    """The file alone in its folder: readers look at what is beside it."""
+    for left in path.parent.iterdir():
+        left.unlink()
+    path.write_bytes(content)
 
 
 def _to_an_end(path: Path, read: Callable[[Path], object]) -> None:
@@ -253,14 +149,89 @@ def _to_an_end(path: Path, read: Callable[[Path], object]) -> None:
         raise RuntimeError(f"reads for ever: {error}") from error
 
 
-def _slow(path: Path, read: Callable[[Path], object], seconds: float) -> str:
-    """Whether reading takes too long, without the tracing that makes everything slow; only files of some size are asked."""
-    if path.stat().st_size < 4096:
+def _allowed_s(path: Path, reader: Reader, seconds: float) -> float:
+    return reader.start_s + seconds * max(1.0, path.stat().st_size / 1e6)
+
+
+def _slow(path: Path, reader: Reader, seconds: float) -> str:
+    """Whether reading takes too long, without the tracing that makes everything slow."""
+    if not path.exists():
         return ""
     began_s = cpu_s()
     with suppress(Exception):
-        _to_an_end(path, read)
-    return "too slow" if cpu_s() - began_s > seconds else ""
+        _to_an_end(path, reader.read)
+    return "too slow" if cpu_s() - began_s > _allowed_s(path, reader, seconds) else ""
+
+
+def recorded(record: Path) -> list[dict[str, Any]]:
+    """The runs in a record."""
+    return [json.loads(line) for line in record.read_text().splitlines()] if record.exists() else []
+
+
+def summed(runs: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Of each reader: runs, processor time, files, escapes, highest memory."""
+    return {
+        name: {
+            "runs": len(mine),
+            "cpu_s": round(sum(run["cpu_s"] for run in mine)),
+            "files": sum(run["files"] for run in mine),
+            "escapes": sum(sum(run["escapes"].values()) for run in mine),
+            "peak_memory_mb": max((run["peak_memory_mb"] for run in mine), default=0),
+        }
+        for name in READERS
+        for mine in [[run for run in runs if run["reader"] == name]]
+    }
+
+
+def rotate(minutes: float, cpu_minutes: float, record: Path, options: list[str]) -> bool:
+    """Turns of so much processor time, by the clock; whether one escaped."""
+    until_s, escaped = time.monotonic() + 60.0 * minutes, False
+    while time.monotonic() < until_s:
+        runs = recorded(record)
+        so_far = summed(runs)
+        name = min(so_far, key=lambda reader: (so_far[reader]["cpu_s"], so_far[reader]["runs"]))
+        seed = 1 + max((run["seed"] for run in runs if run["reader"] == name), default=0)
+        run = _turn(name, cpu_minutes, seed, options)
+        with record.open("a") as stream:
+            stream.write(json.dumps(run) + "\n")
+        escaped |= bool(run["escapes"])
+    return escaped
+
+
+def _turn(name: str, cpu_minutes: float, seed: int, options: list[str]) -> dict[str, Any]:
+    command = [sys.executable, "-m", "tests.robustness", "fuzz-readers", "--reader", name, "--seed", str(seed), *options]
+    before_s = cpu_s()
+    with tempfile.TemporaryDirectory() as scratch:
+        done = subprocess.run(
+            [*command, "--cpu-minutes", str(cpu_minutes)],
+            env={**os.environ, "TMPDIR": scratch},
+            stdout=subprocess.PIPE,
+            check=False,
+        )
+        try:
+            told = json.loads(done.stdout)
+        except ValueError:
+            told = {"outcomes": {name: {f"escape process ended with {done.returncode}": 1}}, "peak_memory_mb": 0}
+            for left in Path(scratch).rglob(READERS[name].file):
+                print(f"{name}: ended with {done.returncode}: {kept(KEPT, name, left.read_bytes())}", file=sys.stderr, flush=True)
+    outcomes, escapes = told["outcomes"][name], {}
+    for key in [key for key in outcomes if key.startswith("escape")]:
+        escapes[key.removeprefix("escape ")] = outcomes.pop(key)
+    return {
+        "reader": name,
+        "commit": _commit(),
+        "seed": seed,
+        "cpu_s": round(cpu_s() - before_s, 1),
+        "files": sum(outcomes.get(key, 0) for key in ("read", "refused", "raised")),
+        **outcomes,
+        "escapes": escapes,
+        "peak_memory_mb": told["peak_memory_mb"],
+    }
+
+
+def _commit() -> str:
+    told = subprocess.run(["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False)
+    return told.stdout.strip()
 
 
 def main(arguments: list[str]) -> int:
@@ -269,18 +240,31 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--reader", choices=sorted(READERS), help="default: all")
     parser.add_argument("--count", type=int, default=500)
     parser.add_argument("--cpu-minutes", type=float, help="guided by coverage, for so much processor time a reader")
+    parser.add_argument("--rotate", type=float, metavar="MINUTES", help="all readers in turn, for so long by the clock")
+    parser.add_argument("--record", type=Path, default=RECORD, help="of --rotate and --recorded")
+    parser.add_argument("--recorded", action="store_true", help="print the sums of the record and end")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=1.0)
     parser.add_argument("--memory-mb", type=float, default=500.0)
     args = parser.parse_args(arguments)
+    if args.recorded:
+        for name, found in summed(recorded(args.record)).items():
+            print(name.ljust(16), "  ".join(f"{key} {value}" for key, value in found.items()))
+        return 0
+    if args.rotate is not None:
+        limits = ["--seconds", str(args.seconds), "--memory-mb", str(args.memory_mb)]
+        return int(rotate(args.rotate, args.cpu_minutes or 2.0, args.record, limits))
     logging.disable(logging.CRITICAL)
     names = [args.reader] if args.reader else list(READERS)
-    if args.cpu_minutes is not None:
-        found = {name: dict(guided(name, args.cpu_minutes, args.seed, args.seconds)) for name in names}
-    else:
-        found = {name: dict(fuzz(name, args.count, args.seed, args.seconds)) for name in names}
+    found: dict[str, dict[str, int]] = {}
+    for name in names:
+        if args.cpu_minutes is not None:
+            found[name] = dict(guided(name, args.cpu_minutes, args.seed, args.seconds))
+        else:
+            found[name] = dict(fuzz(name, args.count, args.seed, args.seconds))
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    if peak_mb > args.memory_mb:
+        found[names[-1]][f"escape {peak_mb:.0f} MB of memory"] = 1
     json.dump({"outcomes": found, "peak_memory_mb": round(peak_mb)}, sys.stdout, indent=2)
     print()
-    escaped = any(key.startswith("escape") for outcomes in found.values() for key in outcomes)
-    return 1 if escaped or peak_mb > args.memory_mb else 0
+    return int(any(key.startswith("escape") for outcomes in found.values() for key in outcomes))

@@ -44,6 +44,11 @@ _MICROS, _NANOS, _FLOAT = "us", "ns", "float64"
 _PER_S = {_MICROS: 1e6, _NANOS: 1e9}
 _LARGEST_EXACT = 2.0**53
 _DATA_BITS = 64
+_MOST_FRAMES = 16 * BLOCK_FRAMES
+_MOST_BYTES = 8
+"""Of a frame's data."""
+_SPARE_BYTES = 1 << 16
+"""What a column may be larger than its numbers: its header, and a last stretch that is filled up."""
 _NAMES = ("block", "channel", "can_id", "length", "frames", "column", "start", "bits", "coding", "width", "size", "data")
 _CAN_ID, _FRAMES, _COLUMN = (_NAMES.index(name) for name in ("can_id", "frames", "column"))
 
@@ -143,6 +148,7 @@ class Writer:
             compression={name: "NONE" if name == "data" else "ZSTD" for name in _NAMES},
             use_dictionary=[name for name in _NAMES if name != "data"],
             write_statistics=False,
+            write_page_checksum=True,
         )
 
     def write(self, block: FrameBlock) -> None:
@@ -195,13 +201,16 @@ def read_blocks(
     import pyarrow as pa
 
     try:
-        with parquet.ParquetFile(path) as source:
+        with parquet.ParquetFile(path, page_checksum_verification=True) as source:
             metadata = source.schema_arrow.metadata or {}
             version = metadata.get(_FORMAT)
             if version not in (_VERSION, _ALL_COMPRESSED):
                 raise InputError(str(path), "a Parquet file without packed CAN frames", _EXPECTED)
             for group in range(source.num_row_groups):
-                columns = source.read_row_group(group).to_pydict()
+                table = source.read_row_group(group).select(_NAMES).cast(_schema())
+                if any(column.null_count for column in table.columns):
+                    raise ValueError("a row that lacks something")
+                columns = table.to_pydict()
                 rows = list(zip(*(columns[name] for name in _NAMES), strict=True))
                 if counted is not None:
                     for row in rows:
@@ -217,7 +226,7 @@ def read_blocks(
         raise
     except FileNotFoundError as error:
         raise InputError(str(path), error.strerror or str(error), "a readable file of packed frames") from error
-    except (pa.ArrowException, OSError, ValueError, KeyError) as error:
+    except (pa.ArrowException, OSError, ValueError, LookupError, OverflowError) as error:
         raise InputError(str(path), f"damaged: {' '.join(str(error).split())[:120]}", _EXPECTED) from error
 
 
@@ -338,17 +347,21 @@ def _block(rows: Iterable[tuple[Any, ...]], *, all_compressed: bool, compiled: b
         head, (name, start, bits, coding, width, size, packed) = row[:5], row[5:]
         _, channel, can_id, length, count = head
         if head != last or name == _TIME:
+            if name != _TIME or length > _MOST_BYTES or not 1 <= count <= _MOST_FRAMES:
+                raise ValueError(f"{count} frames of {length} bytes that begin with {name[:20]!r}")
             if channel not in channels:
                 channels.append(channel)
             kept: list[Any] = [np.empty(0), np.zeros(count, np.uint64), None, can_id, length, channels.index(channel), count, ""]
             parts.append(kept)
             last = head
         values = parts[-1]
-        per_frame = start.count(",") + 1 if name not in (_TIME, _PLACE) else 1
+        starts = [] if name in (_TIME, _PLACE) else [int(at) for at in start.split(",")]
+        per_frame = len(starts) or 1
+        _check(bits, starts, size, packed, count * per_frame)
         whole = len(packed) == size and not all_compressed
         data = packed if whole else codec.decompress(packed, decompressed_size=size, asbytes=True)
-        if coding == CONSTANT and name not in (_TIME, _PLACE) and per_frame == 1:
-            values[1] |= np.uint64(int.from_bytes(data, "little") << int(start))
+        if coding == CONSTANT and len(starts) == 1:
+            values[1] |= np.uint64(int.from_bytes(data, "little") << starts[0])
             continue
         column = decode(Coded(coding, width, data), count * per_frame, bits, compiled=compiled)
         if name == _TIME:
@@ -356,9 +369,17 @@ def _block(rows: Iterable[tuple[Any, ...]], *, all_compressed: bool, compiled: b
         elif name == _PLACE:
             values[2], explicit = column.astype(np.intp), True
         else:
-            for place, at in enumerate(start.split(",")):
-                values[1] |= column[place::per_frame] << np.uint64(int(at))
+            for place, at in enumerate(starts):
+                values[1] |= column[place::per_frame] << np.uint64(at)
     return _assembled(parts, tuple(channels), explicit)
+
+
+def _check(bits: int, starts: list[int], size: int, packed: bytes, numbers: int) -> None:
+    """Raises ValueError for what no column says of itself, before memory is taken for it."""
+    if not 1 <= bits <= _DATA_BITS or len(starts) > _DATA_BITS or any(not 0 <= at <= _DATA_BITS - bits for at in starts):
+        raise ValueError(f"numbers of {bits} bits from bit {starts[:3]}")
+    if not 0 <= size <= 8 * numbers + _SPARE_BYTES or len(packed) > size + _SPARE_BYTES:
+        raise ValueError(f"{size} bytes for {numbers} numbers")
 
 
 def _assembled(parts: list[list[Any]], channels: tuple[str, ...], explicit: bool) -> FrameBlock:
@@ -372,7 +393,11 @@ def _assembled(parts: list[list[Any]], channels: tuple[str, ...], explicit: bool
         np.argsort(np.concatenate([part[2] for part in parts]), kind="stable") if explicit else np.argsort(whole, kind="stable")
     )
     payload = np.concatenate([*(part[1] for part in parts), np.empty(0, np.uint64)]).astype(np.uint64)
+    if len({part[7] for part in parts}) > 1:
+        raise ValueError("times of several units in a block")
     time_s = _times(parts[0][7], whole) if parts else np.empty(0)
+    if not np.isfinite(time_s).all():
+        raise ValueError("a time that is no number")
     return FrameBlock(
         time_s[order],
         spread(3, np.uint32)[order],

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, brief
 
 UNKNOWN = ("", "-", "nan", "na", "n/a", "null")
 """Cells that say "not known", in lower case."""
@@ -130,11 +130,15 @@ def _workbook(raw: bytes, where: str) -> list[tuple[int, list[str]]]:
     # An extra: most tables are text.
     import openpyxl
 
+    expected = f"a CSV file or a workbook (*{WORKBOOK})"
     try:
         book = openpyxl.load_workbook(io.BytesIO(raw), read_only=True, data_only=True)
     except Exception as error:
-        raise InputError(where, "is a zip archive and no Excel workbook", f"a CSV file or a workbook (*{WORKBOOK})") from error
-    rows = [[_cell(value) for value in row] for row in book.worksheets[0].iter_rows(values_only=True)]
+        raise InputError(where, "is a zip archive and no Excel workbook", expected) from error
+    try:
+        rows = [[_cell(value) for value in row] for row in book.worksheets[0].iter_rows(values_only=True)]
+    except Exception as error:  # openpyxl raises anything on a damaged sheet
+        raise InputError(where, f"has a first sheet that cannot be read: {brief(error)}", expected) from error
     width = max((len(row) - next((i for i, c in enumerate(reversed(row)) if c), len(row)) for row in rows), default=0)
     cells = [(i, (row + [""] * width)[:width]) for i, row in enumerate(rows, 1)]
     return [(line, row) for line, row in cells if any(row) and not row[0].startswith("#")]

@@ -89,8 +89,8 @@ def _tables(path: Path, suffix: str) -> Iterable[Mapping[str, Any]]:
 
             try:
                 rows: list[Mapping[str, Any]] = pyarrow.parquet.read_table(path).to_pylist()
-            except pyarrow.ArrowInvalid as error:
-                raise InputError(str(path), str(error), "a Parquet file") from error
+            except (pyarrow.ArrowException, OSError) as error:
+                raise InputError(str(path), " ".join(str(error).split())[:200], "a Parquet file") from error
             return rows
         with path.open(encoding="utf-8", newline="") as stream:
             if suffix == ".csv":

@@ -1,0 +1,221 @@
+"""Every reader of files from outside, with a good file for each and the damage that gets furthest in it."""
+
+from __future__ import annotations
+
+import atexit
+import gzip
+import json
+import shutil
+import socket
+import tempfile
+import time
+import warnings
+from collections.abc import Callable
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import can
+
+from tests.robustness import fuzz_harvests
+from tests.robustness.damage import Damage, mutated, within_parquet, within_zip
+from tests.service.bench import CODEC, traffic
+from tests.service.test_store import batch, second
+from yieldmon.bus.codec import Codec
+from yieldmon.bus.databases import load_messages
+from yieldmon.bus.loading import iter_blocks
+from yieldmon.bus.logs import LogNotes, read_log
+from yieldmon.bus.packed import pack
+from yieldmon.field import sources
+from yieldmon.field.sources.options import ReadOptions
+from yieldmon.files import flow_curve_file, machine_file, moisture_file, parameter_file, table, ticket_file
+from yieldmon.resources import shipped
+from yieldmon.service import configuration, recorded
+from yieldmon.service.control import ControlServer
+from yieldmon.service.store import Store
+from yieldmon.service.tables import open_table
+
+Seed = Callable[[Path], None]
+_FRAMES = 200
+
+
+class Reader(NamedTuple):
+    """file: name of the file. make: writes a good one. read: raises InputError or nothing. start_s: processor time of starting
+    the process that reads, where it is one of its own."""
+
+    file: str
+    make: Seed
+    read: Callable[[Path], object]
+    damage: Damage = mutated
+    start_s: float = 0.0
+
+
+def _log(path: Path) -> None:
+    with can.Logger(path) as logger:
+        for number in range(_FRAMES):
+            data = bytes([number % 256] * 8)
+            logger.on_message_received(
+                can.Message(timestamp=1.7e9 + 0.01 * number, arbitration_id=0x18FF0000 + number % 7, data=data)
+            )
+        if isinstance(logger, can.SqliteWriter):
+            while not logger.buffer.empty():
+                time.sleep(0.01)
+
+
+def _zipped_log(path: Path) -> None:
+    path.write_bytes(gzip.compress(b"(1.000000) can0 123#01\n" * 400))
+
+
+def _copy(name: str) -> Seed:
+    def write(path: Path) -> None:
+        path.write_bytes(shipped(name).read_bytes())
+
+    return write
+
+
+def _store(path: Path) -> None:
+    with Store(path) as store:
+        store.commit([batch(number) for number in range(1, 60)])
+
+
+def _signals(path: Path) -> None:
+    path.write_text(
+        "plate: {fixed_angle_deg: 60}\nsignals:\n"
+        "  impact_voltage: {message: ImpactSensorSamples, signals: [Sample0, Sample1], spacing_ms: 2, range: [0, 5000],\n"
+        "    not_available: [65535]}\n"
+        "  elevator_speed: {message: ElevatorSpeed, signal: ElevatorSpeed, ratio: 1.5,\n"
+        "    source: {name: {function: 3}}}\n"
+        "  moisture: {value: 18.0}\n"
+    )
+
+
+def _table(path: Path) -> None:
+    path.write_text("plate_angle_deg,mass_flow_kg_s,force_n,trial\n" + "60,5,12.5,a\n70,9,-,b\n" * 20)
+
+
+def _request(path: Path) -> None:
+    path.write_bytes(b'{"command": "ticket", "mass_kg": 12000.5, "loads": [1, 2], "note": "a"}\n')
+
+
+def _ask(path: Path) -> object:
+    """The file as a request to a control server, whose answer has to be JSON."""
+    with socket.socket(socket.AF_UNIX) as connection:
+        connection.settimeout(10.0)
+        connection.connect(str(_server().path))
+        with suppress(ConnectionError):
+            connection.sendall(path.read_bytes().split(b"\n")[0] + b"\n")
+        answer = connection.makefile("rb").readline()
+    return json.loads(answer)
+
+
+@cache
+def _server() -> ControlServer:
+    """One for the whole process, answering what the daemon's would look at first."""
+    place = Path(tempfile.mkdtemp())
+    server = ControlServer(place / "s", None, lambda request: {"ok": True, "seen": request["command"]})
+    server.start()
+    atexit.register(shutil.rmtree, place)
+    atexit.register(server.stop)
+    return server
+
+
+def _read(path: Path) -> object:
+    return sum(1 for _ in read_log(path, LogNotes(on_damage=lambda damage: None)))
+
+
+def _in_blocks(path: Path) -> object:
+    return sum(len(block) for block in iter_blocks(path, LogNotes(on_damage=lambda damage: None)))
+
+
+def _packed(path: Path) -> None:
+    """Every coding that there is: a combine's messages, in the order of time and not."""
+    log = path.with_suffix(".log")
+    sent = [(frame.time_s, CODEC.encode(frame)) for frame in traffic(0.0, 2.0, 60.0)]
+    lines = [f"({time_s:.6f}) can0 {message.arbitration_id:08X}#{message.data.hex()}\n" for time_s, message in sent]
+    log.write_text("".join([*lines, *reversed(lines[:9])]), encoding="ascii")
+    pack(iter_blocks(log, LogNotes()), path, Codec().layouts)
+    log.unlink()
+
+
+def _seconds(path: Path) -> None:
+    with open_table(str(path)) as writer:
+        for number in range(1, 30):
+            writer.write(second(number))
+
+
+def _tickets(path: Path) -> None:
+    path.write_text("load;weighed_kg;std_dev_kg;note\n7;9120,5;40;a\n8-9;18.1;-;\nmonday.log;7000;35;b\n")
+
+
+def _workbook(path: Path) -> None:
+    import openpyxl
+
+    book = openpyxl.Workbook()
+    for row in (("load", "weighed_t", "note"), (7, 9.12, "a"), ("8-9", 18.1, None), (None, None, None), (10, 7.0, "2024")):
+        book.worksheets[0].append(row)
+    book.save(path)
+
+
+def _curve(path: Path) -> None:
+    path.write_text(
+        "estimator: table\nformat: 1\nelevator_speed_rpm: 400\nrelative_std_dev: 0.03\n"
+        "calibrated_range: {mass_flow_kg_s: [2, 30], elevator_speed_rpm: [350, 450], plate_angle_deg: [60, 70]}\n"
+        "columns:\n  - {plate_angle_deg: 60, force_n: [10, 20], mass_flow_kg_s: [6, 12]}\n"
+    )
+
+
+@cache
+def _harvests() -> Path:
+    """Good harvests of every kind, made once."""
+    place = Path(tempfile.mkdtemp())
+    atexit.register(shutil.rmtree, place)
+    fuzz_harvests.base_files(place)
+    return place
+
+
+def _harvest(name: str) -> Seed:
+    return lambda path: path.write_bytes((_harvests() / name).read_bytes()) and None
+
+
+def _points(path: Path) -> object:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        warnings.filterwarnings("error", category=RuntimeWarning, module="yieldmon")
+        return len(sources.read(path, ReadOptions()))
+
+
+READERS: dict[str, Reader] = {
+    "candump": Reader("x.log", _log, _read),
+    "candump-blocks": Reader("x.log", _log, _in_blocks),
+    "asc": Reader("x.asc", _log, _read),
+    "blf": Reader("x.blf", _log, _read),
+    "trc": Reader("x.trc", _log, _read),
+    "csv": Reader("x.csv", _log, _read),
+    "db": Reader("x.db", _log, _read),
+    "candump-gz": Reader("x.log.gz", _zipped_log, _read),
+    "packed": Reader("x.parquet", _packed, _read, within_parquet),
+    "parameters": Reader("x.yaml", _copy("config/parameters/corn.yaml"), parameter_file.load),
+    "machine": Reader("x.yaml", _copy("config/machines/sprocket-8.yaml"), machine_file.load),
+    "moisture": Reader("x.yaml", _copy("config/moisture/corn-published.yaml"), moisture_file.load),
+    "flow-curve": Reader("x.yaml", _curve, flow_curve_file.load),
+    "configuration": Reader("x.yaml", _copy("config/yieldmon.yaml"), lambda path: configuration.load(path, {})),
+    "signals": Reader("x.yaml", _signals, lambda path: configuration.load(path, {})),
+    "dbc": Reader("x.dbc", _copy("dbc/yieldmon.dbc"), load_messages),
+    "mf4": Reader("x.mf4", _log, _read, start_s=4.0),
+    "control": Reader("x.json", _request, _ask),
+    "table": Reader("x.csv", _table, table.load),
+    "tickets": Reader("x.csv", _tickets, ticket_file.load),
+    "workbook": Reader("x.xlsx", _workbook, ticket_file.load, within_zip),
+    "store": Reader("x.sqlite", _store, recorded.read_seconds),
+    "seconds-csv": Reader("x.csv", _seconds, recorded.read_seconds),
+    "seconds-jsonl": Reader("x.jsonl", _seconds, recorded.read_seconds),
+    "seconds-parquet": Reader("x.parquet", _seconds, recorded.read_seconds, within_parquet),
+    "agleader": Reader("x.txt", _harvest("basic.txt"), _points),
+    "harvest-csv": Reader("x.csv", _harvest("points.csv"), _points),
+    "geojson": Reader("x.geojson", _harvest("points.geojson"), _points),
+    "geopackage": Reader("x.gpkg", _harvest("harvest.gpkg"), _points),
+    "shapefile": Reader("x.zip", _harvest("points_shp.zip"), _points, within_zip),
+    "deere": Reader("x.zip", _harvest("deere.zip"), _points, within_zip),
+    "task-data": Reader("x.zip", _harvest("taskdata.zip"), _points, within_zip),
+}
