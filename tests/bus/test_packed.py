@@ -9,9 +9,11 @@ from pathlib import Path
 
 import can
 import numpy as np
+import pyarrow as pa
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pyarrow import parquet
 
 from yieldmon.bus.bulk import FrameBlock, block_of
 from yieldmon.bus.codec import Codec
@@ -140,6 +142,62 @@ def test_spoilt_files_are_refused(tmp_path: Path, spoil, says: str) -> None:
     path.write_bytes(spoil(path.read_bytes()))
     with pytest.raises(InputError, match=says):
         load_frames(path)
+
+
+def test_a_flipped_bit_is_refused_or_changes_nothing(tmp_path: Path) -> None:
+    path = _packed(tmp_path / "f.parquet")
+    good, expected, refused = path.read_bytes(), content(load_frames(path)), 0
+    chance = random.Random(8)
+    for _ in range(200):
+        spoilt, bit = bytearray(good), chance.randrange(8 * len(good))
+        spoilt[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(spoilt)
+        try:
+            assert content(load_frames(path)) == expected, f"bit {bit}"
+        except InputError:
+            refused += 1
+    assert refused > 50
+
+
+TIMES, DATA_BITS = 0, 1
+"""Rows of the file: the first message's times, and the first stretch of its data."""
+
+
+@pytest.mark.parametrize(
+    ("row", "column", "value"),
+    [
+        *[(TIMES, "frames", value) for value in (0, -1, 2**31 - 1)],
+        *[(TIMES, "length", value) for value in (9, 255)],
+        *[(TIMES, "column", value) for value in ("place", "x")],
+        *[(TIMES, "start", value) for value in ("", "ms", None)],
+        *[(TIMES, "data", value) for value in (b"", b"\xff" * 90, None)],
+        *[(TIMES, "size", value) for value in (-1, 0, 2**31 - 1)],
+        *[(DATA_BITS, "start", value) for value in ("", "x", "-1", "64", "57", ",".join(["0"] * 99))],
+        *[(DATA_BITS, "bits", value) for value in (0, 65, 255)],
+        *[(DATA_BITS, "coding", value) for value in ("", "zip", None)],
+        *[(DATA_BITS, "width", value) for value in (0, 9, 255)],
+    ],
+)
+def test_a_row_that_makes_no_sense_is_refused(tmp_path: Path, row: int, column: str, value: object) -> None:
+    path = _packed(tmp_path / "f.parquet")
+    table = parquet.read_table(path)
+    cells = table[column].to_pylist()
+    cells[row] = value
+    place = table.schema.get_field_index(column)
+    parquet.write_table(table.set_column(place, table.schema.field(place), pa.array(cells, table.schema.types[place])), path)
+    with pytest.raises(InputError, match="damaged"):
+        load_frames(path)
+
+
+@pytest.mark.parametrize("column", ["channel", "frames", "data"])
+def test_a_column_that_is_missing_or_of_another_kind_is_refused(tmp_path: Path, column: str) -> None:
+    path = _packed(tmp_path / "f.parquet")
+    table = parquet.read_table(path)
+    place = table.schema.get_field_index(column)
+    for spoilt in (table.remove_column(place), table.set_column(place, column, pa.array([[0.5]] * table.num_rows))):
+        parquet.write_table(spoilt, path)
+        with pytest.raises(InputError, match="damaged"):
+            load_frames(path)
 
 
 def test_a_table_of_seconds_is_no_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

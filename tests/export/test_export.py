@@ -24,6 +24,7 @@ from yieldmon.errors import InputError
 from yieldmon.export.points import PointSettings, yield_points
 from yieldmon.export.taskdata import ENTRIES
 from yieldmon.frames import EstimateQuality
+from yieldmon.service.recorded import read_seconds
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Batch, Load, Store
 from yieldmon.service.tables import open_table
@@ -127,6 +128,18 @@ def test_seconds_as_csv_and_parquet(exported, record):
         rows = list(csv.DictReader(stream))
     assert [row["mass_kg"] for row in rows] == [repr(row.mass_kg) for row in ROWS]
     assert rows[0]["mass_flow_kg_s"] == ""
+
+
+@pytest.mark.parametrize("place", [0, 4, 200, -9])
+def test_a_damaged_table_of_seconds_is_refused(tmp_path, place):
+    with open_table(str(tmp_path / "s.parquet")) as writer:
+        for number in range(1, 40):
+            writer.write(second(number))
+    spoilt = bytearray((tmp_path / "s.parquet").read_bytes())
+    spoilt[place : place + 8 or None] = b"\xff" * 8
+    (tmp_path / "s.parquet").write_bytes(spoilt)
+    with pytest.raises(InputError, match=r"s\.parquet"):
+        read_seconds(tmp_path / "s.parquet")
 
 
 def test_loads_as_csv_and_parquet(exported):

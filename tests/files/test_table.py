@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -130,3 +131,28 @@ def test_a_workbook_reads_as_its_table(tmp_path):
     (tmp_path / "no.xlsx").write_bytes(b"PK\x03\x04 nothing")
     with pytest.raises(InputError, match="no Excel workbook"):
         table.load(tmp_path / "no.xlsx")
+
+
+@pytest.mark.parametrize("member", ["xl/worksheets/sheet1.xml", "xl/workbook.xml"])
+@pytest.mark.parametrize("content", [b"", b"<worksheet", b"<worksheet/>", b"\xff\xfe"])
+def test_a_damaged_workbook_is_refused(tmp_path, member, content):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.active.append(["plate_angle_deg", "mass_flow_kg_s", "force_n"])
+    book.active.append([70, 12.5, 100])
+    book.save(tmp_path / "good.xlsx")
+    with zipfile.ZipFile(tmp_path / "good.xlsx") as good, zipfile.ZipFile(tmp_path / "t.xlsx", "w") as spoilt:
+        for name in good.namelist():
+            spoilt.writestr(name, content if name == member else good.read(name))
+    with pytest.raises(InputError, match=r"t\.xlsx"):
+        table.load(tmp_path / "t.xlsx")
+
+
+def test_a_workbook_of_charts_alone_is_refused(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.create_chartsheet()
+    book.remove(book.worksheets[0])
+    book.save(tmp_path / "t.xlsx")
+    with pytest.raises(InputError, match=r"t\.xlsx"):
+        table.load(tmp_path / "t.xlsx")
