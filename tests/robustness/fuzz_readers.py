@@ -248,8 +248,8 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--memory-mb", type=float, default=500.0)
     args = parser.parse_args(arguments)
     if args.recorded:
-        for name, found in summed(recorded(args.record)).items():
-            print(name.ljust(16), "  ".join(f"{key} {value}" for key, value in found.items()))
+        for name, sums in summed(recorded(args.record)).items():
+            print(name.ljust(16), "  ".join(f"{key} {value}" for key, value in sums.items()))
         return 0
     if args.rotate is not None:
         limits = ["--seconds", str(args.seconds), "--memory-mb", str(args.memory_mb)]

@@ -175,7 +175,10 @@ def _harvests() -> Path:
 
 
 def _harvest(name: str) -> Seed:
-    return lambda path: path.write_bytes((_harvests() / name).read_bytes()) and None
+    def write(path: Path) -> None:
+        path.write_bytes((_harvests() / name).read_bytes())
+
+    return write
 
 
 def _points(path: Path) -> object:
