@@ -98,7 +98,7 @@ class DaemonKeeper(Keeper):
         ]
 
     def _swept(self, used: Array, place: int, length: int) -> None:
-        self._told(self.daemon.update(self._records(used), self.anchors, self.estimator), place + length)
+        self._told(self.daemon.update(self._records(used), self.estimator), place + length)
 
     def _weigh(self, number: int, mass_kg: float, sd_kg: float, hour: float) -> None:
         start, end = int(self.season.loads.start[number]), int(self.season.loads.end[number])

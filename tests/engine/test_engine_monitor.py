@@ -351,7 +351,7 @@ class Scales:
     def __init__(self) -> None:
         self.weighed: list[tuple[ReferenceMass, ...]] = []
 
-    def update(self, records, anchors, estimator, *, use_sweep=True):  # type: ignore[no-untyped-def]
+    def update(self, records, estimator, *, use_sweep=True):  # type: ignore[no-untyped-def]
         raise AssertionError("no sweep here")
 
     def weigh(self, record, anchors, estimator):  # type: ignore[no-untyped-def]

@@ -37,7 +37,6 @@ class Teacher:
     def update(
         self,
         records: Sequence[WindowRecord],
-        anchors: Sequence[ReferenceMass],
         estimator: FlowEstimator,
         *,
         use_sweep: bool = True,
@@ -46,7 +45,7 @@ class Teacher:
         return CalibrationOutcome(ForceProportional(relative_std_dev=0.03 * (self.lessons + 1)), "learnt")
 
     def weigh(self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator) -> CalibrationOutcome:
-        return self.update([record], anchors, estimator)
+        return self.update([record], estimator)
 
     def snapshot(self, now_s: float, total_kg: float) -> None:
         return None

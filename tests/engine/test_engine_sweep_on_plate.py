@@ -35,7 +35,6 @@ class Teacher:
     def update(
         self,
         records: Sequence[WindowRecord],
-        anchors: Sequence[ReferenceMass],
         estimator: FlowEstimator,
         *,
         use_sweep: bool = True,

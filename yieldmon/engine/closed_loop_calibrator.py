@@ -71,14 +71,7 @@ class ClosedLoopCalibrator:
         self._checked: frozenset[ReferenceMass] = frozenset()
         self.last: Outcome | None = None
 
-    def update(
-        self,
-        records: Sequence[WindowRecord],
-        anchors: Sequence[ReferenceMass],
-        estimator: FlowEstimator,
-        *,
-        use_sweep: bool = True,
-    ) -> CalibrationOutcome:
+    def update(self, records: Sequence[WindowRecord], estimator: FlowEstimator, *, use_sweep: bool = True) -> CalibrationOutcome:
         """See records.SelfCalibrator."""
         if not records:
             return CalibrationOutcome(None, "the sweep has no usable window; the parameters stay", identifiable=False)
@@ -87,33 +80,28 @@ class ClosedLoopCalibrator:
         moisture_pct = _median(r.moisture_pct for r in records)
         drifting, step = self._prior(used, moisture_pct, now_s, total_kg)
         prior = drifting.parameters
-        found = self._mass_anchors(anchors, used)
-        checks = self._checks(found, prior)
-        masses, doubt = self._accepted(found, prior)
-        if doubt:
-            self._used = frozenset(anchors)
         density = self._density(records, prior)
         if used is not self._updated:
             self._given = used
-        if masses or density is not None:
+        if density is not None:
             self._given = None
-        if not use_sweep and not masses and density is None:
-            return replace(self._without_sweeps(used, now_s), checks=checks)
+        if not use_sweep and density is None:
+            return self._without_sweeps(used, now_s)
         refused = refusal(used)
-        if refused and not masses and density is None:
-            return CalibrationOutcome(None, refused, identifiable=False, checks=checks)
+        if refused and density is None:
+            return CalibrationOutcome(None, refused, identifiable=False)
         try:
             sweeps = [_sweep(records)] if use_sweep and not refused else []
             settings = allowing_for(self._settings.closed_loop, prior)
-            outcome = self_calibrate(self._model, prior, sweeps, anchors=masses, density=density, settings=settings)
+            outcome = self_calibrate(self._model, prior, sweeps, density=density, settings=settings)
             leads = refusal(outcome.parameter_set) if sweeps and outcome.updated else ""
-            if (leads or not outcome.consistent) and (masses or density is not None):
-                outcome, drifting = self._believe(drifting, masses, density)
+            if (leads or not outcome.consistent) and density is not None:
+                outcome = update_from_tickets(self._model, prior, (), density, self._settings.closed_loop)
             elif leads:
-                return CalibrationOutcome(None, f"the sweep would put {leads}", identifiable=False, checks=checks)
+                return CalibrationOutcome(None, f"the sweep would put {leads}", identifiable=False)
         except ValueError as error:
-            return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False, checks=checks)
-        return replace(self._taken(outcome, drifting, used, anchors, (now_s, total_kg, moisture_pct), step), checks=checks)
+            return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False)
+        return self._taken(outcome, drifting, used, (now_s, total_kg, moisture_pct), step)
 
     def weigh(self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator) -> CalibrationOutcome:
         """See records.SelfCalibrator."""
@@ -132,10 +120,12 @@ class ClosedLoopCalibrator:
             return CalibrationOutcome(None, "no weighed mass that was measured whole; the parameters stay")
         self._given = None
         try:
-            outcome, drifting = self._believe(drifting, masses, None)
+            outcome, drifting = self._believe(drifting, masses)
         except ValueError as error:
             return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False, checks=checks)
-        return replace(self._taken(outcome, drifting, used, anchors, moment, step), weighed=True, checks=checks)
+        self._used = frozenset(anchors)
+        taken = self._taken(outcome, drifting, used, moment, step)
+        return replace(taken, reason=f"{taken.reason}; {doubt}" if doubt else taken.reason, weighed=True, checks=checks)
 
     def _in_use(self, estimator: FlowEstimator) -> ParameterSet:
         """The parameters in use; with other effects than those before, another model explains them."""
@@ -147,14 +137,12 @@ class ClosedLoopCalibrator:
     def _patterned(self, parameters: ParameterSet) -> ParameterSet:
         return with_pattern(parameters, self._settings.pattern_sd) if self._settings.pattern_sd > 0.0 else parameters
 
-    def _believe(
-        self, drifting: DriftingParameters, masses: Sequence[MassAnchor], density: DensityAnchor | None
-    ) -> tuple[Outcome, DriftingParameters]:
+    def _believe(self, drifting: DriftingParameters, masses: Sequence[MassAnchor]) -> tuple[Outcome, DriftingParameters]:
         """What weighed masses say, and what was known before as they leave it: less certain where they contradict it."""
         prior = drifting.parameters
-        outcome = update_from_tickets(self._model, prior, masses, density, self._settings.closed_loop)
+        outcome = update_from_tickets(self._model, prior, masses, settings=self._settings.closed_loop)
         doubtful = 1.0 if len(self._weighings) <= len(masses) else _DRIFT_WIDENING
-        if (outcome.consistent and outcome.prior_widening <= doubtful) or not masses:
+        if outcome.consistent and outcome.prior_widening <= doubtful:
             return outcome, drifting
         # Further off than the parameters' own doubts reach: only the loads know the scale.
         found = calibrate_loads(self._model, prior, self._weighings, settings=self._load_settings)
@@ -218,13 +206,11 @@ class ClosedLoopCalibrator:
         outcome: Outcome,
         drifting: DriftingParameters,
         used: ParameterSet,
-        anchors: Sequence[ReferenceMass],
         moment: tuple[float, float, float],
         step: Advance,
     ) -> CalibrationOutcome:
         """The new parameters, remembered with the moment (bus time s, total kg, moisture %) they hold from; step led to it."""
         self.last = outcome
-        self._used = frozenset(anchors)
         prior = drifting.parameters
         if not outcome.updated and prior.values == self._patterned(used).values:
             return CalibrationOutcome(None, outcome.reason, identifiable=False)

@@ -242,14 +242,14 @@ class Learning:
             sweep.abort(at_s, SweepAbort.FORCE_DOES_NOT_FOLLOW)
             return ()
         self.disagreement.add(records, self.estimator.parameters)
+        weighed: tuple[ParametersChanged, ...] = ()
         changed: tuple[ParametersChanged, ...] = ()
         if self.calibrator is not None:
-            self._masses_new = False
-            self._waiting = []
-            outcome = self.calibrator.update(records, self.anchors, self.estimator, use_sweep=not self.disagreement.present)
-            changed = self._take(outcome)
+            # Each weighed mass that came during the sweep first, by the same rule as between sweeps.
+            weighed = self._learn_from_masses(record)
+            changed = self._take(self.calibrator.update(records, self.estimator, use_sweep=not self.disagreement.present))
         sweep.finish(at_s, bool(changed))
-        return changed
+        return (*weighed, *changed)
 
     def _learn_from_masses(self, record: WindowRecord) -> tuple[ParametersChanged, ...]:
         """Hand reference masses that have come since the last update to the calibrator."""

@@ -301,21 +301,14 @@ class CalibratorState:
 class SelfCalibrator(Protocol):
     """Learns from the windows of a sweep and from reference masses."""
 
-    def update(
-        self,
-        records: Sequence[WindowRecord],
-        anchors: Sequence[ReferenceMass],
-        estimator: FlowEstimator,
-        *,
-        use_sweep: bool = True,
-    ) -> CalibrationOutcome:
-        """records: the usable windows of one whole sweep. anchors: all reference masses kept. estimator: the one in use.
+    def update(self, records: Sequence[WindowRecord], estimator: FlowEstimator, *, use_sweep: bool = True) -> CalibrationOutcome:
+        """records: the usable windows of one whole sweep. estimator: the one in use.
 
-        use_sweep: False while the model disagrees with what sweeps show; then only reference masses update.
+        use_sweep: False while the model disagrees with what sweeps show; then only a density measured otherwise updates.
         """
 
     def weigh(self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator) -> CalibrationOutcome:
-        """What reference masses alone change, between sweeps. record: the last window; anchors: all reference masses kept."""
+        """What reference masses change. record: the last window; anchors: all reference masses kept."""
 
     def forget(self, load_numbers: frozenset[int], again: Sequence[ReferenceMass]) -> None:
         """The weighings of these loads were wrong; those in `again` have taught nothing that counts and may teach anew."""
