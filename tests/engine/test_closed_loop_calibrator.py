@@ -414,27 +414,35 @@ def test_sweeps_that_would_teach_nothing_are_not_begun_by_schedule(friction: flo
     assert sweep.by_schedule is by_schedule
 
 
-@pytest.mark.parametrize("usable", [True, False])
-def test_a_ticket_that_waits_during_a_sweep_teaches_as_one_before_it(usable: bool) -> None:
+@pytest.mark.parametrize(
+    ("usable", "flows", "factor"),
+    [(True, (12.0, 12.0, 12.0), 1.01), (False, (6.0, 6.5, 18.0), 1.0)],
+)
+def test_a_ticket_that_waits_during_a_sweep_teaches_as_one_before_it(
+    usable: bool, flows: tuple[float, ...], factor: float
+) -> None:
+    """factor: the third weighed mass over the true one."""
     settings, start = EngineSettings(), OpenLoop(MODEL, PRIOR)
     windows = [dataclasses.replace(r, usable_for_calibration=usable) for r in records(14.0, start_s=4000.0, noise=0.03)]
-    errors = []
+    masses = []
     for waits in (False, True):
         sweep = SweepMachine(settings.sweep, settings.plate, float(np.degrees(MACHINE.home_plate_angle_rad)))
         learning = Learning(settings, MACHINE, start, ClosedLoopCalibrator(MODEL, EXACT))
-        for number, flow in enumerate((6.0, 6.5, 18.0), 1):
+        for number, flow in enumerate(flows, 1):
             at_s = 1000.0 * number
             load = ticket(learning.estimator, flow, at_s, at_s + 500.0)  # type: ignore[arg-type]
             summary = LoadSummary(number, load.start_s, load.end_s, load.measured_kg, 0.0, 0.0, complete=True)
-            if number == 3 and waits:
-                sweep.state = SweepState.MEASURING
-            learning.ticket(number, load.reference_kg, 0.001 * load.reference_kg, (summary,), at_s)
+            if number == 3:
+                before = home_error_pct(learning.estimator, flow)  # type: ignore[arg-type]
+                sweep.state = SweepState.MEASURING if waits else SweepState.IDLE
+            weighed_kg = load.reference_kg * (factor if number == 3 else 1.0)
+            learning.ticket(number, weighed_kg, 0.003 * weighed_kg, (summary,), at_s)
             learning.learn(at_s, dataclasses.replace(windows[0], time_s=at_s + 600.0), sweep)
         sweep.state = SweepState.MEASURING
         for i, window in enumerate(windows):
             sweep.completed = i == len(windows) - 1
             learning.learn(window.time_s, window, sweep)
-        errors.append(home_error_pct(learning.estimator, 18.0))  # type: ignore[arg-type]
+        masses.append(home_error_pct(learning.estimator, flows[-1]))  # type: ignore[arg-type]
         assert not learning.masses_wait
-    assert errors[1] == pytest.approx(errors[0], abs=0.01)
-    assert abs(errors[1]) < 0.2
+    assert masses[1] == pytest.approx(masses[0], abs=0.02)
+    assert abs(masses[1] - before) > 0.1
