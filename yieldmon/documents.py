@@ -90,14 +90,16 @@ class StatusTotal(TypedDict):
 
 class StatusWaveform(TypedDict):
     """What the last second's samples say beside their mean: volume flow from the pulses' shape and the flow that it means, flow
-    from kernel noise, or why there is none. kernel_verdict: as in records, by name. contradiction: of shape and mean force.
-    stretch_by_mean_force: the `waveform.stretch` with which both would agree over the last windows."""
+    from kernel noise, or why there is none. shape_verdict, kernel_verdict: as in records, by name. contradiction:
+    of shape and mean force. stretch_by_mean_force: the `waveform.stretch` with which both would agree over the last windows; with
+    `waveform.shape_terms` a factor on that of the terms."""
 
     published: bool
     shape_volume_flow_m3_s: Number
     shape_volume_std_dev_m3_s: Number
     shape_flow_kg_s: Number
     shape_std_dev_kg_s: Number
+    shape_verdict: str
     shape_missing_because: str | None
     kernel_flow_kg_s: Number
     kernel_std_dev_kg_s: Number

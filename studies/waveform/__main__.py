@@ -9,6 +9,7 @@
     python -m studies.waveform cost                       # processor time, on and off
     python -m studies.waveform pictures --out DIR         # pulse.png, fill.png (of fill.json)
     python -m studies.waveform season --seeds 30          # load errors of a season by channel
+    python -m studies.waveform shape --out F.yaml         # the law of those pulses, with its range (config/pulse-shape.yaml)
     python -m studies.waveform pack LEDGER... --out F.npz # a campaign's forces at 10 kHz
 
 Prints one JSON document.
@@ -82,6 +83,15 @@ def _season(args: argparse.Namespace) -> Any:
     return season.report(args.seeds, args.seed)
 
 
+def _shape(args: argparse.Namespace) -> Any:
+    from studies.waveform import fill
+    from yieldmon.files import pulse_shape_file
+
+    out = args.out or Path("pulse-shape.yaml")
+    pulse_shape_file.save(fill.shape_law(), out, source="discrete elements, python -m studies.waveform shape")
+    return {"written": str(out)}
+
+
 def _pack(args: argparse.Namespace) -> Any:
     from studies.waveform import kernels
 
@@ -90,7 +100,8 @@ def _pack(args: argparse.Namespace) -> Any:
 
 _PARTS = {
     "information": _information, "fill": _fill, "attempts": _attempts, "kernels": _kernels, "hidden": _hidden, "cost": _cost,
-    "pictures": _pictures, "season": _season, "verdicts": _verdicts, "pack": _pack,
+    "pictures": _pictures, "season": _season, "verdicts": _verdicts, "shape": _shape,
+    "pack": _pack,
 }  # fmt: skip
 
 

@@ -147,6 +147,14 @@ def _row(errors: Array, stated: Array, told: NDArray[np.bool_]) -> dict[str, Any
     }
 
 
+def shape_law(model_error: float = 0.1) -> ArrivalLaw:
+    """Of all pulses of the campaign, without an index: what `config/pulse-shape.yaml` ships."""
+    models = {f: pulse_model(f, model_error, indexed=False) for f in FRICTIONS}
+    waves = {key: wave(history, key[0], key[3]) for key, history in histories().items() if key[2] in LOADS_KG}
+    flows = [volume_flow_m3_s(key[2], key[0]) for key in waves]
+    return calibrate_arrival([models[key[1]] for key in waves], list(waves.values()), flows, terms=SEVERAL_GRAINS)
+
+
 def other_grain(judge: Judge) -> list[dict[str, Any]]:
     """Pulses on which nothing was chosen (`kernel_forces.npz`): other heaps, kernels, restitutions, and a plate at 50 deg."""
     data = np.load(FORCES)

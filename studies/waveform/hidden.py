@@ -19,6 +19,7 @@ from yieldmon.engine.results import records_in
 from yieldmon.engine.settings import EngineSettings, SweepSettings, WaveformSettings
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.files import pulse_shape_file
 from yieldmon.frames import Frame
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
@@ -46,10 +47,13 @@ WAYS = {"as shipped": (1.0, 0.2), "stretch 1.00 calibrated": (1.0, 0.03)}
 def judged(
     traffic: list[Frame], truth_kg_s: float, machine: Machine, values: dict[str, float], stretch: tuple[float, float]
 ) -> dict[str, Any]:
-    """What the monitor says of one steady harvest; covered: the error is at most two of the shape's own deviations."""
+    """What the monitor says of one steady harvest; covered: the error is at most two of the shape's own deviations.
+
+    None where it gives no flow.
+    """
     sd = {"friction": 0.02, "density": 0.02 * values["density"], "restitution": 0.08}
     parameters = ParameterSet(values, tuple(sd), np.diag([v**2 for v in sd.values()]))
-    waveform = replace(WaveformSettings(), enabled=True, stretch=stretch[0], stretch_sd=stretch[1])
+    waveform = replace(WaveformSettings(), shape=pulse_shape_file.load(), enabled=True, stretch=stretch[0], stretch_sd=stretch[1])
     settings = replace(EngineSettings(), sweep=replace(SweepSettings(), enabled=False), waveform=waveform)
     monitor = Monitor(settings, machine, OpenLoop(ForwardModel(machine, parameters.effects), parameters))
     records = [r for frame in traffic for r in records_in(monitor.feed(frame))]
@@ -67,7 +71,7 @@ def judged(
     return {
         "mean_force_error_pct": _pct(flow / truth_kg_s - 1.0), "mean_force_sd_pct": _pct(mean("std_dev_kg_s") / flow),
         "shape_error_pct": _pct(shape / truth_kg_s - 1.0), "shape_sd_pct": _pct(relative),
-        "covered": bool(abs(error) <= 2.0 * relative), "contradiction": shown,
+        "covered": bool(abs(error) <= 2.0 * relative) if np.isfinite(error) else None, "contradiction": shown,
         "silently_wrong": bool(np.isfinite(error) and abs(error) > 2.0 * relative and not shown),
         "stretch_by_mean_force": round(seen.stretch, 3) if seen is not None and np.isfinite(seen.stretch) else None,
     }  # fmt: skip

@@ -11,6 +11,7 @@ from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.settings import EngineSettings, SweepSettings, WaveformSettings
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.files import pulse_shape_file
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.plant.combine import VirtualCombine
@@ -32,7 +33,7 @@ def verdict(response_s: float, seed: int) -> dict[str, Any]:
         "duration_s": END_S, "flow": {"pieces": pieces}, "kernels": {"thousand_kernel_weight_g": KERNELS_G},
         "frames": {"kernel_weight": True}, "sensor": {"response_s": response_s},
     }  # fmt: skip
-    waveform = replace(WaveformSettings(), enabled=True)
+    waveform = replace(WaveformSettings(), shape=pulse_shape_file.load(), enabled=True)
     engine = replace(EngineSettings(), sweep=replace(SweepSettings(), enabled=False), waveform=waveform)
     machine = replace(Machine(), sensor=replace(Machine().sensor, response_s=response_s))
     monitor = Monitor(engine, machine, OpenLoop(ForwardModel(machine, PARAMETERS.effects), PARAMETERS))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -17,8 +18,10 @@ from yieldmon.estimation.channel_combination import combine
 from yieldmon.estimation.kernel_noise import KernelVerdict
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.pulse_shape import ShapeVerdict
+from yieldmon.files import pulse_shape_file
 from yieldmon.frames import GRAIN_KERNELS, Frame
-from yieldmon.physics.machine import Machine
+from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.plant.combine import VirtualCombine
 from yieldmon.plant.scenario import from_mapping
@@ -27,6 +30,7 @@ MACHINE = Machine()
 VALUES = {"friction": 0.2, "density": 1100.0, "shape_ratio": 2.0, "restitution": 0.55, "gravity.acceleration_m_s2": 9.81}
 PARAMETERS = ParameterSet(VALUES, ("friction", "density", "restitution"), np.diag([0.02**2, 22.0**2, 0.08**2]))
 FLOW_KG_S = 8.0
+LAW = pulse_shape_file.load()
 
 
 @cache
@@ -37,7 +41,7 @@ def traffic() -> tuple[Frame, ...]:
 
 def harvested(**settings: object) -> list[WindowRecord]:
     """Records of the last ten seconds."""
-    waveform = replace(WaveformSettings(), **settings)  # type: ignore[arg-type]
+    waveform = replace(WaveformSettings(), shape=LAW, **settings)  # type: ignore[arg-type]
     engine = replace(EngineSettings(), sweep=replace(SweepSettings(), enabled=False), waveform=waveform)
     monitor = Monitor(engine, MACHINE, OpenLoop(ForwardModel(MACHINE, PARAMETERS.effects), PARAMETERS))
     return [r for frame in traffic() for r in records_in(monitor.feed(frame))][-10:]
@@ -56,6 +60,43 @@ def test_shape_gives_the_flow_beside_the_mean_force() -> None:
     assert np.all(np.abs(flows - FLOW_KG_S) < 3.0 * sds)
     assert flows.mean() == pytest.approx(FLOW_KG_S, rel=0.06)
     assert not any(r.faults for r in records)
+
+
+NARROW = {
+    "load": (replace(LAW, fills=(0.2, 0.3)), "load 0.1[0-9] of a full paddle, calibrated 0.20 to 0.30"),
+    "angle": (replace(LAW, plate_angles_rad=tuple(np.deg2rad([40.0, 60.0]))), "plate at 70 deg, calibrated 40 to 60 deg"),
+    "speed": (
+        replace(LAW, elevator_speeds_rad_s=(500.0 * RPM, 500.0 * RPM)),
+        "elevator at 39[0-9] rpm, calibrated 500 to 500 rpm",
+    ),
+    "no file": (None, "no pulse-shape file"),
+}
+
+
+@pytest.mark.parametrize("law", NARROW)
+def test_outside_what_is_calibrated_no_flow_by_shape_is_given_and_the_mean_force_counts(law: str) -> None:
+    range_, reason = NARROW[law]
+    waveform = replace(WaveformSettings(), shape=range_, enabled=True, combine=True)
+    engine = replace(EngineSettings(), sweep=replace(SweepSettings(), enabled=False), waveform=waveform)
+    monitor = Monitor(engine, MACHINE, OpenLoop(ForwardModel(MACHINE, PARAMETERS.effects), PARAMETERS))
+    records = [r for frame in traffic() for r in records_in(monitor.feed(frame))][-10:]
+    assert {r.shape_verdict for r in records} == {ShapeVerdict.OUTSIDE_CALIBRATION}
+    assert all(np.isnan(r.shape_flow_kg_s) and np.isnan(r.shape_volume_flow_m3_s) for r in records)
+    assert [r.mass_kg for r in records] == [r.mass_kg for r in harvested()]
+    assert monitor.waveform is not None
+    assert re.match(reason, monitor.waveform.shape_reason)
+    assert not monitor.waveform.contradiction
+
+
+def test_within_the_range_records_say_that_the_shape_is_used() -> None:
+    assert {r.shape_verdict for r in harvested(enabled=True)} == {ShapeVerdict.USED}
+    assert {r.shape_verdict for r in harvested()} == {ShapeVerdict.NOT_LOOKED_AT}
+
+
+def test_the_terms_of_the_file_move_the_flow() -> None:
+    """Discrete elements' stretch and tail make the virtual combine's pulses, which have neither, those of a smaller load."""
+    plain, terms = (np.nanmean([r.shape_flow_kg_s for r in harvested(enabled=True, shape_terms=t)]) for t in (False, True))
+    assert terms < 0.9 * plain
 
 
 def test_a_slow_cell_hides_the_kernels() -> None:
@@ -99,7 +140,7 @@ def struck(response_s: float) -> tuple[Frame, ...]:
 @cache
 def monitored(response_s: float, weight_g: float = 0.0, *, told: bool = False) -> Monitor:
     """At the end of that traffic. told: by the frames."""
-    waveform = replace(WaveformSettings(), enabled=True, thousand_kernel_weight_g=weight_g, quiet_windows=2)
+    waveform = replace(WaveformSettings(), shape=LAW, enabled=True, thousand_kernel_weight_g=weight_g, quiet_windows=2)
     engine = replace(EngineSettings(), sweep=replace(SweepSettings(), enabled=False), waveform=waveform)
     machine = replace(MACHINE, sensor=replace(MACHINE.sensor, response_s=response_s))
     monitor = Monitor(engine, machine, OpenLoop(ForwardModel(machine, PARAMETERS.effects), PARAMETERS))
@@ -144,7 +185,7 @@ def test_without_a_weight_it_says_that_this_is_what_is_missing() -> None:
 def test_a_cell_stated_wrongly_is_a_contradiction_not_a_wrong_flow() -> None:
     """The machine file says 8 ms where the cell answers in 0.2 ms."""
     engine = replace(EngineSettings(), sweep=replace(SweepSettings(), enabled=False),
-                     waveform=replace(WaveformSettings(), enabled=True, contradiction_windows=5))  # fmt: skip
+                     waveform=replace(WaveformSettings(), shape=LAW, enabled=True, contradiction_windows=5))  # fmt: skip
     monitor = Monitor(engine, MACHINE, OpenLoop(ForwardModel(MACHINE, PARAMETERS.effects), PARAMETERS))
     records = [r for frame in struck(2e-4) for r in records_in(monitor.feed(frame))]
     assert FaultCode.WAVEFORM_CONTRADICTS in records[-1].faults

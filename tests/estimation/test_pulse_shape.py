@@ -169,7 +169,9 @@ def test_a_calibrated_arrival_law_is_found_again() -> None:
             truth.waves(truth.start(flow / 1100.0, shift_s=0.02), SPEED, HOME), 1e-3 * np.ones(24), 1e4, SPEED, HOME
         )
         assert pulse_shape.estimate(pulses(arrival=law), wave).outside == said
-    assert law.outside(0.2, np.deg2rad(50.0)) == "plate at 50 deg, calibrated 70 to 70 deg"
+    assert law.outside(0.2, np.deg2rad(50.0), SPEED) == "plate at 50 deg, calibrated 70 to 70 deg"
+    assert law.outside(0.2, HOME, 330.0 * RPM) == "elevator at 330 rpm, calibrated 400 to 400 rpm"
+    assert not law.outside(0.2, HOME, 370.0 * RPM)
     with pytest.raises(ValueError, match="2 waves, expected more than 2"):
         pulse_shape.calibrate_arrival(pulses(), waves[:2], flows[:2].tolist(), terms=2)
 

@@ -151,7 +151,7 @@ WRONG = [
     (f"status: {{socket: /run/{'x' * 103}}}", "status.socket: has 108 bytes; expected at most 107"),
     ("gate: {certain_force_n: 0.5}", "gate.certain_force_n: 0.5; expected at least gate.grain_on_n, 1 N"),
     ("windows: {min_coverage: 1}", "windows.min_coverage: 1; expected at most windows.full_coverage, 0.98"),
-    ("[]", "[]; expected keys machine_file, parameter_file, estimator_file, moisture_map_file, units"),
+    ("[]", "[]; expected keys machine_file, parameter_file, estimator_file, moisture_map_file, pulse_shape_file, units"),
 ]  # fmt: skip
 
 
@@ -190,7 +190,7 @@ def test_check_config_prints_the_default(capsys):
     assert yaml.safe_load(capsys.readouterr().out)["bus"]["interface"] == "socketcan"
 
 
-@pytest.mark.parametrize("key", ["machine_file", "parameter_file", "moisture_map_file"])
+@pytest.mark.parametrize("key", ["machine_file", "parameter_file", "moisture_map_file", "pulse_shape_file"])
 def test_a_missing_file_that_the_configuration_names_is_one_line(written, key, tmp_path):
     with pytest.raises(InputError, match="No such file"):
         configuration.load(written(f"{key}: absent.yaml"), {})

@@ -8,6 +8,7 @@ import pytest
 
 from tests.service.bench import running
 from yieldmon.errors import InputError
+from yieldmon.estimation.pulse_shape import ShapeVerdict
 from yieldmon.service import commands, configuration
 from yieldmon.service.assembly import build_monitor
 from yieldmon.service.journal import Journal, Memory, recall
@@ -61,8 +62,10 @@ def test_status_and_records_say_what_there_is_and_why_the_rest_is_missing(tmp_pa
         bench.played()
         seen, rows = bench.status["waveform"], bench.rows
     assert seen["kernel_verdict"] == "too_early"
+    assert seen["shape_verdict"] in {verdict.name.lower() for verdict in ShapeVerdict}
+    assert (seen["shape_verdict"] == "used") is (seen["shape_flow_kg_s"] is not None)
     assert seen["kernel_missing_because"]
     assert (seen["shape_flow_kg_s"] is None) is bool(seen["shape_missing_because"])
     assert rows[-1]["mean_force_flow_kg_s"] > 0.0
-    assert {"shape_volume_flow_m3_s", "kernel_verdict", "thousand_kernel_weight_g"} <= set(rows[-1])
+    assert {"shape_volume_flow_m3_s", "shape_verdict", "kernel_verdict", "thousand_kernel_weight_g"} <= set(rows[-1])
     assert rows[-1]["thousand_kernel_weight_g"] == 300.0

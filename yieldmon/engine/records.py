@@ -21,6 +21,7 @@ from yieldmon.engine.scale_alarm import ScaleCheck
 from yieldmon.estimation.kernel_noise import KernelVerdict
 from yieldmon.estimation.open_loop import FlowEstimate
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.pulse_shape import ShapeVerdict
 from yieldmon.estimation.steady_drift import Advance
 from yieldmon.frames import EstimateQuality, OperatingState
 from yieldmon.physics.machine import RPM
@@ -139,7 +140,7 @@ class WindowRecord:
     the masses.
     area_m2: harvested for the second's grain (engine.area).
     shape_*, kernel_*: flow from the pulses' shape and from kernel noise, beside that of the mean force alone (mean_force_*).
-    kernel_verdict: whether kernel noise gives one, else why not.
+    shape_verdict, kernel_verdict: whether either gives one, else why not.
     """
 
     window: int = second_field(lambda s: s.number, "whole", row=None)
@@ -199,6 +200,9 @@ class WindowRecord:
     thousand_kernel_weight_g: float = second_field(lambda s: s.waveform.kernel_weight_g, "known", since=10)
     kernel_verdict: KernelVerdict = second_field(  # noqa: RUF009
         lambda s: s.waveform.kernels, "verdict", since=10, default=KernelVerdict.NOT_LOOKED_AT
+    )
+    shape_verdict: ShapeVerdict = second_field(  # noqa: RUF009
+        lambda s: s.waveform.shape, "verdict", since=11, default=ShapeVerdict.NOT_LOOKED_AT
     )
 
 

@@ -7,8 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from yieldmon.engine.flow_filter import FlowFilterSettings
+
+if TYPE_CHECKING:
+    from yieldmon.estimation.pulse_shape import ArrivalLaw
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,6 +272,10 @@ class WaveformSettings:
     """Mean time for which grain goes on pushing once it has struck; 3 to 8 ms in discrete elements."""
     tail_sd: float = 1.0
     """Standard deviation of its logarithm."""
+    shape_terms: bool = False
+    """Stretch and tail by the terms of `shape`, with its covariance, in place of the four above."""
+    shape: ArrivalLaw | None = None
+    """Law and range of the pulse-shape file; outside the range, or without one, the shape gives no flow."""
     response_error: float = 0.05
     """Relative standard deviation of the cell's time constant, which the machine file states."""
     largest_misfit: float = 4.0

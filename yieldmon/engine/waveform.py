@@ -22,7 +22,7 @@ from yieldmon.estimation import kernel_noise
 from yieldmon.estimation.channel_combination import combine, relative_covariance
 from yieldmon.estimation.kernel_noise import Density, KernelImpulse, KernelNoiseSettings, KernelVerdict
 from yieldmon.estimation.pattern_fold import FoldedPattern, fold, harmonics_of, residual
-from yieldmon.estimation.pulse_shape import ArrivalLaw, PulseEstimate, PulseModel, PulseSettings, estimate
+from yieldmon.estimation.pulse_shape import ArrivalLaw, PulseEstimate, PulseModel, PulseSettings, ShapeVerdict, estimate
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 
@@ -50,15 +50,17 @@ class WaveformReading:
     """What a window's samples say; nan where they say nothing.
 
     volume_m3_s, volume_std_dev_m3_s: volume flow on the paddles. shape_kg_s, shape_std_dev_kg_s: the same times density, the
-    density's standard deviation in it. shape_reason: why there is none. kernels_kg_s, kernels_std_dev_kg_s: from kernel noise.
-    kernels, kernels_reason: whether it gives a flow, and why not. kernel_weight_g: of a thousand kernels, as used. mean_kg_s,
-    mean_std_dev_kg_s: by the mean force alone. combined_kg_s, combined_std_dev_kg_s: mean force and shape together.
-    contradiction: of shape and mean force, over the last windows; empty where they agree. stretch: the one with which the shape's
-    flow would be that of the mean force, median over the same windows.
+    density's standard deviation in it. shape, shape_reason: whether there is one, and why not. kernels_kg_s,
+    kernels_std_dev_kg_s: from kernel noise. kernels, kernels_reason: whether it gives a flow, and why not. kernel_weight_g:
+    of a thousand kernels, as used. mean_kg_s, mean_std_dev_kg_s: by the mean force alone. combined_kg_s,
+    combined_std_dev_kg_s: mean force and shape together. contradiction: of shape and mean force, over the last windows; empty
+    where they agree. stretch: the one with which the shape's flow would be that of the mean force, median over the same
+    windows.
     """
 
     volume_m3_s: float = _NAN
     volume_std_dev_m3_s: float = _NAN
+    shape: ShapeVerdict = ShapeVerdict.NOT_LOOKED_AT
     shape_reason: str = ""
     shape_kg_s: float = _NAN
     shape_std_dev_kg_s: float = _NAN
@@ -76,12 +78,19 @@ class WaveformReading:
 
 
 NOTHING = WaveformReading()
+
+
+def _without(verdict: ShapeVerdict, reason: str, kernels: KernelVerdict = KernelVerdict.NOT_LOOKED_AT) -> WaveformReading:
+    return WaveformReading(shape=verdict, shape_reason=reason, kernels=kernels, kernels_reason=reason)
+
+
 _NO_TRACE = "samples are missing, or more than one sensor carries the plate"
 _NO_ZERO = "no zero-load voltage, or the sensor is out of range"
 _NO_GRAIN = "no grain"
 _NOT_STILL = "no flow from the mean force, or the plate moves"
 _NO_PULSES = "no pulse of the model fits the samples"
 _FEW_TURNS = "the window holds fewer than two turns of the paddle pattern"
+_NO_RANGE = "no pulse-shape file says for which loads and plate angles the shape is calibrated"
 _NO_WEIGHT = "no thousand-kernel weight is known"
 
 
@@ -102,6 +111,7 @@ class Waveform:
             bias=settings.kernel_bias,
             bias_sd=settings.kernel_bias_sd,
         )
+        self._law = _law_of(settings)
         self._pulses: PulseModel | None = None
         self._estimator: FlowEstimator | None = None
         self._last: PulseEstimate | None = None
@@ -121,22 +131,22 @@ class Waveform:
     def _seen(self, reading: Reading, flow: Flow, estimator: FlowEstimator) -> WaveformReading:
         trace = reading.window.trace
         if trace is None:
-            return WaveformReading(shape_reason=_NO_TRACE, kernels_reason=_NO_TRACE)
+            return _without(ShapeVerdict.NO_SAMPLES, _NO_TRACE)
         if trace.samples_mv.size < _SEGMENT:
             few = f"{trace.samples_mv.size} samples a second, at least {_SEGMENT} are needed"
-            return WaveformReading(shape_reason=few, kernels=KernelVerdict.NO_BAND, kernels_reason=few)
+            return _without(ShapeVerdict.NO_SAMPLES, few, KernelVerdict.NO_BAND)
         if reading.zero is None or not reading.in_range:
-            return WaveformReading(shape_reason=_NO_ZERO, kernels_reason=_NO_ZERO)
+            return _without(ShapeVerdict.NO_SAMPLES, _NO_ZERO)
         force_n = (trace.samples_mv - reading.zero.zero_mv) * self._machine.sensor.gain_n_per_mv
         if not reading.harvesting:
             self._last = None
             self._sums[:], self._counts[:] = 0.0, 0.0
             self._see_empty(kernel_noise.density(force_n, trace.interval_s, segment=_SEGMENT), reading)
-            return WaveformReading(shape_reason=_NO_GRAIN, kernels_reason=_NO_GRAIN)
+            return _without(ShapeVerdict.NO_GRAIN, _NO_GRAIN)
         self._waiting.clear()
         if not (flow.rate_kg_s > 0.0 and reading.still):
             self._last = None
-            return WaveformReading(shape_reason=_NOT_STILL, kernels_reason=_NOT_STILL)
+            return _without(ShapeVerdict.NOT_STILL, _NOT_STILL)
         folded = fold(force_n, trace.phase, bins=_BINS)
         shape = self._shape(folded, reading, estimator)
         kernels = None if shape is None else self._kernels(force_n, self._aligned(trace, shape, reading), reading.force_n)
@@ -199,11 +209,7 @@ class Waveform:
                     model_error=settings.model_error,
                     cell_response_s=sensor.response_s,
                     sd=sd,
-                    arrival=ArrivalLaw(
-                        (log(settings.stretch),),
-                        (log(settings.tail_s),),
-                        (settings.stretch_sd**2, settings.tail_sd**2, 0.0),
-                    ),
+                    arrival=self._law,
                 ),
             )
             self._estimator, self._last = estimator, None
@@ -250,36 +256,67 @@ class Waveform:
         rate, std_dev = mean_flow.rate_kg_s, mean_flow.std_dev_kg_s
         seen = WaveformReading(mean_kg_s=rate, mean_std_dev_kg_s=std_dev, kernel_weight_g=self._weight_g(reading) or _NAN)
         if shape is not None and isfinite(shape.volume_flow_m3_s):
-            parameters = estimator.parameters
-            flow = shape.volume_flow_m3_s * parameters.values["density"]
-            flow_sd = flow * hypot(shape.relative_sd, sqrt(relative_covariance(parameters)[0]))
-            exponent = _exponent(mean_flow)
-            together = combine(rate, std_dev / rate, flow, shape.relative_sd, exponent=exponent, parameters=parameters)
-            seen = replace(
-                seen,
-                volume_m3_s=shape.volume_flow_m3_s,
-                volume_std_dev_m3_s=shape.volume_flow_m3_s * shape.relative_sd,
-                shape_kg_s=flow,
-                shape_std_dev_kg_s=flow_sd,
-                combined_kg_s=together.mass_flow_kg_s,
-                combined_std_dev_kg_s=together.mass_flow_kg_s * together.relative_sd,
-                contradiction=self._contradiction(together.z, shape.misfit),
-                stretch=self._agreeing_stretch(shape, rate / parameters.values["density"]),
-            )
-        elif reading.window.coverage >= _WHOLE:
-            seen = replace(seen, shape_reason=_NO_PULSES, contradiction=self._contradiction(0.0, _NO_FIT))
+            seen = self._with_shape(seen, shape, reading, mean_flow, estimator)
+        elif reading.window.coverage < _WHOLE:
+            seen = replace(seen, shape=ShapeVerdict.FEW_TURNS, shape_reason=_FEW_TURNS)
+        elif of_mean := self._outside(rate / estimator.parameters.values["density"], reading, estimator):
+            seen = replace(seen, shape=ShapeVerdict.OUTSIDE_CALIBRATION, shape_reason=of_mean)
         else:
-            seen = replace(seen, shape_reason=_FEW_TURNS)
-        return self._with_kernels(seen, reading, kernels)
+            no_fit = self._contradiction(0.0, _NO_FIT)
+            seen = replace(seen, shape=ShapeVerdict.NO_PULSES, shape_reason=_NO_PULSES, contradiction=no_fit)
+        missing = seen.shape_reason if shape is None else ""
+        return self._with_kernels(seen, reading, kernels, missing)
+
+    def _with_shape(
+        self, seen: WaveformReading, shape: PulseEstimate, reading: Reading, mean_flow: Flow, estimator: FlowEstimator
+    ) -> WaveformReading:
+        """A fit's flow, alone and with the mean force; none where either of them lies outside the calibrated range."""
+        parameters = estimator.parameters
+        density = parameters.values["density"]
+        rate, relative_sd, flow = (
+            mean_flow.rate_kg_s,
+            mean_flow.std_dev_kg_s / mean_flow.rate_kg_s,
+            shape.volume_flow_m3_s * density,
+        )
+        exponent = _exponent(mean_flow)
+        together = combine(rate, relative_sd, flow, shape.relative_sd, exponent=exponent, parameters=parameters)
+        of_mean = self._outside(rate / density, reading, estimator)
+        if not of_mean:
+            # There the law holds, and a shape that finds itself outside speaks against the mean force all the same.
+            against = self._contradiction(together.z, shape.misfit)
+            seen = replace(seen, contradiction=against, stretch=self._agreeing_stretch(shape, rate / density))
+        if outside := of_mean or shape.outside:
+            return replace(seen, shape=ShapeVerdict.OUTSIDE_CALIBRATION, shape_reason=outside)
+        return replace(
+            seen,
+            shape=ShapeVerdict.USED,
+            volume_m3_s=shape.volume_flow_m3_s,
+            volume_std_dev_m3_s=shape.volume_flow_m3_s * shape.relative_sd,
+            shape_kg_s=flow,
+            shape_std_dev_kg_s=flow * hypot(shape.relative_sd, sqrt(relative_covariance(parameters)[0])),
+            combined_kg_s=together.mass_flow_kg_s,
+            combined_std_dev_kg_s=together.mass_flow_kg_s * together.relative_sd,
+        )
+
+    def _outside(self, volume_flow_m3_s: float, reading: Reading, estimator: FlowEstimator) -> str:
+        """Why the shape says nothing at a volume flow; empty where it does."""
+        if self._settings.shape is None:
+            return _NO_RANGE
+        speed = reading.window.speed_rad_s
+        fill = self._model(estimator).mean_fill(volume_flow_m3_s, speed)
+        return self._law.outside(fill, reading.window.plate_angle_rad, speed)
 
     def _weight_g(self, reading: Reading) -> float:
         """Of a thousand kernels: as a frame says of late, else as last told; 0: not known."""
         heard = reading.inputs.fresh["thousand_kernel_weight"]
         return heard if isfinite(heard) else self.kernel_weight_g
 
-    def _with_kernels(self, seen: WaveformReading, reading: Reading, kernels: KernelImpulse | None) -> WaveformReading:
+    def _with_kernels(
+        self, seen: WaveformReading, reading: Reading, kernels: KernelImpulse | None, missing: str
+    ) -> WaveformReading:
+        """missing: why there is no fit, without which the pulses cannot be taken off."""
         if kernels is None:
-            early = seen.shape_reason or f"needs {self._settings.quiet_windows} s of the empty machine, and of grain"
+            early = missing or f"needs {self._settings.quiet_windows} s of the empty machine, and of grain"
             return replace(seen, kernels=KernelVerdict.TOO_EARLY, kernels_reason=early)
         if not kernels.usable:
             return replace(seen, kernels=kernels.verdict, kernels_reason=kernels.reason)
@@ -304,7 +341,7 @@ class Waveform:
         flow, stretch = (shape.names.index(name) for name in ("log_volume_flow", "log_stretch"))
         slope = shape.covariance[flow, stretch] / shape.covariance[flow, flow]
         moved = shape.values["log_stretch"] + slope * log(volume_flow_m3_s / shape.volume_flow_m3_s)
-        self._stretches.append(self._settings.stretch * exp(moved))
+        self._stretches.append(exp(moved) * (1.0 if self._settings.shape_terms else self._settings.stretch))
         return median(self._stretches)
 
     def _contradiction(self, z: float, misfit: float) -> str:
@@ -318,6 +355,19 @@ class Waveform:
         if off > self._settings.largest_misfit:
             return f"pulses are not of the model's shape (misfit {off:.0f}); is sensor.response_s of the machine right?"
         return ""
+
+
+def _law_of(settings: WaveformSettings) -> ArrivalLaw:
+    """How grain arrives: by the terms of the pulse-shape file, or one stretch and tail over the file's range."""
+    known = settings.shape or ArrivalLaw()
+    if settings.shape_terms and settings.shape is not None:
+        return known
+    return replace(
+        known,
+        stretch=(log(settings.stretch),),
+        tail=(log(settings.tail_s),),
+        covariance=(settings.stretch_sd**2, settings.tail_sd**2, 0.0),
+    )
 
 
 def _usable(found: PulseEstimate) -> bool:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from enum import IntEnum
 
 import numpy as np
 
@@ -44,6 +45,7 @@ _SHIFTS = 256
 _INDEX_REACH_S = 0.015
 _LEAST_FILL = 0.02
 _BEYOND_FILL = 1.1
+_BEYOND_SPEED = 1.1
 _BEYOND_ANGLE_RAD = float(np.deg2rad(5.0))
 TERMS = 14
 """Of an `ArrivalLaw`."""
@@ -51,6 +53,19 @@ ONE_GRAIN = 6
 """The first terms of a law: those that loads and plate angles of one grain at one speed can tell apart."""
 SEVERAL_GRAINS = (tuple(range(TERMS)), (0, 1, 2, 3, 4, 8, 9), (0, 1, 2, 3, 4, 5, 8, 9))
 """Terms of stretch, tail and delay for a calibration over loads, plate angles, speeds and frictions."""
+
+
+class ShapeVerdict(IntEnum):
+    """Whether the pulses' shape gives a volume flow, else what stands in the way."""
+
+    NOT_LOOKED_AT = 0
+    USED = 1
+    NO_SAMPLES = 2
+    NO_GRAIN = 3
+    NOT_STILL = 4
+    NO_PULSES = 5
+    FEW_TURNS = 6
+    OUTSIDE_CALIBRATION = 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,8 +96,8 @@ class ArrivalLaw:
         Elevator speed (rad/s) and friction at which r and p are 0.
     fills : tuple of 2 float
         Least and largest load over a full paddle that was calibrated; (0, inf) where the law is not from a calibration.
-    plate_angles_rad : tuple of 2 float
-        The same for the plate angle.
+    plate_angles_rad, elevator_speeds_rad_s : tuple of 2 float
+        The same for plate angle and elevator speed.
     """
 
     stretch: tuple[float, ...] = ()
@@ -93,6 +108,7 @@ class ArrivalLaw:
     reference: tuple[float, float] = (400.0 * RPM, 0.3)
     fills: tuple[float, float] = (0.0, float("inf"))
     plate_angles_rad: tuple[float, float] = (-float("inf"), float("inf"))
+    elevator_speeds_rad_s: tuple[float, float] = (0.0, float("inf"))
 
     def conditions(self, plate_angle_rad: float, elevator_speed_rad_s: float, friction: float) -> tuple[float, float, float]:
         """c, r and p of the laws."""
@@ -113,8 +129,11 @@ class ArrivalLaw:
             return np.zeros(np.shape(fill))
         return np.asarray(np.exp(_law(self.tail, fill, conditions)[0]))
 
-    def outside(self, fill: float, plate_angle_rad: float) -> str:
-        """Why the law says nothing there; empty where it does."""
+    def outside(self, fill: float, plate_angle_rad: float, elevator_speed_rad_s: float) -> str:
+        """Why the law says nothing there; empty where it does.
+
+        Loads and speeds may lie beyond those of the calibration by a tenth, plate angles by 5 degrees.
+        """
         least, largest = self.fills
         if not least / _BEYOND_FILL <= fill <= largest * _BEYOND_FILL:
             return f"load {fill:.2f} of a full paddle, calibrated {least:.2f} to {largest:.2f}"
@@ -122,6 +141,10 @@ class ArrivalLaw:
         if not low - _BEYOND_ANGLE_RAD <= plate_angle_rad <= high + _BEYOND_ANGLE_RAD:
             shown, first, last = np.rad2deg([plate_angle_rad, low, high])
             return f"plate at {shown:.0f} deg, calibrated {first:.0f} to {last:.0f} deg"
+        slow, fast = self.elevator_speeds_rad_s
+        if not slow / _BEYOND_SPEED <= elevator_speed_rad_s <= fast * _BEYOND_SPEED:
+            shown, first, last = np.array([elevator_speed_rad_s, slow, fast]) / RPM
+            return f"elevator at {shown:.0f} rpm, calibrated {first:.0f} to {last:.0f} rpm"
         return ""
 
 
@@ -231,7 +254,8 @@ class PulseEstimate:
         Root of the summed squares of the residual harmonics over that of the harmonics.
     converged : bool
     outside : str
-        Why the volume flow is not to be used: the fit lies outside the loads or plate angles of the arrival law's calibration.
+        Why the volume flow is not to be used: the fit lies outside the loads, plate angles or speeds of the arrival law's
+        calibration.
         Empty where it lies inside.
     """
 
@@ -562,7 +586,9 @@ def _result(pulses: PulseModel, wave: PatternWave, theta: Array, at: _Linear, co
         relative_residual=float(np.linalg.norm(wave.amplitudes_n - at.waves)) / size if size > 0.0 else float("nan"),
         converged=converged,
         outside=pulses.settings.arrival.outside(
-            pulses.mean_fill(float(np.exp(theta[_FLOW])), wave.elevator_speed_rad_s), wave.plate_angle_rad
+            pulses.mean_fill(float(np.exp(theta[_FLOW])), wave.elevator_speed_rad_s),
+            wave.plate_angle_rad,
+            wave.elevator_speed_rad_s,
         ),
     )
 
@@ -643,7 +669,7 @@ def calibrate_arrival(
     Returns
     -------
     ArrivalLaw
-        covariance from the residuals; fills and plate_angles_rad those of the waves.
+        covariance from the residuals; fills, plate_angles_rad and elevator_speeds_rad_s those of the waves.
 
     Raises
     ------
@@ -673,7 +699,7 @@ def calibrate_arrival(
         laws.append(tuple(float(v) for v in whole))
         left.append((target - table @ found) / np.sqrt(len(waves) - len(places)))
     spread, indexed = np.array(left) @ np.array(left).T, models[0].settings.indexed
-    angles = [wave.plate_angle_rad for wave in waves]
+    angles, speeds = [wave.plate_angle_rad for wave in waves], [wave.elevator_speed_rad_s for wave in waves]
     return ArrivalLaw(
         laws[0],
         laws[1],
@@ -682,6 +708,7 @@ def calibrate_arrival(
         delay_sd_s=float(np.sqrt(spread[2, 2])) if indexed else 0.0,
         fills=(min(fills), max(fills)),
         plate_angles_rad=(min(angles), max(angles)),
+        elevator_speeds_rad_s=(min(speeds), max(speeds)),
     )
 
 

@@ -26,7 +26,8 @@ from yieldmon.estimation.drift_rates import DriftRates
 from yieldmon.estimation.flow_curve import FlowCurve, with_curve
 from yieldmon.estimation.moisture import MoistureMap
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.files import flow_curve_file, machine_file, moisture_file, parameter_file, strict_yaml
+from yieldmon.estimation.pulse_shape import ArrivalLaw
+from yieldmon.files import flow_curve_file, machine_file, moisture_file, parameter_file, pulse_shape_file, strict_yaml
 from yieldmon.physics.machine import SAME_ANGLE_RAD, Machine
 from yieldmon.resources import shipped
 from yieldmon.service.control import LONGEST_SOCKET_BYTES
@@ -107,6 +108,7 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
     curve = flow_curve_file.load(curve_path) if curve_path is not None else None
     named = document.moisture_map_file
     moisture_map = moisture_file.load(path.parent / named) if named is not None else None
+    shape = pulse_shape_file.load(_beside(path, document.pulse_shape_file, pulse_shape_file.SHIPPED))
     mapping, databases = signal_map(document.signals, path, machine, document.plate.fixed_angle_deg)
     outputs, written = output_map(
         document.outputs.signals, path, machine, mapping,
@@ -126,7 +128,7 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
     return Configuration(
         path=path,
         document=document,
-        engine=_fitted(engine_settings(document), document, mapping),
+        engine=_with_shape(_fitted(engine_settings(document), document, mapping), shape),
         signals=mapping,
         outputs=outputs,
         database_paths=tuple(dict.fromkeys((*databases, *written))),
@@ -212,6 +214,10 @@ def _fitted(settings: EngineSettings, document: Document, mapping: SignalMap) ->
     return settings
 
 
+def _with_shape(settings: EngineSettings, shape: ArrivalLaw) -> EngineSettings:
+    return dataclasses.replace(settings, waveform=dataclasses.replace(settings.waveform, shape=shape))
+
+
 def _without_sweeps(settings: EngineSettings) -> EngineSettings:
     return dataclasses.replace(settings, sweep=dataclasses.replace(settings.sweep, enabled=False))
 
@@ -248,8 +254,8 @@ def calibrator_settings(document: Document, moisture_map: MoistureMap | None = N
 def document_text() -> str:
     """The default configuration as YAML, with the meaning, range and unit of every key."""
     lines = [
-        "# Configuration of yieldmon, with its defaults. Keys may be left out. Check a changed file with",
-        "# `yieldmon check-config FILE`; a running service takes it with `systemctl reload yieldmon`.",
+        "# Configuration of yieldmon, with its defaults. Keys may be left out, files are relative to this one. Check a changed",
+        "# file with `yieldmon check-config FILE`; a running service takes it with `systemctl reload yieldmon`.",
         "",
     ]
     for name, field in Document.model_fields.items():

@@ -431,10 +431,11 @@ class Waveform(Section):
     stretch_sd: float = quantity(_V.stretch_sd, 0.0, 1.0, "1", "relative deviation; 0.03 once calibrated")
     tail_s: float = quantity(_V.tail_s, 1e-4, 0.1, "s", "mean time for which grain pushes after striking")
     tail_sd: float = quantity(_V.tail_sd, 0.0, 3.0, "1", "deviation of its logarithm")
+    shape_terms: bool = choice(_V.shape_terms, "stretch and tail by pulse_shape_file instead")
     response_error: float = quantity(_V.response_error, 0.001, 1.0, "1", "relative deviation of the cell's response_s")
-    largest_misfit: float = quantity(_V.largest_misfit, 1.0, 1000.0, "1", "misfit above which the pulses are not the model's")
+    largest_misfit: float = quantity(_V.largest_misfit, 1.0, 1000.0, "1", "misfit above which pulses contradict")
     contradiction_windows: int = quantity(_V.contradiction_windows, 5, 3600, "s", "windows compared")
-    contradiction_z: float = quantity(_V.contradiction_z, 1.0, 20.0, "1", "standard deviations that count as a contradiction")
+    contradiction_z: float = quantity(_V.contradiction_z, 1.0, 20.0, "1", "standard deviations that contradict")
     thousand_kernel_weight_g: float = quantity(
         _V.thousand_kernel_weight_g, 0.0, 2000.0, "g", "mass of a thousand kernels; 0: not known"
     )
@@ -530,15 +531,16 @@ else:
 class Document(Section):
     """The whole file. Every key may be left out; its default is shown here."""
 
-    machine_file: str | None = text(None, "machine geometry; null: the shipped 8-tooth sprocket; relative to this file")
-    parameter_file: str | None = text(None, "grain parameters; null: the shipped corn; relative to this file")
+    machine_file: str | None = text(None, "machine geometry; null: the shipped 8-tooth sprocket")
+    parameter_file: str | None = text(None, "grain parameters; null: the shipped corn")
     estimator_file: str | None = text(
         None,
-        "curve that gives the flow (`calibrate --estimator`); null: the physics; relative to this file",
+        "curve that gives the flow (`calibrate --estimator`); null: the physics",
     )
     moisture_map_file: str | None = text(
-        None, "how parameters change with moisture (`calibrate --by-moisture`); null: they do not; relative to this file"
+        None, "how parameters change with moisture (`calibrate --by-moisture`); null: they do not"
     )
+    pulse_shape_file: str | None = text(None, "pulses' shape and its calibrated range; null: the shipped one")
     units: Literal["metric", "us"] = choice("metric", "that people are shown; documents (JSON), tables and frames stay in SI")
     bus: Bus = Bus()
     signals: dict[str, Any] = Field(
@@ -578,5 +580,5 @@ ENGINE_SECTIONS = (
     "disagreement", "waveform",
 )  # fmt: skip
 
-#: Settings of the engine that the protocol fixes; the file has no key for them.
-FIXED_BY_THE_FRAMES = frozenset({"windows.window_s", "plate.command_counter_modulus"})
+#: Settings of the engine that the protocol fixes, or that come from a file of their own; their section has no key for them.
+FIXED_BY_THE_FRAMES = frozenset({"windows.window_s", "plate.command_counter_modulus", "waveform.shape"})

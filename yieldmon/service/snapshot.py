@@ -207,6 +207,7 @@ def _waveform(monitor: Monitor) -> StatusWaveform | None:
         "shape_volume_std_dev_m3_s": _finite(seen.volume_std_dev_m3_s),
         "shape_flow_kg_s": _finite(seen.shape_kg_s),
         "shape_std_dev_kg_s": _finite(seen.shape_std_dev_kg_s),
+        "shape_verdict": seen.shape.name.lower(),
         "shape_missing_because": seen.shape_reason or None,
         "kernel_flow_kg_s": _finite(seen.kernels_kg_s),
         "kernel_std_dev_kg_s": _finite(seen.kernels_std_dev_kg_s),
