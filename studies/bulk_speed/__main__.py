@@ -24,11 +24,13 @@ import time
 from collections.abc import Iterator
 from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
 import asammdf
 import can
 import cantools
 import numpy as np
+from cantools.database.can import Database
 
 from yieldmon.bus.bulk import FrameBlock, block_of, concatenate, messages_of
 from yieldmon.bus.candump import EXTENDED_FLAG
@@ -66,11 +68,11 @@ def foreign(folder: Path) -> FrameBlock:
     while at_s < TILE_S:
         for block in recorded:
             times = np.maximum.accumulate(block.time_s - block.time_s[0])
-            kept = block.take(block.length <= 8)
+            kept = block.take(np.flatnonzero(block.length <= 8))
             parts.append(FrameBlock(times[block.length <= 8] + at_s, kept.can_id, kept.length, kept.payload, kept.channel, ("",)))
             at_s += float(times[-1]) + 0.01
     whole = concatenate(parts)
-    return whole.take(whole.time_s < TILE_S)
+    return whole.take(np.flatnonzero(whole.time_s < TILE_S))
 
 
 def tile(folder: Path) -> tuple[FrameBlock, float]:
@@ -148,13 +150,14 @@ def reading_alone(path: Path) -> float:
 def obvious_loop(path: Path) -> tuple[float, int]:
     """CPU seconds and frames: python-can reads, cantools decodes what is ours; no engine."""
     database = cantools.database.load_file(shipped("dbc/yieldmon.dbc"))
+    assert isinstance(database, Database)
     names = {message.frame_id for message in database.messages}
     began, count = time.process_time(), 0
     with can.LogReader(path) as reader:
         for message in reader:
             count += 1
             if message.arbitration_id in names:
-                database.decode_message(message.arbitration_id, message.data, decode_choices=False)
+                database.decode_message(message.arbitration_id, bytes(message.data), decode_choices=False)
             if count >= SAMPLE_FRAMES:
                 break
     return time.process_time() - began, count
@@ -221,7 +224,7 @@ def _figures(rows_s: float, read_s: float, frames: int) -> dict[str, float]:
     }
 
 
-def _text(document: dict) -> str:
+def _text(document: dict[str, Any]) -> str:
     lines = [
         f"{document['frames']} frames, {100 * document['share_of_ours']:.0f} % ours, {document['seconds_of_log']} s of log; "
         f"rows from text and packed frames equal: {document['rows_equal']}; peak memory {document['peak_memory_mb']:.0f} MB",

@@ -155,7 +155,7 @@ def collect(plan: campaign.Campaign, ledger: campaign.Ledger, folder: Path, name
             campaign.write_csv(folder / f"{name}_{part}.csv", table)
     grains = campaign.grain_arrays(plan, ledger)
     if grains:
-        np.savez_compressed(folder / f"{name}_grains.npz", **grains)
+        np.savez_compressed(folder / f"{name}_grains.npz", **grains)  # type: ignore[arg-type]  # the stub takes a column for `allow_pickle`
     histories = folder / f"{name}_forces.csv"
     campaign.write_csv(histories, campaign.history_rows(plan, ledger))
     with gzip.GzipFile(f"{histories}.gz", "wb", mtime=0) as packed:

@@ -13,12 +13,13 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise, product
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 
 from studies.dem import stages
 from studies.dem.job import Grain
@@ -100,7 +101,7 @@ def published_release(radius: np.ndarray, friction: float, speed_rpm: float) -> 
     return tau / (speed_rpm * RPM), np.hypot(vx, vy) / tip, np.degrees(np.arctan2(vy, vx))
 
 
-def save(figure: plt.Figure, name: str) -> None:
+def save(figure: Figure, name: str) -> None:
     PICTURES.mkdir(parents=True, exist_ok=True)
     figure.savefig(PICTURES / f"{name}.png", dpi=110, metadata={"Software": None})
     plt.close(figure)
@@ -172,7 +173,7 @@ def section_release() -> dict[str, str]:
         ("layer",),
         ("let_go_radius_over_l", "lead_deg", "travel_s", "speed_over_tip", "below_horizontal_deg", "below_horizontal_sd_deg"),
     ):
-        t, v, angle = (float(q[0]) for q in published_release(np.array([rho]), 0.3, 400.0))
+        t, v, angle_deg = (float(q[0]) for q in published_release(np.array([rho]), 0.3, 400.0))
         body.append(
             (
                 f"{layer:.0f}",
@@ -183,7 +184,7 @@ def section_release() -> dict[str, str]:
                 f"{speed:.3f}",
                 f"{v:.3f}",
                 f"{below:.1f} ± {spread:.1f}",
-                f"{angle:.1f}",
+                f"{angle_deg:.1f}",
             )
         )
     blocks.append(
@@ -205,17 +206,17 @@ def section_release() -> dict[str, str]:
     summary = []
     for speed_rpm, friction in sorted({(a, b) for a, b in zip(layers["elevator_speed_rpm"], layers["friction"], strict=True)}):
         part = select(layers, elevator_speed_rpm=speed_rpm, friction=friction)
-        t, v, angle = published_release(part["let_go_radius_over_l"], friction, speed_rpm)
+        times, speeds, angles = published_release(part["let_go_radius_over_l"], friction, speed_rpm)
         summary.append(
             (
                 f"{speed_rpm:.0f}",
                 f"{friction:.2f}",
-                f"{100 * np.mean(part['travel_s'] / t - 1):+.1f}",
-                f"{100 * np.std(part['travel_s'] / t):.1f}",
-                f"{100 * np.mean(part['speed_over_tip'] / v - 1):+.1f}",
-                f"{100 * np.std(part['speed_over_tip'] / v):.1f}",
-                f"{np.mean(part['below_horizontal_deg'] - angle):+.1f}",
-                f"{np.std(part['below_horizontal_deg'] - angle):.1f}",
+                f"{100 * np.mean(part['travel_s'] / times - 1):+.1f}",
+                f"{100 * np.std(part['travel_s'] / times):.1f}",
+                f"{100 * np.mean(part['speed_over_tip'] / speeds - 1):+.1f}",
+                f"{100 * np.std(part['speed_over_tip'] / speeds):.1f}",
+                f"{np.mean(part['below_horizontal_deg'] - angles):+.1f}",
+                f"{np.std(part['below_horizontal_deg'] - angles):.1f}",
             )
         )
     blocks.append(
@@ -223,12 +224,12 @@ def section_release() -> dict[str, str]:
     )
     leads = leads_table()
     figure, axes = plt.subplots(1, 3, figsize=(12.5, 3.8), layout="constrained")
-    rho = np.linspace(0.45, 0.985, 120)
+    radii = np.linspace(0.45, 0.985, 120)
     columns = ("travel_s", "speed_over_tip", "below_horizontal_deg")
     labels = ("travel time to the tip, ms", "speed at release / tip speed", "direction, deg below horizontal")
-    for axis, column, curve, label in zip(axes, columns, published_release(rho, 0.3, 400.0), labels, strict=True):
+    for axis, column, curve, label in zip(axes, columns, published_release(radii, 0.3, 400.0), labels, strict=True):
         factor = 1e3 if column == "travel_s" else 1.0
-        axis.plot(rho, factor * curve, "k-", label="published")
+        axis.plot(radii, factor * curve, "k-", label="published")
         part = select(layers, elevator_speed_rpm=400.0, friction=0.3)
         for mass in np.unique(part["paddle_mass_kg"]):
             one = select(part, paddle_mass_kg=mass)
@@ -349,7 +350,7 @@ def section_impact() -> dict[str, str]:
         part = select(rows, elevator_speed_rpm=speed, friction=friction)
         for mass in np.unique(part["paddle_mass_kg"]):
             one = select(part, paddle_mass_kg=mass)
-            ratio = dict(means(one, ("plate_angle_deg",), ("impact_ratio",)))
+            ratio = {cell[0]: cell[1] for cell in means(one, ("plate_angle_deg",), ("impact_ratio",))}
             body.append(
                 (
                     f"{speed:.0f}",
@@ -377,8 +378,8 @@ def section_impact() -> dict[str, str]:
     axes[0].legend(fontsize=8)
     part = select(rows, elevator_speed_rpm=400.0, friction=0.3)
     for mass in np.unique(part["paddle_mass_kg"]):
-        one = np.array(means(select(part, paddle_mass_kg=mass), ("plate_angle_deg",), ("momentum_kg_m_s",)))
-        axes[1].plot(one[:, 0], one[:, 1] / mass, "o-", ms=4, label=f"{mass:g} kg")
+        curve = np.array(means(select(part, paddle_mass_kg=mass), ("plate_angle_deg",), ("momentum_kg_m_s",)))
+        axes[1].plot(curve[:, 0], curve[:, 1] / mass, "o-", ms=4, label=f"{mass:g} kg")
     axes[1].set(xlabel="plate angle, deg", ylabel="normal-only momentum per kg, m/s")
     axes[1].legend(fontsize=8)
     for axis in axes:
@@ -409,6 +410,7 @@ def section_clumps() -> dict[str, str]:
     """The clumped kernel beside single spheres: heap, release, impulse, and the profile of the published table."""
     heaps, releases, impulses, gains = [], [], [], []
     cells: dict[str, dict[tuple[float, float], float]] = {}
+    columns: tuple[str, ...]
     for name, prefix, kernel in KERNELS:
         columns = ("inner_radius_m", "reach_deg", "shape_ratio", "straightness_mm", "bulk_density_kg_m3")
         for mass, h0, reach, ratio, rough, density in means(of_kernel(prefix, kernel, "_heaps"), ("paddle_mass_kg",), columns):
@@ -431,8 +433,8 @@ def section_clumps() -> dict[str, str]:
             "angle": layers["below_horizontal_deg"] - angle,
         }
         rows = of_kernel(prefix, kernel)
-        below = "release_below_horizontal"
-        columns = ("release_speed_m_s", f"{below}_deg", f"{below}_sd_deg", "stream_thickness_kernels")
+        direction = "release_below_horizontal"
+        columns = ("release_speed_m_s", f"{direction}_deg", f"{direction}_sd_deg", "stream_thickness_kernels")
         off = {mass: values for mass, *values in means(layers, ("paddle_mass_kg",), ("time", "speed", "angle"))}
         for mass, fast, below, spread, thick in means(rows, ("paddle_mass_kg",), columns):
             t, v, a = off[mass]
@@ -469,7 +471,7 @@ def section_clumps() -> dict[str, str]:
     ]
     draw_clumps(cells, loads)
 
-    def by_kernel(body: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    def by_kernel(body: Iterable[tuple[str, ...]]) -> list[tuple[str, ...]]:
         return sorted(body, key=lambda row: float(row[0]))
 
     header = [f"{a:.0f} deg" for a in angles]
@@ -869,12 +871,16 @@ SECTIONS: dict[str, Callable[[], dict[str, str]]] = {
 }
 
 
+def _filled(block: str, place: re.Match[str]) -> str:
+    return f"{place[1]}{block}\n{place[2]}"
+
+
 def fill(page: Path, blocks: dict[str, str]) -> None:
     """Puts each block between its markers in the page."""
     text = page.read_text(encoding="utf-8")
     for name, block in blocks.items():
         pattern = re.compile(rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)", re.S)
-        text, count = pattern.subn(lambda m, block=block: f"{m[1]}{block}\n{m[2]}", text)
+        text, count = pattern.subn(partial(_filled, block), text)
         if count == 0:
             print(f"dem-report: {page.name} has no place for {name}", file=sys.stderr)
     page.write_text(text, encoding="utf-8")

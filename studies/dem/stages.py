@@ -59,10 +59,17 @@ def _learn(names: tuple[str, ...], start: Sizes, residual: Callable[[Sizes], np.
         if name not in limits:
             parameter = effect_parameter(name)
             limits[name] = (parameter.lower, parameter.upper)
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        return residual(dict(zip(names, x, strict=True)))
+
     found = least_squares(
-        lambda x: residual(dict(zip(names, x, strict=True))), [start[n] for n in names], diff_step=1e-4,
-        bounds=tuple(zip(*(limits[n] for n in names), strict=True)), x_scale=[max(abs(start[n]), 0.1) for n in names],
-    )  # fmt: skip
+        residuals,
+        [start[n] for n in names],
+        diff_step=[1e-4] * len(names),
+        bounds=([limits[n][0] for n in names], [limits[n][1] for n in names]),
+        x_scale=[max(abs(start[n]), 0.1) for n in names],
+    )
     return {name: float(x) for name, x in zip(names, found.x, strict=True)}
 
 

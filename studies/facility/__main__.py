@@ -15,7 +15,14 @@ import argparse
 import json
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from yieldmon.estimation.parameters import ParameterSet
+    from yieldmon.physics.numerics import Array
+    from yieldmon.plant.scenario import Crop, Scenario
 
 ROOT = Path(__file__).resolve().parents[2]
 SEED = 20261121
@@ -25,7 +32,7 @@ FITTED = ("friction", "density", "restitution")
 FIXED = {"gravity.acceleration_m_s2": 9.81, "shape_ratio": 2.0}
 
 
-def measured(scenario, seed):  # type: ignore[no-untyped-def]
+def measured(scenario: Scenario, seed: int) -> dict[str, Array]:
     """The facility's table of a scenario's grain."""
     from studies.facility import facility
     from yieldmon.physics.machine import Machine
@@ -42,7 +49,7 @@ def measured(scenario, seed):  # type: ignore[no-untyped-def]
     )
 
 
-def from_truth(found, crop):  # type: ignore[no-untyped-def]
+def from_truth(found: ParameterSet, crop: Crop) -> tuple[float, float]:
     """Chi-square with three degrees of freedom of a calibration from the grain that it was made with, and its p."""
     import numpy as np
     from scipy.stats import chi2
@@ -53,7 +60,7 @@ def from_truth(found, crop):  # type: ignore[no-untyped-def]
     return square, float(chi2.sf(square, len(FITTED)))
 
 
-def of_crops():  # type: ignore[no-untyped-def]
+def of_crops() -> Iterator[dict[str, Any]]:
     """A row for each shipped crop whose paddle holds the facility's largest flow at its lowest speed."""
     import numpy as np
 

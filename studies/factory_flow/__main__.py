@@ -53,8 +53,8 @@ def load_dict(path: str, keys: list[str], values: list[str], delimiter: str) -> 
 def pysobus_parser(folder: str) -> Callable[[str], dict[str, float]]:
     """PySOBUS's parser as a function of a frame in hexadecimal: name of a value -> value."""
     tables, spanner = ModuleType("spanner.tables"), ModuleType("spanner")
-    tables.load_dict = load_dict  # type: ignore[attr-defined]
-    spanner.tables = tables  # type: ignore[attr-defined]
+    tables.__dict__["load_dict"] = load_dict
+    spanner.__dict__["tables"] = tables
     sys.modules["spanner"] = spanner
     sys.path.insert(0, folder)
     parser = importlib.import_module("pysobus.parser").Parser()

@@ -17,7 +17,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -28,6 +28,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from studies.facility.mean_force import shown_force_n
@@ -82,35 +83,38 @@ OWN_STRONG: dict[str, dict[str, float]] = {
 }
 """Sizes that change the force at one of a sweep's angles, over that at home, by 10 % at 10 kg/s and 400 rpm, without any other
 effect; cell_nonlinearity at its largest, which makes 3.7 %."""
+Array = NDArray[np.float64]
+Force = Callable[[Array, Array, Array], Array]
+"""Force, N, from flow (kg/s), angle (rad) and elevator speed (rad/s)."""
 DETAIL = Detail(masses=24, angles_deg=(36.0, 94.0, 13), speeds_rpm=(350.0, 450.0, 5), cells=96)
 
 
-def shown(machine: Machine, effects: dict[str, dict[str, float]]):  # type: ignore[no-untyped-def]
+def shown(machine: Machine, effects: dict[str, dict[str, float]]) -> Force:
     """Force, N, that the cell of a machine with these effects (and gravity) shows, from flow, angle and speed."""
     scene = scenario.from_mapping({"effects": {"gravity": "on", **effects}}, "fleet diagnosis")
     grain = scene.crop.grain.at_moisture(scene.crop.moisture_pct, None)
     table = PulseTable(machine, [Condition(scene.crop.moisture_pct, grain, scene.effects)], DETAIL)
 
-    def force(flow_kg_s, angle_rad, speed_rad_s):  # type: ignore[no-untyped-def]
+    def force(flow_kg_s: Array, angle_rad: Array, speed_rad_s: Array) -> Array:
         response_s, moisture = scene.sensor.response_s, scene.crop.moisture_pct
         return shown_force_n(table, scene.effects, flow_kg_s, angle_rad, speed_rad_s, response_s, moisture)
 
     return force
 
 
-def calibrated(machine: Machine, shipped: ParameterSet, force) -> ParameterSet:  # type: ignore[no-untyped-def]
+def calibrated(machine: Machine, shipped: ParameterSet, force: Force) -> ParameterSet:
     """The shipped parameters with the restitution that gives HOME_KG_S for the force that the plate at home shows."""
     model, at = ForwardModel(machine, shipped.effects), (machine.home_plate_angle_rad, machine.nominal_elevator_speed_rad_s)
     felt = float(force(np.array([HOME_KG_S]), np.array([at[0]]), np.array([at[1]]))[0])
     where = Conditions(*at, mass_flow_kg_s=HOME_KG_S)
 
     def missing(restitution: float) -> float:
-        return float(np.real(model.force(where, shipped.values | {"restitution": restitution}))) - felt
+        return float(np.real(model.force(where, {**shipped.values, "restitution": restitution}))) - felt
 
-    return replace(shipped, values=shipped.values | {"restitution": float(brentq(missing, 0.0, 1.0))})
+    return replace(shipped, values={**shipped.values, "restitution": float(brentq(missing, 0.0, 1.0))})
 
 
-def day_of(machine: Machine, force, rng: np.random.Generator) -> tuple[SecondRow, ...]:  # type: ignore[no-untyped-def]
+def day_of(machine: Machine, force: Force, rng: np.random.Generator) -> tuple[SecondRow, ...]:
     """The usable seconds of a day's sweeps, two a visit."""
     home_deg = float(np.degrees(machine.home_plate_angle_rad))
     sequence = np.array(sweep_sequence(SweepSettings().angles_deg, home_deg, 2))
@@ -139,7 +143,7 @@ def day_of(machine: Machine, force, rng: np.random.Generator) -> tuple[SecondRow
 
 
 def _window(**given: Any) -> WindowRecord:
-    values = dict.fromkeys(WindowRecord.__dataclass_fields__, 0.0) | {
+    values: dict[str, Any] = dict.fromkeys(WindowRecord.__dataclass_fields__, 0.0) | {
         "window": 1, "duration_s": 1.0, "coverage": 1.0, "plate_still": True, "moisture_pct": MOISTURE_PCT,
         "quality": EstimateQuality.SWEEPING, "operating_state": OperatingState.SWEEPING, "load_number": 1, "lost_frames": 0,
         "surplus_frames": 0, "repeated_frames": 0, "usable_for_calibration": True, "parameter_version": 1, "faults": (),

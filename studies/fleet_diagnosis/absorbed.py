@@ -83,7 +83,8 @@ def following(values: Mapping[str, float], effects: tuple[str, ...]) -> Callable
         with np.errstate(all="ignore"):
             then = real(force(given, home, grid.load, values))
             power = np.log(real(force(given, home, 1.001 * grid.load, values)) / then) / np.log(1.001)
-            power, load = np.where(np.isfinite(power), power, 1.0), grid.load
+            power = np.where(np.isfinite(power), power, 1.0)
+            load: Array = grid.load
             for _ in range(3):
                 step = then / force(model, home, load, spread)
                 step = np.where(np.isfinite(real(step)), step, 1.0)

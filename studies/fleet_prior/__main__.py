@@ -20,6 +20,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -82,7 +83,7 @@ def error_pct(machine: MachineLoads, known: ParameterSet) -> float:
     return 100.0 * float(np.mean(np.abs(np.expm1(errors))))
 
 
-def study(machines: int, seed: int) -> dict:
+def study(machines: int, seed: int) -> dict[str, Any]:
     """Mean absolute error of loads, %, by crop: shipped, pooled, and with the crop known exactly, also where machines have but
     one thing of their own; share of machines within 1 and 2 stated deviations."""
     chance = np.random.default_rng(seed)

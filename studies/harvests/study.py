@@ -51,7 +51,7 @@ def real_shifts(path: Path) -> dict[str, Any]:
     """The delay of a real field, and of the same with known shifts."""
     table = sources.read(path, ReadOptions())
     here = flow_delay(table)
-    rows = []
+    rows: list[dict[str, Any]] = []
     for shift in SHIFTS_S:
         there = flow_delay(shifted(table, shift))
         rows.append(

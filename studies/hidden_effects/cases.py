@@ -144,7 +144,8 @@ def make(case: Case) -> Data:
     return Data(with_cells(rows), grain, sizes, change)
 
 
-def _design(case: Case, rng: np.random.Generator):  # type: ignore[no-untyped-def]
+def _design(case: Case, rng: np.random.Generator) -> tuple[g.Array, g.Array, g.Array, g.Array, tuple[str, ...]]:
+    """Angle (rad), flow (kg/s), speed (rad/s), moisture (%) and trial of each row."""
     if case.speeds == "many":
         angles, flows, speeds = (
             np.arange(40.0, 91.0, 10.0),
@@ -161,12 +162,19 @@ def _design(case: Case, rng: np.random.Generator):  # type: ignore[no-untyped-de
     return np.radians(a.ravel()), f.ravel(), s.ravel() * g.RPM, moisture, tuple(str(int(v)) for v in t.ravel())
 
 
-def _size(name: str, wanted: float, rng: np.random.Generator, design, grain: g.Grain, base) -> float:  # type: ignore[no-untyped-def]
+def _size(
+    name: str,
+    wanted: float,
+    rng: np.random.Generator,
+    rows: tuple[g.Array, g.Array, g.Array, g.Array],
+    grain: g.Grain,
+    base: g.Array,
+) -> float:
     low, high = SIZES[name]
     if low == high:
         return high
     sign = -1.0 if low < 0.0 and rng.random() < 0.5 else 1.0
-    angle, speed, flow, moisture = design
+    angle, speed, flow, moisture = rows
     size = 0.3 * high
     for _ in range(4):
         changed = g.force(angle, speed, flow, moisture, grain, {name: sign * size})

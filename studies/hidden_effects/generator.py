@@ -225,7 +225,7 @@ def _layers(inner: Array, shape: Array) -> tuple[Array, Array, Array]:
     return middle, psi, middle * psi * (outer - lower)
 
 
-def _slide(rho: Array, push: Array, mu: Array, number: Array, start: float) -> tuple[Array, Array]:
+def _slide(rho: Array, push: Array, mu: Array, number: Array, start: Array | float) -> tuple[Array, Array]:
     """Rotation at which each layer reaches the tip, and its radial speed there (in tip speeds), by Runge-Kutta in rotation.
 
     Layers that need more than a turn or so are given the last rotation; they fall short of the plate.
@@ -236,7 +236,7 @@ def _slide(rho: Array, push: Array, mu: Array, number: Array, start: float) -> t
 
     def rate(r: Array, v: Array, at: float) -> Array:
         theta = start + at
-        return r - 2.0 * mu * v + number * (np.sin(theta) + mu * np.cos(theta))
+        return np.asarray(r - 2.0 * mu * v + number * (np.sin(theta) + mu * np.cos(theta)))
 
     at = 0.0
     for _ in range(_TAU_STEPS):
@@ -349,7 +349,7 @@ def _strike(  # noqa: PLR0912, PLR0915
             rub = 0.7 * size["plate_friction"] * tangent
         else:
             rub = cap * np.tanh(sliding / np.maximum(np.abs(cap), 1e-9))
-    weight = 1.0
+    weight: Array | float = 1.0
     if "lever_arm" in size:
         place = np.clip(kappa / machine.plate + 0.5, -0.5, 0.5)
         weight = 1.0 + size["lever_arm"] * np.sin(2.0 * place) if "lever_arm" in other else np.exp(size["lever_arm"] * place)
@@ -411,7 +411,7 @@ def outside(kind: str, reading: Array, angle: Array, speed: Array, flow: Array, 
             out[i] = (1.0 - 2.0 * size) * reading[i] + 2.0 * size * out[i - 1]
         return out
     if kind == "overfull_spill":
-        return reading * (1.0 - size / (1.0 + np.exp(-(flow - 0.6 * flow.max()) / (0.02 * flow.max()))))
+        return np.asarray(reading * (1.0 - size / (1.0 + np.exp(-(flow - 0.6 * flow.max()) / (0.02 * flow.max())))))
     raise ValueError(f"outside effect {kind!r}: unknown")
 
 

@@ -182,7 +182,6 @@ def own_rows(hidden: tuple[str, ...], rng: np.random.Generator, third: bool, sha
     case = cases.Case("hidden", hidden, int(rng.integers(2**20)), 1.0, "many")
     angle, flow, speed, moisture, trial = cases._design(case, rng)
     grain = g.Grain(float(rng.uniform(0.1, 0.6)), float(rng.uniform(0.3, 0.75)), float(rng.uniform(900.0, 1500.0)), shape)
-    laws = {"third_laws": True} if third else {"other_laws": True}
     clean = g.force(angle, speed, flow, moisture, grain, {})
     full, sizes = float(np.nanmax(clean)), dict[str, float]()
     for name in hidden:
@@ -191,10 +190,10 @@ def own_rows(hidden: tuple[str, ...], rng: np.random.Generator, third: bool, sha
         sign = -1.0 if low < 0.0 and rng.random() < 0.5 else 1.0
         size = high if low == high else 0.3 * high
         for _ in range(4 if low != high else 0):
-            changed = g.force(angle, speed, flow, moisture, grain, {name: sign * size}, **laws)
+            changed = g.force(angle, speed, flow, moisture, grain, {name: sign * size}, other_laws=not third, third_laws=third)
             size = min(size * wanted * full / max(float(np.nanmax(np.abs(changed - clean))), 1e-6), high)
         sizes[name] = sign * size
-    clean = g.force(angle, speed, flow, moisture, grain, sizes, **laws)
+    clean = g.force(angle, speed, flow, moisture, grain, sizes, other_laws=not third, third_laws=third)
     sd = 0.01 * np.hypot(clean, 0.15 * float(np.nanmax(clean)))
     reading = clean + sd * rng.standard_normal(len(clean))
     nothing = np.full(len(angle), np.nan)

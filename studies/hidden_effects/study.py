@@ -101,7 +101,7 @@ def _leading_values(effect: str, size: float) -> dict[str, float]:
     return {cases.LEADING[effect]: size}
 
 
-def _parameter_error(case: cases.Case, data: cases.Data, best) -> float | None:  # type: ignore[no-untyped-def]
+def _parameter_error(case: cases.Case, data: cases.Data, best: Fit) -> float | None:
     if case.kind != "hidden" or case.hidden[0] not in best.effects:
         return None
     effect, size = case.hidden[0], data.sizes[case.hidden[0]]

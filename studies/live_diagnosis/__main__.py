@@ -18,8 +18,22 @@ import sys
 import tempfile
 import time
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from rich.progress import TaskID
+
+    from studies.live_diagnosis.cases import Case
+    from yieldmon.physics.machine import Machine
+    from yieldmon.physics.numerics import Array
+    from yieldmon.plant.combine import VirtualCombine
+    from yieldmon.service.rows import SecondRow
+
+    Run = tuple[dict[str, Any], dict[str, tuple[Array, Array]]]
+    """A case's entry of the document, and by where the plate was hours and errors."""
 
 FOLDER = Path(__file__).resolve().parent
 SEED = 20261121
@@ -29,18 +43,18 @@ SEED = 20261121
 class Lived:
     """What a case left behind. diagnosis: the command's JSON, in took_s seconds; last_before: number of the second before it."""
 
-    case: object
-    combine: object
-    machine: object
+    case: Case
+    combine: VirtualCombine
+    machine: Machine
     store: Path
-    diagnosis: dict
+    diagnosis: dict[str, Any]
     took_s: float
     last_before: int
     adopted: str | None
     start_s: float
 
 
-def live_through(case, folder: Path, args: argparse.Namespace, tell) -> Lived:  # type: ignore[no-untyped-def]
+def live_through(case: Case, folder: Path, args: argparse.Namespace, tell: Callable[[float], None]) -> Lived:
     """The harvest with the daemon beside it, diagnosis and adoption in between."""
     from studies.live_diagnosis import cases as live
     from studies.live_diagnosis.stepped_daemon import SteppedDaemon
@@ -74,7 +88,7 @@ def live_through(case, folder: Path, args: argparse.Namespace, tell) -> Lived:  
     return Lived(case, combine, machine, store, diagnosis, took_s, last_before, adopted, stepped.START_S)
 
 
-def judged(lived: Lived, args: argparse.Namespace):  # type: ignore[no-untyped-def]
+def judged(lived: Lived, args: argparse.Namespace) -> Run:
     """The case's entry of the document, and hours and errors for the picture."""
     import numpy as np
 
@@ -93,11 +107,11 @@ def judged(lived: Lived, args: argparse.Namespace):  # type: ignore[no-untyped-d
     after = every[len(before) :]
     home_deg = float(np.degrees(lived.machine.home_plate_angle_rad))
 
-    def errors(rows):  # type: ignore[no-untyped-def]
+    def errors(rows: Sequence[SecondRow]) -> dict[str, dict[str, float]]:
         found = live.flow_errors(rows, lived.combine, lived.start_s, home_deg)
         return {k: {n: round(v, 3) for n, v in asdict(e).items()} for k, e in found.items()}
 
-    def with_parameters(version: int):  # type: ignore[no-untyped-def]
+    def with_parameters(version: int) -> list[SecondRow]:
         """The seconds after adoption with one set of parameters, window by window, no filter."""
         loop = estimator_of(lived.machine, parameter_file.from_document(versions[version], "store"))
         force, angle, rpm = (
@@ -154,14 +168,14 @@ def yieldmon(arguments: list[str]) -> subprocess.CompletedProcess[str]:
     return done
 
 
-def rows_of(path: Path):  # type: ignore[no-untyped-def]
+def rows_of(path: Path) -> Sequence[SecondRow]:
     """All seconds of a store."""
     from yieldmon.service.recorded import read_seconds
 
     return read_seconds(path)
 
 
-def draw(runs, path: Path) -> None:  # type: ignore[no-untyped-def]
+def draw(runs: Sequence[Run], path: Path) -> None:
     """Signed error of the 1 Hz flow in every case, by where the plate was, with the fault and the adoption marked."""
     from matplotlib.figure import Figure
 
@@ -184,7 +198,7 @@ def draw(runs, path: Path) -> None:  # type: ignore[no-untyped-def]
     figure.savefig(path, dpi=110)
 
 
-def show(document: dict) -> None:
+def show(document: dict[str, Any]) -> None:
     """The table."""
     from rich.console import Console
     from rich.table import Table
@@ -232,8 +246,11 @@ def main() -> int:
             task = bar.add_task(name, total=1.0)
             folder = (args.files or Path(scratch)) / name
             case = next(case for case in live.CASES if case.name == name)
-            tell = partial(bar.update, task)
-            lived = live_through(case, folder, args, lambda share, t=tell: t(completed=share))
+
+            def tell(share: float, task: TaskID = task) -> None:
+                bar.update(task, completed=share)
+
+            lived = live_through(case, folder, args, tell)
             runs.append(judged(lived, args))
             bar.update(task, completed=1.0)
             found = runs[-1][0]

@@ -71,10 +71,10 @@ def _changes(node: ast.AST) -> Iterator[tuple[str, Callable[[], None]]]:  # noqa
         yield f"{type(node.op).__name__} to {type(swapped).__name__}", _setter(node, "op", swapped)
     elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
         yield "not left out", _becomes_operand(node)
-    elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
-        yield f"{node.value} to {_other(node.value)}", _setter(node, "value", _other(node.value))
-    elif isinstance(node, ast.Constant) and type(node.value) is bool:
+    elif isinstance(node, ast.Constant) and isinstance(node.value, bool):
         yield f"{node.value} to {not node.value}", _setter(node, "value", not node.value)
+    elif isinstance(node, ast.Constant) and isinstance(node.value, int | float):
+        yield f"{node.value} to {_other(node.value)}", _setter(node, "value", _other(node.value))
     elif isinstance(node, ast.If | ast.While) and not _is_typing(node.test):
         yield "condition never holds", _setter(node, "test", ast.Constant(False))
         if isinstance(node, ast.If):

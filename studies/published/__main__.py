@@ -12,7 +12,7 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -21,6 +21,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from yieldmon.estimation.batch import MomentumBatch
 from yieldmon.estimation.calibration import Calibration, Measurements, calibrate, default_start
@@ -34,6 +35,7 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import table
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.physics.numerics import Array, real
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT / "tests" / "data"
@@ -82,7 +84,7 @@ def calibration(seed: int) -> Iterator[Line]:
     low, high = np.array([0.0, 0.0, 750.0]), np.array([1.0, 1.0, 2000.0])
     batch = MomentumBatch(MODEL, rows.conditions, NAMES, {"shape_ratio": 2.0})
 
-    def residuals(theta, _):
+    def residuals(theta: Array, _: NDArray[np.intp]) -> tuple[Array, Array]:
         value, slopes = batch(theta)
         return value - rows.momentum, slopes
 
@@ -326,7 +328,7 @@ def drift() -> Iterator[Line]:
     )
 
 
-HOME_RETURNS = np.radians(
+HOME_RETURNS: Array = np.radians(
     [
         70.0,
         70.0,
@@ -343,8 +345,8 @@ def coverage(seed: int, wander: float = 0.0, count: int = 300) -> Iterator[Line]
     """wander: relative standard deviation of the flow within a sweep, correlation time 20 s."""
     rng = np.random.default_rng(seed)
     known = prior(values=GRAIN)
-    angles = HOME_RETURNS if wander else np.repeat(ANGLES, 2)
-    clock = 3.0 * np.arange(angles.size)
+    angles: Array = HOME_RETURNS if wander else np.repeat(ANGLES, 2)
+    clock = 3.0 * np.arange(angles.size, dtype=np.float64)
     walk = np.linalg.cholesky(wander**2 * np.exp(-np.abs(clock[:, None] - clock) / 20.0) + 1e-12 * np.eye(angles.size))
     settings = ClosedLoopSettings(flow="process" if wander else "constant")
     hits = dict.fromkeys(("flow", *NAMES), 0)
@@ -355,11 +357,12 @@ def coverage(seed: int, wander: float = 0.0, count: int = 300) -> Iterator[Line]
                 break
         values = dict(zip(NAMES, draw.tolist(), strict=True)) | {"shape_ratio": 2.0}
         flow = np.exp(rng.uniform(np.log(4.0), np.log(20.0)) + walk @ rng.normal(size=angles.size))
-        clean = np.real(MODEL.force(Conditions(angles, SPEED, mass_flow_kg_s=flow), values))
+        clean = real(MODEL.force(Conditions(angles, SPEED, mass_flow_kg_s=flow), values))
         # Twelve paddles a second that scatter by 7 %, and 0.1 N of electrical noise.
         force = clean + np.hypot(0.07 * clean / np.sqrt(12.0), 0.1) * rng.normal(size=clean.size)
         sd = np.hypot(0.07 * np.abs(force) / np.sqrt(12.0), 0.1)
-        outcome = self_calibrate(MODEL, known, [Sweep(clock, angles, np.full(angles.size, SPEED), force, sd)], settings=settings)
+        sweep = Sweep(clock, angles, np.full(angles.size, SPEED), force, sd)
+        outcome = self_calibrate(MODEL, known, [sweep], settings=settings)
         low, high = outcome.flows[0].interval(0.9)
         hits["flow"] += low <= flow.mean() <= high
         for p in outcome.parameters:
@@ -382,7 +385,7 @@ def holds(line: Line) -> bool | None:
 
 
 def lines(args: argparse.Namespace) -> Iterator[Line]:
-    sections = {
+    sections: dict[str, Callable[[], Iterable[Line]]] = {
         "table": table_11_2,
         "calibration": lambda: calibration(args.seed),
         "dem": lambda: at_70("dem"),

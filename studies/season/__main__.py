@@ -16,8 +16,13 @@ import json
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from studies.season.study import Outcome
 
 FOLDER = Path(__file__).resolve().parent
 SEED = 20261121
@@ -40,11 +45,16 @@ def one(job: tuple[int, float, int, float]):  # type: ignore[no-untyped-def]
     return study.run(season, first, study.STRATEGIES[index], study.StudySettings())
 
 
-REVERSED = {"moisture_pct": (24.0, 14.0, 22.0), "friction_drift": -0.15, "restitution_drift": 0.08, "wear_mm": 0.0}
+REVERSED: dict[str, Any] = {
+    "moisture_pct": (24.0, 14.0, 22.0),
+    "friction_drift": -0.15,
+    "restitution_drift": 0.08,
+    "wear_mm": 0.0,
+}
 """A season that drifts the other way: what errors cancel in one direction add up in the other."""
 
 
-def compare(job: tuple[str, float, int, bool, float | None]) -> dict[str, object]:
+def compare(job: tuple[str, float, int, bool, float | None]) -> dict[str, Any]:
     """A season of one combine at the daemon's defaults, without and with sweeps, without and with a ticket a day.
 
     job: name, hours, seed, whether reversed, the pattern's size where it is not the daemon's.
@@ -66,7 +76,7 @@ def compare(job: tuple[str, float, int, bool, float | None]) -> dict[str, object
     kept = study.StudySettings.of_daemon()
     if pattern_sd is not None:
         kept = replace(kept, pattern_sd=pattern_sd)
-    found: dict[str, object] = {"combine": name, "reversed": is_reversed, "seed": seed, "loads": len(season.loads.mass_kg)}
+    found: dict[str, Any] = {"combine": name, "reversed": is_reversed, "seed": seed, "loads": len(season.loads.mass_kg)}
     for label, sweeps, tickets in (("map", False, 0), ("sweeps", True, 0), ("map_ticket", False, 1), ("sweeps_ticket", True, 1)):
         strategy = study.Strategy(label, moisture_map=True, sweeps=sweeps, tickets_per_day=tickets)
         outcome = study.run(season, first, strategy, kept)
@@ -95,7 +105,7 @@ def combines(args: argparse.Namespace) -> int:
     return int(any(row["sweeps_mean_abs_pct"] > row["map_mean_abs_pct"] for row in rows))
 
 
-def document(outcomes, hours: float, seed: int, took_s: float) -> dict:  # type: ignore[no-untyped-def]
+def document(outcomes: Sequence[Outcome], hours: float, seed: int, took_s: float) -> dict[str, Any]:
     """The table as plain values."""
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False).stdout.strip()
     rows = [
@@ -116,7 +126,7 @@ def document(outcomes, hours: float, seed: int, took_s: float) -> dict:  # type:
     return {"hours": hours, "seed": seed, "commit": commit, "took_s": round(took_s, 1), "strategies": rows}
 
 
-def draw(outcomes, path: Path) -> None:  # type: ignore[no-untyped-def]
+def draw(outcomes: Sequence[Outcome], path: Path) -> None:
     """Load error over the season, and what each strategy believed of friction and restitution."""
     from matplotlib.figure import Figure
 

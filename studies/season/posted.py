@@ -9,8 +9,10 @@ from __future__ import annotations
 
 from dataclasses import fields
 from math import nan
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from studies.season import season as seasons
 from studies.season import study
@@ -20,7 +22,7 @@ from yieldmon.engine.anchors import AnchorSource, ReferenceMass
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.load_forces import LoadForceSums
-from yieldmon.engine.records import CalibrationOutcome, WindowRecord
+from yieldmon.engine.records import CalibrationOutcome, FlowEstimator, WindowRecord
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
@@ -36,7 +38,7 @@ POSTED = Strategy("(c) by the daemon", moisture_map=True, sweeps=True, tickets_p
 TICKET_ERROR = 0.002
 """As in `study.Keeper`; `learning.anchor_error` of the daemon."""
 _NIGHT_S = 14.0 * 3600.0
-_UNKNOWN = {f.name: nan if f.type == "float" else 0 for f in fields(WindowRecord)} | {"faults": ()}
+_UNKNOWN: dict[str, Any] = {f.name: nan if f.type == "float" else 0 for f in fields(WindowRecord)} | {"faults": ()}
 
 
 class DaemonKeeper(Keeper):
@@ -57,14 +59,14 @@ class DaemonKeeper(Keeper):
                 anchor_error=TICKET_ERROR,
             ),
         )
-        self.estimator = OpenLoop(self.model, self.parameters)
+        self.estimator: FlowEstimator = OpenLoop(self.model, self.parameters)
         self.versions = {self.parameters.version: self.parameters}
         self.version_of = np.zeros(season.time_s.size, dtype=int)
         self.lessons: list[Step] = []
         self.anchors: list[ReferenceMass] = []
         self.reasons: list[str] = []
 
-    def _bus_s(self, windows: Array) -> Array:
+    def _bus_s(self, windows: Array | NDArray[np.intp]) -> Array:
         """A load that runs past the end of a day is brought in before the night."""
         begun = self.season.time_s[self.season.loads.start[self.season.load[windows]]]
         return np.asarray(self.season.time_s[windows] + _NIGHT_S * np.floor((begun - 1.0) / self.settings.day_s))
@@ -73,7 +75,7 @@ class DaemonKeeper(Keeper):
         super()._measure(start, stop)
         self.version_of[start:stop] = self.parameters.version
 
-    def _records(self, windows: Array) -> list[WindowRecord]:
+    def _records(self, windows: Array | NDArray[np.intp]) -> list[WindowRecord]:
         season, total = self.season, np.nancumsum(self.flow)
         columns = {
             "time_s": self._bus_s(windows), "mass_kg": np.nan_to_num(self.flow[windows]), "mass_flow_kg_s": self.flow[windows],
@@ -85,14 +87,14 @@ class DaemonKeeper(Keeper):
         numbers = season.load[windows] + 1
         return [
             WindowRecord(
-                **{
-                    **_UNKNOWN,
+                **_UNKNOWN
+                | {
                     "duration_s": 1.0,
                     "coverage": 1.0,
                     "load_number": int(numbers[i]),
                     "parameter_version": int(self.version_of[windows[i]]),
-                    **{name: float(column[i]) for name, column in columns.items()},
                 }
+                | {name: float(column[i]) for name, column in columns.items()}
             )
             for i in range(len(windows))
         ]

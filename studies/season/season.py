@@ -102,7 +102,7 @@ class Season:
         angle = np.broadcast_to(np.deg2rad(np.asarray(plate_angle_deg, dtype=float)), chosen.shape)
         flow, speed = self.mass_flow_kg_s[chosen], self.elevator_speed_rpm[chosen] * RPM
         hours = self.time_s[chosen] / 3600.0
-        ratio = 1.0
+        ratio: Array | float = 1.0
         if self.ratio is not None:
             ratio = self.ratio(angle, flow / self.machine.passes_per_s(speed), self.friction[chosen])
         force = ratio * shown_force_n(self.table, self.effects, flow, angle, speed, self.scenario.sensor.response_s, hours)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -102,7 +103,7 @@ class _Machine:
 
 def _record(time_s: float, total_kg: float) -> WindowRecord:
     names = WindowRecord.__dataclass_fields__
-    plain = {name: float("nan") if field.type == "float" else 0 for name, field in names.items()}
+    plain: dict[str, Any] = {name: float("nan") if field.type == "float" else 0 for name, field in names.items()}
     return WindowRecord(**{**plain, "faults": (), "time_s": time_s, "total_kg": total_kg})
 
 

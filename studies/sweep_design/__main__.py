@@ -15,6 +15,15 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from yieldmon.physics.model import ForwardModel
+    from yieldmon.physics.numerics import Array
+
+Visit = tuple[float, float]
+"""Plate angle, deg, and the plate's place, m."""
 
 FLOWS_KG_S = (6.0, 10.0, 16.0, 22.0)
 WINDOW_NOISE = 0.022
@@ -25,7 +34,9 @@ PLACES_M = (-0.05, 0.0, 0.05)
 """Of the plate from where the machine has it, away from the elevator."""
 
 
-def information(model, values, names, prior, visits, flow):  # type: ignore[no-untyped-def]
+def information(
+    model: ForwardModel, values: Mapping[str, float], names: Sequence[str], prior: Array, visits: Sequence[Visit], flow: float
+) -> Array:
     """Posterior information of the parameters after one sweep, the flow marginalised.
 
     prior: their covariance. visits: (angle, deg; plate position, m) of each.
@@ -44,7 +55,7 @@ def information(model, values, names, prior, visits, flow):  # type: ignore[no-u
     scaled = np.column_stack((jacobian[:, :-1], slope)) / noise[:, None]
     full = scaled.T @ scaled
     full[:-1, :-1] += np.linalg.inv(prior)
-    return full[:-1, :-1] - np.outer(full[:-1, -1], full[-1, :-1]) / full[-1, -1]
+    return np.asarray(full[:-1, :-1] - np.outer(full[:-1, -1], full[-1, :-1]) / full[-1, -1])
 
 
 def main() -> int:
@@ -64,7 +75,7 @@ def main() -> int:
     prior = np.diag([(share * known.values[n]) ** 2 for n, share in zip(names, (0.2, 0.1, 0.1), strict=True)])
     home = float(np.degrees(Machine().home_plate_angle_rad))
 
-    def judge(visits):  # type: ignore[no-untyped-def]
+    def judge(visits: Sequence[Visit]) -> tuple[float, dict[float, Array]]:
         """Mean gain in log determinant over the flows, and each parameter's posterior over prior width at each flow."""
         plan = [(home, 0.0)] * 6 + list(visits)
         gain, ratios = [], {}
@@ -74,7 +85,7 @@ def main() -> int:
             ratios[flow] = np.sqrt(np.diag(posterior) / np.diag(prior))
         return float(np.mean(gain)), ratios
 
-    def best_of(start, grid):  # type: ignore[no-untyped-def]
+    def best_of(start: Sequence[Visit], grid: Sequence[Visit]) -> list[Visit]:
         """Exchange, which ends where no single visit can be bettered."""
         best, (score, _) = list(start), judge(start)
         improved = True
@@ -95,7 +106,7 @@ def main() -> int:
     even = [(angle, 0.0) for angle in (40.0, 45.0, 50.0, 55.0, 60.0, 65.0, 75.0, 80.0, 85.0, 90.0)]
     at_home = [(home, place) for place in (-0.05, -0.05, -0.05, -0.025, -0.025, 0.025, 0.025, 0.05, 0.05, 0.05)]
     turned = [(angle, place) for (angle, _), place in zip(default, [0.05, -0.05] * 5, strict=True)]
-    rows = []
+    rows: list[dict[str, Any]] = []
     for label, visits in (
         ("even steps of 5 deg", even),
         ("D-optimal", best_of(default, in_place)),
@@ -120,8 +131,8 @@ def main() -> int:
         print(json.dumps(rows, indent=2))
         return 0
     for row in rows:
-        visits = zip(row["angles_deg"], row["positions_m"], strict=True)
-        shown = ", ".join(f"{angle:g}" + (f" at {1000.0 * place:+g} mm" if place else "") for angle, place in visits)
+        visited = zip(row["angles_deg"], row["positions_m"], strict=True)
+        shown = ", ".join(f"{angle:g}" + (f" at {1000.0 * place:+g} mm" if place else "") for angle, place in visited)
         print(f"{row['sequence']}: {shown} deg; {row['information_nats']} nats a sweep")
         for name in names:
             print(f"  {name:<12} posterior / prior: " + "  ".join(f"{k} kg/s {v}" for k, v in row[f"{name}_ratio"].items()))

@@ -6,6 +6,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -81,7 +82,7 @@ def report(seed: int) -> dict[str, Any]:
                 message.channel = "can0"
                 writer(message)
         found = {
-            f"{way}, {'on' if enabled else 'off'}": round(_cpu_ms_per_s(lambda run=run, enabled=enabled: run(enabled)), 2)
+            f"{way}, {'on' if enabled else 'off'}": round(_cpu_ms_per_s(partial(run, enabled)), 2)
             for enabled in (False, True)
             for way, run in {
                 "live": lambda enabled: _live(messages, _monitor(enabled)),

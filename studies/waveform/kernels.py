@@ -51,7 +51,7 @@ def pack(ledgers: list[Path], out: Path) -> int:
     if out.exists():
         with np.load(out) as held:
             columns = {name: np.concatenate((held[name], column)) for name, column in columns.items()}
-    np.savez_compressed(out, interval_s=INTERVAL_S, **columns)  # type: ignore[arg-type]
+    np.savez_compressed(out, interval_s=INTERVAL_S, **columns)  # type: ignore[arg-type]  # the stub takes a column for `allow_pickle`
     return len(columns["force_n"])
 
 
@@ -79,8 +79,8 @@ def measured(
         quiet = QUIET_N2_HZ
         left = left + np.sqrt(QUIET_N2_HZ / interval) * noise.standard_normal(left.shape)
     duration = shown.shape[1] * interval
-    frequency = np.fft.rfftfreq(shown.shape[1], interval)[1:-1]
-    power = (np.abs(np.fft.rfft(left, axis=1)) ** 2).mean(axis=0)[1:-1] * interval**2 / duration
+    frequency = np.fft.rfftfreq(shown.shape[1], interval)[1:-1].astype(float)
+    power = (np.abs(np.fft.rfft(left, axis=1)) ** 2).mean(axis=0)[1:-1].astype(float) * interval**2 / duration
     mean_force = float(force_n.sum(axis=1).mean() * INTERVAL_S / duration)
     # A pulse fills a sixth of the padded stretch: so many fewer frequencies are independent.
     averages = (count - 1.0) / 6.0
