@@ -23,7 +23,7 @@ from yieldmon.service.daemon import Daemon
 CODEC = Codec()
 START_S = 1_760_000_000.0
 ZERO_MV = 120.0
-PATIENCE_S = 20.0
+PATIENCE_S = 120.0
 _channels = itertools.count()
 
 

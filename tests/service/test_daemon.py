@@ -45,6 +45,7 @@ def test_measures_publishes_and_stores(tmp_path):
         warm_up(bench)
         status = bench.status
         wait_for(lambda: len(bench.published(frames.MASS_FLOW)) >= 19, "the last window's MassFlow")
+        wait_for(lambda: len(bench.published(frames.ACCUMULATED_MASS)) >= 19, "the last window's AccumulatedMass")
         flows = bench.published(frames.MASS_FLOW)
         masses = bench.published(frames.ACCUMULATED_MASS)
     assert status["state"] == "harvesting"
@@ -112,7 +113,7 @@ def test_our_frames_from_another_node_are_a_conflict(tmp_path):
         bench.play(3, EMPTY_MV)
         wait_for(lambda: "OutputConflict" in bench.faults, "OutputConflict")
         assert bench.faults["OutputConflict"] == "AccumulatedMass from another node"
-        wait_for(lambda: bench.published(frames.YIELD_MONITOR_STATUS)[-1]["OutputConflict"], "it on the bus")
+        wait_for(lambda: any(s["OutputConflict"] for s in bench.published(frames.YIELD_MONITOR_STATUS)[-1:]), "it on the bus")
 
 
 BAD_FRAMES = [
@@ -149,7 +150,7 @@ def test_store_failing_is_a_fault_and_measuring_goes_on(tmp_path, monkeypatch):
         bench.play(4, EMPTY_MV)
         wait_for(lambda: "StoreFailing" in bench.faults, "StoreFailing")
         assert "locked" in bench.faults["StoreFailing"]
-        wait_for(lambda: bench.published(frames.YIELD_MONITOR_STATUS)[-1]["StoreFailing"], "it on the bus")
+        wait_for(lambda: any(s["StoreFailing"] for s in bench.published(frames.YIELD_MONITOR_STATUS)[-1:]), "it on the bus")
         blocker.execute("ROLLBACK")
         blocker.close()
         wait_for(lambda: not bench.daemon.writer.health().failing, "the store's recovery")

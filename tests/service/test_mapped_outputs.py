@@ -220,7 +220,7 @@ def test_another_node_with_a_mapped_identifier_is_a_conflict(tmp_path: Path) -> 
         bench.play(3, EMPTY_MV)
         bench.played()
         assert bench.faults.get("OutputConflict") is None
-        assert bench.published("MassFlow")
+        wait_for(lambda: bench.published("MassFlow"), "a flow on the bus")
         forged = can.Message(timestamp=START_S + 3.0, arbitration_id=0x18FF5383, is_extended_id=True, data=bytes(8))
         bench.peer.send(forged)
         for _ in range(2):
