@@ -150,3 +150,16 @@ def test_a_zip_whose_names_are_no_text_is_one_line(member: str, tmp_path: Path) 
     path.write_bytes(path.read_bytes().replace("\u00e4".encode(), b"\x9b\x9b"))
     with pytest.raises(InputError, match="damaged zip"):
         sources.read(path, ReadOptions())
+
+
+def test_what_gdal_says_of_a_damaged_table_is_one_note(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (good,) = [path for path in base_files(tmp_path) if path.name == "points_shp.zip"]
+    with zipfile.ZipFile(good) as whole, zipfile.ZipFile(tmp_path / "t.zip", "w") as spoilt:
+        for name in whole.namelist():
+            content = whole.read(name)
+            middle = len(content) // 2
+            spoilt.writestr(name, content[:middle] + content[middle + 3 :] + b"   " if name.endswith(".dbf") else content)
+    capfd.readouterr()
+    (source,) = sources.read(tmp_path / "t.zip", ReadOptions()).sources
+    assert any("parsed incompletely" in note and "more of its warnings" in note for note in source.notes)
+    assert capfd.readouterr().err == ""

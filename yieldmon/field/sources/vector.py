@@ -4,14 +4,15 @@ Center, whose metadata say the units."""
 from __future__ import annotations
 
 import json
+import warnings
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, brief
 from yieldmon.field.table import Array, HarvestTable, Label, Skipped, joined
 
 from .assembled import Raw, assemble, labels_from
@@ -96,9 +97,11 @@ def _layer(path: Path, address: str, name: str, options: ReadOptions) -> Harvest
 
     where = f"{path}: {name}" if name != path.name else str(path)
     try:
-        layers = pyogrio.list_layers(address)
-        points = [str(layer) for layer, kind in layers if kind is not None and "Point" in kind]
-        meta, _, geometry, fields = pyogrio.raw.read(address, layer=points[0] if points else 0)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            layers = pyogrio.list_layers(address)
+            points = [str(layer) for layer, kind in layers if kind is not None and "Point" in kind]
+            meta, _, geometry, fields = pyogrio.raw.read(address, layer=points[0] if points else 0)
     except (
         pyogrio.errors.DataSourceError,
         pyogrio.errors.DataLayerError,
@@ -120,6 +123,7 @@ def _layer(path: Path, address: str, name: str, options: ReadOptions) -> Harvest
         raise InputError(where, f"holds {meta.get('geometry_type')}", "points")
     sidecar = _metadata(path, name)
     x, y, notes = _degrees(x, y, meta.get("crs"), options, where)
+    notes = (*notes, *_told([str(one.message) for one in said]))
     usable = [one for one in names if one not in ("longitude", "latitude")]
     found, more = columns_of(
         usable, {q: c for q, c in options.columns.items() if q not in ("longitude", "latitude")}, sidecar.units, where
@@ -150,6 +154,13 @@ def _layer(path: Path, address: str, name: str, options: ReadOptions) -> Harvest
         columns["field"] = Column(" field", "field", "")
     kind = "John Deere Operations Center" if sidecar.units else KIND
     return assemble(Raw(columns, numbers, texts, len(x), notes=(*notes, *more)), where, kind, options)
+
+
+def _told(said: Sequence[str]) -> tuple[str, ...]:
+    """What GDAL said while it read, of many the first."""
+    if not said:
+        return ()
+    return (f"GDAL: {brief(said[0])}" + (f", and {len(said) - 1} more of its warnings" if len(said) > 1 else ""),)
 
 
 def _is_moment(values: np.ndarray) -> bool:
