@@ -175,3 +175,11 @@ def test_no_loads_and_nonsense_are_refused():
         replace(load("a", 6.0), weighed_kg=0.0)
     with pytest.raises(ValueError, match="one finite number"):
         replace(load("a", 6.0), force_n=np.array([np.nan]))
+
+
+@pytest.mark.parametrize(("flows", "seed"), [((8.0, 11.0, 15.0), 1), ((9.0, 11.0, 13.0), 4)])
+def test_loads_that_one_factor_explains_still_bound_how_the_error_changes_with_flow(flows, seed):
+    truth = dict(SHIPPED.values)
+    found = calibrate_loads(MODEL, SHIPPED, [load(str(k), f, 1.1, truth, 0.006, seed) for k, f in enumerate(flows)])
+    assert not found.load_dependence
+    assert found.next_load_sd < 0.012

@@ -445,8 +445,8 @@ class _Problem:
     def solve(self, sweeps: Sequence[Sweep], sweep_settings: ClosedLoopSettings) -> LoadCalibration:
         """See `calibrate_loads`."""
         active = self.inliers()
-        fit, directions, errors = self._fitted(active)
-        posterior, next_sd, level_sd = self._posterior(fit, active, directions)
+        fit, directions, errors, full = self._fitted(active)
+        posterior, next_sd, level_sd = self._posterior(fit, active, directions, full)
         after = self.weighed * np.exp(fit.error)
         together = self._together(fit, sweeps, active, sweep_settings) if sweeps else None
         if together is not None:
@@ -479,16 +479,17 @@ class _Problem:
         )
         return replace(calibration, sentences=tuple(_sentences(calibration, len(sweeps))))
 
-    def _fitted(self, active: NDArray[np.bool_]) -> tuple[_Fit, int, Array]:
-        """The fit along as many directions as the loads determine, how many these are, and the errors of loads left out."""
+    def _fitted(self, active: NDArray[np.bool_]) -> tuple[_Fit, int, Array, _Fit | None]:
+        """The fit, along how many directions it moved, and the errors of loads left out; and the fit along both where the loads
+        determine both but one is enough."""
         both = self.fit(active, 2)
         directions = int(np.sum(self.information(both, active) >= self.settings.least_information))
         errors = self.left_out(active, directions).error
         if directions == 2 and not self.contradicts(one := self.fit(active, 1), active):
             simpler = self.left_out(active, 1).error
             if _rms(simpler[active]) < _rms(errors[active]):
-                return one, 1, simpler
-        return (both if directions == 2 else self.fit(active, directions)), directions, errors
+                return one, 1, simpler, both
+        return (both if directions == 2 else self.fit(active, directions)), directions, errors, None
 
     def contradicts(self, fit: _Fit, active: NDArray[np.bool_]) -> bool:
         """Whether the active loads speak against a fit along one direction."""
@@ -541,13 +542,20 @@ class _Problem:
         mean = rows.mean(axis=0)
         return float(np.sqrt(spread.mean() + self.settings.load_error**2)), float(np.sqrt(mean @ known.covariance @ mean))
 
-    def _posterior(self, fit: _Fit, active: NDArray[np.bool_], directions: int) -> tuple[ParameterSet, float, float]:
-        """The new set, and relative standard deviations of a further load and of these loads' common level."""
+    def _posterior(
+        self, fit: _Fit, active: NDArray[np.bool_], directions: int, full: _Fit | None
+    ) -> tuple[ParameterSet, float, float]:
+        """The new set, and relative standard deviations of a further load and of these loads' common level.
+
+        full: the fit along both directions where `fit` moved along one of the two that the loads determine. What they say of the
+        other counts in the covariance, with the distance between the fits as an error of its own.
+        """
         centre = moved(self.start, *map(float, fit.step))
         h = np.column_stack((self._held_slopes(centre), fit.by_step))
         rows = h[active]
-        basis = np.zeros((h.shape[1], directions))
-        basis[-2:] = self._basis(fit.by_step, active.astype(float))[:, :directions]
+        determined = directions if full is None else 2
+        basis = np.zeros((h.shape[1], determined))
+        basis[-2:] = self._basis(fit.by_step, active.astype(float))[:, :determined]
         noise = self.sd[active] ** 2
         moving = rows @ basis
         gain = basis @ moving.T @ np.linalg.inv(moving @ moving.T + np.diag(noise))
@@ -555,6 +563,8 @@ class _Problem:
         chi2, dof = float(np.sum(fit.error[active] ** 2 / noise)), max(int(active.sum()) - directions, 0)
         inflation = (_PRIOR_LOADS + chi2) / (_PRIOR_LOADS + dof)
         covariance = left @ self.prior @ left.T + inflation * gain @ np.diag(noise) @ gain.T
+        if full is not None:
+            covariance[-2:, -2:] += np.outer(full.step - fit.step, full.step - fit.step)
         spread = np.einsum("ki,ij,kj->k", rows, covariance, rows)
         next_sd = float(np.sqrt(np.mean(spread) + inflation * self.settings.load_error**2))
         mean = rows.mean(axis=0)
