@@ -9,7 +9,20 @@ from pathlib import Path
 
 import numpy as np
 
-from studies.setup.study import run
+from studies.setup.study import Result, run
+
+
+def _pair(way: str, without: list[Result], with_sweeps: list[Result]) -> None:
+    """Mean absolute error of each machine's further loads, with sweeps less without."""
+    if not with_sweeps:
+        return
+    before, after = (np.mean(np.abs([r.errors_pct for r in rows]), axis=1) for rows in (without, with_sweeps))
+    change = after - before
+    error = float(np.std(change, ddof=1) / np.sqrt(change.size)) if change.size > 1 else float("nan")
+    print(
+        f"{way}: mean absolute error {before.mean():.3f} % without, {after.mean():.3f} % with sweeps; "
+        f"change {change.mean():+.3f} +- {error:.3f} %; smaller for {int(np.sum(change < 0.0))} of {change.size} machines"
+    )
 
 
 def main() -> None:
@@ -36,6 +49,8 @@ def main() -> None:
         stated = f"{np.mean([r.sd_pct for r in here]):.2f}" if told else "-"
         worst, mean = np.abs(errors).max(), np.abs(errors.mean(axis=1)).max()
         print(f"| {way} | {worst:.2f} | {within} | {mean:.2f} | {stated} | {inside} |")
+    for way in ("three loads", "six loads"):
+        _pair(way, [r for r in results if r.way == way], [r for r in results if r.way == f"{way} and sweeps"])
 
 
 if __name__ == "__main__":
