@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
+import time
 from pathlib import Path
 
 import can
@@ -173,6 +174,43 @@ def test_a_log_says_each_thing_a_few_times_a_minute():
     assert sum(records(1)) == 1
     now_s[0] = 62.0
     assert sum(records(10)) == 2
+
+
+def test_a_writer_that_hangs_is_a_fault_and_loses_nothing(tmp_path: Path, monkeypatch):
+    gate, ahead_s, commit, now_s = threading.Event(), [0.0], Store.commit, time.monotonic
+
+    def hang(store, batches):
+        assert gate.wait(PATIENCE_S)
+        commit(store, batches)
+
+    monkeypatch.setattr("yieldmon.service.writer.monotonic", lambda: now_s() + ahead_s[0])
+    with running(tmp_path) as bench:
+        bench.play(14, 0.0)
+        bench.play(3, 60.0)
+        bench.played()
+        monkeypatch.setattr(Store, "commit", hang)
+        bench.play(3, 60.0)
+        bench.played()
+        wait_for(lambda: bench.daemon.writer.health().pending >= 2, "batches that wait")
+        before_kg, ahead_s[0] = bench.status["total"]["mass_kg"], 11.0
+        bench.play(3, 60.0)
+        wait_for(lambda: "StoreFailing" in bench.faults, "the fault")
+        assert "the disk is slow" in bench.faults["StoreFailing"]
+        bench.played()
+        assert bench.status["total"]["mass_kg"] > before_kg + 5.0
+        gate.set()
+        assert bench.daemon.writer.wait_until_written(PATIENCE_S)
+
+        def over() -> bool:
+            bench.play(1, 60.0)
+            bench.played()
+            return "StoreFailing" not in bench.faults
+
+        wait_for(over, "the end of the fault")
+    with Store(tmp_path / "yieldmon.sqlite") as store:
+        rows = store.seconds()
+    assert [row.number for row in rows] == list(range(1, len(rows) + 1))
+    assert sum(row.mass_kg for row in rows) == pytest.approx(rows[-1].total_kg)
 
 
 def test_the_time_limit_of_a_stop_is_kept_by_a_disk_that_hangs(tmp_path: Path, monkeypatch):
