@@ -103,13 +103,13 @@ NAMED = (
 
 
 def concerned(path: str) -> tuple[str, ...]:
-    """Test files for a module: those that import it, few of them, or its package's."""
+    """Test files for a module: those that import it or bear its name, few of them, or its package's."""
     module = path.removesuffix(".py").replace("/", ".")
     package, name = module.rsplit(".", 1)
     ways = (rf"from {re.escape(module)} import", rf"from {re.escape(package)} import [^\n]*\b{name}\b")
     pattern = re.compile("|".join(ways))
     files_here = (file for file in sorted((ROOT / "tests").glob("*/test_*.py")) if file.parent.name not in AWAY)
-    found = [file for file in files_here if pattern.search(file.read_text(encoding="utf-8"))]
+    found = [file for file in files_here if file.stem == f"test_{name}" or pattern.search(file.read_text(encoding="utf-8"))]
     found.sort(key=lambda file: (file.parent.name != path.split("/")[1], name not in file.name, file.stat().st_size))
     files = [str(file.relative_to(ROOT)) for file in found[:MOST_FILES]]
     files += [name for name in OF_PACKAGE[path.split("/")[1]] if name not in files and len(files) < FEWEST_FILES]

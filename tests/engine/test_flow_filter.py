@@ -67,11 +67,26 @@ def test_switched_off_it_changes_nothing():
     np.testing.assert_array_equal(seen, flow)
 
 
-@given(st.lists(st.floats(allow_nan=True, allow_infinity=True), max_size=60), st.floats(min_value=0.0, max_value=1e6))
-def test_nothing_makes_it_raise_or_diverge(flows, spread):
+@pytest.mark.parametrize("lead_windows", [-1.0, 1.0, 3.0])
+def test_the_spread_of_a_flow_led_away_grows_to_both_sides(lead_windows):
+    """Level and trend are known together: where the trend carries the flow back to windows seen, it is no surer than here."""
+    spreads = {0.0: [], lead_windows: []}
+    for lead, spread in spreads.items():
+        flow_filter = FlowFilter(FlowFilterSettings())
+        for seen in 12.0 * (1.0 + NOISE * np.random.default_rng(SEED).standard_normal(100)):
+            spread.append(flow_filter.update(seen, NOISE * seen, lead)[1])
+    assert np.mean(spreads[lead_windows][20:]) > 1.3 * np.mean(spreads[0.0][20:])
+
+
+@given(
+    st.lists(st.floats(allow_nan=True, allow_infinity=True), max_size=60),
+    st.floats(min_value=0.0, max_value=1e6),
+    st.floats(min_value=-2.0, max_value=2.0),
+)
+def test_nothing_makes_it_raise_or_diverge(flows, spread, lead_windows):
     flow_filter = FlowFilter(FlowFilterSettings())
     for flow in flows:
-        out, sd = flow_filter.update(flow, spread)
+        out, sd = flow_filter.update(flow, spread, lead_windows)
         if math.isfinite(flow) and flow >= 0.3 and spread > 0.0:
             assert out > 0.0
             assert not math.isnan(sd)

@@ -183,13 +183,13 @@ def summed(runs: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     }
 
 
-def rotate(minutes: float, cpu_minutes: float, record: Path, options: list[str]) -> bool:
+def rotate(names: list[str], minutes: float, cpu_minutes: float, record: Path, options: list[str]) -> bool:
     """Turns of so much processor time, by the clock; whether one escaped."""
     until_s, escaped = time.monotonic() + 60.0 * minutes, False
     while time.monotonic() < until_s:
         runs = recorded(record)
         so_far = summed(runs)
-        name = min(so_far, key=lambda reader: (so_far[reader]["cpu_s"], so_far[reader]["runs"]))
+        name = min(names, key=lambda reader: (so_far[reader]["cpu_s"], so_far[reader]["runs"]))
         seed = 1 + max((run["seed"] for run in runs if run["reader"] == name), default=0)
         run = _turn(name, cpu_minutes, seed, options)
         with record.open("a") as stream:
@@ -251,11 +251,11 @@ def main(arguments: list[str]) -> int:
         for name, sums in summed(recorded(args.record)).items():
             print(name.ljust(16), "  ".join(f"{key} {value}" for key, value in sums.items()))
         return 0
+    names = [args.reader] if args.reader else list(READERS)
     if args.rotate is not None:
         limits = ["--seconds", str(args.seconds), "--memory-mb", str(args.memory_mb)]
-        return int(rotate(args.rotate, args.cpu_minutes or 2.0, args.record, limits))
+        return int(rotate(names, args.rotate, args.cpu_minutes or 2.0, args.record, limits))
     logging.disable(logging.CRITICAL)
-    names = [args.reader] if args.reader else list(READERS)
     found: dict[str, dict[str, int]] = {}
     for name in names:
         if args.cpu_minutes is not None:
