@@ -134,6 +134,10 @@ WRONG = [
     ("sweep: {enabled: yes}", "sweep.enabled: 'yes'; expected true or false"),
     ("sweep: {angles_deg: [40, fifty]}", "sweep.angles_deg[1]: 'fifty'; expected a list of numbers, deg"),
     ("sweep: {angles_deg: []}", "sweep.angles_deg: []; expected a list of numbers, deg"),
+    (
+        "sweep: {windows_per_step: 20}",
+        "sweep.measure_timeout_s: 12; expected at least 22 s for sweep.windows_per_step, 20; no sweep would end",
+    ),
     ("sweep: {angles_deg: [40, 20]}", "sweep.angles_deg[1]: 20; expected 40 to 90 deg, the range of sprocket-8"),
     ("store: {size_mb: .nan}", "store.size_mb: nan; expected a number from 16 to 100000 MB"),
     ("store: {siz_mb: 20}", "store.siz_mb: unknown key; expected size_mb"),

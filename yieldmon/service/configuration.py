@@ -273,6 +273,10 @@ def document_text() -> str:
 _COMMON_INTERFACES = frozenset({"socketcan", "udp_multicast", "virtual", "pcan", "kvaser", "slcan"})
 
 
+#: At an angle, beside the windows measured: the one that had begun before, and the edge of the first that reaches into it.
+_BESIDE_WINDOWS_S = 2.0
+
+
 def _beside(path: Path, name: str | None, default: str) -> Path:
     return path.parent / name if name is not None else shipped(default)
 
@@ -310,6 +314,11 @@ def _contradictions(document: Document, machine: Machine) -> Iterator[tuple[str,
     if windows.min_coverage > windows.full_coverage:
         expected = f"at most windows.full_coverage, {windows.full_coverage:g}"
         yield "windows.min_coverage", f"{windows.min_coverage:g}", expected
+    sweep = document.sweep
+    needed_s = sweep.windows_per_step + _BESIDE_WINDOWS_S
+    if sweep.enabled and sweep.measure_timeout_s < needed_s:
+        expected = f"at least {needed_s:g} s for sweep.windows_per_step, {sweep.windows_per_step}; no sweep would end"
+        yield "sweep.measure_timeout_s", f"{sweep.measure_timeout_s:g}", expected
     low, high = (math.degrees(a) for a in (machine.min_plate_angle_rad, machine.max_plate_angle_rad))
     for index, angle in enumerate(document.sweep.angles_deg if document.sweep.enabled else ()):
         # The range went through radians and back.
