@@ -15,8 +15,9 @@ pytestmark = [pytest.mark.systemd, pytest.mark.slow]
 
 HOME_DEG = 70.0
 SWEEP = """
-sweep: {first_after_s: 0, steady_windows: 2, steady_cv: 0.2, windows_per_step: 20, measure_timeout_s: 60,
-        settle_s: 0.2, move_margin_s: 2.5, backoff_s: 1000, home_retry_s: 5, home_every: 1, angles_deg: [40]}
+sweep: {first_after_s: 0, steady_windows: 6, steady_cv: 0.2, flow_change: 0.5, flow_change_away: 2, signal_trend: 20,
+        windows_per_step: 20, measure_timeout_s: 60, settle_s: 0.2, move_margin_s: 2.5, backoff_s: 1000, home_retry_s: 5,
+        home_every: 1, angles_deg: [40]}
 zero: {first_zero_windows: 1}
 """
 SCENARIO = """
