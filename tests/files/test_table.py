@@ -133,6 +133,9 @@ def test_a_workbook_reads_as_its_table(tmp_path):
         table.load(tmp_path / "no.xlsx")
 
 
+MAIN = b"http://schemas.openxmlformats.org/spreadsheetml/2006/main"
+
+
 @pytest.mark.parametrize("member", ["xl/worksheets/sheet1.xml", "xl/workbook.xml"])
 @pytest.mark.parametrize("content", [b"", b"<worksheet", b"<worksheet/>", b"\xff\xfe"])
 def test_a_damaged_workbook_is_refused(tmp_path, member, content):
@@ -146,6 +149,22 @@ def test_a_damaged_workbook_is_refused(tmp_path, member, content):
             spoilt.writestr(name, content if name == member else good.read(name))
     with pytest.raises(InputError, match=r"t\.xlsx"):
         table.load(tmp_path / "t.xlsx")
+
+
+def test_a_workbook_of_another_program_is_read_without_a_word(tmp_path, recwarn):
+    """Without styles, as programs write it that are not Excel."""
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for row in (["plate_angle_deg", "mass_flow_kg_s", "force_n"], [70, 12.5, 100]):
+        book.active.append(row)
+    book.save(tmp_path / "good.xlsx")
+    with zipfile.ZipFile(tmp_path / "good.xlsx") as good, zipfile.ZipFile(tmp_path / "t.xlsx", "w") as plain:
+        for name in good.namelist():
+            content = good.read(name)
+            plain.writestr(name, b'<styleSheet xmlns="' + MAIN + b'"/>' if name == "xl/styles.xml" else content)
+    recwarn.clear()
+    assert table.load(tmp_path / "t.xlsx").lines == (2,)
+    assert not recwarn.list
 
 
 def test_a_workbook_of_charts_alone_is_refused(tmp_path):

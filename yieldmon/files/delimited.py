@@ -11,6 +11,7 @@ import csv
 import hashlib
 import io
 import re
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -131,14 +132,17 @@ def _workbook(raw: bytes, where: str) -> list[tuple[int, list[str]]]:
     import openpyxl
 
     expected = f"a CSV file or a workbook (*{WORKBOOK})"
-    try:
-        book = openpyxl.load_workbook(io.BytesIO(raw), read_only=True, data_only=True)
-    except Exception as error:
-        raise InputError(where, "is a zip archive and no Excel workbook", expected) from error
-    try:
-        rows = [[_cell(value) for value in row] for row in book.worksheets[0].iter_rows(values_only=True)]
-    except Exception as error:  # openpyxl raises anything on a damaged sheet
-        raise InputError(where, f"has a first sheet that cannot be read: {brief(error)}", expected) from error
+    with warnings.catch_warnings():
+        # Of styles and links, which say nothing about the cells.
+        warnings.simplefilter("ignore")
+        try:
+            book = openpyxl.load_workbook(io.BytesIO(raw), read_only=True, data_only=True)
+        except Exception as error:
+            raise InputError(where, "is a zip archive and no Excel workbook", expected) from error
+        try:
+            rows = [[_cell(value) for value in row] for row in book.worksheets[0].iter_rows(values_only=True)]
+        except Exception as error:  # openpyxl raises anything on a damaged sheet
+            raise InputError(where, f"has a first sheet that cannot be read: {brief(error)}", expected) from error
     width = max((len(row) - next((i for i, c in enumerate(reversed(row)) if c), len(row)) for row in rows), default=0)
     cells = [(i, (row + [""] * width)[:width]) for i, row in enumerate(rows, 1)]
     return [(line, row) for line, row in cells if any(row) and not row[0].startswith("#")]
