@@ -362,6 +362,19 @@ def weighings(factors: list[float], flow: float = 12.0) -> tuple[list[str], list
     return reasons, scale
 
 
+def test_a_ticket_that_moves_the_scale_keeps_the_order_of_the_parameters() -> None:
+    known = OpenLoop(MODEL, NARROW)
+    one = ticket(known, 12.0, 0.0, 500.0, sd_kg=25.0)
+    one = dataclasses.replace(one, reference_kg=1.3 * one.reference_kg, load_number=1)
+    calibrator = ClosedLoopCalibrator(MODEL, CalibratorSettings(closed_loop=ClosedLoopSettings()))
+    outcome = calibrator.weigh(dataclasses.replace(records(12.0)[0], time_s=600.0), (one,), known)
+    assert "moved the scale" in outcome.reason
+    assert outcome.estimator is not None
+    found = outcome.estimator.parameters
+    assert found.covariance_names == NARROW.covariance_names
+    assert np.argmax(np.diag(found.covariance)) == NARROW.covariance_names.index("density")
+
+
 @pytest.mark.parametrize("factor", [0.7, 0.93, 1.07, 1.3])
 def test_a_first_ticket_far_off_is_believed(factor: float) -> None:
     _, scale = weighings([factor])
