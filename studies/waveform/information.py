@@ -63,9 +63,9 @@ def against_monte_carlo(draws: int, seed: int) -> list[dict[str, Any]]:
                 for _ in range(draws):
                     theta = centre + prior * rng.standard_normal(prior.size)
                     theta[6] = rng.uniform(0.0, 0.16)
-                    at = pulses.linearised(theta, *where)
-                    sd = np.sqrt(noise**2 + pulses.lasting_variance(at.envelope))
-                    shown = at.waves + sd * (rng.standard_normal(sd.size) + 1j * rng.standard_normal(sd.size))
+                    at = pulses.linearised(theta[None], *(np.array([v]) for v in where))
+                    sd = np.sqrt(noise**2 + pulses.lasting_variance(at.envelope[0]))
+                    shown = at.waves[0] + sd * (rng.standard_normal(sd.size) + 1j * rng.standard_normal(sd.size))
                     found = estimate(pulses, PatternWave(shown, noise, 6.0, *where))
                     errors.append(np.log(found.volume_flow_m3_s) - theta[0])
                     settled += found.converged

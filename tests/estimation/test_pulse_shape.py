@@ -89,6 +89,12 @@ def test_size_and_shift_of_the_pulses_do_not_matter() -> None:
     assert second.volume_flow_m3_s == pytest.approx(first.volume_flow_m3_s, rel=2e-3)
 
 
+def linear(model: PulseModel, theta: np.ndarray, where: tuple[float, float]) -> pulse_shape.Linear:
+    """The model at one point."""
+    found = model.linearised(theta[None], np.array([where[0]]), np.array([where[1]]))
+    return pulse_shape.Linear(found.waves[0], found.jacobian[0], found.envelope[0])
+
+
 @pytest.mark.parametrize("indexed", [False, True])
 @pytest.mark.parametrize(
     ("flow_kg_s", "angle_deg", "rpm"), [(1.0, 70.0, 400.0), (8.0, 47.3, 331.0), (18.0, 88.0, 452.0), (25.0, 63.0, 390.0)]
@@ -102,19 +108,54 @@ def test_linearised_harmonics_are_those_of_the_stages(flow_kg_s: float, angle_de
     model, where = pulses(arrival=law, indexed=indexed), (rpm * RPM, float(np.deg2rad(angle_deg)))
     moved = np.array([0.03, 0.2, -0.02, 0.1, -0.2, 0.05, 0.01, 0.3, 0.02, -0.03])
     theta = model.start(flow_kg_s / 1100.0) + moved
-    at, size = model.linearised(theta, *where), np.abs(model.waves(theta, *where)).max()
+    at, size = linear(model, theta, where), np.abs(model.waves(theta, *where)).max()
     assert np.abs(at.waves - model.waves(theta, *where)).max() < 2e-4 * size
     for i, step in enumerate(np.diag(np.full(theta.size, 1e-4))):
         expected = (model.waves(theta + step, *where) - model.waves(theta - step, *where)) / 2e-4
         assert np.abs(at.jacobian[:, i] - expected).max() < 0.02 * np.abs(expected).max()
 
 
+def test_fits_side_by_side_are_those_of_each_alone() -> None:
+    """Forty windows of two speeds and angles, some hard to fit, one above a full paddle."""
+    model, rng = pulses(), np.random.default_rng(7)
+    waves, near = [], []
+    for number in range(40):
+        where = (SPEED * (1.0 + 0.02 * (number % 2)), HOME - 0.1 * (number % 3 == 0))
+        theta = model.start(rng.uniform(2.0, 20.0) / 1100.0, shift_s=rng.uniform(0.0, 0.16), log_gain=rng.normal(0.0, 0.3))
+        at = linear(model, theta, where)
+        off = 0.05 * np.abs(at.waves).max() * (rng.standard_normal((2, at.waves.size)) * (1 + 5 * (number % 7 == 0)))
+        waves.append(PatternWave(at.waves + off[0] + 1j * off[1], noise(model), rng.uniform(3.0, 7.0), *where))
+        near.append(float(np.exp(theta[0])) * (50.0 if number == 11 else 1.3))
+    together = pulse_shape.estimate_near(model, waves, near)
+    for number, (found, wave, flow) in enumerate(zip(together, waves, near, strict=True)):
+        (alone,) = pulse_shape.estimate_near(pulses(), [wave], [flow])
+        for key in ("volume_flow_m3_s", "relative_sd", "random_sd", "misfit", "relative_residual"):
+            assert getattr(found, key) == pytest.approx(getattr(alone, key), rel=1e-9, nan_ok=True), (number, key)
+        assert found.converged == alone.converged
+        assert found.covariance == pytest.approx(alone.covariance, rel=1e-7, abs=1e-12, nan_ok=True)
+        assert np.isnan(found.volume_flow_m3_s) == (number == 11)
+
+
+@pytest.mark.parametrize("flow_kg_s", [4.0, 9.0, 18.0])
+@pytest.mark.parametrize("beside", [0.7, 1.0, 1.4])
+def test_a_fit_begun_near_the_flow_ends_where_one_begun_by_a_search_does(flow_kg_s: float, beside: float) -> None:
+    model = pulses(sd={**PulseSettings().sd, "log_volume_flow": 10.0})
+    theta = model.start(flow_kg_s / 1100.0, shift_s=0.11, log_gain=-0.4)
+    theta[1:3] += 0.1, -0.02
+    at = linear(model, theta, (SPEED, HOME))
+    wave = PatternWave(at.waves * (1.0 + 0.01j), noise(model), 6.0, SPEED, HOME)
+    (near,), searched = pulse_shape.estimate_near(model, [wave], [beside * flow_kg_s / 1100.0]), pulse_shape.estimate(model, wave)
+    assert near.converged
+    assert abs(np.log(near.volume_flow_m3_s / searched.volume_flow_m3_s)) < 0.1 * searched.relative_sd
+    assert near.misfit == pytest.approx(searched.misfit, rel=0.1, abs=0.01)
+
+
 def test_what_was_looked_at_before_changes_no_estimate() -> None:
     where, fresh, used = (SPEED, HOME), pulses(), pulses()
     for flow in np.geomspace(2.0, 20.0, 7):
-        used.linearised(used.start(flow / 1100.0), *where)
+        linear(used, used.start(flow / 1100.0), where)
     theta = fresh.start(8.0 / 1100.0)
-    assert np.array_equal(used.linearised(theta, *where).jacobian, fresh.linearised(theta, *where).jacobian)
+    assert np.array_equal(linear(used, theta, where).jacobian, linear(fresh, theta, where).jacobian)
 
 
 @pytest.mark.parametrize(("flow_kg_s", "angle_deg", "rpm"), [(8.0, 70.0, 400.0), (18.0, 90.0, 450.0)])
@@ -131,7 +172,7 @@ def test_scatter_of_the_estimate_is_what_fisher_information_says(flow_kg_s: floa
     errors = []
     for _ in range(90):
         theta = centre + drawn * rng.standard_normal(drawn.size)
-        at = model.linearised(theta, *where)
+        at = linear(model, theta, where)
         sd = np.sqrt(noise(model) ** 2 + model.lasting_variance(at.envelope))
         shown = at.waves + sd * (rng.standard_normal(sd.size) + 1j * rng.standard_normal(sd.size))
         found = pulse_shape.estimate(model, PatternWave(shown, noise(model), 6.0, *where))

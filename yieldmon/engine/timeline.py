@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from yieldmon import frames as bus
 from yieldmon.engine.conclusion import Conclusion
-from yieldmon.engine.flow import estimates
+from yieldmon.engine.flow import Estimate, estimates
 from yieldmon.engine.impact_sensors import RunFeeding
 from yieldmon.engine.inputs import InputSnapshot
 from yieldmon.engine.measurement import Reading
@@ -159,16 +159,24 @@ class Timeline:
         for start in range(0, len(held), _FORMED_TOGETHER):
             readings += self._read(held[start : start + _FORMED_TOGETHER], feeding)
         learning = self._parts.learning
-        estimator, found = learning.estimator, estimates(learning.estimator, readings)
+        estimator, found = learning.estimator, self._estimated(readings)
         for index, reading in enumerate(readings):
             if learning.estimator is not estimator:
                 estimator = learning.estimator
-                found[index:] = estimates(estimator, readings[index:])
+                found[index:] = self._estimated(readings[index:])
             if feeding is not None:
                 results += self._ticks_before(reading.window.end_s, feeding)
             results.append(self.conclusion.conclude(reading, found[index]))
             results += self._due(reading.inputs.angle_deg, ActuatorState(reading.inputs.actuator))
         return results
+
+    def _estimated(self, readings: Sequence[Reading]) -> list[Estimate | None]:
+        """The estimates of these windows; their pulses, where these are looked at, are fitted beside each other."""
+        estimator, waveform = self._parts.learning.estimator, self._parts.waveform
+        found = estimates(estimator, readings)
+        if waveform is not None:
+            waveform.prepare(readings, [item.rate_kg_s if item is not None else float("nan") for item in found], estimator)
+        return found
 
     def _ticks_before(self, end_s: float, feeding: RunFeeding) -> list[Result]:
         results: list[Result] = []

@@ -6,6 +6,7 @@ Runs beside the mean force's estimate and knows it only to compare. Off unless t
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import exp, hypot, isfinite, log, sqrt
 from statistics import median
@@ -21,8 +22,17 @@ from yieldmon.engine.windows import Trace
 from yieldmon.estimation import kernel_noise
 from yieldmon.estimation.channel_combination import combine, relative_covariance
 from yieldmon.estimation.kernel_noise import Density, KernelImpulse, KernelNoiseSettings, KernelVerdict
-from yieldmon.estimation.pattern_fold import FoldedPattern, fold, harmonics_of, residual
-from yieldmon.estimation.pulse_shape import ArrivalLaw, PulseEstimate, PulseModel, PulseSettings, ShapeVerdict, estimate
+from yieldmon.estimation.pattern_fold import FoldedPattern, fold_all, harmonics_of_all, residual
+from yieldmon.estimation.pulse_shape import (
+    ArrivalLaw,
+    PatternWave,
+    PulseEstimate,
+    PulseModel,
+    PulseSettings,
+    ShapeVerdict,
+    estimate,
+    estimate_near,
+)
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 
@@ -41,6 +51,8 @@ _WHOLE = 0.98
 _APART = 3
 """Windows between grain and a window of the empty machine."""
 _LEAST_SAMPLES = 4.0
+_FLOW_SD = 10.0
+_ITERATIONS = 10
 _SEARCH_EVERY = 10
 """Windows from one search for pulses that fit nowhere to the next."""
 
@@ -114,7 +126,9 @@ class Waveform:
         self._law = _law_of(settings)
         self._pulses: PulseModel | None = None
         self._estimator: FlowEstimator | None = None
-        self._last: PulseEstimate | None = None
+        self._prepared: dict[float, tuple[PatternWave, PulseEstimate]] = {}
+        """Waves and fits by their windows' ends, and the estimator that they are of."""
+        self._fitted_with: FlowEstimator | None = None
         self._searchable_in = 0
         self._sums, self._counts = np.zeros(_FINE_BINS), np.zeros(_FINE_BINS)
         self._loaded: deque[tuple[Density, float]] = deque(maxlen=settings.kernel_windows)
@@ -122,6 +136,33 @@ class Waveform:
         self._waiting: deque[Density] = deque()
         self._differences: deque[tuple[float, float]] = deque(maxlen=settings.contradiction_windows)
         self._stretches: deque[float] = deque(maxlen=settings.contradiction_windows)
+
+    def prepare(self, readings: Sequence[Reading], rates_kg_s: Sequence[float], estimator: FlowEstimator) -> None:
+        """Fit the pulses of these windows side by side, begun at the mean force's flow; `see` then takes them up one by one."""
+        self._prepared.clear()
+        near = [
+            (reading, trace, zero, rate)
+            for reading, rate in zip(readings, rates_kg_s, strict=True)
+            if rate > 0.0 and _shows_pulses(reading)
+            if (trace := reading.window.trace) is not None and (zero := reading.zero) is not None
+        ]
+        if not near:
+            return
+        pulses, gain = self._model(estimator), self._machine.sensor.gain_n_per_mv
+        forces = [(trace.samples_mv - zero.zero_mv) * gain for _, trace, zero, _ in near]
+        folded = fold_all(forces, [trace.phase for _, trace, *_ in near], bins=_BINS)
+        whole = [place for place, pattern in enumerate(folded) if pattern.complete]
+        windows = [near[place][0].window for place in whole]
+        waves = harmonics_of_all(
+            [folded[place] for place in whole],
+            self._settings.harmonics,
+            elevator_speeds_rad_s=[window.speed_rad_s for window in windows],
+            plate_angles_rad=[window.plate_angle_rad for window in windows],
+        )
+        flows = [near[place][3] / estimator.parameters.values["density"] for place in whole]
+        self._fitted_with = estimator
+        for window, wave, found in zip(windows, waves, estimate_near(pulses, waves, flows, iterations=_ITERATIONS), strict=True):
+            self._prepared[window.end_s] = wave, found
 
     def see(self, reading: Reading, flow: Flow, estimator: FlowEstimator) -> WaveformReading:
         """The window's own word beside flow, that of the mean force."""
@@ -139,16 +180,15 @@ class Waveform:
             return _without(ShapeVerdict.NO_SAMPLES, _NO_ZERO)
         force_n = (trace.samples_mv - reading.zero.zero_mv) * self._machine.sensor.gain_n_per_mv
         if not reading.harvesting:
-            self._last = None
             self._sums[:], self._counts[:] = 0.0, 0.0
             self._see_empty(kernel_noise.density(force_n, trace.interval_s, segment=_SEGMENT), reading)
             return _without(ShapeVerdict.NO_GRAIN, _NO_GRAIN)
         self._waiting.clear()
         if not (flow.rate_kg_s > 0.0 and reading.still):
-            self._last = None
             return _without(ShapeVerdict.NOT_STILL, _NOT_STILL)
-        folded = fold(force_n, trace.phase, bins=_BINS)
-        shape = self._shape(folded, reading, estimator)
+        if reading.window.end_s not in self._prepared or estimator is not self._fitted_with:
+            self.prepare((reading,), (flow.rate_kg_s,), estimator)
+        shape = self._shape(reading, estimator)
         kernels = None if shape is None else self._kernels(force_n, self._aligned(trace, shape, reading), reading.force_n)
         return self._judged(reading, flow, estimator, shape, kernels)
 
@@ -162,36 +202,23 @@ class Waveform:
             self._quiet.append(self._waiting[_APART])
             self._waiting.popleft()
 
-    def _shape(self, folded: FoldedPattern, reading: Reading, estimator: FlowEstimator) -> PulseEstimate | None:
-        """The fit to the window's pulses, begun where the last one ended."""
-        if not folded.complete:
+    def _shape(self, reading: Reading, estimator: FlowEstimator) -> PulseEstimate | None:
+        """The fit to the window's pulses; where none was found near the mean force's flow, over all fills and shifts."""
+        prepared = self._prepared.get(reading.window.end_s)
+        if prepared is None:
             return None
-        pulses = self._model(estimator)
-        wave = harmonics_of(
-            folded,
-            self._settings.harmonics,
-            elevator_speed_rad_s=reading.window.speed_rad_s,
-            plate_angle_rad=reading.window.plate_angle_rad,
-        )
-        last = self._last
-        if last is not None:
-            # The phase goes on along the chain, so that only a change of speed moves the shift.
-            start = np.array([last.values[name] for name in pulses.names])
-            centre = pulses.start(last.volume_flow_m3_s, shift_s=last.values["shift_s"], log_gain=last.values["log_gain"])
-            found = estimate(pulses, wave, start=start, centre=centre, iterations=6)
-            if _usable(found) and (found.misfit < self._settings.largest_misfit or self._searchable_in > 0):
-                self._searchable_in = max(0, self._searchable_in - 1)
-                self._last = found
-                return found
+        wave, found = prepared
+        if _usable(found) and (found.misfit < self._settings.largest_misfit or self._searchable_in > 0):
+            self._searchable_in = max(0, self._searchable_in - 1)
+            return found
         if self._searchable_in > 0:
             self._searchable_in -= 1
             return None
-        found = estimate(pulses, wave)
+        found = estimate(self._model(estimator), wave)
         fits = _usable(found) and found.misfit < self._settings.largest_misfit
         # A search over all fills and shifts costs as much as twenty fits; pulses that fit nowhere are not searched each second.
         self._searchable_in = 0 if fits else _SEARCH_EVERY - 1
-        self._last = found if _usable(found) else None
-        return self._last
+        return found if _usable(found) else None
 
     def _model(self, estimator: FlowEstimator) -> PulseModel:
         if self._pulses is None or estimator is not self._estimator:
@@ -200,7 +227,8 @@ class Waveform:
             values["friction"] = max(values["friction"], 0.02)
             sd = dict(PulseSettings().sd)
             sd |= {"log_friction": settings.friction_sd, "log_shape_ratio": settings.shape_ratio_sd}
-            sd |= {"log_cell": settings.response_error}
+            # The mean force only says where to begin: a prior that is felt would make the two channels one.
+            sd |= {"log_cell": settings.response_error, "log_volume_flow": _FLOW_SD}
             self._pulses = PulseModel(
                 ForwardModel(self._machine, estimator.parameters.effects),
                 values,
@@ -212,7 +240,7 @@ class Waveform:
                     arrival=self._law,
                 ),
             )
-            self._estimator, self._last = estimator, None
+            self._estimator = estimator
         return self._pulses
 
     def _aligned(self, trace: Trace, shape: PulseEstimate, reading: Reading) -> Trace:
@@ -355,6 +383,11 @@ class Waveform:
         if off > self._settings.largest_misfit:
             return f"pulses are not of the model's shape (misfit {off:.0f}); is sensor.response_s of the machine right?"
         return ""
+
+
+def _shows_pulses(reading: Reading) -> bool:
+    trace = reading.window.trace
+    return trace is not None and trace.samples_mv.size >= _SEGMENT and reading.in_range and reading.harvesting and reading.still
 
 
 def _law_of(settings: WaveformSettings) -> ArrivalLaw:

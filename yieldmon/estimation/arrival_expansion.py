@@ -28,7 +28,7 @@ _LARGEST_ERROR = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Expanded:
-    """Arrivals at a point and their derivatives; arrays (4, paddles, nodes), first the value, then one for each fitted parameter.
+    """Arrivals and their derivatives; arrays (4, ..., paddles, nodes), first the value, then one for each fitted parameter.
 
     Attributes
     ----------
@@ -49,10 +49,11 @@ class _Cell:
     slopes: Array
     bends: Array
 
-    def at(self, move: Array) -> tuple[Array, Array]:
-        """Value and slopes, a move (5,) away."""
-        slopes = self.slopes + (move @ self.bends).reshape(self.slopes.shape)
-        return self.value + 0.5 * (move @ (self.slopes + slopes)), slopes
+    def at(self, moves: Array) -> tuple[Array, Array]:
+        """Values (m, n) and slopes (m, 5, n), moves (m, 5) away; each as if it were alone, to the last bit."""
+        row = moves[:, None, :]
+        slopes = self.slopes + (row @ self.bends).reshape(len(moves), *self.slopes.shape)
+        return self.value + 0.5 * (row @ (self.slopes + slopes))[:, 0], slopes
 
 
 class ArrivalExpansions:
@@ -69,23 +70,36 @@ class ArrivalExpansions:
         self._cells: dict[tuple[int, ...], _Cell | None] = {}
         self._shape: tuple[int, ...] = ()
 
-    def at(self, point: Array) -> Expanded | None:
-        """Arrivals at a point (5,); None where the model is not smooth enough, or has no value, somewhere in its cell.
+    def at(self, points: Array) -> tuple[Expanded, Array]:
+        """Arrivals at points (m, 5), (4, p, paddles, nodes), and which (m,) of them are among the p.
 
-        The answer depends on the point alone, not on what was asked before.
+        Not those in whose cell the model is somewhere not smooth enough or without a value. An answer depends on its point alone,
+        not on what was asked before or beside it.
         """
-        place = np.rint(point / CELL)
-        key = tuple(place.astype(int).tolist())
+        scaled = points / CELL
+        places = np.rint(scaled)
+        rows: dict[tuple[int, ...], list[int]] = {}
+        for row, key in enumerate(places.astype(np.intp).tolist()):
+            rows.setdefault(tuple(key), []).append(row)
+        known, parts = np.zeros(len(points), dtype=bool), []
+        for key, chosen in rows.items():
+            cell = self._cell(key)
+            if cell is not None:
+                known[chosen] = True
+                value, slopes = cell.at((scaled - places)[chosen])
+                parts.append((chosen, np.concatenate((value[:, None], slopes[:, :SHAPES] / CELL[:SHAPES, None]), axis=1)))
+        found = np.empty((len(points), 1 + SHAPES, 3, *self._shape))
+        for chosen, part in parts:
+            found[chosen] = part.reshape(len(chosen), 1 + SHAPES, 3, *self._shape)
+        impulse, middle, half = found[known].transpose(2, 1, 0, *range(3, found.ndim))
+        return Expanded(impulse, middle, half), known
+
+    def _cell(self, key: tuple[int, ...]) -> _Cell | None:
         if key not in self._cells:
             if len(self._cells) >= _CELLS_KEPT:
                 self._cells.pop(next(iter(self._cells)))
-            self._cells[key] = self._expansion(place * CELL)
-        cell = self._cells[key]
-        if cell is None:
-            return None
-        value, slopes = cell.at(point / CELL - place)
-        found = np.concatenate((value[None], slopes[:SHAPES] / CELL[:SHAPES, None])).reshape(1 + SHAPES, 3, *self._shape)
-        return Expanded(found[:, 0], found[:, 1], found[:, 2])
+            self._cells[key] = self._expansion(np.array(key) * CELL)
+        return self._cells[key]
 
     def _expansion(self, centre: Array) -> _Cell | None:
         """Of impulse, middle and half width of all nodes, in widths of the cell from its centre."""
@@ -107,7 +121,7 @@ class ArrivalExpansions:
         bend[_FIRST, _SECOND] = bend[_SECOND, _FIRST] = mixed
         bend[np.arange(n), np.arange(n)] = (up + down - 2.0 * middle) / (half * half)
         cell = _Cell(middle, (up - down) / (2.0 * half), bend.reshape(n, -1))
-        if not all(self._near(cell.at(move)[0], true) for move, true in zip(moves[-2:], values[-2:], strict=True)):
+        if not all(self._near(found, true) for found, true in zip(cell.at(moves[-2:])[0], values[-2:], strict=True)):
             return None
         return cell
 
@@ -121,25 +135,25 @@ class ArrivalExpansions:
 
 
 def spectrum_and_slopes(
-    parts: Expanded, fundamental_rad_s: float, harmonics: int, stretch: Array, log_stretch_slopes: Array
+    parts: Expanded, fundamental_rad_s: Array, harmonics: int, stretch: Array, log_stretch_slopes: Array
 ) -> AnyArray:
     """`yieldmon.physics.pulse.spectrum` of expanded arrivals, and its derivatives.
 
     Parameters
     ----------
     parts : Expanded
-        (4, paddles, nodes).
-    fundamental_rad_s : float
+        (4, pulses, nodes).
+    fundamental_rad_s : ndarray (pulses,)
         The frequencies are its multiples 1 .. harmonics.
     harmonics : int
         k.
-    stretch : ndarray (paddles,)
-    log_stretch_slopes : ndarray (n, paddles)
+    stretch : ndarray (pulses,)
+    log_stretch_slopes : ndarray (n, pulses)
         Derivatives of ln stretch by the n parameters, of which the first three are those of `parts`.
 
     Returns
     -------
-    ndarray (1 + n, paddles, k)
+    ndarray (1 + n, pulses, k)
         Complex, N s: first the spectrum itself.
     """
     impulse, middle, half = (_padded(v, len(log_stretch_slopes)) for v in (parts.impulse_n_s, parts.middle_s, parts.half_width_s))
@@ -153,7 +167,7 @@ def spectrum_and_slopes(
     middle_slopes = mean_slopes + factor * (middle[1:] - mean_slopes + slopes * away)
     half_slopes = factor * (half[1:] + slopes * half[0])
     order = np.arange(1.0, harmonics + 1.0)
-    angles = fundamental_rad_s * np.stack((-(mean + factor * away), factor * half[0]))
+    angles = fundamental_rad_s[:, None] * np.stack((-(mean + factor * away), factor * half[0]))
     powers = np.empty((*angles.shape, harmonics), dtype=complex)
     powers[...] = (np.cos(angles) + 1j * np.sin(angles))[..., None]
     wave, turned = np.cumprod(powers, axis=-1)
@@ -167,7 +181,7 @@ def spectrum_and_slopes(
     by_node = _of_reals(rows, wave * sinc)
     by_half = _of_reals((impulse[0] * half_slopes).swapaxes(0, 1), wave * slope)
     found = by_node[:, : len(impulse)]
-    found[:, 1:] += fundamental_rad_s * order * (by_half - 1j * by_node[:, len(impulse) :])
+    found[:, 1:] += (fundamental_rad_s[:, None] * order)[:, None, :] * (by_half - 1j * by_node[:, len(impulse) :])
     return np.asarray(found.swapaxes(0, 1))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -46,13 +47,23 @@ class FoldedPattern:
 
 def fold(samples_n: Array, phase: Array, *, bins: int = 64) -> FoldedPattern:
     """Fold samples (n,) by their phase (n,), in turns of the pattern along the chain."""
-    place = np.floor((phase % 1.0) * bins).astype(np.intp) % bins
-    counts = np.bincount(place, minlength=bins).astype(float)
+    return fold_all([samples_n], [phase], bins=bins)[0]
+
+
+def fold_all(samples_n: Sequence[Array], phases: Sequence[Array], *, bins: int = 64) -> list[FoldedPattern]:
+    """Fold the samples of many windows, each by its own phase; each as if it were alone, to the last bit."""
+    count, sizes = len(phases), [phase.size for phase in phases]
+    if not count:
+        return []
+    samples, phase = np.concatenate(samples_n), np.concatenate(phases)
+    place = np.floor((phase % 1.0) * bins).astype(np.intp) % bins + bins * np.repeat(np.arange(count), sizes)
+    counts = np.bincount(place, minlength=count * bins).astype(float)
     with np.errstate(invalid="ignore", divide="ignore"):
-        mean = np.bincount(place, weights=samples_n, minlength=bins) / counts
-        square = np.bincount(place, weights=(samples_n - mean[place]) ** 2, minlength=bins) / np.maximum(counts - 1.0, 1.0)
-    turns = float(np.ptp(phase)) if len(phase) else 0.0
-    return FoldedPattern(mean, square, counts, turns)
+        mean = np.bincount(place, weights=samples, minlength=count * bins) / counts
+        square = np.bincount(place, weights=(samples - mean[place]) ** 2, minlength=count * bins) / np.maximum(counts - 1.0, 1.0)
+    turns = [float(np.ptp(phase)) if phase.size else 0.0 for phase in phases]
+    tables = (table.reshape(count, bins) for table in (mean, square, counts))
+    return [FoldedPattern(*row) for row in zip(*tables, turns, strict=True)]
 
 
 def harmonics_of(folded: FoldedPattern, harmonics: int, *, elevator_speed_rad_s: float, plate_angle_rad: float) -> PatternWave:
@@ -63,23 +74,37 @@ def harmonics_of(folded: FoldedPattern, harmonics: int, *, elevator_speed_rad_s:
     ValueError
         For an incomplete pattern, or more harmonics than a third of the bins.
     """
-    bins = folded.mean_n.size
-    if not folded.complete:
-        raise ValueError(f"{int((folded.counts == 0).sum())} of {bins} bins without samples, {folded.patterns:.2f} patterns")
+    speeds, angles = [elevator_speed_rad_s], [plate_angle_rad]
+    return harmonics_of_all([folded], harmonics, elevator_speeds_rad_s=speeds, plate_angles_rad=angles)[0]
+
+
+def harmonics_of_all(
+    folded: Sequence[FoldedPattern],
+    harmonics: int,
+    *,
+    elevator_speeds_rad_s: Sequence[float],
+    plate_angles_rad: Sequence[float],
+) -> list[PatternWave]:
+    """The same of many patterns with as many bins. Raises ValueError as `harmonics_of`."""
+    if not folded:
+        return []
+    bins = folded[0].mean_n.size
+    for pattern in folded:
+        if not pattern.complete:
+            raise ValueError(
+                f"{int((pattern.counts == 0).sum())} of {bins} bins without samples, {pattern.patterns:.2f} patterns"
+            )
     if 3 * harmonics > bins:
         raise ValueError(f"{harmonics} harmonics from {bins} bins, expected at most a third")
     order = np.arange(1, harmonics + 1)
     # The mean over a bin is that at its middle, low-passed by the bin's width.
-    turned = np.exp(-1j * np.pi * order / bins) / np.sinc(order / bins)
-    waves = np.fft.fft(folded.mean_n)[1 : harmonics + 1] / bins * turned
-    of_means = float((folded.variance_n2 / folded.counts).sum()) / bins**2
-    return PatternWave(
-        waves,
-        np.full(harmonics, np.sqrt(0.5 * of_means)) / np.sinc(order / bins),
-        folded.patterns,
-        elevator_speed_rad_s,
-        plate_angle_rad,
-    )
+    width = np.sinc(order / bins)
+    turned = np.exp(-1j * np.pi * order / bins) / width
+    waves = np.fft.fft(np.array([pattern.mean_n for pattern in folded]))[:, 1 : harmonics + 1] / bins * turned
+    of_means = np.array([pattern.variance_n2 / pattern.counts for pattern in folded]).sum(axis=1) / bins**2
+    noise = np.sqrt(0.5 * of_means)[:, None] / width
+    rows = zip(waves, noise, folded, elevator_speeds_rad_s, plate_angles_rad, strict=True)
+    return [PatternWave(wave, sd, pattern.patterns, speed, angle) for wave, sd, pattern, speed, angle in rows]
 
 
 def residual(samples_n: Array, phase: Array, folded: FoldedPattern) -> Array:

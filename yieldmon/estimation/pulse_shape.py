@@ -14,13 +14,14 @@ from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import AnyArray, Array
 from yieldmon.physics.pulse import Arrivals, arrivals, spectrum
 
-from .arrival_expansion import SHAPES, ArrivalExpansions, spectrum_and_slopes
+from .arrival_expansion import SHAPES, ArrivalExpansions, Expanded, spectrum_and_slopes
 
 SHAPE_NAMES = ("log_volume_flow", "log_friction", "log_shape_ratio", "log_stretch", "log_tail")
 """Parameters that move the pulse before the cell; natural logarithms, so that a change is a relative one."""
@@ -42,6 +43,8 @@ _PARTS = (1.0, 0.5, 0.25, 0.1)
 _SCAN = np.geomspace(0.06, 0.9, 16)
 """Fills (load over a full paddle) at which a start is looked for."""
 _SHIFTS = 256
+_SIDE_BY_SIDE = 32
+"""Windows fitted at once: enough to share the cost of array operations, few enough for the cache."""
 _INDEX_REACH_S = 0.015
 _LEAST_FILL = 0.02
 _BEYOND_FILL = 1.1
@@ -110,20 +113,23 @@ class ArrivalLaw:
     plate_angles_rad: tuple[float, float] = (-float("inf"), float("inf"))
     elevator_speeds_rad_s: tuple[float, float] = (0.0, float("inf"))
 
-    def conditions(self, plate_angle_rad: float, elevator_speed_rad_s: float, friction: float) -> tuple[float, float, float]:
-        """c, r and p of the laws."""
+    def conditions(
+        self, plate_angle_rad: ArrayLike, elevator_speed_rad_s: ArrayLike, friction: float
+    ) -> tuple[Array, Array, Array]:
+        """c, r and p of the laws; angles and speeds broadcast against fills."""
         speed, usual = self.reference
-        return float(np.cos(plate_angle_rad)), float(np.log(elevator_speed_rad_s / speed)), float(np.log(friction / usual))
+        cosine, faster = np.cos(plate_angle_rad), np.log(np.asarray(elevator_speed_rad_s) / speed)
+        return np.asarray(cosine), np.asarray(faster), np.asarray(np.log(friction / usual))
 
-    def delay_s(self, fill: AnyArray, conditions: tuple[float, float, float]) -> Array:
+    def delay_s(self, fill: AnyArray, conditions: tuple[Array, Array, Array]) -> Array:
         """Mean delay at fills, s."""
         return _law(self.delay, fill, conditions)[0]
 
-    def log_stretch(self, fill: AnyArray, conditions: tuple[float, float, float]) -> Array:
+    def log_stretch(self, fill: AnyArray, conditions: tuple[Array, Array, Array]) -> Array:
         """ln stretch at fills."""
         return _law(self.stretch, fill, conditions)[0]
 
-    def tail_s(self, fill: AnyArray, conditions: tuple[float, float, float]) -> Array:
+    def tail_s(self, fill: AnyArray, conditions: tuple[Array, Array, Array]) -> Array:
         """Tail at fills, s."""
         if self.tail is None:
             return np.zeros(np.shape(fill))
@@ -148,13 +154,13 @@ class ArrivalLaw:
         return ""
 
 
-def _features(fill: float, conditions: tuple[float, float, float]) -> Array:
+def _features(fill: float, conditions: tuple[Array, Array, Array]) -> Array:
     x = float(np.log(min(max(fill, _LEAST_FILL), 1.0)))
-    c, r, p = conditions
+    c, r, p = (float(v) for v in conditions)
     return np.array([1.0, x, c, x * c, c * c, x * x, x * c * c, x * x * c, r, p, x * r, x * p, c * r, c * p])
 
 
-def _law(coefficients: tuple[float, ...], fill: AnyArray, conditions: tuple[float, float, float]) -> tuple[Array, Array]:
+def _law(coefficients: tuple[float, ...], fill: AnyArray, conditions: tuple[Array, Array, Array]) -> tuple[Array, Array]:
     """A law's value at fills, and its derivative by ln fill."""
     k = (*coefficients, *(0.0,) * (TERMS - len(coefficients)))
     c, r, p = conditions
@@ -277,12 +283,20 @@ class PulseEstimate:
 
 
 @dataclass(frozen=True, slots=True)
-class _Linear:
-    """Model at a point: harmonics (k,), derivatives (k, n), and the size (k,) to which the model's error is relative."""
+class Linear:
+    """Model at points: harmonics (m, k), derivatives (m, k, n), and the size (m, k) to which the model's error is relative."""
 
     waves: AnyArray
     jacobian: AnyArray
     envelope: Array
+
+    def put(self, rows: AnyArray, others: Linear) -> None:
+        """Take these rows from others."""
+        self.waves[rows], self.jacobian[rows], self.envelope[rows] = others.waves, others.jacobian, others.envelope
+
+    def at(self, rows: AnyArray) -> Linear:
+        """Some of the points."""
+        return Linear(self.waves[rows], self.jacobian[rows], self.envelope[rows])
 
 
 class PulseModel:
@@ -354,24 +368,26 @@ class PulseModel:
         mass = flow * self.parameters["density"] * self._gaps / self.machine.paddle_speed_m_s(speed_rad_s)
         return arrivals(throw, mass, edge_release=self.settings.edge_release)
 
-    def _fill(self, flow: Array, elevator_speed_rad_s: float) -> Array:
-        """Loads over a full paddle."""
-        mass = flow * self.parameters["density"] * self._gaps / self.machine.paddle_speed_m_s(elevator_speed_rad_s)
+    def _fill(self, flow: Array, elevator_speed_rad_s: ArrayLike) -> Array:
+        """Loads over a full paddle; flow and speed broadcast against the paddles."""
+        mass = flow * self.parameters["density"] * self._gaps / self.machine.paddle_speed_m_s(np.asarray(elevator_speed_rad_s))
         return np.asarray(mass / self.full_paddle_kg)
 
     def mean_fill(self, volume_flow_m3_s: float, elevator_speed_rad_s: float) -> float:
         """Load over a full paddle, mean of the paddles."""
         return float(self._fill(np.asarray(volume_flow_m3_s), elevator_speed_rad_s).mean())
 
-    def _omega(self, elevator_speed_rad_s: float) -> Array:
-        return np.asarray(self.fundamental_rad_s(elevator_speed_rad_s) * np.arange(1.0, self.settings.harmonics + 1.0))
+    def frequencies_rad_s(self, elevator_speed_rad_s: ArrayLike) -> Array:
+        """Of the harmonics, (..., k) for speeds (...)."""
+        base = 2.0 * np.pi / self.machine.pattern_length_m * self.machine.paddle_speed_m_s(np.asarray(elevator_speed_rad_s))
+        return np.asarray(base[..., None] * np.arange(1.0, self.settings.harmonics + 1.0))
 
     def shapes(self, theta: Array, elevator_speed_rad_s: float, plate_angle_rad: float) -> AnyArray:
         """Spectra (batch, paddles, k) of pulses before the cell for shape parameters theta (batch, 5)."""
         flow, stretch, tail = (np.exp(theta[:, i])[:, None] for i in (_FLOW, _STRETCH, _TAIL))
         given = np.broadcast_to([np.log(elevator_speed_rad_s), plate_angle_rad], (len(theta), 2))
         parts = self._arrivals(np.concatenate((theta[:, :SHAPES], given), axis=1))
-        omega = self._omega(elevator_speed_rad_s)
+        omega = self.frequencies_rad_s(elevator_speed_rad_s)
         fill, law = self._fill(flow, elevator_speed_rad_s), self.settings.arrival
         where = law.conditions(plate_angle_rad, elevator_speed_rad_s, self.parameters["friction"])
         waves = spectrum(parts, omega, stretch * np.exp(law.log_stretch(fill, where)))
@@ -380,96 +396,164 @@ class PulseModel:
             waves = waves * np.exp(-1j * omega * law.delay_s(fill, where)[..., None])
         return np.asarray(waves / (1.0 + 1j * omega * late))
 
-    def _shapes_and_slopes(
-        self, theta: Array, elevator_speed_rad_s: float, plate_angle_rad: float, free: list[int]
-    ) -> tuple[AnyArray, AnyArray]:
-        """Spectra (paddles, k), and their derivatives (free, paddles, k)."""
-        given = (np.log(elevator_speed_rad_s), plate_angle_rad)
-        expanded = self._expansions.at(np.array([*theta[:SHAPES], *given])) if np.all(np.isfinite(theta[:SHAPES])) else None
-        if expanded is None:
-            return self._by_differences(theta, elevator_speed_rad_s, plate_angle_rad, free)
-        omega, law = self._omega(elevator_speed_rad_s), self.settings.arrival
-        fill = self._fill(np.exp(theta[_FLOW]), elevator_speed_rad_s)
-        where = law.conditions(plate_angle_rad, elevator_speed_rad_s, self.parameters["friction"])
+    def _thrown(self, theta: Array, speeds_rad_s: Array, angles_rad: Array) -> AnyArray:
+        """Spectra before the cell and their derivatives by the free ones of the shape's parameters, (1 + free, m, paddles, k).
+
+        theta: (m, 5). Where arrivals have no expansion, by differences of the stages themselves.
+        """
+        points = np.concatenate((theta[:, :SHAPES], np.log(speeds_rad_s)[:, None], angles_rad[:, None]), axis=1)
+        finite = np.flatnonzero(np.all(np.isfinite(points), axis=1))
+        found = np.empty((1 + len(self._free_shapes), len(theta), self._gaps.size, self.settings.harmonics), dtype=complex)
+        expanded, known = self._expansions.at(points[finite])
+        rows = finite[known]
+        if rows.size:
+            found[:, rows] = self._of_expanded(expanded, theta[rows], speeds_rad_s[rows], angles_rad[rows])
+        for row in np.setdiff1d(np.arange(len(theta)), rows).tolist():
+            found[:, row] = self._by_differences(theta[row], float(speeds_rad_s[row]), float(angles_rad[row]))
+        return found
+
+    def _of_expanded(self, expanded: Expanded, theta: Array, speeds_rad_s: Array, angles_rad: Array) -> AnyArray:
+        size, paddles = len(theta), self._gaps.size
+        omega, law = self.frequencies_rad_s(speeds_rad_s), self.settings.arrival
+        fill = self._fill(np.exp(theta[:, _FLOW])[:, None], speeds_rad_s[:, None])
+        where = law.conditions(angles_rad[:, None], speeds_rad_s[:, None], self.parameters["friction"])
         log_stretch, by_fill = _law(law.stretch, fill, where)
-        by_stretch = np.zeros((_SHAPES, self._gaps.size))
+        by_stretch = np.zeros((_SHAPES, size, paddles))
         by_stretch[_FLOW], by_stretch[_STRETCH] = by_fill, 1.0
-        base = self.fundamental_rad_s(elevator_speed_rad_s)
-        waves = spectrum_and_slopes(expanded, base, omega.size, np.exp(theta[_STRETCH] + log_stretch), by_stretch)
+        flat = [v.reshape(len(v), size * paddles, -1) for v in (expanded.impulse_n_s, expanded.middle_s, expanded.half_width_s)]
+        waves = spectrum_and_slopes(
+            Expanded(*flat),
+            np.repeat(omega[:, 0], paddles),
+            omega.shape[1],
+            np.exp(theta[:, _STRETCH, None] + log_stretch).ravel(),
+            by_stretch.reshape(_SHAPES, -1),
+        ).reshape(1 + _SHAPES, size, paddles, -1)
+        each = omega[:, None, :]
         if self.settings.indexed:
             delay_s, by_fill = _law(law.delay, fill, where)
-            waves = waves * np.exp(-1j * np.outer(delay_s, omega))
-            waves[1 + _FLOW] -= 1j * np.outer(by_fill, omega) * waves[0]
+            waves = waves * np.exp(-1j * (delay_s[..., None] * each))
+            waves[1 + _FLOW] -= 1j * (by_fill[..., None] * each) * waves[0]
         if law.tail is not None:
             log_tail, by_fill = _law(law.tail, fill, where)
-            lag = 1j * np.outer(np.exp(theta[_TAIL] + log_tail), omega)
+            lag = 1j * (np.exp(theta[:, _TAIL, None] + log_tail)[..., None] * each)
             waves /= 1.0 + lag
             late = lag / (1.0 + lag) * waves[0]
             waves[1 + _TAIL] -= late
-            waves[1 + _FLOW] -= by_fill[:, None] * late
-        return waves[0], waves[1:][free]
+            waves[1 + _FLOW] -= by_fill[..., None] * late
+        return np.asarray(waves[[0, *(1 + i for i in self._free_shapes)]])
 
-    def _by_differences(
-        self, theta: Array, elevator_speed_rad_s: float, plate_angle_rad: float, free: list[int]
-    ) -> tuple[AnyArray, AnyArray]:
-        """The same by central differences of the stages themselves, in one batch."""
+    def _by_differences(self, theta: Array, elevator_speed_rad_s: float, plate_angle_rad: float) -> AnyArray:
+        """The same for one point (5,), by central differences of the stages themselves, in one batch."""
+        free = self._free_shapes
         batch = np.repeat(theta[None, :_SHAPES], 1 + 2 * len(free), axis=0)
         for row, i in enumerate(free):
             batch[1 + 2 * row, i] += _STEP
             batch[2 + 2 * row, i] -= _STEP
         found = self.shapes(batch, elevator_speed_rad_s, plate_angle_rad)
-        return found[0], (found[1::2] - found[2::2]) / (2.0 * _STEP)
+        return np.concatenate((found[:1], (found[1::2] - found[2::2]) / (2.0 * _STEP)))
 
-    def _joined(self, shapes: AnyArray, theta: Array, elevator_speed_rad_s: float) -> tuple[AnyArray, AnyArray]:
-        """Each paddle's part (batch, paddles, k) of the pattern's harmonics behind the cell, and 1 + scatter applied."""
-        base = self.fundamental_rad_s(elevator_speed_rad_s)
-        omega = base * np.arange(1.0, shapes.shape[-1] + 1.0)
-        place_s = self._places / self.machine.paddle_speed_m_s(elevator_speed_rad_s)
-        turn = np.exp(-1j * omega * (place_s[:, None] + theta[_SHIFT])) * np.exp(theta[_GAIN]) * base / (2.0 * np.pi)
-        parts = shapes * turn * self._cell(omega, theta[_CELL])
-        return parts, parts * (1.0 + theta[len(COMMON_NAMES) :])[:, None]
+    def _joined(self, shapes: AnyArray, theta: Array, speeds_rad_s: Array) -> tuple[AnyArray, AnyArray]:
+        """Each paddle's part of the pattern's harmonics behind the cell, and 1 + scatter applied.
 
-    def _cell(self, omega: Array, log_cell: float) -> AnyArray:
-        return np.asarray(1.0 / (1.0 + 1j * omega * np.exp(log_cell)) ** 2)
+        shapes: (..., m, paddles, k); theta: (m, n) or (1, n); speeds_rad_s: as many.
+        """
+        omega = self.frequencies_rad_s(speeds_rad_s)
+        late_s = self._places / self.machine.paddle_speed_m_s(speeds_rad_s)[:, None] + theta[:, _SHIFT, None]
+        size = np.exp(theta[:, _GAIN]) * (omega[:, 0] / (2.0 * np.pi))
+        turn = np.exp(-1j * (late_s[..., None] * omega[:, None, :])) * size[:, None, None]
+        parts = shapes * (turn * self._cell(omega, theta[:, _CELL])[:, None, :])
+        return parts, parts * (1.0 + theta[:, len(COMMON_NAMES) :])[..., None]
+
+    def _cell(self, omega: Array, log_cell: Array) -> AnyArray:
+        return np.asarray(1.0 / (1.0 + 1j * (omega * np.exp(log_cell)[:, None])) ** 2)
 
     def waves(self, theta: Array, elevator_speed_rad_s: float, plate_angle_rad: float) -> AnyArray:
         """Harmonics (k,) of the pattern, N."""
         shapes = self.shapes(theta[None, :_SHAPES], elevator_speed_rad_s, plate_angle_rad)
-        return np.asarray(self._joined(shapes, theta, elevator_speed_rad_s)[1][0].sum(axis=0))
+        return np.asarray(self._joined(shapes, theta[None], np.array([elevator_speed_rad_s]))[1][0].sum(axis=0))
 
-    def linearised(self, theta: Array, elevator_speed_rad_s: float, plate_angle_rad: float) -> _Linear:
-        """Harmonics and their derivatives: the throw's by an expansion (`ArrivalExpansions`), the rest in closed form."""
-        free = self._free_shapes
-        shape, slopes = self._shapes_and_slopes(theta, elevator_speed_rad_s, plate_angle_rad, free)
-        plain, scattered = self._joined(np.concatenate((shape[None], slopes)), theta, elevator_speed_rad_s)
-        sums = scattered.sum(axis=1)
+    def linearised(self, theta: Array, speeds_rad_s: Array, angles_rad: Array) -> Linear:
+        """Harmonics and their derivatives: the throw's by an expansion (`ArrivalExpansions`), the rest in closed form.
+
+        Parameters
+        ----------
+        theta : ndarray (m, n)
+        speeds_rad_s, angles_rad : ndarray (m,)
+            Elevator and plate.
+        """
+        return self._behind_cell(self._thrown(theta[:, :_SHAPES], speeds_rad_s, angles_rad), theta, speeds_rad_s)
+
+    def _behind_cell(self, thrown: AnyArray, theta: Array, speeds_rad_s: Array) -> Linear:
+        plain, scattered = self._joined(thrown, theta, speeds_rad_s)
+        sums = scattered.sum(axis=2)
         waves = sums[0]
-        omega = self._omega(elevator_speed_rad_s)
-        jacobian = np.zeros((waves.size, len(self.names)), dtype=complex)
-        jacobian[:, free] = sums[1:].T
-        lag = 1j * omega * np.exp(theta[_CELL])
-        jacobian[:, _CELL] = -2.0 * lag / (1.0 + lag) * waves
-        jacobian[:, _SHIFT] = -1j * omega * waves
-        jacobian[:, _GAIN] = waves
-        jacobian[:, len(COMMON_NAMES) :] = plain[0].T
-        return _Linear(waves, jacobian, self._envelope(plain[0], theta, omega))
+        omega = self.frequencies_rad_s(speeds_rad_s)
+        jacobian = np.zeros((*waves.shape, len(self.names)), dtype=complex)
+        jacobian[..., self._free_shapes] = np.moveaxis(sums[1:], 0, -1)
+        lag = 1j * (omega * np.exp(theta[:, _CELL])[:, None])
+        jacobian[..., _CELL] = -2.0 * lag / (1.0 + lag) * waves
+        jacobian[..., _SHIFT] = -1j * omega * waves
+        jacobian[..., _GAIN] = waves
+        jacobian[..., len(COMMON_NAMES) :] = np.moveaxis(plain[0], 1, -1)
+        return Linear(waves, jacobian, self._envelope(plain[0], theta, omega))
 
     def _envelope(self, parts: AnyArray, theta: Array, omega: Array) -> Array:
-        """Size (k,) to which the model's error is relative: that of pulses without width, behind the cell."""
-        felt = np.abs(self._cell(omega, theta[_CELL]))
-        return np.asarray(np.abs(parts[:, 0]).sum() / felt[0] * felt)
-
-    def random_variance(self, wave: PatternWave) -> Array:
-        """Variance (k,) of real and imaginary part each, of what averages out over time, N^2."""
-        return np.asarray(wave.noise_n**2)
+        """Size (m, k) to which the model's error is relative: that of pulses without width, behind the cell."""
+        felt = np.abs(self._cell(omega, theta[:, _CELL]))
+        return np.asarray(np.abs(parts[..., 0]).sum(axis=-1)[:, None] / felt[:, :1] * felt)
 
     def lasting_variance(self, envelope: Array) -> Array:
-        """Variance (k,) of real and imaginary part each, of what stays the same from window to window, N^2."""
+        """Variance (..., k) of real and imaginary part each, of what stays the same from window to window, N^2."""
         variance = 0.5 * (self.settings.model_error * envelope) ** 2
         paddles = len(self._gaps)
-        if variance.size >= paddles:
-            variance[paddles - 1] += 0.25 * self.settings.vibration_n**2
+        if variance.shape[-1] >= paddles:
+            variance[..., paddles - 1] += 0.25 * self.settings.vibration_n**2
         return np.asarray(variance)
+
+
+@dataclass(frozen=True, slots=True)
+class _Waves:
+    """Waves of windows side by side: amplitudes and variances of what averages out (m, k), the rest (m,)."""
+
+    amplitudes_n: AnyArray
+    random: Array
+    patterns: Array
+    speeds_rad_s: Array
+    angles_rad: Array
+
+    @classmethod
+    def of(cls, waves: Sequence[PatternWave]) -> _Waves:
+        return cls(
+            np.array([wave.amplitudes_n for wave in waves]),
+            np.array([wave.noise_n for wave in waves]) ** 2,
+            np.array([wave.patterns for wave in waves]),
+            np.array([wave.elevator_speed_rad_s for wave in waves]),
+            np.array([wave.plate_angle_rad for wave in waves]),
+        )
+
+    def at(self, rows: AnyArray) -> _Waves:
+        """Some of them."""
+        return _Waves(
+            self.amplitudes_n[rows], self.random[rows], self.patterns[rows], self.speeds_rad_s[rows], self.angles_rad[rows]
+        )
+
+
+class _Priors:
+    """Standard deviations and precisions of the priors of windows side by side.
+
+    free: (n,), the parameters that are fitted, f of them; sd: (m, n); precision: (m, f, f).
+    """
+
+    def __init__(self, pulses: PulseModel, patterns: Array) -> None:
+        own = pulses._own_scatter
+        self.sd = np.tile(pulses.prior_sd(1.0), (len(patterns), 1))
+        self.sd[:, own] = (pulses.settings.scatter / np.sqrt(np.maximum(patterns, 1.0)))[:, None]
+        self.free: AnyArray = self.sd[0] > 0.0
+        self.own: AnyArray = own[self.free]
+        one = pulses.prior_precision(1.0)[np.ix_(self.free, self.free)]
+        self.precision = np.tile(one, (len(patterns), 1, 1))
+        places = np.flatnonzero(self.own)
+        self.precision[:, places, places] = self.sd[:, self.free][:, places] ** -2.0
 
 
 def estimate(
@@ -483,7 +567,7 @@ def estimate(
     wave : PatternWave
         With `harmonics` amplitudes.
     start : ndarray (n,), optional
-        Where to begin, e.g. the window before; default: looked for over all fills and shifts.
+        Where to begin; default: looked for over all fills and shifts.
     centre : ndarray (n,), optional
         Means of the priors; default: the settings' own, at the start's flow, shift and gain.
 
@@ -493,71 +577,171 @@ def estimate(
         converged is False where no step settled; its values are then the last ones.
     """
     theta = look_for_start(pulses, wave) if start is None else np.array(start, dtype=float)
-    expected_shift_s = 0.0 if pulses.settings.indexed else float(theta[_SHIFT])
-    own = pulses.start(float(np.exp(theta[_FLOW])), shift_s=expected_shift_s, log_gain=float(theta[_GAIN]))
-    mean = own if centre is None else centre
-    sd, precision = pulses.prior_sd(wave.patterns), pulses.prior_precision(wave.patterns)
-    free = sd > 0.0
-    prior = precision[np.ix_(free, free)]
-    theta[~free] = mean[~free]
-    if not np.all(np.isfinite(theta[free])):
+    mean = _own_centres(pulses, theta[None]) if centre is None else np.asarray(centre, dtype=float)[None]
+    shown = _Waves.of([wave])
+    if not np.all(np.isfinite(theta[pulses.prior_sd(wave.patterns) > 0.0])):
         return _nothing(pulses, theta)
-    speed, angle = wave.elevator_speed_rad_s, wave.plate_angle_rad
-    limits = np.minimum(_LARGEST_STEP, 3.0 * np.where(free, sd, 1.0))
-    limits[_SHIFT] = np.pi / (8.0 * pulses.fundamental_rad_s(speed))
-    at, converged = pulses.linearised(theta, speed, angle), False
-    variance = np.empty(0)
+    return _fitted(pulses, shown, theta[None], mean, iterations)[0]
+
+
+def estimate_near(
+    pulses: PulseModel, waves: Sequence[PatternWave], volume_flows_m3_s: Sequence[float], *, iterations: int = 15
+) -> list[PulseEstimate]:
+    """Fit the pulses to many waves side by side, each begun at a volume flow that is nearly known.
+
+    Shift and gain are those of the best correlation over the whole pattern. An answer does not depend on the waves beside it.
+
+    Parameters
+    ----------
+    pulses : PulseModel
+    waves : sequence of PatternWave
+    volume_flows_m3_s : sequence
+        One for each wave, e.g. from the mean force.
+
+    Returns
+    -------
+    list of PulseEstimate
+        nan where the flow is above what the paddles hold.
+    """
+    found: list[PulseEstimate] = []
+    for first in range(0, len(waves), _SIDE_BY_SIDE):
+        part = slice(first, first + _SIDE_BY_SIDE)
+        shown, flows = _Waves.of(waves[part]), np.asarray(volume_flows_m3_s[part], dtype=float)
+        theta = np.tile(pulses.start(1.0), (flows.size, 1))
+        theta[:, _FLOW] = np.log(flows)
+        thrown = pulses._thrown(theta[:, :_SHAPES], shown.speeds_rad_s, shown.angles_rad)
+        theta[:, _SHIFT], theta[:, _GAIN] = _aligned(pulses, shown, pulses._behind_cell(thrown, theta, shown.speeds_rad_s).waves)
+        begun = pulses._behind_cell(thrown, theta, shown.speeds_rad_s)
+        found += _fitted(pulses, shown, theta, _own_centres(pulses, theta), iterations, begun)
+    return found
+
+
+def _aligned(pulses: PulseModel, shown: _Waves, waves: AnyArray) -> tuple[Array, Array]:
+    """Shift (s) and ln gain (m,) with which waves (m, k) come nearest; nan where none does."""
+    envelope = np.abs(shown.amplitudes_n)
+    lasting = pulses.lasting_variance(envelope) + 1e-6 * envelope.max(axis=1, keepdims=True) ** 2
+    weight = 1.0 / (shown.random + lasting)
+    products = np.zeros((len(waves), _SHIFTS), dtype=complex)
+    products[:, 1 : 1 + waves.shape[1]] = weight * np.conj(waves) * shown.amplitudes_n
+    fits = np.fft.ifft(products).real * _SHIFTS
+    best = np.argmax(fits, axis=1)
+    period_s = 2.0 * np.pi / pulses.frequencies_rad_s(shown.speeds_rad_s)[:, 0]
+    shift_s = best * period_s / _SHIFTS
+    if pulses.settings.indexed:
+        shift_s = np.where(best > _SHIFTS // 2, shift_s - period_s, shift_s)
+    size = fits[np.arange(len(waves)), best] / (weight * np.abs(waves) ** 2).sum(axis=1)
+    known = size > 0.0
+    return np.where(known, shift_s, np.nan), np.log(np.where(known, size, np.nan))
+
+
+def _own_centres(pulses: PulseModel, theta: Array) -> Array:
+    """The priors' means (m, n) at the starts' flow, shift and gain."""
+    mean = np.tile(pulses.start(1.0), (len(theta), 1))
+    mean[:, [_FLOW, _GAIN]] = theta[:, [_FLOW, _GAIN]]
+    mean[:, _SHIFT] = 0.0 if pulses.settings.indexed else theta[:, _SHIFT]
+    return mean
+
+
+def _fitted(
+    pulses: PulseModel, shown: _Waves, theta: Array, mean: Array, iterations: int, begun: Linear | None = None
+) -> list[PulseEstimate]:
+    """Gauss-Newton for windows side by side, from theta (m, n); begun: the model there."""
+    priors = _Priors(pulses, shown.patterns)
+    free = priors.free
+    theta[:, ~free] = mean[:, ~free]
+    at = pulses.linearised(theta, shown.speeds_rad_s, shown.angles_rad) if begun is None else begun
+    limits = np.minimum(_LARGEST_STEP, 3.0 * np.where(free, priors.sd, 1.0))
+    limits[:, _SHIFT] = np.pi / (8.0 * pulses.frequencies_rad_s(shown.speeds_rad_s)[:, 0])
+    converged = np.zeros(len(theta), dtype=bool)
+    variance = np.full(shown.random.shape, np.nan)
+    going = np.flatnonzero(np.all(np.isfinite(theta[:, free]), axis=1))
     for turn in range(iterations):
-        if not np.all(np.isfinite(at.waves)):
-            theta[_FLOW] -= 0.1
-            at = pulses.linearised(theta, speed, angle)
-            continue
-        if turn < _WEIGHED_ANEW or not variance.size:
-            variance = pulses.random_variance(wave) + pulses.lasting_variance(at.envelope)
-        white, residual = _whitened(at, wave, variance)
-        normal = white[:, free].T @ white[:, free] + prior
-        away = (theta - mean)[free]
-        best = float(residual @ residual + away @ prior @ away)
-        step = np.zeros_like(theta)
-        step[free] = np.linalg.solve(normal, white[:, free].T @ residual - prior @ away)
-        if float(step[free] @ normal @ step[free]) < _SETTLED:
-            theta, converged = theta + step, True
+        known = np.all(np.isfinite(at.waves[going]), axis=1)
+        lost, rows = going[~known], going[known]
+        if lost.size:
+            theta[lost, _FLOW] -= 0.1
+            at.put(lost, pulses.linearised(theta[lost], shown.speeds_rad_s[lost], shown.angles_rad[lost]))
+        if rows.size:
+            anew = rows if turn < _WEIGHED_ANEW else rows[np.isnan(variance[rows, 0])]
+            variance[anew] = shown.random[anew] + pulses.lasting_variance(at.envelope[anew])
+            step, best, settled = _step(shown, at, theta, mean, priors, variance, rows)
+            done, rest = rows[settled], rows[~settled]
+            theta[done] += step[settled]
+            converged[done] = True
+            if rest.size:
+                whole = np.clip(step[~settled], -limits[rest], limits[rest])
+                theta[rest] = _shortened(pulses, shown, at, theta[rest], mean, priors, variance, rest, whole, best[~settled])
+            going = np.sort(np.concatenate((lost, rest)))
+        if not going.size:
             break
-        whole = np.clip(step, -limits, limits)
-        for part in _PARTS:
-            tried = theta + part * whole
-            there = pulses.linearised(tried, speed, angle)
-            away = (tried - mean)[free]
-            left = np.abs(wave.amplitudes_n - there.waves) ** 2 / variance
-            if float(left.sum() + away @ prior @ away) < best:
-                break
-        theta, at = tried, there
-    return _result(pulses, wave, theta, at, converged)
+    return _results(pulses, shown, theta, at, converged, priors)
 
 
-def _whitened(at: _Linear, wave: PatternWave, variance: Array) -> tuple[Array, Array]:
-    """Derivatives (2 k, n) and residuals (2 k,), real parts first, in standard deviations."""
+def _step(
+    shown: _Waves, at: Linear, theta: Array, mean: Array, priors: _Priors, variance: Array, rows: AnyArray
+) -> tuple[Array, Array, AnyArray]:
+    """Of rows: whole steps (r, n), what is to become less (r,), and whether the step is too short to go on (r,)."""
+    free, prior = priors.free, priors.precision[rows]
+    white, residual = _whitened(at.jacobian[rows][..., free], shown.amplitudes_n[rows] - at.waves[rows], variance[rows])
+    across = white.swapaxes(1, 2)
+    normal = across @ white + prior
+    away = (theta - mean)[rows][:, free]
+    pull = _times(prior, away)
+    short: Array = np.asarray(np.linalg.solve(normal, (_times(across, residual) - pull)[..., None])[..., 0], dtype=np.float64)
+    step = np.zeros((rows.size, theta.shape[1]))
+    step[:, free] = short
+    best = (residual * residual).sum(axis=1) + (away * pull).sum(axis=1)
+    return step, best, (short * _times(normal, short)).sum(axis=1) < _SETTLED
+
+
+def _shortened(
+    pulses: PulseModel, shown: _Waves, at: Linear, theta: Array, mean: Array, priors: _Priors, variance: Array, rows: AnyArray,
+    whole: Array, best: Array,
+) -> Array:  # fmt: skip
+    """theta (r, n) of rows after the longest part of the whole step that makes the fit better; `at` is put there."""
+    tried, left = theta.copy(), np.arange(rows.size)
+    for part in _PARTS:
+        those = rows[left]
+        tried[left] = theta[left] + part * whole[left]
+        there = pulses.linearised(tried[left], shown.speeds_rad_s[those], shown.angles_rad[those])
+        at.put(those, there)
+        away = (tried[left] - mean[those])[:, priors.free]
+        off = (np.abs(shown.amplitudes_n[those] - there.waves) ** 2 / variance[those]).sum(axis=1)
+        left = left[~(off + (away * _times(priors.precision[those], away)).sum(axis=1) < best[left])]
+        if not left.size:
+            break
+    return tried
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    """Products (m, a) of matrices (m, a, b) and vectors (m, b)."""
+    return np.asarray((matrices @ vectors[..., None])[..., 0])
+
+
+def _whitened(jacobian: AnyArray, off_n: AnyArray, variance: Array) -> tuple[Array, Array]:
+    """Derivatives (m, 2 k, n) and residuals (m, 2 k), real parts first, in standard deviations."""
     weight = 1.0 / np.sqrt(variance)
-    residual = (wave.amplitudes_n - at.waves) * weight
-    jacobian = at.jacobian * weight[:, None]
-    return np.concatenate((jacobian.real, jacobian.imag)), np.concatenate((residual.real, residual.imag))
+    residual, slopes = off_n * weight, jacobian * weight[..., None]
+    return np.concatenate((slopes.real, slopes.imag), axis=1), np.concatenate((residual.real, residual.imag), axis=1)
 
 
-def _covariances(pulses: PulseModel, at: _Linear, wave: PatternWave) -> tuple[Array, Array]:
-    """Posterior covariance (n, n), zero for fixed parameters, and the part of it that comes from what averages out."""
-    sd = pulses.prior_sd(wave.patterns)
-    free = sd > 0.0
-    random = pulses.random_variance(wave)
-    variance = random + pulses.lasting_variance(at.envelope)
-    white, _ = _whitened(at, wave, variance)
-    jacobian = white[:, free]
-    small = np.linalg.inv(jacobian.T @ jacobian + pulses.prior_precision(wave.patterns)[free][:, free])
-    share = np.concatenate((random, random)) / np.concatenate((variance, variance))
-    own = pulses._own_scatter[free]
+def _covariances(white: Array, random: Array, variance: Array, priors: _Priors) -> tuple[Array, Array]:
+    """Posterior covariances (m, n, n), zero for fixed parameters, and the part of them that comes from what averages out.
+
+    white: derivatives (m, 2 k, f) by the free parameters.
+    """
+    across = white.swapaxes(1, 2)
+    small = np.linalg.inv(across @ white + priors.precision)
+    share = random / variance
+    both = np.concatenate((share, share), axis=1)
+    noise = across @ (both[..., None] * white)
     # The paddles' scatter is drawn anew in every window, as noise is.
-    part = small @ (jacobian.T @ (share[:, None] * jacobian) + np.diag(np.where(own, sd[free] ** -2.0, 0.0))) @ small
-    full, averaging = (np.zeros((sd.size, sd.size)) for _ in range(2))
-    full[np.ix_(free, free)], averaging[np.ix_(free, free)] = small, part
+    places = np.flatnonzero(priors.own)
+    noise[:, places, places] += priors.precision[:, places, places]
+    count, n = priors.sd.shape
+    full, averaging = (np.zeros((count, n, n)) for _ in range(2))
+    inside = np.ix_(np.arange(count), np.flatnonzero(priors.free), np.flatnonzero(priors.free))
+    full[inside], averaging[inside] = small, small @ noise @ small
     return full, averaging
 
 
@@ -567,30 +751,58 @@ def _nothing(pulses: PulseModel, theta: Array) -> PulseEstimate:
     return PulseEstimate(nan, nan, nan, values, pulses.names, np.full((n, n), nan), nan, nan, False)
 
 
-def _result(pulses: PulseModel, wave: PatternWave, theta: Array, at: _Linear, converged: bool) -> PulseEstimate:
-    if not np.all(np.isfinite(at.waves)):
-        return _nothing(pulses, theta)
-    covariance, averaging = _covariances(pulses, at, wave)
-    variance = pulses.random_variance(wave) + pulses.lasting_variance(at.envelope)
-    _, residual = _whitened(at, wave, variance)
-    size = float(np.linalg.norm(wave.amplitudes_n))
-    misfit = float(np.mean(residual**2))
-    return PulseEstimate(
-        volume_flow_m3_s=float(np.exp(theta[_FLOW])),
-        relative_sd=float(np.sqrt(covariance[_FLOW, _FLOW] * max(1.0, misfit))),
-        random_sd=float(np.sqrt(averaging[_FLOW, _FLOW])),
-        values=dict(zip(pulses.names, theta.tolist(), strict=True)),
-        names=pulses.names,
-        covariance=covariance,
-        misfit=misfit,
-        relative_residual=float(np.linalg.norm(wave.amplitudes_n - at.waves)) / size if size > 0.0 else float("nan"),
-        converged=converged,
-        outside=pulses.settings.arrival.outside(
-            pulses.mean_fill(float(np.exp(theta[_FLOW])), wave.elevator_speed_rad_s),
-            wave.plate_angle_rad,
-            wave.elevator_speed_rad_s,
-        ),
+def _results(
+    pulses: PulseModel, shown: _Waves, theta: Array, at: Linear, converged: AnyArray, priors: _Priors
+) -> list[PulseEstimate]:
+    known = np.all(np.isfinite(at.waves), axis=1) & np.all(np.isfinite(theta[:, priors.free]), axis=1)
+    if not known.any():
+        return [_nothing(pulses, row) for row in theta]
+    if not known.all():
+        # What has no value must not reach the inverses.
+        rows = np.flatnonzero(known)
+        kept = _results(pulses, shown.at(rows), theta[rows], at.at(rows), converged[rows], _Priors(pulses, shown.patterns[rows]))
+        fits = iter(kept)
+        return [next(fits) if good else _nothing(pulses, row) for good, row in zip(known.tolist(), theta, strict=True)]
+    variance = shown.random + pulses.lasting_variance(at.envelope)
+    off_n = shown.amplitudes_n - at.waves
+    white, residual = _whitened(at.jacobian[..., priors.free], off_n, variance)
+    covariance, averaging = _covariances(white, shown.random, variance, priors)
+    misfit = np.mean(residual**2, axis=1)
+    sd = np.sqrt(covariance[:, _FLOW, _FLOW] * np.maximum(1.0, misfit))
+    size = np.sqrt((np.abs(shown.amplitudes_n) ** 2).sum(axis=1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        left = np.where(size > 0.0, np.sqrt((np.abs(off_n) ** 2).sum(axis=1)) / size, np.nan)
+    flows = np.exp(theta[:, _FLOW])
+    fills = pulses._fill(flows[:, None], shown.speeds_rad_s[:, None]).mean(axis=1)
+    law = pulses.settings.arrival
+    columns = (
+        flows,
+        sd,
+        np.sqrt(averaging[:, _FLOW, _FLOW]),
+        misfit,
+        left,
+        converged,
+        fills,
+        shown.angles_rad,
+        shown.speeds_rad_s,
     )
+    return [
+        PulseEstimate(
+            volume_flow_m3_s=flow,
+            relative_sd=relative_sd,
+            random_sd=random_sd,
+            values=dict(zip(pulses.names, values, strict=True)),
+            names=pulses.names,
+            covariance=posterior,
+            misfit=off,
+            relative_residual=rest,
+            converged=good,
+            outside=law.outside(fill, angle, speed),
+        )
+        for values, posterior, (flow, relative_sd, random_sd, off, rest, good, fill, angle, speed) in zip(
+            theta.tolist(), covariance, zip(*(column.tolist() for column in columns), strict=True), strict=True
+        )
+    ]
 
 
 def information(
@@ -605,8 +817,12 @@ def information(
     noise_n : ndarray (k,)
         As in `PatternWave`.
     """
-    at = pulses.linearised(theta, elevator_speed_rad_s, plate_angle_rad)
-    return _covariances(pulses, at, PatternWave(at.waves, noise_n, patterns, elevator_speed_rad_s, plate_angle_rad))
+    at = pulses.linearised(theta[None], np.array([elevator_speed_rad_s]), np.array([plate_angle_rad]))
+    priors, random = _Priors(pulses, np.array([patterns])), noise_n[None] ** 2
+    variance = random + pulses.lasting_variance(at.envelope)
+    white, _ = _whitened(at.jacobian[..., priors.free], at.waves, variance)
+    full, averaging = _covariances(white, random, variance, priors)
+    return full[0], averaging[0]
 
 
 def sample_noise_n(
@@ -624,11 +840,11 @@ def look_for_start(pulses: PulseModel, wave: PatternWave) -> Array:
     flows = _SCAN * pulses.full_paddle_kg / p["density"] * machine.paddle_speed_m_s(speed) / machine.paddle_spacing_m
     batch = np.repeat(pulses.start(1.0)[None, :_SHAPES], flows.size, axis=0)
     batch[:, 0] = np.log(flows)
-    waves = pulses._joined(pulses.shapes(batch, speed, angle), pulses.start(1.0), speed)[0].sum(axis=1)
+    waves = pulses._joined(pulses.shapes(batch, speed, angle), pulses.start(1.0)[None], np.array([speed]))[0].sum(axis=1)
     known = np.all(np.isfinite(waves), axis=1)
     waves = np.where(known[:, None], waves, 0.0)
     envelope = np.abs(wave.amplitudes_n)
-    weight = 1.0 / (pulses.random_variance(wave) + pulses.lasting_variance(envelope) + 1e-6 * envelope.max() ** 2)
+    weight = 1.0 / (wave.noise_n**2 + pulses.lasting_variance(envelope) + 1e-6 * envelope.max() ** 2)
     shift = np.arange(_SHIFTS) * (2.0 * np.pi / pulses.fundamental_rad_s(speed) / _SHIFTS)
     omega = pulses.fundamental_rad_s(speed) * np.arange(1.0, wave.amplitudes_n.size + 1.0)
     product = (weight * np.conj(waves) * wave.amplitudes_n) @ np.exp(1j * np.outer(omega, shift))
