@@ -133,6 +133,7 @@ class Waveform:
         self._sums, self._counts = np.zeros(_FINE_BINS), np.zeros(_FINE_BINS)
         self._loaded: deque[tuple[Density, float]] = deque(maxlen=settings.kernel_windows)
         self._quiet: deque[Density] = deque(maxlen=settings.kernel_windows)
+        self._quiet_mean: Density | None = None
         self._waiting: deque[Density] = deque()
         self._differences: deque[tuple[float, float]] = deque(maxlen=settings.contradiction_windows)
         self._stretches: deque[float] = deque(maxlen=settings.contradiction_windows)
@@ -200,6 +201,7 @@ class Waveform:
         self._waiting.append(shown)
         if len(self._waiting) > 2 * _APART:
             self._quiet.append(self._waiting[_APART])
+            self._quiet_mean = None
             self._waiting.popleft()
 
     def _shape(self, reading: Reading, estimator: FlowEstimator) -> PulseEstimate | None:
@@ -266,12 +268,17 @@ class Waveform:
         force = float(np.mean([f for _, f in self._loaded]))
         return kernel_noise.kernel_impulse(
             kernel_noise.pooled([d for d, _ in self._loaded]),
-            kernel_noise.pooled(list(self._quiet)),
+            self._empty_noise(),
             force,
             cell_response_s=self._machine.sensor.response_s,
             sample_interval_s=trace.interval_s,
             settings=self._noise,
         )
+
+    def _empty_noise(self) -> Density:
+        if self._quiet_mean is None:
+            self._quiet_mean = kernel_noise.pooled(list(self._quiet))
+        return self._quiet_mean
 
     def _judged(
         self,

@@ -166,28 +166,44 @@ def spectrum_and_slopes(
     factor, slopes = stretch[:, None], log_stretch_slopes[..., None]
     middle_slopes = mean_slopes + factor * (middle[1:] - mean_slopes + slopes * away)
     half_slopes = factor * (half[1:] + slopes * half[0])
+    base = fundamental_rad_s[:, None]
     order = np.arange(1.0, harmonics + 1.0)
-    angles = fundamental_rad_s[:, None] * np.stack((-(mean + factor * away), factor * half[0]))
-    powers = np.empty((*angles.shape, harmonics), dtype=complex)
-    powers[...] = (np.cos(angles) + 1j * np.sin(angles))[..., None]
-    wave, turned = np.cumprod(powers, axis=-1)
+    turn_cos, turn_sin = _multiples(-base * (mean + factor * away), harmonics)
+    width = base * (factor * half[0])
+    wide_cos, wide_sin = _multiples(width, harmonics)
     # sin(x) / x and its derivative; their series where the difference would drown in rounding.
-    spread = angles[1][..., None] * order
+    spread = order[:, None] * width[:, None, :]
     thin = np.abs(spread) < 1e-4
     safe = np.where(thin, 1.0, spread)
-    sinc = np.where(thin, 1.0 - spread * spread / 6.0, turned.imag / safe)
-    slope = np.where(thin, -spread / 3.0, (turned.real - sinc) / safe)
-    rows = np.concatenate((impulse, impulse[0] * middle_slopes)).swapaxes(0, 1)
-    by_node = _of_reals(rows, wave * sinc)
-    by_half = _of_reals((impulse[0] * half_slopes).swapaxes(0, 1), wave * slope)
-    found = by_node[:, : len(impulse)]
-    found[:, 1:] += (fundamental_rad_s[:, None] * order)[:, None, :] * (by_half - 1j * by_node[:, len(impulse) :])
-    return np.asarray(found.swapaxes(0, 1))
+    sinc = np.where(thin, 1.0 - spread * spread / 6.0, wide_sin / safe)
+    slope = np.where(thin, -spread / 3.0, (wide_cos - sinc) / safe)
+    rows = np.concatenate((impulse, impulse[0] * middle_slopes)).transpose(1, 2, 0)
+    by_node = _of_turns(turn_cos, turn_sin, sinc, rows)
+    by_half = _of_turns(turn_cos, turn_sin, slope, (impulse[0] * half_slopes).transpose(1, 2, 0))
+    found = by_node[..., : len(impulse)]
+    frequency = base * order
+    found[..., 1:] += frequency[..., None] * (by_half - 1j * by_node[..., len(impulse) :])
+    return np.asarray(np.moveaxis(found, -1, 0))
 
 
-def _of_reals(first: Array, second: AnyArray) -> AnyArray:
-    """Product of real (p, m, n) and complex matrices (p, n, k), in real arithmetic."""
-    return np.asarray((first @ second.view(np.float64)).view(np.complex128))
+def _multiples(angles: Array, count: int) -> tuple[Array, Array]:
+    """Cosine and sine (p, count, n) of 1 .. count times angles (p, n)."""
+    cosine, sine = (np.empty((len(angles), count, angles.shape[1])) for _ in range(2))
+    cosine[:, 0], sine[:, 0] = np.cos(angles), np.sin(angles)
+    known = 1
+    while known < count:
+        more = min(known, count - known)
+        c, s, last_c, last_s = cosine[:, :more], sine[:, :more], cosine[:, known - 1 : known], sine[:, known - 1 : known]
+        cosine[:, known : known + more] = c * last_c - s * last_s
+        sine[:, known : known + more] = s * last_c + c * last_s
+        known += more
+    return cosine, sine
+
+
+def _of_turns(cosine: Array, sine: Array, size: Array, rows: Array) -> AnyArray:
+    """Sums (p, k, m) over nodes of size (cosine + i sine), all (p, k, n), times rows (p, n, m)."""
+    rows = np.ascontiguousarray(rows)
+    return np.asarray((cosine * size) @ rows + 1j * ((sine * size) @ rows))
 
 
 def _padded(values: Array, parameters: int) -> Array:

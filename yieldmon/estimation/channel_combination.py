@@ -7,9 +7,7 @@ direction (flow, density, 1 + e) -> (a, a, 1/a), which mean forces leave open.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import isfinite, sqrt
-
-import numpy as np
+from math import exp, isfinite, log, sqrt
 
 from .parameters import ParameterSet
 
@@ -65,9 +63,9 @@ def combine(
     # ln flow of the mean force moves by -(1 - n) / n for ln density and by -1 / n for ln(1 + e).
     both = -((1.0 - exponent) * of_density + with_gain) / exponent
     limit = 0.95 * sqrt(first * second)
-    both = float(np.clip(both, -limit, limit))
+    both = min(max(both, -limit), limit)
     spread = first + second - 2.0 * both
-    weight = float(np.clip((first - both) / spread, 0.0, 1.0))
-    difference = float(np.log(shape_flow_kg_s / mean_flow_kg_s))
+    weight = min(max((first - both) / spread, 0.0), 1.0)
+    difference = log(shape_flow_kg_s / mean_flow_kg_s)
     variance = (1.0 - weight) ** 2 * first + weight**2 * second + 2.0 * weight * (1.0 - weight) * both
-    return Combined(mean_flow_kg_s * float(np.exp(weight * difference)), sqrt(variance), difference / sqrt(spread), weight)
+    return Combined(mean_flow_kg_s * exp(weight * difference), sqrt(variance), difference / sqrt(spread), weight)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import lru_cache
 
 import numpy as np
 
@@ -150,7 +151,7 @@ def density(samples_n: Array, sample_interval_s: float, *, segment: int = 256) -
     if count < 1:
         raise ValueError(f"{len(samples_n)} samples, expected at least one segment of {segment}")
     places = np.arange(count)[:, None] * (segment // 2) + np.arange(segment)
-    window = np.hanning(segment + 1)[:-1]
+    window = _hann(segment)
     parts = np.asarray(samples_n, dtype=float)[places]
     waves = np.fft.rfft((parts - parts.mean(axis=1, keepdims=True)) * window, axis=1)
     power = (np.abs(waves) ** 2).mean(axis=0) * sample_interval_s / (window**2).sum()
@@ -158,6 +159,13 @@ def density(samples_n: Array, sample_interval_s: float, *, segment: int = 256) -
     # Hann segments that overlap by half: 1 / (1 + 2 (1/6)^2) of their number are independent (Welch, 1967).
     independent = count if count == 1 else count / (1.0 + 2.0 * (1.0 - 1.0 / count) / 36.0)
     return Density(frequency[1:-1], power[1:-1], independent)
+
+
+@lru_cache(maxsize=8)
+def _hann(segment: int) -> Array:
+    window = np.hanning(segment + 1)[:-1]
+    window.flags.writeable = False
+    return window
 
 
 def pooled(parts: list[Density]) -> Density:
@@ -177,11 +185,19 @@ def power_gain(frequency_hz: Array, cell_response_s: float, sample_interval_s: f
         Time constant; 0 for none.
     sample_interval_s : float
     """
+    frequency = np.ascontiguousarray(frequency_hz, dtype=np.float64)
+    return _power_gain(frequency.tobytes(), cell_response_s, sample_interval_s)
+
+
+@lru_cache(maxsize=64)
+def _power_gain(frequencies: bytes, cell_response_s: float, sample_interval_s: float) -> Array:
+    """The same for the bytes of frequencies: a sensor's are the same each second."""
     order = np.arange(-_ALIASES, _ALIASES + 1)[:, None]
-    frequency = np.asarray(frequency_hz) + order / sample_interval_s
+    frequency = np.frombuffer(frequencies) + order / sample_interval_s
     cell = 1.0 / (1.0 + (2.0 * np.pi * frequency * cell_response_s) ** 2) ** 2
-    gain = (cell * np.sinc(frequency * sample_interval_s) ** 2).sum(axis=0)
-    return np.asarray(gain)
+    gain: Array = np.asarray((cell * np.sinc(frequency * sample_interval_s) ** 2).sum(axis=0))
+    gain.flags.writeable = False
+    return gain
 
 
 def kernel_impulse(
