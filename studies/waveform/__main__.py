@@ -1,6 +1,6 @@
 """What the waveform tells: the tables of README.md.
 
-    python -m studies.waveform information --draws 150    # Fisher information, and the estimator's scatter
+    python -m studies.waveform information --draws 1000   # Fisher information, and the estimator's scatter
     python -m studies.waveform fill                       # volume flow from discrete-element pulses, loads and angles left out
     python -m studies.waveform attempts                   # what limits that
     python -m studies.waveform kernels                    # kernel noise in discrete-element forces

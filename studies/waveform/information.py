@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from yieldmon.estimation.pulse_shape import PatternWave, PulseModel, PulseSettings, estimate, information, sample_noise_n
+from yieldmon.estimation.pulse_shape import PatternWave, PulseModel, PulseSettings, estimate_near, information, sample_noise_n
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
 
@@ -44,7 +44,10 @@ def table(sds: tuple[float, ...] = (0.02, 0.3), errors: tuple[float, ...] = (0.0
 
 
 def against_monte_carlo(draws: int, seed: int) -> list[dict[str, Any]]:
-    """Scatter of ln(volume flow) over the standard deviation that Fisher information gives, on the grid."""
+    """Scatter of ln(volume flow) over the standard deviation that Fisher information gives, on the grid.
+
+    Friction, heap shape, cell, scatter, shift, noise and the model's error are drawn; fits begin at flows that are 20 % off.
+    """
     pulses = _pulses(0.05, 0.02)
     noise = sample_noise_n(pulses, sample_sd_n=1.33, samples=1000.0)
     rows = []
@@ -59,22 +62,25 @@ def against_monte_carlo(draws: int, seed: int) -> list[dict[str, Any]]:
                 )
                 prior = pulses.prior_sd(6.0)
                 prior[[0, 6, 7]] = 0.0
-                errors, settled = [], 0
-                for _ in range(draws):
-                    theta = centre + prior * rng.standard_normal(prior.size)
-                    theta[6] = rng.uniform(0.0, 0.16)
-                    at = pulses.linearised(theta[None], *(np.array([v]) for v in where))
-                    sd = np.sqrt(noise**2 + pulses.lasting_variance(at.envelope[0]))
-                    shown = at.waves[0] + sd * (rng.standard_normal(sd.size) + 1j * rng.standard_normal(sd.size))
-                    found = estimate(pulses, PatternWave(shown, noise, 6.0, *where))
-                    errors.append(np.log(found.volume_flow_m3_s) - theta[0])
-                    settled += found.converged
+                theta = centre + prior * rng.standard_normal((draws, prior.size))
+                theta[:, 6] = rng.uniform(0.0, 0.16, draws)
+                at = pulses.linearised(theta, *(np.full(draws, v) for v in where))
+                sd = np.sqrt(noise**2 + pulses.lasting_variance(at.envelope))
+                shown = at.waves + sd * (rng.standard_normal(sd.shape) + 1j * rng.standard_normal(sd.shape))
+                begun = flow / 1100.0 * np.exp(0.2 * rng.standard_normal(draws))
+                waves = [PatternWave(wave, noise, 6.0, *where) for wave in shown]
+                fits = estimate_near(pulses, waves, begun.tolist())
+                errors = np.log([found.volume_flow_m3_s for found in fits]) - theta[:, 0]
+                stated = np.array([found.relative_sd for found in fits])
                 fisher = float(np.sqrt(expected[0, 0]))
                 rows.append(
                     {
                         "flow_kg_s": flow, "rpm": rpm, "angle_deg": angle, "fisher_pct": round(100.0 * fisher, 2),
                         "scatter_pct": round(100.0 * float(np.nanstd(errors)), 2),
-                        "ratio": round(float(np.nanstd(errors)) / fisher, 3), "settled": settled,
+                        "ratio": round(float(np.nanstd(errors)) / fisher, 3),
+                        "bias_pct": round(100.0 * float(np.nanmean(errors)), 2),
+                        "rms_error_over_stated": round(float(np.sqrt(np.nanmean((errors / stated) ** 2))), 3),
+                        "settled": sum(found.converged for found in fits), "without": int(np.isnan(errors).sum()),
                     }
                 )  # fmt: skip
     return rows

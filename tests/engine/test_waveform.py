@@ -5,10 +5,13 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
+import can
 import numpy as np
 import pytest
 
+from tests.service.bench import CODEC
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord
@@ -25,6 +28,8 @@ from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.plant.combine import VirtualCombine
 from yieldmon.plant.scenario import from_mapping
+from yieldmon.service.bulk_processing import process_in_bulk
+from yieldmon.service.rows import SecondRow
 
 MACHINE = Machine()
 VALUES = {"friction": 0.2, "density": 1100.0, "shape_ratio": 2.0, "restitution": 0.55, "gravity.acceleration_m_s2": 9.81}
@@ -197,3 +202,32 @@ def test_the_mean_force_s_own_flow_stays_in_the_record_of_both_together() -> Non
     assert [r.mean_force_flow_kg_s for r in both] == [r.mean_force_flow_kg_s for r in apart]
     assert [r.mass_kg for r in both] != [r.mass_kg for r in apart]
     assert all(np.isnan(r.mean_force_flow_kg_s) for r in harvested())
+
+
+def test_a_log_in_bulk_says_what_its_frames_one_by_one_say(tmp_path: Path) -> None:
+    """Windows are fitted side by side in bulk."""
+    with can.Logger(str(tmp_path / "a.log")) as log:
+        for frame in traffic():
+            message = CODEC.encode(frame)
+            message.channel = "can0"
+            log.on_message_received(message)
+
+    def monitor() -> Monitor:
+        waveform = replace(WaveformSettings(), shape=LAW, enabled=True, thousand_kernel_weight_g=350.0, quiet_windows=2)
+        engine = replace(EngineSettings(), sweep=replace(SweepSettings(), enabled=False), waveform=waveform)
+        return Monitor(engine, MACHINE, OpenLoop(ForwardModel(MACHINE, PARAMETERS.effects), PARAMETERS))
+
+    rows: list[SecondRow] = []
+    process_in_bulk([tmp_path / "a.log"], monitor(), CODEC, rows.append)
+    alone = monitor()
+    with can.LogReader(str(tmp_path / "a.log")) as log:
+        frames = [frame for message in log if (frame := CODEC.decode(message)) is not None]
+    records = [r for frame in frames for r in records_in(alone.feed(frame))]
+    assert len(rows) == len(records)
+    assert sum(row.shape_flow_kg_s is not None for row in rows) >= 10
+    for row, record in zip(rows, records, strict=True):
+        assert row.shape_verdict == (record.shape_verdict.name.lower() if record.shape_verdict else None)
+        assert row.kernel_verdict == (record.kernel_verdict.name.lower() if record.kernel_verdict else None)
+        for name in ("shape_flow_kg_s", "shape_std_dev_kg_s", "shape_volume_flow_m3_s", "mass_kg"):
+            shown = getattr(row, name)
+            assert (np.nan if shown is None else shown) == pytest.approx(getattr(record, name), rel=1e-9, nan_ok=True), name
