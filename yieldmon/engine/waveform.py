@@ -22,7 +22,7 @@ from yieldmon.engine.windows import Trace
 from yieldmon.estimation import kernel_noise
 from yieldmon.estimation.channel_combination import combine, relative_covariance
 from yieldmon.estimation.kernel_noise import Density, KernelImpulse, KernelNoiseSettings, KernelVerdict
-from yieldmon.estimation.pattern_fold import FoldedPattern, fold_all, harmonics_of_all, residual
+from yieldmon.estimation.pattern_fold import FoldedPattern, fold_all, harmonics_of_all, residual_of_pulses
 from yieldmon.estimation.pulse_shape import (
     ArrivalLaw,
     PatternWave,
@@ -259,7 +259,8 @@ class Waveform:
         if counts.min() < _LEAST_SAMPLES:
             return None
         before = FoldedPattern(sums / counts, np.zeros(_FINE_BINS), counts, float("inf"))
-        shown = kernel_noise.density(residual(force_n, trace.phase, before), trace.interval_s, segment=_SEGMENT)
+        left = residual_of_pulses(force_n, trace.phase, before, self._machine.paddle_spacings_m)
+        shown = kernel_noise.density(left, trace.interval_s, segment=_SEGMENT)
         # The running mean holds noise of its own.
         shown = replace(shown, density=shown.density / (1.0 + float(np.mean(1.0 / counts))))
         self._loaded.append((shown, mean_force_n))
