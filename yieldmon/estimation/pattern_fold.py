@@ -109,7 +109,7 @@ def harmonics_of_all(
 
 def residual(samples_n: Array, phase: Array, folded: FoldedPattern) -> Array:
     """Samples less the mean pattern, straight between the bins' middles."""
-    return np.asarray(samples_n - _between(folded.mean_n, phase))
+    return np.asarray(samples_n - _between((folded.mean_n,), phase)[0])
 
 
 def residual_of_pulses(samples_n: Array, phase: Array, folded: FoldedPattern, spacings_m: Sequence[float]) -> Array:
@@ -128,13 +128,16 @@ def residual_of_pulses(samples_n: Array, phase: Array, folded: FoldedPattern, sp
         Of the paddles in the pattern.
     """
     mean_n = folded.mean_n
-    mean, left = _between(mean_n, phase), residual(samples_n, phase, folded)
-    slope = _between(0.5 * mean_n.size * (np.roll(mean_n, -1) - np.roll(mean_n, 1)), phase)
+    around = np.concatenate((mean_n[-1:], mean_n, mean_n[:1]))
+    steepness = 0.5 * mean_n.size * (around[2:] - around[:-2])
+    mean, slope = _between((mean_n, steepness), phase)
+    left = samples_n - mean
     edges = np.cumsum(spacings_m) / np.sum(spacings_m)
     from_valley = phase - _valley(mean_n, edges)
     turn = np.floor(from_valley)
-    within = np.searchsorted(edges, from_valley - turn, side="right").clip(max=edges.size - 1)
-    pulse = (turn * edges.size).astype(np.intp) + within
+    pulse = (turn * edges.size).astype(np.intp)
+    for edge in edges[:-1]:
+        pulse += from_valley - turn >= edge
     pulse -= pulse.min()
 
     def sums(values: Array) -> Array:
@@ -144,7 +147,7 @@ def residual_of_pulses(samples_n: Array, phase: Array, folded: FoldedPattern, sp
     with_mean, with_slope = sums(left * mean), sums(left * slope)
     determinant = of_mean * of_slope - of_both**2
     known = (np.bincount(pulse) >= _LEAST_OF_A_PULSE) & (determinant > 1e-6 * of_mean * of_slope)
-    scale = np.where(known, 1.0 / np.where(known, determinant, 1.0), 0.0)
+    scale = known / np.where(known, determinant, 1.0)
     size = scale * (of_slope * with_mean - of_both * with_slope)
     late = scale * (of_mean * with_slope - of_both * with_mean)
     return np.asarray(left - size[pulse] * mean - late[pulse] * slope)
@@ -154,18 +157,25 @@ _LEAST_OF_A_PULSE = 12
 """Samples of a pulse that tell its size and time; of one cut off by the window's ends fewer may be left."""
 
 
-def _between(bins_n: Array, phase: Array) -> Array:
-    """A pattern (b,) at phases, straight between the bins' middles."""
-    bins = bins_n.size
-    middles = (np.arange(-1, bins + 1) + 0.5) / bins
-    around = np.concatenate((bins_n[-1:], bins_n, bins_n[:1]))
-    return np.asarray(np.interp(phase % 1.0, middles, around))
+def _between(patterns_n: Sequence[Array], phase: Array) -> list[Array]:
+    """Patterns (b,) at phases, straight between the bins' middles."""
+    bins = patterns_n[0].size
+    place = (phase - np.floor(phase)) * bins + 0.5
+    before = np.floor(place)
+    part, before = place - before, before.astype(np.intp)
+    found = []
+    for pattern_n in patterns_n:
+        around = np.concatenate((pattern_n[-1:], pattern_n, pattern_n[:1]))
+        low = around[before]
+        found.append(low + part * (around[before + 1] - low))
+    return found
 
 
 def _valley(mean_n: Array, edges: Array) -> float:
     """The phase from which on `edges` cut the mean pattern where it is lowest."""
     bins = mean_n.size
     broad = max(1, bins // 56)
-    smooth = np.convolve(np.concatenate((mean_n[-broad:], mean_n, mean_n[:broad])), np.full(2 * broad + 1, 1.0), mode="valid")
-    places = (np.arange(bins)[:, None] + np.rint(edges * bins).astype(np.intp)) % bins
-    return float(np.argmin(smooth[places].sum(axis=1)) + 0.5) / bins
+    sums = np.cumsum(np.concatenate((mean_n[-broad - 1 :], mean_n, mean_n[:broad])))
+    smooth = sums[2 * broad + 1 :] - sums[: -2 * broad - 1]
+    at_edges = sum(np.concatenate((smooth[cut:], smooth[:cut])) for cut in np.rint(edges * bins).astype(np.intp) % bins)
+    return float(np.argmin(at_edges) + 0.5) / bins
