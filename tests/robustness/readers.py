@@ -83,7 +83,7 @@ def _signals(path: Path) -> None:
     path.write_text(
         "plate: {fixed_angle_deg: 60}\nsignals:\n"
         "  impact_voltage: {message: ImpactSensorSamples, signals: [Sample0, Sample1], spacing_ms: 2, range: [0, 5000],\n"
-        "    not_available: [65535]}\n"
+        "    not_available: [8191]}\n"
         "  elevator_speed: {message: ElevatorSpeed, signal: ElevatorSpeed, ratio: 1.5,\n"
         "    source: {name: {function: 3}}}\n"
         "  moisture: {value: 18.0}\n"
@@ -131,7 +131,7 @@ def _in_blocks(path: Path) -> object:
 def _packed(path: Path) -> None:
     """Every coding that there is: a combine's messages, in the order of time and not."""
     log = path.with_suffix(".log")
-    sent = [(frame.time_s, CODEC.encode(frame)) for frame in traffic(0.0, 2.0, 60.0)]
+    sent = [(frame.time_s, CODEC.encode(frame)) for frame in traffic(0.0, 5.0, 60.0)]
     lines = [f"({time_s:.6f}) can0 {message.arbitration_id:08X}#{message.data.hex()}\n" for time_s, message in sent]
     log.write_text("".join([*lines, *reversed(lines[:9])]), encoding="ascii")
     pack(iter_blocks(log, LogNotes()), path, Codec().layouts)
