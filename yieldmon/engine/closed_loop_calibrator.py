@@ -27,7 +27,7 @@ from yieldmon.estimation.closed_loop import (
     self_calibrate,
     update_from_tickets,
 )
-from yieldmon.estimation.loads import LoadSettings, WeighedLoad, calibrate_loads, contradicted, departure, widened
+from yieldmon.estimation.loads import LEAST_LOADS, LoadSettings, WeighedLoad, calibrate_loads, contradicted, departure, widened
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.steady_drift import Advance, DriftingParameters, advance, begin, carried, learn
@@ -193,13 +193,14 @@ class ClosedLoopCalibrator:
 
     def _contradiction(self, prior: ParameterSet, load: WeighedLoad) -> float | None:
         """Relative error of a weighed mass by the loads before it, where neither scatter nor drift since then explains it."""
-        settings = self._load_settings
-        error = contradicted(self._model, prior, self._weighings, load, settings)
-        if error is None:
+        if len(self._weighings) < LEAST_LOADS:
             return None
+        settings = self._load_settings
         away, std_dev = departure(self._model, prior, load, settings)
         # The loads before may be of other grain and less wear; what is known by now allows for that.
-        return None if abs(away) < settings.outlier_sds * std_dev else error
+        if abs(away) < settings.outlier_sds * std_dev:
+            return None
+        return contradicted(self._model, prior, self._weighings, load, settings)
 
     def _taken(
         self,

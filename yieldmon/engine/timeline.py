@@ -20,8 +20,10 @@ from yieldmon.frames import ActuatorState, Frame
 
 _FORMED_TOGETHER = 64
 """Windows of a run that are formed at once: enough to share the cost of array operations, few enough for the cache."""
-_ESTIMATED_TOGETHER = 512
-"""The same for flow estimates."""
+_READ_TOGETHER = 512
+"""Windows of a run that are read before the first of them is concluded."""
+_ESTIMATED_TOGETHER = 128
+"""Flow estimates made at once; those after a change of the parameters are made anew."""
 
 
 class Timeline:
@@ -103,7 +105,7 @@ class Timeline:
         while first < len(ends):
             last = first + 1
             if not held[first].angle_stale:
-                while last < min(len(ends), first + _ESTIMATED_TOGETHER) and not held[last].angle_stale:
+                while last < min(len(ends), first + _READ_TOGETHER) and not held[last].angle_stale:
                     last += 1
             results += self._close_windows(held[first:last], feeding)
             first = last
@@ -159,11 +161,11 @@ class Timeline:
         for start in range(0, len(held), _FORMED_TOGETHER):
             readings += self._read(held[start : start + _FORMED_TOGETHER], feeding)
         learning = self._parts.learning
-        estimator, found = learning.estimator, self._estimated(readings)
+        estimator, found = learning.estimator, list[Estimate | None]()
         for index, reading in enumerate(readings):
-            if learning.estimator is not estimator:
+            if index == len(found) or learning.estimator is not estimator:
                 estimator = learning.estimator
-                found[index:] = self._estimated(readings[index:])
+                found[index:] = self._estimated(readings[index : index + _ESTIMATED_TOGETHER])
             if feeding is not None:
                 results += self._ticks_before(reading.window.end_s, feeding)
             results.append(self.conclusion.conclude(reading, found[index]))

@@ -304,6 +304,34 @@ def update_from_tickets(
     return replace(outcome, prior_widening=widening)
 
 
+@dataclass(frozen=True, slots=True)
+class _Forces:
+    """Force (N,) of the windows, by the parameters (N, n), by the load (N,), and the load itself (N,)."""
+
+    force: Array
+    by_theta: Array
+    by_load: Array
+    load: Array
+
+
+@dataclass(frozen=True, slots=True)
+class _AnchorFlows:
+    """Flows (A,) that explain the forces of the weighed loads' windows with some parameters (n,), and by_theta (A, n) there."""
+
+    flow: Array
+    by_theta: Array
+    theta: Array
+
+    def at(self, theta: Array) -> Array:
+        """About those with other parameters."""
+        return np.clip(self.flow + self.by_theta @ (theta - self.theta), 0.5 * self.flow, 2.0 * self.flow)
+
+
+_FOLLOWED = 1e-4
+"""A Newton step of the flows this small leaves an error at rounding, their curvature being of their own size."""
+_NEWTON_STEPS = 4
+
+
 class _Problem:
     def __init__(
         self,
@@ -342,6 +370,9 @@ class _Problem:
         self.slopes = len(self.sweeps) if settings.flow == "linear" else 0
         self.clocks = [s.time_s - s.time_s.mean() for s in self.sweeps]
         self.flow_covariances: list[Array] = []
+        self._near = _AnchorFlows(np.zeros(0), np.zeros((0, len(self.names))), self.prior.mean)
+        """Where the weighed loads were evaluated last."""
+        self._last: tuple[bytes, _Forces] | None = None
 
     @staticmethod
     def _impact_scale(values: Mapping[str, float]) -> float:
@@ -364,22 +395,24 @@ class _Problem:
     def solve(self) -> Outcome:
         count, width = len(self.sweeps), len(self.names)
         flows, anchor_flows = self._first_flows()
+        self._near = _AnchorFlows(anchor_flows, np.zeros((anchor_flows.size, width)), self.prior.mean)
         unknown = np.concatenate((self.prior.mean, np.log(flows), np.zeros(self.slopes)))
         low = np.concatenate((self.lower, np.full(count, np.log(1e-3)), np.full(self.slopes, -1.0)))
         high = np.concatenate((self.upper, np.full(count, np.log(1e3)), np.full(self.slopes, 1.0)))
         unit = np.concatenate((self.prior.standard_deviation, np.full(count, 0.1), np.full(self.slopes, 0.01)))
-        # Noise from flow and model error scales with the force's slope, and weighed loads with their flows: settle both in turn.
-        passes = 3 if self.anchors or self.settings.flow == "process" or self.settings.model_error > 0.0 else 1
+        # Noise from flow and model error scales with the force's slope: settle both in turn.
+        passes = 3 if self.sweeps and (self.settings.flow == "process" or self.settings.model_error > 0.0) else 1
         for _ in range(passes):
-            whiteners = self._whiteners(unknown, anchor_flows)
+            whiteners = self._whiteners(unknown)
             found = levenberg_marquardt(
-                partial(self._search_residuals, whiteners, anchor_flows),
+                partial(self._search_residuals, whiteners),
                 unknown[None],
                 low,
                 high,
                 scale=unit,
                 iterations=40,
                 tolerance=1e-4,
+                learns_curvature=bool(self.anchors),
             )
             if not np.isfinite(found.cost[0]):
                 raise ValueError("no flow below a full paddle explains a sweep with the prior's parameters")
@@ -387,7 +420,6 @@ class _Problem:
             unknown = found.theta[0]
             if moved < 0.05:
                 break
-            anchor_flows = self._newton_flows(unknown, anchor_flows)
         return self._outcome(unknown, found.residual[0], found.jacobian[0], whiteners, width, count)
 
     def _first_flows(self) -> tuple[Array, Array]:
@@ -418,21 +450,38 @@ class _Problem:
         ]
         return np.concatenate([*parts, anchor_flows]) if parts or anchor_flows.size else np.ones(1)
 
-    def _forces(self, unknown: Array, anchor_flows: Array) -> tuple[Array, Array, Array]:
-        """Force (N,), by the parameters (N, n), by the load (N,)."""
+    def _forces(self, unknown: Array) -> _Forces:
+        """With the weighed loads at flows that explain their forces; these are followed from one evaluation to the next."""
+        width, place = len(self.names), unknown.tobytes()
+        if self._last is not None and self._last[0] == place:
+            return self._last[1]
         if not self.sweeps and not self.anchors:
-            return np.zeros(0), np.zeros((0, len(self.names))), np.zeros(0)
-        value, jacobian, by_load = self.rows.at_load(unknown[: len(self.names)], self._loads(unknown, anchor_flows))
-        passes = self.rows.passes_per_s
-        return value * passes, jacobian * passes[:, None], by_load * passes
+            return _Forces(np.zeros(0), np.zeros((0, width)), np.zeros(0), np.ones(1))
+        theta, rows, passes = unknown[:width], slice(self.tail, None), self.rows.passes_per_s
+        for _ in range(_NEWTON_STEPS):
+            load = self._loads(unknown, self._near.at(theta))
+            value, jacobian, by_load = self.rows.at_load(theta, load)
+            found = _Forces(value * passes, jacobian * passes[:, None], by_load * passes, load)
+            if not self.anchors:
+                break
+            change = (self.force[rows] - found.force[rows]) / found.by_load[rows]
+            if not np.all(np.isfinite(change)):
+                # More than a full paddle: nothing to follow.
+                return found
+            flow = np.clip(load[rows] + change, 0.5 * load[rows], 2.0 * load[rows])
+            self._near = _AnchorFlows(flow, -found.by_theta[rows] / found.by_load[rows, None], theta)
+            if np.max(np.abs(change)) <= _FOLLOWED * np.mean(flow):
+                break
+        self._last = place, found
+        return found
 
-    def _whiteners(self, unknown: Array, anchor_flows: Array) -> list[Array]:
+    def _whiteners(self, unknown: Array) -> list[Array]:
         """Inverse of the lower Cholesky factor of each sweep's force covariance."""
         settings = self.settings
         if not self.sweeps or (settings.flow != "process" and settings.model_error == 0.0):
             return [np.diag(1.0 / sweep.force_std_dev_n) for sweep in self.sweeps]
-        force, _, by_load = self._forces(unknown, anchor_flows)
-        loads = self._loads(unknown, anchor_flows)
+        found = self._forces(unknown)
+        force, by_load, loads = found.force, found.by_load, found.load
         out: list[Array] = []
         covariances: list[Array] = []
         for sweep, rows, clock in zip(self.sweeps, self.sweep_rows, self.clocks, strict=True):
@@ -456,16 +505,14 @@ class _Problem:
         self.flow_covariances = covariances
         return out
 
-    def _search_residuals(
-        self, whiteners: Sequence[Array], anchor_flows: Array, unknown: Array, _: NDArray[np.intp]
-    ) -> tuple[Array, Array]:
-        return self._residuals(unknown[0], whiteners, anchor_flows)
+    def _search_residuals(self, whiteners: Sequence[Array], unknown: Array, _: NDArray[np.intp]) -> tuple[Array, Array]:
+        return self._residuals(unknown[0], whiteners)
 
-    def _residuals(self, unknown: Array, whiteners: Sequence[Array], anchor_flows: Array) -> tuple[Array, Array]:
+    def _residuals(self, unknown: Array, whiteners: Sequence[Array]) -> tuple[Array, Array]:
         """(1, m) and (1, m, n + S + slopes): windows, prior, slopes' prior, anchors; whitened."""
         width, count = len(self.names), len(self.sweeps)
-        force, by_theta, by_load = self._forces(unknown, anchor_flows)
-        loads = self._loads(unknown, anchor_flows)
+        found = self._forces(unknown)
+        force, by_theta, by_load, loads = found.force, found.by_theta, found.by_load, found.load
         residuals, jacobians = [], []
         for i, (rows, whitener) in enumerate(zip(self.sweep_rows, whiteners, strict=True)):
             jacobian = np.zeros((len(whitener), unknown.size))
@@ -486,7 +533,7 @@ class _Problem:
             residuals.append(unknown[width + count :] / self.settings.flow_slope_sd_per_s)
             jacobians.append(slope_jacobian)
         for anchor, rows in zip(self.anchors, self.anchor_rows, strict=True):
-            # One Newton step from the flows at hand to those that explain the forces.
+            # The last of the Newton steps to the flows that explain the forces.
             flow = loads[rows] + (self.force[rows] - force[rows]) / by_load[rows]
             by = np.zeros((1, unknown.size))
             by[0, :width] = -(anchor.duration_s / by_load[rows]) @ by_theta[rows] / anchor.std_dev_kg
@@ -499,16 +546,6 @@ class _Problem:
             residuals.append(np.array([(unknown[index] - self.density.density_kg_m3) / self.density.std_dev_kg_m3]))
             jacobians.append(by)
         return np.concatenate(residuals)[None], np.vstack(jacobians)[None]
-
-    def _newton_flows(self, unknown: Array, anchor_flows: Array) -> Array:
-        if not anchor_flows.size:
-            return anchor_flows
-        for _ in range(2):
-            force, _, by_load = self._forces(unknown, anchor_flows)
-            rows = slice(self.tail, None)
-            step = (self.force[rows] - force[rows]) / by_load[rows]
-            anchor_flows = np.clip(anchor_flows + step, 0.5 * anchor_flows, 2.0 * anchor_flows)
-        return anchor_flows
 
     def _outcome(
         self, unknown: Array, residual: Array, jacobian: Array, whiteners: Sequence[Array], width: int, count: int
@@ -660,9 +697,8 @@ class _Problem:
 
     def _elastic(self, unknown: Array) -> Array:
         """d(force)/d(ln flow) of every window."""
-        still = np.ones(self.force.size - self.tail)
-        _, _, by_load = self._forces(unknown, still)
-        return np.asarray(by_load * self._loads(unknown, still))
+        found = self._forces(unknown)
+        return found.by_load * found.load
 
     def _reason(
         self,

@@ -40,6 +40,7 @@ def levenberg_marquardt(
     iterations: int = 120,
     tolerance: float = 1e-9,
     least_gain: float = 0.0,
+    learns_curvature: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> BatchSearch:
     """Minimise half the sum of squares from every start at once, within bounds.
@@ -63,6 +64,9 @@ def levenberg_marquardt(
     least_gain
         when the next step promises to lower the sum of squares by less than this times 1 + its mean square; 0: never for that
         reason.
+    learns_curvature
+        Take the curvature of the residuals into account, as the derivatives' changes from step to step show it: fewer steps where
+        residuals stay large (Dennis, Gay and Welsch, ACM TOMS 7, 1981; symmetric rank-one updates).
     progress
         Called with the share of starts that are done.
     """
@@ -76,6 +80,7 @@ def levenberg_marquardt(
     damping = np.full(count, 1e-3)
     done = ~np.isfinite(cost)
     converged = np.zeros(count, dtype=bool)
+    curvature = np.zeros((count, theta.shape[-1], theta.shape[-1]))
     for _ in range(iterations):
         at = np.flatnonzero(~done)
         if progress is not None:
@@ -84,6 +89,8 @@ def levenberg_marquardt(
             break
         gradient = np.einsum("bmn,bm->bn", jacobian[at], residual[at]) * unit[at]
         normal = np.einsum("bmi,bmj->bij", jacobian[at], jacobian[at]) * unit[at, :, None] * unit[at, None, :]
+        if learns_curvature:
+            normal = _curved(normal, curvature[at])
         frozen = fixed[at] | ((theta[at] <= low[at]) & (gradient > 0.0)) | ((theta[at] >= high[at]) & (gradient < 0.0))
         step = _damped_step(normal, gradient, frozen, damping[at])
         trial = np.clip(theta[at] + step * unit[at], low[at], high[at])
@@ -101,17 +108,41 @@ def levenberg_marquardt(
         trial_cost = _cost(trial_residual)
         moved = np.max(np.abs(trial - theta[at]) / unit[at], axis=-1, initial=0.0)
         better = trial_cost <= cost[at]
+        if learns_curvature:
+            there = np.where(better[:, None], trial_residual, residual[at])
+            change = np.einsum("bmn,bm->bn", trial_jacobian - jacobian[at], there) * unit[at]
+            curvature[at] = _learnt(curvature[at], (trial - theta[at]) / unit[at], change)
         stalled = moved <= tolerance
         accepted = at[better]
         theta[accepted] = trial[better]
         residual[accepted], jacobian[accepted] = trial_residual[better], trial_jacobian[better]
         cost[accepted] = trial_cost[better]
+        light = learns_curvature & (damping[at] <= 1e-3)
         damping[at] = np.where(better, np.maximum(damping[at] * 0.1, 1e-12), damping[at] * 8.0)
         # A short step by heavy damping is a stall; one nearly undamped has arrived.
-        arrived = stalled & (better | (damping[at] > 1e8))
+        arrived = stalled & (better | light | (damping[at] > 1e8))
         converged[at] |= arrived
         done[at] |= arrived | (damping[at] > 1e12)
     return BatchSearch(theta, cost, converged, residual, jacobian)
+
+
+def _curved(normal: Array, curvature: Array) -> Array:
+    """(B, n, n): the second derivatives of half the sum of squares, without the residuals' own where both together would have
+    directions without an end."""
+    both = normal + curvature
+    least = np.linalg.eigvalsh(both)[:, 0]
+    plain = np.linalg.eigvalsh(normal)[:, 0]
+    return np.where((least > 0.1 * plain)[:, None, None], both, normal)
+
+
+def _learnt(curvature: Array, step: Array, change: Array) -> Array:
+    """(B, n, n): the symmetric rank-one update after which curvature @ step is `change`; as it was where that is ill determined."""
+    missing = change - np.einsum("bij,bj->bi", curvature, step)
+    along = np.einsum("bi,bi->b", missing, step)
+    size = np.linalg.norm(missing, axis=-1) * np.linalg.norm(step, axis=-1)
+    sure = np.isfinite(size) & (np.abs(along) > 1e-8 * size)
+    missing, along = np.where(sure[:, None], missing, 0.0), np.where(sure, along, 1.0)
+    return np.asarray(curvature + missing[:, :, None] * missing[:, None, :] / along[:, None, None])
 
 
 def _cost(residual: Array) -> Array:

@@ -29,6 +29,8 @@ from .open_loop import invert_force
 from .parameters import CalibratedRange, ParameterSet
 
 DENSITY = "density"
+LEAST_LOADS = 3
+"""Fewer weighed loads say nothing against a further one."""
 _ITERATIONS = 12
 _SETTLED = 1e-5
 _STEP = 1e-4
@@ -202,7 +204,7 @@ def contradicted(
     load: WeighedLoad,
     settings: LoadSettings | None = None,
     *,
-    least: int = 3,
+    least: int = LEAST_LOADS,
 ) -> float | None:
     """Relative error of a weighed mass by what the loads before it say, where that is beyond any scatter; else None.
 

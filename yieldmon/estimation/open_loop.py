@@ -12,6 +12,7 @@ from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.model import ForwardModel, Throw
 from yieldmon.physics.numerics import Array, chebyshev_points
 
+from .load_curves import LoadCurves
 from .parameters import ParameterSet
 
 _GRID = chebyshev_points(24)
@@ -20,6 +21,10 @@ _NEAR = np.arange(4)
 _LEAST_STEP = 1e-9
 _THIN = 1e-4
 """Heap thickness, 1 - h0/l, at which momentum is in proportion to load."""
+_NEAR_ERROR = 1e-3
+"""Relative, of a load curve between knots: twice the most that it is found to be."""
+_THIN_CELLS = 2
+"""Cells of the grid at its ends in which curves between knots decide nothing."""
 _DIAGONAL = np.eye(4, dtype=bool)
 
 
@@ -50,18 +55,23 @@ class FlowEstimate:
     noise_std_dev_kg_s: Array | None = None
 
 
-def invert_force(throw: Throw, force_n: Array, *, tolerance: float = 1e-13) -> tuple[Array, Array]:
+def invert_force(
+    throw: Throw, force_n: Array, *, tolerance: float = 1e-13, near: Array | None = None
+) -> tuple[Array, Array]:
     """Mass flow at which `throw` gives `force_n`, and d(force)/d(mass flow) there, by a bracketed solver.
 
     throw and force have shapes that broadcast to S; returns two arrays of shape S. The bracket is an empty to a full paddle; of
     several solutions the lowest is taken. At or below the empty reading the flow is 0 and the slope that of thin loads; above the
     highest reading both are nan. Inside the bracket: inverse interpolation over a grid in heap thickness, then Halley steps that
     may not leave their interval.
+
+    near: (*S, g), about what `throw` reads over the grid, where it is known without asking; what the search ends in is the throw's
+    own, but whether it ends, and in which of several solutions, is what `near` says (see `decided_by`).
     """
     passes = np.asarray(throw.passes_per_s)
     shape = np.broadcast_shapes(passes.shape[:-1], force_n.shape)
     target = force_n[..., None] / passes
-    _, grid = throw.load_curve(_GRID)
+    grid = throw.load_curve(_GRID)[1] if near is None else near
     rows = np.arange(int(np.prod(shape)))[:, None]
     grid = np.broadcast_to(grid, (*shape, _GRID.size)).reshape(-1, _GRID.size)
     goal = np.broadcast_to(target, (*shape, 1)).reshape(-1, 1)
@@ -74,7 +84,8 @@ def invert_force(throw: Throw, force_n: Array, *, tolerance: float = 1e-13) -> t
     near = np.minimum(np.maximum(right - 2, 0), _GRID.size - 4) + _NEAR
     root = np.sqrt(np.maximum(grid[rows, near] - empty, 0.0))
     start = _inverse_interpolation(root, _GRID[near], np.sqrt(np.maximum(goal - empty, 0.0)))
-    low, high = _GRID[right - 1], _GRID[right]
+    beyond = 0 if near is None else 1
+    low, high = _GRID[np.maximum(right - 1 - beyond, 0)], _GRID[np.minimum(right + beyond, _GRID.size - 1)]
     q = np.minimum(np.maximum(start, low), high).reshape(*shape, 1)
     low, high = low.reshape(q.shape), high.reshape(q.shape)
     q = np.minimum(np.maximum(q, 2.0 * _LEAST_STEP), 1.0 - 2.0 * _LEAST_STEP)
@@ -94,9 +105,8 @@ def invert_force(throw: Throw, force_n: Array, *, tolerance: float = 1e-13) -> t
         with np.errstate(divide="ignore", invalid="ignore"):
             newton = error / slope
             trial = q - newton / (1.0 - 0.5 * newton * curve / slope)
-            # The masses per pass cancel: d(force)/d(flow) = d(momentum)/d(mass).
-            here = (after - before) / (mass[..., 2:] - mass[..., :1])
         trial = np.where((trial >= low) & (trial <= high), trial, 0.5 * (low + high))
+        here = _slope_at(throw.offered_along_curve(np.where(no_grain, q, trial)), mass, momentum)
         near_enough = (np.abs(trial - q) <= 1e-4 * q) | (np.abs(error) <= tolerance * np.abs(target)) | no_grain
         # A row that has settled stays as it is, so that its result does not depend on the rows beside it.
         q, gain = np.where(settled, q, trial), np.where(settled, gain, here)
@@ -105,6 +115,18 @@ def invert_force(throw: Throw, force_n: Array, *, tolerance: float = 1e-13) -> t
             break
     flow = (throw.offered_along_curve(q) * passes)[..., 0]
     return np.where(below, 0.0, np.where(found, flow, np.nan)), np.where(found, gain[..., 0], np.nan)
+
+
+def decided_by(near: Array, force_n: Array, passes_per_s: Array) -> NDArray[np.bool_]:
+    """(n,): where curves that are off by _NEAR_ERROR, (n, g), leave no doubt that there is a solution and which is the lowest."""
+    goal = (force_n / passes_per_s)[:, None]
+    reached = near >= goal
+    right = reached.argmax(axis=1)
+    ahead = np.arange(1, near.shape[1]) <= right[:, None] + 1
+    with np.errstate(invalid="ignore"):
+        rises = np.diff(near, axis=1) > _NEAR_ERROR * np.abs(near[:, 1:])
+    inside: NDArray[np.bool_] = (right >= _THIN_CELLS) & (right < near.shape[1] - _THIN_CELLS)
+    return inside & np.all(rises | ~ahead, axis=1)
 
 
 def broadcast_inputs(
@@ -157,6 +179,7 @@ class OpenLoop:
         steps = np.array([1e-3 * parameters.standard_deviation(name) for name in names])
         self._steps = steps
         moves = np.diag(steps)
+        self._curves = LoadCurves(self._curve)
         self._rows = {
             name: value + (np.concatenate(([0.0], moves[names.index(name)])) if name in names else 0.0)
             for name, value in base.items()
@@ -192,7 +215,7 @@ class OpenLoop:
         force = np.where(usable, force, 0.0)
         angle = np.where(usable, angle, machine.home_plate_angle_rad)
         speed = np.where(usable, speed, machine.nominal_elevator_speed_rad_s)
-        flow, gain = invert_force(self._throw(angle, speed, moist), force)
+        flow, gain = self._inverted(force, angle, speed, moist)
         noise = np.where(usable, noise, 0.0)
         spread = np.hypot(noise, self._parameter_force_sd(flow, angle, speed, moist))
         spread = np.hypot(spread, self.parameters.model_error * np.abs(force))
@@ -200,6 +223,24 @@ class OpenLoop:
             sd, noise_sd = spread / np.abs(gain), noise / np.abs(gain)
         outside = self._outside(flow, angle, speed, moist)
         return with_status(flow, sd, noise_sd, outside=outside, empty=flow <= 0.0, usable=usable)
+
+    def _inverted(self, force: Array, angle: Array, speed: Array, moisture: Array) -> tuple[Array, Array]:
+        """`invert_force`, begun near its end where that is known."""
+        if self.model.needs_moisture:
+            return invert_force(self._throw(angle, speed, moisture), force)
+        shape = force.shape
+        rows = [column.ravel() for column in (force, angle, speed)]
+        near = self._curves.near(*rows[1:])
+        sure = decided_by(near, rows[0], self.model.machine.passes_per_s(rows[2]))
+        flow, gain = np.empty(sure.shape), np.empty(sure.shape)
+        for part, curve in ((sure, near[sure]), (~sure, None)):
+            if part.any():
+                force, angle, speed = (column[part] for column in rows)
+                flow[part], gain[part] = invert_force(self._throw(angle, speed, None), force, near=curve)
+        return flow.reshape(shape), gain.reshape(shape)
+
+    def _curve(self, angle: Array, speed: Array) -> Array:
+        return np.asarray(np.broadcast_to(self._throw(angle, speed, None).load_curve(_GRID)[1], (angle.size, _GRID.size)))
 
     def _throw(self, angle: ArrayLike, speed: ArrayLike, moisture: ArrayLike | None) -> Throw:
         return self.model.throw(
@@ -237,6 +278,15 @@ class OpenLoop:
                 slack = same + 1e-9 * max(abs(limits[0]), abs(limits[1]))
                 outside |= (value < limits[0] - slack) | (value > limits[1] + slack)
         return outside
+
+
+def _slope_at(mass: Array, masses: Array, momentum: Array) -> Array:
+    """d(momentum)/d(mass) (..., 1) at a mass by the parabola through three neighbours (..., 3); the masses a second cancel in
+    d(force)/d(flow)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slopes = np.diff(momentum) / np.diff(masses)
+        bend = np.diff(slopes) / (masses[..., 2:] - masses[..., :1])
+        return np.asarray(slopes[..., :1] + bend * (2.0 * mass - masses[..., :1] - masses[..., 1:2]))
 
 
 def _inverse_interpolation(values: Array, places: Array, goal: Array) -> Array:

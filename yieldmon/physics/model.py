@@ -11,13 +11,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from . import flight, impact, release, settling
 from .effects import Effect, get_effect
 from .grain import EXCHANGE_FORM, GRAIN, OPTIONAL, RESTITUTION_FORM
 from .machine import Machine
-from .numerics import COMPLEX_STEP, AnyArray, Array, first_root, gauss_legendre, minimum, real
+from .numerics import COMPLEX_STEP, AnyArray, Array, first_root, gauss_legendre, minimum, perturbed, real
 from .stages import STAGES, Arrival, Jet, Load, Reading, Setting
 
 LATEST_ROTATION_RAD = 2.0 * np.pi
@@ -321,21 +321,44 @@ class Throw:
         return arrival
 
     def _find_miss_rotation(self) -> AnyArray:
-        setting = self.setting
-        # Beyond this rotation the path runs along the plate or away from it (radial speed stays below the tip speed).
-        upper = setting.plate_angle_rad + 0.25 * np.pi
-        if setting.release_angle_rad is not None:
-            upper = upper - setting.release_angle_rad
-        if setting.radial_speed is not None:
-            upper = upper + 0.5 * setting.radial_speed
+        fewer, place = _frictions_once(self.setting)
+        if place is None:
+            return _miss_rotation(self.setting, self._slides)
+        return _miss_rotation(fewer, release.slides_of(fewer))[..., place, :]
 
-        slide, still, still_slide = self._slides
 
-        def miss(tau: AnyArray, setting: Setting = setting, slide: release.Slide = slide) -> AnyArray:
-            flow = release.outflow(tau, setting, slide)
-            return flight.miss_measure(*release.at_tip(flow, setting), setting)
+def _frictions_once(setting: Setting) -> tuple[Setting, NDArray[np.intp] | None]:
+    """The setting with each of several frictions (k, 1) once, and where each is; None where nothing is gained.
 
-        return first_root(miss, upper, unperturbed=lambda tau: miss(tau, still, still_slide))
+    Of all that sets of parameters differ by, only friction changes at which rotation grain starts to miss the plate.
+    """
+    friction = setting.friction
+    if friction.ndim != 2 or perturbed(friction):
+        return setting, None
+    others = (
+        setting.plate_angle_rad, setting.elevator_speed_rad_s, setting.paddle_length_m, setting.plate_pivot_x_m,
+        setting.plate_pivot_y_m, setting.gravity_m_s2, setting.release_angle_rad, setting.radial_speed,
+    )  # fmt: skip
+    once, place = np.unique(friction[:, 0], return_inverse=True)
+    if once.size == len(friction) or any(value is not None and value.ndim > 1 and value.shape[-2] > 1 for value in others):
+        return setting, None
+    return replace(setting, friction=once[:, None]), place.ravel()
+
+
+def _miss_rotation(setting: Setting, slides: tuple[release.Slide, Setting, release.Slide]) -> AnyArray:
+    # Beyond this rotation the path runs along the plate or away from it (radial speed stays below the tip speed).
+    upper = setting.plate_angle_rad + 0.25 * np.pi
+    if setting.release_angle_rad is not None:
+        upper = upper - setting.release_angle_rad
+    if setting.radial_speed is not None:
+        upper = upper + 0.5 * setting.radial_speed
+    slide, still, still_slide = slides
+
+    def miss(tau: AnyArray, setting: Setting = setting, slide: release.Slide = slide) -> AnyArray:
+        flow = release.outflow(tau, setting, slide)
+        return flight.miss_measure(*release.at_tip(flow, setting), setting)
+
+    return first_root(miss, upper, unperturbed=lambda tau: miss(tau, still, still_slide))
 
 
 def _with_nodes(value: ArrayLike) -> AnyArray:

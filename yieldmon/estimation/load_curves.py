@@ -1,0 +1,58 @@
+"""Load curves between knots of plate angle and elevator speed: where the search for a flow may begin.
+
+A curve costs many times what a search costs that begins near its end. Knots are worked out when they are first asked for; what
+follows for an angle and a speed depends on nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.physics.numerics import Array
+
+_ANGLE_RAD = np.radians(1.0)
+_LN_SPEED = 0.02
+_MOST = 4096
+"""Knots kept: far more than one machine's plate and elevator come by."""
+_SPEEDS = 1 << 20
+"""Numbers of knots in speed for each angle, half of them below 1 rad/s."""
+_CORNERS = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
+
+
+class LoadCurves:
+    """curve: (n,) plate angles, rad, and elevator speeds, rad/s -> (n, g) what is read along the load curve."""
+
+    def __init__(self, curve: Callable[[Array, Array], Array]) -> None:
+        self._curve = curve
+        self._places: dict[int, int] = {}
+        self._table: Array = np.empty((0, 0))
+
+    def near(self, plate_angle_rad: Array, elevator_speed_rad_s: Array) -> Array:
+        """(n, g): the curves at these angles and speeds (above 0), (n,), straight between the four knots around each."""
+        at = np.stack((plate_angle_rad / _ANGLE_RAD, np.log(elevator_speed_rad_s) / _LN_SPEED))
+        low = np.floor(at)
+        share = at - low
+        corners = low[:, :, None] + _CORNERS.T[:, None, :]
+        keys = (corners[0] * _SPEEDS + corners[1]).astype(np.int64)
+        table = self._table_of(keys)
+        weights = np.where(_CORNERS.T[:, None, :] == 1, share[:, :, None], 1.0 - share[:, :, None]).prod(axis=0)
+        found = weights[:, :1] * table[:, 0]
+        for corner in range(1, len(_CORNERS)):
+            found = found + weights[:, corner, None] * table[:, corner]
+        return found
+
+    def _table_of(self, keys: NDArray[np.int64]) -> Array:
+        unique, place = np.unique(keys, return_inverse=True)
+        if len(self._places) > _MOST:
+            self._places, self._table = {}, np.empty((0, 0))
+        new = [key for key in unique.tolist() if key not in self._places]
+        if new:
+            angle, speed = np.divmod(np.array(new) + _SPEEDS // 2, _SPEEDS)
+            made = self._curve(angle * _ANGLE_RAD, np.exp((speed - _SPEEDS // 2) * _LN_SPEED))
+            self._places |= {key: len(self._places) + i for i, key in enumerate(new)}
+            self._table = np.concatenate((self._table, made)) if self._table.size else made
+        rows = np.array([self._places[key] for key in unique.tolist()])
+        return np.asarray(self._table[rows[place.reshape(keys.shape)]])
