@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import hypot, isfinite, sqrt
 
+from yieldmon.engine.quick import maker_of
 from yieldmon.engine.settings import BudgetSettings
 
 _NAN = float("nan")
@@ -65,11 +66,11 @@ class MassBudget:
 
     def plus(self, flow: FlowBudget, seconds: float) -> MassBudget:
         """The budget with `seconds` of a flow more."""
-        return MassBudget(
-            noise_kg2=self.noise_kg2 + (flow.noise_kg_s * seconds) ** 2,
-            parameters_kg=self.parameters_kg + flow.parameters_kg_s * seconds,
-            zero_kg=self.zero_kg + flow.zero_kg_s * seconds,
-            moisture_kg=self.moisture_kg + flow.moisture_kg_s * seconds,
+        return _made(
+            self.noise_kg2 + (flow.noise_kg_s * seconds) ** 2,
+            self.parameters_kg + flow.parameters_kg_s * seconds,
+            self.zero_kg + flow.zero_kg_s * seconds,
+            self.moisture_kg + flow.moisture_kg_s * seconds,
         )
 
     def minus(self, before: MassBudget) -> MassBudget:
@@ -97,6 +98,7 @@ class MassBudget:
         return cls(_NAN, _NAN, _NAN, _NAN)
 
 
+_made = maker_of(MassBudget)
 EMPTY = MassBudget()
 """Of no mass."""
 

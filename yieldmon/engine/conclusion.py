@@ -11,12 +11,15 @@ from yieldmon.engine.loads import LoadEvents
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.parts import Parts
 from yieldmon.engine.publishing import Published
+from yieldmon.engine.quick import maker_of
 from yieldmon.engine.records import Second, WindowRecord, record_of
 from yieldmon.engine.results import Event, WindowResult, ZeroTaken
 from yieldmon.engine.since_zero import KeptSecond
 from yieldmon.engine.sweep import SweepWindow, support_start_s
 from yieldmon.engine.waveform import NOTHING, WaveformReading
 from yieldmon.frames import OperatingState
+
+_result = maker_of(WindowResult)
 
 
 class Conclusion:
@@ -52,7 +55,7 @@ class Conclusion:
         frames = parts.publisher.frames(record, self._published()) if self.publishing else ()
         emptied = parts.unloading.emptied(reading.inputs, window.end_s - window.start_s) and loads.totals.load_kg > 0.0
         started = loads.start(bus_s) if emptied else ()
-        return WindowResult(record, frames, (*begun, *zero, *shown, *learnt, *ended, *started))
+        return _result(record, frames, (*begun, *zero, *shown, *learnt, *ended, *started))
 
     def _flow(self, reading: Reading, estimate: Estimate | None) -> tuple[Flow, WaveformReading]:
         """The flow by mean force, and what the samples' shape says; both together where that is asked for."""

@@ -12,6 +12,7 @@ import numpy as np
 from yieldmon.engine.budget import NO_BUDGET, FlowBudget, MoistureReference, zero_std_dev_mv
 from yieldmon.engine.flow_filter import FlowFilter
 from yieldmon.engine.measurement import Reading
+from yieldmon.engine.quick import maker_of
 from yieldmon.engine.records import FlowEstimator
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.windows import Window
@@ -40,6 +41,9 @@ class Flow:
         return isfinite(self.rate_kg_s)
 
 
+_flow, _flow_budget = maker_of(Flow), maker_of(FlowBudget)
+
+
 class Estimate(NamedTuple):
     """One row of a FlowEstimate; noise_kg_s is None where the estimator does not state it."""
 
@@ -49,8 +53,7 @@ class Estimate(NamedTuple):
     noise_kg_s: float | None
 
 
-@dataclass(frozen=True, slots=True)
-class Circumstances:
+class Circumstances(NamedTuple):
     """What bears on the quality of a flow beside its window: a sweep is under way, the fault CalibrationOld is shown."""
 
     sweeping: bool
@@ -102,7 +105,7 @@ class FlowMeter:
         outside = status is FlowStatus.OUTSIDE_CALIBRATION
         quality = self._quality(reading, saturated, outside, circumstances)
         budget = self._budget(reading, rate, std_dev, own, estimator)
-        return Flow(rate, budget.std_dev_kg_s, quality, reading.force_n, reading.force_std_dev_n, outside, saturated, budget)
+        return _flow(rate, budget.std_dev_kg_s, quality, reading.force_n, reading.force_std_dev_n, outside, saturated, budget)
 
     def published(self, flow: Flow, *, plate_rests_at_home: bool) -> Flow:
         """The flow to publish: windows of a plate at rest at home weighed together; every other stands for itself."""
@@ -114,7 +117,7 @@ class FlowMeter:
         common = max(0.0, flow.std_dev_kg_s**2 - noise**2) ** 0.5
         rate, std_dev = self._filter.update(flow.rate_kg_s, noise)
         spread = hypot(std_dev, common * rate / flow.rate_kg_s)
-        return Flow(
+        return _flow(
             rate, spread, flow.quality, flow.force_n, flow.force_std_dev_n, flow.out_of_calibration, flow.saturated, flow.budget
         )
 
@@ -138,12 +141,7 @@ class FlowMeter:
             parameters.calibrated.moisture_pct,
             followed="moisture_dependence" in parameters.effects,
         )
-        return FlowBudget(
-            noise_kg_s=noise,
-            parameters_kg_s=max(0.0, std_dev**2 - noise**2) ** 0.5,
-            zero_kg_s=zero_n * per_n,
-            moisture_kg_s=relative * rate,
-        )
+        return _flow_budget(noise, max(0.0, std_dev**2 - noise**2) ** 0.5, zero_n * per_n, relative * rate)
 
     def _quality(self, reading: Reading, saturated: bool, outside: bool, circumstances: Circumstances) -> EstimateQuality:
         if saturated:

@@ -12,6 +12,7 @@ from math import degrees, hypot, isfinite, radians
 from yieldmon.engine.aliasing import ALIAS_FREE_HZ, aliasing_share
 from yieldmon.engine.gates import GateInputs, HarvestGate
 from yieldmon.engine.inputs import InputSnapshot
+from yieldmon.engine.quick import maker_of
 from yieldmon.engine.settings import EngineSettings, WindowSettings
 from yieldmon.engine.sources import Sources
 from yieldmon.engine.windows import Window
@@ -55,6 +56,7 @@ class Reading:
     zero_refusal: ZeroRefusal | None
 
 
+_reading, _gate_inputs = maker_of(Reading), maker_of(GateInputs)
 _LARGEST_RATIO = 4.0
 """A window's squared scatter counts for no more than this times what is known."""
 _TANK_S = 60.0
@@ -166,27 +168,13 @@ class Measurement:
         sampled_before, self._sampled = self._sampled, window.coverage > 0.0
         self._since_jump = 0 if clock_jumps != self._jumps else self._since_jump + 1
         self._jumps = clock_jumps
-        return Reading(
-            window=window,
-            inputs=inputs,
-            quality=quality,
-            force_n=force,
-            force_std_dev_n=noise,
-            speed_known=inputs.speed_known,
-            in_range=in_range,
-            stuck_s=self._stuck_s,
-            still=still,
-            at_home=at_home,
-            harvesting=self._gate.harvesting,
-            zero=self.zero.state,
-            zero_drifted=self.zero.drifted,
-            calibrating_zero=self.zero.calibrating,
-            sampled_before=sampled_before,
-            windows_since_jump=self._since_jump,
-            zero_taken=taken,
-            zero_age_s=window.end_s - (self.zero.known_s if self.zero.known_s is not None else self._started_s),
-            zero_refusal=self.zero.refusal,
-        )
+        zero = self.zero
+        zero_age_s = window.end_s - (zero.known_s if zero.known_s is not None else self._started_s)
+        return _reading(
+            window, inputs, quality, force, noise, inputs.speed_known, in_range, self._stuck_s, still, at_home,
+            self._gate.harvesting, zero.state, zero.drifted, zero.calibrating, sampled_before, self._since_jump, taken,
+            zero_age_s, zero.refusal,
+        )  # fmt: skip
 
     def _watch_tank(self, inputs: InputSnapshot) -> None:
         if inputs.tank_disputed:
@@ -204,7 +192,7 @@ class Measurement:
             return quality.NOT_AVAILABLE, _NAN, _NAN
         force = (window.mean_mv - zero.zero_mv) * self._machine.sensor.gain_n_per_mv
         noise = self._force_std_dev(window, force)
-        gate = GateInputs(force, self.zero.pulses(window), self.zero.looks_empty, self.zero.looks_loaded, in_range, idle_s)
+        gate = _gate_inputs(force, self.zero.pulses(window), self.zero.looks_empty, self.zero.looks_loaded, in_range, idle_s)
         grain = self._gate.grain(gate)
         if not self._gate.see(gate):
             return quality.NOT_AVAILABLE if grain and not in_range else quality.NOT_HARVESTING, force, noise

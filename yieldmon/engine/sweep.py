@@ -14,6 +14,7 @@ from enum import StrEnum
 from math import degrees, isfinite, log
 
 from yieldmon.engine.plate_commands import GO_HOME, RELEASE, PlateDemand
+from yieldmon.engine.quick import maker_of
 from yieldmon.engine.settings import PlateSettings, SweepSettings
 from yieldmon.engine.windows import Window
 from yieldmon.frames import ActuatorState, CommandMode, SweepState
@@ -67,17 +68,13 @@ class SweepWindow:
         cls, window: Window, support_start_s: float, flow_kg_s: float, force_n: float, whole: bool, still: bool
     ) -> SweepWindow:
         """From a window and what was made of it."""
-        return cls(
-            end_s=window.end_s,
-            support_start_s=support_start_s,
-            flow_kg_s=flow_kg_s,
-            force_n=force_n,
-            speed_rad_s=window.speed_rad_s,
-            angle_deg=degrees(window.plate_angle_rad),
-            whole=whole,
-            still=still,
-            trend=window.trend,
-        )
+        return _sweep_window(
+            window.end_s, support_start_s, flow_kg_s, force_n, window.speed_rad_s, degrees(window.plate_angle_rad), whole, still,
+            window.trend,
+        )  # fmt: skip
+
+
+_sweep_window = maker_of(SweepWindow)
 
 
 def support_start_s(window: Window, machine: Machine, max_ramp_s: float) -> float:

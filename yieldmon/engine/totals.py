@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from math import isfinite
+from operator import attrgetter
 
 from yieldmon.engine.budget import EMPTY, NO_BUDGET, FlowBudget, MassBudget
+from yieldmon.engine.quick import maker_of
 from yieldmon.engine.settings import TotalsSettings
 
 CORN_MARKET_MOISTURE_PCT = 15.5
@@ -74,22 +76,22 @@ class Totals:
         unknown = mass_kg if dry_kg is None else 0.0
         share = 1.0 if self.load_open else 0.0
         # Once a second: dataclasses.replace() takes several times as long.
-        return Totals(
-            total_kg=self.total_kg + mass_kg,
-            total_dry_kg=self.total_dry_kg + dry,
-            total_unknown_moisture_kg=self.total_unknown_moisture_kg + unknown,
-            load_kg=self.load_kg + share * mass_kg,
-            load_dry_kg=self.load_dry_kg + share * dry,
-            load_unknown_moisture_kg=self.load_unknown_moisture_kg + share * unknown,
-            load_number=self.load_number,
-            load_open=self.load_open,
-            total_contested_kg=self.total_contested_kg,
-            load_contested_kg=self.load_contested_kg,
-            total_budget=self.total_budget.plus(budget, seconds),
-            load_budget=self.load_budget.plus(budget, seconds) if self.load_open else self.load_budget,
-            load_area_m2=self.load_area_m2,
-            load_unknown_area_kg=self.load_unknown_area_kg,
-            market_moisture_pct=self.market_moisture_pct,
+        return _made(
+            self.total_kg + mass_kg,
+            self.total_dry_kg + dry,
+            self.total_unknown_moisture_kg + unknown,
+            self.load_kg + share * mass_kg,
+            self.load_dry_kg + share * dry,
+            self.load_unknown_moisture_kg + share * unknown,
+            self.load_number,
+            self.load_open,
+            self.total_contested_kg,
+            self.load_contested_kg,
+            self.total_budget.plus(budget, seconds),
+            self.load_budget.plus(budget, seconds) if self.load_open else self.load_budget,
+            self.load_area_m2,
+            self.load_unknown_area_kg,
+            self.market_moisture_pct,
         )
 
     def with_area(self, area_m2: float, mass_kg: float) -> Totals:
@@ -99,22 +101,11 @@ class Totals:
         known = isfinite(area_m2)
         if not (area_m2 if known else mass_kg):
             return self
-        return Totals(
-            total_kg=self.total_kg,
-            total_dry_kg=self.total_dry_kg,
-            total_unknown_moisture_kg=self.total_unknown_moisture_kg,
-            load_kg=self.load_kg,
-            load_dry_kg=self.load_dry_kg,
-            load_unknown_moisture_kg=self.load_unknown_moisture_kg,
-            load_number=self.load_number,
-            load_open=self.load_open,
-            total_contested_kg=self.total_contested_kg,
-            load_contested_kg=self.load_contested_kg,
-            total_budget=self.total_budget,
-            load_budget=self.load_budget,
-            load_area_m2=self.load_area_m2 + area_m2 if known else self.load_area_m2,
-            load_unknown_area_kg=self.load_unknown_area_kg if known else self.load_unknown_area_kg + mass_kg,
-            market_moisture_pct=self.market_moisture_pct,
+        return _made(
+            *_before_area(self),
+            self.load_area_m2 + area_m2 if known else self.load_area_m2,
+            self.load_unknown_area_kg if known else self.load_unknown_area_kg + mass_kg,
+            self.market_moisture_pct,
         )
 
     def start_load(self) -> Totals:
@@ -135,6 +126,10 @@ class Totals:
     def stop_load(self) -> Totals:
         """The load is complete; its figures stay until the next one starts."""
         return replace(self, load_open=False)
+
+
+_made = maker_of(Totals)
+_before_area = attrgetter(*(field.name for field in fields(Totals)[:-3]))
 
 
 def dry_mass(

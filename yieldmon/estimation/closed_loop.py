@@ -330,6 +330,8 @@ class _AnchorFlows:
 _FOLLOWED = 1e-4
 """A Newton step of the flows this small leaves an error at rounding, their curvature being of their own size."""
 _NEWTON_STEPS = 4
+_LEAST_GAIN = 1e-8
+"""Of chi-square, that a further step is worth: one of 1e-4 standard deviations."""
 
 
 class _Problem:
@@ -412,6 +414,7 @@ class _Problem:
                 scale=unit,
                 iterations=40,
                 tolerance=1e-4,
+                least_gain=_LEAST_GAIN if self.anchors else 0.0,
                 learns_curvature=bool(self.anchors),
             )
             if not np.isfinite(found.cost[0]):

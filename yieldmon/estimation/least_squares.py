@@ -110,14 +110,13 @@ def levenberg_marquardt(
         better = trial_cost <= cost[at]
         if learns_curvature:
             there = np.where(better[:, None], trial_residual, residual[at])
-            change = np.einsum("bmn,bm->bn", trial_jacobian - jacobian[at], there) * unit[at]
-            curvature[at] = _learnt(curvature[at], (trial - theta[at]) / unit[at], change)
+            bent = np.einsum("bmn,bm->bn", trial_jacobian - jacobian[at], there) * unit[at]
+            curvature[at] = _learnt(curvature[at], (trial - theta[at]) / unit[at], bent)
         stalled = moved <= tolerance
-        accepted = at[better]
-        theta[accepted] = trial[better]
-        residual[accepted], jacobian[accepted] = trial_residual[better], trial_jacobian[better]
-        cost[accepted] = trial_cost[better]
-        light = learns_curvature & (damping[at] <= 1e-3)
+        taken = at[better]
+        theta[taken], cost[taken] = trial[better], trial_cost[better]
+        residual[taken], jacobian[taken] = trial_residual[better], trial_jacobian[better]
+        light = damping[at] <= (1e-3 if learns_curvature else -1.0)
         damping[at] = np.where(better, np.maximum(damping[at] * 0.1, 1e-12), damping[at] * 8.0)
         # A short step by heavy damping is a stall; one nearly undamped has arrived.
         arrived = stalled & (better | light | (damping[at] > 1e8))
@@ -136,7 +135,7 @@ def _curved(normal: Array, curvature: Array) -> Array:
 
 
 def _learnt(curvature: Array, step: Array, change: Array) -> Array:
-    """(B, n, n): the symmetric rank-one update after which curvature @ step is `change`; as it was where that is ill determined."""
+    """(B, n, n): the symmetric rank-one update after which curvature @ step is `change`; none where that is ill determined."""
     missing = change - np.einsum("bij,bj->bi", curvature, step)
     along = np.einsum("bi,bi->b", missing, step)
     size = np.linalg.norm(missing, axis=-1) * np.linalg.norm(step, axis=-1)

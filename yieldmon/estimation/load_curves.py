@@ -42,7 +42,7 @@ class LoadCurves:
         found = weights[:, :1] * table[:, 0]
         for corner in range(1, len(_CORNERS)):
             found = found + weights[:, corner, None] * table[:, corner]
-        return found
+        return np.asarray(found)
 
     def _table_of(self, keys: NDArray[np.int64]) -> Array:
         unique, place = np.unique(keys, return_inverse=True)

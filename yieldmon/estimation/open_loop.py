@@ -55,9 +55,7 @@ class FlowEstimate:
     noise_std_dev_kg_s: Array | None = None
 
 
-def invert_force(
-    throw: Throw, force_n: Array, *, tolerance: float = 1e-13, near: Array | None = None
-) -> tuple[Array, Array]:
+def invert_force(throw: Throw, force_n: Array, *, tolerance: float = 1e-13, near: Array | None = None) -> tuple[Array, Array]:
     """Mass flow at which `throw` gives `force_n`, and d(force)/d(mass flow) there, by a bracketed solver.
 
     throw and force have shapes that broadcast to S; returns two arrays of shape S. The bracket is an empty to a full paddle; of
@@ -65,8 +63,8 @@ def invert_force(
     highest reading both are nan. Inside the bracket: inverse interpolation over a grid in heap thickness, then Halley steps that
     may not leave their interval.
 
-    near: (*S, g), about what `throw` reads over the grid, where it is known without asking; what the search ends in is the throw's
-    own, but whether it ends, and in which of several solutions, is what `near` says (see `decided_by`).
+    near: (*S, g), about what `throw` reads over the grid, where it is known without asking; where the search ends is the throw's
+    own, but whether it does, and in which of several solutions, is what `near` says (see `decided_by`).
     """
     passes = np.asarray(throw.passes_per_s)
     shape = np.broadcast_shapes(passes.shape[:-1], force_n.shape)
@@ -126,7 +124,8 @@ def decided_by(near: Array, force_n: Array, passes_per_s: Array) -> NDArray[np.b
     with np.errstate(invalid="ignore"):
         rises = np.diff(near, axis=1) > _NEAR_ERROR * np.abs(near[:, 1:])
     inside: NDArray[np.bool_] = (right >= _THIN_CELLS) & (right < near.shape[1] - _THIN_CELLS)
-    return inside & np.all(rises | ~ahead, axis=1)
+    decided: NDArray[np.bool_] = inside & np.all(rises | ~ahead, axis=1)
+    return decided
 
 
 def broadcast_inputs(
