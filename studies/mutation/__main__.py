@@ -63,18 +63,19 @@ class Named:
 
 
 NAMED = (
-    Named("told faults are kept at a reload", "yieldmon/service/daemon.py", "        self._told.clear()\n", ""),
+    Named("reported faults are kept at a reload", "yieldmon/service/daemon.py", "        self._faults.report_all_anew()\n", ""),
     Named(
         "a dead thread is passed over", "yieldmon/service/daemon.py",
         "            if not thread.alive:\n", "            if False:\n",
         ("tests/service/test_stalls.py", "tests/service/test_signs_of_life.py"),
     ),
     Named(
-        "bus-off never ends", "yieldmon/service/daemon.py",
+        "bus-off never ends", "yieldmon/service/service_faults.py",
         'self._conditions.present("bus-off", until_s, detail)', 'self._conditions.present("bus-off", _FOREVER, detail)',
     ),
     Named(
-        "bus-off outlives its interface", "yieldmon/service/daemon.py", '            self._conditions.ended("bus-off")\n', "",
+        "bus-off outlives its interface", "yieldmon/service/service_faults.py",
+        '            self._conditions.ended("bus-off")\n', "",
     ),
     Named(
         "old counters are kept when records are given up", "yieldmon/service/writer.py",
@@ -91,7 +92,7 @@ NAMED = (
         "MAX_REQUEST_BYTES = 64 * 1024\n", "MAX_REQUEST_BYTES = 64 * 1024 * 1024\n",
     ),
     Named(
-        "a restart takes the bus-off behind it along", "yieldmon/service/daemon.py",
+        "a restart takes the bus-off behind it along", "yieldmon/service/service_faults.py",
         'self._conditions.present("bus-off", _FOREVER, detail)', 'self._conditions.present("bus-off", until_s, detail)',
     ),
     Named("timeout of the speed", "yieldmon/engine/settings.py", "speed_timeout_s: float = 1.0", "speed_timeout_s: float = 3.0"),

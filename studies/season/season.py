@@ -143,7 +143,7 @@ def simulate(
     speed = _speed(scenario, flow, speed_rng)
     progress = time / time[-1]
     table = table or season_table(settings, machine, scenario)
-    fine = [_condition(settings, scenario, float(p)) for p in np.linspace(0.0, 1.0, 1001)]
+    fine = [condition_at(settings, scenario, float(p)) for p in np.linspace(0.0, 1.0, 1001)]
     grid = np.linspace(0.0, 1.0, 1001)
 
     def along(values: list[float]) -> Array:
@@ -179,11 +179,11 @@ def simulate(
 
 def season_table(settings: SeasonSettings, machine: Machine, scenario: Scenario) -> PulseTable:
     """Pulses along a season; the coordinate is the hour."""
-    conditions = [_condition(settings, scenario, float(p)) for p in np.linspace(0.0, 1.0, _NODES)]
+    conditions = [condition_at(settings, scenario, float(p)) for p in np.linspace(0.0, 1.0, _NODES)]
     return PulseTable(machine, conditions, SEASON)
 
 
-def _condition(settings: SeasonSettings, scenario: Scenario, progress: float) -> Condition:
+def condition_at(settings: SeasonSettings, scenario: Scenario, progress: float) -> Condition:
     """Grain and machine at a share of the season; the coordinate is the hour."""
     start, peak, end = settings.moisture_pct
     rise = 0.5 - 0.5 * np.cos(2.0 * np.pi * progress)

@@ -319,19 +319,17 @@ def test_no_rest_outlasts_what_is_due(due_s: float, rest_s: float) -> None:
 
 def test_an_empty_queue_is_not_yet_a_silent_bus() -> None:
     """While the receiver has not come round to reading, nothing is known; once a read has found nothing, it is."""
-    bus = ScriptedBus(frame(1))
     asked, let_go = threading.Event(), threading.Event()
-    read = bus._recv_internal
 
-    def starved(timeout: float | None) -> tuple[can.Message | None, bool]:
-        if not bus.feed.empty():
-            return read(timeout)
-        asked.set()
-        let_go.wait(WAIT_S)
-        return None, True
+    class Starved(ScriptedBus):
+        def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+            if not self.feed.empty():
+                return super()._recv_internal(timeout)
+            asked.set()
+            let_go.wait(WAIT_S)
+            return None, True
 
-    bus._recv_internal = starved  # type: ignore[method-assign]
-    with Receiver(opener(bus)) as receiver:
+    with Receiver(opener(Starved(frame(1)))) as receiver:
         assert asked.wait(WAIT_S)
         before = receiver.empty_until_s
         let_go.set()

@@ -10,62 +10,66 @@ from pathlib import Path
 
 import pytest
 
-from tests.service.bench import CODEC, PATIENCE_S, Bench, running, traffic, wait_for
+from tests.service.bench import CODEC, PATIENCE_S, START_S, running, traffic, wait_for
 from tests.service.test_store import batch, second
 from yieldmon import frames
 from yieldmon.bus.receiver import BusEvent, BusEventKind
+from yieldmon.engine.faults import FaultCode
 from yieldmon.service import control
 from yieldmon.service.control import ControlServer, ask
 from yieldmon.service.retention import Retention
+from yieldmon.service.service_faults import ServiceFaults
 from yieldmon.service.store import Batch, Load, Store, StoreDamagedError, StoreError
-from yieldmon.service.writer import StoreWriter
+from yieldmon.service.transmit import TransmitCounters
+from yieldmon.service.writer import StoreHealth, StoreWriter
 
 
-def faults_at(bench: Bench, now_s: float) -> dict:
-    bench.daemon._tell_faults(now_s)
-    return {code.value: detail for code, detail in bench.daemon._told.items() if detail}
+def bus_error_at(faults: ServiceFaults, now_s: float) -> str:
+    """What is said of the bus then, where nothing else is wrong."""
+    faults.report_all_anew()
+    found = faults.changes(
+        now_s, sent=TransmitCounters(), hangs_s={"receive": 0.0}, store=StoreHealth(), store_note="", network=()
+    )
+    assert set(found) <= {FaultCode.BUS_ERROR}
+    return found.get(FaultCode.BUS_ERROR, "")
 
 
-@pytest.fixture
-def idle(tmp_path: Path):
-    """A daemon whose engine's thread has stopped, so that the test may play its part."""
-    with running(tmp_path) as bench:
-        bench.play(2, 0.0)
-        bench.played()
-        bench.daemon.request_stop()
-        assert bench.thread is not None
-        bench.thread.join(PATIENCE_S)
-        yield bench
+def test_bus_off_lasts_until_the_restart_and_then_ends():
+    faults = ServiceFaults()
+    faults.bus_event(BusEvent(BusEventKind.BUS_OFF, 0.0), 1000.0)
+    assert "bus off" in bus_error_at(faults, 9000.0)
+    faults.bus_event(BusEvent(BusEventKind.BUS_RESTARTED, 0.0), 9000.0)
+    assert "bus restarted" in bus_error_at(faults, 9001.0)
+    assert bus_error_at(faults, 9010.0) == ""
 
 
-def test_bus_off_lasts_until_the_restart_and_then_ends(idle: Bench, monkeypatch):
-    now_s = [1000.0]
-    monkeypatch.setattr("yieldmon.service.daemon.monotonic", lambda: now_s[0])
-    monkeypatch.setattr(idle.daemon.receiver, "hangs_s", lambda: 0.0)
-    idle.daemon._take_event(BusEvent(BusEventKind.BUS_OFF, 0.0))
-    assert "bus off" in faults_at(idle, 9000.0)["BusError"]
-    now_s[0] = 9000.0
-    idle.daemon._take_event(BusEvent(BusEventKind.BUS_RESTARTED, 0.0))
-    assert "bus restarted" in faults_at(idle, 9001.0)["BusError"]
-    assert "BusError" not in faults_at(idle, 9010.0)
+def test_a_restart_does_not_hide_the_bus_off_behind_it():
+    faults = ServiceFaults()
+    faults.bus_event(BusEvent(BusEventKind.BUS_RESTARTED, 0.0), 1000.0)
+    faults.bus_event(BusEvent(BusEventKind.BUS_OFF, 0.0), 1000.0)
+    assert "bus off" in bus_error_at(faults, 1e9)
 
 
-def test_a_restart_does_not_hide_the_bus_off_behind_it(idle: Bench, monkeypatch):
-    monkeypatch.setattr(idle.daemon.receiver, "hangs_s", lambda: 0.0)
-    idle.daemon._take_event(BusEvent(BusEventKind.BUS_RESTARTED, 0.0))
-    idle.daemon._take_event(BusEvent(BusEventKind.BUS_OFF, 0.0))
-    assert "bus off" in faults_at(idle, 1e9)["BusError"]
+def test_an_interface_that_is_back_takes_its_bus_off_along():
+    faults = ServiceFaults()
+    faults.bus_event(BusEvent(BusEventKind.BUS_OFF, 0.0), 1000.0)
+    faults.bus_event(BusEvent(BusEventKind.INTERFACE_LOST, 0.0), 1000.0)
+    assert "interface lost" in bus_error_at(faults, 5000.0)
+    faults.bus_event(BusEvent(BusEventKind.INTERFACE_RESTORED, 0.0), 5000.0)
+    assert bus_error_at(faults, 5010.0) == ""
 
 
-def test_an_interface_that_is_back_takes_its_bus_off_along(idle: Bench, monkeypatch):
-    now_s = [1000.0]
-    monkeypatch.setattr("yieldmon.service.daemon.monotonic", lambda: now_s[0])
-    monkeypatch.setattr(idle.daemon.receiver, "hangs_s", lambda: 0.0)
-    idle.daemon._take_event(BusEvent(BusEventKind.BUS_OFF, 0.0))
-    idle.daemon._take_event(BusEvent(BusEventKind.INTERFACE_LOST, 0.0))
-    assert "interface lost" in faults_at(idle, 5000.0)["BusError"]
-    idle.daemon._take_event(BusEvent(BusEventKind.INTERFACE_RESTORED, 0.0))
-    assert "BusError" not in faults_at(idle, 1010.0)
+def test_a_fault_is_reported_once_and_again_to_another_monitor():
+    faults = ServiceFaults()
+    how = {"sent": TransmitCounters(), "hangs_s": {}, "store": StoreHealth(), "store_note": "provoked"}
+    assert faults.changes(0.0, **how, network=["cannot claim"]) == {
+        FaultCode.STORE_FAILING: "provoked",
+        FaultCode.NETWORK_FAULT: "cannot claim",
+    }
+    assert faults.changes(1.0, **how, network=["cannot claim"]) == {}
+    assert faults.changes(2.0, **how, network=[]) == {FaultCode.NETWORK_FAULT: ""}
+    faults.report_all_anew()
+    assert faults.changes(3.0, **how, network=[]) == {FaultCode.STORE_FAILING: "provoked"}
 
 
 def test_a_fault_that_lasts_is_told_to_the_monitor_of_a_reload(tmp_path: Path):
@@ -74,12 +78,10 @@ def test_a_fault_that_lasts_is_told_to_the_monitor_of_a_reload(tmp_path: Path):
         bench.played()
         bench.daemon._store_note = "provoked"
         # Shown with the first window that closes after the daemon has looked at its store.
-        for _ in range(10):
+        while "StoreFailing" not in bench.faults:
             bench.play(1, 0.0)
             bench.played()
-            if "StoreFailing" in bench.faults:
-                break
-        assert "StoreFailing" in bench.faults
+            assert bench.now_s < START_S + 30
         bench.daemon.request_reload()
         wait_for(lambda: bench.status["configuration"]["reloads"] == 1, "the reload")
         bench.play(4, 0.0)
@@ -92,10 +94,15 @@ def test_the_newest_counters_are_kept_when_records_are_given_up(tmp_path: Path, 
     def refuse() -> Store:
         raise StoreError("no disk")
 
-    writer = StoreWriter(refuse, capacity)
+    openings = [refuse]
+
+    def open_store() -> Store:
+        return openings[-1]()
+
+    writer = StoreWriter(open_store, capacity)
     for number in range(1, 11):
         writer.submit(batch(number, counters={"frames": number}))
-    writer._open_store = lambda: Store(tmp_path / "s")
+    openings.append(lambda: Store(tmp_path / "s"))
     assert writer.work()
     writer.close()
     with Store(tmp_path / "s") as store:
@@ -153,13 +160,14 @@ def test_a_peer_that_dribbles_its_request_is_cut_off_after_the_whole_time(tmp_pa
     """A byte now and then does not begin the time anew."""
     now_s = [0.0]
     monkeypatch.setattr(control, "monotonic", lambda: now_s[0])
-    server = ControlServer(tmp_path / "s.sock", None, lambda request: {})
+    server = ControlServer(tmp_path / "s.sock", None, lambda request: {"fine": True})
     server.start()
     with socket.socket(socket.AF_UNIX) as peer:
         peer.settimeout(PATIENCE_S)
         peer.connect(str(tmp_path / "s.sock"))
         peer.sendall(b"{")
-        wait_for(lambda: server._server._asking and next(iter(server._server._asking.values())).request, "the first byte")
+        # Connections are taken in their order: with the next one answered this one's time has begun.
+        assert ask(tmp_path / "s.sock", {"command": "status"}) == {"fine": True}
         now_s[0] = 4.0
         peer.sendall(b'"')
         now_s[0] = 6.0

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -153,7 +155,8 @@ def test_the_daemon_posts_after_a_ticket_lists_who_told_it_and_takes_it_back(tmp
         assert [(c["version"], c["origin"], c["state"]) for c in calibrations] == [(1, "file", ""), (2, "ticket", "in use")]
     with Store(tmp_path / "yieldmon.sqlite") as store:
         assert store.corrected_loads()[1]["corrected_mass_kg"] == after[2]["corrected_mass_kg"]
-        view = store._database.execute("SELECT number, corrected_mass_kg FROM load_corrected ORDER BY number").fetchall()
+    with closing(sqlite3.connect(tmp_path / "yieldmon.sqlite")) as database:
+        view = database.execute("SELECT number, corrected_mass_kg FROM load_corrected ORDER BY number").fetchall()
         assert view[1:] == [(n, pytest.approx(after[n]["corrected_mass_kg"])) for n in (2, 3)]
     with running(tmp_path, start_s=START_S + 600) as bench:
         undone = ask(tmp_path, capsys, "ticket", "undo", "1")

@@ -52,7 +52,7 @@ def test_a_hanging_send_is_a_fault_and_the_daemon_stops_all_the_same(tmp_path: P
     with running(tmp_path) as bench:
         bench.play(3, 0.0)
         bench.played()
-        bench.daemon.transmitter._send = lambda message, timeout: gate.wait(PATIENCE_S) and None
+        bench.daemon.receiver.bus.send = lambda message, timeout=None: gate.wait(PATIENCE_S) and None
         bench.play(2, 0.0)
         wait_for(lambda: bench.daemon.transmitter.hangs_s() > 2.1, "the hang")
         bench.play(2, 0.0)
@@ -100,12 +100,14 @@ def test_an_exception_in_the_journal_ends_the_process_and_writes_what_there_is(t
 
 
 def test_an_answer_tells_its_age(tmp_path: Path, monkeypatch):
+    later_s = [0.0]
+    monkeypatch.setattr("yieldmon.service.daemon.monotonic", lambda: time.monotonic() + later_s[0])
     with running(tmp_path) as bench:
         bench.play(3, 0.0)
         bench.played()
         status = bench.daemon.command({"command": "status"})
-        assert status["stale"] is False
-        bench.daemon._answered_s -= 60.0
+        assert status["stale"] is (status["age_s"] > 5.0)
+        later_s[0] = 60.0
         status = bench.daemon.command({"command": "status"})
         assert status["stale"] is True
         assert status["age_s"] >= 60.0

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.robustness.store_damage import KINDS, attempt, original
-from tests.service.test_store import DATA, batch, second
+from tests.service.test_store import DATA, batch, connections_made, second
 from yieldmon.engine.state import EngineState
 from yieldmon.engine.totals import Totals
 from yieldmon.errors import InputError
@@ -149,15 +149,16 @@ def test_damage_in_an_event_table_is_found_at_opening(path, table):
         assert store.last_batch() == 40
 
 
-def test_damage_found_in_use_is_mended_and_nothing_that_waits_is_lost(path):
+def test_damage_found_in_use_is_mended_and_nothing_that_waits_is_lost(path, monkeypatch):
     """The table of seconds is not looked at as a whole: the first batch that touches the damage finds it."""
-    opened = []
+    opened, connections = [], connections_made(monkeypatch)
 
     def open_store() -> Store:
         store = Store(path)
         if not opened:
+            connection = connections[-1]
             damage(path, "fault")
-            store._database.execute("PRAGMA shrink_memory")
+            connection.execute("PRAGMA shrink_memory")
         opened.append(store)
         return store
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 import types
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -117,13 +118,20 @@ def test_too_many_waiting_give_up_records_but_not_totals(disk):
 
 def test_a_long_failure_keeps_one_row_of_a_load(disk):
     """A load that is open for hours is in every second's batch."""
-    writer = StoreWriter(disk.open, 5)
+    committed: list[Batch] = []
+
+    class Recording(Store):
+        def commit(self, batches: Sequence[Batch]) -> None:
+            committed.extend(batches)
+            super().commit(batches)
+
+    writer = StoreWriter(lambda: Recording(disk.path), 5)
     for number in range(1, 101):
         writer.submit(batch(number))
-    assert [len(waiting.loads) for waiting in writer._pending] == [1] * 5
-    assert writer._pending[0].loads == batch(96).loads
     writer.start()
     writer.stop()
+    assert [len(waiting.loads) for waiting in committed] == [1] * 5
+    assert committed[0].loads == batch(96).loads
     with Store(disk.path) as store:
         assert store.loads() == list(batch(100).loads)
 

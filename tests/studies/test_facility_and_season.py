@@ -136,7 +136,7 @@ def test_loads_share_the_season_out(short):
 @pytest.mark.parametrize("window", [100, 4000, 9000])
 def test_a_window_shows_the_throw_of_its_own_grain(short, window):
     window = int(np.flatnonzero(short.mass_flow_kg_s > 8.0)[np.searchsorted(np.flatnonzero(short.mass_flow_kg_s > 8.0), window)])
-    condition = season._condition(SHORT, short.scenario, float(short.time_s[window] / short.time_s[-1]))
+    condition = season.condition_at(SHORT, short.scenario, float(short.time_s[window] / short.time_s[-1]))
     speed = np.array([short.elevator_speed_rpm[window] * RPM])
     table = PulseTable(MACHINE, [Condition(0.0, condition.grain, condition.effects)])
     force = shown_force_n(table, short.effects, short.mass_flow_kg_s[[window]], np.deg2rad(60.0), speed, 0.008)
@@ -164,7 +164,7 @@ def test_seasons_with_one_seed_are_one_season(short):
 @pytest.mark.parametrize(("exponent", "share"), [(1.0, 0.25), (2.0, 0.0625), (0.5, 0.5)])
 def test_drift_follows_the_power_asked_for(exponent: float, share: float) -> None:
     settings = replace(SHORT, drift_exponent=exponent, moisture_pct=(14.0, 14.0, 14.0))
-    begun, later = (season._condition(settings, Scenario(), progress) for progress in (0.0, 0.25))
+    begun, later = (season.condition_at(settings, Scenario(), progress) for progress in (0.0, 0.25))
     assert later.grain.friction / begun.grain.friction - 1.0 == pytest.approx(share * settings.friction_drift)
     assert later.grain.restitution / begun.grain.restitution - 1.0 == pytest.approx(share * settings.restitution_drift)
     assert later.effects.paddle_wear.length_mm == pytest.approx(share * settings.wear_mm)

@@ -26,7 +26,6 @@ from yieldmon import frames
 from yieldmon.bus.codec import Codec, FrameError
 from yieldmon.bus.opening import open_bus
 from yieldmon.bus.receiver import BusEvent, BusEventKind, Receiver
-from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import Result, frames_in, records_in
@@ -35,7 +34,6 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.frames import Frame
 from yieldmon.service import commands
 from yieldmon.service.assembly import calibration_age_s, monitor_of
-from yieldmon.service.conditions import Conditions
 from yieldmon.service.configuration import Configuration
 from yieldmon.service.control import Answer, ControlError, ControlServer
 from yieldmon.service.input_frames import InputFrames
@@ -49,6 +47,7 @@ from yieldmon.service.posting import Poster
 from yieldmon.service.recovery import recover
 from yieldmon.service.reference_loads import StoredLoad, of_path, reference
 from yieldmon.service.rows import SecondRow, kept_second
+from yieldmon.service.service_faults import ServiceFaults
 from yieldmon.service.snapshot import Rates, snapshot
 from yieldmon.service.store import Store
 from yieldmon.service.transmit import ASKED_ECHO_S, ECHO_S, Transmitter
@@ -62,17 +61,12 @@ _WAIT_S = 0.05
 #: still on their way are not late.
 SILENCE_S = 0.15
 _TICK_DELAY_S = 0.1
-#: How long a condition counts as present after it was last seen or has ended: the shortest must outlast a window.
-_HOLD_S = 3.0
 _LAST_ROWS = 10
 _COMMAND_PATIENCE_S = 5.0
-#: From this wait on a disk that is slow rather than broken is a fault.
-_SLOW_STORE_S = 10.0
-_FOREVER = float("inf")
 #: From this age on what `status` says is marked as stale.
 _STALE_S = 5.0
-#: A thread that gives no sign of life for so long is a fault, and for so long a reason to have the daemon started anew.
-_HANGS_S, _HANGS_FOR_GOOD_S = 2.0, 8.0
+#: A thread that gives no sign of life for so long is a reason to have the daemon started anew.
+_HANGS_FOR_GOOD_S = 8.0
 #: How long a stop waits for the disk; with the other steps it is over within 5 s.
 _STOP_WRITING_S = 1.5
 
@@ -128,8 +122,7 @@ class Daemon:
         self._reload_wanted = False
         self._reloads = 0
         self._commands: queue.SimpleQueue[_Job] = queue.SimpleQueue()
-        self._conditions = Conditions()
-        self._told: dict[FaultCode, str] = {}
+        self._faults = ServiceFaults()
         self._reload_note = "none since the start"
         self._rows: deque[SecondRow] = deque(maxlen=_LAST_ROWS)
         self._record: WindowRecord | None = None
@@ -228,7 +221,7 @@ class Daemon:
         helpers = (self._transmitter, self._writer, control, metrics)
         for helper in helpers:
             helper.start()
-        self._tell_faults(monotonic())
+        self._report_faults()
         self._submit(self._link.start(self._network_clock()))
         self.started.set()
         self._manager.ready()
@@ -323,7 +316,7 @@ class Daemon:
         if self._link.address != self._address:
             self._address = self._link.address
             self._answer = self._snapshot()
-        self._tell_faults(monotonic())
+        self._report_faults()
         self._do_commands()
         if self._window_closed:
             self._post()
@@ -357,7 +350,7 @@ class Daemon:
                 self._ours_s = frame.time_s
                 self._happened(self._monitor.feed(frame))
         for name in (*(published if self.configuration.outputs.shipped else ()), *([mapped] if mapped else ())):
-            self._conditions.present("conflict", monotonic() + _HOLD_S, f"{name} from another node")
+            self._faults.conflict(name, monotonic())
 
     def _tick_if_silent(self, empty_until_s: float) -> None:
         """Lets the engine's time go on without frames of ours: as far as others' frames say, or the bus is known to be empty."""
@@ -468,58 +461,22 @@ class Daemon:
     # Faults that only the service sees
 
     def _take_event(self, event: BusEvent) -> None:
-        kind, until_s = event.kind, monotonic() + _HOLD_S
-        detail = f"{kind.value}: {event.detail}" if event.detail else kind.value
-        if kind in (BusEventKind.INTERFACE_LOST, BusEventKind.RECEIVER_FAILED):
-            self._conditions.present("interface", _FOREVER, detail)
-        elif kind is BusEventKind.INTERFACE_RESTORED:
-            self._conditions.present("interface", until_s, detail)
-            self._conditions.ended("bus-off")
+        self._faults.bus_event(event, monotonic())
+        if event.kind is BusEventKind.INTERFACE_RESTORED:
             self._submit(self._link.start(self._network_clock()))
-        elif kind is BusEventKind.BUS_OFF:
-            self._conditions.present("bus-off", _FOREVER, detail)
-        elif kind is BusEventKind.BUS_RESTARTED:
-            self._conditions.present("bus-off", until_s, detail)
-        elif kind is BusEventKind.FRAMES_DROPPED:
-            self._conditions.present("dropped", until_s, f"{event.count} frames: {event.detail}")
-        else:
-            self._conditions.present("errors", until_s, detail)
 
-    def _tell_faults(self, now_s: float) -> None:
+    def _report_faults(self) -> None:
         """Reports to the monitor each condition that came, went or changed."""
-        sent = self._transmitter.counters()
-        if sent.failing(now_s):
-            self._conditions.present("transmit", now_s + _HOLD_S, f"frames not sent: {sent.last_failure}")
-        if sent.late_now(now_s):
-            self._conditions.present("late", now_s + _HOLD_S, "frames not sent in time")
-        for name, hangs_s in (("receive", self._receiver.hangs_s()), ("transmit", self._transmitter.hangs_s())):
-            if hangs_s > _HANGS_S:
-                self._conditions.present(f"{name}-thread", now_s + _HOLD_S, f"the {name} thread hangs")
-        health = self._writer.health()
-        if health.failing:
-            store = health.failing
-        elif health.waiting_s > _SLOW_STORE_S:
-            store = f"the disk is slow, {health.pending} seconds wait"
-        elif health.batches_refused:
-            store = f"{health.batches_refused} records could not be stored"
-        else:
-            store = "; ".join(note for note in (self._store_note, health.replaced_because) if note)
-        found = {
-            FaultCode.BUS_ERROR: self._details(
-                now_s, "interface", "bus-off", "errors", "transmit", "late", "receive-thread", "transmit-thread"
-            ),
-            FaultCode.FRAMES_LOST: self._details(now_s, "dropped"),
-            FaultCode.OUTPUT_CONFLICT: self._details(now_s, "conflict"),
-            FaultCode.NETWORK_FAULT: "; ".join(self._link.troubles(self._network_clock())),
-            FaultCode.STORE_FAILING: store,
-        }
-        for code, detail in found.items():
-            if self._told.get(code, "") != detail:
-                self._told[code] = detail
-                self._monitor.report_fault(code, bool(detail), detail)
-
-    def _details(self, now_s: float, *names: str) -> str:
-        return "; ".join(self._conditions.details(now_s, names))
+        changed = self._faults.changes(
+            monotonic(),
+            sent=self._transmitter.counters(),
+            hangs_s={"receive": self._receiver.hangs_s(), "transmit": self._transmitter.hangs_s()},
+            store=self._writer.health(),
+            store_note=self._store_note,
+            network=self._link.troubles(self._network_clock()),
+        )
+        for code, detail in changed.items():
+            self._monitor.report_fault(code, bool(detail), detail)
 
     def _status(self) -> Answer:
         """The last snapshot with its age: the engine's thread makes one each second, whoever asks."""
@@ -619,7 +576,7 @@ class Daemon:
         self._monitor, self._record = monitor, None
         # The next batch brings the parameters.
         self._journal.new_monitor(monitor.estimator.parameters, "file")
-        self._told.clear()
+        self._faults.report_all_anew()
         self.configuration = new
         self._outputs = MappedOutputs(new.outputs, new.engine.totals)
         logging.getLogger("yieldmon").setLevel(new.document.logging.level.upper())
