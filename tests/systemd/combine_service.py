@@ -36,12 +36,12 @@ def write_log(path: Path) -> Path:
 
 
 @contextmanager
-def service(command: Path, configuration: str = PATIENT_BUS, *, purge: bool = True) -> Iterator[None]:
-    """The service installed and started on a virtual can0; both taken away at the end, with `purge` its records, too."""
+def service(command: Path, configuration: str = PATIENT_BUS, *, purge: bool = True, page: bool = False) -> Iterator[None]:
+    """The service (and its page) installed and started on a virtual can0; taken away at the end, with `purge` its records."""
     slow = Path("/run/systemd/system/yieldmon.service.d/slow.conf")
     slow.parent.mkdir(parents=True, exist_ok=True)
     slow.write_text(SLOW_MACHINE, encoding="utf-8")
-    install(command)
+    install(command, *(["--web"] if page else []))
     CONFIGURATION.write_text(configuration, encoding="utf-8")
     add_interface()
     try:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.web.standin import StandIn, fault, standing_in
+from tests.web.standin import StandIn, fault, row, standing_in
 from yieldmon.web.feed import HOUR, WATCHERS, Feed
 
 
@@ -161,3 +161,40 @@ def test_a_store_that_cannot_be_read_leaves_what_the_daemon_shows(daemon: StandI
     event = asyncio.run(drive())
     assert event["problem"] is None
     assert numbers(event) == list(range(41, 51))
+
+
+def test_a_daemon_of_another_version_is_named_as_the_problem(daemon: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
+    daemon.seconds(3)
+    whole = daemon.status
+    monkeypatch.setattr(daemon, "status", lambda: whole() | {"bus": []})
+
+    async def drive() -> str:
+        async with aclosing(Feed(daemon.socket).watch()) as events:
+            return (await next_event(events))["problem"]
+
+    assert "another version" in asyncio.run(drive())
+
+
+def test_an_unexpected_failure_cuts_one_page_off_and_the_others_go_on(daemon: StandIn) -> None:
+    failures = [RuntimeError("unforeseen")]
+
+    def clock() -> float:
+        if failures:
+            raise failures.pop()
+        return 0.0
+
+    async def drive() -> list[int]:
+        feed = Feed(daemon.socket, clock=clock)
+        daemon.seconds(3)
+        async with aclosing(feed.watch()) as cut_off, aclosing(feed.watch()) as other:
+            assert numbers(await next_event(cut_off)) == numbers(await next_event(other)) == [1, 2, 3]
+            # Seconds that the store does not have yet make the feed look at its clock.
+            daemon.windows = [row(number, daemon.start_s) for number in (20, 21)]
+            with pytest.raises(RuntimeError, match="unforeseen"):
+                await next_event(cut_off)
+            daemon.number = 3
+            daemon.windows = []
+            daemon.seconds(2)
+            return numbers(await next_event(other))
+
+    assert asyncio.run(drive()) in ([], [4, 5])

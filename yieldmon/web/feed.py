@@ -67,8 +67,7 @@ class Feed:
     def stop(self) -> None:
         """Let everybody who watches go."""
         self._stopping = True
-        for news in self._watchers:
-            news.set()
+        self._wake()
 
     async def watch(self, after: int = 0) -> AsyncIterator[str]:
         """Server-sent events for one page, for as long as it reads them.
@@ -85,13 +84,12 @@ class Feed:
         """
         news = asyncio.Event()
         self._watchers.add(news)
-        if self._looking is None or self._looking.done():
-            self._looking = asyncio.create_task(self._look())
-        else:
+        if self._looking is not None:
             news.set()
         sent, generation = after, None
         try:
             while not self._stopping:
+                self._keep_looking()
                 try:
                     await asyncio.wait_for(news.wait(), _HEARTBEAT_S)
                 except TimeoutError:
@@ -116,18 +114,32 @@ class Feed:
     def _newest(self) -> int:
         return int(self._rows[-1][0] or 0) if self._rows else 0
 
+    def _keep_looking(self) -> None:
+        """Raises what ended the last look unexpectedly: one page is cut off and comes back, the others go on."""
+        ended = self._looking if self._looking is not None and self._looking.done() else None
+        if ended is not None or self._looking is None:
+            self._looking = asyncio.create_task(self._look())
+        if ended is not None:
+            ended.result()
+
     async def _look(self) -> None:
         before = None
-        while self._watchers:
-            status = await asyncio.to_thread(self._take)
-            told = self._told()
-            if told != before:
-                for news in self._watchers:
-                    news.set()
-            before = told
-            age_s = float(status["age_s"]) if status is not None else 0.0
-            await asyncio.sleep(min(_MOST_S, max(_LEAST_S, _PERIOD_S + _AFTER_S - age_s)))
+        try:
+            while self._watchers:
+                status = await asyncio.to_thread(self._take)
+                told = self._told()
+                if told != before:
+                    self._wake()
+                before = told
+                age_s = float(status["age_s"]) if status is not None else 0.0
+                await asyncio.sleep(min(_MOST_S, max(_LEAST_S, _PERIOD_S + _AFTER_S - age_s)))
+        finally:
+            self._wake()
         self._looking = None
+
+    def _wake(self) -> None:
+        for news in self._watchers:
+            news.set()
 
     def _told(self) -> tuple[int, int, dict[str, Any]]:
         """What a page would be told, without what changes by itself; the age matters once it is stale."""
@@ -145,7 +157,7 @@ class Feed:
         except ControlError as error:
             self._state = {"problem": str(error)}
             return None
-        except (KeyError, TypeError, ValueError) as error:
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
             self._state = {"problem": f"the daemon is of another version than this page: {error!r}"}
             return None
         return status
