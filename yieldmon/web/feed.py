@@ -88,8 +88,8 @@ class Feed:
             news.set()
         sent, generation = after, None
         try:
+            self._keep_looking()
             while not self._stopping:
-                self._keep_looking()
                 try:
                     await asyncio.wait_for(news.wait(), _HEARTBEAT_S)
                 except TimeoutError:
@@ -98,6 +98,7 @@ class Feed:
                 news.clear()
                 if self._stopping:
                     return
+                self._keep_looking()
                 newest = self._newest
                 begins = generation not in (None, self._generation) or sent > newest
                 rows = [row for row in self._rows if begins or (row[0] or 0) > sent]
@@ -119,22 +120,20 @@ class Feed:
         ended = self._looking if self._looking is not None and self._looking.done() else None
         if ended is not None or self._looking is None:
             self._looking = asyncio.create_task(self._look())
+            self._looking.add_done_callback(lambda _: self._wake())
         if ended is not None:
             ended.result()
 
     async def _look(self) -> None:
         before = None
-        try:
-            while self._watchers:
-                status = await asyncio.to_thread(self._take)
-                told = self._told()
-                if told != before:
-                    self._wake()
-                before = told
-                age_s = float(status["age_s"]) if status is not None else 0.0
-                await asyncio.sleep(min(_MOST_S, max(_LEAST_S, _PERIOD_S + _AFTER_S - age_s)))
-        finally:
-            self._wake()
+        while self._watchers:
+            status = await asyncio.to_thread(self._take)
+            told = self._told()
+            if told != before:
+                self._wake()
+            before = told
+            age_s = float(status["age_s"]) if status is not None else 0.0
+            await asyncio.sleep(min(_MOST_S, max(_LEAST_S, _PERIOD_S + _AFTER_S - age_s)))
         self._looking = None
 
     def _wake(self) -> None:
