@@ -64,8 +64,12 @@ def daemon_command(interpreter: Path) -> Path:
     # Not below /opt/yieldmon, which each module that uninstalls takes away.
     command = Path("/opt/yieldmon-command/bin/yieldmon")
     command.parent.mkdir(parents=True)
-    lines = [f"#!{interpreter} -IS", "import sys", f"sys.path += [{str(project)!r}, {str(packages)!r}]"]
-    lines += ["from yieldmon.cli.main import main", "sys.exit(main())"]
-    command.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    script = command.with_name("start.py")
+    paths = f"sys.path += [{str(project)!r}, {str(packages)!r}]"
+    script.write_text(f"import sys\n{paths}\nfrom yieldmon.cli.main import main\nsys.exit(main())\n", encoding="utf-8")
+    # A Python in a home folder looks there for its own library, and would be given the system's of another version.
+    library = interpreter.parents[1] / "lib"
+    start = f'LD_LIBRARY_PATH={library} exec {interpreter} -IS {script} "$@"'
+    command.write_text(f"#!/bin/sh\n{start}\n", encoding="utf-8")
     command.chmod(0o755)
     return command

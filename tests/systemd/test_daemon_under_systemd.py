@@ -1,4 +1,4 @@
-"""Installed daemon under the shipped unit: it measures, reloads or refuses, and keeps its totals through every death.
+"""Installed daemon and page under the shipped units: it measures, reloads or refuses, and keeps its totals through every death.
 
 One daemon lives through the whole module, in the order of the tests: a start takes half a minute in the guest.
 """
@@ -14,9 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from page_client import asked, live_rows, page_listens, page_pid
 from service_manager import (
     PATIENCE_S,
     UNIT,
+    WEB_UNIT,
     add_interface,
     delete_interface,
     eventually,
@@ -64,7 +66,7 @@ def harvest(daemon_command: Path, log: Path) -> Iterator[None]:
     slow = Path("/run/systemd/system/yieldmon.service.d/slow.conf")
     slow.parent.mkdir(parents=True)
     slow.write_text(SLOW_MACHINE, encoding="utf-8")
-    install(daemon_command)
+    install(daemon_command, "--web")
     CONFIGURATION.write_text(PATIENT_BUS, encoding="utf-8")
     add_interface()
     run("systemctl", "start", UNIT)
@@ -126,6 +128,35 @@ def test_status_tells_what_it_measures(daemon_command: Path) -> None:
     assert told["total"]["mass_kg"] > 0.0
     assert told["store"]["failing"] is None
     assert told["store"]["file"] == str(STORE)
+
+
+def test_the_page_shows_what_the_daemon_measures() -> None:
+    eventually(page_listens, "the page")
+    assert live_rows()[-1][0] in range(1, last_number() + 1)
+    eventually(lambda: sum(day["mass_kg"] for day in asked("/api/history")["days"]) > 0.0, "grain in the history")
+
+
+def test_a_button_of_the_page_reaches_the_daemon() -> None:
+    load = ask(SYSTEM_SOCKET, {"command": "status"})["load"]
+    asked("/api/command", {"command": "load-start", "shown_load": load["number"], "field": "north"})
+    now = ask(SYSTEM_SOCKET, {"command": "status"})["load"]
+    assert (now["number"], now["field"]) == (load["number"] + 1, "north")
+
+
+def test_the_page_is_the_daemons_user_and_its_death_is_not_the_daemons() -> None:
+    before, daemon = page_pid(), pid()
+    assert Path("/proc", str(before)).stat().st_uid == Path("/proc", str(daemon)).stat().st_uid != 0
+    os.kill(before, signal.SIGKILL)
+    eventually(lambda: page_pid() not in (0, before) and page_listens(), "a new page")
+    assert pid() == daemon
+
+
+def test_the_pages_unit_is_sound_and_stops_cleanly() -> None:
+    assert run("systemd-analyze", "verify", "--man=no", WEB_UNIT) == ""
+    daemon = pid()
+    run("systemctl", "stop", WEB_UNIT)
+    assert show("Result", WEB_UNIT) == "success"
+    assert pid() == daemon
 
 
 def test_a_good_configuration_is_taken() -> None:
