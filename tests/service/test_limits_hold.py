@@ -6,6 +6,7 @@ import json
 import socket
 import sqlite3
 import threading
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -171,7 +172,9 @@ def test_a_peer_that_dribbles_its_request_is_cut_off_after_the_whole_time(tmp_pa
         now_s[0] = 4.0
         peer.sendall(b'"')
         now_s[0] = 6.0
-        assert peer.recv(1) == b""
+        # Where the server had not read the last byte, the end comes as a reset.
+        with suppress(ConnectionResetError):
+            assert peer.recv(1) == b""
     server.stop()
 
 

@@ -68,7 +68,7 @@ _STALE_S = 5.0
 #: A thread that gives no sign of life for so long is a reason to have the daemon started anew.
 _HANGS_FOR_GOOD_S = 8.0
 #: How long a stop waits for the disk; with the other steps it is over within 5 s.
-_STOP_WRITING_S = 1.5
+STOP_WRITING_S = 1.5
 
 #: Sections of the configuration that a reload cannot change.
 _FIXED_AT_START = ("bus", "store", "status", "network")
@@ -101,10 +101,11 @@ class Daemon:
         bus_factory: Callable[[], can.BusABC] | None = None,
         silence_s: float = SILENCE_S,
         network_clock: Callable[[], float] = monotonic,
+        stop_writing_s: float = STOP_WRITING_S,
     ) -> None:
         """reload: reads the configuration anew; raises InputError when it cannot be used. bus_factory: opens the bus, by
         default the configured one. silence_s: see SILENCE_S; infinite for traffic that is not sent in real time.
-        network_clock: times the address claim and what else the network's protocols time."""
+        network_clock: times the address claim and what else the network's protocols time. stop_writing_s: see STOP_WRITING_S."""
         self.configuration = configuration
         self._reload = reload
         self._manager = ServiceManager(environment)
@@ -115,6 +116,7 @@ class Daemon:
         self._network_clock = network_clock
         self._address: int | None = None
         self._silence_s = silence_s
+        self._stop_writing_s = stop_writing_s
         self.started = threading.Event()
         """Set once frames are taken and commands answered."""
         # Plain flags: a signal handler runs between any two instructions of this thread, where it may hold any lock.
@@ -241,7 +243,7 @@ class Daemon:
         whole = True
 
         def write() -> None:
-            if not self._writer.stop(_STOP_WRITING_S):
+            if not self._writer.stop(self._stop_writing_s):
                 _log.error("the disk hangs; %d batches are not written", self._writer.health().pending)
             elif self._tell_new_store_all():
                 # The last batches went into a new store, which lacks what an earlier one was given.
