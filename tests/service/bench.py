@@ -157,10 +157,12 @@ def running(
     silence_s: float = math.inf,
     socketcan: str | None = None,
     state: Path | None = None,
+    stop_writing_s: float = 60.0,
 ) -> Iterator[Bench]:
     """A running daemon whose state lies in `state` or `folder`, with the configuration `text` in folder/c.yaml.
 
-    On a virtual bus, or on the SocketCAN interface that its configuration then has to name.
+    On a virtual bus, or on the SocketCAN interface that its configuration then has to name. A stop waits stop_writing_s for the
+    disk, which other tests may keep busy.
     """
     channel = socketcan or f"service-{next(_channels)}"
     path = folder / "c.yaml"
@@ -180,8 +182,7 @@ def running(
         silence_s=silence_s,
         # A claim takes half a second.
         network_clock=time.monotonic if socketcan else lambda: 20.0 * time.monotonic(),
-        # A disk that other tests keep busy is not what is tested.
-        stop_writing_s=60.0,
+        stop_writing_s=stop_writing_s,
     )
     if socketcan:
         peer = can.Bus(interface="socketcan", channel=channel)
