@@ -76,6 +76,15 @@ class StandIn:
         self._batch = 0
         self.commit()
 
+    def start(self) -> None:
+        """Answer from now on."""
+        self.server = ControlServer(self.socket, None, self.answer)
+        self.server.start()
+
+    def stop(self) -> None:
+        """Answer no more, as a daemon that has ended."""
+        self.server.stop()
+
     def commit(self, rows: tuple[SecondRow, ...] = (), **more: Any) -> None:
         """Seconds and whatever else comes with them, into the store."""
         self._batch += 1
@@ -127,12 +136,11 @@ def fault(code: str = "FramesLost", detail: str = "") -> dict[str, Any]:
 def standing_in(folder: Path, **how: Any) -> Iterator[StandIn]:
     """A stand-in that answers."""
     daemon = StandIn(folder, **how)
-    server = ControlServer(daemon.socket, None, daemon.answer)
-    server.start()
+    daemon.start()
     try:
         yield daemon
     finally:
-        server.stop()
+        daemon.stop()
 
 
 @contextmanager

@@ -359,9 +359,9 @@ def test_a_daemon_that_ends_and_comes_back(browser: Browser, tmp_path: Path) -> 
         with page(daemon.socket) as site, Watched(browser) as watched:
             watched.page.goto(site)
             watched.wait(f"{TEXT}.includes('harvesting')")
-            daemon.socket.rename(tmp_path / "away")
+            daemon.stop()
             watched.wait(f"{TEXT}.includes('no daemon answers') && document.body.classList.contains('stale')")
-            (tmp_path / "away").rename(daemon.socket)
+            daemon.start()
             watched.wait(f"{TEXT}.includes('harvesting') && !document.body.classList.contains('stale')")
 
 
