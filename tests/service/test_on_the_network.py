@@ -56,9 +56,9 @@ def claimed(bench: Bench) -> None:
 def test_claims_come_before_anything_else(tmp_path: Path) -> None:
     with running(tmp_path, TEXT) as bench:
         claimed(bench)
+        wait_for(lambda: len(sent(bench)) > 5, "frames")
         groups = [parts.group for parts, _ in sent(bench)]
         assert groups[:2] == [REQUEST, ADDRESS_CLAIMED]
-        assert len(groups) > 5
         assert all(parts.source == US for parts, _ in sent(bench)[1:])
         network = bench.status["network"]
         assert (network["address"], network["claim"]) == (US, "claimed")
@@ -103,7 +103,7 @@ def test_a_lower_name_takes_the_address_and_frames_follow(tmp_path: Path) -> Non
         bench.heard().clear()
         bench.play(3, 0.0)
         bench.played()
-        assert sent(bench)
+        wait_for(lambda: bool(sent(bench)), "frames")
         assert {parts.source for parts, _ in sent(bench)} == {taken}
 
 
@@ -147,6 +147,7 @@ def test_network_off_sends_as_the_dbc_says(tmp_path: Path) -> None:
         say(bench, 0x18EA8317, "E5FE00")
         bench.play(3, 0.0)
         bench.played()
+        wait_for(lambda: bool(sent(bench)), "frames")
         assert {parts.group for parts, _ in sent(bench)}.isdisjoint({ADDRESS_CLAIMED, REQUEST, ACKNOWLEDGEMENT})
         assert {parts.source for parts, _ in sent(bench)} == {US}
 
