@@ -47,9 +47,9 @@ _SIDE_BY_SIDE = 32
 """Windows fitted at once: enough to share the cost of array operations, few enough for the cache."""
 _INDEX_REACH_S = 0.015
 _LEAST_FILL = 0.02
-_BEYOND_FILL = 1.1
-_BEYOND_SPEED = 1.1
-_BEYOND_ANGLE_RAD = float(np.deg2rad(5.0))
+BEYOND_FILL = 1.1
+BEYOND_SPEED = 1.1
+BEYOND_ANGLE_RAD = float(np.deg2rad(5.0))
 TERMS = 14
 """Of an `ArrivalLaw`."""
 ONE_GRAIN = 6
@@ -138,17 +138,17 @@ class ArrivalLaw:
     def outside(self, fill: float, plate_angle_rad: float, elevator_speed_rad_s: float) -> str:
         """Why the law says nothing there; empty where it does.
 
-        Loads and speeds may lie beyond those of the calibration by a tenth, plate angles by 5 degrees.
+        Values may lie beyond those of the calibration by BEYOND_FILL, BEYOND_SPEED (factors) and BEYOND_ANGLE_RAD.
         """
         least, largest = self.fills
-        if not least / _BEYOND_FILL <= fill <= largest * _BEYOND_FILL:
+        if not least / BEYOND_FILL <= fill <= largest * BEYOND_FILL:
             return f"load {fill:.2f} of a full paddle, calibrated {least:.2f} to {largest:.2f}"
         low, high = self.plate_angles_rad
-        if not low - _BEYOND_ANGLE_RAD <= plate_angle_rad <= high + _BEYOND_ANGLE_RAD:
+        if not low - BEYOND_ANGLE_RAD <= plate_angle_rad <= high + BEYOND_ANGLE_RAD:
             shown, first, last = np.rad2deg([plate_angle_rad, low, high])
             return f"plate at {shown:.0f} deg, calibrated {first:.0f} to {last:.0f} deg"
         slow, fast = self.elevator_speeds_rad_s
-        if not slow / _BEYOND_SPEED <= elevator_speed_rad_s <= fast * _BEYOND_SPEED:
+        if not slow / BEYOND_SPEED <= elevator_speed_rad_s <= fast * BEYOND_SPEED:
             shown, first, last = np.array([elevator_speed_rad_s, slow, fast]) / RPM
             return f"elevator at {shown:.0f} rpm, calibrated {first:.0f} to {last:.0f} rpm"
         return ""

@@ -5,12 +5,12 @@ The range in the file is the one declaration of where the pulses' shape gives a 
 
 from __future__ import annotations
 
-from math import radians
+from math import degrees, radians
 from pathlib import Path
 from typing import Any
 
 from yieldmon.errors import InputError
-from yieldmon.estimation.pulse_shape import TERMS, ArrivalLaw
+from yieldmon.estimation.pulse_shape import BEYOND_ANGLE_RAD, BEYOND_FILL, BEYOND_SPEED, TERMS, ArrivalLaw
 from yieldmon.physics.machine import RPM
 from yieldmon.resources import shipped
 
@@ -26,9 +26,9 @@ _RANGES = {
     "elevator_speed_rpm": ("elevator_speeds_rad_s", "rpm", RPM, 1.0, 5000.0),
 }
 """Of the calibrated range: attribute of `ArrivalLaw`, unit, its size in SI, limits."""
-_HEAD = """# How the grain of dense pulses arrives, and where that is calibrated (docs/internals/waveform.md).
-# calibrated_range: load over a full paddle, plate angle, elevator speed. Beyond it by more than a tenth of load or speed, or
-# 5 deg of the plate, no flow is given by the pulses' shape.
+_HEAD = f"""# How the grain of dense pulses arrives, and where that is calibrated (docs/internals/waveform.md).
+# calibrated_range: load over a full paddle, plate angle, elevator speed. Beyond it by more than {BEYOND_FILL - 1.0:.0%} of load,
+# {degrees(BEYOND_ANGLE_RAD):g} deg of the plate or {BEYOND_SPEED - 1.0:.0%} of speed, no flow is given by the pulses' shape.
 # log_stretch, log_tail: coefficients of 1, x, c, xc, c^2, x^2, xc^2, x^2 c, r, p, xr, xp, cr, cp in ln stretch and ln tail (s),
 # with x: ln load_share, c: cosine of the plate angle, r and p: ln of speed and friction over the reference's. They hold where
 # the configuration says waveform.shape_terms. covariance: variance, variance and covariance of both about that.
