@@ -290,6 +290,26 @@ def test_mf4_without_its_package_names_the_extra(
     assert hashes(folder) == before
 
 
+WITHOUT_PARQUET = (
+    "pack log.log --out new.parquet",
+    "process bytes.parquet --out x.csv",
+    "process log.log --out new.parquet",
+)
+
+
+@pytest.mark.parametrize("words", WITHOUT_PARQUET)
+def test_parquet_without_its_package_names_the_extra(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], words: str
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    Path("bytes.parquet").write_bytes(b"PAR1")
+    before = hashes(folder)
+    assert main(words.split()) == 1
+    assert capfd.readouterr() == ("", "yieldmon: needs pyarrow, which is not installed; pip install 'yieldmon[parquet]'\n")
+    assert hashes(folder) == before
+
+
 def interruptible() -> None:
     """Ctrl-C ends the child also where the tests run in the background, which ignore it."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)

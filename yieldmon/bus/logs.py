@@ -7,6 +7,7 @@ its place, and reading stops there. A file in which nothing at all can be read r
 
 from __future__ import annotations
 
+import importlib
 import io
 import logging
 import re
@@ -131,6 +132,15 @@ def require_log(path: Path | str) -> None:
         Path(path).open("rb").close()
     except OSError as error:
         raise InputError(str(path), error.strerror or str(error), "a readable CAN log") from error
+
+
+def require_package(path: Path | str) -> None:
+    """Raises ModuleNotFoundError where the package of an extra that reads the log is not installed; opens nothing."""
+    suffixes = [suffix.lower() for suffix in Path(path).suffixes]
+    if ".mf4" in suffixes:
+        mf4.require()
+    if suffixes[-1:] == [PACKED_SUFFIX]:
+        importlib.import_module("pyarrow")
 
 
 def log_format(path: Path) -> tuple[str, bool]:

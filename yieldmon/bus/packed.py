@@ -132,12 +132,13 @@ class Writer:
 
     Raises
     ------
-    InputError
+    ModuleNotFoundError
         The parquet extra is not installed.
     """
 
     def __init__(self, path: Path, layouts: Mapping[str, MessageLayout]) -> None:
-        parquet = _parquet(path)
+        from pyarrow import parquet
+
         self._layouts = tuple(layouts.values())
         self._blocks = 0
         self._schema = _schema().with_metadata({_FORMAT: _VERSION})
@@ -195,10 +196,12 @@ def read_blocks(
     Raises
     ------
     InputError
-        The file is missing, damaged, or no file of packed frames; the parquet extra is not installed.
+        The file is missing, damaged, or no file of packed frames.
+    ModuleNotFoundError
+        The parquet extra is not installed.
     """
-    parquet = _parquet(path)
     import pyarrow as pa
+    from pyarrow import parquet
 
     try:
         with parquet.ParquetFile(path, page_checksum_verification=True) as source:
@@ -228,14 +231,6 @@ def read_blocks(
         raise InputError(str(path), error.strerror or str(error), "a readable file of packed frames") from error
     except (pa.ArrowException, OSError, ValueError, LookupError, OverflowError) as error:
         raise InputError(str(path), f"damaged: {' '.join(str(error).split())[:120]}", _EXPECTED) from error
-
-
-def _parquet(path: Path | str) -> Any:
-    try:
-        from pyarrow import parquet
-    except ImportError as error:
-        raise InputError(str(path), "needs pyarrow", "pip install 'yieldmon[parquet]'") from error
-    return parquet
 
 
 def _schema() -> pa.Schema:

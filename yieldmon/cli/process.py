@@ -15,8 +15,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from yieldmon.bus import mf4
-from yieldmon.bus.logs import SUFFIXES, open_bytes
+from yieldmon.bus.logs import SUFFIXES, open_bytes, require_package
 from yieldmon.cli import _flow_curve, _outputs
 from yieldmon.cli._units import add_units
 from yieldmon.documents import ProcessSummary, ReprocessSummary
@@ -118,9 +117,9 @@ def _check(args: argparse.Namespace) -> None:
             raise InputError(args.logs[index], "is named twice, which would double its mass", "each log once")
     if args.zero_mv is not None and not 0.0 <= args.zero_mv <= 100_000.0:
         raise InputError("--zero-mv", f"is {args.zero_mv:g}", "0 to 100000 mV, as a table of an earlier log has it (zero_mv)")
-    if any(".mf4" in path.suffixes for path in resolved):
+    for path in resolved:
         # Here, where a package that is not installed costs one line: processes that read would print tracebacks.
-        mf4.require()
+        require_package(path)
     if args.jobs < 1:
         raise InputError("--jobs", f"is {args.jobs}", "a whole number from 1")
 
