@@ -135,6 +135,20 @@ def test_a_link_to_the_parameters_stays_a_link(offset_table: Path, tmp_path: Pat
     assert params.read_bytes() == parent
 
 
+def test_what_is_adopted_and_rolled_back_is_for_the_services_user(offset_table: Path, tmp_path: Path) -> None:
+    params = tmp_path / "p.yaml"
+    params.write_bytes((DATA.parents[1] / "config/parameters/corn.yaml").read_bytes())
+    params.chmod(0o600)
+    before = os.umask(0o077)
+    try:
+        for arguments in ([str(offset_table), "--params", str(params), "--adopt", str(params)], ["--rollback", str(params)]):
+            assert main(["diagnose", *arguments]) == 0
+            assert {path.stat().st_mode & 0o777 for path in tmp_path.glob("p*.yaml")} == {0o644}
+    finally:
+        os.umask(before)
+    assert {path.name for path in tmp_path.glob("p*.yaml")} == {"p.yaml", "p.v1.parent.yaml", "p.v2.rolled-back.yaml"}
+
+
 def test_rollback_refuses_an_altered_parent(offset_table: Path, tmp_path: Path, capsys) -> None:
     out = tmp_path / "p.yaml"
     assert main(["diagnose", str(offset_table), "--adopt", str(out), "--hold-out", "trials"]) == 0

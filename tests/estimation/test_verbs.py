@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -283,7 +284,14 @@ def test_calibrate_by_moisture_writes_a_map(capsys: pytest.CaptureFixture[str], 
         lines += [f"{r['plate_angle_deg']},{r['mass_flow_kg_s']},{r['force_n']},{moisture}" for r in rows["rows"]]
     path = tmp_path / "wet.csv"
     path.write_text("\n".join(lines) + "\n")
-    found = document(capsys, "calibrate", path, "--by-moisture", "--starts", "2", "--out", tmp_path / "fits")
+    before = os.umask(0o077)
+    try:
+        found = document(capsys, "calibrate", path, "--by-moisture", "--starts", "2", "--out", tmp_path / "fits")
+    finally:
+        os.umask(before)
+    modes = {path.name: path.stat().st_mode & 0o777 for path in (tmp_path / "fits", *(tmp_path / "fits").iterdir())}
+    assert modes.pop("fits") == 0o755
+    assert set(modes.values()) == {0o644}, "the service reads them as a user of its own"
     assert [d["parameters"]["friction"]["value"] for d in found["by_moisture"]] == pytest.approx([0.1, 0.3], rel=1e-4)
     assert moisture_file.load(tmp_path / "fits" / "moisture-map.yaml").at("friction", 20.0) == pytest.approx(0.2, rel=1e-4)
 

@@ -332,7 +332,7 @@ def _by_moisture(args: argparse.Namespace, machine: Machine, data: table.Table, 
         document["moisture_pct"] = float(value)
         if args.out is not None:
             folder = Path(args.out)
-            folder.mkdir(parents=True, exist_ok=True)
+            whole_file.readable_folder(folder)
             document["written"] = str(folder / f"{Path(data.path).stem}-{value:g}.yaml")
             parameter_file.save(result.parameter_set, document["written"])
         documents.append(document)

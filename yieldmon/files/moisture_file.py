@@ -12,7 +12,7 @@ from yieldmon.resources import shipped
 
 from . import strict_yaml
 from .checked import load_mapping, number
-from .whole_file import scratch_for
+from .whole_file import READABLE, scratch_for
 
 PUBLISHED = "config/moisture/corn-published.yaml"
 
@@ -47,7 +47,7 @@ def save(known: MoistureMap, path: str | Path) -> None:
         "values": {name: list(row) for name, row in known.values.items()},
         "doubt": known.doubt,
     }
-    with scratch_for(path) as scratch:
+    with scratch_for(path, durable=True, mode=READABLE) as scratch:
         scratch.write_text(strict_yaml.dump(document), encoding="utf-8")
 
 

@@ -16,7 +16,7 @@ from yieldmon.resources import shipped
 
 from . import strict_yaml
 from .checked import load_mapping, number
-from .whole_file import scratch_for
+from .whole_file import READABLE, scratch_for
 
 SHIPPED = "config/pulse-shape.yaml"
 
@@ -74,7 +74,7 @@ def save(law: ArrivalLaw, path: str | Path, *, source: str) -> None:
     document["log_stretch"] = [_rounded(v) for v in law.stretch]
     document["log_tail"] = [_rounded(v) for v in law.tail or ()]
     document["covariance"] = [_rounded(v) for v in law.covariance]
-    with scratch_for(path) as scratch:
+    with scratch_for(path, durable=True, mode=READABLE) as scratch:
         scratch.write_text(_HEAD + strict_yaml.dump(document), encoding="utf-8")
 
 
