@@ -55,6 +55,7 @@ class RivalWatch:
         self._limits = limits
         self._last_time_s = self._last_value = float("nan")
         self._before = (0, 0)
+        self._late_values = 0.0
 
     def take(self, times_s: Array, values: Array, bounds: Counts, edges_s: Array) -> Counts:
         """Values of each window (w,) that a second sender accounts for.
@@ -73,7 +74,11 @@ class RivalWatch:
         sizes = np.diff(bounds)
         crowded = np.zeros(sizes.size)
         if isfinite(limits.interval_s):
-            possible = np.diff(edges_s) / limits.interval_s * (1.0 + _CROWDED_SHARE) + _CROWDED_FRAMES
+            due = np.diff(edges_s) / limits.interval_s
+            # What the window before lacks has come late.
+            late = np.concatenate(([self._late_values], np.maximum(due - sizes, 0.0)))
+            self._late_values = float(late[-1])
+            possible = due * (1.0 + _CROWDED_SHARE) + _CROWDED_FRAMES + late[:-1]
             crowded = np.floor(np.maximum(sizes - possible, 0.0))
         if not leaps.any() and not any(self._before):
             return crowded.astype(np.intp)

@@ -300,6 +300,7 @@ class WindowBuilder:
         self._turns = 0.0
         self._last_frame_s = float("nan")
         self._last_counter = float("nan")
+        self._late_frames = 0.0
 
     def add_block(self, rows: Array) -> None:
         """Append sample rows (n, 3 + samples_per_frame) that follow those already there."""
@@ -411,8 +412,8 @@ class WindowBuilder:
         if table.shape[0]:
             self._last_frame_s, self._last_counter = float(table[-1, 0]), float(table[-1, 1])
         new = steps != 0.0
-        contested = self._contested(table, bounds, edges, new)
         net = np.rint(_segments(np.add, steps - new, bounds, 0.0)).astype(np.intp)
+        contested = self._contested(table, bounds, edges, new, np.maximum(net, 0))
         repeated = _counts(~new, bounds)
         if not new.all():
             table = table[new]
@@ -437,16 +438,20 @@ class WindowBuilder:
             last_frame_s=last_frame_s,
         )
 
-    def _contested(self, table: Array, bounds: Counts, edges: Array, new: NDArray[np.bool_]) -> Counts:
+    def _contested(self, table: Array, bounds: Counts, edges: Array, new: NDArray[np.bool_], lost: Counts) -> Counts:
         """Frames of each window that a second sender accounts for (w,): a counter that comes again with other samples, and frames
-        closer together than one sensor sends them, whatever their counters say."""
+        closer together than one sensor sends them, whatever their counters say; those that the window before lacks, though none
+        was lost (w,), have come late."""
         contradicted = np.zeros(bounds.size - 1, np.intp)
         if not new.all():
             samples = table[:, 1:]
             differs = np.zeros(table.shape[0], bool)
             differs[1:] = ~((samples[1:] == samples[:-1]) | (np.isnan(samples[1:]) & np.isnan(samples[:-1]))).all(axis=1)
             contradicted = _counts(differs & ~new, bounds)
-        possible = np.diff(edges) / self._frame_interval_s * (1.0 + _CROWDED_SHARE) + _CROWDED_FRAMES
+        due = np.diff(edges) / self._frame_interval_s
+        late = np.concatenate(([self._late_frames], np.maximum(due - np.diff(bounds) - lost, 0.0)))
+        self._late_frames = float(late[-1])
+        possible = due * (1.0 + _CROWDED_SHARE) + _CROWDED_FRAMES + late[:-1]
         crowded = np.floor(np.maximum(np.diff(bounds) - possible, 0.0)).astype(np.intp)
         found: Counts = np.maximum(contradicted, crowded)
         return found
