@@ -17,7 +17,12 @@ from pathlib import Path
 from types import CodeType, FrameType
 from typing import Any
 
-Step = tuple[CodeType, int, int, int]
+Step = tuple[object, int, int, int]
+Counted = dict[tuple[tuple[str, str, int], int, int], int]
+"""Of a process of its own: file, name and first line of the code in the place of the code."""
+
+current: Coverage | None = None
+"""The one that follows the present call."""
 
 
 class Coverage:
@@ -27,12 +32,14 @@ class Coverage:
         self._parts = tuple(parts)
         self._wanted: dict[CodeType, bool] = {}
         self._counts: dict[tuple[CodeType, int, int], int] = {}
+        self._counted: Counted = {}
         self._last: dict[int, int] = {}
 
     def of(self, call: Callable[[], object]) -> tuple[frozenset[Step], BaseException | None]:
         """The steps, and what the call raised."""
-        self._counts, self._last = {}, {}
-        before = sys.gettrace()
+        global current  # noqa: PLW0603 - the trace function is the interpreter's, too
+        self._counts, self._counted, self._last = {}, {}, {}
+        before, current = sys.gettrace(), self
         threading.settrace(self._enter)
         sys.settrace(self._enter)
         try:
@@ -43,7 +50,19 @@ class Coverage:
         finally:
             sys.settrace(before)
             threading.settrace(before)
-        return frozenset((*step, count.bit_length()) for step, count in list(self._counts.items())), raised
+            current = None
+        taken = (*list(self._counts.items()), *self._counted.items())
+        return frozenset((*step, count.bit_length()) for step, count in taken), raised
+
+    def counted(self) -> Counted:
+        """So far, for another process."""
+        codes = ((code, last, line, count) for (code, last, line), count in list(self._counts.items()))
+        return {((code.co_filename, code.co_qualname, code.co_firstlineno), last, line): count for code, last, line, count in codes}
+
+    def add(self, counted: Counted) -> None:
+        """What another process has counted during this call."""
+        for step, count in counted.items():
+            self._counted[step] = self._counted.get(step, 0) + count
 
     def _enter(self, frame: FrameType, event: str, arg: Any) -> Any:
         wanted = self._wanted.get(frame.f_code)

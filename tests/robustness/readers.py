@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import can
 
-from tests.robustness import fuzz_harvests
+from tests.robustness import forked, fuzz_harvests
 from tests.robustness.damage import Damage, mutated, within_parquet, within_zip
 from tests.service.bench import CODEC, traffic
 from tests.service.test_store import batch, second
@@ -124,6 +124,11 @@ def _read(path: Path) -> object:
     return sum(1 for _ in read_log(path, LogNotes(on_damage=lambda damage: None)))
 
 
+def _read_in_forks(path: Path) -> object:
+    with forked.processes():
+        return _read(path)
+
+
 def _in_blocks(path: Path) -> object:
     return sum(len(block) for block in iter_blocks(path, LogNotes(on_damage=lambda damage: None)))
 
@@ -205,7 +210,7 @@ READERS: dict[str, Reader] = {
     "configuration": Reader("x.yaml", _copy("config/yieldmon.yaml"), lambda path: configuration.load(path, {})),
     "signals": Reader("x.yaml", _signals, lambda path: configuration.load(path, {})),
     "dbc": Reader("x.dbc", _copy("dbc/yieldmon.dbc"), load_messages),
-    "mf4": Reader("x.mf4", _log, _read, start_s=4.0),
+    "mf4": Reader("x.mf4", _log, _read_in_forks),
     "control": Reader("x.json", _request, _ask),
     "table": Reader("x.csv", _table, table.load),
     "tickets": Reader("x.csv", _tickets, ticket_file.load),
