@@ -78,8 +78,8 @@ def bombard(folder: Path, count: int, minutes: float, seed: int) -> dict[str, An
 
 def count_is_right(report: dict[str, Any]) -> bool:
     """Whether as many reloads came as the signals ask for."""
-    few_or_many = report["bursts"] <= (report["reloads"] or 0) <= report["signals"]
-    return few_or_many and report["bursts_lost"] == 0 and report["reloads_without_signal"] == 0 and report["reload"] == "taken"
+    enough = bool(report["bursts"] <= (report["reloads"] or 0) <= report["signals"])
+    return enough and report["bursts_lost"] == 0 and report["reloads_without_signal"] == 0 and report["reload"] == "taken"
 
 
 def _configure(folder: Path, number: int) -> None:
