@@ -56,8 +56,10 @@ class Coverage:
 
     def counted(self) -> Counted:
         """So far, for another process."""
-        codes = ((code, last, line, count) for (code, last, line), count in list(self._counts.items()))
-        return {((code.co_filename, code.co_qualname, code.co_firstlineno), last, line): count for code, last, line, count in codes}
+        return {
+            ((code.co_filename, code.co_qualname, code.co_firstlineno), last, line): count
+            for (code, last, line), count in list(self._counts.items())
+        }
 
     def add(self, counted: Counted) -> None:
         """What another process has counted during this call."""

@@ -3,9 +3,9 @@
 python -m tests.robustness signals --count 100000 --minutes 10
 
 Signals that come while a reload is due are one reload, so a right count is no one number. Right is: the configuration is written
-anew in the middle of each burst, and what a burst's last signal finds in it is in use thereafter (no signal is lost: a reload began
-after it); so there are at least as many reloads as bursts; at most as many as signals; and none without a signal, once all are
-answered. Ends with 1 when one of this does not hold.
+anew in the middle of each burst, and what a burst's last signal finds in it is in use thereafter (no signal is lost: a reload
+began after it); so there are at least as many reloads as bursts; at most as many as signals; and none without a signal, once all
+are answered. Ends with 1 when one of this does not hold.
 """
 
 from __future__ import annotations
