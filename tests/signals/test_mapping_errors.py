@@ -8,6 +8,7 @@ import pytest
 
 from tests.signals.layouts import COUNTS, MULTIPLEXED, PROPRIETARY
 from yieldmon.cli.main import main
+from yieldmon.resources import shipped
 
 IMPACT = "impact_voltage: {dbc: counts.dbc, message: Bridge, signal: Counts, unit: counts, scale: 0.1, rate_hz: 100}"
 OVERLAP = COUNTS.dbc.replace("SG_ Counts : 23|16@0+", "SG_ Counts : 15|16@0+")
@@ -149,6 +150,20 @@ CASES = {
         "elevator_speed.range", "pulses_per_turn", "no such key",
     ),
     "nothing to measure": ("impact_voltage: null", "impact_voltage", "null", "a signal"),
+    "no sensor at all": ("impact_voltage: []", "impact_voltage", "an empty list", "at least one"),
+    "no angle": ("plate_angle: null", "plate_angle", "null", "plate.fixed_angle_deg"),
+    "a constant angle": ("plate_angle: {value: 70}", "plate_angle.value", "70", "plate.fixed_angle_deg"),
+    "an elevator that stands": ("elevator_speed: {value: 0}", "elevator_speed.value", "0", "rpm"),
+    "the engine's constant speed": ("elevator_speed: {value: 2000, ratio: 0.2}", "elevator_speed.ratio", "beside value"),
+    "a constant out of a file": ("elevator_speed: {value: 400, dbc: counts.dbc}", "elevator_speed.dbc", "beside value"),
+    "pulses in kilograms": (
+        "elevator_speed: {dbc: counts.dbc, message: Bridge, signal: Spare, pulses_per_turn: 60, unit: kg}",
+        "elevator_speed.unit", "'kg'", "rpm",
+    ),
+    "a filter of an angle": (
+        "plate_angle: {dbc: counts.dbc, message: Linear, signal: Tilt, time_constant_s: 0.5}",
+        "plate_angle.time_constant_s", "0.5", "impact samples",
+    ),
 }  # fmt: skip
 
 
@@ -222,3 +237,23 @@ def test_a_plate_is_fixed_or_measured(tmp_path: Path, capsys: pytest.CaptureFixt
     path = tmp_path / "c.yaml"
     path.write_text("plate: {fixed_angle_deg: 70}\nsignals:\n  plate_angle: {dbc: counts.dbc, message: Linear, signal: Tilt}\n")
     assert "plate.fixed_angle_deg" in said(capsys, path)
+
+
+@pytest.mark.parametrize("angle_deg", [40, 55, 63, 90, 150])
+def test_a_plate_may_be_bolted_on_at_any_angle(angle_deg: float, tmp_path: Path) -> None:
+    """The shipped machine's cell is none the worse for a plate on which little presses."""
+    path = tmp_path / "c.yaml"
+    path.write_text(f"plate: {{fixed_angle_deg: {angle_deg}}}\n")
+    assert main(["check-config", str(path)]) == 0
+
+
+@pytest.mark.parametrize("factor", [1.0 / 9.80665, 1.0, 4.4482216, 9.80665], ids=["kgf", "N", "of pounds", "of kilograms"])
+def test_a_cell_in_a_wrong_unit_is_found(factor: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    machine = shipped("config/machines/sprocket-8.yaml").read_text()
+    (tmp_path / "machine.yaml").write_text(machine.replace("gain_n_per_mv: 0.4448", f"gain_n_per_mv: {0.4448 * factor:.6g}"))
+    path = tmp_path / "c.yaml"
+    path.write_text("machine_file: machine.yaml\n")
+    if factor == 1.0:
+        assert main(["check-config", str(path)]) == 0
+    else:
+        assert "machine.yaml: sensor: gain_n_per_mv" in said(capsys, path)

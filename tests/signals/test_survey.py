@@ -10,7 +10,7 @@ import can
 import pytest
 
 from studies.sample_rates.__main__ import harvest, measured
-from tests.signals.layouts import COUNTS, MULTIPLEXED, NEWTONS, PROPRIETARY, Layout
+from tests.signals.layouts import COUNTS, MULTIPLEXED, NEWTONS, NODE_NAME, OTHER_NAME, PROPRIETARY, Layout
 from yieldmon.cli.main import main
 from yieldmon.physics.machine import Machine
 from yieldmon.plant import scenario
@@ -103,6 +103,145 @@ def test_a_written_mapping_names_shipped_files_without_their_folder(tmp_path: Pa
     (tmp_path / "j1939.dbc").write_text(COUNTS.dbc.replace("EEC1", "EEC9"))
     assert main(["check-config", str(mapping)]) == 2
     assert "EEC1 is not in j1939.dbc" in capsys.readouterr().err
+
+
+HEAD = 'VERSION ""\nNS_ :\nBS_:\nBU_: Node\n'
+MANY = HEAD + "BO_ 512 Samples: 24 Node\n" + "".join(
+    f' SG_ S{k} : {16 * k}|16@1+ (0.1,0) [0|6553.5] "mV" Node\n' for k in range(12)
+)  # fmt: skip
+INPUTS = (
+    HEAD
+    + """BO_ 512 AnalogInputs: 4 Node
+ SG_ Input1 : 0|16@1+ (0.1,0) [0|6553.5] "mV" Node
+ SG_ Input2 : 16|16@1+ (0.1,0) [0|6553.5] "mV" Node
+"""
+)
+APART = (
+    HEAD
+    + """BO_ 512 Board: 4 Node
+ SG_ A1 : 0|16@1+ (0.1,0) [0|6553.5] "mV" Node
+ SG_ A2 : 16|16@1+ (0.1,0) [0|6553.5] "mV" Node
+"""
+)
+ELSEWHERE = (
+    HEAD
+    + """BO_ 2566848784 Machine: 8 Node
+ SG_ Shaft : 0|16@1+ (0.1,0) [0|6553.5] "rpm" Node
+"""
+)
+NAMELESS = (
+    HEAD
+    + """BO_ 513 Werte: 4 Node
+ SG_ Drehzahl : 0|16@1+ (0.1,0) [0|6553.5] "1/min" Node
+ SG_ Fuellung : 16|16@1+ (0.1,0) [0|100] "%" Node
+"""
+)
+
+
+def words(*values: float) -> bytes:
+    return b"".join(round(10.0 * value).to_bytes(2, "little") for value in values)
+
+
+def written(folder: Path, dbc: str, frames: list[tuple[int, bytes]], capsys: pytest.CaptureFixture[str]) -> str:
+    """The mapping that is proposed for frames 10 ms apart: (identifier, data), 29 bits from 2048 on."""
+    (folder / "node.dbc").write_text(dbc)
+    with can.Logger(str(folder / "node.log")) as logger:
+        for place, (identifier, data) in enumerate(frames):
+            logger.on_message_received(
+                can.Message(1.79e9 + 0.01 * place, identifier, identifier > 0x7FF, is_fd=len(data) > 8, data=data, channel="can0")
+            )
+    words = ["signals", str(folder / "node.log"), "--dbc", str(folder / "node.dbc"), "--write", str(folder / "map.yaml")]
+    assert main(words) == 0
+    capsys.readouterr()
+    return (folder / "map.yaml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("dbc", "frames", "proposed"),
+    [
+        pytest.param(
+            MANY,
+            [(512, words(*(500.0 + (k + place) % 9 for k in range(12)))) for place in range(200)],
+            ["signals: [S0, S1, S2, S3, S4, S5, S6, S7, S8, S9, S10, S11], rate_hz: 1200}"],
+            id="more than ten samples",
+        ),
+        pytest.param(
+            INPUTS,
+            [(512, words(2900.0 + place % 2, 500.0 + 3 * (place % 90))) for place in range(200)],
+            ["impact_voltage: {dbc: node.dbc, message: AnalogInputs, signal: Input2, rate_hz: 100}"],
+            id="inputs of a module",
+        ),
+        pytest.param(
+            APART,
+            [(512, words(2900.0 + place % 2, 500.0 + 3 * (place % 90))) for place in range(200)],
+            ["signal: A2, rate_hz: 100}"],
+            id="values that cannot be one sensor's",
+        ),
+        pytest.param(
+            ELSEWHERE,
+            [(0x18FF0177, words(400.0, 0, 0, 0))] * 50,
+            ["elevator_speed: {dbc: node.dbc, message: Machine, signal: Shaft, source: 119}"],
+            id="another address than the DBC's",
+        ),
+        pytest.param(
+            ELSEWHERE,
+            [
+                (0x18EEFF77, NODE_NAME.to_bytes(8, "little")),
+                *[(0x18FF0177, words(400.0, 0, 0, 0))] * 20,
+                (0x18EEFF78, NODE_NAME.to_bytes(8, "little")),
+                *[(0x18FF0178, words(400.0, 0, 0, 0))] * 20,
+                (0x18EEFF79, OTHER_NAME.to_bytes(8, "little")),
+                *[(0x18FF0179, words(3.0, 0, 0, 0)), (0x18FF0178, words(400.0, 0, 0, 0))] * 5,
+            ],
+            [
+                "  elevator_speed: {",
+                "function: 128,",
+                f"identity_number: {NODE_NAME & 0x1FFFFF}}}}}",
+                "# or elevator_speed: {",
+                "source: 121}",
+            ],
+            id="a node that moved",
+        ),
+        pytest.param(
+            NAMELESS,
+            [(513, words(400.0, 60.0))] * 50,
+            ["signals: {}", "# or elevator_speed: {dbc: node.dbc, message: Werte, signal: Drehzahl}"],
+            id="no name says it",
+        ),
+    ],
+)
+def test_what_is_proposed(
+    dbc: str, frames: list[tuple[int, bytes]], proposed: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = written(tmp_path, dbc, frames, capsys)
+    places = [text.index(part) for part in proposed]
+    assert places == sorted(places)
+    assert text.count("moisture:") == 0
+    main(["check-config", str(tmp_path / "map.yaml"), "--json"])
+    assert json.loads(capsys.readouterr().out)["problems"] == []
+
+
+def test_samples_that_no_cell_gives_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = drive(MULTIPLEXED, tmp_path)
+    config = tmp_path / "wrong.yaml"
+    config.write_text(MULTIPLEXED.config.replace("mux: 0,", "mux: 0, unit: V,"))
+    assert main(["check-config", str(config), "--log", str(log)]) == 2
+    error = capsys.readouterr().err
+    assert len(error.splitlines()) == 1
+    assert f"{log}: impact: 4" in error
+    assert "within 16000 mV" in error
+
+
+def test_a_source_by_its_whole_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As `yieldmon signals` prints it."""
+    log = drive(PROPRIETARY, tmp_path)
+    config = tmp_path / "named.yaml"
+    values = {}
+    for name in (f"0x{NODE_NAME:016X}", "{identity_number: 0x42}", f"0x{OTHER_NAME:016X}"):
+        config.write_text(PROPRIETARY.config.replace("{identity_number: 0x42}", name))
+        main(["check-config", str(config), "--log", str(log), "--json"])
+        values[name] = json.loads(capsys.readouterr().out)["signals"]["elevator_speed"]["values"]
+    assert list(values.values()) == [60, 60, 0]
 
 
 def test_a_rate_that_is_not_the_recorded_one_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

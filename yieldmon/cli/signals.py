@@ -25,7 +25,7 @@ from yieldmon.errors import InputError
 from yieldmon.files.whole_file import READABLE, scratch_for
 from yieldmon.network.name import Name
 from yieldmon.resources import shipped
-from yieldmon.signals.survey import MessageSeen, Survey, mapping_text
+from yieldmon.signals.survey import TELLING, Candidate, MessageSeen, Survey, mapping_text
 
 _SHIPPED = ("dbc/yieldmon.dbc", "dbc/j1939.dbc")
 _BLOCK_S = 0.5
@@ -113,9 +113,19 @@ def _document(survey: Survey) -> dict[str, Any]:
             {"address": address, "name": f"0x{int(name):016X}" if name is not None else None} for address, name in survey.nodes
         ],
         "candidates": {
-            quantity: [{"message": c.message, "signal": c.signal, "dbc": c.dbc, "rate_hz": round(c.rate_hz, 3)} for c in found]
-            for quantity, found in survey.candidates.items()
+            quantity: [_candidate(found) for found in candidates] for quantity, candidates in survey.candidates.items()
         },
+    }
+
+
+def _candidate(found: Candidate) -> dict[str, Any]:
+    return {
+        "message": found.message,
+        "signal": found.signal,
+        "dbc": found.dbc,
+        "rate_hz": round(found.rate_hz, 3),
+        "mux": found.mux,
+        "source": found.source,
     }
 
 
@@ -137,8 +147,7 @@ def _message(message: MessageSeen) -> dict[str, Any]:
 
 def _fields(name: Name) -> str:
     """What distinguishes a node, as `source` of a mapping takes it."""
-    wanted = ("manufacturer_code", "function", "function_instance", "ecu_instance", "identity_number")
-    return "{" + ", ".join(f"{key}: {getattr(name, key)}" for key in wanted) + "}"
+    return "{" + ", ".join(f"{key}: {getattr(name, key)}" for key in TELLING) + "}"
 
 
 def _finite(value: float) -> float | None:

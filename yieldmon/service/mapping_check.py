@@ -184,8 +184,13 @@ def problems(configuration: Configuration, seen: dict[str, QuantitySeen], log: s
                 "values that it can have; look at signal, unit, scale and range" if entry.values else "frames that are mapped"
             )
             found.append((f"{log}: {name}", f"{what}: {instead}".rstrip() if instead else what, expected))
+    sensor = configuration.machine.sensor
+    most_mv = configuration.engine.windows.plausible_full_scales * sensor.full_scale_mv
     for number, source in enumerate(configuration.signals.sources.impact):
-        rate_hz = seen[_impact_name(number)].rate_hz
+        rate_hz, low_mv, high_mv = (getattr(seen[_impact_name(number)], key) for key in ("rate_hz", "low", "high"))
+        if low_mv is not None and not (low_mv <= most_mv and high_mv >= -most_mv):
+            expected = f"samples within {most_mv:g} mV of the cell's zero; look at unit and scale"
+            found.append((f"{log}: {_impact_name(number)}", f"{low_mv:.6g} to {high_mv:.6g} mV", expected))
         if rate_hz is not None and abs(rate_hz / source.rate_hz - 1.0) > RATE_TOLERANCE:
             where = f"{log}: {_impact_name(number)}"
             found.append((where, f"{rate_hz:.4g} samples per second", f"{source.rate_hz:g}, as mapped"))

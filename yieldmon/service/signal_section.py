@@ -13,12 +13,18 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from yieldmon.bus.databases import MessageBits, load_messages
 from yieldmon.engine.sources import QUANTITIES
 from yieldmon.errors import InputError
-from yieldmon.network.name import NameMatch
+from yieldmon.network.name import Name, NameMatch
 from yieldmon.physics.machine import Machine
 from yieldmon.resources import shipped
 from yieldmon.service.entry_check import HIGHEST_ADDRESS, address, checked, limits, whole
 from yieldmon.signals.binding import IMPACT, MAX_RATE_HZ, MIN_RATE_HZ, Binding, Source, check_quantity
 from yieldmon.signals.mapping import SignalMap, build, default_map
+
+_SHORTEST_NAME = 1 << 32
+"""Any smaller number was meant to be an address: a NAME whose upper half is 0 has no function and no industry."""
+_BESIDE_VALUE = ("value", "unit", "message", "signal", "signals")
+"""Keys that may stand beside a constant, or whose message says more."""
+_NEEDED = {"elevator_speed": "a signal or a constant", "plate_angle": "a signal, or plate.fixed_angle_deg"}
 
 SHIPPED_DATABASES = frozenset({"j1939.dbc", "yieldmon.dbc"})
 
@@ -51,7 +57,7 @@ class SignalEntry(BaseModel):
     offset: float = Field(0.0, description="added after that")
     ratio: float = Field(1.0, gt=0.0, description="turns of the elevator shaft per turn of the shaft that is measured")
     unit: str | None = Field(None, description="unit of the value then; null: the DBC's")
-    source: Any = Field(None, description="any, an address, or fields of a NAME; null: as the DBC's identifier says")
+    source: Any = Field(None, description="any, an address, a NAME or fields of one; null: as the DBC's identifier says")
     mux: int | None = Field(None, ge=0, description="value of the message's multiplexer")
     range: list[float] | None = Field(None, min_length=2, max_length=2, description="in the quantity's unit; outside: no value")
     not_available: list[int] = Field(default_factory=list, max_length=64, description="raw values that mean it")
@@ -85,7 +91,7 @@ _EXPECTED = {
     "range": "two numbers, the smaller first",
     "ratio": "a number above 0",
     "values": "raw value: code, both whole numbers",
-    "source": f"any, an address from 0 to {HIGHEST_ADDRESS}, or fields of a NAME",
+    "source": f"any, an address from 0 to {HIGHEST_ADDRESS}, a NAME such as 0xA00C810045200023, or fields of one",
 }
 
 
@@ -104,13 +110,15 @@ def signal_map(
         if fixed_plate_deg is not None and quantity in ("plate_angle", "actuator_state"):
             raise InputError(where, "is bound though plate.fixed_angle_deg is set", "one of the two")
         if entries is None:
-            if quantity in IMPACT or quantity == "elevator_speed":
-                raise InputError(where, "null", "a signal: without it nothing is measured")
+            if quantity in IMPACT or quantity in _NEEDED:
+                raise InputError(where, "null", f"{_NEEDED.get(quantity, 'a signal')}: without it nothing is measured")
             off.add(str(quantity))
             continue
         several = isinstance(entries, list)
         if several and quantity not in IMPACT:
             raise InputError(where, "a list", "one signal; only impact sensors may be several")
+        if several and not entries:
+            raise InputError(where, "an empty list", "the signal of at least one impact sensor")
         for number, entry in enumerate(entries if several else [entries]):
             bindings.append(_binding(str(quantity), entry, f"{where}[{number}]" if several else where))
     if len({binding.quantity for binding in bindings if binding.is_impact}) > 1:
@@ -142,6 +150,10 @@ def database_reader(path: Path) -> Callable[[str], dict[str, MessageBits]]:
 
 def _binding(quantity: str, entry: Any, where: str) -> Binding:
     found = checked(SignalEntry, _hexadecimal(entry), where, _EXPECTED)
+    beside = None if found.value is None else next((key for key in entry if key not in _BESIDE_VALUE), None)
+    if beside is not None:
+        expected = "no such key for a constant, which is the quantity's own value"
+        raise InputError(f"{where}.{beside}", "stands beside value", expected)
     if found.signal is not None and found.signals is not None:
         raise InputError(f"{where}.signals", "stands beside signal", "one of the two")
     if found.rate_hz is not None and found.spacing_ms is not None:
@@ -203,11 +215,16 @@ def _source(value: Any, where: str) -> Source:
         if not name.model_dump(exclude_none=True):
             raise InputError(where, "an empty NAME", f"at least one of {', '.join(NodeName.model_fields)}")
         return NameMatch(**name.model_dump())
+    number = whole(value)
+    if isinstance(number, int) and _SHORTEST_NAME <= number < 1 << 64:
+        whole_name = Name.of_int(number)
+        return NameMatch(**{key: getattr(whole_name, key) for key in NodeName.model_fields})
     return address(value, where, _EXPECTED["source"])
 
 
 def _check_constants(found: SignalMap, path: Path) -> None:
     for name, value in found.sources.fixed.items():
         quantity = QUANTITIES[name]
-        if not (math.isfinite(value) and quantity.usable(value)):
+        standing = name == "elevator_speed" and value == 0.0
+        if standing or not (math.isfinite(value) and quantity.usable(value)):
             raise InputError(f"{path}: signals.{name}.value", f"{value:g}", f"a value that {name} can have, {quantity.unit}")

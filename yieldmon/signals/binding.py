@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from yieldmon.engine.sources import QUANTITIES
 from yieldmon.errors import InputError
 from yieldmon.network.name import NameMatch
+from yieldmon.signals.units import factor
 
 IMPACT = {"impact_voltage": "mV", "impact_force": "N"}
 """The two ways in which an impact sensor speaks, and their units."""
@@ -74,10 +75,7 @@ def check_quantity(name: str, where: str) -> None:
 def check(binding: Binding) -> None:
     """Raises InputError for keys that do not go together."""
     if binding.value is not None:
-        if binding.is_impact:
-            raise binding.refuse("value", f"{binding.value:g}", "samples: an impact sensor is no constant")
-        if binding.message is not None or binding.signals:
-            raise binding.refuse("value", f"{binding.value:g}", "either a constant value or a message and signal")
+        _check_constant(binding, f"{binding.value:g}")
         return
     if binding.message is None:
         raise binding.refuse("message", "is missing", "the name of a message in the DBC, or a constant `value`")
@@ -86,7 +84,9 @@ def check(binding: Binding) -> None:
     if not binding.is_impact:
         if len(binding.signals) > 1:
             raise binding.refuse("signals", f"{len(binding.signals)} signals", "one `signal`; only impact samples have several")
-        for key, given in (("rate_hz", binding.rate_hz), ("counter", binding.counter), ("status", binding.status)):
+        of_samples = {key: getattr(binding, key) for key in ("rate_hz", "counter", "status")}
+        of_samples["time_constant_s"] = binding.time_constant_s or None
+        for key, given in of_samples.items():
             if given is not None:
                 raise binding.refuse(key, repr(given), "no such key here; it belongs to impact samples")
     elif binding.rate_hz is None:
@@ -99,6 +99,15 @@ def check(binding: Binding) -> None:
         raise binding.refuse("pulses_per_turn", f"{binding.pulses_per_turn:g}", "no such key here; it belongs to elevator_speed")
 
 
+def _check_constant(binding: Binding, value: str) -> None:
+    if binding.is_impact:
+        raise binding.refuse("value", value, "samples: an impact sensor is no constant")
+    if binding.quantity == "plate_angle":
+        raise binding.refuse("value", value, "a signal; the angle of a bolted plate is plate.fixed_angle_deg")
+    if binding.message is not None or binding.signals:
+        raise binding.refuse("value", value, "either a constant value or a message and signal")
+
+
 def _check_effect(binding: Binding) -> None:
     """No key without an effect, and none that leaves no value."""
     if binding.scale == 0.0:
@@ -107,6 +116,8 @@ def _check_effect(binding: Binding) -> None:
     for key, present in refused.items():
         if present and binding.pulses_per_turn is not None:
             raise binding.refuse(key, "stands beside pulses_per_turn", "no such key for a counter of pulses")
+    if binding.pulses_per_turn is not None and binding.unit is not None and factor("rpm", binding.unit) != 1.0:
+        raise binding.refuse("unit", repr(binding.unit), "no unit or rpm, which a counter of pulses becomes")
     if binding.is_impact:
         if binding.values:
             raise binding.refuse("values", repr(dict(binding.values))[:60], "no such key here; it belongs to states")

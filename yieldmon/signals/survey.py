@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.bus.databases import MessageBits, SignalBits, group_of
+from yieldmon.bus.databases import NULL_ADDRESS, MessageBits, SignalBits, group_of
 from yieldmon.engine.sources import QUANTITIES
 from yieldmon.network.addresses import AddressTable
 from yieldmon.network.name import Name
@@ -51,6 +51,12 @@ _HINTS: Mapping[str, str] = {
     "latitude": r"latitude",
     "longitude": r"longitude",
 }
+_BY_UNIT = frozenset({"elevator_speed", "plate_angle", "test_weight", "tank_mass"})
+"""Quantities whose unit says enough for a guess where no name does."""
+_WEAK = 0.25
+"""Score of such a guess; every other one is higher."""
+_CHANNELS = re.compile(r"(input|chan(nel)?|ch|ain|port)_?\d+", re.IGNORECASE)
+"""Numbered signals of one frame that are sensors of their own, not samples of one."""
 _OF_SHAFTS_ELSEWHERE = re.compile(r"engine|pto|front|rear|feeder", re.IGNORECASE)
 
 
@@ -108,7 +114,8 @@ class MessageSeen:
 @dataclass(frozen=True)
 class Candidate:
     """A signal that could serve a quantity. unit: as the DBC says; mux: value of the multiplexer with which it is sent most;
-    source: of the sender where there are several."""
+    source: of the sender where the DBC does not tell it from others; node: the sender's NAME then, where one was heard; moved:
+    that node was heard at several addresses; span: lowest and highest value; weak: nothing but its unit speaks for it."""
 
     quantity: str
     dbc: str
@@ -118,6 +125,10 @@ class Candidate:
     rate_hz: float
     mux: int | None = None
     source: int | None = None
+    node: Name | None = None
+    moved: bool = False
+    span: tuple[float, float] = (0.0, 0.0)
+    weak: bool = False
 
 
 class Survey:
@@ -128,6 +139,7 @@ class Survey:
         self._exact: dict[int, tuple[str, MessageBits]] = {}
         self._groups: dict[int, tuple[str, MessageBits]] = {}
         self._table = AddressTable()
+        self._claims: dict[int, Name | None] = {}
         self._long = LongMessages(message for messages in databases.values() for message in messages.values())
         self.frames = 0
         for name, messages in databases.items():
@@ -154,12 +166,17 @@ class Survey:
         self.frames += time_s.size
         is_claim = (identifiers & np.uint32(_CLAIM_MASK | EXTENDED)) == np.uint32(_CLAIM | EXTENDED)
         for row in np.flatnonzero(is_claim & (lengths == 8)).tolist():
-            self._table.claimed(int(identifiers[row]) & 0xFF, Name.of_bytes(int(payloads[row]).to_bytes(8, "little")))
+            self._claimed(int(identifiers[row]) & 0xFF, Name.of_bytes(int(payloads[row]).to_bytes(8, "little")))
         order = np.argsort(identifiers, kind="stable")
         found, starts = np.unique(identifiers[order], return_index=True)
         for identifier, rows in zip(found.tolist(), np.split(order, starts[1:]), strict=True):
             self._add(int(identifier), time_s[rows], lengths[rows], payloads[rows])
         self._add_long(self._long.feed_block(time_s, identifiers, lengths, payloads, long or {}), time_s)
+
+    def _claimed(self, address: int, name: Name) -> None:
+        self._table.claimed(address, name)
+        # Who had it from time to time is nobody's name.
+        self._claims[address] = name if self._claims.get(address, name) == name else None
 
     def _add(self, identifier: int, times: Array, lengths: NDArray[np.uint8], payloads: NDArray[np.uint64]) -> None:
         seen = self._counted(identifier, times)
@@ -226,8 +243,10 @@ class Survey:
     def candidates(self) -> dict[str, list[Candidate]]:
         """Quantity -> the signals that could serve it, the likeliest first; quantities without any are left out."""
         found: dict[str, list[tuple[float, Candidate]]] = {}
-        senders = Counter((message.dbc, message.name) for message in self.messages)
-        for message in self.messages:
+        messages = self.messages
+        senders = Counter((message.dbc, message.name) for message in messages)
+        homes = Counter(name for address, name in self._claims.items() if name is not None and address < _PAST_ADDRESSES)
+        for message in messages:
             if message.dbc is None or message.rate_hz is None or message.name is None:
                 continue
             for signal in message.signals.values():
@@ -236,14 +255,34 @@ class Survey:
                     if score > 0.0:
                         mux, frames = signal.page
                         place = message.dbc, message.name, signal.bits.name
-                        source = message.source if senders[message.dbc, message.name] > 1 else None
-                        rate_hz = message.rate_hz * frames / message.frames
-                        candidate = Candidate(quantity, *place, signal.bits.unit, rate_hz, mux, source)
+                        several = senders[message.dbc, message.name] > 1 or self._is_elsewhere(message)
+                        source = message.source if several else None
+                        node = self._claims.get(source) if source is not None else None
+                        candidate = Candidate(
+                            quantity,
+                            *place,
+                            unit=signal.bits.unit,
+                            rate_hz=message.rate_hz * frames / message.frames,
+                            mux=mux,
+                            source=source,
+                            node=node,
+                            moved=node is not None and homes[node] > 1,
+                            span=(signal.low, signal.high),
+                            weak=score <= _WEAK,
+                        )
                         found.setdefault(quantity, []).append((score, candidate))
         return {
             quantity: list(dict.fromkeys(c for _, c in sorted(scored, key=lambda item: -item[0])))
             for quantity, scored in sorted(found.items())
         }
+
+    def _is_elsewhere(self, message: MessageSeen) -> bool:
+        """Whether a message comes from another address than the one that its DBC names."""
+        if message.source is None:
+            return False
+        seen = self._seen[message.identifier | EXTENDED].message
+        home = seen[1].frame_id & 0xFF if seen is not None else NULL_ADDRESS
+        return home not in (NULL_ADDRESS, message.source)
 
 
 def _take(seen: _Identifier, numbers: Numbers, count: int, end: int) -> None:
@@ -301,19 +340,25 @@ def _impact_score(quantity: str, rate_hz: float, signal: SignalSeen, named: floa
         return 0.0
     fits = bits.unit != "" and factor(IMPACT[quantity], bits.unit) is not None
     plain = bits.unit == "" and quantity == "impact_voltage" and named > 0.0
-    moves = signal.high > signal.low
-    return 2.0 * fits + named + 0.25 * moves + rate_hz * 1e-6 if fits or plain else 0.0
+    # Grain makes an impact sensor's signal move more than any other.
+    moves = (signal.high - signal.low) / max(abs(signal.high), abs(signal.low), 1e-9)
+    return 2.0 * fits + named + 0.25 * (moves > 0.0) + 0.01 * moves + rate_hz * 1e-6 if fits or plain else 0.0
 
 
 def _slow_score(quantity: str, rate_hz: float, signal: SignalSeen, named: bool, message_named: bool) -> float:
     found = factor(QUANTITIES[quantity].unit, signal.bits.unit) if signal.bits.unit else None
-    if found is None or not (named or message_named) or not QUANTITIES[quantity].usable(signal.last * found):
+    if found is None or not QUANTITIES[quantity].usable(signal.last * found):
         return 0.0
+    if not (named or message_named):
+        elsewhere = any(re.search(_HINTS[other], signal.bits.name, re.IGNORECASE) for other in _HINTS if other != quantity)
+        return _WEAK if quantity in _BY_UNIT and not elsewhere else 0.0
     shaft = quantity == "elevator_speed" and _OF_SHAFTS_ELSEWHERE.search(signal.bits.name) is not None
     return 1.0 + named - 0.5 * shaft + min(rate_hz, 100.0) * 1e-6
 
 
 _GUESS = "ratio: 0.2"
+TELLING = ("manufacturer_code", "function", "function_instance", "ecu_instance", "identity_number")
+"""Fields of a NAME that tell a node from all others, as `source` of a mapping takes them."""
 
 
 def mapping_text(survey: Survey, paths: Mapping[str, str]) -> str:
@@ -330,26 +375,48 @@ def mapping_text(survey: Survey, paths: Mapping[str, str]) -> str:
         lines.append("  # impact_voltage: nothing on this bus looks like an impact sensor; see docs/guide/wiring.md")
     used: set[tuple[str, str]] = set()
     for quantity in wanted:
-        first, *others = candidates[quantity]
-        free = [c for c in (first, *others) if (c.message, c.signal) not in used]
+        free = [c for c in candidates[quantity] if (c.message, c.signal) not in used]
         if not free:
             continue
-        first, *others = free
-        used.add((first.message, first.signal))
-        if any(_GUESS in _entry(one, paths, candidates) for one in (first, *others[:3])):
+        entries = list(dict.fromkeys(entry for one in free for entry in _entries(one, paths, candidates)))[:4]
+        if any(_GUESS in entry for entry in entries):
             lines.append("  # The ratio is a guess: turns of the elevator's upper shaft per turn of the measured one.")
-        entries = list(dict.fromkeys(_entry(one, paths, candidates) for one in (first, *others)))
-        lines.append(f"  {quantity}: {entries[0]}")
-        lines += [f"  # or {quantity}: {entry}" for entry in entries[1:4]]
-    return "\n".join(lines if len(lines) > 3 else [*lines[:-1], "signals: {}"]) + "\n"
+        if free[0].weak:
+            lines.append(f"  # Nothing here is named like {quantity}; by their units it could be:")
+        else:
+            used.update((free[0].message, signal) for signal in _samples(free[0], candidates))
+            lines.append(f"  {quantity}: {entries.pop(0)}")
+        lines += [f"  # or {quantity}: {entry}" for entry in entries]
+    return "\n".join(lines if any(line[2:3] != "#" for line in lines[3:]) else [*lines[:2], "signals: {}", *lines[3:]]) + "\n"
 
 
-def _entry(found: Candidate, paths: Mapping[str, str], candidates: Mapping[str, Sequence[Candidate]]) -> str:
+def _samples(found: Candidate, candidates: Mapping[str, Sequence[Candidate]]) -> list[str]:
+    """The signals that are one impact sensor's samples in one frame, oldest first; for anything else the one signal."""
+    numbered = re.fullmatch(r"(.*?)(\d+)", found.signal)
+    if found.quantity not in IMPACT or numbered is None or _CHANNELS.fullmatch(found.signal):
+        return [found.signal]
+    frame = (found.dbc, found.message, found.mux, found.source, found.unit)
+    alike = {}
+    for other in candidates[found.quantity]:
+        parts = re.fullmatch(r"(.*?)(\d+)", other.signal)
+        same = (other.dbc, other.message, other.mux, other.source, other.unit) == frame
+        if parts is not None and same and parts[1] == numbered[1] and _overlap(found.span, other.span):
+            alike[int(parts[2])] = other.signal
+    return [alike[number] for number in sorted(alike)]
+
+
+def _overlap(one: tuple[float, float], other: tuple[float, float]) -> bool:
+    """Whether two ranges are alike, as those of one sensor's samples are."""
+    both = min(one[1], other[1]) - max(one[0], other[0])
+    return both >= 0.5 * (max(one[1], other[1]) - min(one[0], other[0]))
+
+
+def _entries(found: Candidate, paths: Mapping[str, str], candidates: Mapping[str, Sequence[Candidate]]) -> list[str]:
+    """What a mapping says of a candidate: its sender by address, by NAME, or both, the better one first."""
     keys = [f"dbc: {paths[found.dbc]}", f"message: {found.message}"]
-    of_one_frame = (found.dbc, found.message, found.mux, found.source)
-    alike = [c.signal for c in candidates[found.quantity] if (c.dbc, c.message, c.mux, c.source) == of_one_frame]
-    if found.quantity in IMPACT and len(alike) > 1 and re.fullmatch(r".*\d", found.signal):
-        keys += [f"signals: [{', '.join(sorted(alike))}]", f"rate_hz: {found.rate_hz * len(alike):.4g}"]
+    samples = _samples(found, candidates)
+    if len(samples) > 1:
+        keys += [f"signals: [{', '.join(samples)}]", f"rate_hz: {found.rate_hz * len(samples):.4g}"]
     else:
         keys.append(f"signal: {found.signal}")
         if found.quantity in IMPACT:
@@ -358,8 +425,9 @@ def _entry(found: Candidate, paths: Mapping[str, str], candidates: Mapping[str, 
         keys += ["unit: counts", "scale: 0.1"]
     if found.mux is not None:
         keys.append(f"mux: {found.mux}")
-    if found.source is not None:
-        keys.append(f"source: {found.source}")
     if found.quantity == "elevator_speed" and _OF_SHAFTS_ELSEWHERE.search(found.signal):
         keys.append(_GUESS)
-    return "{" + ", ".join(keys) + "}"
+    sources = [] if found.source is None or found.moved else [f"source: {found.source}"]
+    if found.node is not None:
+        sources.append(f"source: {{{', '.join(f'{key}: {getattr(found.node, key)}' for key in TELLING)}}}")
+    return ["{" + ", ".join([*keys, source]) + "}" for source in sources] or ["{" + ", ".join(keys) + "}"]
