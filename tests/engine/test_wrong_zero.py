@@ -21,7 +21,7 @@ BENCH = Bench(flow=lambda t: 14.0 if t >= 1020.0 else 0.0, scatter=0.05, noise_m
 
 
 def ask(target, command: str, **request: object) -> dict:
-    journal = Journal(Memory(), parameter_file.load())
+    journal = Journal(Memory(), parameter_file.load(), now_s=0.0)
     return dict(commands.execute({"command": command, **request}, target, journal, 1.7e9))
 
 

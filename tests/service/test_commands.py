@@ -40,7 +40,7 @@ class Told:
 
 
 def journal(*tickets: Ticket) -> Journal:
-    return Journal(Memory(loads=LOADS, tickets=tickets), parameter_file.load())
+    return Journal(Memory(loads=LOADS, tickets=tickets), parameter_file.load(), now_s=0.0)
 
 
 def ask(monitor: Told, **request: object) -> dict:
@@ -126,7 +126,7 @@ def test_a_ticket_waits_until_its_loads_are_closed(totals: Totals, first: int, l
 
 def test_a_load_of_which_nothing_was_measured_takes_no_ticket() -> None:
     monitor, nothing = Told({1: True}), Load(1, "north", "corn", None, None, 0.0, 0.0)
-    empty = Journal(Memory(loads=(nothing,)), parameter_file.load())
+    empty = Journal(Memory(loads=(nothing,)), parameter_file.load(), now_s=0.0)
     with pytest.raises(InputError, match=r"^ticket for load 1: nothing was measured for it; expected a load"):
         commands.execute({"command": "ticket", "first_load": 1, "mass_kg": 5.0}, monitor, empty, 1.7e9)
     assert monitor.tickets == []
@@ -181,7 +181,7 @@ def test_a_load_of_unknown_moisture_has_no_dry_mass(unknown_kg: float, dry_kg: f
     monitor = build_monitor(known.engine, known.machine, known.parameters, known.calibrator)
     totals = Totals(load_kg=100.0, load_dry_kg=91.0, load_unknown_moisture_kg=unknown_kg)
     monitor.restore(replace(monitor.snapshot(), totals=totals))
-    (load,) = Journal(Memory(), known.parameters).batch(monitor, 1.7e9, {}).loads
+    (load,) = Journal(Memory(), known.parameters, now_s=0.0).batch(monitor, 1.7e9, {}).loads
     assert (load.mass_kg, load.dry_mass_kg) == (100.0, dry_kg)
 
 

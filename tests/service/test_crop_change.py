@@ -18,7 +18,9 @@ from yieldmon.service.store import Store
 def started(parameters=None):
     known = configuration.load(shipped("config/yieldmon.yaml"))
     known = known if parameters is None else replace(known, parameters=parameters)
-    return build_monitor(known.engine, known.machine, known.parameters, known.calibrator), Journal(Memory(), known.parameters)
+    return build_monitor(known.engine, known.machine, known.parameters, known.calibrator), Journal(
+        Memory(), known.parameters, now_s=0.0
+    )
 
 
 def load(monitor, journal, name):
@@ -60,7 +62,16 @@ def test_a_crop_of_which_nothing_is_known_keeps_the_parameters():
     assert monitor.estimator.parameters.values == before
 
 
-@pytest.mark.parametrize(("typed", "kept", "known"), [(" Wheat ", "wheat", True), ("Quinoa", "Quinoa", False)])
+TYPED = [
+    (" Wheat ", "wheat", True),
+    ("Oilseed rape", "rapeseed", True),
+    ("soybeans", "soybean", True),
+    ("Winter_Wheat", "wheat", True),
+    ("Quinoa", "Quinoa", False),
+]
+
+
+@pytest.mark.parametrize(("typed", "kept", "known"), TYPED)
 def test_a_crop_is_known_however_it_is_typed(typed: str, kept: str, known: bool) -> None:
     monitor, journal = started()
     answer = commands.execute({"command": "load-start", "crop": typed}, monitor, journal, 1.7e9)

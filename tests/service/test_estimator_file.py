@@ -50,7 +50,7 @@ def windows(monitor: Monitor) -> list[WindowResult]:
 
 def started(path: Path) -> tuple[Monitor, Journal]:
     known = configuration.load(path)
-    return monitor_of(known), Journal(Memory(), known.parameters)
+    return monitor_of(known), Journal(Memory(), known.parameters, now_s=0.0)
 
 
 @pytest.mark.parametrize("kind", ["alpha_beta", "table"])

@@ -18,7 +18,7 @@ SHIPPED = parameter_file.load()
 
 @pytest.mark.parametrize("origin", ["sweep", "ticket"])
 def test_new_parameters_say_where_they_came_from(origin: str) -> None:
-    monitor, journal = build_monitor(EngineSettings(), Machine(), SHIPPED), Journal(Memory(), SHIPPED)
+    monitor, journal = build_monitor(EngineSettings(), Machine(), SHIPPED), Journal(Memory(), SHIPPED, now_s=0.0)
     journal.new_monitor(SHIPPED, "file")
     assert [version.origin for version in journal.batch(monitor, 0.0, {}).parameter_versions] == ["file"]
     assert journal.batch(monitor, 1.0, {}).parameter_versions == ()
@@ -33,7 +33,7 @@ def test_new_parameters_say_where_they_came_from(origin: str) -> None:
 def test_faults_that_a_new_monitor_does_not_show_are_gone() -> None:
     """The store showed two faults when the power went; one is still there."""
     memory = Memory(faults=("SensorMissing", "CalibrationOld"))
-    monitor, journal = build_monitor(EngineSettings(), Machine(), SHIPPED), Journal(memory, SHIPPED)
+    monitor, journal = build_monitor(EngineSettings(), Machine(), SHIPPED), Journal(memory, SHIPPED, now_s=0.0)
     journal.new_monitor(SHIPPED, "file")
     monitor.tick(1000.0)
     journal.take([result for second in range(1, 3) for result in monitor.tick(1000.0 + second)])
@@ -44,7 +44,7 @@ def test_faults_that_a_new_monitor_does_not_show_are_gone() -> None:
 
 
 def test_a_load_is_written_when_it_begins_when_it_grows_and_when_it_ends() -> None:
-    monitor, journal = build_monitor(EngineSettings(), Machine(), SHIPPED), Journal(Memory(), SHIPPED)
+    monitor, journal = build_monitor(EngineSettings(), Machine(), SHIPPED), Journal(Memory(), SHIPPED, now_s=0.0)
     assert [load.number for load in journal.batch(monitor, 0.0, {}).loads] == [1]
     assert journal.batch(monitor, 1.0, {}).loads == ()
     monitor.tick(1000.0)
@@ -53,3 +53,9 @@ def test_a_load_is_written_when_it_begins_when_it_grows_and_when_it_ends() -> No
     assert [(load.number, load.ended_s) for load in loads] == [(1, 1000.0), (2, None)]
     journal.happened(monitor.stop_load())
     assert [(load.number, load.ended_s) for load in journal.batch(monitor, 3.0, {}).loads] == [(2, 1000.0)]
+
+
+def test_what_happens_before_the_first_batch_has_the_time_of_the_start() -> None:
+    monitor, journal = build_monitor(EngineSettings(), Machine(), SHIPPED), Journal(Memory(saved_s=5e8), SHIPPED, now_s=1.7e9)
+    journal.new_monitor(SHIPPED, "file")
+    assert [action.time_s for action in journal.batch(monitor, 1.7e9 + 5.0, {}).actions] == [1.7e9]

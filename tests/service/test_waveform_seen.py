@@ -24,7 +24,9 @@ def started(tmp_path: Path, text: str = ON):
     path = tmp_path / "c.yaml"
     path.write_text(text)
     known = configuration.load(path)
-    return build_monitor(known.engine, known.machine, known.parameters, known.calibrator), Journal(Memory(), known.parameters)
+    return build_monitor(known.engine, known.machine, known.parameters, known.calibrator), Journal(
+        Memory(), known.parameters, now_s=0.0
+    )
 
 
 def load_start(monitor, journal, **request):
@@ -43,7 +45,7 @@ def test_the_kernels_weight_is_the_one_told_then_the_crop_s_then_the_configured(
         store.commit([journal.batch(monitor, 1.7e9, {})])
         memory = recall(store)
     after, _ = started(tmp_path)
-    commands.set_crop(after, Journal(memory, after.estimator.parameters))
+    commands.set_crop(after, Journal(memory, after.estimator.parameters, now_s=0.0))
     assert after.kernel_weight_g == 45.5
 
 

@@ -14,7 +14,7 @@ from functools import cache
 from types import MappingProxyType
 
 from yieldmon.errors import InputError
-from yieldmon.files.crops import crops
+from yieldmon.files.crops import crops, shipped_name
 from yieldmon.units import KG_PER_LB, M2_PER_ACRE, M2_PER_HA, M_S_PER_KMH, M_S_PER_MPH
 
 M_PER_IN = 0.0254
@@ -51,6 +51,8 @@ _SHIPPED = {
     "rice": "rice",
     "sunflower": "sunflower",
 }
+#: Name in config/crops.yaml -> name in harvest files.
+_NAMES = {of: name for name, of in _SHIPPED.items()}
 #: Crops that harvest files name and that no parameters are shipped for.
 _FURTHER = (Crop("oats", 32.0, 14.0), Crop("rye", 56.0, 14.0), Crop("peas", 60.0, 14.0))
 
@@ -63,38 +65,14 @@ def known_crops() -> Mapping[str, Crop]:
     return MappingProxyType(found | {crop.name: crop for crop in _FURTHER})
 
 
-#: Names in other languages and spellings that monitors write.
-_ALIASES = {
-    "maize": "corn",
-    "mais": "corn",
-    "yellow corn": "corn",
-    "soybean": "soybeans",
-    "soya": "soybeans",
-    "soy": "soybeans",
-    "sb": "soybeans",
-    "winter wheat": "wheat",
-    "spring wheat": "wheat",
-    "weizen": "wheat",
-    "winterweizen": "wheat",
-    "trigo": "wheat",
-    "gerste": "barley",
-    "wintergerste": "barley",
-    "milo": "sorghum",
-    "rape": "canola",
-    "raps": "canola",
-    "rapeseed": "canola",
-    "roggen": "rye",
-    "hafer": "oats",
-    "soja": "soybeans",
-    "maiz": "corn",
-    "milho": "corn",
-}
+#: Names in other languages of crops that are not shipped.
+_ALIASES = {"roggen": "rye", "hafer": "oats"}
 
 
 def crop(name: str) -> Crop | None:
     """The crop that a file's name means, None for one that is not known (its bushel is then not known either)."""
     plain = " ".join(name.lower().replace("_", " ").split())
-    return known_crops().get(_ALIASES.get(plain, plain))
+    return known_crops().get(_ALIASES.get(plain, _NAMES.get(shipped_name(plain) or "", plain)))
 
 
 _MASS = {"kg": 1.0, "g": 1e-3, "t": 1e3, "lb": KG_PER_LB, "lbs": KG_PER_LB, "mg": 1e-6, "ton": 2000 * KG_PER_LB, "tonne": 1e3}

@@ -17,6 +17,32 @@ from yieldmon.units import KG_PER_LB
 from . import strict_yaml
 
 _FILE = "config/crops.yaml"
+#: Other spellings, and names in other languages -> name in config/crops.yaml.
+_ALIASES = {
+    "maize": "corn",
+    "mais": "corn",
+    "maiz": "corn",
+    "milho": "corn",
+    "yellow corn": "corn",
+    "soybeans": "soybean",
+    "soya": "soybean",
+    "soy": "soybean",
+    "soja": "soybean",
+    "sb": "soybean",
+    "winter wheat": "wheat",
+    "spring wheat": "wheat",
+    "weizen": "wheat",
+    "winterweizen": "wheat",
+    "trigo": "wheat",
+    "gerste": "barley",
+    "wintergerste": "barley",
+    "milo": "sorghum",
+    "canola": "rapeseed",
+    "rape": "rapeseed",
+    "oilseed rape": "rapeseed",
+    "raps": "rapeseed",
+    "sunflowers": "sunflower",
+}
 _HEAP_OVER_TEST_WEIGHT = 1.49
 _DENSITY_SD = 0.15
 
@@ -71,9 +97,22 @@ def crops() -> Mapping[str, Crop]:
     })  # fmt: skip
 
 
+def shipped_name(name: str) -> str | None:
+    """The shipped crop that a name means, whatever its case, spelling or language: "Oilseed_Rape" is "rapeseed"; None: none."""
+    plain = " ".join(name.lower().replace("_", " ").split())
+    found = _ALIASES.get(plain, plain)
+    return found if found in crops() else None
+
+
+def find_crop(name: str) -> Crop | None:
+    """The shipped crop that a name means, as `shipped_name` has it."""
+    known = shipped_name(name)
+    return None if known is None else crops()[known]
+
+
 def crop(name: str) -> Crop:
     """One crop. Raises InputError for a name that is not shipped."""
-    known = crops()
-    if name.lower() not in known:
-        raise InputError("crop", repr(name), f"one of {', '.join(known)}")
-    return known[name.lower()]
+    found = find_crop(name)
+    if found is None:
+        raise InputError("crop", repr(name), f"one of {', '.join(crops())}")
+    return found

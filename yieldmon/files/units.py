@@ -11,7 +11,7 @@ def units_of(chosen: str | None, configured: str = "metric", crop: str = "") -> 
     if system is UnitSystem.METRIC or not crop:
         return Units(system)
     # A third of a second, which metric units do without.
-    from yieldmon.files.crops import crops
+    from yieldmon.files.crops import find_crop
 
-    known = crops().get(crop.lower())
+    known = find_crop(crop)
     return Units(system, known.bushel_kg if known is not None else None)

@@ -9,7 +9,7 @@ from typing import Any
 from yieldmon.engine.monitor import Monitor
 from yieldmon.errors import InputError
 from yieldmon.estimation.estimators import estimator_of
-from yieldmon.files.crops import crops
+from yieldmon.files.crops import crops, find_crop, shipped_name
 from yieldmon.service import ledger
 from yieldmon.service.assembly import calibration_age_s
 from yieldmon.service.journal import Journal
@@ -89,7 +89,7 @@ def _load_start(request: Mapping[str, Any], monitor: Monitor, journal: Journal, 
 def set_crop(monitor: Monitor, journal: Journal) -> None:
     """Dry mass from now on at the market moisture of the crop in use, and the weight of its kernels."""
     crop, waveform = journal.crop_in_use(monitor.estimator.parameters), monitor.settings.waveform
-    known = crops().get(crop.lower())
+    known = find_crop(crop)
     if known is not None:
         monitor.set_market_moisture(known.market_moisture_pct)
     configured_g = waveform.thousand_kernel_weights_g.get(crop, waveform.thousand_kernel_weight_g)
@@ -291,11 +291,11 @@ def _name(request: Mapping[str, Any], key: str) -> str | None:
 
 
 def _crop(request: Mapping[str, Any]) -> str | None:
-    """A crop's name as it is kept; of a shipped crop it does not matter how it is capitalised."""
+    """A crop's name as it is kept: a shipped crop's own, however it was written."""
     name = _name(request, "crop")
     if name is None:
         return None
-    return name.strip().lower() if name.strip().lower() in crops() else name.strip()
+    return shipped_name(name) or name.strip()
 
 
 def _kernel_weight_g(request: Mapping[str, Any]) -> float | None:

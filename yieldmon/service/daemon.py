@@ -206,7 +206,7 @@ class Daemon:
         if recovery.made:
             self._writer.expect(recovery.last_batch)
         parameters, self._origin = choose_parameters(memory, self.configuration.parameters)
-        self._journal = Journal(memory, self.configuration.parameters)
+        self._journal = Journal(memory, self.configuration.parameters, now_s=time.time())
         self._journal.new_monitor(parameters, self._origin)
         self._monitor = _monitor_for(self.configuration, parameters)
         self._resume(memory)

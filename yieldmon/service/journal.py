@@ -157,8 +157,8 @@ def _by_crop(versions: Iterable[ParameterVersion], where: str) -> dict[str, Para
 class Journal:
     """Numbers batches and seconds, and collects what the monitor hands back until the next batch."""
 
-    def __init__(self, memory: Memory, configured: ParameterSet, field: str = "", crop: str = "") -> None:
-        """memory: what the store holds. configured: the parameters as their file has them."""
+    def __init__(self, memory: Memory, configured: ParameterSet, field: str = "", crop: str = "", *, now_s: float) -> None:
+        """memory: what the store holds. configured: the parameters as their file has them. now_s: Unix time."""
         self.field = memory.field or field
         self.crop = memory.crop or crop
         self.kernel_weight_g = memory.kernel_weight_g
@@ -180,7 +180,7 @@ class Journal:
         self._of_crop = dict(memory.of_crop)
         self._versions = dict(memory.versions)
         self._actions = list(memory.actions)
-        self._now_s = memory.saved_s
+        self._now_s = now_s
         self._waiting_tickets: list[int] = []
         """Numbers of tickets that are to teach."""
 

@@ -14,7 +14,7 @@ from yieldmon.engine.faults import FAULTS
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.files.crops import crops
+from yieldmon.files.crops import find_crop
 from yieldmon.frames import EstimateQuality, OperatingState
 from yieldmon.service.configuration import Configuration
 from yieldmon.service.harvested import harvested
@@ -174,7 +174,7 @@ def snapshot(
 
 
 def _crop(name: str, market_moisture_pct: float) -> StatusCrop:
-    known = crops().get(name.lower())
+    known = find_crop(name)
     return {
         "name": name, "bushel_kg": known.bushel_kg if known is not None else None, "market_moisture_pct": market_moisture_pct,
     }  # fmt: skip
