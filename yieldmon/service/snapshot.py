@@ -8,11 +8,28 @@ from math import isfinite
 import yieldmon
 from yieldmon.bus.opening import time_stamps_of
 from yieldmon.bus.receiver import ReceiverCounters
-from yieldmon.documents import StatusCrop, StatusFigures, StatusNetwork, StatusNow, StatusWaveform, StdDevByCause, ValueWithStdDev
+from yieldmon.documents import (
+    StatusBus,
+    StatusCrop,
+    StatusFault,
+    StatusFigures,
+    StatusLoad,
+    StatusNetwork,
+    StatusNow,
+    StatusParameters,
+    StatusStore,
+    StatusSweep,
+    StatusTotal,
+    StatusWaveform,
+    StdDevByCause,
+    ValueWithStdDev,
+)
 from yieldmon.engine.budget import MassBudget
-from yieldmon.engine.faults import FAULTS
+from yieldmon.engine.faults import FAULTS, FaultCode
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord
+from yieldmon.engine.state import EngineState
+from yieldmon.engine.totals import Totals
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files.crops import find_crop
 from yieldmon.frames import EstimateQuality, OperatingState
@@ -79,78 +96,17 @@ def snapshot(
             "reloads": reloads,
             "notes": list(configuration.notes),
         },
-        "load": {
-            "number": totals.load_number,
-            "open": totals.load_open,
-            "field": journal.field,
-            "crop": journal.crop,
-            "mass_kg": totals.load_kg,
-            "contested_mass_kg": totals.load_contested_kg,
-            "std_dev_kg": _finite(totals.load_budget.std_dev_kg),
-            "std_dev_by_cause_kg": _by_cause(totals.load_budget),
-            "dry_mass_kg": totals.load_dry_kg if totals.load_unknown_moisture_kg == 0.0 else None,
-            **harvested(totals),
-        },
+        "load": _load(totals, journal),
         "loads": journal.load_table()[-_RECENT_LOADS:],
-        "total": {
-            "mass_kg": totals.total_kg,
-            "std_dev_kg": _finite(totals.total_budget.std_dev_kg),
-            "std_dev_by_cause_kg": _by_cause(totals.total_budget),
-            "dry_mass_kg": totals.total_dry_kg,
-            "contested_mass_kg": totals.total_contested_kg,
-            "mass_of_unknown_moisture_kg": totals.total_unknown_moisture_kg,
-        },
+        "total": _total(totals),
         "windows": [_window(row) for row in rows],
         "zero_waits_for": monitor.zero_waits_for or None,
         "zero_mv": engine.zero.zero_mv if engine.zero is not None else None,
-        "sweep": {
-            "state": monitor.sweep.state.name.lower(),
-            "progress_pct": round(monitor.sweep.progress_pct, 1),
-            "sweeps": monitor.sweep.sweep_id,
-            "due_in_s": _finite(engine.sweep_due_in_s),
-            "aborted_because": monitor.sweep.abort_reason.value if monitor.sweep.abort_reason is not None else None,
-            "last_update": monitor.outcome.reason if monitor.outcome is not None else None,
-        },
+        "sweep": _sweep(monitor, engine),
         "waveform": _waveform(monitor),
-        "parameters": {
-            "version": parameters.version,
-            "age_s": engine.calibration_age_s,
-            "estimator": parameters.curve.law.kind if parameters.curve is not None else "physical",
-            "values": _values(parameters),
-            "provenance": dict(parameters.provenance),
-        },
-        "faults": [
-            {
-                "code": code.value,
-                "severity": FAULTS[code].severity.name.lower(),
-                "since_s": _finite(monitor.faults.since(code)),
-                "occurrences": monitor.faults.occurrences(code),
-                "detail": monitor.faults.detail(code),
-                "cause": FAULTS[code].cause,
-                "effect": FAULTS[code].effect,
-                "remedy": FAULTS[code].remedy,
-            }
-            for code in monitor.faults.active
-        ],
-        "bus": {
-            "interface": configuration.document.bus.interface,
-            "channel": configuration.document.bus.channel,
-            "time_stamps": time_stamps_of(configuration.document.bus.interface),
-            "frames_per_s": round(frames_per_s, 1),
-            "received": received.received,
-            "dropped": received.dropped,
-            "kernel_drops": received.kernel_drops,
-            "error_frames": received.error_frames,
-            "bus_offs": received.bus_offs,
-            "interface_losses": received.interface_losses,
-            "failures": received.failures,
-            "malformed": malformed,
-            "incomplete": incomplete,
-            "sent": sent.sent,
-            "late": sent.late,
-            "refused": sent.failed,
-            "last_refusal": sent.last_failure or None,
-        },
+        "parameters": _parameters(parameters, engine),
+        "faults": [_fault(monitor, code) for code in monitor.faults.active],
+        "bus": _bus(configuration, received, sent, frames_per_s, malformed, incomplete),
         "network": network,
         "signals": {
             "rate_hz": [round(source.rate_hz, 3) for source in configuration.signals.sources.impact],
@@ -158,18 +114,7 @@ def snapshot(
             "fixed": dict(configuration.signals.sources.fixed),
             "notes": notes(configuration),
         },
-        "store": {
-            "file": str(configuration.store_path),
-            "note": store_note or None,
-            "failing": store.failing,
-            "pending": store.pending,
-            "waiting_s": store.waiting_s,
-            "committed": store.committed,
-            "records_dropped": store.records_dropped,
-            "batches_refused": store.batches_refused,
-            "replacements": store.replacements,
-            "replaced_because": store.replaced_because,
-        },
+        "store": _store(configuration, store, store_note),
     }
 
 
@@ -194,6 +139,113 @@ def _now(rows: tuple[SecondRow, ...]) -> StatusNow:
         "ground_speed_m_s": last.ground_speed_m_s if last is not None else None,
         "plate_angle_deg": last.plate_angle_deg if last is not None else None,
         "elevator_speed_rpm": last.elevator_speed_rpm if last is not None else None,
+    }
+
+
+def _load(totals: Totals, journal: Journal) -> StatusLoad:
+    return {
+        "number": totals.load_number,
+        "open": totals.load_open,
+        "field": journal.field,
+        "crop": journal.crop,
+        "mass_kg": totals.load_kg,
+        "contested_mass_kg": totals.load_contested_kg,
+        "std_dev_kg": _finite(totals.load_budget.std_dev_kg),
+        "std_dev_by_cause_kg": _by_cause(totals.load_budget),
+        "dry_mass_kg": totals.load_dry_kg if totals.load_unknown_moisture_kg == 0.0 else None,
+        **harvested(totals),
+    }
+
+
+def _total(totals: Totals) -> StatusTotal:
+    return {
+        "mass_kg": totals.total_kg,
+        "std_dev_kg": _finite(totals.total_budget.std_dev_kg),
+        "std_dev_by_cause_kg": _by_cause(totals.total_budget),
+        "dry_mass_kg": totals.total_dry_kg,
+        "contested_mass_kg": totals.total_contested_kg,
+        "mass_of_unknown_moisture_kg": totals.total_unknown_moisture_kg,
+    }
+
+
+def _sweep(monitor: Monitor, engine: EngineState) -> StatusSweep:
+    sweep, outcome = monitor.sweep, monitor.outcome
+    return {
+        "state": sweep.state.name.lower(),
+        "progress_pct": round(sweep.progress_pct, 1),
+        "sweeps": sweep.sweep_id,
+        "due_in_s": _finite(engine.sweep_due_in_s),
+        "aborted_because": sweep.abort_reason.value if sweep.abort_reason is not None else None,
+        "last_update": outcome.reason if outcome is not None else None,
+    }
+
+
+def _parameters(parameters: ParameterSet, engine: EngineState) -> StatusParameters:
+    return {
+        "version": parameters.version,
+        "age_s": engine.calibration_age_s,
+        "estimator": parameters.curve.law.kind if parameters.curve is not None else "physical",
+        "values": _values(parameters),
+        "provenance": dict(parameters.provenance),
+    }
+
+
+def _fault(monitor: Monitor, code: FaultCode) -> StatusFault:
+    fault = FAULTS[code]
+    return {
+        "code": code.value,
+        "severity": fault.severity.name.lower(),
+        "since_s": _finite(monitor.faults.since(code)),
+        "occurrences": monitor.faults.occurrences(code),
+        "detail": monitor.faults.detail(code),
+        "cause": fault.cause,
+        "effect": fault.effect,
+        "remedy": fault.remedy,
+    }
+
+
+def _bus(
+    configuration: Configuration,
+    received: ReceiverCounters,
+    sent: TransmitCounters,
+    frames_per_s: float,
+    malformed: int,
+    incomplete: int,
+) -> StatusBus:
+    bus = configuration.document.bus
+    return {
+        "interface": bus.interface,
+        "channel": bus.channel,
+        "time_stamps": time_stamps_of(bus.interface),
+        "frames_per_s": round(frames_per_s, 1),
+        "received": received.received,
+        "dropped": received.dropped,
+        "kernel_drops": received.kernel_drops,
+        "error_frames": received.error_frames,
+        "bus_offs": received.bus_offs,
+        "interface_losses": received.interface_losses,
+        "failures": received.failures,
+        "malformed": malformed,
+        "incomplete": incomplete,
+        "sent": sent.sent,
+        "late": sent.late,
+        "refused": sent.failed,
+        "last_refusal": sent.last_failure or None,
+    }
+
+
+def _store(configuration: Configuration, store: StoreHealth, note: str) -> StatusStore:
+    return {
+        "file": str(configuration.store_path),
+        "note": note or None,
+        "failing": store.failing,
+        "pending": store.pending,
+        "waiting_s": store.waiting_s,
+        "committed": store.committed,
+        "records_dropped": store.records_dropped,
+        "batches_refused": store.batches_refused,
+        "replacements": store.replacements,
+        "replaced_because": store.replaced_because,
     }
 
 
