@@ -18,9 +18,11 @@ from yieldmon.discrepancy.diagnosis import Diagnosis, diagnose
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import WindowResult
 from yieldmon.errors import InputError
-from yieldmon.estimation.calibration import Calibration, Measurements, calibrate, default_start
+from yieldmon.estimation.calibration import calibrate, default_start
+from yieldmon.estimation.calibration_result import Calibration
 from yieldmon.estimation.closed_loop import Sweep, self_calibrate
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
+from yieldmon.estimation.measurements import Measurements
 from yieldmon.estimation.open_loop import FlowEstimate, FlowStatus, OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files.machine_file import load as load_machine

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from studies.facility import facility
-from yieldmon.estimation.calibration import Measurements, calibrate
+from yieldmon.estimation.calibration import calibrate
+from yieldmon.estimation.measurements import Measurements
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import Prior
 from yieldmon.physics.machine import RPM, Machine

@@ -24,12 +24,14 @@ import yaml
 from numpy.typing import NDArray
 
 from yieldmon.estimation.batch import MomentumBatch
-from yieldmon.estimation.calibration import Calibration, Measurements, calibrate, default_start
+from yieldmon.estimation.calibration import calibrate, default_start
+from yieldmon.estimation.calibration_result import Calibration
 from yieldmon.estimation.closed_loop import Sweep, self_calibrate
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.empirical import Physical, paddle_mass
 from yieldmon.estimation.identifiability import scaled, sweep_directions
 from yieldmon.estimation.least_squares import levenberg_marquardt
+from yieldmon.estimation.measurements import Measurements
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import table

@@ -19,11 +19,12 @@ from studies.season.season import Season, SeasonSettings
 from yieldmon.engine.settings import SweepSettings
 from yieldmon.estimation.admission import allowing_for, refusal
 from yieldmon.estimation.angle_pattern import with_pattern
-from yieldmon.estimation.calibration import Measurements, calibrate
+from yieldmon.estimation.calibration import calibrate
 from yieldmon.estimation.closed_loop import MassAnchor, SelfCalibrator, Sweep, update_from_tickets
 from yieldmon.estimation.closed_loop import Outcome as Lesson
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.drift_rates import DriftRates
+from yieldmon.estimation.measurements import Measurements
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.steady_drift import Advance, advance, begin, learn, smoothed

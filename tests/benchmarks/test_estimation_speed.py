@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yieldmon.estimation.calibration import Measurements, calibrate
+from yieldmon.estimation.calibration import calibrate
 from yieldmon.estimation.closed_loop import Sweep, self_calibrate
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
+from yieldmon.estimation.measurements import Measurements
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel

@@ -9,8 +9,10 @@ import pytest
 
 from yieldmon.estimation import empirical
 from yieldmon.estimation.batch import LOAD, MomentumBatch
-from yieldmon.estimation.calibration import Calibration, Measurements, calibrate, default_start, profile_curves
+from yieldmon.estimation.calibration import calibrate, default_start, profile_curves
+from yieldmon.estimation.calibration_result import Calibration
 from yieldmon.estimation.least_squares import levenberg_marquardt
+from yieldmon.estimation.measurements import Measurements
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.priors import Prior
 from yieldmon.files import table

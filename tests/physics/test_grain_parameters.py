@@ -35,7 +35,8 @@ PROGRAM = """
 import json, sys
 from pathlib import Path
 import numpy as np
-from yieldmon.estimation.calibration import Measurements, calibrate, default_start
+from yieldmon.estimation.calibration import calibrate, default_start
+from yieldmon.estimation.measurements import Measurements
 from yieldmon.files import parameter_file
 from yieldmon.physics.grain import fitted
 from yieldmon.physics.machine import Machine

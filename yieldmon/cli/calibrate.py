@@ -20,14 +20,9 @@ from yieldmon.cli import _by_loads, _flow_curve, _outputs, model_options
 from yieldmon.documents import CalibrationDocument, ComparedModel
 from yieldmon.errors import InputError
 from yieldmon.estimation import empirical, identifiability
-from yieldmon.estimation.calibration import (
-    CONFIDENCE,
-    Calibration,
-    Measurements,
-    calibrate,
-    default_start,
-    profile_curves,
-)
+from yieldmon.estimation.calibration import calibrate, default_start, profile_curves
+from yieldmon.estimation.calibration_result import CONFIDENCE, Calibration
+from yieldmon.estimation.measurements import Measurements
 from yieldmon.estimation.moisture import fit as fit_moisture_map
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import EXCHANGED, Prior

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from yieldmon.errors import InputError
-from yieldmon.estimation.calibration import Measurements
+from yieldmon.estimation.measurements import Measurements
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file
 from yieldmon.files.parameter_file import GRAIN_LIMITS

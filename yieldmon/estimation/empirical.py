@@ -16,8 +16,8 @@ from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 
-from .calibration import Measurements
 from .flow_curve import AlphaBeta
+from .measurements import Measurements
 from .open_loop import OpenLoop
 from .parameters import ParameterSet
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from yieldmon.physics.machine import SAME_ANGLE_RAD, Machine
 from yieldmon.physics.numerics import Array
 
-from .calibration import Measurements
 from .flow_curve import LEAST_RELATIVE_STD_DEV, OFFSET_SHARE, AlphaBeta, FlowCurve, LookUpTable, TableColumn
 from .loads import WeighedLoad
+from .measurements import Measurements
 from .parameters import CalibratedRange
 
 KINDS = (AlphaBeta.kind, LookUpTable.kind)

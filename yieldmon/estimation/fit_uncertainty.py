@@ -1,0 +1,119 @@
+"""What a fit leaves unknown: covariance of its parameters, standard errors, and what the model's own error adds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from yieldmon.physics.numerics import Array
+
+from . import model_error
+from .calibration_problem import CalibrationProblem, Noise
+from .calibration_result import CONFIDENCE
+
+_LEAST_PURE_DOF = 8
+"""Degrees of freedom of the replicates from which they separate noise from the model's own error."""
+
+
+@dataclass(frozen=True, slots=True)
+class FitUncertainty:
+    """covariance: (n, n), no parameter less certain than anywhere between its bounds, the model's own error included.
+    standard_errors: (n,) by the data and the prior alone; inf where they do not fix a parameter. correlation: (n, n) of these.
+    model_error: relative size of the model's own error; 0 where it is not known."""
+
+    covariance: Array
+    standard_errors: Array
+    correlation: Array
+    model_error: float
+
+
+def fit_uncertainty(
+    problem: CalibrationProblem, predicted: Array, slopes: Array, cell_slopes: Array, noise: Noise
+) -> FitUncertainty:
+    """Uncertainty of the best fit. predicted (rows,), slopes (rows, n), cell_slopes (cells, n): the model there."""
+    weighted = slopes * noise.weight[:, None]
+    information = weighted.T @ weighted / max(noise.variance_factor, 1e-300)
+    information = information + problem.prior_white.T @ problem.prior_white
+    free, singular = _inverse(information, problem.unit)
+    # In the file a parameter is never less certain than anywhere between its bounds.
+    covariance, _ = _inverse(information + np.diag(12.0 / (problem.upper - problem.lower) ** 2), problem.unit)
+    if np.any(singular):
+        covariance = _bounded_inverse(information, problem.upper - problem.lower)
+    size = _learnt_error(problem, predicted - problem.data.momentum, cell_slopes)
+    if size > 0.0:
+        covariance = _with_model_error(problem, covariance, size, predicted, weighted, noise)
+    deviation = np.sqrt(np.diag(free))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        correlation = free / np.outer(deviation, deviation)
+    standard_errors = np.where(singular, np.inf, np.sqrt(np.maximum(np.diag(free), 0.0)))
+    return FitUncertainty(covariance, standard_errors, correlation, size)
+
+
+def wald_intervals(problem: CalibrationProblem, theta: Array, standard_errors: Array, dof: int) -> Array:
+    """(n, 2): ends of the CONFIDENCE intervals by standard errors (n,) alone, within the bounds."""
+    reach = stdtrit(dof, 0.5 + 0.5 * CONFIDENCE) * np.where(np.isfinite(standard_errors), standard_errors, np.inf)
+    return np.stack((np.maximum(theta - reach, problem.lower), np.minimum(theta + reach, problem.upper)), axis=-1)
+
+
+def _with_model_error(
+    problem: CalibrationProblem, covariance: Array, size: float, predicted: Array, weighted: Array, noise: Noise
+) -> Array:
+    angle, speed, load, _ = problem.data.columns()
+    # A constant error is absorbed by the impact gain: it is none of the forces', but one of what they are made of.
+    shapes = np.column_stack((model_error.basis(angle, load, speed), np.ones(load.size)))
+    own = size * shapes * (model_error.level(predicted) * noise.weight)[:, None]
+    widened = model_error.widened(covariance, weighted / max(noise.variance_factor, 1e-300), own)
+    most = (problem.upper - problem.lower) / np.sqrt(12.0)
+    limit = np.minimum(1.0, most / np.sqrt(np.maximum(np.diag(widened), 1e-300)))
+    return np.asarray(widened * np.outer(limit, limit))
+
+
+def _learnt_error(problem: CalibrationProblem, error: Array, slopes: Array) -> float:
+    """Relative size of the model's own error, from angles and loads left out, where replicates or a stated sigma part it from
+    noise; else 0.
+
+    error: of each row. slopes: of each cell.
+    """
+    if (problem.pure_dof < _LEAST_PURE_DOF and not problem.given_sigma) or not slopes.shape[1]:
+        return 0.0
+    count = np.bincount(problem.cell)
+    first = np.unique(problem.cell, return_index=True)[1]
+    angle, _, load, _ = problem.data.columns()[:, first]
+    mean = np.bincount(problem.cell, error) / count
+    predicted = np.bincount(problem.cell, error + problem.data.momentum) / count
+    if problem.given_sigma:
+        noise = np.bincount(problem.cell, problem.row_sd**-2.0) ** -0.5
+    else:
+        noise = np.maximum(problem.pure_sd, 1e-9 * float(np.max(np.abs(predicted)))) / np.sqrt(count)
+    basis = model_error.orthonormal(slopes / noise[:, None] * problem.unit)
+    relative = noise / model_error.level(predicted)
+    return model_error.learnt(mean / noise, basis, relative, model_error.groups_of(angle, load))
+
+
+def _inverse(information: Array, unit: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Inverse of an information matrix, and which parameters take part in a direction that it leaves free."""
+    if not information.size:
+        return np.zeros((0, 0)), np.zeros(0, dtype=bool)
+    scaled = information * unit[:, None] * unit[None, :]
+    size = np.sqrt(np.maximum(np.diag(scaled), 1e-300))
+    values, vectors = np.linalg.eigh(scaled / np.outer(size, size))
+    free = values <= 1e-13 * max(float(values[-1]), 1e-300)
+    inverse = np.where(free, 0.0, 1.0 / np.where(free, 1.0, values))
+    covariance = (vectors * inverse) @ vectors.T / np.outer(size, size) * unit[:, None] * unit[None, :]
+    loose = np.any(np.abs(vectors[:, free]) > 1e-3, axis=1) | (np.diag(scaled) <= 0.0)
+    return 0.5 * (covariance + covariance.T), loose
+
+
+def _bounded_inverse(information: Array, span: Array) -> Array:
+    """Covariance where the information leaves directions free: in those, that of anywhere between the bounds.
+
+    The information of rows without noise is so large that the bounds' own, added to it, would be lost in rounding.
+    """
+    sd = span / np.sqrt(12.0)
+    values, vectors = np.linalg.eigh(information * np.outer(sd, sd))
+    values = np.where(values <= 1e-13 * max(float(values[-1]), 0.0), 0.0, values)
+    covariance = (vectors / (1.0 + values)) @ vectors.T * np.outer(sd, sd)
+    return np.asarray(0.5 * (covariance + covariance.T))

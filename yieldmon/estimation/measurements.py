@@ -1,0 +1,71 @@
+"""Rows of known load and measured momentum, as a calibration takes them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.physics.model import Conditions
+from yieldmon.physics.numerics import Array
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """Rows of known load: conditions (1-D arrays), momentum (n,) per paddle in kg m/s or a response's own unit.
+
+    sigma: (n,) standard deviation of each momentum, None where unknown; then it is estimated from the rows. places: (n,) index of
+    each row in the table that it comes from, None where these are all of its rows. Rows with a momentum or load that is nan do
+    not belong here. Raises ValueError for them.
+    """
+
+    conditions: Conditions
+    momentum: Array
+    sigma: Array | None = None
+    places: NDArray[np.intp] | None = None
+
+    def __post_init__(self) -> None:
+        if self.momentum.ndim != 1 or not np.all(np.isfinite(self.momentum)):
+            raise ValueError("measurements: momentum must be one row of finite numbers")
+        if self.sigma is not None and not (self.sigma.shape == self.momentum.shape and np.all(self.sigma > 0.0)):
+            raise ValueError("measurements: sigma must hold a number above 0 for each row")
+        if not np.all(np.isfinite(self._all()[[0, 1, 2, 4]])):
+            raise ValueError("measurements: angle, speed, load and plate position must be finite")
+
+    def columns(self) -> Array:
+        """(4, n): plate angle, elevator speed, load, moisture (nan where unknown)."""
+        c = self.conditions
+        load = c.mass_flow_kg_s if c.paddle_mass_kg is None else c.paddle_mass_kg
+        moisture = np.nan if c.moisture_pct is None else c.moisture_pct
+        parts = [np.asarray(v, dtype=float) for v in (c.plate_angle_rad, c.elevator_speed_rad_s, load, moisture)]
+        return np.stack([np.broadcast_to(part, self.momentum.shape) for part in parts])
+
+    def select(self, rows: NDArray[np.bool_]) -> Measurements:
+        """Those rows alone."""
+        places = np.flatnonzero(rows) if self.places is None else self.places[rows]
+        return Measurements(
+            self._conditions(self._all()[:, rows]),
+            self.momentum[rows],
+            None if self.sigma is None else self.sigma[rows],
+            places,
+        )
+
+    def cells(self) -> tuple[Conditions, NDArray[np.intp]]:
+        """The distinct conditions, and for each row the index of its own."""
+        columns = np.nan_to_num(self._all(), nan=-1.0)
+        distinct, index = np.unique(columns, axis=1, return_inverse=True)
+        distinct = np.where((np.arange(5)[:, None] == 3) & (distinct < 0.0), np.nan, distinct)
+        return self._conditions(distinct), index.ravel()
+
+    def _all(self) -> Array:
+        """(5, n): the columns, and the plate's position (0 where it is not given)."""
+        position = 0.0 if self.conditions.plate_position_m is None else np.asarray(self.conditions.plate_position_m, dtype=float)
+        return np.vstack((self.columns(), np.broadcast_to(position, self.momentum.shape)[None]))
+
+    def _conditions(self, columns: Array) -> Conditions:
+        angle, speed, load, moisture, position = columns
+        by_flow = self.conditions.paddle_mass_kg is None
+        known = None if self.conditions.moisture_pct is None else moisture
+        place = None if self.conditions.plate_position_m is None else position
+        return Conditions(angle, speed, load if by_flow else None, None if by_flow else load, known, place)
