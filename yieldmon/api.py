@@ -20,7 +20,8 @@ from yieldmon.engine.results import WindowResult
 from yieldmon.errors import InputError
 from yieldmon.estimation.calibration import calibrate, default_start
 from yieldmon.estimation.calibration_result import Calibration
-from yieldmon.estimation.closed_loop import Sweep, self_calibrate
+from yieldmon.estimation.closed_loop import self_calibrate
+from yieldmon.estimation.closed_loop_inputs import Sweep
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.measurements import Measurements
 from yieldmon.estimation.open_loop import FlowEstimate, FlowStatus, OpenLoop

@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 from yieldmon.estimation.batch import MomentumBatch
 from yieldmon.estimation.calibration import calibrate, default_start
 from yieldmon.estimation.calibration_result import Calibration
-from yieldmon.estimation.closed_loop import Sweep, self_calibrate
+from yieldmon.estimation.closed_loop import self_calibrate
+from yieldmon.estimation.closed_loop_inputs import Sweep
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.empirical import Physical, paddle_mass
 from yieldmon.estimation.identifiability import scaled, sweep_directions

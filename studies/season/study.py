@@ -20,8 +20,9 @@ from yieldmon.engine.settings import SweepSettings
 from yieldmon.estimation.admission import allowing_for, refusal
 from yieldmon.estimation.angle_pattern import with_pattern
 from yieldmon.estimation.calibration import calibrate
-from yieldmon.estimation.closed_loop import MassAnchor, SelfCalibrator, Sweep, update_from_tickets
-from yieldmon.estimation.closed_loop import Outcome as Lesson
+from yieldmon.estimation.closed_loop import self_calibrate, update_from_tickets
+from yieldmon.estimation.closed_loop_inputs import MassAnchor, Sweep
+from yieldmon.estimation.closed_loop_outcome import Outcome as Lesson
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.drift_rates import DriftRates
 from yieldmon.estimation.measurements import Measurements
@@ -231,7 +232,7 @@ class Keeper:
             model_error=settings.model_error,
             learned_information=settings.learned_information, kept_ratio=settings.kept_ratio,
         )  # fmt: skip
-        self.calibrator = SelfCalibrator(self.model, loop)
+        self.loop = loop
         self.flow = np.full(season.time_s.size, np.nan)
         self.angle_deg = np.full(season.time_s.size, self.home_deg)
         self.force, self.force_sd = season.measure(np.arange(season.time_s.size), self.home_deg)
@@ -370,10 +371,10 @@ class Keeper:
             None if moisture is None else np.full(used.size, float(np.mean(moisture))),
         )
         if not self.settings.refuse_corners:
-            self._take(self.calibrator.update(self.parameters, [sweep]), hour)
+            self._take(self_calibrate(self.model, self.parameters, [sweep], settings=self.loop), hour)
             return
-        allowed = allowing_for(self.calibrator.settings, self.parameters)
-        lesson = SelfCalibrator(self.model, allowed).update(self.parameters, [sweep])
+        allowed = allowing_for(self.loop, self.parameters)
+        lesson = self_calibrate(self.model, self.parameters, [sweep], settings=allowed)
         if not refusal(lesson.parameter_set):
             self._take(lesson, hour)
 
@@ -392,7 +393,7 @@ class Keeper:
             moisture = float(np.mean(self.season.moisture_reading_pct[used]))
             anchor = replace(anchor, moisture_pct=np.full(anchor.force_n.shape, moisture))
         self._grow(end)
-        self._take(update_from_tickets(self.model, self.parameters, [anchor], settings=self.calibrator.settings), hour)
+        self._take(update_from_tickets(self.model, self.parameters, [anchor], settings=self.loop), hour)
 
     def _take(self, lesson: Lesson, hour: float) -> None:
         if lesson.updated:

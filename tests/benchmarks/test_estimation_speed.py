@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from yieldmon.estimation.calibration import calibrate
-from yieldmon.estimation.closed_loop import Sweep, self_calibrate
+from yieldmon.estimation.closed_loop import self_calibrate
+from yieldmon.estimation.closed_loop_inputs import Sweep
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.measurements import Measurements
 from yieldmon.estimation.parameters import ParameterSet

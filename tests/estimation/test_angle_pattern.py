@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from yieldmon.estimation.angle_pattern import NAMES, with_pattern, without_pattern
-from yieldmon.estimation.closed_loop import Sweep, self_calibrate
+from yieldmon.estimation.closed_loop import self_calibrate
+from yieldmon.estimation.closed_loop_inputs import Sweep
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import Machine

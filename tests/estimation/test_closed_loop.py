@@ -8,7 +8,8 @@ import re
 import numpy as np
 import pytest
 
-from yieldmon.estimation.closed_loop import DensityAnchor, MassAnchor, SelfCalibrator, Sweep, self_calibrate, update_from_tickets
+from yieldmon.estimation.closed_loop import self_calibrate, update_from_tickets
+from yieldmon.estimation.closed_loop_inputs import DensityAnchor, MassAnchor, Sweep
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.identifiability import relative_jacobian, report, scaled, sweep_directions
 from yieldmon.estimation.open_loop import OpenLoop
@@ -411,7 +412,7 @@ def test_effect_parameters_take_part_by_name() -> None:
     names = (*NAMES, "zero_offset.force_n")
     known = ParameterSet(values, names, np.diag([0.04**2, 0.06**2, 110.0**2, 3.0**2]))
     rows = sweep(10.0, values | {"zero_offset.force_n": 4.0}, 0.002, model=model)
-    outcome = SelfCalibrator(model).update(known, [rows])
+    outcome = self_calibrate(model, known, [rows])
     offset = next(p for p in outcome.parameters if p.name == "zero_offset.force_n")
     assert offset.learned
     assert offset.value == pytest.approx(4.0, abs=3.0 * offset.sd)

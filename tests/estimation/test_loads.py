@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from yieldmon.estimation.closed_loop import Sweep
+from yieldmon.estimation.closed_loop_inputs import Sweep
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.loads import WeighedLoad, calibrate_loads, contradicted, moved
 from yieldmon.estimation.open_loop import OpenLoop

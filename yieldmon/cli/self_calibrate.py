@@ -15,7 +15,9 @@ import numpy as np
 
 from yieldmon.cli import _outputs, model_options
 from yieldmon.errors import InputError
-from yieldmon.estimation.closed_loop import DensityAnchor, Outcome, Sweep, self_calibrate
+from yieldmon.estimation.closed_loop import self_calibrate
+from yieldmon.estimation.closed_loop_inputs import DensityAnchor, Sweep
+from yieldmon.estimation.closed_loop_outcome import Outcome
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.files import parameter_file, table, whole_file
 from yieldmon.physics.machine import Machine

@@ -18,15 +18,9 @@ from yieldmon.engine.records import CalibrationOutcome, CalibrationStep, Calibra
 from yieldmon.engine.scale_alarm import ScaleCheck, as_stated, name_of
 from yieldmon.estimation.admission import allowing_for, refusal
 from yieldmon.estimation.angle_pattern import EFFECT, with_pattern
-from yieldmon.estimation.closed_loop import (
-    DensityAnchor,
-    MassAnchor,
-    Outcome,
-    ScaleReport,
-    Sweep,
-    self_calibrate,
-    update_from_tickets,
-)
+from yieldmon.estimation.closed_loop import self_calibrate, update_from_tickets
+from yieldmon.estimation.closed_loop_inputs import DensityAnchor, MassAnchor, Sweep
+from yieldmon.estimation.closed_loop_outcome import Outcome, ScaleReport
 from yieldmon.estimation.loads import LEAST_LOADS, LoadSettings, WeighedLoad, calibrate_loads, contradicted, departure, widened
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet

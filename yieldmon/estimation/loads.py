@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
 
-from .closed_loop import MassAnchor, Sweep, self_calibrate
+from .closed_loop import self_calibrate
+from .closed_loop_inputs import MassAnchor, Sweep
 from .closed_loop_settings import ClosedLoopSettings
 from .open_loop import invert_force
 from .parameters import CalibratedRange, ParameterSet

@@ -133,7 +133,7 @@ def carried(known: DriftingParameters, parameters: ParameterSet) -> DriftingPara
 def learn(known: DriftingParameters, posterior: ParameterSet, *, widening: float = 1.0) -> DriftingParameters:
     """After an update whose prior was `known.parameters`: the rates follow by their covariance with the parameters.
 
-    widening: what the update multiplied the prior's covariance by (`closed_loop.Outcome.prior_widening`). Raises ValueError when
+    widening: what the update multiplied the prior's covariance by (`Outcome.prior_widening`). Raises ValueError when
     the posterior is of other parameters.
     """
     names = known.parameters.covariance_names

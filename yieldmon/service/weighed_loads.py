@@ -15,7 +15,7 @@ import numpy as np
 
 from yieldmon.bus.codec import Codec
 from yieldmon.errors import InputError
-from yieldmon.estimation.closed_loop import Sweep
+from yieldmon.estimation.closed_loop_inputs import Sweep
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.loads import WeighedLoad
 from yieldmon.estimation.parameters import ParameterSet
