@@ -28,7 +28,11 @@ from studies.waveform.fill import (
     volume_flow_m3_s,
     wave,
 )
-from yieldmon.estimation.pulse_shape import ArrivalLaw, PatternWave, PulseModel, PulseSettings, calibrate_arrival, estimate
+from yieldmon.estimation.arrival_calibration import calibrate_arrival
+from yieldmon.estimation.arrival_law import ArrivalLaw
+from yieldmon.estimation.pattern_fold import PatternWave
+from yieldmon.estimation.pulse_model import PulseModel, PulseSettings
+from yieldmon.estimation.pulse_shape import estimate
 from yieldmon.physics.machine import RPM
 from yieldmon.physics.model import ForwardModel
 

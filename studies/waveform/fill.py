@@ -14,16 +14,12 @@ from numpy.typing import NDArray
 
 from studies.dem.job import TOP_RAD, Throw
 from studies.dem.script import start_angle_rad
-from yieldmon.estimation.pulse_shape import (
-    SEVERAL_GRAINS,
-    ArrivalLaw,
-    PatternWave,
-    PulseEstimate,
-    PulseModel,
-    PulseSettings,
-    calibrate_arrival,
-    estimate,
-)
+from yieldmon.estimation.arrival_calibration import SEVERAL_GRAINS, calibrate_arrival
+from yieldmon.estimation.arrival_law import ArrivalLaw
+from yieldmon.estimation.pattern_fold import PatternWave
+from yieldmon.estimation.pulse_fit import PulseEstimate
+from yieldmon.estimation.pulse_model import PulseModel, PulseSettings
+from yieldmon.estimation.pulse_shape import estimate
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
 

@@ -6,7 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from yieldmon.estimation.pulse_shape import PatternWave, PulseModel, PulseSettings, estimate_near, information, sample_noise_n
+from yieldmon.estimation.pattern_fold import PatternWave
+from yieldmon.estimation.pulse_fit import information
+from yieldmon.estimation.pulse_model import PulseModel, PulseSettings
+from yieldmon.estimation.pulse_shape import estimate_near, sample_noise_n
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
 

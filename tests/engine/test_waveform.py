@@ -21,7 +21,7 @@ from yieldmon.estimation.channel_combination import combine
 from yieldmon.estimation.kernel_noise import KernelVerdict
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.pulse_shape import ShapeVerdict
+from yieldmon.estimation.shape_verdict import ShapeVerdict
 from yieldmon.files import pulse_shape_file
 from yieldmon.frames import GRAIN_KERNELS, Frame
 from yieldmon.physics.machine import RPM, Machine

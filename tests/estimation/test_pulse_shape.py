@@ -7,10 +7,10 @@ import itertools
 import numpy as np
 import pytest
 
-from yieldmon.estimation import pulse_shape
+from yieldmon.estimation import arrival_calibration, arrival_law, pulse_fit, pulse_model, pulse_shape
 from yieldmon.estimation.load_contrast import contrast, expected_exponent, flow_of
-from yieldmon.estimation.pattern_fold import FoldedPattern, fold, harmonics_of, residual, residual_of_pulses
-from yieldmon.estimation.pulse_shape import PatternWave, PulseModel, PulseSettings
+from yieldmon.estimation.pattern_fold import FoldedPattern, PatternWave, fold, harmonics_of, residual, residual_of_pulses
+from yieldmon.estimation.pulse_model import PulseModel, PulseSettings
 from yieldmon.physics import pulse
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
@@ -89,10 +89,10 @@ def test_size_and_shift_of_the_pulses_do_not_matter() -> None:
     assert second.volume_flow_m3_s == pytest.approx(first.volume_flow_m3_s, rel=2e-3)
 
 
-def linear(model: PulseModel, theta: np.ndarray, where: tuple[float, float]) -> pulse_shape.Linear:
+def linear(model: PulseModel, theta: np.ndarray, where: tuple[float, float]) -> pulse_model.Linear:
     """The model at one point."""
     found = model.linearised(theta[None], np.array([where[0]]), np.array([where[1]]))
-    return pulse_shape.Linear(found.waves[0], found.jacobian[0], found.envelope[0])
+    return pulse_model.Linear(found.waves[0], found.jacobian[0], found.envelope[0])
 
 
 @pytest.mark.parametrize("indexed", [False, True])
@@ -101,7 +101,7 @@ def linear(model: PulseModel, theta: np.ndarray, where: tuple[float, float]) -> 
 )
 def test_linearised_harmonics_are_those_of_the_stages(flow_kg_s: float, angle_deg: float, rpm: float, indexed: bool) -> None:
     """Value and every derivative against differences of `waves`, which computes the throw itself."""
-    law = pulse_shape.ArrivalLaw(
+    law = arrival_law.ArrivalLaw(
         (0.1, 0.05, 0.02, 0.01, -0.02, 0.01), (np.log(0.004), 0.3, 0.1, 0.02, 0.03, -0.02), (0.04, 0.04, 0.001),
         (0.002, 0.001, -0.001, 5e-4, 2e-4, 1e-4), 1e-3,
     )  # fmt: skip
@@ -164,7 +164,7 @@ def test_scatter_of_the_estimate_is_what_fisher_information_says(flow_kg_s: floa
     rng = np.random.default_rng(20261122)
     where = (rpm * RPM, np.deg2rad(angle_deg))
     centre = model.start(flow_kg_s / 1100.0, shift_s=0.03)
-    expected, _ = pulse_shape.information(
+    expected, _ = pulse_fit.information(
         model, centre, elevator_speed_rad_s=where[0], plate_angle_rad=where[1], noise_n=noise(model), patterns=6.0
     )
     drawn = model.prior_sd(6.0)
@@ -183,10 +183,10 @@ def test_scatter_of_the_estimate_is_what_fisher_information_says(flow_kg_s: floa
 def test_more_of_the_same_window_does_not_wear_down_the_model_s_error() -> None:
     model = pulses()
     theta = model.start(8.0 / 1100.0)
-    one, part = pulse_shape.information(
+    one, part = pulse_fit.information(
         model, theta, elevator_speed_rad_s=SPEED, plate_angle_rad=HOME, noise_n=noise(model), patterns=6.0
     )
-    many, rest = pulse_shape.information(
+    many, rest = pulse_fit.information(
         model, theta, elevator_speed_rad_s=SPEED, plate_angle_rad=HOME, noise_n=noise(model) / 10.0, patterns=600.0
     )
     assert rest[0, 0] < 0.1 * part[0, 0]
@@ -194,14 +194,14 @@ def test_more_of_the_same_window_does_not_wear_down_the_model_s_error() -> None:
 
 
 def test_a_calibrated_arrival_law_is_found_again() -> None:
-    true = pulse_shape.ArrivalLaw((0.2, 0.05, 0.0, 0.0, 0.0, 0.0), (np.log(0.005), 0.3, 0.0, 0.0, 0.0, 0.0), (1e-4, 1e-2, 0.0))
+    true = arrival_law.ArrivalLaw((0.2, 0.05, 0.0, 0.0, 0.0, 0.0), (np.log(0.005), 0.3, 0.0, 0.0, 0.0, 0.0), (1e-4, 1e-2, 0.0))
     truth = pulses(arrival=true, model_error=0.005)
     flows = np.array([3.0, 6.0, 10.0, 14.0, 18.0]) / 1100.0
     waves = [
         PatternWave(truth.waves(truth.start(flow, shift_s=0.02), SPEED, HOME), 1e-3 * np.ones(24), 1e4, SPEED, HOME)
         for flow in flows
     ]
-    law = pulse_shape.calibrate_arrival(pulses(model_error=0.005), waves, flows.tolist(), terms=2)
+    law = arrival_calibration.calibrate_arrival(pulses(model_error=0.005), waves, flows.tolist(), terms=2)
     fills, at_home = np.array([0.2, 0.5]), law.conditions(HOME, SPEED, GRAIN["friction"])
     assert law.log_stretch(fills, at_home) == pytest.approx(true.log_stretch(fills, at_home), abs=0.02)
     assert law.tail_s(fills, at_home) == pytest.approx(true.tail_s(fills, at_home), rel=0.05)
@@ -214,12 +214,12 @@ def test_a_calibrated_arrival_law_is_found_again() -> None:
     assert law.outside(0.2, HOME, 330.0 * RPM) == "elevator at 330 rpm, calibrated 400 to 400 rpm"
     assert not law.outside(0.2, HOME, 370.0 * RPM)
     with pytest.raises(ValueError, match="2 waves, expected more than 2"):
-        pulse_shape.calibrate_arrival(pulses(), waves[:2], flows[:2].tolist(), terms=2)
+        arrival_calibration.calibrate_arrival(pulses(), waves[:2], flows[:2].tolist(), terms=2)
 
 
 def test_a_law_over_several_grains_and_speeds_holds_for_another() -> None:
     """Stretch that depends on speed and friction is found again where neither was calibrated, and not by a law without them."""
-    true = pulse_shape.ArrivalLaw((0.15, 0.05, *(0.0,) * 6, 0.3, -0.2), (np.log(0.005), 0.3), (1e-4, 1e-2, 0.0))
+    true = arrival_law.ArrivalLaw((0.15, 0.05, *(0.0,) * 6, 0.3, -0.2), (np.log(0.005), 0.3), (1e-4, 1e-2, 0.0))
     models, waves, flows = [], [], []
     for rpm, friction in itertools.product((360.0, 440.0), (0.15, 0.3)):
         grain = {**GRAIN, "friction": friction}
@@ -232,12 +232,12 @@ def test_a_law_over_several_grains_and_speeds_holds_for_another() -> None:
     where = true.conditions(HOME, 400.0 * RPM, 0.2)
     fills = np.array([0.2, 0.5])
     several = (0, 1, 8, 9)
-    law = pulse_shape.calibrate_arrival(models, waves, flows, terms=(several, several, several))
+    law = arrival_calibration.calibrate_arrival(models, waves, flows, terms=(several, several, several))
     assert law.log_stretch(fills, where) == pytest.approx(true.log_stretch(fills, where), abs=0.02)
     assert law.log_stretch(fills, true.conditions(HOME, 440.0 * RPM, 0.15)) == pytest.approx(
         true.log_stretch(fills, true.conditions(HOME, 440.0 * RPM, 0.15)), abs=0.02
     )
-    assert law.covariance[0] < 0.1 * pulse_shape.calibrate_arrival(models, waves, flows, terms=2).covariance[0]
+    assert law.covariance[0] < 0.1 * arrival_calibration.calibrate_arrival(models, waves, flows, terms=2).covariance[0]
 
 
 def test_folding_keeps_the_harmonics_and_leaves_the_noise() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from tests.service.bench import running
 from yieldmon.errors import InputError
-from yieldmon.estimation.pulse_shape import ShapeVerdict
+from yieldmon.estimation.shape_verdict import ShapeVerdict
 from yieldmon.service import commands, configuration
 from yieldmon.service.assembly import build_monitor
 from yieldmon.service.journal import Journal, Memory, recall

@@ -21,7 +21,7 @@ from yieldmon.engine.scale_alarm import ScaleCheck
 from yieldmon.estimation.kernel_noise import KernelVerdict
 from yieldmon.estimation.open_loop import FlowEstimate
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.pulse_shape import ShapeVerdict
+from yieldmon.estimation.shape_verdict import ShapeVerdict
 from yieldmon.estimation.steady_drift import Advance
 from yieldmon.frames import EstimateQuality, OperatingState
 from yieldmon.physics.machine import RPM

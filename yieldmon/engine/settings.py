@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from yieldmon.engine.flow_filter import FlowFilterSettings
 
 if TYPE_CHECKING:
-    from yieldmon.estimation.pulse_shape import ArrivalLaw
+    from yieldmon.estimation.arrival_law import ArrivalLaw
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,19 +20,14 @@ from yieldmon.engine.records import FlowEstimator
 from yieldmon.engine.settings import WaveformSettings
 from yieldmon.engine.windows import Trace
 from yieldmon.estimation import kernel_noise
+from yieldmon.estimation.arrival_law import ArrivalLaw
 from yieldmon.estimation.channel_combination import combine, relative_covariance
 from yieldmon.estimation.kernel_noise import Density, KernelImpulse, KernelNoiseSettings, KernelVerdict
-from yieldmon.estimation.pattern_fold import FoldedPattern, fold_all, harmonics_of_all, residual_of_pulses
-from yieldmon.estimation.pulse_shape import (
-    ArrivalLaw,
-    PatternWave,
-    PulseEstimate,
-    PulseModel,
-    PulseSettings,
-    ShapeVerdict,
-    estimate,
-    estimate_near,
-)
+from yieldmon.estimation.pattern_fold import FoldedPattern, PatternWave, fold_all, harmonics_of_all, residual_of_pulses
+from yieldmon.estimation.pulse_fit import PulseEstimate
+from yieldmon.estimation.pulse_model import PulseModel, PulseSettings
+from yieldmon.estimation.pulse_shape import estimate, estimate_near
+from yieldmon.estimation.shape_verdict import ShapeVerdict
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 

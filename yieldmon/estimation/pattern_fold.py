@@ -8,9 +8,29 @@ from itertools import pairwise
 
 import numpy as np
 
-from yieldmon.physics.numerics import Array
+from yieldmon.physics.numerics import AnyArray, Array
 
-from .pulse_shape import PatternWave
+
+@dataclass(frozen=True, slots=True)
+class PatternWave:
+    """Harmonics of the force over the paddle pattern.
+
+    Attributes
+    ----------
+    amplitudes_n : ndarray (k,)
+        Complex: mean of F(t) exp(-i w_k t) for the harmonics 1 .. k, N.
+    noise_n : ndarray (k,)
+        Standard deviation of real and imaginary part each, from noise that averages out over time, N.
+    patterns : float
+        Repeats of the pattern that were averaged.
+    elevator_speed_rad_s, plate_angle_rad : float
+    """
+
+    amplitudes_n: AnyArray
+    noise_n: Array
+    patterns: float
+    elevator_speed_rad_s: float
+    plate_angle_rad: float
 
 
 @dataclass(frozen=True, slots=True)

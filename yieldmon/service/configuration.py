@@ -21,12 +21,12 @@ from pydantic.fields import FieldInfo
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.errors import InputError
+from yieldmon.estimation.arrival_law import ArrivalLaw
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.drift_rates import DriftRates
 from yieldmon.estimation.flow_curve import FlowCurve, with_curve
 from yieldmon.estimation.moisture import MoistureMap
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.pulse_shape import ArrivalLaw
 from yieldmon.files import flow_curve_file, machine_file, moisture_file, parameter_file, pulse_shape_file, strict_yaml
 from yieldmon.physics.machine import SAME_ANGLE_RAD, Machine
 from yieldmon.resources import shipped
