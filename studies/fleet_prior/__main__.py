@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from yieldmon.estimation.fleet_prior import MachineLoads, load_deviation, load_errors, pooled
-from yieldmon.estimation.loads import WeighedLoad
+from yieldmon.estimation.load_inputs import WeighedLoad
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files.crops import crop
 from yieldmon.physics.machine import Machine

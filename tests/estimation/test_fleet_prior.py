@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from yieldmon.estimation.fleet_prior import MachineLoads, load_deviation, load_errors, pooled
-from yieldmon.estimation.loads import WeighedLoad
+from yieldmon.estimation.load_inputs import WeighedLoad
 from yieldmon.files.crops import crop
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions, ForwardModel

@@ -14,7 +14,7 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.flow_curve import AlphaBeta, CurveEstimator, FlowCurve, LookUpTable, TableColumn, with_curve
 from yieldmon.estimation.flow_curve_fit import fit_loads, fit_table
-from yieldmon.estimation.loads import WeighedLoad
+from yieldmon.estimation.load_inputs import WeighedLoad
 from yieldmon.estimation.measurements import Measurements
 from yieldmon.estimation.open_loop import FlowStatus, OpenLoop
 from yieldmon.estimation.parameters import CalibratedRange, ParameterSet

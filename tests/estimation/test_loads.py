@@ -9,7 +9,9 @@ import pytest
 
 from yieldmon.estimation.closed_loop_inputs import Sweep
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
-from yieldmon.estimation.loads import WeighedLoad, calibrate_loads, contradicted, moved
+from yieldmon.estimation.density_and_gain import moved
+from yieldmon.estimation.load_inputs import WeighedLoad
+from yieldmon.estimation.loads import calibrate_loads, contradicted
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import Machine

@@ -15,7 +15,9 @@ import numpy as np
 
 from yieldmon.documents import CalibratedParameter, LoadCalibrationDocument
 from yieldmon.errors import InputError
-from yieldmon.estimation.loads import LoadCalibration, WeighedLoad, calibrate_loads
+from yieldmon.estimation.load_inputs import WeighedLoad
+from yieldmon.estimation.load_outcome import LoadCalibration
+from yieldmon.estimation.loads import calibrate_loads
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file, ticket_file, whole_file
 from yieldmon.physics.model import ForwardModel

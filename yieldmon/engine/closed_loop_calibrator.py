@@ -21,7 +21,9 @@ from yieldmon.estimation.angle_pattern import EFFECT, with_pattern
 from yieldmon.estimation.closed_loop import self_calibrate, update_from_tickets
 from yieldmon.estimation.closed_loop_inputs import DensityAnchor, MassAnchor, Sweep
 from yieldmon.estimation.closed_loop_outcome import Outcome, ScaleReport
-from yieldmon.estimation.loads import LEAST_LOADS, LoadSettings, WeighedLoad, calibrate_loads, contradicted, departure, widened
+from yieldmon.estimation.density_and_gain import widened
+from yieldmon.estimation.load_inputs import LoadSettings, WeighedLoad
+from yieldmon.estimation.loads import LEAST_LOADS, calibrate_loads, contradicted, departure
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.steady_drift import Advance, DriftingParameters, advance, begin, carried, learn

@@ -22,7 +22,8 @@ from scipy.stats import t as student_t
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 
-from .loads import DENSITY, LoadSettings, WeighedLoad, moved
+from .density_and_gain import DENSITY, moved
+from .load_inputs import LoadSettings, WeighedLoad
 from .open_loop import invert_force
 from .parameters import ParameterSet
 

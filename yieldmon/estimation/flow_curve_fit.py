@@ -12,7 +12,7 @@ from yieldmon.physics.machine import SAME_ANGLE_RAD, Machine
 from yieldmon.physics.numerics import Array
 
 from .flow_curve import LEAST_RELATIVE_STD_DEV, OFFSET_SHARE, AlphaBeta, FlowCurve, LookUpTable, TableColumn
-from .loads import WeighedLoad
+from .load_inputs import WeighedLoad
 from .measurements import Measurements
 from .parameters import CalibratedRange
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from yieldmon.errors import InputError
 from yieldmon.estimation.fleet_prior import LEAST_MACHINES, FleetPrior, MachineLoads, pooled
-from yieldmon.estimation.loads import WeighedLoad
+from yieldmon.estimation.load_inputs import WeighedLoad
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file
 from yieldmon.files.crops import crop

@@ -17,7 +17,7 @@ from yieldmon.bus.codec import Codec
 from yieldmon.errors import InputError
 from yieldmon.estimation.closed_loop_inputs import Sweep
 from yieldmon.estimation.estimators import estimator_of
-from yieldmon.estimation.loads import WeighedLoad
+from yieldmon.estimation.load_inputs import WeighedLoad
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
 from yieldmon.files.ticket_file import WeighedTicket

@@ -1,0 +1,221 @@
+"""Density and impact gain fitted to weighed loads, and each load held against the others.
+
+Sources: Huber and Ronchetti, "Robust Statistics"; Stone, "Cross-validatory choice and assessment of statistical predictions",
+J. R. Statist. Soc. B 36 (1974), for loads left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.physics.numerics import Array
+
+from .density_and_gain import DENSITY, gain_names, moved, shifted
+from .load_inputs import LoadSettings, WeighedLoad
+from .open_loop import invert_force
+from .parameters import ParameterSet
+
+_ITERATIONS = 12
+_SETTLED = 1e-5
+_STEP = 1e-4
+_SIGNIFICANT = 0.01
+"""Probability by chance below which loads speak against a fit."""
+
+
+@dataclass(frozen=True)
+class LoadFit:
+    """ln density and ln gain relative to the start (2,), and ln of each load's mass over the weighed one (n,)."""
+
+    step: Array
+    error: Array
+    by_step: Array
+    """(n, 2)"""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Of each load, (n,): ln error as the other active loads have it and its standard deviation, nan where there is no other;
+    what the others' own fit costs without it."""
+
+    error: Array
+    std_dev: Array
+    cost: Array
+
+
+class LoadProblem:
+    """One calibration by loads; coordinates are ln density and ln gain relative to `start`."""
+
+    def __init__(
+        self, model: ForwardModel, given: ParameterSet, start: ParameterSet, loads: Sequence[WeighedLoad], settings: LoadSettings
+    ) -> None:
+        self.model, self.given, self.start, self.loads, self.settings = model, given, start, tuple(loads), settings
+        self.sd = np.hypot([load.relative_sd for load in loads], settings.load_error)
+        self.force, self.angle, self.speed, self.duration = (
+            np.concatenate([getattr(load, name) for load in loads])
+            for name in ("force_n", "plate_angle_rad", "elevator_speed_rad_s", "duration_s")
+        )
+        known = all(load.moisture_pct is not None for load in loads)
+        self.moisture = np.concatenate([np.asarray(load.moisture_pct) for load in loads]) if known else None
+        self.of_load = np.repeat(np.arange(len(loads)), [load.force_n.size for load in loads])
+        self.weighed = np.array([load.weighed_kg for load in loads])
+        self.held, self.prior = self._coordinates()
+
+    def _coordinates(self) -> tuple[tuple[str, ...], Array]:
+        """Names of what is held, and the covariance of (held..., ln density, ln gain)."""
+        known = self.start
+        gain = gain_names(known)
+        held = tuple(n for n in known.covariance_names if n != DENSITY and n not in gain and known.standard_deviation(n) > 0.0)
+        size = known.values[DENSITY], (1.0 + known.values["restitution"]) if len(gain) == 1 else known.values["k2"]
+        names = (*held, DENSITY, gain[-1])
+        scale = np.array([1.0] * len(held) + list(size))
+        return held, known.covariance_of(names) / np.outer(scale, scale)
+
+    def flow(self, known: ParameterSet) -> tuple[Array, Array]:
+        """Mass flow of every window with these parameters, nan above a full paddle, and d(force)/d(flow) there."""
+        moisture = None if self.moisture is None else self.moisture[:, None]
+        throw = self.model.throw(self.angle[:, None], self.speed[:, None], known.values, moisture)
+        return invert_force(throw, self.force)
+
+    def total(self, flow: Array) -> Array:
+        """(n,) kg of each load."""
+        return np.asarray(np.bincount(self.of_load, self.duration * flow, minlength=len(self.loads)), dtype=float)
+
+    def mass(self, known: ParameterSet) -> Array:
+        """(n,) kg that these parameters make of each load."""
+        return self.total(self.flow(known)[0])
+
+    def slopes(self, known: Sequence[ParameterSet], flow: Array, by_flow: Array, steps: Sequence[float]) -> Array:
+        """(n, k) change of ln mass by what turns the parameters into each of `known`, over its step; flow: given before."""
+        at = Conditions(self.angle, self.speed, mass_flow_kg_s=flow, moisture_pct=self.moisture)
+        alike = len({tuple(item.values) for item in known}) == 1
+        forces = (
+            list(np.real(self.model.force(at, _in_rows(known), overfull="nan")))
+            if alike
+            else [np.real(self.model.force(at, item.values, overfull="nan")) for item in known]
+        )
+        shifts = [(self.force - force) / by_flow for force in forces]
+        return np.stack([self.total(shift) / self.total(flow) / step for shift, step in zip(shifts, steps, strict=True)], axis=1)
+
+    def fit(self, active: NDArray[np.bool_], directions: int, near: LoadFit | None = None) -> LoadFit:
+        """Most likely step from the active loads, along the best determined `directions` (0, 1 or 2). near: where to begin."""
+        step = np.zeros(2) if near is None else near.step
+        error, slope = self._slopes(step) if near is None else (near.error, near.by_step)
+        weight = active.astype(float)
+        for _ in range(_ITERATIONS):
+            weight = active / np.maximum(np.abs(error) / (self.settings.huber_sds * self.sd), 1.0) if np.any(active) else weight
+            basis = self.basis(slope, weight)[:, :directions]
+            h = slope @ basis
+            information = h.T @ (h * (weight / self.sd**2)[:, None]) + np.eye(directions)
+            # The residual that would be left at the start, in the linear model about this step.
+            target = error - slope @ step
+            wanted = -basis @ np.linalg.solve(information, h.T @ (weight / self.sd**2 * target)) if directions else np.zeros(2)
+            change = wanted - step
+            for _ in range(8):
+                after, after_slope = self._slopes(step + change)
+                if np.all(np.isfinite(after)):
+                    break
+                change = 0.5 * change
+            else:
+                raise ValueError("a weighed load holds more force than a full paddle gives with these parameters")
+            step, error, slope = step + change, after, after_slope
+            if float(np.max(np.abs(change))) < _SETTLED:
+                break
+        return LoadFit(step, error, slope)
+
+    def _slopes(self, step: Array) -> tuple[Array, Array]:
+        """(n,) ln of measured over weighed mass, nan where a paddle would be more than full, and (n, 2) by the step."""
+        flow, by_flow = self.flow(moved(self.start, float(step[0]), float(step[1])))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            error = np.log(self.total(flow) / self.weighed)
+            beside = [moved(self.start, *map(float, step + _STEP * d)) for d in np.eye(2)]
+            slopes = self.slopes(beside, flow, by_flow, (_STEP, _STEP))
+        return error, slopes
+
+    def basis(self, slope: Array, weight: Array) -> Array:
+        """(2, 2): directions of unit prior standard deviation, the one that the loads determine best first."""
+        root = np.linalg.cholesky(self.prior[-2:, -2:])
+        _, vectors = np.linalg.eigh(root.T @ slope.T @ (slope * (weight / self.sd**2)[:, None]) @ root)
+        return np.asarray(root @ vectors[:, ::-1])
+
+    def information(self, fit: LoadFit, active: NDArray[np.bool_]) -> Array:
+        """(2,) of the loads over what was known, along the directions of `basis`."""
+        basis = self.basis(fit.by_step, active.astype(float))
+        h = fit.by_step[active] @ basis / self.sd[active, None]
+        return np.asarray(np.sum(h * h, axis=0))
+
+    def cost(self, fit: LoadFit, active: NDArray[np.bool_]) -> float:
+        """Half the squares of what the active loads (by Huber's loss) and the prior say against a fit."""
+        far = np.abs(fit.error[active]) / self.sd[active]
+        limit = self.settings.huber_sds
+        loss = np.where(far > limit, 2.0 * limit * far - limit**2, far**2)
+        away = np.linalg.solve(np.linalg.cholesky(self.prior[-2:, -2:]), fit.step)
+        return 0.5 * float(loss.sum() + away @ away)
+
+    def left_out(self, active: NDArray[np.bool_], directions: int) -> LeftOut:
+        """Each load as the other active ones have it."""
+        count = len(self.loads)
+        errors, deviations, costs = (np.full(count, np.nan) for _ in range(3))
+        near = self.fit(active, directions)
+        for k in range(count):
+            others = active.copy()
+            others[k] = False
+            if not np.any(others):
+                continue
+            fit = near if not active[k] else self.fit(others, min(directions, int(others.sum())), near)
+            errors[k], costs[k] = fit.error[k], self.cost(fit, others)
+            deviations[k] = self._predicted_sd(fit, others, k)
+        return LeftOut(errors, deviations, costs)
+
+    def last_against_others(self) -> float | None:
+        """See `contradicted`."""
+        others = np.arange(len(self.loads)) < len(self.loads) - 1
+        fit = self.fit(others, min(2, int(others.sum())))
+        error, deviation = fit.error[-1], self._predicted_sd(fit, others, -1)
+        return float(np.expm1(-error)) if abs(error) >= self.settings.outlier_sds * deviation else None
+
+    def _predicted_sd(self, fit: LoadFit, others: NDArray[np.bool_], k: int) -> float:
+        """Of the ln error of load k, by the others."""
+        h = fit.by_step @ self.basis(fit.by_step, others.astype(float))
+        information = h[others].T @ (h[others] / self.sd[others, None] ** 2) + np.eye(2)
+        return float(np.sqrt(h[k] @ np.linalg.solve(information, h[k]) + self.sd[k] ** 2))
+
+    def inliers(self) -> NDArray[np.bool_]:
+        """Loads that the others do not contradict; at least three, and more than half of them, are left.
+
+        The one to go is that without which the others agree best.
+        """
+        active = np.ones(len(self.loads), dtype=bool)
+        while active.sum() >= self.settings.outlier_least and 2 * (active.sum() - 1) > active.size:
+            found = self.left_out(active, 2)
+            worst = int(np.argmin(np.where(active, found.cost, np.inf)))
+            if abs(found.error[worst]) < self.settings.outlier_sds * found.std_dev[worst]:
+                break
+            active[worst] = False
+        return active
+
+    def contradicts(self, fit: LoadFit, active: NDArray[np.bool_]) -> bool:
+        """Whether the active loads speak against a fit along one direction."""
+        from scipy.special import chdtrc  # a quarter of a second that commands without loads do without
+
+        misfit = float(np.sum((fit.error[active] / self.sd[active]) ** 2))
+        return bool(chdtrc(max(float(active.sum()) - 1.0, 1.0), misfit) < _SIGNIFICANT)
+
+    def spread(self, known: ParameterSet, active: NDArray[np.bool_]) -> tuple[float, float]:
+        """Relative standard deviations of a further load and of these loads' common level, from a set's own covariance."""
+        flow, by_flow = self.flow(known)
+        steps = [1e-2 * known.standard_deviation(name) for name in known.covariance_names]
+        each = [shifted(known, name, step) for name, step in zip(known.covariance_names, steps, strict=True)]
+        rows = np.nan_to_num(self.slopes(each, flow, by_flow, steps))[active]
+        spread = np.einsum("ki,ij,kj->k", rows, known.covariance, rows)
+        mean = rows.mean(axis=0)
+        return float(np.sqrt(spread.mean() + self.settings.load_error**2)), float(np.sqrt(mean @ known.covariance @ mean))
+
+
+def _in_rows(known: Sequence[ParameterSet]) -> dict[str, Array]:
+    """Values of sets that name the same, (k, 1) each: to be evaluated together."""
+    return {name: np.array([[item.values[name]] for item in known]) for name in known[0].values}

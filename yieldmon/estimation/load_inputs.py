@@ -1,0 +1,81 @@
+"""What a calibration by loads learns from: weighed masses with their windows, and what is assumed before them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.physics.numerics import Array
+
+
+@dataclass(frozen=True, slots=True)
+class LoadSettings:
+    """What is assumed before the loads.
+
+    load_error: relative standard deviation of a load's measured mass beside the scale's. density_sd, gain_sd: relative, of a
+    machine that was never calibrated. least_information: of the loads on a direction, over what was known; below it, it is held.
+    outlier_sds: departure from the other loads that is no scatter. huber_sds: departure from which a load loses weight.
+    """
+
+    load_error: float = 0.002
+    density_sd: float = 0.2
+    gain_sd: float = 0.2
+    least_information: float = 1.0
+    outlier_sds: float = 4.0
+    outlier_least: int = 4
+    """Loads below which it is not known which one is wrong."""
+    huber_sds: float = 1.5
+
+
+@dataclass(frozen=True)
+class WeighedLoad:
+    """A weighed mass and the windows in which it was harvested, all arrays (n,).
+
+    duration_s: time that each window stands for. Raises ValueError for shapes that differ or values that are not finite.
+    """
+
+    name: str
+    weighed_kg: float
+    std_dev_kg: float
+    duration_s: Array
+    force_n: Array
+    plate_angle_rad: Array
+    elevator_speed_rad_s: Array
+    moisture_pct: Array | None = None
+
+    def __post_init__(self) -> None:
+        if not (0.0 < self.weighed_kg < np.inf and 0.0 < self.std_dev_kg < np.inf):
+            raise ValueError(f"load {self.name}: weighed {self.weighed_kg} kg, sd {self.std_dev_kg} kg; expected above 0")
+        for name in ("duration_s", "force_n", "plate_angle_rad", "elevator_speed_rad_s"):
+            value = getattr(self, name)
+            if value.shape != self.force_n.shape or value.ndim != 1 or not value.size or not np.all(np.isfinite(value)):
+                raise ValueError(f"load {self.name}: {name} must hold one finite number for each window")
+
+    @property
+    def relative_sd(self) -> float:
+        """Of the weighed mass."""
+        return self.std_dev_kg / self.weighed_kg
+
+    def condensed(self, groups: int = 12) -> WeighedLoad:
+        """Windows of like force, at like angle and speed, replaced by their mean: at most `groups` for each angle and speed."""
+        key = np.stack((np.round(self.plate_angle_rad / np.radians(2.0)), np.round(np.log(self.elevator_speed_rad_s) / 0.03)))
+        _, place = np.unique(key, axis=1, return_inverse=True)
+        parts: list[NDArray[np.intp]] = []
+        for value in np.unique(place):
+            here = np.flatnonzero(place.ravel() == value)
+            order = here[np.argsort(self.force_n[here], kind="stable")]
+            parts += [p for p in np.array_split(order, min(groups, order.size)) if self.duration_s[p].sum() > 0.0]
+
+        def mean(column: Array) -> Array:
+            return np.array([np.average(column[p], weights=self.duration_s[p]) for p in parts])
+
+        return replace(
+            self,
+            duration_s=np.array([self.duration_s[p].sum() for p in parts]),
+            force_n=mean(self.force_n),
+            plate_angle_rad=mean(self.plate_angle_rad),
+            elevator_speed_rad_s=mean(self.elevator_speed_rad_s),
+            moisture_pct=None if self.moisture_pct is None else mean(self.moisture_pct),
+        )

@@ -1,0 +1,83 @@
+"""What a calibration by loads found, and what a reader should know of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from .parameters import ParameterSet
+
+
+@dataclass(frozen=True, slots=True)
+class LoadResult:
+    """One load, kg. left_out_error: relative error of the mass as the other loads alone would have it, nan for the only load.
+
+    outlier: the other loads contradict it, and it changed nothing.
+    """
+
+    name: str
+    weighed_kg: float
+    before_kg: float
+    after_kg: float
+    left_out_error: float
+    outlier: bool
+
+
+@dataclass(frozen=True)
+class LoadCalibration:
+    """The result of `calibrate_loads`.
+
+    parameter_set: to use from now on; the one given where refused. names: the parameters that moved. scale: measured mass after
+    over before, of all loads. next_load_sd: relative standard deviation of a further load like these. load_dependence: whether
+    the loads determine how the error changes with flow. held: parameters that stayed as they were.
+    """
+
+    parameter_set: ParameterSet
+    names: tuple[str, ...]
+    held: tuple[str, ...]
+    loads: tuple[LoadResult, ...]
+    scale: float
+    scale_sd: float
+    load_dependence: bool
+    next_load_sd: float
+    rms_before: float
+    rms_left_out: float
+    refused: bool
+    sweeps_used: int
+    sentences: tuple[str, ...] = field(default=())
+
+    @property
+    def outliers(self) -> tuple[str, ...]:
+        """Names of the loads that the others contradict."""
+        return tuple(load.name for load in self.loads if load.outlier)
+
+
+def sentences(found: LoadCalibration, sweeps: int) -> list[str]:
+    """One for each thing to know. sweeps: those that were offered."""
+    out = []
+    for load in found.loads:
+        if load.outlier:
+            out.append(
+                f"load {load.name} contradicts the others by {-100.0 * load.left_out_error:+.1f} % and counts for nothing: "
+                "another truck's grain, a wrong number or a part of the load that was not measured?"
+            )
+    if found.refused:
+        out.append(
+            f"refused: on loads left out the new calibration errs by {100.0 * found.rms_left_out:.2f} %, the present one by "
+            f"{100.0 * found.rms_before:.2f} %; the parameters stay."
+        )
+        return out
+    out.append(f"the loads weigh {100.0 * (found.scale - 1.0):+.2f} % against what was measured.")
+    if found.load_dependence:
+        out.append("they also determine how the error changes with the flow: density and impact gain moved apart.")
+    else:
+        out.append("they do not determine how the error changes with the flow: held; weigh a load at another flow.")
+    if found.sweeps_used:
+        out.append(f"{found.sweeps_used} sweeps of the plate are fitted with them; held: {', '.join(found.held)}.")
+    else:
+        out.append(f"held, because weighed loads cannot tell them from scale: {', '.join(found.held)}.")
+    if sweeps and not found.sweeps_used:
+        out.append("the sweeps contradict the model or say too little beside the loads; they are left out.")
+    if len(found.loads) == 1:
+        out.append("one load alone cannot be checked against others; weigh two more.")
+    out.append(f"a next load like these is expected within {100.0 * found.next_load_sd:.2f} % (one standard deviation).")
+    return out
