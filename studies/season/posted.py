@@ -29,8 +29,8 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.plant.scenario import Scenario
 from yieldmon.service import posting
+from yieldmon.service.batch import Step
 from yieldmon.service.rows import second_row
-from yieldmon.service.store import Step
 from yieldmon.service.update_steps import step_document
 from yieldmon.service.weighed_loads import loads_of
 

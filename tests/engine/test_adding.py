@@ -26,7 +26,8 @@ from yieldmon.resources import shipped
 from yieldmon.service import configuration
 from yieldmon.service.assembly import monitor_of
 from yieldmon.service.rows import second_row
-from yieldmon.service.store import Batch, Store
+from yieldmon.service.batch import Batch
+from yieldmon.service.store import Store
 codec = Codec()
 monitor, results = monitor_of(configuration.load(sys.argv[1] if len(sys.argv) > 1 else shipped("config/yieldmon.yaml"))), []
 for k in range(1200):

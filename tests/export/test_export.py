@@ -24,9 +24,10 @@ from yieldmon.errors import InputError
 from yieldmon.export.points import PointSettings, yield_points
 from yieldmon.export.taskdata import ENTRIES
 from yieldmon.frames import EstimateQuality
+from yieldmon.service.batch import Batch, Load
 from yieldmon.service.recorded import read_seconds
 from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Batch, Load, Store
+from yieldmon.service.store import Store
 from yieldmon.service.tables import open_table
 
 #: A store of version 0.1.0.

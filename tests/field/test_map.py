@@ -20,7 +20,8 @@ import rasterio
 from tests.seconds import measured_second
 from yieldmon.cli import main as cli
 from yieldmon.field.products import FORMATS, picture
-from yieldmon.service.store import Batch, Load, Store
+from yieldmon.service.batch import Batch, Load
+from yieldmon.service.store import Store
 from yieldmon.units import Units, UnitSystem
 
 from .synthetic import ag_leader

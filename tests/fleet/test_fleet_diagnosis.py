@@ -28,8 +28,9 @@ from yieldmon.fleet.diagnosis import (
     verdict_of,
 )
 from yieldmon.service import sweep_table
+from yieldmon.service.batch import Batch, ParameterVersion
 from yieldmon.service.rows import second_row
-from yieldmon.service.store import Batch, ParameterVersion, Store
+from yieldmon.service.store import Store
 
 SHIPPED = parameter_file.load()
 FRICTION = Named("plate_friction", ("lever_arm",), 0.9, {"plate_friction.friction": 0.2})

@@ -35,7 +35,8 @@ from typing import IO
 
 from tests.robustness import crash_life as crash_test_life
 from yieldmon.service.journal import recall
-from yieldmon.service.store import Store, StoreError
+from yieldmon.service.store import Store
+from yieldmon.service.store_errors import StoreError
 
 ROOT = Path(__file__).resolve().parents[2]
 LIFE = ("-m", "tests.robustness.crash_life")

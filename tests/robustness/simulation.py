@@ -41,9 +41,11 @@ from yieldmon.engine.totals import Totals
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.service import recovery, rescue
+from yieldmon.service.batch import Batch, Load, ParameterVersion, Ticket
 from yieldmon.service.retention import Retention
 from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Batch, Load, ParameterVersion, Store, StoreError, Ticket
+from yieldmon.service.store import Store
+from yieldmon.service.store_errors import StoreError
 from yieldmon.service.writer import StoreWriter
 
 KG_PER_S = 10.0
@@ -488,6 +490,7 @@ def _no_checksums() -> Iterator[None]:
     with (
         mock.patch("yieldmon.service.store.row_checksum", flat), mock.patch("yieldmon.service.rescue.row_checksum", flat),
         mock.patch("yieldmon.service.store_file.row_checksum", flat),
+        mock.patch("yieldmon.service.store_sql.row_checksum", flat),
     ):  # fmt: skip
         yield
 
@@ -508,7 +511,7 @@ UNDO: dict[str, Callable[[], Any]] = {
     "interrupted replacement": _patched("yieldmon.service.rescue.finish", lambda path: None),
     "totals of the last second": _patched("yieldmon.service.recovery._caught_up", lambda totals, last: totals),
     "tickets told once": _patched(
-        "yieldmon.service.store._INSERT_TICKET", "INSERT INTO ticket VALUES (NULL, ?, ?, ?, ?, ?, ?, ?)"
+        "yieldmon.service.store_sql._INSERT_TICKET", "INSERT INTO ticket VALUES (NULL, ?, ?, ?, ?, ?, ?, ?)"
     ),
 }
 

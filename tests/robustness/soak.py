@@ -31,10 +31,11 @@ from typing import Any
 
 from tests.robustness.soak_machine import CYCLE_S, EXPECTED_FAULTS, STUCK_EVERY, MachineOnBus
 from yieldmon.service import configuration
+from yieldmon.service.batch import Batch
 from yieldmon.service.control import ask
 from yieldmon.service.daemon import SILENCE_S, Daemon
 from yieldmon.service.retention import Retention
-from yieldmon.service.store import Batch, Store
+from yieldmon.service.store import Store
 
 LIMIT_MB = 5.0
 #: Room is made about once a minute, and in a hurry less often.

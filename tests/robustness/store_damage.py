@@ -24,7 +24,8 @@ from yieldmon.errors import InputError
 from yieldmon.service.journal import Memory, digest
 from yieldmon.service.recovery import recover
 from yieldmon.service.retention import Retention
-from yieldmon.service.store import Store, StoreError
+from yieldmon.service.store import Store
+from yieldmon.service.store_errors import StoreError
 
 KINDS = ("bit", "byte", "sector", "page", "zeros", "cut")
 LONGEST_START_S = 3.0

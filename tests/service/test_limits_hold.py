@@ -17,10 +17,12 @@ from yieldmon import frames
 from yieldmon.bus.receiver import BusEvent, BusEventKind
 from yieldmon.engine.faults import FaultCode
 from yieldmon.service import control
+from yieldmon.service.batch import Batch, Load
 from yieldmon.service.control import ControlServer, ask
 from yieldmon.service.retention import Retention
 from yieldmon.service.service_faults import ServiceFaults
-from yieldmon.service.store import Batch, Load, Store, StoreDamagedError, StoreError
+from yieldmon.service.store import Store
+from yieldmon.service.store_errors import StoreDamagedError, StoreError
 from yieldmon.service.transmit import TransmitCounters
 from yieldmon.service.writer import StoreHealth, StoreWriter
 

@@ -20,8 +20,9 @@ from yieldmon.files import parameter_file
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.service import posting
+from yieldmon.service.batch import Step
 from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Step, Store
+from yieldmon.service.store import Store
 from yieldmon.service.update_steps import step_document, step_from_document
 from yieldmon.service.weighed_loads import loads_of
 

@@ -17,7 +17,8 @@ from yieldmon.service.daemon import Daemon
 from yieldmon.service.ownership import owned
 from yieldmon.service.recovery import recover
 from yieldmon.service.retention import DEFAULT_RETENTION
-from yieldmon.service.store import Store, StoreError
+from yieldmon.service.store import Store
+from yieldmon.service.store_errors import StoreError
 
 EMPTY_MV, GRAIN_MV = 0.0, 60.0
 

@@ -13,19 +13,11 @@ from hypothesis import strategies as st
 
 from yieldmon.errors import InputError
 from yieldmon.service import schema
+from yieldmon.service.batch import Batch, FaultEvent, Load, ParameterVersion, SweepRecord, Ticket
 from yieldmon.service.retention import Retention
 from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import (
-    Batch,
-    BatchRefusedError,
-    FaultEvent,
-    Load,
-    ParameterVersion,
-    Store,
-    StoreError,
-    SweepRecord,
-    Ticket,
-)
+from yieldmon.service.store import Store
+from yieldmon.service.store_errors import BatchRefusedError, StoreError
 from yieldmon.service.store_file import set_aside
 
 DATA = Path(__file__).parent / "data"

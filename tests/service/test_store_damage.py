@@ -15,10 +15,12 @@ from yieldmon.engine.totals import Totals
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.service import rescue, schema
+from yieldmon.service.batch import FaultEvent, Load, ParameterVersion, Ticket
 from yieldmon.service.checksums import row_checksum
 from yieldmon.service.recovery import recover
 from yieldmon.service.retention import Retention
-from yieldmon.service.store import FaultEvent, Load, ParameterVersion, Store, StoreDamagedError, StoreDetachedError, Ticket
+from yieldmon.service.store import Store
+from yieldmon.service.store_errors import StoreDamagedError, StoreDetachedError
 from yieldmon.service.store_file import read_only, witness
 from yieldmon.service.writer import StoreWriter
 

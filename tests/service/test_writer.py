@@ -12,7 +12,9 @@ import pytest
 
 from tests.service.bench import wait_for
 from tests.service.test_store import batch
-from yieldmon.service.store import Batch, Store, StoreError, Ticket
+from yieldmon.service.batch import Batch, Ticket
+from yieldmon.service.store import Store
+from yieldmon.service.store_errors import StoreError
 from yieldmon.service.writer import StoreWriter
 
 PATIENCE_S = 10.0

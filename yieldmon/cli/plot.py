@@ -23,8 +23,8 @@ from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 from yieldmon.plots import alignment, canvas, curves, errors, flow, parameters, published, residuals, sensitivity, sweeps
 from yieldmon.service import recorded
+from yieldmon.service.batch import Load, Ticket
 from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Load, Ticket
 from yieldmon.units import Units
 
 if TYPE_CHECKING:

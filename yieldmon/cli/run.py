@@ -13,7 +13,7 @@ from yieldmon.service import configuration
 from yieldmon.service.daemon import Daemon
 from yieldmon.service.ownership import OccupiedError
 from yieldmon.service.quiet_log import QuietLog
-from yieldmon.service.store import StoreError
+from yieldmon.service.store_errors import StoreError
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -12,9 +12,9 @@ from yieldmon.estimation.estimators import estimator_of
 from yieldmon.files.crops import crops, find_crop, shipped_name
 from yieldmon.service import ledger
 from yieldmon.service.assembly import calibration_age_s
+from yieldmon.service.batch import Load, Ticket
 from yieldmon.service.journal import Journal
 from yieldmon.service.reference_loads import StoredLoad, reference
-from yieldmon.service.store import Load, Ticket
 
 Answer = Mapping[str, Any]
 

@@ -24,11 +24,13 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
 from yieldmon.files.crops import crops
+from yieldmon.service import batch as rows_of
 from yieldmon.service import ledger as ledgers
-from yieldmon.service import store as rows_of
+from yieldmon.service.batch import Action, Batch, Load, ParameterVersion, Step, SweepRecord, Ticket
 from yieldmon.service.reference_loads import StoredLoad, of_store
 from yieldmon.service.rows import SecondRow, second_row
-from yieldmon.service.store import Action, Batch, Load, ParameterVersion, Step, Store, StoreDamagedError, SweepRecord, Ticket
+from yieldmon.service.store import Store
+from yieldmon.service.store_errors import StoreDamagedError
 from yieldmon.service.update_steps import step_document
 
 _log = logging.getLogger(__name__)

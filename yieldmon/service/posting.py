@@ -24,9 +24,9 @@ from yieldmon.files import parameter_file
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
+from yieldmon.service.batch import Step
 from yieldmon.service.recorded import opened
 from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Step
 from yieldmon.service.update_steps import step_from_document
 from yieldmon.service.weighed_loads import MeasuredLoad, force_columns, loads_of
 

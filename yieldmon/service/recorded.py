@@ -16,7 +16,8 @@ from typing import Any
 from yieldmon.errors import InputError
 from yieldmon.service.ledger import LoadRecord
 from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Store, StoreError
+from yieldmon.service.store import Store
+from yieldmon.service.store_errors import StoreError
 
 _log = logging.getLogger(__name__)
 

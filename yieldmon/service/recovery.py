@@ -14,7 +14,8 @@ from yieldmon.service import rescue
 from yieldmon.service.journal import Memory, recall
 from yieldmon.service.retention import Retention
 from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Store, StoreDamagedError, StoreError
+from yieldmon.service.store import Store
+from yieldmon.service.store_errors import StoreDamagedError, StoreError
 from yieldmon.service.store_file import parts, refuse_stranger, witnessed
 
 _log = logging.getLogger(__name__)

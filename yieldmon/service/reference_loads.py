@@ -22,9 +22,10 @@ from yieldmon.files import parameter_file
 from yieldmon.frames import EstimateQuality
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.service import ledger
+from yieldmon.service.batch import Action, Load
 from yieldmon.service.recorded import opened
 from yieldmon.service.rows import SecondRow, kept_second
-from yieldmon.service.store import Action, Load, Store
+from yieldmon.service.store import Store
 
 _MOST_LOADS = 64
 _GAP_S = 0.5

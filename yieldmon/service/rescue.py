@@ -20,8 +20,10 @@ from yieldmon.files.whole_file import sync
 from yieldmon.service import schema
 from yieldmon.service.checksums import UNCHECKED, row_checksum
 from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Store, StoreDetachedError, StoreError, second_is_sound
+from yieldmon.service.store import Store
+from yieldmon.service.store_errors import StoreDetachedError, StoreError
 from yieldmon.service.store_file import header_problem, parts, prepared, set_aside
+from yieldmon.service.store_sql import second_is_sound
 
 #: How long copying one-second records may hold up a start; the newest come first, the others stay in the file set aside.
 SECONDS_BUDGET_S = 1.5

@@ -16,223 +16,31 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import astuple, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 from yieldmon.errors import InputError
 from yieldmon.service import schema
-from yieldmon.service.checksums import UNCHECKED, row_checksum
+from yieldmon.service.batch import Action, Batch, FaultEvent, Load, ParameterVersion, Step, SweepRecord, Ticket
+from yieldmon.service.checksums import row_checksum
 from yieldmon.service.ledger import ledger
 from yieldmon.service.retention import DEFAULT_RETENTION, Retention
 from yieldmon.service.rows import SecondRow
+from yieldmon.service.store_errors import StoreDamagedError, StoreDetachedError, StoreError, failures_of, refusals
 from yieldmon.service.store_file import header_problem, looks_like_a_store, parts, prepared, read_only, witness
+from yieldmon.service.store_sql import COLUMNS, second_is_sound, statements, write, write_mark
 
-
-@dataclass(frozen=True)
-class Load:
-    """A load: from one emptying of the tank, or one `load start`, to the next. `ended_s` is None while it is open, `area_m2`
-    where the area of its grain is not known."""
-
-    number: int
-    field: str
-    crop: str
-    started_s: float | None
-    ended_s: float | None
-    mass_kg: float
-    dry_mass_kg: float | None
-    area_m2: float | None = None
-
-
-@dataclass(frozen=True)
-class SweepRecord:
-    """How a self-calibration sweep ended."""
-
-    time_s: float
-    outcome: str
-    reason: str
-    document: Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class ParameterVersion:
-    """A parameter set that came into use; `document` has values, covariance and provenance."""
-
-    version: int
-    time_s: float
-    origin: str
-    document: Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class FaultEvent:
-    """A fault that came (`active`) or went."""
-
-    time_s: float
-    code: str
-    active: bool
-    detail: str = ""
-
-
-@dataclass(frozen=True)
-class Ticket:
-    """A weighed mass, kg, for the loads `first_load`..`last_load`, beside what was measured for them, kg."""
-
-    time_s: float
-    first_load: int
-    last_load: int
-    weighed_mass_kg: float
-    measured_mass_kg: float
-    note: str = ""
-
-    @property
-    def factor(self) -> float:
-        """Weighed over measured."""
-        return self.weighed_mass_kg / self.measured_mass_kg
-
-
-@dataclass(frozen=True)
-class Action:
-    """What an operator told, what the monitor learnt, or what took either back. who: a user of this computer, "" for the
-    monitor itself."""
-
-    number: int
-    time_s: float
-    kind: str
-    who: str
-    document: Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class Step:
-    """How the parameters of a version came of those before them, for a smoother."""
-
-    version: int
-    time_s: float
-    document: Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class Batch:
-    """All that one second brought. `number` rises by one from batch to batch over the store's life."""
-
-    number: int
-    time_s: float
-    state: Mapping[str, Any]
-    seconds: tuple[SecondRow, ...] = ()
-    loads: tuple[Load, ...] = ()
-    sweeps: tuple[SweepRecord, ...] = ()
-    parameter_versions: tuple[ParameterVersion, ...] = ()
-    faults: tuple[FaultEvent, ...] = ()
-    tickets: tuple[Ticket, ...] = ()
-    actions: tuple[Action, ...] = ()
-    steps: tuple[Step, ...] = ()
-    counters: Mapping[str, int] = field(default_factory=dict)
-
-
-class StoreError(Exception):
-    """The medium or the file fails: full, read-only, not a store, damaged. One line."""
-
-
-class StoreDamagedError(StoreError):
-    """The file's content is broken, or no store at all; another medium or more room would not help."""
-
-
-class StoreDetachedError(StoreError):
-    """The file that is open is not the one under its name any more: somebody removed or replaced it."""
-
-
-class BatchRefusedError(StoreError):
-    """A batch that no store can take, because a value breaks the schema; trying again cannot help."""
-
-
-def _columns(row_type: type) -> str:
-    return ", ".join(f.name for f in fields(row_type))
-
-
-def _marks(row_type: type) -> str:
-    return ", ".join("?" * len(fields(row_type)))
-
-
-def _json(document: Mapping[str, Any]) -> str:
-    return json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False)
-
-
-_COLUMNS: Mapping[str, tuple[str, ...]] = {**schema.COLUMNS, "second": tuple(f.name for f in fields(SecondRow))}
 #: Tables whose rows a start depends on: read, and held against their checksums, at opening.
 _NEEDED = ("mark", "state", "counter", "load", "parameter_set", "ticket", "action")
 _EVENTS = ("sweep", "fault", "step")
 #: Schema version that brought the loads' areas.
 _AREAS_FROM = 7
-
-
-def _put(table: str, verb: str = "INSERT") -> str:
-    columns = _COLUMNS[table]
-    return f"{verb} INTO {table} ({', '.join(columns)}, checksum) VALUES ({', '.join('?' * len(columns))}, ?)"
-
-
-_INSERT_SECOND, _INSERT_SWEEP, _INSERT_FAULT = (_put(table) for table in ("second", "sweep", "fault"))
-_UPSERT_LOAD, _UPSERT_AREA, _UPSERT_PARAMETERS, _UPSERT_COUNTER, _UPSERT_STATE, _UPSERT_MARK, _UPSERT_ACTION, _UPSERT_STEP = (
-    _put(table, "INSERT OR REPLACE")
-    for table in ("load", "load_area", "parameter_set", "counter", "state", "mark", "action", "step")
-)
-# A batch that is written again, to a store made anew, does not enter a ticket twice.
-_INSERT_TICKET = (
-    f"INSERT INTO ticket ({', '.join(_COLUMNS['ticket'])}, checksum) SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7 WHERE NOT EXISTS "
-    "(SELECT 1 FROM ticket WHERE time_s = ?1 AND first_load = ?2 AND last_load = ?3 AND weighed_mass_kg = ?4 AND note = ?6)"
-)
-
 #: Rows taken away at a time, so that making room never holds up a second's commit for long.
 _PRUNE_ROWS = 2000
 #: Lessons that a posting may reach back over.
 _KEPT_STEPS = 5000
-
-
-#: Results of SQLite that speak of the file's content. A schema that lacks what the version has is SQLITE_ERROR.
-_DAMAGE = tuple(
-    f"SQLITE_{name}"
-    for name in (
-        "CORRUPT",
-        "NOTADB",
-        "ERROR",
-        "SCHEMA",
-        "FORMAT",
-        "INTERNAL",
-        "TOOBIG",
-        "NOMEM",
-        "IOERR_SHORT_READ",
-        "IOERR_CORRUPTFS",
-    )
-)
-
-
-@contextmanager
-def _failures_of(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except (InputError, StoreError):
-        raise
-    except (sqlite3.DatabaseError, OSError) as error:
-        if isinstance(error, sqlite3.IntegrityError):
-            raise BatchRefusedError(f"{path}: {error}") from error
-        damaged = getattr(error, "sqlite_errorname", "").startswith(_DAMAGE)
-        raise (StoreDamagedError if damaged else StoreError)(f"{path}: {error}") from error
-    except (MemoryError, UnicodeDecodeError, sqlite3.Error) as error:
-        # SQLite's own message about a damaged schema may be no text.
-        raise StoreDamagedError(f"{path}: {error or 'a value too large to read'}") from error
-
-
-@contextmanager
-def _refusals(path: Path) -> Iterator[None]:
-    """For what is written: numbers and texts that SQLite or JSON cannot hold."""
-    try:
-        yield
-    except UnicodeDecodeError:
-        raise
-    except (ValueError, OverflowError) as error:
-        raise BatchRefusedError(f"{path}: {error}") from error
 
 
 class Store:
@@ -260,7 +68,7 @@ class Store:
         """
         self.path = path
         self.retention = retention
-        with _failures_of(path):
+        with failures_of(path):
             if immutable:
                 _refuse_journal(path)
                 address = f"{path.absolute().as_uri()}?immutable=1"
@@ -272,7 +80,7 @@ class Store:
         self._unchecked_to: int | None = 0
         """Seconds up to this number may lack a checksum; None: the store is of a version without any."""
         try:
-            with _failures_of(path):
+            with failures_of(path):
                 prepared(self._database)
                 if exclusive:
                     self._database.execute("PRAGMA locking_mode = EXCLUSIVE")
@@ -290,7 +98,7 @@ class Store:
         store = cls.__new__(cls)
         store.path, store.retention, store._database, store._identities = path, Retention(), read_only(path), {}
         try:
-            with _failures_of(path):
+            with failures_of(path):
                 checked = store._version() >= schema.CHECKED_FROM
                 marked = "SELECT count(*) FROM sqlite_schema WHERE type = 'table' AND name = 'mark'"
                 if not checked and store._database.execute(marked).fetchone()[0]:
@@ -345,12 +153,12 @@ class Store:
 
     def _migrate(self, step: int) -> None:
         with self._transaction():
-            for statement in _statements(schema.MIGRATIONS[step]):
+            for statement in statements(schema.MIGRATIONS[step]):
                 self._database.execute(statement)
             self._database.execute(f"PRAGMA application_id = {schema.APPLICATION_ID}")
             self._database.execute(f"PRAGMA user_version = {step + 1}")
             if step + 1 >= schema.CHECKED_FROM:
-                self._database.execute(_UPSERT_MARK, _summed("mark", ("schema", step + 1)))
+                write_mark(self._database, "schema", step + 1)
 
     def _version(self) -> int:
         return int(self._pragma("user_version"))
@@ -391,11 +199,11 @@ class Store:
         Raises StoreError, also where the file system has turned read-only, and BatchRefusedError.
         """
         self._require_writable()
-        with _failures_of(self.path), _refusals(self.path), self._transaction():
+        with failures_of(self.path), refusals(self.path), self._transaction():
             last = self.last_batch()
             for batch in batches:
                 if batch.number > last:
-                    self._write(batch)
+                    write(self._database, batch)
                     last = batch.number
         witness(self.path, last)
 
@@ -408,26 +216,6 @@ class Store:
             return  # the commit says more
         if flags & os.ST_RDONLY:
             raise StoreError(f"{self.path}: its file system has turned read-only")
-
-    def _write(self, batch: Batch) -> None:
-        execute, executemany = self._database.execute, self._database.executemany
-        executemany(_INSERT_SECOND, (_summed("second", astuple(row)) for row in batch.seconds))
-        executemany(_UPSERT_LOAD, (_summed("load", astuple(load)[:-1]) for load in batch.loads))
-        areas = ((load.number, load.area_m2) for load in batch.loads if load.area_m2 is not None)
-        executemany(_UPSERT_AREA, (_summed("load_area", area) for area in areas))
-        executemany(_INSERT_SWEEP, (_summed("sweep", (s.time_s, s.outcome, s.reason, _json(s.document))) for s in batch.sweeps))
-        executemany(
-            _UPSERT_PARAMETERS,
-            (_summed("parameter_set", (p.version, p.time_s, p.origin, _json(p.document))) for p in batch.parameter_versions),
-        )
-        executemany(_INSERT_FAULT, (_summed("fault", astuple(fault)) for fault in batch.faults))
-        executemany(_INSERT_TICKET, (_summed("ticket", astuple(ticket)) for ticket in batch.tickets))
-        executemany(
-            _UPSERT_ACTION, (_summed("action", (a.number, a.time_s, a.kind, a.who, _json(a.document))) for a in batch.actions)
-        )
-        executemany(_UPSERT_STEP, (_summed("step", (s.version, s.time_s, _json(s.document))) for s in batch.steps))
-        executemany(_UPSERT_COUNTER, (_summed("counter", item) for item in batch.counters.items()))
-        execute(_UPSERT_STATE, _summed("state", (batch.number % 2, batch.number, batch.time_s, _json(batch.state))))
 
     def require_attached(self) -> None:
         """Raises StoreDetachedError when a file that is open has been removed or replaced under its name, so that what is
@@ -448,7 +236,7 @@ class Store:
 
     def copy_to(self, target: Path) -> None:
         """Write all that this connection sees into a new file at `target`. Raises StoreError."""
-        with _failures_of(target):
+        with failures_of(target):
             copy = sqlite3.connect(target, isolation_level=None)
             try:
                 self._database.backup(copy)
@@ -457,7 +245,7 @@ class Store:
 
     def prune(self) -> int:
         """Take away the oldest rows that retention no longer keeps, a few thousand at most; returns how many went."""
-        with _failures_of(self.path), self._transaction():
+        with failures_of(self.path), self._transaction():
             gone = self._delete_oldest("second", "number", int(self.retention.record_hours * 3600))
             if self.size_bytes() > self.retention.size_mb * 1e6:
                 gone += self._delete_oldest("second", "number", 0)
@@ -480,14 +268,14 @@ class Store:
 
     def last_batch(self) -> int:
         """Number of the last batch committed, 0 in a new store."""
-        with _failures_of(self.path):
+        with failures_of(self.path):
             row = self._database.execute("SELECT max(batch) FROM state").fetchone()
         return int(row[0] or 0)
 
     def state(self) -> dict[str, Any] | None:
         """The monitor's state of the last batch, None in a new store."""
         if self._unchecked_to is None:
-            with _failures_of(self.path):
+            with failures_of(self.path):
                 rows = self._database.execute("SELECT batch, document FROM state").fetchall()
         else:
             rows = [(batch, document) for _, batch, _, document in self._checked("state")]
@@ -510,7 +298,7 @@ class Store:
     def seconds_of_load(self, load_number: int) -> list[SecondRow]:
         """The records with a load's number, in order; load numbers never fall, so few others are looked at. Raises
         StoreDamagedError for one that is not as it was written."""
-        with _failures_of(self.path):
+        with failures_of(self.path):
             ends = "SELECT coalesce(min(number), 0), coalesce(max(number), -1) FROM second"
             low, high = self._database.execute(ends).fetchone()
             nearest = "SELECT number, load_number FROM second WHERE number >= ? ORDER BY number LIMIT 1"
@@ -538,7 +326,7 @@ class Store:
         if self._unchecked_to is None:
             return [SecondRow(*row) for row in self._rows_of(columns, f"second {source}", values)]
         rows = []
-        with _failures_of(self.path):
+        with failures_of(self.path):
             for *found, checksum in self._database.execute(f"SELECT {columns}, checksum FROM second {source}", values):
                 if second_is_sound(found, checksum, self._unchecked_to):
                     rows.append(SecondRow(*found))
@@ -550,9 +338,9 @@ class Store:
 
     def _checked(self, table: str, source: str = "", values: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
         """Rows of a table without their checksums, which are held against them."""
-        columns = _COLUMNS[table]
+        columns = COLUMNS[table]
         order = source or f"ORDER BY {schema.KEYS[table]}"
-        with _failures_of(self.path):
+        with failures_of(self.path):
             if self._database_is_older():
                 return self._database.execute(f"SELECT {', '.join(columns)} FROM {table} {order}", values).fetchall()
             rows = self._database.execute(f"SELECT {', '.join(columns)}, checksum FROM {table} {order}", values).fetchall()
@@ -567,7 +355,7 @@ class Store:
     def loads(self) -> list[Load]:
         """All loads as measured, in order."""
         if self._version() < 2:
-            columns = ", ".join(_COLUMNS["load"][:-1])
+            columns = ", ".join(COLUMNS["load"][:-1])
             return self._of_kind(Load, ((*row, None) for row in self._rows_of(columns, "load ORDER BY number")))
         areas = dict(self._checked("load_area")) if self._version() >= _AREAS_FROM else {}
         return self._of_kind(Load, ((*row, areas.get(row[0])) for row in self._checked("load")))
@@ -617,33 +405,9 @@ class Store:
     def _of_kind(row_type: type, rows: Iterable[Sequence[Any]]) -> list[Any]:
         return [row_type(*row) for row in rows]
 
-    def _rows(self, row_type: type, source: str, values: Iterable[Any] = ()) -> list[Any]:
-        return [row_type(*row) for row in self._rows_of(_columns(row_type), source, values)]
-
     def _rows_of(self, columns: str, source: str, values: Iterable[Any] = ()) -> list[tuple[Any, ...]]:
-        with _failures_of(self.path):
+        with failures_of(self.path):
             return self._database.execute(f"SELECT {columns} FROM {source}", tuple(values)).fetchall()
-
-
-def second_is_sound(row: Sequence[Any], checksum: Any, unchecked_to: int) -> bool:
-    """Whether a row of `second` is as it was written; rows up to number `unchecked_to` may have no checksum."""
-    if checksum == UNCHECKED:
-        return isinstance(row[0], int) and row[0] <= unchecked_to
-    return any(row_checksum("second", *(row[place] for place in places)) == checksum for places in schema.SECOND_CHECKED)
-
-
-def _summed(table: str, row: Sequence[Any]) -> tuple[Any, ...]:
-    return (*row, row_checksum(table, *row))
-
-
-def _statements(script: str) -> Iterator[str]:
-    """The statements of a script one by one: executescript() would commit the transaction around them."""
-    statement = ""
-    for line in script.splitlines(keepends=True):
-        statement += line
-        if sqlite3.complete_statement(statement):
-            yield statement
-            statement = ""
 
 
 def _refuse_journal(path: Path) -> None:

@@ -34,7 +34,8 @@ from yieldmon.physics.machine import RPM, SAME_ANGLE_RAD, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
 from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Store, StoreError
+from yieldmon.service.store import Store
+from yieldmon.service.store_errors import StoreError
 
 SUFFIXES = (".sqlite", ".sqlite3", ".db")
 LEAST_ANGLES = 4

@@ -10,8 +10,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from time import monotonic, time
 
+from yieldmon.service.batch import Batch
 from yieldmon.service.rescue import finish, mend
-from yieldmon.service.store import Batch, BatchRefusedError, Store, StoreDamagedError, StoreDetachedError, StoreError
+from yieldmon.service.store import Store
+from yieldmon.service.store_errors import BatchRefusedError, StoreDamagedError, StoreDetachedError, StoreError
 from yieldmon.service.store_file import set_aside
 
 _log = logging.getLogger(__name__)

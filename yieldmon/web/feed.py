@@ -17,7 +17,8 @@ from typing import Any
 
 from yieldmon.errors import InputError
 from yieldmon.service.control import ControlError, ask
-from yieldmon.service.store import Store, StoreError
+from yieldmon.service.store import Store
+from yieldmon.service.store_errors import StoreError
 from yieldmon.web.units import page_units
 
 #: Columns of a row as pages get it, with the decimals that they are worth on a screen.

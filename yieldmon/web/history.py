@@ -24,7 +24,8 @@ from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.service import sweep_table
 from yieldmon.service.ledger import ticket_rows
-from yieldmon.service.store import Store, StoreError
+from yieldmon.service.store import Store
+from yieldmon.service.store_errors import StoreError
 from yieldmon.service.store_file import read_only
 
 MOST_POINTS = 500_000

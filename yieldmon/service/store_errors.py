@@ -1,0 +1,72 @@
+"""How a store fails: by its medium, its content, its name, or what it is given."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from yieldmon.errors import InputError
+
+
+class StoreError(Exception):
+    """The medium or the file fails: full, read-only, not a store, damaged. One line."""
+
+
+class StoreDamagedError(StoreError):
+    """The file's content is broken, or no store at all; another medium or more room would not help."""
+
+
+class StoreDetachedError(StoreError):
+    """The file that is open is not the one under its name any more: somebody removed or replaced it."""
+
+
+class BatchRefusedError(StoreError):
+    """A batch that no store can take, because a value breaks the schema; trying again cannot help."""
+
+
+#: Results of SQLite that speak of the file's content. A schema that lacks what the version has is SQLITE_ERROR.
+_DAMAGE = tuple(
+    f"SQLITE_{name}"
+    for name in (
+        "CORRUPT",
+        "NOTADB",
+        "ERROR",
+        "SCHEMA",
+        "FORMAT",
+        "INTERNAL",
+        "TOOBIG",
+        "NOMEM",
+        "IOERR_SHORT_READ",
+        "IOERR_CORRUPTFS",
+    )
+)
+
+
+@contextmanager
+def failures_of(path: Path) -> Iterator[None]:
+    """What SQLite and the system say of a store's file comes out as a StoreError that names the file."""
+    try:
+        yield
+    except (InputError, StoreError):
+        raise
+    except (sqlite3.DatabaseError, OSError) as error:
+        if isinstance(error, sqlite3.IntegrityError):
+            raise BatchRefusedError(f"{path}: {error}") from error
+        damaged = getattr(error, "sqlite_errorname", "").startswith(_DAMAGE)
+        raise (StoreDamagedError if damaged else StoreError)(f"{path}: {error}") from error
+    except (MemoryError, UnicodeDecodeError, sqlite3.Error) as error:
+        # SQLite's own message about a damaged schema may be no text.
+        raise StoreDamagedError(f"{path}: {error or 'a value too large to read'}") from error
+
+
+@contextmanager
+def refusals(path: Path) -> Iterator[None]:
+    """For what is written: numbers and texts that SQLite or JSON cannot hold."""
+    try:
+        yield
+    except UnicodeDecodeError:
+        raise
+    except (ValueError, OverflowError) as error:
+        raise BatchRefusedError(f"{path}: {error}") from error

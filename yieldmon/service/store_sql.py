@@ -1,0 +1,85 @@
+"""How batches are put into the store's tables, each row with its checksum."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import astuple, fields
+from typing import Any
+
+from yieldmon.service import schema
+from yieldmon.service.batch import Batch
+from yieldmon.service.checksums import UNCHECKED, row_checksum
+from yieldmon.service.rows import SecondRow
+
+COLUMNS: Mapping[str, tuple[str, ...]] = {**schema.COLUMNS, "second": tuple(f.name for f in fields(SecondRow))}
+
+
+def _put(table: str, verb: str = "INSERT") -> str:
+    columns = COLUMNS[table]
+    return f"{verb} INTO {table} ({', '.join(columns)}, checksum) VALUES ({', '.join('?' * len(columns))}, ?)"
+
+
+_INSERT_SECOND, _INSERT_SWEEP, _INSERT_FAULT = (_put(table) for table in ("second", "sweep", "fault"))
+_UPSERT_LOAD, _UPSERT_AREA, _UPSERT_PARAMETERS, _UPSERT_COUNTER, _UPSERT_STATE, _UPSERT_MARK, _UPSERT_ACTION, _UPSERT_STEP = (
+    _put(table, "INSERT OR REPLACE")
+    for table in ("load", "load_area", "parameter_set", "counter", "state", "mark", "action", "step")
+)
+# A batch that is written again, to a store made anew, does not enter a ticket twice.
+_INSERT_TICKET = (
+    f"INSERT INTO ticket ({', '.join(COLUMNS['ticket'])}, checksum) SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7 WHERE NOT EXISTS "
+    "(SELECT 1 FROM ticket WHERE time_s = ?1 AND first_load = ?2 AND last_load = ?3 AND weighed_mass_kg = ?4 AND note = ?6)"
+)
+
+
+def write(database: sqlite3.Connection, batch: Batch) -> None:
+    """Put all of a batch into its tables."""
+    execute, executemany = database.execute, database.executemany
+    executemany(_INSERT_SECOND, (_summed("second", astuple(row)) for row in batch.seconds))
+    executemany(_UPSERT_LOAD, (_summed("load", astuple(load)[:-1]) for load in batch.loads))
+    areas = ((load.number, load.area_m2) for load in batch.loads if load.area_m2 is not None)
+    executemany(_UPSERT_AREA, (_summed("load_area", area) for area in areas))
+    executemany(_INSERT_SWEEP, (_summed("sweep", (s.time_s, s.outcome, s.reason, _json(s.document))) for s in batch.sweeps))
+    executemany(
+        _UPSERT_PARAMETERS,
+        (_summed("parameter_set", (p.version, p.time_s, p.origin, _json(p.document))) for p in batch.parameter_versions),
+    )
+    executemany(_INSERT_FAULT, (_summed("fault", astuple(fault)) for fault in batch.faults))
+    executemany(_INSERT_TICKET, (_summed("ticket", astuple(ticket)) for ticket in batch.tickets))
+    executemany(
+        _UPSERT_ACTION, (_summed("action", (a.number, a.time_s, a.kind, a.who, _json(a.document))) for a in batch.actions)
+    )
+    executemany(_UPSERT_STEP, (_summed("step", (s.version, s.time_s, _json(s.document))) for s in batch.steps))
+    executemany(_UPSERT_COUNTER, (_summed("counter", item) for item in batch.counters.items()))
+    execute(_UPSERT_STATE, _summed("state", (batch.number % 2, batch.number, batch.time_s, _json(batch.state))))
+
+
+def write_mark(database: sqlite3.Connection, name: str, value: int) -> None:
+    """Put a mark."""
+    database.execute(_UPSERT_MARK, _summed("mark", (name, value)))
+
+
+def second_is_sound(row: Sequence[Any], checksum: Any, unchecked_to: int) -> bool:
+    """Whether a row of `second` is as it was written; rows up to number `unchecked_to` may have no checksum."""
+    if checksum == UNCHECKED:
+        return isinstance(row[0], int) and row[0] <= unchecked_to
+    return any(row_checksum("second", *(row[place] for place in places)) == checksum for places in schema.SECOND_CHECKED)
+
+
+def statements(script: str) -> Iterator[str]:
+    """The statements of a script one by one: executescript() would commit the transaction around them."""
+    statement = ""
+    for line in script.splitlines(keepends=True):
+        statement += line
+        if sqlite3.complete_statement(statement):
+            yield statement
+            statement = ""
+
+
+def _json(document: Mapping[str, Any]) -> str:
+    return json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def _summed(table: str, row: Sequence[Any]) -> tuple[Any, ...]:
+    return (*row, row_checksum(table, *row))
