@@ -1,4 +1,4 @@
-"""A sample of ``python -m tests.robustness simulation``: no invariant broken, and a mend undone is found."""
+"""Samples of ``python -m tests.robustness simulation`` and ``bus-simulation``: no invariant broken, a mend undone is found."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import logging
 
 import pytest
 
+from tests.robustness import bus_simulation
 from tests.robustness.simulation import simulate, undone
 
 
@@ -26,3 +27,18 @@ def test_simulated_days_break_no_invariant():
 def test_a_mend_undone_is_found(mend):
     with undone(mend):
         assert simulate(60, seed=7).broken
+
+
+def test_simulated_harvests_on_a_bus_break_no_invariant():
+    broken, met = bus_simulation.simulate(8, seed=7)
+    assert broken == []
+    assert len(met) == 6
+
+
+@pytest.mark.parametrize(
+    "mend", ["waiting on monotonic time", "each echo once", "signs of life of the transmitter", "contested mass apart"]
+)
+def test_a_mend_undone_on_a_bus_is_found(mend):
+    trouble, undo = bus_simulation.UNDO[mend]
+    with undo():
+        assert bus_simulation.simulate(2, 7, (trouble,))[0]
