@@ -121,17 +121,19 @@ def _by_reason(skipped: Iterable[Skipped]) -> dict[str, list[str]]:
 
 def _tell(document: dict[str, object], result: harvest.HarvestMap) -> None:
     totals = result.totals
-    lines = [summary.delay_line(result.flow_delay, "flow"), summary.delay_line(result.moisture_delay, "moisture")]
+    lines = summary.delay_lines(result)
     if result.transport is not None:
         lines.append(summary.transport_line(result.transport))
     units = result.units
     mass, crop_yield = units.mass_unit, units.yield_unit
     middle, low, high = (crop_yield.of(value) for value in (totals.yield_kg_m2, totals.low_kg_m2, totals.high_kg_m2))
+    span = f" ({low:.2f} to {high:.2f})" if isfinite(low) else ""
     lines.append(
         f"{len(result.table)} points, {int(result.cleaned.kept.sum())} kept; {mass.of(totals.corrected_kg):.0f} {mass.name} "
         f"measured, {mass.of(totals.by_reason.get('kept', 0.0)):.0f} {mass.name} kept; {units.area(totals.area_m2)} cut; "
-        f"{middle:.2f} {crop_yield.name} ({low:.2f} to {high:.2f})"
+        + (f"{middle:.2f} {crop_yield.name}{span}" if isfinite(middle) else "no yield: no point is kept")
     )
+    lines += [note for note in result.notes if "cannot be estimated" not in note]
     for line in lines:
         print(f"yieldmon: {line}", file=sys.stderr)
 

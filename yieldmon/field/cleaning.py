@@ -1,7 +1,7 @@
 """Which points are kept, and for each of the others why not. Nothing is deleted: a point has one reason, the first that holds.
 
-A rule is a function from a context to flags; its thresholds come from the field's own data. To add one, write it and list it in
-RULES; each can be switched off by its name.
+A rule is a function from a context to flags; its thresholds come from the data of the same source and crop. To add one, write
+it and list it in RULES; each can be switched off by its name.
 
 Sources: Sudduth, Drummond and Myers, "Yield Editor 2.0", ASABE paper 121338243 (2012); Spekken, Anselmi and Molin, "A simple
 method for filtering spatial data" (2013); Vega et al., "Protocol for automating error removal from yield maps", Precision
@@ -11,7 +11,7 @@ Agriculture 20 (2019), for local outliers.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from .placed import Placed
+from .plane import APART_M, astray
 from .swath import Swaths
 from .table import Array, HarvestTable
-from .tracks import MIN_SPEED_M_S, Flags, Tracks
+from .tracks import MIN_SPEED_M_S, Flags, Index, Tracks
 
 KEPT = "kept"
 NO_PLACE = "no place"
@@ -36,8 +37,8 @@ _LOCAL_NEIGHBOURS = 24
 _LOCAL_SD = 4.0
 _MIN_NEW_SHARE = 0.5
 _JUMP_TIMES = 3.0
-_FAR_M = 50_000.0
 _CHUNK = 100_000
+_MIN_PART, _MAX_PARTS = 200, 200
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,17 @@ class Context:
     def of_step(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
         """A step's value in each of its rows."""
         return values[self.steps.step_of_row]
+
+    def of_rows(self, rows: Index) -> Context:
+        """The same of some rows."""
+        mass, moisture = self.placed.mass_kg[rows], self.placed.moisture_pct[rows]
+        gross, area = self.ground.gross_m2[rows], self.ground.area_m2[rows]
+        return Context(
+            self.table.take(rows),
+            self.steps.of_rows(rows),
+            replace(self.placed, mass_kg=mass, moisture_pct=moisture),
+            replace(self.ground, gross_m2=gross, area_m2=area),
+        )
 
     @cached_property
     def yield_kg_m2(self) -> Array:
@@ -85,7 +97,7 @@ def _no_position(at: Context) -> Flags:
 
 
 def _far(at: Context) -> Flags:
-    return np.hypot(at.steps.row_x_m, at.steps.row_y_m) > _FAR_M
+    return astray(at.steps.row_x_m)
 
 
 def _no_flow(at: Context) -> Flags:
@@ -239,19 +251,20 @@ def _yield(at: Context) -> Flags:
 
 @dataclass(frozen=True)
 class Rule:
-    """name: as in the reason column. about: one line for people. flags: the rule."""
+    """name: as in the reason column. about: one line for people. flags: the rule. across: of all rows, not source by source."""
 
     name: str
     about: str
     flags: Callable[[Context], Flags]
+    across: bool = False
 
 
 RULES: tuple[Rule, ...] = (
     Rule("no position", "no position or time", _no_position),
-    Rule("far away", f"over {_FAR_M / 1000:.0f} km from the others", _far),
+    Rule("far away", f"over {APART_M / 1000:.0f} km from every field", _far),
     Rule("no flow", "no flow was measured for the place", _no_flow),
     Rule("header up", "not harvesting", _header_up),
-    Rule("duplicate", "time or place of another point", _duplicate),
+    Rule("duplicate", "time or place of another point", _duplicate, across=True),
     Rule("position jump", f"over {_JUMP_TIMES:g} times the speed of the field", _jump),
     Rule("stopped", "slower than a fifth of the usual speed", _stopped),
     Rule("short pass", f"pass shorter than {_SHORT_PASS_WIDTHS:g} widths", _short_pass),
@@ -301,17 +314,39 @@ def clean(at: Context, without: Collection[str] = ()) -> Cleaned:
     """
     reason = np.zeros(len(at.table), np.int8)
     bits = np.zeros(len(at.table), np.int32)
+    parts = _parts(at)
+    contexts = [at] if len(parts) == 1 else [at.of_rows(rows) for rows in parts]
     for k, rule in enumerate(RULES):
         if rule.name in without and rule.name not in NEEDED:
             continue
-        flags = rule.flags(at)
+        if rule.across or len(parts) == 1:
+            flags = rule.flags(at)
+        else:
+            flags = np.zeros(len(at.table), bool)
+            for rows, context in zip(parts, contexts, strict=True):
+                flags[rows] = rule.flags(context)
         bits |= np.where(flags, 1 << k, 0).astype(np.int32)
         reason = np.where((reason == 0) & flags, k + 1, reason).astype(np.int8)
     if LOCAL not in without:
-        flags = local_outliers(at.steps.row_x_m, at.steps.row_y_m, at.yield_kg_m2, reason == 0)
+        flags = np.zeros(len(at.table), bool)
+        for rows, context in zip(parts, contexts, strict=True):
+            steps = context.steps
+            flags[rows] = local_outliers(steps.row_x_m, steps.row_y_m, context.yield_kg_m2, reason[rows] == 0)
         bits |= np.where(flags, 1 << len(RULES), 0).astype(np.int32)
         reason = np.where((reason == 0) & flags, len(RULES) + 1, reason).astype(np.int8)
     return Cleaned(reason, bits, (KEPT, *NAMES))
+
+
+def _parts(at: Context) -> list[Index]:
+    """Rows that have thresholds of their own: those of each source and crop that has enough of them, and the others together."""
+    source, label = at.table.source_of_row.astype(np.intp), at.table.labels["crop"]
+    names, number, count = np.unique(source * len(label.names) + label.codes, return_inverse=True, return_counts=True)
+    large = count >= _MIN_PART
+    if len(names) < 2 or large.sum() + (not large.all()) < 2 or len(names) > _MAX_PARTS:
+        return [np.arange(len(at.table))]
+    out = [np.flatnonzero(number == k) for k in np.flatnonzero(large)]
+    rest = np.flatnonzero(~large[number])
+    return [*out, rest] if len(rest) else out
 
 
 def local_outliers(x_m: Array, y_m: Array, amount: Array, among: Flags) -> Flags:

@@ -52,13 +52,22 @@ class Grid:
         out[self.row, self.column] = values
         return out
 
+    def fits(self) -> bool:
+        """Whether a raster of it is not too large to write."""
+        return self.shape[0] * self.shape[1] <= MAX_BLOCKS
+
+    @property
+    def size_m(self) -> float:
+        """Of a block, from south to north."""
+        return self.height_deg * _DEG_M
+
     def middle_deg(self) -> tuple[Array, Array]:
         """Longitude and latitude of the blocks' middles."""
         return self.west_deg + (self.column + 0.5) * self.width_deg, self.north_deg - (self.row + 0.5) * self.height_deg
 
 
 def block_means(longitude_deg: Array, latitude_deg: Array, mass_kg: Array, area_m2: Array, kept: Flags, size_m: float) -> Grid:
-    """Blocks of the kept points; coarser than asked where the field would have over MAX_BLOCKS."""
+    """Blocks of the kept points."""
     use = np.flatnonzero(kept & (area_m2 > 0))
     if not len(use):
         none = np.zeros(0)
@@ -71,8 +80,6 @@ def block_means(longitude_deg: Array, latitude_deg: Array, mass_kg: Array, area_
     height = size_m / _DEG_M
     width = height / max(cos(radians(middle)), 0.01)
     west, north = float(east[use].min()), float(latitude_deg[use].max())
-    while (np.ptp(east[use]) / width + 1) * (np.ptp(latitude_deg[use]) / height + 1) > MAX_BLOCKS:
-        width, height = 2 * width, 2 * height
     columns = int(np.ptp(east[use]) / width) + 1
     rows = int(np.ptp(latitude_deg[use]) / height) + 1
 

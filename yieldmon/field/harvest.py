@@ -10,10 +10,11 @@ import numpy as np
 from yieldmon.units import KG_PER_LB, M2_PER_ACRE, Units, UnitSystem
 
 from .cleaning import Cleaned, Context, clean, mass_by_reason
-from .delay import Delay, estimate_delay, given_delay
+from .delay import Delay
 from .loads import LoadResult, Ticket, correct
+from .machines import Machine, machines_of, placed_by_machine
 from .pairs import Pairs, opposing_pairs
-from .placed import Placed, place
+from .placed import Placed
 from .swath import HeaderPlace, Swaths, swaths
 from .table import Array, HarvestTable
 from .tracks import Tracks, tracks
@@ -23,6 +24,7 @@ from .units import crop
 KG_M2_TO_T_HA = 10.0
 SEED = 1
 DRAWS = 400
+_SAME_DELAY_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -94,8 +96,7 @@ class HarvestMap:
     table: HarvestTable
     steps: Tracks
     pairs: Pairs
-    flow_delay: Delay
-    moisture_delay: Delay
+    machines: tuple[Machine, ...]
     placed: Placed
     ground: Swaths
     cleaned: Cleaned
@@ -108,6 +109,16 @@ class HarvestMap:
     transport: Transport | None
     notes: tuple[str, ...] = field(default=())
     system: UnitSystem = UnitSystem.METRIC
+
+    @property
+    def flow_delay(self) -> Delay:
+        """Of the machine that measured most."""
+        return self.machines[0].flow
+
+    @property
+    def moisture_delay(self) -> Delay:
+        """Of the machine that measured most."""
+        return self.machines[0].moisture
 
     @property
     def units(self) -> Units:
@@ -144,18 +155,18 @@ def make_map(table: HarvestTable, options: MapOptions, progress: Callable[[str],
     steps = tracks(table)
     pairs = opposing_pairs(steps)
     progress("delay")
-    flow_delay, moisture_delay = delays(table, steps, pairs, options)
+    machines = _machines(table, steps, pairs, options)
     transport = None
-    if options.transport and len(pairs) and flow_delay.decision != "cannot tell":
+    if options.transport and len(pairs) and _one_delay(machines):
         progress("transport")
-        transport = assess(steps, pairs, flow_delay.value_s, np.random.default_rng([options.seed, 2]))
+        transport = assess(steps, pairs, machines[0].flow.value_s, np.random.default_rng([options.seed, 2]))
         if transport.better:
             table = inverted(table, steps, transport)
             steps = tracks(table)
-            flow_delay, moisture_delay = delays(table, steps, pairs, options)
+            machines = _machines(table, steps, pairs, options)
     factor, loads = correct(table, options.tickets)
     progress("ground")
-    placed = place(table, steps, flow_delay.value_s, moisture_delay.value_s, factor if options.tickets else None)
+    placed = placed_by_machine(table, steps, machines, factor if options.tickets else None)
     ground = swaths(table, steps, options.header)
     progress("cleaning")
     at = Context(table, steps, placed, ground)
@@ -169,8 +180,7 @@ def make_map(table: HarvestTable, options: MapOptions, progress: Callable[[str],
         table,
         steps,
         pairs,
-        flow_delay,
-        moisture_delay,
+        machines,
         placed,
         ground,
         cleaned,
@@ -181,10 +191,45 @@ def make_map(table: HarvestTable, options: MapOptions, progress: Callable[[str],
         name,
         None if facts is None else facts.bushel_lb * KG_PER_LB,
         transport,
-        ()
-        if flow_delay.decision != "cannot tell"
-        else (f"the flow delay cannot be estimated from these data ({flow_delay.why}); {flow_delay.value_s:g} s is used",),
+        _notes(table, machines, options.transport and transport is None),
     )
+
+
+def _machines(table: HarvestTable, steps: Tracks, pairs: Pairs, options: MapOptions) -> tuple[Machine, ...]:
+    return machines_of(table, steps, pairs, options.flow_delay_s, options.moisture_delay_s, options.seed)
+
+
+def _one_delay(machines: Sequence[Machine]) -> bool:
+    """Whether one delay is known, of all machines."""
+    values = [machine.flow.value_s for machine in machines]
+    return all(machine.flow.decision != "cannot tell" for machine in machines) and np.ptp(values) < _SAME_DELAY_S
+
+
+def _notes(table: HarvestTable, machines: Sequence[Machine], transport_left: bool) -> tuple[str, ...]:
+    out = [
+        f"{machine.name + ': ' if machine.name else ''}the flow delay cannot be estimated from these data ({machine.flow.why}); "
+        f"{machine.flow.value_s:g} s is used"
+        for machine in machines
+        if machine.flow.decision == "cannot tell"
+    ]
+    if transport_left and len(machines) > 1:
+        out.append("the transport is not looked at: the machines' delays differ or are not known")
+    crops = crops_of(table)
+    if len(crops) > 1:
+        out.append(f"the harvest has {len(crops)} crops ({', '.join(crops)}): yield and total are of all together")
+    return tuple(out)
+
+
+def crops_of(table: HarvestTable) -> tuple[str, ...]:
+    """Names of the crops that rows have, one spelling of each."""
+    label = table.labels["crop"]
+    there = np.bincount(label.codes, minlength=len(label.names))
+    names: dict[str, str] = {}
+    for name, number in zip(label.names, there.tolist(), strict=False):
+        facts = crop(name)
+        if number and name:
+            names.setdefault(name.lower() if facts is None else facts.name, name)
+    return tuple(names.values())
 
 
 def inverted(table: HarvestTable, steps: Tracks, transport: Transport) -> HarvestTable:
@@ -198,28 +243,6 @@ def inverted(table: HarvestTable, steps: Tracks, transport: Transport) -> Harves
     return table.with_columns(
         flow_kg_s=np.where(alone, flow[steps.step_of_row], np.where(np.isfinite(share), row_flow * share, row_flow))
     )
-
-
-def delays(table: HarvestTable, steps: Tracks, pairs: Pairs, options: MapOptions) -> tuple[Delay, Delay]:
-    """Of flow and of moisture; a moisture delay that cannot be estimated is taken as that of the flow."""
-    out: list[Delay] = []
-    default_s = table.default_flow_s if table.declared_flow_s is None else table.declared_flow_s
-    for quantity, given, declared in (
-        ("flow", options.flow_delay_s, table.declared_flow_s),
-        ("moisture", options.moisture_delay_s, table.declared_moisture_s),
-    ):
-        generator = np.random.default_rng([options.seed, len(out)])
-        one = estimate_delay(
-            steps,
-            pairs,
-            quantity,
-            default_s=default_s if declared is None else declared,
-            declared_s=declared,
-            generator=generator,
-        )
-        out.append(one if given is None else given_delay(given, declared, one))
-        default_s = out[0].value_s
-    return out[0], out[1]
 
 
 def _crop_name(table: HarvestTable) -> str:

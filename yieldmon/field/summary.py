@@ -32,7 +32,7 @@ def document(result: HarvestMap) -> dict[str, Any]:
             }
             for source in result.table.sources
         ],
-        "delay": {"flow_s": flow.document(), "moisture_s": result.moisture_delay.document()},
+        "delay": {"flow_s": flow.document(), "moisture_s": result.moisture_delay.document()} | _by_machine(result),
         "agreement": {name: _known(getattr(flow, name)) for name in ("no_shift", "shifted", "held_out")} | {"pairs": flow.pairs},
         "mass_kg": {
             "machine_total": totals.machine_kg,
@@ -55,6 +55,26 @@ def document(result: HarvestMap) -> dict[str, Any]:
         "loads": [load.document() for load in result.loads] if weighed or len(result.loads) > 1 else [],
         "notes": list(result.notes),
     }
+
+
+def _by_machine(result: HarvestMap) -> dict[str, Any]:
+    if len(result.machines) < 2:
+        return {}
+    return {
+        "machines": [
+            {"name": one.name, "points": len(one.rows), "flow_s": one.flow.document(), "moisture_s": one.moisture.document()}
+            for one in result.machines
+        ]
+    }
+
+
+def delay_lines(result: HarvestMap) -> list[str]:
+    """Flow and moisture delay of each machine, a line each for people."""
+    return [
+        f"{one.name + ': ' if one.name else ''}{delay_line(delay, name)}"
+        for one in result.machines
+        for delay, name in ((one.flow, "flow"), (one.moisture, "moisture"))
+    ]
 
 
 def transport_document(transport: Transport) -> dict[str, object]:

@@ -94,6 +94,8 @@ class Source:
         The machine's own harvested area.
     notes : tuple of str
         What the reader had to take for granted; a line each.
+    declared_flow_s, declared_moisture_s, default_flow_s
+        As of a HarvestTable of this source alone.
     """
 
     path: str
@@ -103,6 +105,9 @@ class Source:
     mass_kg: float | None = None
     area_m2: float | None = None
     notes: tuple[str, ...] = ()
+    declared_flow_s: float | None = None
+    declared_moisture_s: float | None = None
+    default_flow_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -189,7 +194,14 @@ def build(
     return HarvestTable(
         full,
         texts,
-        (source,),
+        (
+            replace(
+                source,
+                declared_flow_s=declared_flow_s,
+                declared_moisture_s=declared_moisture_s,
+                default_flow_s=default_flow_s,
+            ),
+        ),
         np.zeros(count, np.int32),
         unix_time,
         declared_flow_s,

@@ -5,13 +5,13 @@ A step is one time of one machine. Where a source has a row for each section of 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .plane import Plane
+from .plane import Sites
 from .table import Array, HarvestTable
 
 Index = NDArray[Any]
@@ -46,7 +46,7 @@ class Tracks:
         Median time between steps, s.
     """
 
-    plane: Plane
+    plane: Sites
     step_of_row: Index
     row_x_m: Array
     row_y_m: Array
@@ -67,6 +67,39 @@ class Tracks:
 
     def __len__(self) -> int:
         return len(self.time_s)
+
+    def of_rows(self, rows: Index) -> Tracks:
+        """The steps of some of the table's rows, as of a table of only these."""
+        step = self.step_of_row[rows]
+        chosen = np.zeros(len(self), bool)
+        chosen[step] = True
+        number = np.cumsum(chosen) - 1
+        arrays = {
+            name: getattr(self, name)[chosen]
+            for name in (
+                "stream",
+                "time_s",
+                "x_m",
+                "y_m",
+                "heading_rad",
+                "speed_m_s",
+                "width_m",
+                "flow_kg_s",
+                "moisture_pct",
+                "interval_s",
+                "down",
+                "run",
+                "pass_number",
+            )
+        }
+        return replace(
+            self,
+            step_of_row=number[step],
+            row_x_m=self.row_x_m[rows],
+            row_y_m=self.row_y_m[rows],
+            interval=_interval(arrays["time_s"], arrays["stream"]),
+            **arrays,
+        )
 
     def nearest(self, time_s: Array, stream: Index, tolerance_s: float) -> Index:
         """The step of a stream next to each time, -1 where none is within the tolerance."""
@@ -99,7 +132,7 @@ class Tracks:
 
 def tracks(table: HarvestTable) -> Tracks:
     """The steps of a table. Rows without time or position are steps of no place."""
-    plane = Plane.about(table["longitude_deg"], table["latitude_deg"])
+    plane = Sites.about(table["longitude_deg"], table["latitude_deg"])
     x, y = plane.to_m(table["longitude_deg"], table["latitude_deg"])
     stream = table.source_of_row.astype(np.intp) * len(table.labels["machine"].names) + table.labels["machine"].codes
     sections = np.nan_to_num(table["section"])
@@ -122,10 +155,9 @@ def tracks(table: HarvestTable) -> Tracks:
     step_time, step_stream = time[order][first], stream[order][first]
     interval_s = np.nan_to_num(mean(table["interval_s"]))
     gap = np.diff(step_time)
-    positive = gap[(gap > 0) & (np.diff(step_stream) == 0)]
-    interval = float(np.median(positive)) if positive.size else 1.0
+    usual_s = _usual_s(step_time, step_stream)
     step_x, step_y = mean(x), mean(y)
-    breaks = (np.diff(step_stream) != 0) | (gap > _GAP_INTERVALS * max(interval, 1e-3)) | ~np.isfinite(gap)
+    breaks = (np.diff(step_stream) != 0) | (gap > _GAP_INTERVALS * np.maximum(usual_s[1:], 1e-3)) | ~np.isfinite(gap)
     run = np.cumsum(np.r_[False, breaks])[:count]
     distance = mean(table["distance_m"])
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -155,8 +187,23 @@ def tracks(table: HarvestTable) -> Tracks:
         down=down,
         run=run,
         pass_number=pass_number,
-        interval=interval,
+        interval=_interval(step_time, step_stream),
     )
+
+
+def _interval(time_s: Array, stream: Index) -> float:
+    """Median time from step to step of the same stream, s."""
+    gap = np.diff(time_s)
+    positive = gap[(gap > 0) & (np.diff(stream) == 0)]
+    return float(np.median(positive)) if positive.size else 1.0
+
+
+def _usual_s(time_s: Array, stream: Index) -> Array:
+    """The interval of each step's own stream, s."""
+    first = np.flatnonzero(np.diff(stream, prepend=-1))
+    ends = np.append(first[1:], len(stream))
+    usual = [_interval(time_s[start:end], stream[start:end]) for start, end in zip(first.tolist(), ends.tolist(), strict=True)]
+    return np.repeat(usual, ends - first)
 
 
 def _told(time_s: Array) -> Array:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from yieldmon.field.grid import Grid
+from yieldmon.field.grid import Grid, block_means
 from yieldmon.field.harvest import KG_M2_TO_T_HA, HarvestMap
 from yieldmon.files.whole_file import scratch_for
 
@@ -25,6 +25,17 @@ def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
     if not len(grid.row):
         return []
     path = folder / "yield.tif"
+    table = result.table
+    while not grid.fits():
+        # A raster of fields far apart would be too large: coarser blocks.
+        grid = block_means(
+            table["longitude_deg"],
+            table["latitude_deg"],
+            result.placed.mass_kg,
+            result.ground.area_m2,
+            result.cleaned.kept,
+            2.0 * grid.size_m,
+        )
     bands = np.stack([grid.raster(grid.yield_kg_m2), grid.raster(grid.standard_error_kg_m2)], axis=-1) * KG_M2_TO_T_HA
     with scratch_for(path) as scratch:
         scratch.write_bytes(tiff(bands.astype("<f4"), grid))

@@ -12,7 +12,8 @@ import numpy as np
 from yieldmon.field.cleaning import KEPT, LOCAL, NO_PLACE, RULES
 from yieldmon.field.grid import Grid, block_means
 from yieldmon.field.harvest import KG_M2_TO_T_HA, HarvestMap
-from yieldmon.field.summary import delay_line, transport_line
+from yieldmon.field.plane import astray
+from yieldmon.field.summary import delay_lines, transport_line
 from yieldmon.field.table import Array
 from yieldmon.files.whole_file import scratch_for
 from yieldmon.units import KG_PER_T, Units, UnitSystem
@@ -79,7 +80,7 @@ def content(result: HarvestMap) -> dict[str, Any]:
             *([[f"{_number(bushels, 1)} bu/ac", "the same in bushels"]] if bushels is not None else []),
             [_grain(totals.corrected_kg, units), f"grain{' by weighed loads' if span else ' as measured, not weighed'}{span}"],
             [units.area(totals.area_m2), "ground newly cut"],
-            [f"{flow.value_s:.1f} s", _delay_words(result)],
+            [" / ".join(dict.fromkeys(f"{one.flow.value_s:.1f} s" for one in result.machines[:4])), _delay_words(result)],
             [f"{100 * result.cleaned.kept.mean() if len(result.table) else 0:.0f} %", f"of {len(result.table)} points kept"],
         ],
         "unit": {"name": shown.name, "per_t_ha": shown.of(1.0 / KG_M2_TO_T_HA), "mass": mass.name, "per_kg": mass.of(1.0)},
@@ -95,7 +96,7 @@ def content(result: HarvestMap) -> dict[str, Any]:
             "low": flow.low_s,
             "high": flow.high_s,
             "declared": flow.declared_s,
-            "text": f"{delay_line(flow, 'flow')}. {delay_line(moisture, 'moisture')}. "
+            "text": f"{'. '.join(delay_lines(result))}. "
             f"Correlation {_number(flow.no_shift, 2)} with no shift, {_number(flow.shifted, 2)} shifted, "
             f"{_number(flow.held_out, 2)} on pairs held out; {flow.pairs} pairs.",
         },
@@ -109,6 +110,8 @@ def content(result: HarvestMap) -> dict[str, Any]:
 
 def _delay_words(result: HarvestMap) -> str:
     flow = result.flow_delay
+    if len({machine.flow.value_s for machine in result.machines}) > 1:
+        return f"delays of {len(result.machines)} machines or files"
     if flow.decision == "estimated":
         return f"delay; {flow.low_s:.1f} to {flow.high_s:.1f}"
     return "delay, as given" if flow.decision == "declared" else "delay: the data cannot tell, default"
@@ -128,7 +131,7 @@ def _list(values: Array) -> list[float | None]:
 
 def _points(result: HarvestMap) -> dict[str, Any]:
     steps = result.steps
-    known = np.flatnonzero(np.isfinite(steps.row_x_m) & (np.hypot(steps.row_x_m, steps.row_y_m) < 1e5))
+    known = np.flatnonzero(np.isfinite(steps.row_x_m) & ~astray(steps.row_x_m))
     known = known[np.lexsort((result.table["time_s"][known], result.table.source_of_row[known]))]
     every = max(1, -(-len(known) // MAX_POINTS))
     rows = known[::every]

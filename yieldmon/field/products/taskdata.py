@@ -81,7 +81,8 @@ def _log(result: HarvestMap, stream: int, number: int) -> _Log | None:
     area = np.cumsum(np.bincount(steps.step_of_row, result.ground.area_m2, len(steps))[rows])
     with np.errstate(invalid="ignore", divide="ignore"):
         per_area = flow / (steps.speed_m_s[rows] * steps.width_m[rows])
-    lag_ms = max(result.flow_delay.value_s, 0.0) * 1000.0
+    machine = next((one for one in result.machines if one.stream == stream), result.machines[0])
+    lag_ms = max(machine.flow.value_s, 0.0) * 1000.0
     values: dict[int, Array] = {
         67: steps.width_m[rows] * 1000,
         84: np.where(np.isfinite(per_area), per_area, 0.0) * 1e6,

@@ -12,7 +12,7 @@ import shapely
 from numpy.typing import NDArray
 
 from yieldmon.field.harvest import HarvestMap
-from yieldmon.field.plane import Plane
+from yieldmon.field.plane import Sites
 from yieldmon.field.table import Array
 from yieldmon.field.tracks import Index
 
@@ -62,7 +62,7 @@ def ground(result: HarvestMap, rows: Index) -> Shapes:
     return in_degrees(shapes, result.steps.plane)
 
 
-def in_degrees(shapes: Shapes, plane: Plane) -> Shapes:
+def in_degrees(shapes: Shapes, plane: Sites) -> Shapes:
     """Shapes of the plane in longitude and latitude, all as multi-polygons."""
     out: Shapes = shapely.transform(shapes, lambda places: np.column_stack(plane.to_deg(places[:, 0], places[:, 1])))
     single = shapely.get_type_id(out) == 3

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from yieldmon.errors import InputError
-from yieldmon.field.plane import Plane
+from yieldmon.field.plane import Sites
 from yieldmon.field.table import Array, HarvestTable, Label, Skipped, Source, build
 from yieldmon.field.units import crop as known_crop
 from yieldmon.field.units import factor
@@ -226,7 +226,7 @@ def _derive(values: dict[str, Array], time: Array, section: Array | None, where:
         if "speed" in values:
             values["distance"] = values["speed"] * values["interval"]
         else:
-            plane = Plane.about(values["longitude"], values["latitude"])
+            plane = Sites.about(values["longitude"], values["latitude"])
             x, y = plane.to_m(values["longitude"], values["latitude"])
             way = np.where(steady, np.hypot(x - x[before], y - y[before]), np.nan)
             after = np.full(count, np.nan)

@@ -16,7 +16,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from yieldmon.errors import InputError, brief
-from yieldmon.field.plane import Plane
+from yieldmon.field.plane import Sites
 from yieldmon.field.table import DEFAULT_FLOW_S, Array, HarvestTable, Label, Skipped, Source, build, joined
 
 from . import timelog
@@ -176,6 +176,9 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
         None if None in masses else float(sum(m for m in masses if m is not None)),
         None if None in areas else float(sum(a for a in areas if a is not None)),
         tuple(notes),
+        whole.declared_flow_s,
+        whole.declared_moisture_s,
+        whole.default_flow_s,
     )
     return replace(whole, sources=(source,), source_of_row=np.zeros(len(whole), np.int32))
 
@@ -227,7 +230,7 @@ def _log(folder: Folder, task: _Task, device: _Device, options: ReadOptions) -> 
     begins = (interval < 0) | (interval > longest)
     begins[0] = True
     interval = np.where(begins, usual, interval)
-    plane = Plane.about(log.longitude_deg, log.latitude_deg)
+    plane = Sites.about(log.longitude_deg, log.latitude_deg)
     x, y = plane.to_m(log.longitude_deg, log.latitude_deg)
     way = np.hypot(np.diff(x, prepend=x[0]), np.diff(y, prepend=y[0]))
     way = np.where(begins, np.append(np.where(begins, 0.0, way)[1:], 0.0), way)
