@@ -55,12 +55,18 @@ def shown(second: SecondRow) -> dict[str, Any]:
     return window
 
 
+def two_hours_of_a_day(now_s: float) -> float:
+    """The start of two hours of one day that are over: the page's map of today is of the newest day."""
+    start_s = float(int(now_s) - 7200)
+    return start_s if time.localtime(start_s).tm_yday == time.localtime(now_s).tm_yday else start_s - 7200.0
+
+
 @dataclass
 class StandIn:
     """What the page sees of a daemon. `second` lets time go on."""
 
     folder: Path
-    start_s: float = field(default_factory=lambda: float(int(time.time()) - 7200))
+    start_s: float = field(default_factory=lambda: two_hours_of_a_day(time.time()))
     field_name: str = "north"
     crop: str = "corn"
     units: str = "metric"

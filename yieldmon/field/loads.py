@@ -12,6 +12,7 @@ import numpy as np
 from yieldmon.errors import InputError
 
 from .placed import measured_mass_kg
+from .sources.delimited import delimiter_of
 from .table import Array, HarvestTable
 
 SCALE_SD = 0.005
@@ -52,27 +53,51 @@ class LoadResult:
 
 
 def read_tickets(path: Path) -> list[Ticket]:
-    """CSV with the columns `load`, `weighed_kg` and, if known, `sd_kg`. Raises InputError naming file and row."""
+    """CSV with the columns `load`, `weighed_kg` and, if known, `sd_kg`, with commas or semicolons between fields.
+
+    Raises
+    ------
+    InputError
+        Naming file and row.
+    """
+    wanted = "CSV with load,weighed_kg[,sd_kg]"
     try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
-            rows = list(csv.DictReader(stream))
+        text = path.read_text(encoding="utf-8-sig")
+        lines = [line for line in text.splitlines() if line.strip(" \t,;")]
+        delimiter = delimiter_of(lines[0]) if lines else ","
+        rows = list(csv.DictReader(lines, delimiter=delimiter, skipinitialspace=True))
     except (OSError, UnicodeError, csv.Error) as error:
-        raise InputError(str(path), f"cannot be read: {error}", "CSV with load,weighed_kg[,sd_kg]") from error
+        raise InputError(str(path), f"cannot be read: {error}", wanted) from error
+    if not lines:
+        raise InputError(str(path), "has no tickets", "at least one row")
+    names = {str(name).strip().lower(): name for name in rows[0]} if rows else {}
+    if rows and not {"load", "weighed_kg"} <= set(names):
+        raise InputError(f"{path}: first row", f"names {', '.join(map(str, rows[0]))[:80]}", "columns load,weighed_kg[,sd_kg]")
     tickets = []
     for number, row in enumerate(rows, 1):
         try:
-            weighed = float(row["weighed_kg"])
-            sd = float(row.get("sd_kg") or SCALE_SD * weighed)
-        except (KeyError, TypeError, ValueError):
-            raise InputError(f"{path}: row {number}", "has no load and weighed_kg", "columns load,weighed_kg[,sd_kg]") from None
-        if not (row.get("load") and 0 < weighed < 1e9 and 0 <= sd < 1e9):
+            weighed = _mass(row[names["weighed_kg"]])
+            sd_text = row.get(names.get("sd_kg", ""))
+            sd = _mass(sd_text) if sd_text and sd_text.strip() else SCALE_SD * weighed
+        except (TypeError, ValueError):
+            raise InputError(f"{path}: row {number}", "has no mass in kg", "columns load,weighed_kg[,sd_kg]") from None
+        load = (row.get(names["load"]) or "").strip()
+        if not (load and 0 < weighed < 1e9 and 0 <= sd < 1e9):
             raise InputError(
                 f"{path}: row {number}", f"weighs {weighed:g} kg with sd {sd:g} kg", "a load's name and positive masses"
             )
-        tickets.append(Ticket(row["load"].strip(), weighed, sd))
+        tickets.append(Ticket(load, weighed, sd))
     if not tickets:
         raise InputError(str(path), "has no tickets", "at least one row")
     return tickets
+
+
+def _mass(text: str) -> float:
+    """A number with a point or a comma before its decimals. Raises ValueError; also for `36,000`, which may be either."""
+    plain = text.strip()
+    if "," in plain and (plain.count(",") > 1 or "." in plain or len(plain.rpartition(",")[2]) == 3):
+        raise ValueError(plain)
+    return float(plain.replace(",", "."))
 
 
 def correct(table: HarvestTable, tickets: Sequence[Ticket]) -> tuple[Array, tuple[LoadResult, ...]]:
@@ -105,8 +130,11 @@ def _by_load(names: Sequence[str], measured: Array, tickets: Sequence[Ticket]) -
     out: dict[int, Ticket] = {}
     plain = {" ".join(name.split()): number for number, name in enumerate(names)}
     short = {name.split(":")[0].removeprefix("L"): number for name, number in plain.items()}
+    behind = [name.split(":", 1)[1].strip() if ":" in name else "" for name in plain]
     for ticket in tickets:
         load = plain.get(ticket.load, short.get(ticket.load.removeprefix("L")))
+        if load is None and behind.count(ticket.load) == 1:
+            load = list(plain.values())[behind.index(ticket.load)]
         if load is None:
             raise InputError(
                 f"ticket of load {ticket.load!r}", "names a load that the harvest does not have", f"one of {', '.join(plain)}"

@@ -1,4 +1,5 @@
-"""Ag Leader text, basic and advanced: no header, twelve columns that all dialects share, others after them.
+"""Ag Leader text, basic and advanced: twelve columns that all dialects share, others after them; without a header, or with one
+that names these columns and no other units.
 
 Columns: longitude and latitude in deg, grain flow in lb/s, time in s, logging interval in s, distance and swath in inches,
 moisture in %, header status, pass, serial number (not in every dialect), field; then, in varying order, load, grain, product,
@@ -16,12 +17,14 @@ from pathlib import Path
 import numpy as np
 
 from yieldmon.errors import InputError
+from yieldmon.field.plane import Sites
 from yieldmon.field.table import DEFAULT_FLOW_S, HarvestTable, Label, Source, build
 from yieldmon.field.units import M_PER_IN
 from yieldmon.units import KG_PER_LB
 
-from . import clocks
-from .delimited import Rows, delimiter_of, encoding_of, number, read_rows, rows_of
+from . import clocks, csv_table
+from .delimited import Rows, delimiter_of, encoding_of, has_decimal_comma, number, read_rows, rows_of
+from .naming import QUANTITIES, plain_name, split_unit
 from .options import ReadOptions
 from .positions import plausible
 
@@ -29,7 +32,18 @@ KIND = "Ag Leader text"
 ORDER = 40
 _NUMBERS = range(10)
 _FIELD, _LOAD = re.compile(r"^\s*F\d+\s*:"), re.compile(r"^\s*L\d+\s*:")
-_MAX_MACHINE_CHANGES = 50
+_MAX_MACHINE_CHANGES, _MAX_MACHINES = 50, 10
+_NAMED = (
+    ("longitude", ("deg",)),
+    ("latitude", ("deg",)),
+    ("flow", ("lb/s",)),
+    ("time", ("s",)),
+    ("interval", ("s",)),
+    ("distance", ("in",)),
+    ("width", ("in",)),
+    ("moisture", ("%",)),
+)
+"""Names of the first columns, and their units."""
 _LOOKED_AT = 20
 
 
@@ -40,25 +54,35 @@ def recognises(path: Path, head: bytes) -> bool:
     lines = head.decode(encoding_of(head), "replace").splitlines()[:_LOOKED_AT]
     for line in lines:
         cells = next(csv.reader([line], delimiter=delimiter_of(line)), []) if line.strip() else []
-        if _is_row(cells):
+        if _is_row(cells, has_decimal_comma(cells[:2])):
             return True
-        if len(cells) > 8 and not any(_is_number(cell) for cell in cells[:8]):
+        if len(cells) > 8 and not any(_is_number(cell) for cell in cells[:8]) and not _is_header(cells):
             return False
     return False
 
 
-def _is_number(cell: str) -> bool:
+def _is_number(cell: str, comma: bool = False) -> bool:
     try:
-        number(cell)
+        number(cell.replace(",", ".") if comma else cell)
     except ValueError:
         return False
     return bool(cell.strip())
 
 
-def _is_row(cells: list[str]) -> bool:
-    if len(cells) < 10 or not all(_is_number(cell) for cell in cells[:9]):
+def _is_row(cells: list[str], comma: bool) -> bool:
+    if len(cells) < 10 or not all(_is_number(cell, comma) for cell in cells[:9]):
         return False
-    return abs(number(cells[0])) <= 180 and abs(number(cells[1])) <= 90
+    longitude, latitude = (number(cell.replace(",", ".") if comma else cell) for cell in cells[:2])
+    return abs(longitude) <= 180 and abs(latitude) <= 90
+
+
+def _is_header(cells: list[str]) -> bool:
+    """Whether these are the names of this format's first columns, in its units or without any."""
+    for cell, (quantity, units) in zip(cells, _NAMED, strict=False):
+        name, unit = split_unit(cell.strip())
+        if plain_name(name) not in QUANTITIES[quantity].names or unit not in ("", *units):
+            return False
+    return len(cells) >= 10
 
 
 def read(path: Path, options: ReadOptions) -> HarvestTable:
@@ -70,20 +94,47 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
         line for line in head.decode(encoding, "replace").splitlines()[:-1] or [head.decode(encoding, "replace")] if line.strip()
     ]
     delimiter = delimiter_of(sample[0])
+    first = next(csv.reader(sample[:1], delimiter=delimiter, skipinitialspace=True))
+    headed = _is_header(first)
+    if headed and options.columns:
+        return csv_table.read(path, options)
     layout = _layout(sample, delimiter)
-    rows = read_rows(rows_of(path, encoding, delimiter), [*_NUMBERS, *layout["numbers"]], layout["texts"], 10)
+    source = rows_of(path, encoding, delimiter)
+    if headed:
+        next(source, None)
+    rows = read_rows(source, [*_NUMBERS, *layout["numbers"]], layout["texts"], 10, _comma(sample, delimiter))
     if not rows.count:
         raise InputError(
             str(path), "has no row that can be read", "ten numbers and more a row: longitude, latitude, flow in lb/s, ..."
         )
-    return _table(path, rows, layout, options)
+    if not headed or split_unit(first[5].strip())[1]:
+        return _table(path, rows, layout, options)
+    table = _table(path, rows, layout, options, ("has no units; its columns are those of Ag Leader text: lb/s, s, in, %",))
+    if not _ways_fit(table):
+        where = f"{path}: header"
+        raise InputError(where, "says no units, and the ways are not in inches", "--column flow=NAME:UNIT and so on")
+    return table
+
+
+def _ways_fit(table: HarvestTable) -> bool:
+    """Whether the ways that rows tell are those between their positions."""
+    x, y = Sites.about(table["longitude_deg"], table["latitude_deg"]).to_m(table["longitude_deg"], table["latitude_deg"])
+    driven, told = np.hypot(np.diff(x), np.diff(y)), table["distance_m"][1:]
+    both = (driven > 0) & (told > 0)
+    return not both.any() or bool(0.5 < np.median(told[both] / driven[both]) < 2.0)
+
+
+def _comma(sample: list[str], delimiter: str) -> bool:
+    rows = csv.reader(sample, delimiter=delimiter, skipinitialspace=True)
+    return has_decimal_comma(cell for row in rows for cell in row[:2] if _is_number(cell, True))
 
 
 def _layout(sample: list[str], delimiter: str) -> dict[str, list[int]]:
     """Which columns after the tenth are what, from the rows at the head: serial and elevation are numbers, names are text."""
-    cells = [row for row in csv.reader(sample, delimiter=delimiter, skipinitialspace=True) if _is_row(row)][:200]
+    comma = _comma(sample, delimiter)
+    cells = [row for row in csv.reader(sample, delimiter=delimiter, skipinitialspace=True) if _is_row(row, comma)][:200]
     width = min((len(row) for row in cells), default=10)
-    numeric = [column for column in range(10, width) if all(_is_number(row[column]) for row in cells)]
+    numeric = [column for column in range(10, width) if all(_is_number(row[column], comma) for row in cells)]
     text = [column for column in range(10, width) if column not in numeric]
     serial = [10] if 10 in numeric else []
     field = [c for c in text if all(_FIELD.match(row[c]) for row in cells)][:1]
@@ -105,9 +156,12 @@ def _layout(sample: list[str], delimiter: str) -> dict[str, list[int]]:
     }
 
 
-def _table(path: Path, rows: Rows, layout: dict[str, list[int]], options: ReadOptions) -> HarvestTable:
+def _table(
+    path: Path, rows: Rows, layout: dict[str, list[int]], options: ReadOptions, told: tuple[str, ...] = ()
+) -> HarvestTable:
     values = rows.numbers
-    time, notes = clocks.unwrapped(values[3])
+    machine = _machine(values[10], values[3]) if layout["serial"] else None
+    time, notes = _clock(values[3], machine)
     if options.first_date is not None:
         time = clocks.dated(time, options.first_date)
     header, header_notes = _header(values[8])
@@ -134,10 +188,9 @@ def _table(path: Path, rows: Rows, layout: dict[str, list[int]], options: ReadOp
         labels["crop"] = Label.constant(options.crop, rows.count)
     if options.field:
         labels["field"] = Label.constant(options.field, rows.count)
-    machine = _machine(values[10]) if layout["serial"] else None
     if machine is not None:
         labels["machine"] = machine
-    source = Source(str(path), KIND, rows.count, rows.skipped, notes=(*notes, *header_notes, *limits))
+    source = Source(str(path), KIND, rows.count, rows.skipped, notes=(*told, *notes, *header_notes, *limits))
     return build(columns, labels, source, unix_time=options.first_date is not None, default_flow_s=DEFAULT_FLOW_S)
 
 
@@ -150,9 +203,35 @@ def _header(status: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
     return down, ()
 
 
-def _machine(serial: np.ndarray) -> Label | None:
-    """Serial numbers as names of machines; a column that goes to and fro, or holds flags, is none."""
+def _machine(serial: np.ndarray, time_s: np.ndarray) -> Label | None:
+    """Serial numbers as names of machines; a column that holds flags is none, nor one that goes to and fro, unless that is what
+    parts two machines whose rows come by turns, each with a clock that goes on."""
     known = np.nan_to_num(serial)
-    if known.max(initial=0) <= 1 or (np.diff(known) != 0).sum() > _MAX_MACHINE_CHANGES:
+    if known.max(initial=0) <= 1:
         return None
+    if (np.diff(known) != 0).sum() > _MAX_MACHINE_CHANGES:
+        names = np.unique(known)
+        if len(names) > _MAX_MACHINES:
+            return None
+        stays = sum(_clock_stays(time_s[known == name]) for name in names)
+        if 10 * stays > _clock_stays(time_s):
+            return None
     return Label.of([f"{value:.0f}" for value in known])
+
+
+def _clock_stays(time_s: np.ndarray) -> int:
+    """How often a row's clock is not after that of the row before."""
+    return int((np.diff(time_s) <= 0).sum())
+
+
+def _clock(time_s: np.ndarray, machine: Label | None) -> tuple[np.ndarray, tuple[str, ...]]:
+    """The clock over midnight and the week's end, of each machine by itself."""
+    if machine is None or len(machine.names) < 2:
+        return clocks.unwrapped(time_s)
+    out = time_s.copy()
+    notes: list[str] = []
+    for code, name in enumerate(machine.names):
+        mine = machine.codes == code
+        out[mine], said = clocks.unwrapped(time_s[mine])
+        notes += [f"machine {name}: {one}" for one in said]
+    return out, tuple(notes)

@@ -112,7 +112,7 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
     _derive(values, time, values.get("section"), where)
     columns, limits = plausible({"time_s": time} | {_TABLE_NAMES[q]: v for q, v in values.items() if q in _TABLE_NAMES})
     if "header_down" in columns:
-        columns["header_down"] = np.where(np.isfinite(columns["header_down"]), (columns["header_down"] > 0).astype(float), np.nan)
+        columns["header_down"] = _down(columns["header_down"])
     labels = {
         name: raw.texts[raw.columns[name].name]
         for name in ("field", "load", "crop", "machine", "product")
@@ -125,6 +125,15 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
             labels[name] = Label.constant(text, raw.count)
     source = Source(where, kind, raw.count, raw.skipped, notes=(*raw.notes, *notes, *strange, *_backwards(time), *limits))
     return build(columns, labels, source, unix_time=unix_time, default_flow_s=raw.default_flow_s)
+
+
+def _down(state: Array) -> Array:
+    """1 for any number but 0. Where there is no 0, odd numbers are down and even ones up, as 33 and 32 of Ag Leader's."""
+    known = np.isfinite(state)
+    with np.errstate(invalid="ignore"):
+        odd = np.mod(state, 2) >= 1
+    coded = known.any() and (state[known] > 0).all() and odd[known].any() and not odd[known].all()
+    return np.where(known, (odd if coded else state > 0).astype(float), np.nan)
 
 
 def _crop_name(raw: Raw) -> str:

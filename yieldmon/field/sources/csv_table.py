@@ -9,7 +9,7 @@ from yieldmon.errors import InputError
 from yieldmon.field.table import HarvestTable
 
 from .assembled import Raw, assemble
-from .delimited import delimiter_of, encoding_of, read_rows, rows_of
+from .delimited import delimiter_of, encoding_of, has_decimal_comma, read_rows, rows_of
 from .naming import QUANTITIES, columns_of
 from .options import ReadOptions
 
@@ -44,8 +44,12 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
     texts = [place[c.name] for c in columns.values() if QUANTITIES[c.quantity].kind in text_kinds]
     rows = rows_of(path, encoding, delimiter)
     next(rows, None)
+    positions = [place[columns[q].name] for q in ("longitude", "latitude") if q in columns]
+    sample = csv.reader(lines[1:-1] or lines[1:], delimiter=delimiter, skipinitialspace=True)
+    told = [row[column] for row in sample for column in positions if column < len(row)]
     # With semicolons between fields, commas are within numbers.
-    read = read_rows(rows, numbers, texts, max([*numbers, *texts]) + 1, decimal_comma=delimiter == ";")
+    comma = delimiter == ";" or has_decimal_comma(told)
+    read = read_rows(rows, numbers, texts, max([*numbers, *texts]) + 1, decimal_comma=comma)
     if not read.count:
         raise InputError(str(path), "has a header and no row that can be read", "at least one row")
     raw = Raw(

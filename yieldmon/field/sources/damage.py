@@ -1,4 +1,4 @@
-"""What reading a damaged zip raises."""
+"""What reading a damaged zip raises, and which names in a zip or folder may be those of harvests."""
 
 from __future__ import annotations
 
@@ -17,3 +17,10 @@ ZIP_DAMAGE = (
     struct.error,
     OverflowError,
 )
+
+_SUFFIXES = (".txt", ".csv", ".tsv", ".dat", ".shp", ".gpkg", ".geojson", ".gml", ".fgb", ".kml", ".sqlite", ".zip")
+
+
+def may_be_harvest(name: str) -> bool:
+    """By the suffix; task data apart."""
+    return name.lower().endswith(_SUFFIXES) and not name.rsplit("/", 1)[-1].startswith("._")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import codecs
 import csv
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -17,6 +18,7 @@ from yieldmon.field.table import Array, Label, Skipped
 BLOCK_ROWS = 50_000
 _UNKNOWN = frozenset({"", "-", "na", "n/a", "nan", "null", "none", "?"})
 _NAMED = 5
+_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
 
 
 @dataclass(frozen=True)
@@ -57,9 +59,22 @@ def encoding_of(head: bytes) -> str:
 
 
 def delimiter_of(line: str) -> str:
-    """The most frequent of comma, semicolon and tab outside quotes."""
+    """The most frequent of comma, semicolon and tab outside quotes; commas that may be within each number are not counted."""
     plain = "".join(part for number, part in enumerate(line.split('"')) if number % 2 == 0)
+    for mark in ";\t":
+        if plain.count(mark) >= 2 and plain.count(",") <= plain.count(mark) + 1:
+            return mark
     return max(",;\t", key=plain.count)
+
+
+def has_decimal_comma(cells: Iterable[str]) -> bool:
+    """Whether numbers are written with a comma: some are, and none with a point. cells: of columns of numbers, best of positions.
+
+    >>> has_decimal_comma(["51,25", "12"]), has_decimal_comma(["1,250.5"]), has_decimal_comma(["51.25"])
+    (True, False, False)
+    """
+    plain = [cell.strip() for cell in cells]
+    return any(_COMMA.fullmatch(cell) for cell in plain) and not any("." in cell for cell in plain)
 
 
 def rows_of(path: Path, encoding: str, delimiter: str) -> Iterator[tuple[int, list[str]]]:

@@ -20,7 +20,7 @@ from yieldmon.field.plane import Sites
 from yieldmon.field.table import DEFAULT_FLOW_S, Array, HarvestTable, Label, Skipped, Source, build, joined
 
 from . import timelog
-from .damage import ZIP_DAMAGE
+from .damage import ZIP_DAMAGE, may_be_harvest
 from .options import ReadOptions
 from .positions import plausible
 
@@ -34,6 +34,7 @@ MASS_PER_AREA, MASS_PER_TIME, TOTAL_MASS, MOISTURE = 84, 87, 90, 99
 TOTAL_AREA, WORK_STATE, LAG, LEAD = 116, 141, 259, 260
 CONDENSED_STATES = range(161, 177)
 _KNOWN = {WIDTH, MASS_PER_AREA, MASS_PER_TIME, TOTAL_MASS, MOISTURE, TOTAL_AREA, WORK_STATE, LAG, LEAD, *CONDENSED_STATES}
+_PART_NAME = re.compile(r"^[A-Z]{3}\d{5}\.(XML|BIN)$")
 _LOG_NAME = re.compile(r"^TLG\d+$", re.IGNORECASE)
 _LONGEST_INTERVAL_S = 10.0
 _SECTION = "4"
@@ -61,24 +62,37 @@ class Folder:
 def recognises(path: Path, head: bytes) -> bool:
     """A folder or zip with TASKDATA.XML or logs in it, or that file."""
     if path.is_dir():
-        return _task_folder(path) is not None
+        home = _task_folder(path)
+        if home is None:
+            return False
+        others = [child for child in path.iterdir() if child != home and not is_task_part(child.name)]
+        return not any(child.is_dir() or may_be_harvest(child.name) for child in others)
     if zipfile.is_zipfile(path):
         try:
             with zipfile.ZipFile(path) as archive:
-                return any(_is_task_member(name) for name in archive.namelist())
+                names = [name.replace("\\", "/") for name in archive.namelist()]
+            homes = {name.rpartition("/")[0] for name in names if is_task_member(name)}
+            return len(homes) == 1 and not any(may_be_harvest(name) and not is_task_part(name) for name in names)
         except ZIP_DAMAGE:
             return False
     return path.name.upper() == TASK_FILE or b"<ISO11783_TaskData" in head
 
 
-def _is_task_member(name: str) -> bool:
+def is_task_member(name: str) -> bool:
+    """Whether a file of this name says that its folder holds task data."""
     base = name.replace("\\", "/").rsplit("/", 1)[-1].upper()
     return base == TASK_FILE or (base.endswith(".BIN") and bool(_LOG_NAME.match(base[:-4])))
 
 
+def is_task_part(name: str) -> bool:
+    """Whether a file of this name belongs to task data: the task file, a log, a grid, or an outsourced part."""
+    base = name.replace("\\", "/").rsplit("/", 1)[-1].upper()
+    return base in (TASK_FILE, "LINKLIST.XML") or bool(_PART_NAME.match(base))
+
+
 def _task_folder(path: Path) -> Path | None:
     for folder in (path, *sorted(child for child in path.iterdir() if child.is_dir() and child.name.upper() == "TASKDATA")):
-        if any(_is_task_member(child.name) for child in folder.iterdir() if child.is_file()):
+        if any(is_task_member(child.name) for child in folder.iterdir() if child.is_file()):
             return folder
     return None
 
@@ -99,7 +113,7 @@ def _open(path: Path) -> Folder:
         )
     with zipfile.ZipFile(path) as archive:
         members = [info for info in archive.infolist() if not info.is_dir()]
-    tasks = [m.filename for m in members if _is_task_member(m.filename)]
+    tasks = [m.filename for m in members if is_task_member(m.filename)]
     home = tasks[0].replace("\\", "/").rpartition("/")[0]
     here = {
         m.filename.replace("\\", "/").rpartition("/")[2].upper(): m.filename

@@ -70,7 +70,10 @@ QUANTITIES: Mapping[str, Quantity] = {
     "heading": Quantity("angle", _names("heading head course track trackdeg bearing kurs rumbo")),
     "elevation": Quantity("length", _names("elevation altitude elev height z hohe hoehe altitud")),
     "position_sd": Quantity("length", _names("positionsd")),
-    "header": Quantity("state", _names("headerdown header headerstatus headerstate harvesting inwork workstate areacount")),
+    "header": Quantity(
+        "state",
+        _names("headerdown header headerstatus headerstate harvesting inwork workstate areacount arbeitsstellung arbeitszustand"),
+    ),
     "pass": Quantity("none", _names("pass passnumber passnum")),
     "section": Quantity("none", _names("section sectionid")),
     "field": Quantity("text", _names("field fieldname schlag lote parcelle")),

@@ -15,8 +15,9 @@ import numpy as np
 from yieldmon.errors import InputError, brief
 from yieldmon.field.table import Array, HarvestTable, Label, Skipped, joined
 
+from . import isoxml
 from .assembled import Raw, assemble, labels_from
-from .damage import ZIP_DAMAGE
+from .damage import ZIP_DAMAGE, may_be_harvest
 from .naming import QUANTITIES, Column, columns_of
 from .options import ReadOptions
 
@@ -29,10 +30,34 @@ _WGS84 = "EPSG:4326"
 def recognises(path: Path, head: bytes) -> bool:
     """By suffix, or a zip with such a file in it."""
     if path.is_dir():
-        return any(child.suffix.lower() == ".shp" for child in path.iterdir())
+        children = list(path.iterdir())
+        return any(child.suffix.lower() == ".shp" for child in children) and not any(
+            child.is_dir() or (may_be_harvest(child.name) and child.suffix.lower() != ".shp") for child in children
+        )
     if path.suffix.lower() in _SUFFIXES:
         return bool(head)
-    return bool(_members(path))
+    return bool(_members(path)) and not _has_others(path)
+
+
+def _has_others(path: Path) -> bool:
+    """Whether a zip may hold other harvests too."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = archive.namelist()
+    except ZIP_DAMAGE:
+        return False
+    mine = set(_members(path))
+    return any(isoxml.is_task_member(name) or (may_be_harvest(name) and name not in mine) for name in names if not _of_mac(name))
+
+
+def _of_mac(name: str) -> bool:
+    return name.startswith("__MACOSX") or "/__MACOSX/" in name
+
+
+def is_beside(name: str, shapefile: str) -> bool:
+    """Whether a file belongs to a shapefile of the same folder."""
+    stem, lower = shapefile.rsplit(".", 1)[0].lower(), name.lower()
+    return lower.startswith(f"{stem}.") or (lower.startswith(stem) and lower.endswith("metadata.json"))
 
 
 def _members(path: Path) -> list[str]:
@@ -41,9 +66,7 @@ def _members(path: Path) -> list[str]:
     try:
         with zipfile.ZipFile(path) as archive:
             return sorted(
-                name
-                for name in archive.namelist()
-                if name.lower().endswith((".shp", ".geojson", ".gpkg")) and not name.startswith("__MACOSX")
+                name for name in archive.namelist() if name.lower().endswith((".shp", ".geojson", ".gpkg")) and not _of_mac(name)
             )
     except ZIP_DAMAGE:
         return []
