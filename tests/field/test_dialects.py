@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from yieldmon.errors import InputError
 from yieldmon.field import sources
 from yieldmon.field.sources.options import ReadOptions
 from yieldmon.field.table import HarvestTable
@@ -82,3 +83,78 @@ def test_vector_files_date_their_points(clock: str, tmp_path: Path) -> None:
         assert "no time" in table.sources[0].notes[-1]
     else:
         looks_right(table)
+
+
+#: Three rows of Ag Leader text 2 m apart, 1 kg/s; the header is up at the last.
+AG_LEADER = """-92.1,39.0,2.20462,43199,1,78.74,360,16.0,33,1,4711,F1:north,L1:<1>,Corn
+-92.1,39.00001796,2.20462,43200,1,78.74,360,16.0,33,1,4711,F1:north,L1:<1>,Corn
+-92.1,39.00003592,2.20462,43201,1,78.74,360,16.0,32,1,4711,F1:north,L1:<1>,Corn
+"""
+HEADER = "Longitude,Latitude,Flow,GPS Time,Interval,Distance,Swath,Moisture,Header Status,Pass,Serial,Field,Load,Grain\n"
+UNITS = HEADER.replace("Flow", "Flow(lb/s)").replace("Interval", "Interval(s)").replace("Swath", "Swath(in)")
+
+
+@pytest.mark.parametrize("suffix", [".txt", ".csv", ".TXT", ".dat"])
+@pytest.mark.parametrize(
+    "content",
+    [
+        AG_LEADER,
+        AG_LEADER.replace(",", ";").replace(".", ","),
+        AG_LEADER.replace(",", "\t").replace(".", ","),
+        AG_LEADER.replace(",", " , "),
+        AG_LEADER.replace(",Corn", ',"Corn","DK 616",7,1.2,812.3'),
+        HEADER + AG_LEADER,
+        UNITS.replace("Distance", "Distance(in)") + AG_LEADER,
+        (HEADER + AG_LEADER).replace(",", ";").replace(".", ","),
+    ],
+    ids=["plain", "semicolons", "tabs", "blanks", "advanced", "header", "header with units", "header, semicolons"],
+)
+def test_ag_leader_dialects(content: str, suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"field{suffix}"
+    path.write_text(content, encoding="utf-8-sig", newline="\r\n")
+    table = sources.read(path, ReadOptions())
+    assert table.sources[0].kind == "Ag Leader text"
+    assert table.sources[0].skipped == ()
+    assert table["flow_kg_s"] == pytest.approx([1.0, 1.0, 1.0], rel=1e-5)
+    assert table["longitude_deg"].tolist() == [-92.1] * 3
+    assert table["width_m"] == pytest.approx([9.144] * 3, rel=1e-6)
+    assert table["header_down"].tolist() == [1, 1, 0]
+    assert table.labels["field"].names == ("F1:north",)
+
+
+def test_a_header_without_units_needs_ways_in_inches(tmp_path: Path) -> None:
+    path = tmp_path / "metric.csv"
+    path.write_text(HEADER + AG_LEADER.replace("78.74", "2.0"))
+    with pytest.raises(InputError, match="says no units, and the ways are not in inches"):
+        sources.read(path, ReadOptions())
+    units = {"flow": ("Flow", "kg/s"), "distance": ("Distance", "m"), "width": ("Swath", "in"), "interval": ("Interval", "s")}
+    table = sources.read(path, ReadOptions(columns=units))
+    assert table["flow_kg_s"].tolist() == [2.20462] * 3
+    assert table["distance_m"].tolist() == [2.0] * 3
+    assert table["header_down"].tolist() == [1, 1, 0]
+
+
+@pytest.mark.parametrize(
+    ("states", "down"),
+    [
+        (("33", "33", "32"), [1, 1, 0]),
+        (("1", "1", "0"), [1, 1, 0]),
+        (("2", "1", "0"), [1, 1, 0]),
+        (("true", "On", "raised"), [1, 1, 0]),
+    ],
+)
+def test_states_of_a_header(states: tuple[str, ...], down: list[float], tmp_path: Path) -> None:
+    path = tmp_path / "states.csv"
+    rows = [f"-92.1,{39.0 + 0.00001796 * k:.8f},{k},1.0,9.0,{state}" for k, state in enumerate(states)]
+    path.write_text("lon,lat,time,flow_kg_s,width_m,header\n" + "\n".join(rows))
+    assert sources.read(path, ReadOptions())["header_down"].tolist() == down
+
+
+@pytest.mark.parametrize("delimiter", [",", "\t", ";"])
+def test_decimal_commas(delimiter: str, tmp_path: Path) -> None:
+    path = tmp_path / "comma.csv"
+    rows = [delimiter.join(f'"{cell}"' for cell in ("-92,1", f"39,0000{k}", str(k), "1,5", "9")) for k in range(3)]
+    path.write_text(delimiter.join(("lon", "lat", "time", "flow_kg_s", "width_m")) + "\n" + "\n".join(rows))
+    table = sources.read(path, ReadOptions())
+    assert table["flow_kg_s"].tolist() == [1.5] * 3
+    assert table["longitude_deg"].tolist() == [-92.1] * 3
