@@ -239,6 +239,12 @@ def test_a_plate_is_fixed_or_measured(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "plate.fixed_angle_deg" in said(capsys, path)
 
 
+def test_a_bolted_plate_may_say_that_it_has_no_feedback(tmp_path: Path) -> None:
+    path = tmp_path / "y.yaml"
+    path.write_text("plate: {fixed_angle_deg: 70}\nsignals: {plate_angle: null, actuator_state: null}\n")
+    assert main(["check-config", str(path)]) == 0
+
+
 @pytest.mark.parametrize("angle_deg", [40, 55, 63, 90, 150])
 def test_a_plate_may_be_bolted_on_at_any_angle(angle_deg: float, tmp_path: Path) -> None:
     """The shipped machine's cell is none the worse for a plate on which little presses."""

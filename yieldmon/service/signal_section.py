@@ -108,6 +108,8 @@ def signal_map(
         where = f"{path}: signals.{quantity}"
         check_quantity(str(quantity), where)
         if fixed_plate_deg is not None and quantity in ("plate_angle", "actuator_state"):
+            if entries is None:
+                continue
             raise InputError(where, "is bound though plate.fixed_angle_deg is set", "one of the two")
         if entries is None:
             if quantity in IMPACT or quantity in _NEEDED:
