@@ -47,6 +47,8 @@ OF_PACKAGE = {
     "network": ("tests/network",),
 }
 FEWEST_FILES, MOST_FILES = 2, 6
+#: Packages whose parts are seen together more than alone: the files of OF_PACKAGE come after those of each module.
+TOGETHER = ("engine",)
 #: Folders of tests that need a machine of their own, or a long time.
 AWAY = ("vcan", "systemd", "benchmarks", "docs", "golden", "robustness")
 
@@ -113,7 +115,8 @@ def concerned(path: str) -> tuple[str, ...]:
     found = [file for file in files_here if file.stem == f"test_{name}" or pattern.search(file.read_text(encoding="utf-8"))]
     found.sort(key=lambda file: (file.parent.name != path.split("/")[1], name not in file.name, file.stat().st_size))
     files = [str(file.relative_to(ROOT)) for file in found[:MOST_FILES]]
-    files += [name for name in OF_PACKAGE[path.split("/")[1]] if name not in files and len(files) < FEWEST_FILES]
+    part = path.split("/")[1]
+    files += [name for name in OF_PACKAGE[part] if name not in files and (part in TOGETHER or len(files) < FEWEST_FILES)]
     return tuple(files)
 
 

@@ -140,8 +140,9 @@ def test_silence_is_not_available_and_totals_keep_what_was_measured() -> None:
     out = [sent for second in range(1, 9) for sent in frames_in(target.tick(1030.0 + second))]
     assert set(qualities(out)[2:]) == {Q.NOT_AVAILABLE}
     assert all(math.isnan(rate) for rate in flows(out)[2:])
-    # 0.9 s measured in a window that counts whole, and half a pattern left over.
+    # 0.9 s measured in a window that counts whole, and half a pattern left over, at the speed that was known then.
     assert target.totals.total_kg - before == pytest.approx(10.0, rel=0.08)
+    assert [r.mass_kg > 0.0 for r in target.records[29:]] == [True, True, *[False] * (len(target.records) - 31)]
     assert {FaultCode.SENSOR_MISSING, FaultCode.SPEED_MISSING, FaultCode.PLATE_FEEDBACK_STALE} <= set(target.faults.active)
     assert states(out)[-1] is OperatingState.FAULT
 
@@ -228,6 +229,28 @@ def test_stuck_sensor() -> None:
     assert set(qualities(out)[16:]) == {Q.NOT_AVAILABLE}
     assert FaultCode.SENSOR_STUCK in target.faults.active
     assert target.totals.total_kg < 10.0 * 12
+
+
+def test_a_sensor_is_stuck_after_five_whole_seconds_without_change() -> None:
+    target = monitor()
+    feed(target, altered({f"Sample{i}": 321.0 for i in range(4)}))
+    begun = next(e.time_s for e in target.fault_events if e.code is FaultCode.SENSOR_STUCK)
+    assert begun == pytest.approx(1020.1, abs=0.05), "windows end a tenth after the full second"
+    assert {math.isfinite(r.force_n) for r in target.records if 1015.2 < r.time_s < begun - 0.05} == {True}
+    after = [r for r in target.records if r.time_s > begun - 0.05]
+    assert {(r.quality, r.mass_kg, math.isfinite(r.force_n)) for r in after} == {(Q.NOT_AVAILABLE, 0.0, False)}
+
+
+def test_a_sensor_at_a_standstill_is_not_stuck() -> None:
+    quiet = Bench(flow=harvest(1005.0, 1015.0), rpm=lambda t: 400.0 if t < 1018 else 0.0).frames(30)
+    level = {f"Sample{i}": 150.0 for i in range(4)}
+    given = [
+        f._replace(signals={**f.signals, **level}) if f.message == bus.IMPACT_SENSOR_SAMPLES and f.time_s > 1019.5 else f
+        for f in quiet
+    ]
+    target = monitor()
+    feed(target, given)
+    assert not [e for e in target.fault_events if e.code is FaultCode.SENSOR_STUCK]
 
 
 def test_saturated_sensor() -> None:
