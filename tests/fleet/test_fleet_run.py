@@ -11,6 +11,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import dask
 import pyarrow.parquet as pq
 import pytest
 
@@ -61,6 +62,16 @@ def test_command_measures_and_skips(tree: Path, measured: Path, tmp_path: Path, 
         assert "dashboard: http://" in printed.err
     made, same = files(tmp_path / "out"), files(measured)
     assert {name: made[name] for name in made} == {name: same[name] for name in same if name != "_run"}
+
+
+def test_workers_that_do_not_start_are_one_line(tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").touch()
+    with dask.config.set({"temporary_directory": str(tmp_path / "file" / "folder")}):
+        assert main(["fleet", "run", str(tree), "--out", str(tmp_path / "out"), "--workers", "0"]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("yieldmon: the workers do not start: ")
+    assert "Not a directory" in said
+    assert said.count("\n") == 1
 
 
 def test_records_are_those_of_process(tree: Path, measured: Path, tmp_path: Path) -> None:

@@ -128,7 +128,15 @@ def _client(cluster: Cluster) -> Iterator[Any]:
                     client.close(timeout=2)
             return
         here = {"processes": False, "n_workers": 1} if cluster.workers == 0 else {"n_workers": cluster.workers}
-        with untyped.LocalCluster(threads_per_worker=1, dashboard_address="127.0.0.1:0", **here) as local:
+        try:
+            started = untyped.LocalCluster(threads_per_worker=1, dashboard_address="127.0.0.1:0", **here)
+        except (RuntimeError, OSError) as error:
+            cause: BaseException = error
+            while before := cause.__cause__ or cause.__context__:
+                cause = before
+            instead = "; --workers 0 measures in this process alone" if cluster.workers else ""
+            raise OSError(f"the workers do not start: {cause}{instead}") from error
+        with started as local:
             if cluster.adaptive:
                 local.adapt(minimum=1, maximum=max(1, cluster.workers))
             with untyped.Client(local) as client:
