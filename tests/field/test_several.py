@@ -268,3 +268,54 @@ def test_a_few_points_are_no_yield_and_no_nonsense(rows: int, tmp_path: Path, ca
     _, told = mapped(capsys, tmp_path / "field.txt")
     assert "nan" not in told
     assert "no yield: no point is kept" in told
+
+
+def test_a_cleaned_text_is_not_shifted_again(corn: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Where the data tell the delay, and where they do not: noise alone."""
+    ag_leader(tmp_path / "noise.txt", delay_s=9, seed=3, pure_noise=True)
+    for source, decision in ((corn, "estimated"), (tmp_path / "noise.txt", "cannot tell")):
+        out = tmp_path / decision
+        assert cli.main(["map", str(source), "--out", str(out), "--json", "--products", "agleader"]) == 0
+        first = json.loads(capsys.readouterr().out)
+        again, told = mapped(capsys, out / "agleader_clean.txt")
+        assert first["delay"]["flow_s"]["decision"] == decision
+        assert f"flow delay of {first['delay']['flow_s']['value']:.1f} s taken out" in told
+        assert again["delay"]["flow_s"]["value"] == 0.0
+        assert again["mass_kg"]["kept"] == pytest.approx(first["mass_kg"]["kept"], rel=0.03)
+        assert again["crop"] == first["crop"]
+        raw, _ = mapped(capsys, out / "agleader_raw.txt")
+        assert raw["delay"]["flow_s"]["value"] == pytest.approx(first["delay"]["flow_s"]["value"], abs=0.05)
+
+
+def test_a_mark_does_not_outweigh_the_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ag_leader(tmp_path / "field.txt", delay_s=LATE, seed=5)
+    rows = (tmp_path / "field.txt").read_text().splitlines()
+    (tmp_path / "field.txt").write_text("\n".join(f'{row},"flow delay of 3.0 s taken out"' for row in rows))
+    document, _ = mapped(capsys, tmp_path / "field.txt")
+    assert document["delay"]["flow_s"]["value"] == pytest.approx(LATE, abs=1.0)
+
+
+def test_a_forage_harvester_is_no_combine(harvests: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What it does not tell is assumed by the kind of machine: only a forage harvester logs a length of cut (DDI 177)."""
+    document, _ = mapped(capsys, harvests / "isoxml")
+    assert document["delay"]["flow_s"]["decision"] == "cannot tell"
+    assert document["delay"]["flow_s"]["value"] == 2.0
+    shutil.copytree(harvests / "isoxml", tmp_path / "combine")
+    for header in (tmp_path / "combine").glob("TLG*.xml"):
+        header.write_text(header.read_text().replace('A="00B1"', 'A="EB00"'))
+    document, _ = mapped(capsys, tmp_path / "combine")
+    assert document["delay"]["flow_s"]["value"] == 12.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_grain_at_the_fields_edge_is_kept(seed: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A machine that does not smear, on ground that varies: there is no ramp to cut off, wherever the yield is low."""
+    ag_leader(tmp_path / "field.txt", delay_s=0, seed=seed)
+    rows = [row.split(",") for row in (tmp_path / "field.txt").read_text().splitlines()]
+    for row in rows:
+        share = 0.7 if (float(row[1]) - 40.0) * EARTH_M_DEG < 30.0 else 1.0
+        row[2] = f"{share * float(row[2]):.4f}"
+    (tmp_path / "field.txt").write_text("\n".join(",".join(row) for row in rows))
+    document, _ = mapped(capsys, tmp_path / "field.txt", "--flow-delay", "0")
+    mass = document["mass_kg"]
+    assert mass["kept"] > 0.9 * mass["integrated"]

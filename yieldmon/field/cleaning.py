@@ -29,6 +29,7 @@ NO_PLACE = "no place"
 """Mass measured at a time whose place, one delay before, is not in the record."""
 _MAX_RAMP_S = 20.0
 _RAMP_LEVEL = 0.95
+_AFTER_S = 10.0
 _TURN_DEG = 30.0
 _SPEED_STEP = 0.25
 _SHORT_PASS_WIDTHS = 3.0
@@ -186,19 +187,24 @@ def _short_pass(at: Context) -> Flags:
 
 
 def ramp_s(distance_s: Array, level: Array) -> float:
-    """How long yields stay below RAMP_LEVEL of the inner passes', s from an end: the median yield each second decides.
+    """How long yields rise, s from an end: to the first second whose median yield is RAMP_LEVEL of that of the seconds after it.
+
+    Ground at the field's edge that yields less, evenly, is no ramp.
 
     >>> ramp_s(np.repeat(np.arange(40.0), 20), np.repeat(np.minimum(np.arange(40.0) / 4.0, 1.0), 20))
     4.0
+    >>> ramp_s(np.repeat(np.arange(40.0), 20), np.repeat(np.where(np.arange(40.0) < 12.0, 0.8, 1.0), 20))
+    0.0
     """
     known = np.isfinite(level) & np.isfinite(distance_s)
-    inner = level[known & (distance_s > _MAX_RAMP_S)]
-    if inner.size < 100:
+    if np.count_nonzero(known & (distance_s > _MAX_RAMP_S)) < 100:
         return 0.0
-    target = _RAMP_LEVEL * float(np.median(inner))
+    near = known & (distance_s < _MAX_RAMP_S + _AFTER_S + 1.0)
+    distance, values = distance_s[near], level[near]
     for second in range(int(_MAX_RAMP_S)):
-        here = level[known & (distance_s >= second) & (distance_s < second + 1)]
-        if here.size < 5 or float(np.median(here)) >= target:
+        here = values[(distance >= second) & (distance < second + 1)]
+        after = values[(distance >= second + 1) & (distance < second + 1 + _AFTER_S)]
+        if here.size < 5 or not after.size or float(np.median(here)) >= _RAMP_LEVEL * float(np.median(after)):
             return float(second)
     return _MAX_RAMP_S
 
@@ -270,8 +276,8 @@ RULES: tuple[Rule, ...] = (
     Rule("short pass", f"pass shorter than {_SHORT_PASS_WIDTHS:g} widths", _short_pass),
     Rule("turn", f"heading changes by over {_TURN_DEG:g} deg within four points", _turn),
     Rule("speed step", f"speed changes by over {100 * _SPEED_STEP:g} % and far more than usual from point to point", _speed_step),
-    Rule("pass start", f"yield not yet at {100 * _RAMP_LEVEL:g} % (length from all passes)", _pass_start),
-    Rule("pass end", f"yield no longer at {100 * _RAMP_LEVEL:g} %", _pass_end),
+    Rule("pass start", f"yield not yet at {100 * _RAMP_LEVEL:g} % of what follows (length from all passes)", _pass_start),
+    Rule("pass end", f"yield no longer at {100 * _RAMP_LEVEL:g} % of what was before", _pass_end),
     Rule("overlap", "over half of the swath was cut before", _overlap),
     Rule("flow", "no flow, or above the outer fence of flow by width", _flow),
     Rule("moisture", "beyond the outer fences", _moisture),

@@ -133,6 +133,7 @@ def _delays(
         return estimate_delay(of, pairs, quantity, default_s=start_s, declared_s=declared_s, generator=generator)
 
     own = [estimated(part.steps, part.pairs, *known) for part, known in zip(parts, known_s, strict=True)]
+    own = [_as_said(one, part.source) for one, part in zip(own, parts, strict=True)]
     if given_s is not None:
         return [given_delay(given_s, known[1], one) for one, known in zip(own, known_s, strict=True)]
     for members in _same_machine(parts):
@@ -146,6 +147,16 @@ def _delays(
             for k in unsure:
                 own[k] = replace(pooled, declared_s=known_s[k][1], why=f"one clear peak in {len(members)} files together")
     return own
+
+
+def _as_said(estimate: Delay, source: Source) -> Delay:
+    """No shift where the source says that the delay was taken out, and the data do not say otherwise."""
+    low, high = estimate.low_s, estimate.high_s
+    if not source.taken_out or low is None or high is None or not low <= 0.0 <= high:
+        return estimate
+    return replace(
+        estimate, value_s=0.0, shifted=estimate.no_shift, why="taken out before, as the source says, and no other peak"
+    )
 
 
 def _same_machine(parts: Sequence[_Part]) -> list[list[int]]:

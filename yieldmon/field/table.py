@@ -35,6 +35,9 @@ COLUMNS: Mapping[str, str] = {
 REQUIRED = ("time_s", "longitude_deg", "latitude_deg", "flow_kg_s", "interval_s", "distance_m", "width_m")
 DEFAULT_FLOW_S = 12.0
 """Delay of a combine of which nothing is known, between the 8 and 18 s of the makes (Yield Editor's manual)."""
+FORAGE_FLOW_S = 2.0
+"""Delay of a forage harvester of which no more is known: its moisture, measured behind the chopper, lags by 1.9 s (0.4 to 2.9) in
+the task data of studies/harvests, and its flow is measured at the feed rolls, before that."""
 LABELS = ("field", "load", "crop", "machine", "product")
 
 
@@ -96,6 +99,8 @@ class Source:
         What the reader had to take for granted; a line each.
     declared_flow_s, declared_moisture_s, default_flow_s
         As of a HarvestTable of this source alone.
+    taken_out : bool
+        Whether the source says that its delays have been taken out of its rows.
     """
 
     path: str
@@ -108,6 +113,7 @@ class Source:
     declared_flow_s: float | None = None
     declared_moisture_s: float | None = None
     default_flow_s: float = 0.0
+    taken_out: bool = False
 
 
 @dataclass(frozen=True)

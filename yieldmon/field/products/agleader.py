@@ -1,7 +1,7 @@
 """Ag Leader advanced text, twice: `agleader_raw.txt` as measured, with no delay taken out, for Yield Editor and the like, and
 `agleader_clean.txt`, the points kept with their grain at its place.
 
-Columns and units as in the reader of this format.
+Columns and units as in the reader of this format. The cleaned text has one more, the last: that the delay was taken out.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import numpy as np
 
 from yieldmon.field.grid import Grid
 from yieldmon.field.harvest import HarvestMap
+from yieldmon.field.sources.agleader import taken_out
 from yieldmon.field.table import Array
 from yieldmon.field.tracks import Index
 from yieldmon.field.units import M_PER_FT, M_PER_IN
@@ -36,12 +37,22 @@ def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
         width = np.where(
             result.ground.gross_m2 > 0, table["width_m"] * result.ground.area_m2 / result.ground.gross_m2, table["width_m"]
         )
-    _write(clean, result, kept, flow, result.placed.moisture_pct, down, width)
+    marks = np.empty(len(table), dtype=object)
+    for machine in result.machines:
+        marks[machine.rows] = f',"{taken_out(machine.flow.value_s)}"'
+    _write(clean, result, kept, flow, result.placed.moisture_pct, down, width, marks)
     return [raw, clean]
 
 
 def _write(
-    path: Path, result: HarvestMap, rows: Index, flow: Array, moisture: Array, down: np.ndarray, width: Array | None = None
+    path: Path,
+    result: HarvestMap,
+    rows: Index,
+    flow: Array,
+    moisture: Array,
+    down: np.ndarray,
+    width: Array | None = None,
+    marks: np.ndarray | None = None,
 ) -> None:
     table = result.table
     swath = table["width_m"] if width is None else width
@@ -69,12 +80,13 @@ def _write(
                 table.labels["load"].codes[part].tolist(),
                 table.labels["crop"].codes[part].tolist(),
                 (np.nan_to_num(table["elevation_m"][part]) / M_PER_FT).tolist(),
+                [""] * len(part) if marks is None else marks[part].tolist(),
                 strict=True,
             )
             stream.writelines(
                 f"{x:.8f},{y:.8f},{f:.3f},{t},{i:.3g},{d:.2f},{w:.1f},{m:.2f},{h},{p},{serial[s]},"
-                f'"F{a + 1}:{names["field"][a]}","L{b + 1}:{names["load"][b]}","{names["crop"][c]}",1,0.0,{e:.1f}\r\n'
-                for x, y, f, t, i, d, w, m, h, p, s, a, b, c, e in fields
+                f'"F{a + 1}:{names["field"][a]}","L{b + 1}:{names["load"][b]}","{names["crop"][c]}",1,0.0,{e:.1f}{mark}\r\n'
+                for x, y, f, t, i, d, w, m, h, p, s, a, b, c, e, mark in fields
             )
 
 

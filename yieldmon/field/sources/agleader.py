@@ -31,6 +31,7 @@ from .positions import plausible
 KIND = "Ag Leader text"
 ORDER = 40
 _NUMBERS = range(10)
+_TAKEN_OUT = re.compile(r"flow delay of (-?\d+(?:\.\d+)?) s taken out")
 _FIELD, _LOAD = re.compile(r"^\s*F\d+\s*:"), re.compile(r"^\s*L\d+\s*:")
 _MAX_MACHINE_CHANGES, _MAX_MACHINES = 50, 10
 _NAMED = (
@@ -45,6 +46,11 @@ _NAMED = (
 )
 """Names of the first columns, and their units."""
 _LOOKED_AT = 20
+
+
+def taken_out(delay_s: float) -> str:
+    """What stands in the last column where the delay is no more in the rows."""
+    return f"flow delay of {delay_s:.1f} s taken out"
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -139,7 +145,8 @@ def _layout(sample: list[str], delimiter: str) -> dict[str, list[int]]:
     serial = [10] if 10 in numeric else []
     field = [c for c in text if all(_FIELD.match(row[c]) for row in cells)][:1]
     load = [c for c in text if all(_LOAD.match(row[c]) for row in cells)][:1]
-    rest = [c for c in text if c not in field + load and any(row[c].strip().upper() not in ("", "NA") for row in cells)]
+    mark = [c for c in text if all(_TAKEN_OUT.fullmatch(row[c].strip()) for row in cells)][:1]
+    rest = [c for c in text if c not in field + load + mark and any(row[c].strip().upper() not in ("", "NA") for row in cells)]
     if not field and rest:
         field, rest = rest[:1], rest[1:]
     after = [c for c in numeric if c > (rest or load or field or [10])[-1]]
@@ -152,7 +159,8 @@ def _layout(sample: list[str], delimiter: str) -> dict[str, list[int]]:
         "load": load,
         "crop": rest[:1],
         "product": rest[1:2],
-        "texts": field + load + rest[:2],
+        "mark": mark,
+        "texts": field + load + rest[:2] + mark,
     }
 
 
@@ -190,8 +198,17 @@ def _table(
         labels["field"] = Label.constant(options.field, rows.count)
     if machine is not None:
         labels["machine"] = machine
-    source = Source(str(path), KIND, rows.count, rows.skipped, notes=(*told, *notes, *header_notes, *limits))
-    return build(columns, labels, source, unix_time=options.first_date is not None, default_flow_s=DEFAULT_FLOW_S)
+    marks = rows.texts[layout["mark"][0]].names if layout["mark"] else ()
+    source = Source(
+        str(path),
+        KIND,
+        rows.count,
+        rows.skipped,
+        notes=(*told, *(f"says: {mark}" for mark in marks), *notes, *header_notes, *limits),
+        taken_out=bool(marks),
+    )
+    default_s = 0.0 if marks else DEFAULT_FLOW_S
+    return build(columns, labels, source, unix_time=options.first_date is not None, default_flow_s=default_s)
 
 
 def _header(status: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:

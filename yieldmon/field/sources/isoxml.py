@@ -17,7 +17,7 @@ import numpy as np
 
 from yieldmon.errors import InputError, brief
 from yieldmon.field.plane import Sites
-from yieldmon.field.table import DEFAULT_FLOW_S, Array, HarvestTable, Label, Skipped, Source, build, joined
+from yieldmon.field.table import DEFAULT_FLOW_S, FORAGE_FLOW_S, Array, HarvestTable, Label, Skipped, Source, build, joined
 
 from . import timelog
 from .damage import ZIP_DAMAGE, may_be_harvest
@@ -33,6 +33,8 @@ WIDTH, DEFAULT_WIDTH, MAX_WIDTH = 67, 68, 70
 MASS_PER_AREA, MASS_PER_TIME, TOTAL_MASS, MOISTURE = 84, 87, 90, 99
 TOTAL_AREA, WORK_STATE, LAG, LEAD = 116, 141, 259, 260
 CONDENSED_STATES = range(161, 177)
+LENGTH_OF_CUT = 177
+"""Only a forage harvester has one."""
 _KNOWN = {WIDTH, MASS_PER_AREA, MASS_PER_TIME, TOTAL_MASS, MOISTURE, TOTAL_AREA, WORK_STATE, LAG, LEAD, *CONDENSED_STATES}
 _PART_NAME = re.compile(r"^[A-Z]{3}\d{5}\.(XML|BIN)$")
 _LOG_NAME = re.compile(r"^TLG\d+$", re.IGNORECASE)
@@ -301,7 +303,7 @@ def _log(folder: Folder, task: _Task, device: _Device, options: ReadOptions) -> 
         source,
         unix_time=True,
         declared_flow_s=None if lag is None else lag * 1e-3,
-        default_flow_s=DEFAULT_FLOW_S,
+        default_flow_s=FORAGE_FLOW_S if of.of(LENGTH_OF_CUT) else DEFAULT_FLOW_S,
         extra=extra,
     )
     return table, log.problem
