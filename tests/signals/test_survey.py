@@ -137,6 +137,17 @@ NAMELESS = (
 """
 )
 
+RECEIVER = (
+    HEAD
+    + """BO_ 514 Nav: 8 Node
+ SG_ lat : 0|32@1- (1e-7,0) [-90|90] "deg" Node
+ SG_ lon : 32|32@1- (1e-7,0) [-180|180] "deg" Node
+BO_ 515 Board: 4 Node
+ SG_ force : 0|16@1+ (0.1,0) [0|6553.5] "N" Node
+ SG_ volts : 16|16@1+ (0.1,0) [0|6553.5] "mV" Node
+"""
+)
+
 
 def words(*values: float) -> bytes:
     return b"".join(round(10.0 * value).to_bytes(2, "little") for value in values)
@@ -207,6 +218,12 @@ def written(folder: Path, dbc: str, frames: list[tuple[int, bytes]], capsys: pyt
             [(513, words(400.0, 60.0))] * 50,
             ["signals: {}", "# or elevator_speed: {dbc: node.dbc, message: Werte, signal: Drehzahl}"],
             id="no name says it",
+        ),
+        pytest.param(
+            RECEIVER,
+            [(514 + place % 2, words(50.0 + place % 40, 12.0, 0, 0)) for place in range(100)],
+            ["impact_force: {dbc: node.dbc, message: Board, signal: force", "  latitude: {", "  longitude: {"],
+            id="short names, and a voltage that stands",
         ),
     ],
 )

@@ -46,10 +46,10 @@ _HINTS: Mapping[str, str] = {
     "header_down": r"header",
     "work_state": r"work",
     "unloading": r"unload|auger",
-    "course": r"course|bearing|heading|compass",
-    "ground_speed": r"speed",
-    "latitude": r"latitude",
-    "longitude": r"longitude",
+    "course": r"course|bearing|heading|compass|(^|_)cog(_|$)",
+    "ground_speed": r"speed|(^|_)sog(_|$)",
+    "latitude": r"latitude|(^|_|gps|pos)lat(_|$)",
+    "longitude": r"longitude|(^|_|gps|pos)long?(_|$)",
 }
 _BY_UNIT = frozenset({"elevator_speed", "plate_angle", "test_weight", "tank_mass"})
 """Quantities whose unit says enough for a guess where no name does."""
@@ -115,7 +115,7 @@ class MessageSeen:
 class Candidate:
     """A signal that could serve a quantity. unit: as the DBC says; mux: value of the multiplexer with which it is sent most;
     source: of the sender where the DBC does not tell it from others; node: the sender's NAME then, where one was heard; moved:
-    that node was heard at several addresses; span: lowest and highest value; weak: nothing but its unit speaks for it."""
+    that node was heard at several addresses; span: lowest and highest value; score: how well it fits, above 0."""
 
     quantity: str
     dbc: str
@@ -128,7 +128,12 @@ class Candidate:
     node: Name | None = None
     moved: bool = False
     span: tuple[float, float] = (0.0, 0.0)
-    weak: bool = False
+    score: float = 1.0
+
+    @property
+    def weak(self) -> bool:
+        """Whether nothing but its unit speaks for it."""
+        return self.score <= _WEAK
 
 
 class Survey:
@@ -242,7 +247,7 @@ class Survey:
     @property
     def candidates(self) -> dict[str, list[Candidate]]:
         """Quantity -> the signals that could serve it, the likeliest first; quantities without any are left out."""
-        found: dict[str, list[tuple[float, Candidate]]] = {}
+        found: dict[str, list[Candidate]] = {}
         messages = self.messages
         senders = Counter((message.dbc, message.name) for message in messages)
         homes = Counter(name for address, name in self._claims.items() if name is not None and address < _PAST_ADDRESSES)
@@ -268,11 +273,11 @@ class Survey:
                             node=node,
                             moved=node is not None and homes[node] > 1,
                             span=(signal.low, signal.high),
-                            weak=score <= _WEAK,
+                            score=score,
                         )
-                        found.setdefault(quantity, []).append((score, candidate))
+                        found.setdefault(quantity, []).append(candidate)
         return {
-            quantity: list(dict.fromkeys(c for _, c in sorted(scored, key=lambda item: -item[0])))
+            quantity: list(dict.fromkeys(sorted(scored, key=lambda candidate: -candidate.score)))
             for quantity, scored in sorted(found.items())
         }
 
@@ -369,7 +374,7 @@ def mapping_text(survey: Survey, paths: Mapping[str, str]) -> str:
         "signals:",
     ]
     candidates = survey.candidates
-    impact = [name for name in IMPACT if name in candidates]
+    impact = sorted((name for name in IMPACT if name in candidates), key=lambda name: -candidates[name][0].score)
     wanted = [*impact[:1], *(name for name in QUANTITIES if name in candidates)]
     if not impact:
         lines.append("  # impact_voltage: nothing on this bus looks like an impact sensor; see docs/guide/wiring.md")
