@@ -134,9 +134,17 @@ NAMELESS = (
     + """BO_ 513 Werte: 4 Node
  SG_ Drehzahl : 0|16@1+ (0.1,0) [0|6553.5] "1/min" Node
  SG_ Fuellung : 16|16@1+ (0.1,0) [0|100] "%" Node
+VAL_ 513 Drehzahl 0 "Stillstand" 65535 "SNA" 65534 "Error" ;
 """
 )
 
+STATE = (
+    HEAD
+    + """BO_ 516 Plate: 1 Node
+ SG_ ActuatorState : 0|4@1+ (1,0) [0|3] "" Node
+VAL_ 516 ActuatorState 2 "fault" ;
+"""
+)
 RECEIVER = (
     HEAD
     + """BO_ 514 Nav: 8 Node
@@ -216,8 +224,17 @@ def written(folder: Path, dbc: str, frames: list[tuple[int, bytes]], capsys: pyt
         pytest.param(
             NAMELESS,
             [(513, words(400.0, 60.0))] * 50,
-            ["signals: {}", "# or elevator_speed: {dbc: node.dbc, message: Werte, signal: Drehzahl}"],
+            [
+                "signals: {}",
+                "# or elevator_speed: {dbc: node.dbc, message: Werte, signal: Drehzahl, not_available: [65534, 65535]}",
+            ],
             id="no name says it",
+        ),
+        pytest.param(
+            STATE,
+            [(516, bytes([place % 3])) for place in range(100)],
+            ["actuator_state: {dbc: node.dbc, message: Plate, signal: ActuatorState}"],
+            id="a state that is a fault",
         ),
         pytest.param(
             RECEIVER,
@@ -236,6 +253,20 @@ def test_what_is_proposed(
     assert text.count("moisture:") == 0
     main(["check-config", str(tmp_path / "map.yaml"), "--json"])
     assert json.loads(capsys.readouterr().out)["problems"] == []
+
+
+def test_two_files_of_one_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for layout, folder in ((COUNTS, "one"), (MULTIPLEXED, "two")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "node.dbc").write_text(layout.dbc)
+    one, two = (str(tmp_path / folder / "node.dbc") for folder in ("one", "two"))
+    logs = {layout.name: str(drive(layout, tmp_path)) for layout in (COUNTS, MULTIPLEXED)}
+    mapping = tmp_path / "one" / "map.yaml"
+    found = survey(capsys, logs["counts"], "--dbc", one, "--dbc", two, "--write", str(mapping))
+    assert found["candidates"]["impact_voltage"][0]["dbc"] == one
+    assert "impact_voltage: {dbc: node.dbc, message: Bridge" in mapping.read_text()
+    found = survey(capsys, logs["multiplexed"], "--dbc", one, "--dbc", two)
+    assert found["candidates"]["impact_voltage"][0]["dbc"] == two
 
 
 def test_samples_that_no_cell_gives_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,6 +7,7 @@ import json
 import math
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -54,7 +55,9 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--seconds", f"is {args.seconds:g}", "a number above 0")
     if args.write is not None:
         _outputs.check(args)
-    paths = {Path(name).name: str(Path(name).absolute()) for name in args.dbc}
+    # Of two files with one name each is called by its path.
+    names = Counter(Path(name).name for name in dict.fromkeys(args.dbc))
+    paths = {Path(name).name if names[Path(name).name] == 1 else name: str(Path(name).absolute()) for name in args.dbc}
     paths |= {Path(name).name: str(shipped(name)) for name in _SHIPPED if Path(name).name not in paths}
     survey = Survey({name: load_messages(path) for name, path in paths.items()})
     for block in _log_blocks(args.log) if args.log else _bus_blocks(args):
@@ -79,8 +82,8 @@ def run(args: argparse.Namespace) -> int:
 def _as_written(paths: dict[str, str], mapping: Path) -> dict[str, str]:
     """The DBC files as a mapping names them: those beside it and the shipped ones by their bare name."""
     beside = mapping.absolute().parent
-    bare = {name for name, path in paths.items() if Path(path).parent == beside or path in map(str, map(shipped, _SHIPPED))}
-    return {name: name if name in bare else path for name, path in paths.items()}
+    ours = set(map(str, map(shipped, _SHIPPED)))
+    return {name: Path(path).name if Path(path).parent == beside or path in ours else path for name, path in paths.items()}
 
 
 def _log_blocks(path: str) -> Iterator[FrameBlock]:

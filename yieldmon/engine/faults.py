@@ -166,7 +166,7 @@ _C = FaultCode
 _TABLE = (
     FaultDefinition(
         _C.SENSOR_MISSING, 520192, 9, _S, 1, 3,
-        "No usable ImpactSensorSamples for a second, or the sensor reports a fault of its own.",
+        "No usable impact samples for a second, or the sensor reports a fault of its own.",
         "No flow is published and no mass is added for the seconds without samples.",
         "Check the sensor's supply, connector and bus stub.",
         lambda o: (
@@ -200,9 +200,9 @@ _TABLE = (
     ),
     FaultDefinition(
         _C.SPEED_MISSING, 520194, 9, _S, 1, 3,
-        "No usable ElevatorSpeed for ten of its periods.",
+        "No usable elevator speed for ten of its periods.",
         "No flow is published and no mass is added.",
-        "Check the speed sensor and the node that sends ElevatorSpeed.",
+        "Check the speed sensor and its node.",
         lambda o: _if(not o.reading.speed_known),
     ),
     FaultDefinition(
@@ -225,7 +225,7 @@ _TABLE = (
     ),
     FaultDefinition(
         _C.PLATE_FEEDBACK_STALE, 520195, 9, _W, 1, 3,
-        "No usable PlateActuatorFeedback for ten of its periods, or the actuator reports a fault.",
+        "No usable plate angle for ten of its periods, or the actuator reports a fault.",
         "With the plate last seen at rest its angle is held and flow is marked as degraded; otherwise no flow is published.",
         "Check the actuator's connector and bus stub.",
         lambda o: _if(o.reading.inputs.angle_stale),

@@ -57,6 +57,8 @@ _WEAK = 0.25
 """Score of such a guess; every other one is higher."""
 _CHANNELS = re.compile(r"(input|chan(nel)?|ch|ain|port)_?\d+", re.IGNORECASE)
 """Numbered signals of one frame that are sensors of their own, not samples of one."""
+_NO_VALUE = re.compile(r"not.?av|unavail|\bn/?a\b|\bsna\b|error|invalid|fault|nicht.?verf|fehler|ung.ltig", re.IGNORECASE)
+"""Names in a DBC's value tables of raw values that are none."""
 _OF_SHAFTS_ELSEWHERE = re.compile(r"engine|pto|front|rear|feeder", re.IGNORECASE)
 
 
@@ -113,9 +115,12 @@ class MessageSeen:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A signal that could serve a quantity. unit: as the DBC says; mux: value of the multiplexer with which it is sent most;
-    source: of the sender where the DBC does not tell it from others; node: the sender's NAME then, where one was heard; moved:
-    that node was heard at several addresses; span: lowest and highest value; score: how well it fits, above 0."""
+    """A signal that could serve a quantity.
+
+    unit: as the DBC says; mux: value of the multiplexer with which it is sent most; source: of the sender where the DBC does not
+    tell it from others; node: the sender's NAME then, where one was heard; moved: that node was heard at several addresses; span:
+    lowest and highest value; not_available: raw values that the DBC's value table calls so; score: how well it fits, above 0.
+    """
 
     quantity: str
     dbc: str
@@ -128,6 +133,7 @@ class Candidate:
     node: Name | None = None
     moved: bool = False
     span: tuple[float, float] = (0.0, 0.0)
+    not_available: tuple[int, ...] = ()
     score: float = 1.0
 
     @property
@@ -273,6 +279,7 @@ class Survey:
                             node=node,
                             moved=node is not None and homes[node] > 1,
                             span=(signal.low, signal.high),
+                            not_available=_not_available(quantity, signal.bits),
                             score=score,
                         )
                         found.setdefault(quantity, []).append(candidate)
@@ -324,6 +331,14 @@ def _merged(bits: SignalBits, before: SignalSeen | None, values: Array, pages: C
         low, high = float(np.fmin(known.min(), low)), float(np.fmax(known.max(), high))
         last = float(known[-1])
     return SignalSeen(bits, low, high, last, frames, pages)
+
+
+def _not_available(quantity: str, bits: SignalBits) -> tuple[int, ...]:
+    """Raw values that a value table calls no value, beside those that J1939 keeps. A state may well be "fault"."""
+    if quantity not in IMPACT and not QUANTITIES[quantity].unit:
+        return ()
+    named = {raw for name, raw in bits.choices.items() if _NO_VALUE.search(name)}
+    return tuple(sorted(raw for raw in named if bits.raw_max is None or raw <= bits.raw_max))
 
 
 def _score(quantity: str, message: MessageSeen, signal: SignalSeen) -> float:
@@ -428,6 +443,8 @@ def _entries(found: Candidate, paths: Mapping[str, str], candidates: Mapping[str
             keys.append(f"rate_hz: {found.rate_hz:.4g}")
     if found.quantity in IMPACT and not found.unit:
         keys += ["unit: counts", "scale: 0.1"]
+    if found.not_available:
+        keys.append(f"not_available: {list(found.not_available)}")
     if found.mux is not None:
         keys.append(f"mux: {found.mux}")
     if found.quantity == "elevator_speed" and _OF_SHAFTS_ELSEWHERE.search(found.signal):
