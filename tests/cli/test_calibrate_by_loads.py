@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 from pathlib import Path
 
@@ -124,6 +125,30 @@ def test_wrong_words_are_named_in_one_line(tmp_path, monkeypatch, capsys, words,
     assert out == ""
     assert err.count("\n") == 1
     assert problem in err
+
+
+def test_a_copy_of_a_log_under_another_name_is_refused(loads, tmp_path, capsys):
+    logs, masses = loads
+    copy = tmp_path / "monday.log"
+    copy.write_bytes(gzip.decompress(Path(logs[1]).read_bytes()))
+    rows = [("load1", masses[0]), ("load2", masses[1]), ("monday", masses[1])]
+    assert main(["calibrate", "--loads", *logs[:2], str(copy), "--tickets", tickets(tmp_path, rows)]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert f"monday.log: is the same log as {logs[1]}, one of them gzipped, and would double its mass" in err
+
+
+def test_a_load_measured_at_twice_its_mass_leaves_the_columns_apart(loads, tmp_path, capsys):
+    logs, masses = loads
+    path = tickets(tmp_path, [(2, 0.45 * masses[1])])
+    assert main(["calibrate", "--loads", *logs[:2], "--tickets", path]) == 0
+    heads, row = (line.split() for line in capsys.readouterr().out.splitlines()[:2])
+    assert heads[:7] == ["load", "weighed", "kg", "before", "kg", "after", "kg"]
+    assert row[0] == "2"
+    before_kg, apart = float(row[2]), row[3]
+    assert float(apart) == pytest.approx(100.0 * (before_kg / float(row[1]) - 1.0), abs=0.5)
+    assert float(apart) > 100.0
 
 
 def test_a_log_that_begins_in_grain_says_why_there_is_no_mass_and_takes_a_zero(tmp_path, capsys):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
@@ -151,6 +152,15 @@ def test_the_daemon_posts_after_a_ticket_lists_who_told_it_and_takes_it_back(tmp
         assert bench.status["loads"][-1]["posted_mass_kg"] == after[3]["posted_mass_kg"]
         (ticket,) = ask(tmp_path, capsys, "ticket", "list")["tickets"]
         assert (ticket["number"], ticket["undone_s"]) == (1, None)
+        for system, unit, factor in (("us", "lb", 1.0 / 0.45359237), ("metric", "kg", 1.0)):
+            listing = ["ticket", "list", "--units", system, "--socket", str(tmp_path / "yieldmon.sock")]
+            assert cli.main(listing) == 0
+            shown = re.findall(rf"([\d.,]+) {unit}\b", capsys.readouterr().out)
+            assert [float(number.replace(",", "")) for number in shown] == [
+                pytest.approx(factor * kg, rel=0.01) for kg in (before[3]["mass_kg"], weighed_kg)
+            ]
+        assert cli.main(["calibrations", "list", "--socket", str(tmp_path / "yieldmon.sock")]) == 0
+        assert "1970" not in capsys.readouterr().out
         assert ticket["who"]
         calibrations = ask(tmp_path, capsys, "calibrations", "list")["calibrations"]
         assert [(c["version"], c["origin"], c["state"]) for c in calibrations] == [(1, "file", ""), (2, "ticket", "in use")]

@@ -178,15 +178,15 @@ def report(found: LoadCalibration, args: argparse.Namespace) -> LoadCalibrationD
 
 def text(document: LoadCalibrationDocument) -> str:
     """The report for people."""
-    lines = [f"{'load':<12}{'weighed kg':>12}{'before kg':>12}{'':>9}{'after kg':>12}{'':>9}{'left out':>10}"]
+    lines = [f"{'load':<12}{'weighed kg':>12}{'before kg':>12}{'':>11}{'after kg':>12}{'':>11}{'left out':>10}"]
     for load in document["loads"]:
         before, after = (100.0 * (load[key] / load["weighed_kg"] - 1.0) for key in ("before_kg", "after_kg"))
         left = load["left_out_error_pct"]
         apart = f"{'-':>10}" if left is None or not isfinite(left) else f"{left:>+8.2f} %"
         end = "  contradicts the others" if load["outlier"] else ""
         lines.append(
-            f"{load['load'][:12]:<12}{load['weighed_kg']:>12.0f}{load['before_kg']:>12.0f}{before:>+7.2f} %"
-            f"{load['after_kg']:>12.0f}{after:>+7.2f} %" + apart + end
+            f"{load['load'][:12]:<12}{load['weighed_kg']:>12.0f}{load['before_kg']:>12.0f}{before:>+9.2f} %"
+            f"{load['after_kg']:>12.0f}{after:>+9.2f} %" + apart + end
         )
     lines += [f"{name:<34}{p['value']:>13.6g}{p['standard_error']:>13.3g}" for name, p in document["parameters"].items()]
     lines += [f"{name:<34}{value:>13.6g}        held" for name, value in document["fixed"].items()]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
 import multiprocessing
 import os
@@ -15,7 +14,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from yieldmon.bus.logs import SUFFIXES, open_bytes, require_package
+from yieldmon.bus.logs import SUFFIXES, require_package
 from yieldmon.cli import _flow_curve, _outputs
 from yieldmon.cli._units import add_units
 from yieldmon.documents import ProcessSummary, ReprocessSummary
@@ -26,6 +25,7 @@ from yieldmon.resources import shipped
 from yieldmon.service import configuration, log_record, recorded
 from yieldmon.service.bulk_processing import EndOfLog, Stretch
 from yieldmon.service.factory_comparison import FactoryComparison
+from yieldmon.service.log_copies import refuse_copies
 from yieldmon.service.log_record import Progress
 from yieldmon.service.record_check import RecordCheck, record_lines
 from yieldmon.service.reprocessing import loads_of_rows, measured_again
@@ -35,7 +35,6 @@ from yieldmon.service.weighed_loads import is_store
 from yieldmon.units import Units
 
 _LONGEST_DELAY_S = 60
-_BEGINNING_BYTES = 1 << 16
 
 #: Share of a record's seconds from which on an input counts as not there.
 _MOSTLY = 0.5
@@ -85,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
         return _store_again(args, loaded, units)
     if args.delay:
         raise InputError("--delay", "is of no use with a log", "a store; with the table of a log `yieldmon export --flow-delay`")
-    _refuse_copies(args.logs)
+    refuse_copies(args.logs)
     if args.separate:
         return _separately(args, config, units)
     with _progress(args.logs) as progress, _says_what_is_kept(args.out):
@@ -161,31 +160,6 @@ def _store_again(args: argparse.Namespace, loaded: configuration.Configuration, 
     if found.unusable:
         print(f"{found.unusable} s without a known force, angle or speed stay as they were", file=sys.stderr)
     return 0
-
-
-def _refuse_copies(logs: list[str]) -> None:
-    """Raises InputError for logs of the same content, gzipped or not. Only logs that begin alike are read to their end."""
-    alike: dict[str, list[str]] = {}
-    for log in logs if len(logs) > 1 else []:
-        beginning = _digest(log, _BEGINNING_BYTES) if Path(log).is_file() else ""
-        if not beginning:
-            continue
-        others = alike.setdefault(beginning, [])
-        for other in others:
-            if _digest(other) == _digest(log):
-                gzipped = ", one of them gzipped," if log.endswith(".gz") != other.endswith(".gz") else ""
-                raise InputError(log, f"is the same log as {other}{gzipped} and would double its mass", "each log once")
-        others.append(log)
-
-
-def _digest(log: str, most: int | None = None) -> str:
-    """Of a log's content behind any gzip, as far as it can be read; of its first bytes where `most` is given; "" of nothing."""
-    digest, read = hashlib.sha256(), 0
-    with open_bytes(Path(log), log.lower().endswith(".gz")) as stream:
-        while (most is None or read < most) and (piece := stream.read(_BEGINNING_BYTES)):
-            digest.update(piece)
-            read += len(piece)
-    return digest.hexdigest() if read else ""
 
 
 def _separately(args: argparse.Namespace, config: str | Path, units: Units) -> int:

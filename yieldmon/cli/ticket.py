@@ -76,16 +76,17 @@ def _listed(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(answer, indent=2))
         return 0
+    units = units_of(args.units, answer.get("units", "metric"))
     rows = (
         (
             str(t["number"]), when(t["time_s"]), t["who"] or "-",
             str(t["first_load"]) if t["first_load"] == t["last_load"] else f"{t['first_load']}-{t['last_load']}",
-            f"{t['measured_mass_kg']:.1f}", f"{t['weighed_mass_kg']:.1f}", undone(t["undone_s"], t["undone_by"]),
+            units.mass(t["measured_mass_kg"]), units.mass(t["weighed_mass_kg"]), undone(t["undone_s"], t["undone_by"]),
             t["note"] or "-",
         )
         for t in answer["tickets"]
     )  # fmt: skip
-    show(("ticket", "entered", "by", "loads", "measured kg", "weighed kg", "undone", "note"), rows)
+    show(("ticket", "entered", "by", "loads", "measured", "weighed", "undone", "note"), rows)
     return 0
 
 

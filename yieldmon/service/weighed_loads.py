@@ -26,6 +26,7 @@ from yieldmon.physics.model import ForwardModel
 from yieldmon.service.assembly import build_monitor
 from yieldmon.service.bulk_processing import process_in_bulk
 from yieldmon.service.configuration import Configuration
+from yieldmon.service.log_copies import refuse_copies
 from yieldmon.service.recorded import STORE_SUFFIXES, opened
 from yieldmon.service.rows import SecondRow
 
@@ -64,6 +65,7 @@ def read(
     if len(set(sources)) < len(sources):
         twice = next(s for s in sources if sources.count(s) > 1)
         raise InputError("--loads", f"names {twice} twice", "each log once")
+    refuse_copies(sources)
     return _of_store(Path(stores[0])) if stores else _of_logs(sources, configured, progress)
 
 
