@@ -21,7 +21,7 @@ from yieldmon.files import parameter_file
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.service import posting
-from yieldmon.service.batch import Step
+from yieldmon.service.batch import Batch, ParameterVersion, Step
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store
 from yieldmon.service.update_steps import step_document, step_from_document
@@ -116,10 +116,37 @@ def test_lessons_that_lead_to_themselves_come_to_an_end() -> None:
 
 
 def test_loads_that_are_cut_or_open_are_left_alone() -> None:
-    seconds = [*rows(1, 0.0), *rows(2, 50.0), *rows(3, 100.0)]
-    assert {r.load_number for r in posting.whole(seconds, 2.0, 3)} == {2}
+    loads = (rows(1, 0.0), rows(2, 50.0), rows(3, 100.0))
+    seconds = [replace(row, number=i) for i, row in enumerate((r for load in loads for r in load), 1)]
+    assert {r.load_number for r in posting.whole(seconds, 2.0, 3, 1)} == {2}
     later = [replace(r, number=r.number + 500) for r in seconds]
-    assert {r.load_number for r in posting.whole(later, -1.0, None)} == {2, 3}
+    assert {r.load_number for r in posting.whole(later, -1.0, None, 501)} == {2, 3}
+    assert {r.load_number for r in posting.whole(later, -1.0, None, 1)} == {1, 2, 3}
+
+
+DAY_S = 24.0 * HOUR_S
+
+
+@pytest.mark.parametrize(
+    ("lost", "open_load", "expected"),
+    [(0, None, {2, 3, 4, 5}), (0, 5, {2, 3, 4}), (7, None, {3, 4, 5}), (12, None, {4, 5})],
+)
+def test_a_ticket_measures_the_loads_of_three_days_again(tmp_path, lost: int, open_load: int | None, expected: set[int]) -> None:
+    """Loads of five days, of which the store has lost the first `lost` seconds; load 4 was measured with what was learnt."""
+    learnt = known(2, 840.0)
+    seconds = [r for load in range(1, 6) for r in rows(load, load * DAY_S, version=2 if load == 4 else 1)]
+    numbered = [replace(row, number=i) for i, row in enumerate(seconds, 1)]
+    sets = [ParameterVersion(p.version, 0.0, "file", parameter_file.to_document(p)) for p in (known(), learnt)]
+    with Store(tmp_path / "s.sqlite") as store:
+        batch = Batch(
+            1, 5.0 * DAY_S, {}, tuple(numbered[lost:]), parameter_versions=tuple(sets), steps=(lesson(120.0, 0.01, learnt),)
+        )
+        store.commit([batch])
+    found = posting.of_store(tmp_path / "s.sqlite", MACHINE, 2, open_load, 5.0 * DAY_S + 60.0 - (DAY_S / 24.0))
+    assert set(found) == expected
+    changes = [abs(found[n] - 1.0) for n in sorted(found) if n != 4]
+    assert changes == sorted(changes)
+    assert changes[-1] > 0.01
 
 
 def ask(tmp_path, capsys, *words: str) -> dict:

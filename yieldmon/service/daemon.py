@@ -532,7 +532,7 @@ class Daemon:
             self._answer = self._snapshot()
 
     def _post(self) -> None:
-        """After a ticket updated the parameters, the last day's loads are measured again; what comes of it goes to the store."""
+        """After a ticket updated the parameters, the last days' loads are measured again; what comes of it goes to the store."""
         posted = self._poster.take()
         if posted is not None and posted.factors:
             self._journal.posted(posted.tickets, posted.version, posted.factors)

@@ -1,6 +1,7 @@
-"""Posting: loads of the last day measured again with what was learnt after them.
+"""Posting: loads of the last days measured again with what was learnt after them.
 
-A ticket in the evening, and every sweep, also says something of the hours before it. The updates' steps, kept in the store, are
+A ticket in the evening, and every sweep, also says something of the hours and days before it: a day whose one ticket is of a
+load at low flow learns from the next evening's what its grain was at high flow. The updates' steps, kept in the store, are
 smoothed (`estimation.steady_drift.smoothed`), and each load's seconds are measured again with the parameters as all updates
 together have them at its time. What was measured at first stays as it is: a posting is a factor for each load.
 """
@@ -9,7 +10,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -27,14 +28,15 @@ from yieldmon.physics.numerics import Array
 from yieldmon.service.batch import Step
 from yieldmon.service.recorded import opened
 from yieldmon.service.rows import SecondRow
+from yieldmon.service.store import Store
 from yieldmon.service.update_steps import step_from_document
 from yieldmon.service.weighed_loads import MeasuredLoad, force_columns, loads_of
 
 _log = logging.getLogger(__name__)
 
-SPAN_S = 24.0 * 3600.0
-"""Loads that began so long before an update are measured again after it."""
-_MOST_ROWS = 90_000
+SPAN_S = 72.0 * 3600.0
+"""Loads that began at most so long before an update are measured again after it."""
+_MOST_ROWS = 270_000
 _WRITING_S = 10.0
 _LEAST_SHARE = 0.9
 """Of a load's mass that must rest on a known force, angle and speed."""
@@ -110,23 +112,33 @@ def factors(loads: Sequence[MeasuredLoad], known: Timeline, machine: Machine) ->
 
 
 def of_store(path: Path, machine: Machine, version: int, open_load: int | None, now_s: float) -> dict[int, float]:
-    """The factors of a store's loads of the last day, by the parameters of `version`. now_s: bus time. Raises InputError."""
+    """The factors of a store's loads of the last days, by the parameters of `version`. now_s: bus time. Raises InputError."""
+    out: dict[int, float] = {}
     with opened(path) as store:
-        last = store.last_second()
-        rows = store.seconds(max(0, (last.number if last is not None else 0) - _MOST_ROWS), on_damage=lambda number: None)
-        documents = store.parameter_versions()
-        steps = store.steps()
-    sets = {v.version: parameter_file.from_document(v.document, str(path)) for v in documents}
-    if version not in sets:
-        raise InputError(str(path), f"has no parameters of version {version}", "a store that is being written")
-    return factors(loads_of(whole(rows, now_s - SPAN_S, open_load), sets), timeline(steps, sets[version]), machine)
+        sets = {v.version: parameter_file.from_document(v.document, str(path)) for v in store.parameter_versions()}
+        if version not in sets:
+            raise InputError(str(path), f"has no parameters of version {version}", "a store that is being written")
+        known = timeline(store.steps(), sets[version])
+        for rows in _newest_loads(store, now_s - SPAN_S, open_load):
+            out |= factors(loads_of(rows, sets), known, machine)
+    return out
 
 
-def whole(rows: Sequence[SecondRow], begin_s: float, open_load: int | None) -> list[SecondRow]:
-    """Rows of loads that began and ended in the time that counts."""
-    cut = {row.load_number for row in rows if row.time_s < begin_s}
-    if rows and rows[0].number > 1:
-        cut.add(rows[0].load_number)
+def _newest_loads(store: Store, begin_s: float, open_load: int | None) -> Iterator[list[SecondRow]]:
+    """Rows of each load that is whole and began in the time that counts, the newest first: days at once would fill a memory."""
+    last, oldest, read = store.last_second(), store.oldest_second(), 0
+    for number in range(last.load_number if last is not None else 0, 0, -1):
+        rows = store.seconds_of_load(number, on_damage=lambda number: None)
+        read += len(rows)
+        if read > _MOST_ROWS or (rows and rows[0].time_s < begin_s):
+            return
+        yield whole(rows, begin_s, open_load, oldest)
+
+
+def whole(rows: Sequence[SecondRow], begin_s: float, open_load: int | None, oldest: int) -> list[SecondRow]:
+    """Rows of loads that began and ended in the time that counts. oldest: number of the first second on record; a load that
+    holds it has lost what came before, unless it is the first of all."""
+    cut = {row.load_number for row in rows if row.time_s < begin_s or row.number == oldest > 1}
     return [row for row in rows if row.load_number not in cut and row.load_number != open_load]
 
 

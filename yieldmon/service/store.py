@@ -295,9 +295,9 @@ class Store:
         """
         return self._seconds("WHERE number >= ? ORDER BY number", (first_number,), on_damage)
 
-    def seconds_of_load(self, load_number: int) -> list[SecondRow]:
-        """The records with a load's number, in order; load numbers never fall, so few others are looked at. Raises
-        StoreDamagedError for one that is not as it was written."""
+    def seconds_of_load(self, load_number: int, on_damage: Callable[[int], None] | None = None) -> list[SecondRow]:
+        """The records with a load's number, in order; load numbers never fall, so few others are looked at. on_damage: as in
+        `seconds`."""
         with failures_of(self.path):
             ends = "SELECT coalesce(min(number), 0), coalesce(max(number), -1) FROM second"
             low, high = self._database.execute(ends).fetchone()
@@ -308,11 +308,17 @@ class Store:
                 low, high = (here[0] + 1, high) if here[1] < load_number else (low, middle)
             beyond = "SELECT number FROM second WHERE number >= ? AND load_number != ? ORDER BY number LIMIT 1"
             end = self._database.execute(beyond, (low, load_number)).fetchone()
-        return self._seconds("WHERE number >= ? AND number < ? ORDER BY number", (low, 2**62 if end is None else end[0]))
+        values = (low, 2**62 if end is None else end[0])
+        return self._seconds("WHERE number >= ? AND number < ? ORDER BY number", values, on_damage)
 
     def seconds_of_sweeps(self) -> list[SecondRow]:
         """The records that a sweep may use, in order. Raises StoreDamagedError for one that is not as it was written."""
         return self._seconds("WHERE usable_for_calibration = 1 ORDER BY number")
+
+    def oldest_second(self) -> int:
+        """Number of the oldest one-second record; 0 where there is none."""
+        with failures_of(self.path):
+            return int(self._database.execute("SELECT coalesce(min(number), 0) FROM second").fetchone()[0])
 
     def last_second(self) -> SecondRow | None:
         """The newest one-second record."""
