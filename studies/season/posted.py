@@ -141,10 +141,10 @@ class DaemonKeeper(Keeper):
         """As the daemon does it with its store's rows."""
         begin, last = int(self.season.loads.start[self.ticketed]), int(self.season.loads.end[end - 1])
         new = [second_row(i, record) for i, record in enumerate(self._records(np.arange(begin, last)), begin + 1)]
-        from_s = new[-1].time_s - posting.SPAN_S
-        self.seconds = posting.whole([*self.seconds, *new], from_s, None, 1)
-        whole = self.seconds
-        found = posting.factors(loads_of(whole, self.versions), posting.timeline(self.lessons, self.parameters), self.machine)
+        known, now_s = posting.timeline(self.lessons, self.parameters), new[-1].time_s
+        self.seconds = posting.whole([*self.seconds, *new], now_s - posting.SPAN_S, None, 1)
+        whole = posting.whole(self.seconds, posting.begins(known, now_s), None, 1)
+        found = posting.factors(loads_of(whole, self.versions), known, self.machine)
         for name, factor in found.items():
             windows = slice(int(self.season.loads.start[name - 1]), int(self.season.loads.end[name - 1]))
             self.posted_kg[name - 1] = factor * float(np.nansum(self.flow[windows]))

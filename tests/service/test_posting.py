@@ -89,6 +89,19 @@ def test_a_lesson_corrects_the_hours_before_it_by_as_much_as_they_have_in_common
     assert moved[0] <= moved[1] <= moved[2]
 
 
+@pytest.mark.parametrize(("density", "from_s"), [(860.0, -np.inf), (980.0, 30.0 * HOUR_S)])
+def test_a_lesson_that_contradicts_the_drift_says_nothing_of_the_days_before(density: float, from_s: float) -> None:
+    """The density is expected to 40 kg/m3 when the second lesson comes, 48 hours after the first."""
+    _, step = advance(begin(known(2, 820.0), {}), DriftRates({"density": 0.005}, {}, {}), 48.0, 0.0)
+    second = CalibrationStep(2, 30.0 * HOUR_S, 78.0 * HOUR_S, step, (density,))
+    lessons = [lesson(30.0, 0.005, known(2, 820.0)), Step(3, 78.0 * HOUR_S, step_document(second))]
+    line = posting.timeline(lessons, known(3, density))
+    assert line.holds_from_s == from_s
+    assert posting.begins(line, 78.0 * HOUR_S) == max(from_s, 6.0 * HOUR_S)
+    # The day itself is measured again whatever its lesson says.
+    assert posting.begins(line, 40.0 * HOUR_S) == min(max(from_s, -32.0 * HOUR_S), 16.0 * HOUR_S)
+
+
 def test_loads_of_other_parameters_stay_as_they_were_measured() -> None:
     learnt = known(2, 840.0)
     line = posting.timeline([lesson(4.0, 0.0, learnt)], learnt)

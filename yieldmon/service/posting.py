@@ -20,7 +20,7 @@ from yieldmon.engine.records import CalibrationStep
 from yieldmon.errors import InputError
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.steady_drift import DriftingParameters, smoothed
+from yieldmon.estimation.steady_drift import Advance, DriftingParameters, smoothed
 from yieldmon.files import parameter_file
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
@@ -36,6 +36,9 @@ _log = logging.getLogger(__name__)
 
 SPAN_S = 72.0 * 3600.0
 """Loads that began at most so long before an update are measured again after it."""
+_DAY_S = 24.0 * 3600.0
+_CONTRADICTION = 10.83
+"""Squared standard deviations that a lesson moves the parameters by, which chance reaches once in a thousand."""
 _MOST_ROWS = 270_000
 _WRITING_S = 10.0
 _LEAST_SHARE = 0.9
@@ -44,13 +47,15 @@ _LEAST_SHARE = 0.9
 
 @dataclass(frozen=True)
 class Timeline:
-    """Parameters over time. times_s: (k,) bus time, rising; values: (k, n) of `names`; versions: those that were in use there."""
+    """Parameters over time. times_s: (k,) bus time, rising; values: (k, n) of `names`; versions: those that were in use there.
+    holds_from_s: when the newest lesson that contradicts the drift began; days before it learn nothing from those after it."""
 
     parameters: ParameterSet
     names: tuple[str, ...]
     times_s: Array
     values: Array
     versions: frozenset[int]
+    holds_from_s: float = -np.inf
 
     def at(self, time_s: float) -> ParameterSet:
         """The parameters at a time, as all updates together have them."""
@@ -81,7 +86,17 @@ def timeline(steps: Sequence[Step], parameters: ParameterSet) -> Timeline:
     times = np.array([*(step.begin_s for step in chain), chain[-1].end_s])
     values = np.array([[point[name] for name in names] for point in known])
     versions = frozenset({parameters.version, *(step.from_version for step in chain)})
-    return Timeline(parameters, names, np.maximum.accumulate(times), values, versions)
+    after = [*(step.advance.before for step in chain[1:]), last.state]
+    broken = [step.begin_s for step, state in zip(chain, after, strict=True) if _contradicts(step.advance, state)]
+    return Timeline(parameters, names, np.maximum.accumulate(times), values, versions, max(broken, default=-np.inf))
+
+
+def _contradicts(expected: Advance, state: Array) -> bool:
+    """Whether a lesson moved the state further than what was expected before it allows."""
+    scale = np.sqrt(np.maximum(np.diag(expected.covariance_after), 1e-300))
+    moved = (state - expected.after) / scale
+    inverse = np.linalg.pinv(expected.covariance_after / np.outer(scale, scale), rcond=1e-12, hermitian=True)
+    return bool(moved @ inverse @ moved > _CONTRADICTION)
 
 
 def factors(loads: Sequence[MeasuredLoad], known: Timeline, machine: Machine) -> dict[int, float]:
@@ -119,9 +134,14 @@ def of_store(path: Path, machine: Machine, version: int, open_load: int | None, 
         if version not in sets:
             raise InputError(str(path), f"has no parameters of version {version}", "a store that is being written")
         known = timeline(store.steps(), sets[version])
-        for rows in _newest_loads(store, now_s - SPAN_S, open_load):
+        for rows in _newest_loads(store, begins(known, now_s), open_load):
             out |= factors(loads_of(rows, sets), known, machine)
     return out
+
+
+def begins(known: Timeline, now_s: float) -> float:
+    """Bus time from which on loads are measured again: three days, but one where a lesson since then contradicts the drift."""
+    return max(now_s - SPAN_S, min(now_s - _DAY_S, known.holds_from_s))
 
 
 def _newest_loads(store: Store, begin_s: float, open_load: int | None) -> Iterator[list[SecondRow]]:
