@@ -27,12 +27,17 @@ from yieldmon.bus.databases import load_messages
 from yieldmon.bus.loading import iter_blocks
 from yieldmon.bus.logs import LogNotes, read_log
 from yieldmon.bus.packed import pack
+from yieldmon.engine.monitor import Monitor
+from yieldmon.errors import InputError
 from yieldmon.field import sources
 from yieldmon.field.sources.options import ReadOptions
 from yieldmon.files import flow_curve_file, machine_file, moisture_file, parameter_file, table, ticket_file
 from yieldmon.resources import shipped
-from yieldmon.service import configuration, recorded
+from yieldmon.service import commands, configuration, recorded
+from yieldmon.service.assembly import monitor_of
+from yieldmon.service.batch import Load
 from yieldmon.service.control import ControlServer
+from yieldmon.service.journal import Journal, Memory
 from yieldmon.service.store import Store
 from yieldmon.service.tables import open_table
 
@@ -98,15 +103,63 @@ def _request(path: Path) -> None:
     path.write_bytes(b'{"command": "ticket", "mass_kg": 12000.5, "loads": [1, 2], "note": "a"}\n')
 
 
+def _requests(path: Path) -> None:
+    """One of each kind."""
+    path.write_text(
+        '{"command": "load-start", "field": "north", "crop": "wheat", "thousand_kernel_weight_g": 42.5}\n'
+        '{"command": "load-stop"}\n{"command": "totals-reset", "total_kg": 0}\n{"command": "loads"}\n'
+        '{"command": "ticket", "first_load": 1, "last_load": 2, "mass_kg": 4400, "std_dev_kg": 20.5, "note": "a"}\n'
+        '{"command": "tickets"}\n{"command": "ticket-undo", "ticket": 1}\n{"command": "calibrations"}\n'
+        '{"command": "calibration-undo", "version": 1}\n{"command": "zero", "force": true}\n{"command": "zero-undo"}\n'
+        '{"command": "sweep-start"}\n{"command": "sweep-abort"}\n',
+        encoding="ascii",
+    )
+
+
 def _ask(path: Path) -> object:
-    """The file as a request to a control server, whose answer has to be JSON."""
+    """The first line of a file as a request to a control server, whose answer has to be JSON."""
+    return _asked(path.read_bytes().split(b"\n")[0])
+
+
+def _asked(line: bytes) -> object:
     with socket.socket(socket.AF_UNIX) as connection:
         connection.settimeout(10.0)
         connection.connect(str(_server().path))
         with suppress(ConnectionError):
-            connection.sendall(path.read_bytes().split(b"\n")[0] + b"\n")
+            connection.sendall(line + b"\n")
         answer = connection.makefile("rb").readline()
-    return json.loads(answer)
+    return json.loads(answer, parse_constant=_no_number)
+
+
+def _no_number(text: str) -> float:
+    raise ValueError(f"{text} in an answer, which is no JSON")
+
+
+def _command(path: Path) -> object:
+    """Each line as an operator's request that the engine's thread carries out, where nothing but an InputError may come of it."""
+    monitor, journal = _engine()
+    for line in path.read_bytes().split(b"\n")[:40]:
+        try:
+            request = json.loads(line)
+        except (ValueError, RecursionError):
+            continue
+        if isinstance(request, dict) and isinstance(request.get("command"), str):
+            with suppress(InputError):
+                answer = commands.execute({**request, "who": "fuzz"}, monitor, journal, 1.7e9)
+                json.dumps(dict(answer), allow_nan=False)
+    return None
+
+
+def _engine() -> tuple[Monitor, Journal]:
+    """A monitor without frames, and a journal with two loads."""
+    loaded = _loaded()
+    loads = tuple(Load(number, "north", "corn", None, None, 1000.0 * number, 900.0) for number in (1, 2))
+    return monitor_of(loaded), Journal(Memory(loads=loads), loaded.parameters, now_s=0.0)
+
+
+@cache
+def _loaded() -> configuration.Configuration:
+    return configuration.build({}, Path("fuzz.yaml"), {})
 
 
 @cache
@@ -212,6 +265,7 @@ READERS: dict[str, Reader] = {
     "dbc": Reader("x.dbc", _copy("dbc/yieldmon.dbc"), load_messages),
     "mf4": Reader("x.mf4", _log, _read_in_forks),
     "control": Reader("x.json", _request, _ask),
+    "commands": Reader("x.jsonl", _requests, _command),
     "table": Reader("x.csv", _table, table.load),
     "tickets": Reader("x.csv", _tickets, ticket_file.load),
     "workbook": Reader("x.xlsx", _workbook, ticket_file.load, within_zip),
