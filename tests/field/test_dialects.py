@@ -158,3 +158,42 @@ def test_decimal_commas(delimiter: str, tmp_path: Path) -> None:
     table = sources.read(path, ReadOptions())
     assert table["flow_kg_s"].tolist() == [1.5] * 3
     assert table["longitude_deg"].tolist() == [-92.1] * 3
+
+
+@pytest.mark.parametrize(
+    ("times", "unit", "unix"),
+    [
+        (("1379937599", "1379937600", "1379937601"), "", True),
+        (("1379937599000", "1379937600000", "1379937601000"), "", True),
+        (("1379937599000", "1379937600000", "1379937601000"), "ms", True),
+        (("1379937599.0", "1379937600.0", "1379937601.0"), "", True),
+        (("2013092311", "2013092312", "2013092313"), "s", True),
+        (("20130923115959", "20130923120000", "20130923120001"), "", True),
+        (("20130923T115959", "20130923T120000", "20130923T120001"), "", True),
+        (("24538654", "24538655", "24538656"), "s", False),
+        (("20111231", "20111232", "20111233"), "", False),
+        (("43199", "43200", "43201"), "", False),
+        (("43199.5", "43200.5", "43201.5"), "", False),
+    ],
+)
+def test_times_that_are_numbers(times: tuple[str, ...], unit: str, unix: bool, tmp_path: Path) -> None:
+    path = tmp_path / "clock.csv"
+    rows = [f"-92.1,{39.0 + 0.00001796 * k:.8f},{time},1.0,9.0" for k, time in enumerate(times)]
+    path.write_text("lon,lat,timestamp,flow_kg_s,width_m\n" + "\n".join(rows))
+    table = sources.read(path, ReadOptions(columns={"time": ("timestamp", unit)} if unit else {}))
+    assert np.diff(table["time_s"]).tolist() == [1.0, 1.0]
+    assert table["interval_s"].tolist() == [1.0, 1.0, 1.0]
+    assert table.unix_time == unix
+    if unix and unit != "s":
+        assert table["time_s"][1] == NOON_S
+
+
+def test_positions_of_a_text_in_a_plane(tmp_path: Path) -> None:
+    """UTM zone 15: 500 km east is its middle, 93 degrees west."""
+    path = tmp_path / "utm.csv"
+    path.write_text("x,y,time,flow_kg_s,width_m\n" + "\n".join(f"500000,{4_316_776.6 + 2 * k},{k},1.0,9.0" for k in range(3)))
+    table = sources.read(path, ReadOptions(crs="EPSG:32615"))
+    assert table["longitude_deg"] == pytest.approx([-93.0] * 3, abs=1e-7)
+    assert table["latitude_deg"] == pytest.approx([39.0] * 3, abs=1e-3)
+    with pytest.raises(InputError, match="not known"):
+        sources.read(path, ReadOptions(crs="EPSG:99999"))

@@ -53,6 +53,7 @@ _KINDS = {
     "pass": "none",
     "section": "none",
 }
+_TIME_UNITS = ("s", "sec", "ms", "min", "h")
 _GAP_INTERVALS = 3.0
 _LOOKED_AT = 100
 _WORDS = dict.fromkeys(("on", "down", "true", "yes", "working", "in work", "harvesting", "active"), 1.0) | dict.fromkeys(
@@ -153,20 +154,23 @@ def _time(raw: Raw, options: ReadOptions, where: str) -> tuple[Array, bool, list
     if column.name in raw.texts:
         label = _with_day(raw, raw.texts[column.name])
         times, note = clocks.parsed(label.names)
-        if np.isfinite(times).any():
-            return times[label.codes], True, [note] if note else []
         numbers = _as_numbers(label)
+        # Of counts of seconds some read as dates.
+        counted = column.unit in _TIME_UNITS or (np.isfinite(numbers).all() and not np.isfinite(times).all())
+        if np.isfinite(times).any() and not counted:
+            return times[label.codes], True, [note] if note else []
         if not np.isfinite(numbers).any():
             raise InputError(f"{where}: {column.name}", f"is {label.names[0][:40]!r}", "ISO 8601 times, or seconds")
     else:
         numbers = raw.numbers[column.name]
-    if column.unit in ("", "s", "sec", "ms", "min", "h"):
-        numbers = numbers * (factor(column.unit, "time", where) if column.unit else 1.0)
-    unix = "unix" in column.name.lower()
+    if column.unit in _TIME_UNITS:
+        numbers = numbers * factor(column.unit, "time", where)
+    numbers, told = clocks.of_unix(numbers)
+    unix = bool(told) or "unix" in column.name.lower()
     out, notes = clocks.unwrapped(numbers)
     if options.first_date is not None and not unix:
         return clocks.dated(out, options.first_date), True, list(notes)
-    return out, unix, [*notes] if column.unit else [*notes, f"{column.name} is taken as seconds"]
+    return out, unix, [*notes] if column.unit else [*notes, f"{column.name} is taken as {told or 'seconds'}"]
 
 
 def _dated_column(raw: Raw) -> Column | None:

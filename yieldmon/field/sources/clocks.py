@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from datetime import UTC, date, datetime
 
@@ -9,6 +10,8 @@ import numpy as np
 
 from yieldmon.field.table import Array
 
+_UNIX_S = (631_152_000.0, 4_102_444_800.0)
+"""1990 and 2100."""
 DAY_S, WEEK_S = 86_400.0, 604_800.0
 
 
@@ -41,6 +44,20 @@ def unwrapped(time_s: Array) -> tuple[Array, tuple[str, ...]]:
     return out, tuple(notes)
 
 
+def of_unix(time_s: Array) -> tuple[Array, str]:
+    """Numbers as large as Unix time of these decades, s or ms, in s, and what they were taken for; any others as they are.
+
+    >>> of_unix(np.array([1.7e12, 1.700000001e12]))[0]
+    array([1.7e+09, 1.7e+09])
+    """
+    known = time_s[np.isfinite(time_s)]
+    middle = float(np.median(known)) if known.size else 0.0
+    for scale, name in ((1.0, "seconds"), (1e-3, "milliseconds")):
+        if _UNIX_S[0] <= middle * scale < _UNIX_S[1]:
+            return time_s * scale, f"Unix time in {name}"
+    return time_s, ""
+
+
 def dated(time_s: Array, first: date) -> Array:
     """Unix time of a clock whose first point is on the day `first` (UTC); the clock's time of the day stays."""
     known = np.flatnonzero(np.isfinite(time_s))
@@ -51,6 +68,8 @@ def dated(time_s: Array, first: date) -> Array:
     return unix
 
 
+_COUNT = re.compile(r"[+-]?(?:\d{1,7}|\d{9,13}|\d{15,})(?:\.\d*)?|[+-]?\d+\.\d*")
+"""What is no date: digits only, but for those of a day (8) and of a day with its time (14)."""
 _FORMATS = (
     "%m/%d/%Y %I:%M:%S %p",
     "%m/%d/%Y %H:%M:%S",
@@ -88,6 +107,9 @@ def parsed(texts: Sequence[str]) -> tuple[Array, str]:
 
 def _moment(text: str, chosen: str | None) -> tuple[datetime | None, str | None]:
     plain = text.strip()
+    if _COUNT.fullmatch(plain):
+        # A count of seconds also reads as year, month, day and hour without anything between them.
+        return None, chosen
     try:
         return datetime.fromisoformat(plain), chosen
     except ValueError:

@@ -12,6 +12,7 @@ from .assembled import Raw, assemble
 from .delimited import delimiter_of, encoding_of, has_decimal_comma, read_rows, rows_of
 from .naming import QUANTITIES, columns_of
 from .options import ReadOptions
+from .vector import to_degrees
 
 KIND = "CSV with a header"
 ORDER = 60
@@ -52,9 +53,13 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
     read = read_rows(rows, numbers, texts, max([*numbers, *texts]) + 1, decimal_comma=comma)
     if not read.count:
         raise InputError(str(path), "has a header and no row that can be read", "at least one row")
+    values = {names[n]: v for n, v in read.numbers.items()}
+    if options.crs and "longitude" in columns and "latitude" in columns:
+        east, north = columns["longitude"].name, columns["latitude"].name
+        values[east], values[north], _ = to_degrees(values[east], values[north], None, options, str(path))
     raw = Raw(
         columns,
-        {names[n]: v for n, v in read.numbers.items()},
+        values,
         {names[n]: v for n, v in read.texts.items()},
         read.count,
         read.skipped,

@@ -145,7 +145,7 @@ def _layer(path: Path, address: str, name: str, options: ReadOptions) -> Harvest
     if not np.isfinite(x).any():
         raise InputError(where, f"holds {meta.get('geometry_type')}", "points")
     sidecar = _metadata(path, name)
-    x, y, notes = _degrees(x, y, meta.get("crs"), options, where)
+    x, y, notes = to_degrees(x, y, meta.get("crs"), options, where)
     notes = (*notes, *_told([str(one.message) for one in said]))
     usable = [one for one in names if one not in ("longitude", "latitude")]
     found, more = columns_of(
@@ -219,7 +219,8 @@ def _points(geometry: np.ndarray) -> tuple[Array, Array]:
     return shapely.get_x(shapes), shapely.get_y(shapes)
 
 
-def _degrees(x: Array, y: Array, crs: str | None, options: ReadOptions, where: str) -> tuple[Array, Array, tuple[str, ...]]:
+def to_degrees(x: Array, y: Array, crs: str | None, options: ReadOptions, where: str) -> tuple[Array, Array, tuple[str, ...]]:
+    """Longitude and latitude of coordinates in their file's system, or in that of the options, and notes. Raises InputError."""
     named = crs or options.crs
     known = np.isfinite(x) & np.isfinite(y)
     if not named:
