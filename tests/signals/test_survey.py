@@ -204,6 +204,12 @@ def written(folder: Path, dbc: str, frames: list[tuple[int, bytes]], capsys: pyt
         ),
         pytest.param(
             ELSEWHERE,
+            [(0x0CFF0110, words(400.0, 0, 0, 0))] * 50,
+            ["elevator_speed: {dbc: node.dbc, message: Machine, signal: Shaft, source: 16}"],
+            id="another priority than the DBC's",
+        ),
+        pytest.param(
+            ELSEWHERE,
             [
                 (0x18EEFF77, NODE_NAME.to_bytes(8, "little")),
                 *[(0x18FF0177, words(400.0, 0, 0, 0))] * 20,
@@ -253,6 +259,20 @@ def test_what_is_proposed(
     assert text.count("moisture:") == 0
     main(["check-config", str(tmp_path / "map.yaml"), "--json"])
     assert json.loads(capsys.readouterr().out)["problems"] == []
+
+
+@pytest.mark.parametrize(("kind", "frames"), [("J1939PG", 50), ("ExtendedCAN", 0)])
+def test_priority_is_no_part_of_a_j1939_message(
+    kind: str, frames: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    formats = f"""BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";
+BA_DEF_DEF_ "VFrameFormat" "{kind}";
+"""
+    written(tmp_path, ELSEWHERE + formats, [(0x0CFF0110, words(400.0, 0, 0, 0))] * 50, capsys)
+    config = tmp_path / "c.yaml"
+    config.write_text("signals: {elevator_speed: {dbc: node.dbc, message: Machine, signal: Shaft}}")
+    main(["check-config", str(config), "--log", str(tmp_path / "node.log"), "--json"])
+    assert json.loads(capsys.readouterr().out)["signals"]["elevator_speed"]["values"] == frames
 
 
 def test_two_files_of_one_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

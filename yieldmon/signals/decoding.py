@@ -60,7 +60,9 @@ def match_of(group: Group) -> Match:
     if isinstance(source, int):
         identity = message.frame_id & by_group | source
         return Match(identity | EXTENDED, by_group | 0xFF | EXTENDED, None)
-    return Match(message.frame_id | EXTENDED, _ALL | EXTENDED, None)
+    # The priority is no part of what J1939 knows a message by.
+    mask = _ALL & ~PRIORITY if message.j1939 else _ALL
+    return Match(message.frame_id & mask | EXTENDED, mask | EXTENDED, None)
 
 
 @dataclass(frozen=True, slots=True)

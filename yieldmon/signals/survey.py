@@ -289,12 +289,11 @@ class Survey:
         }
 
     def _is_elsewhere(self, message: MessageSeen) -> bool:
-        """Whether a message comes from another address than the one that its DBC names."""
-        if message.source is None:
+        """Whether a message comes from another address than the one that its DBC names, or with another priority."""
+        seen = self._seen[message.identifier | EXTENDED].message if message.extended else None
+        if seen is None or seen[1].frame_id & 0xFF == NULL_ADDRESS:
             return False
-        seen = self._seen[message.identifier | EXTENDED].message
-        home = seen[1].frame_id & 0xFF if seen is not None else NULL_ADDRESS
-        return home not in (NULL_ADDRESS, message.source)
+        return seen[1].frame_id != message.identifier
 
 
 def _take(seen: _Identifier, numbers: Numbers, count: int, end: int) -> None:
