@@ -7,7 +7,8 @@ from math import inf, nan
 import numpy as np
 import pytest
 
-from yieldmon.engine.rivals import RivalLimits, RivalWatch, TankWatch, tank_leaps
+from yieldmon.engine.rivals import RivalLimits, RivalWatch, TankWatch, angle_limits, speed_limits, tank_leaps
+from yieldmon.physics.machine import Machine
 
 LIMITS = RivalLimits(interval_s=0.1, step=5.0, rate=10.0)
 """Ten values a second, none 6 from the one a tenth of a second before it."""
@@ -59,14 +60,33 @@ STEADY = [50.0] * 10
         ([[50.0] * 4 + [70.0] * 6, [70.0] * 10, [70.0] * 10], [0, 0, 0]),
         ([[50.0] * 4 + [70.0] * 6, [70.0] * 4 + [50.0] * 6, STEADY], [0, 1, 0]),
         ([[50.0] * 4 + [70.0] * 6, [70.0] * 10, [70.0] * 4 + [50.0] * 6], [0, 0, 0]),
+        ([[70.0] * 5 + [50.0] * 5, STEADY, STEADY], [0, 0, 0]),
         ([STEADY, [70.0], [50.0] * 10], [0, 0, 0]),
         ([[50.0] * 5 + [80.0, 50.0, 80.0, 50.0, 80.0], STEADY, STEADY], [5, 1, 0]),
     ],
-    ids=["up and down", "down and up", "as far as it may", "up for good", "down a second later", "down two later",
+    ids=["up and down", "down and up", "as far as it may", "up for good", "down a second later", "down two later", "down alone",
          "after a pause", "to and fro"],
 )  # fmt: skip
 def test_values_that_leap_both_ways(windows: list[list[float]], expected: list[int], at_once: bool) -> None:
     assert judged(windows, at_once=at_once) == expected
+
+
+NOMINAL = Machine().nominal_elevator_speed_rad_s
+
+
+@pytest.mark.parametrize(
+    ("limits", "value", "change", "leaps"),
+    [
+        (speed_limits(Machine(), 0.1), NOMINAL, 0.24 * NOMINAL, False),
+        (speed_limits(Machine(), 0.1), NOMINAL, 0.26 * NOMINAL, True),
+        (angle_limits(0.1), np.radians(70.0), np.radians(5.4), False),
+        (angle_limits(0.1), np.radians(70.0), np.radians(5.6), True),
+    ],
+    ids=["a clutch", "faster than a clutch", "a plate", "faster than a plate"],
+)
+def test_the_machine_is_no_faster_than_that(limits: RivalLimits, value: float, change: float, leaps: bool) -> None:
+    """In a tenth of a second: a seventh of the nominal speed and all of it in a second; 1.5 degrees and 40 in a second."""
+    assert judged([[value] * 4 + [value + change] + [value] * 5], limits) == [2 * leaps]
 
 
 @pytest.mark.parametrize(
