@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import sys
@@ -159,6 +160,51 @@ def test_through_a_terminal_of_80_by_24_with_a_break_between(tmp_path):
     assert known.machine.name == "9 m"
     assert known.machine.paddle_spacings_m == (0.1656, 0.2071)
     assert (tmp_path / "new" / "wheat.yaml").is_file()
+
+
+BOLTED = {"min_plate_angle_deg": 70, "max_plate_angle_deg": 70, "plate_measured_deg": [69.4], "plate_reported_deg": None}
+
+
+def test_a_bolted_plate_has_one_angle_and_no_actuator_to_ask(tmp_path, capsys):
+    new = tmp_path / "new"
+    assert main(["setup", "--answers", answers(tmp_path, **BOLTED), "--out", str(new)]) == 0
+    assert "plate: bolted at 69.4 deg" in capsys.readouterr().out
+    known = configuration.load(new / "yieldmon.yaml")
+    assert known.document.plate.fixed_angle_deg == 69.4
+    assert not known.document.sweep.enabled
+    machine = known.machine
+    angles = (machine.min_plate_angle_rad, machine.home_plate_angle_rad, machine.max_plate_angle_rad)
+    assert angles == (pytest.approx(math.radians(69.4)),) * 3
+    assert "plate_angle_offset.angle_rad" not in known.parameters.values
+
+
+def test_a_bolted_plate_is_asked_one_angle_and_going_back_leaves_out_what_is_not_asked():
+    from yieldmon.cli._setup import session
+
+    known = {
+        key: value for key, value in (ANSWERS | BOLTED).items() if key not in ("plate_measured_deg", "plate_reported_deg", "crop")
+    }
+    said, asked, given = [], [], iter(["70", "back", "69.4", "wheat"])
+    found = session.ask(known, lambda prompt: (asked.append(prompt), next(given))[1], said.append, lambda now: None)
+    assert [prompt.split(" ", 1)[1] for prompt in asked] == [
+        "Plate angle by inclinometer [deg]: ", "Crop (corn): ", "Plate angle by inclinometer [deg]: ", "Crop (corn): ",
+    ]  # fmt: skip
+    assert said == []
+    assert (found["plate_measured_deg"], found["crop"]) == ([69.4], "wheat")
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"plate_measured_deg": [69.4, 85.0]}, "plate_measured_deg: has 2 values for a plate that does not turn; expected one"),
+        ({"plate_measured_deg": [60.0]}, "plate_measured_deg: is 60, but home_plate_angle_deg is 70; expected the same angle"),
+        ({"plate_reported_deg": [70.0]}, "plate_reported_deg: is given for a plate that does not turn"),
+    ],
+)
+def test_answers_that_a_bolted_plate_cannot_have_are_named(tmp_path, capsys, changes, problem):
+    assert main(["setup", "--answers", answers(tmp_path, **BOLTED | changes), "--out", str(tmp_path / "new")]) == 2
+    assert problem in capsys.readouterr().err
+    assert not (tmp_path / "new" / "yieldmon.yaml").exists()
 
 
 def test_the_recorded_session_of_the_docs_is_what_its_command_records():

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from yieldmon.cli._setup import derive, session
-from yieldmon.cli._setup.questions import QUESTIONS
+from yieldmon.cli._setup.questions import QUESTIONS, bolted
 from yieldmon.errors import InputError
 from yieldmon.files import machine_file, parameter_file, strict_yaml
 from yieldmon.files.whole_file import READABLE, readable_folder, scratch_for
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     if kept.is_file():
         answers = {**session.from_file(kept), **answers}
         print(f"yieldmon: going on with {kept}", file=sys.stderr)
-    missing = [q.key for q in QUESTIONS if q.key not in answers]
+    missing = [q.key for q in QUESTIONS if q.key not in answers and q.applies(answers)]
     if missing and (args.json or not sys.stdin.isatty()):
         raise InputError(args.answers or "setup", f"has no {missing[0]}", "an answer to each question, or a terminal to ask in")
     readable_folder(folder)
@@ -68,7 +68,7 @@ def write(answers: dict[str, Any], folder: Path, *, force: bool) -> dict[str, An
     """The files; returns what they rest on. Raises InputError, and then writes none."""
     machine, parameters = derive.machine(answers), derive.parameters(answers)
     gain = derive.cell_gain(answers["cell_weights_kg"], answers["cell_readings_mv"])
-    offset = derive.plate_offset_deg(answers["plate_measured_deg"], answers["plate_reported_deg"])
+    offset, fixed_deg = derive.offset_deg(answers), derive.bolted_deg(answers)
     names = {"configuration": CONFIGURATION, "machine": MACHINE, "parameters": f"{answers['crop']}.yaml", "record": RECORD}
     there = [name for name in names.values() if (folder / name).exists()]
     if there and not force:
@@ -92,6 +92,8 @@ def write(answers: dict[str, Any], folder: Path, *, force: bool) -> dict[str, An
         "machine_file": MACHINE,
         "parameter_file": names["parameters"],
     }
+    if fixed_deg is not None:
+        config["plate"] = {"fixed_angle_deg": fixed_deg}
     angles = _sweep_angles(answers)
     config["sweep"] = {"angles_deg": angles} if angles else {"enabled": False}
     for name, content in ((MACHINE, machine_file.to_document(machine)), (CONFIGURATION, config), (RECORD, found)):
@@ -113,11 +115,13 @@ def _sweep_angles(answers: dict[str, Any]) -> list[float]:
 
 def text(document: dict[str, Any]) -> str:
     """What was found, for people."""
-    cell = document["cell"]
+    cell, measured = document["cell"], document["answers"]["plate_measured_deg"]
     lines = [
         f"force cell: {cell['gain_n_per_mv']:.5f} N/mV, sd {cell['sd_pct']:.2f} %, "
         f"straight within {cell['nonlinearity_pct']:.2f} %",
-        f"plate: {document['plate_angle_offset_deg']:+.2f} deg from what the actuator reports; taken into the parameters",
+        f"plate: bolted at {measured[0]:g} deg; no feedback is waited for, and nothing sweeps"
+        if bolted(document["answers"])
+        else f"plate: {document['plate_angle_offset_deg']:+.2f} deg from what the actuator reports; taken into the parameters",
         f"elevator: {document['paddles_per_s']:.1f} paddles a second at work",
         *(f"{key}: {path}" for key, path in document["files"].items()),
         AFTER.format(parameters=document["answers"]["crop"]),

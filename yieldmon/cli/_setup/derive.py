@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from yieldmon.cli._setup.questions import bolted
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files.crops import crop
@@ -73,6 +74,30 @@ def plate_offset_deg(measured: Sequence[float], reported: Sequence[float]) -> fl
     return float(error.mean())
 
 
+def offset_deg(answers: Mapping[str, Any]) -> float:
+    """`plate_offset_deg` of the answers; 0 for a bolted plate, whose angle is the measured one."""
+    if bolted_deg(answers) is not None:
+        return 0.0
+    return plate_offset_deg(answers["plate_measured_deg"], answers["plate_reported_deg"])
+
+
+def bolted_deg(answers: Mapping[str, Any]) -> float | None:
+    """Angle of a plate that has one only, as measured; None for one that turns. Raises InputError where answers disagree."""
+    if not bolted(answers):
+        return None
+    found = answers["plate_measured_deg"]
+    if len(found) != 1:
+        raise InputError("plate_measured_deg", f"has {len(found)} values for a plate that does not turn", "one")
+    if answers.get("plate_reported_deg"):
+        raise InputError(
+            "plate_reported_deg", "is given for a plate that does not turn", "no answer, or another largest plate angle"
+        )
+    home = answers["home_plate_angle_deg"]
+    if abs(found[0] - home) > 1.0:
+        raise InputError("plate_measured_deg", f"is {found[0]:g}, but home_plate_angle_deg is {home:g}", "the same angle in both")
+    return float(found[0])
+
+
 def machine(answers: Mapping[str, Any]) -> Machine:
     """The machine of the answers, its numbers held against each other. Raises InputError."""
     gain = cell_gain(answers["cell_weights_kg"], answers["cell_readings_mv"])
@@ -83,6 +108,8 @@ def machine(answers: Mapping[str, Any]) -> Machine:
         if not answers[low] <= answers[middle] <= answers[high]:
             expected = f"between {low} ({answers[low]:g}) and {high} ({answers[high]:g})"
             raise InputError(middle, f"is {answers[middle]:g}", expected)
+    if (fixed_deg := bolted_deg(answers)) is not None:
+        answers = {**answers, **dict.fromkeys((f"{key}_deg" for key in _ANGLES), fixed_deg)}
     lengths: dict[str, Any] = {key: answers[key] for key in _LENGTHS}
     turned = {f"{key}_rad": radians(answers[f"{key}_deg"]) for key in _ANGLES}
     speeds = {f"{key}_rad_s": answers[f"{key}_rpm"] * RPM for key in _SPEEDS}
@@ -137,7 +164,7 @@ def parameters(answers: Mapping[str, Any]) -> ParameterSet:
     """The crop's shipped parameters, with the plate's measured offset and the cell's doubt in the impact gain."""
     known = crop(str(answers["crop"])).parameters()
     gain = cell_gain(answers["cell_weights_kg"], answers["cell_readings_mv"])
-    offset = plate_offset_deg(answers["plate_measured_deg"], answers["plate_reported_deg"])
+    offset = offset_deg(answers)
     covariance = np.array(known.covariance)
     place = known.covariance_names.index("restitution")
     covariance[place, place] += ((1.0 + known.values["restitution"]) * gain.sd) ** 2

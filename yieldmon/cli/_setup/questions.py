@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 SIDE = """\
              plate pivot (x, y from the sprocket's centre)
@@ -48,6 +50,20 @@ class Question:
     high: float = 0.0
     default: object = None
     drawing: str = ""
+
+    def applies(self, answers: Mapping[str, Any]) -> bool:
+        """Whether it is asked, by the answers before it: a bolted plate has no actuator."""
+        return self.key != "plate_reported_deg" or not bolted(answers)
+
+    def words(self, answers: Mapping[str, Any]) -> str:
+        """The question; a bolted plate has one position."""
+        return self.text.removesuffix(", two positions") if bolted(answers) else self.text
+
+
+def bolted(answers: Mapping[str, Any]) -> bool:
+    """Whether the plate has one angle only."""
+    low = answers.get("min_plate_angle_deg")
+    return low is not None and low == answers.get("max_plate_angle_deg")
 
 
 def _number(key: str, text: str, unit: str, low: float, high: float, default: object = None, drawing: str = "") -> Question:

@@ -69,10 +69,11 @@ def ask(
     place = 0
     while place < len(QUESTIONS):
         question = QUESTIONS[place]
-        if question.key in answers:
+        if question.key in answers or not question.applies(answers):
             place += 1
             continue
-        if question.drawing:
+        one = question.kind == "numbers" and question.words(answers) != question.text
+        if question.drawing and not one:
             say(question.drawing)
         unit = f" [{question.unit}]" if question.unit else ""
         default = (
@@ -82,10 +83,12 @@ def ask(
             if question.default is not None
             else ""
         )
-        several = ", several" if question.kind == "numbers" else ""
-        given = read(f"{place + 1}/{len(QUESTIONS)} {question.text}{unit}{several}{default}: ").strip()
+        several = ", several" if question.kind == "numbers" and not one else ""
+        given = read(f"{place + 1}/{len(QUESTIONS)} {question.words(answers)}{unit}{several}{default}: ").strip()
         if given == "back":
             place = max(place - 1, 0)
+            while place > 0 and not QUESTIONS[place].applies(answers):
+                place -= 1
             answers.pop(QUESTIONS[place].key, None)
             continue
         value = given if given else question.default
