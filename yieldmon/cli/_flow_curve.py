@@ -24,7 +24,7 @@ _OF_THE_PHYSICS = (
 
 def add_argument(parser: argparse.ArgumentParser) -> None:
     """--estimator of `calibrate`."""
-    parser.add_argument("--estimator", choices=KINDS, help="a curve for estimator_file, not the physics")
+    parser.add_argument("--estimator", choices=KINDS, help="fit a curve for estimator_file instead of the model")
 
 
 def add_file(parser: argparse.ArgumentParser) -> None:

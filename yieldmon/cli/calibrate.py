@@ -66,8 +66,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--robust", action="store_true", help="soft-L1 loss: outliers lose weight")
     parser.add_argument("--by-moisture", action="store_true", help="a fit for each moisture_pct and a map; --out names a folder")
     _flow_curve.add_argument(parser)
-    parser.add_argument("--compare", action="store_true", help="beside the empirical models, by cross-validation over loads")
-    parser.add_argument("--identifiability", action="store_true", help="what these rows determine, what would add to it")
+    parser.add_argument("--compare", action="store_true", help="compare with the empirical models, by cross-validation")
+    parser.add_argument("--identifiability", action="store_true", help="report what these rows determine, and what would add")
     parser.add_argument(
         "--profiles", metavar="F", help="draw how the misfit grows with each parameter (*.png or *.svg; needs the plot extra)"
     )

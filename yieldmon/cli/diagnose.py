@@ -50,13 +50,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--hold-out",
         default="cells",
         metavar="WHICH",
-        help="rows sealed before fitting: cells, trials, none, or COLUMN=VALUE such as plate_angle_deg=60 (default: cells)",
+        help="rows held out of fits: cells, trials, none, or COLUMN=VALUE such as plate_angle_deg=60 (default: cells)",
     )
     parser.add_argument("--without", action="append", default=[], metavar="EFFECT", help="leave an effect out of the library")
     parser.add_argument(
         "--keep-effects",
         action="store_true",
-        help="of a table: effects that the parameters speak of belong to the model and are not looked for (of a store: always)",
+        help="of a table: effects that the parameters name belong to the model and are not looked for (of a store: always)",
     )
     parser.add_argument("--seed", type=int, default=1, help="of splits and bootstraps (default: 1)")
     parser.add_argument("--sweeps", type=int, metavar="N", help="of a store, the newest N sweeps (default: all)")

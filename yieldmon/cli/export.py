@@ -1,4 +1,4 @@
-"""Hand records on to other programs: tables, maps of yield points, task data."""
+"""Export records for other programs: tables, maps of yield points, task data."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     _outputs.add_force(parser, "out")
     parser.add_argument("--format", choices=FORMATS, help="default: by the name's ending; taskdata without .zip writes a folder")
     parser.add_argument(
-        "--what", choices=("seconds", "loads", "points"), help="what a table holds (default: seconds); all others hold points"
+        "--what", choices=("seconds", "loads", "points"), help="what a table holds (default: seconds); other formats hold points"
     )
     points = parser.add_argument_group("yield points")
     points.add_argument("--swath", type=float, metavar="M", help="working width")

@@ -1,4 +1,4 @@
-"""Make a map of a harvest: delay, ground, cleaning, loads, products and a report."""
+"""Make a map of a harvest: delay, area, cleaning, loads, products and a report."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         metavar="REASON",
         action="append",
         default=[],
-        help=f"switch a cleaning rule off, again for more: {', '.join(n for n in NAMES if n not in NEEDED)}",
+        help=f"switch a cleaning rule off; repeatable: {', '.join(n for n in NAMES if n not in NEEDED)}",
     )
     parser.add_argument("--grid", type=float, default=10.0, metavar="M", help="size of the grid's blocks (default: 10)")
     parser.add_argument(
-        "--transport", action="store_true", help="undo the machine's smear of the flow, where that beats a plain smoother"
+        "--transport", action="store_true", help="sharpen the flow by deconvolution, where that beats a plain smoother"
     )
     add_units(parser, "metric")
     what = parser.add_argument_group("what the data do not say")
@@ -70,7 +70,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         metavar="QUANTITY=NAME[:UNIT]",
         action="append",
         default=[],
-        help="a file's column, e.g. yield=Yld_Mass:lb/ac; again for more",
+        help="a file's column, e.g. yield=Yld_Mass:lb/ac; repeatable",
     )
 
 

@@ -48,7 +48,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "monitor",
         help="watch the bus: every frame decoded, mass flow large",
-        description="Shows a bus, or a log at its own speed. Keys: q quit, space pause, s sort, / filter, j and k choose a row, "
+        description="Show a bus, or a log at its own speed. Keys: q quit, space pause, s sort, / filter, j and k choose a row, "
         "r record to a log, u units, c the cab's view and back. There l, t, z and w ask the daemon for a load, ticket, zero "
         "or sweep, each after a question.",
         epilog="example: yieldmon monitor -i socketcan -c can0    or: yieldmon monitor drive.log --once --json",
@@ -62,7 +62,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--filter", default="", metavar="TEXT", help="only rows whose name or identifier holds this")
     parser.add_argument("--record", type=Path, metavar="F", help="write every frame to this log (any format of python-can)")
     _outputs.add_force(parser, "record")
-    parser.add_argument("--cab", action="store_true", help="begin with the cab's view; without -i it needs a daemon alone")
+    parser.add_argument("--cab", action="store_true", help="begin with the cab's view; without -i, of a running daemon")
     add_units(parser, "the daemon's, else metric")
     add_daemon_arguments(parser)
     add_bus_arguments(parser)

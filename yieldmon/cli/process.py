@@ -1,4 +1,4 @@
-"""Put CAN logs through the engine: a row for each second, as the daemon would have measured it, learning from their sweeps."""
+"""Put CAN logs through the engine: a row for each second, as the daemon would have measured it, learning from sweeps."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "replay",
         help="log onto a bus with its own timing",
-        description="Sends the frames of one or more logs, one after the other, with the logs' own timing. Error frames are "
+        description="Send the frames of one or more logs, one after the other, with the logs' own timing. Error frames are "
         "not sent, CAN FD frames only with --fd. Damaged records are reported and skipped.",
         epilog="example: yieldmon replay drive.log -i socketcan -c vcan0 --inputs-only --skip-gaps 10",
     )

@@ -35,7 +35,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description=__doc__,
         epilog="example: yieldmon self-calibrate sweeps.csv --group-by sweep --out updated.yaml",
     )
-    parser.add_argument("data", metavar="DATA.csv", help="plate_angle_deg and a reading; a load column is only compared with")
+    parser.add_argument("data", metavar="DATA.csv", help="plate_angle_deg and a reading; a load column serves comparison only")
     model_options.add_model_arguments(parser)
     parser.add_argument(
         "--group-by", metavar="COL", help="one sweep for each value of this column; default: group, else the load, else one sweep"
@@ -46,7 +46,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--model-error", type=float, default=0.0, metavar="SHARE", help="the model's own relative error at each angle; default: 0"
     )
     parser.add_argument("--flow", choices=("constant", "linear", "process"), default="constant", help="within a sweep")
-    parser.add_argument("--density", metavar="KG_M3:SD", help="density known otherwise, in the terms of the parameter")
+    parser.add_argument("--density", metavar="KG_M3:SD", help="measured density, in terms of the parameter")
     parser.add_argument("--out", metavar="P.yaml", help="write the updated parameters here (pooled only)")
     parser.add_argument("--json", action="store_true", help="one JSON document")
     _outputs.add_force(parser, "out")

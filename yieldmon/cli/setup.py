@@ -33,7 +33,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "setup",
         help="set a machine up, step by step",
         description=f"{__doc__} Asks in the terminal, with drawings of what to measure; Ctrl-C keeps what is answered, and the "
-        "same command goes on from there. Each number is held against the others.",
+        "same command goes on from there. Each number is checked against the others.",
         epilog="example: yieldmon setup --out /etc/yieldmon    or: yieldmon setup --answers answers.yaml --out new",
     )
     parser.add_argument("--out", metavar="DIR", required=True, help="folder for the files; made if it is not there")

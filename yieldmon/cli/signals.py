@@ -41,7 +41,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         epilog="example: yieldmon signals drive.log --dbc maker.dbc --write mapping.yaml",
     )
     parser.add_argument("log", nargs="?", metavar="LOG", help="a log; without one the bus is listened to")
-    parser.add_argument("--dbc", action="append", default=[], metavar="F", help="DBC that names messages; may be given again")
+    parser.add_argument("--dbc", action="append", default=[], metavar="F", help="DBC that names messages; repeatable")
     parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="how long a bus is listened to (default: 10)")
     parser.add_argument("--write", metavar="F", help="write a mapping to start from (YAML)")
     parser.add_argument("--json", action="store_true", help="print one JSON document")

@@ -23,9 +23,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--listen", metavar="ADDRESS:PORT", default="127.0.0.1:8090", help="where (default 127.0.0.1:8090); others need a token"
     )
-    parser.add_argument("--token-file", metavar="F", type=Path, help="whose one line opens the page")
+    parser.add_argument("--token-file", metavar="F", type=Path, help="file that holds the token")
     parser.add_argument("--read-only", action="store_true", help="no buttons")
-    parser.add_argument("--tiles", metavar="F", type=Path, help="background of the map: MBTiles with pictures")
+    parser.add_argument("--tiles", metavar="F", type=Path, help="background of the map: MBTiles of images")
 
 
 def run(args: argparse.Namespace) -> int:

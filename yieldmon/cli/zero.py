@@ -13,7 +13,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "zero",
         help="calibrate the zero-load voltage",
-        description=f"{__doc__} It is refused while pulses, plate or tank speak of grain. --undo brings back the zero "
+        description=f"{__doc__} It is refused while pulses, plate or tank indicate grain. --undo brings back the zero "
         "before it and measures the seconds since then again.",
         epilog="example: yieldmon zero",
     )

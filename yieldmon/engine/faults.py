@@ -186,14 +186,14 @@ _TABLE = (
     ),
     FaultDefinition(
         _C.SENSOR_SATURATED, 520192, 0, _W, 1, 3,
-        "Samples are at the end of the sensor's range, or the sensor says so.",
+        "Samples are at the end of the sensor's range, or the sensor reports it.",
         "Flow is a lower bound and is marked as saturated.",
         "Reduce ground speed; check the zero-load voltage and the plate for wedged material.",
         lambda o: f"{100.0 * o.window.saturated_share:.0f} % of the samples" if o.sensor_saturated else None,
     ),
     FaultDefinition(
         _C.ZERO_DRIFTED, 520193, 13, _W, 3, 10,
-        "The zero-load voltage is far from its first value or was taken against signs of grain, or the plate reads below empty.",
+        "The zero-load voltage is far from its first value or was taken despite signs of grain, or the plate reads below empty.",
         "Flow is corrected for a drift; a zero taken with grain on the plate makes flow and mass too small.",
         "Undo a wrong zero (yieldmon zero --undo); else clean the plate and calibrate the zero with the elevator empty.",
         lambda o: _if(o.reading.zero_drifted),
@@ -322,7 +322,7 @@ _TABLE = (
         _C.ZERO_MISSING, 520193, 31, _S, 1, 1,
         "The elevator runs and no zero-load voltage could be taken: the sensor shows pulses in step with the paddles.",
         "No flow is published and no mass is added until there is a zero.",
-        "Run the elevator empty. If it is empty, the paddles shake the plate: check its mounting, then give the command zero.",
+        "Run the elevator empty. If it is empty, the paddles shake the plate: check its mounting, then calibrate the zero.",
         _zero_missing,
     ),
     FaultDefinition(
@@ -342,7 +342,7 @@ _TABLE = (
     FaultDefinition(
         _C.SCALE_DISAGREES, 520210, 31, _W, 1, 1,
         "A weighed mass contradicts the calibration (p < 0.001).",
-        "Mass since the load named is off by about what is said; the scale is learnt from the weighed masses.",
+        "Mass since the named load is off by about that error; the scale is learnt from the weighed masses.",
         "Check the ticket, then chain slip, paddle wear and sensor gain. Ends with a weighed mass that agrees or a calibration.",
         lambda o: o.scale_alarm,
     ),

@@ -134,7 +134,7 @@ class TotalsSettings:
 
 @dataclass(frozen=True, slots=True)
 class BudgetSettings:
-    """What the standard deviations of flow and mass hold beside the windows' noise and the parameters' covariance."""
+    """What the standard deviations of flow and mass include beside the windows' noise and the parameters' covariance."""
 
     zero_mv: float = 0.2
     """Standard deviation of a zero when it is taken or followed, mV."""

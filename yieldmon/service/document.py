@@ -215,7 +215,7 @@ class Zero(Section):
         _Z.settle_windows, 1, 600, "s", "empty seconds before the zero follows; pulses are averaged over as many"
     )
     pulse_margin_mv: float = quantity(
-        _Z.pulse_margin_mv, 0.0, 1000.0, "mV", "departure of averaged pulses from the vibration that speaks of grain"
+        _Z.pulse_margin_mv, 0.0, 1000.0, "mV", "departure of averaged pulses from the vibration that means grain"
     )
     pulse_margin: float = quantity(
         _Z.pulse_margin, 0.0, 100.0, "1", "the same as a share of the vibration; the larger of the two holds"
@@ -276,7 +276,7 @@ _U = _ENGINE.budget
 
 
 class Budget(Section):
-    """What the standard deviations of flow and mass hold beside noise and the parameters' covariance."""
+    """What the standard deviations of flow and mass include beside noise and the parameters' covariance."""
 
     zero_mv: float = quantity(_U.zero_mv, 0.0, 100.0, "mV", "standard deviation of a zero when it is taken or followed")
     zero_drift_mv_per_root_h: float = quantity(
@@ -296,12 +296,12 @@ _Q = _ENGINE.flow_filter
 class FlowFilter(Section):
     """Smoothing of the published flow; totals do not pass through it."""
 
-    enabled: bool = choice(_Q.enabled, "false: each second stands for itself")
+    enabled: bool = choice(_Q.enabled, "false: no smoothing")
     steady_walk: float = quantity(_Q.steady_walk, 1e-6, 1.0, "1/s", "relative change from second to second of a steady flow")
     trend_change: float = quantity(_Q.trend_change, 1e-6, 1.0, "1/s", "the same of the trend of a rising or falling flow")
     jump: float = quantity(_Q.jump, 1e-3, 10.0, "1", "relative standard deviation of a jump")
     stay: float = quantity(_Q.stay, 0.34, 0.9999, "1", "probability that the flow goes on as it was")
-    min_flow_kg_s: float = quantity(_Q.min_flow_kg_s, 0.01, 25.0, "kg/s", "below this a second stands for itself")
+    min_flow_kg_s: float = quantity(_Q.min_flow_kg_s, 0.01, 25.0, "kg/s", "no smoothing below this")
 
 
 _P = _ENGINE.plate
@@ -311,7 +311,7 @@ class Plate(Section):
     """Limits of plate commands, inside the range of the machine file."""
 
     fixed_angle_deg: float | None = quantity(
-        _P.fixed_angle_deg, 10.0, 170.0, "deg", "angle of a plate that is bolted on: no feedback wanted, no sweep; null: it turns"
+        _P.fixed_angle_deg, 10.0, 170.0, "deg", "angle of a plate that is bolted on: no feedback needed, no sweep; null: it turns"
     )
     max_rate_deg_s: float = quantity(_P.max_rate_deg_s, 0.5, 90.0, "deg/s", "fastest change of the target")
     command_interval_s: float = quantity(_P.command_interval_s, 0.02, 1.0, "s", "between commands while driving")
@@ -406,10 +406,10 @@ _D = _ENGINE.disagreement
 
 
 class Disagreement(Section):
-    """When the residuals of several sweeps say that the model lacks an effect: the fault ModelDisagrees."""
+    """When the residuals of several sweeps show that the model lacks an effect: the fault ModelDisagrees."""
 
     keep_sweeps: int = quantity(_D.keep_sweeps, 2, 200, "sweeps", "newest sweeps that are looked at together")
-    least_sweeps: int = quantity(_D.least_sweeps, 2, 200, "sweeps", "fewer say nothing")
+    least_sweeps: int = quantity(_D.least_sweeps, 2, 200, "sweeps", "fewer give no verdict")
     tolerance: float = quantity(_D.tolerance, 0.0, 0.5, "1", "tolerated relative model error at a plate angle")
     begin_p: float = quantity(_D.begin_p, 0.0, 0.5, "1", "probability of such a pattern by chance below which the fault is shown")
     end_p: float = quantity(_D.end_p, 0.0, 1.0, "1", "probability above which it is withdrawn")
@@ -421,7 +421,7 @@ _V = _ENGINE.waveform
 class Waveform(Section):
     """Flow from the pulses' shape and from kernel noise, beside the mean force; off until proven on the machine."""
 
-    enabled: bool = choice(_V.enabled, "look at the samples themselves")
+    enabled: bool = choice(_V.enabled, "evaluate the samples themselves")
     combine: bool = choice(_V.combine, "publish and count mean force and shape together")
     harmonics: int = quantity(_V.harmonics, 4, 21, "harmonics", "of the paddle pattern that are fitted")
     model_error: float = quantity(_V.model_error, 0.001, 0.5, "1", "the pulse model's own error, relative")
@@ -468,7 +468,7 @@ class Learning(Section):
     learned_information: float = quantity(
         _K.learned_information, 0.0, 100.0, "1", "a sweep's over prior information below which nothing is taken from it"
     )
-    kept_ratio: float = quantity(_K.kept_ratio, 0.5, 1.0, "1", "a parameter that keeps more than this share of its width stays")
+    kept_ratio: float = quantity(_K.kept_ratio, 0.5, 1.0, "1", "a parameter that keeps more than this share of deviation stays")
     consistent_p: float = quantity(_K.consistent_p, 0.0, 0.5, "1", "probability of a misfit below which a sweep changes nothing")
     pattern_sd: float = quantity(
         _L.pattern_sd, 0.0, 0.2, "1", "relative error of the model away from home that sweeps separate from the grain; 0: none"
@@ -535,13 +535,13 @@ class Document(Section):
     parameter_file: str | None = text(None, "grain parameters; null: the shipped corn")
     estimator_file: str | None = text(
         None,
-        "curve that gives the flow (`calibrate --estimator`); null: the physics",
+        "curve that gives the flow (`calibrate --estimator`); null: the model",
     )
     moisture_map_file: str | None = text(
         None, "how parameters change with moisture (`calibrate --by-moisture`); null: they do not"
     )
     pulse_shape_file: str | None = text(None, "pulses' shape and its calibrated range; null: the shipped one")
-    units: Literal["metric", "us"] = choice("metric", "that people are shown; documents (JSON), tables and frames stay in SI")
+    units: Literal["metric", "us"] = choice("metric", "shown to people; documents (JSON), tables and frames stay in SI")
     bus: Bus = Bus()
     signals: dict[str, Any] = Field(
         default_factory=dict,
