@@ -6,11 +6,10 @@ import argparse
 import hashlib
 import json
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +26,7 @@ from yieldmon.estimation.moisture import fit as fit_moisture_map
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import EXCHANGED, Prior
 from yieldmon.files import moisture_file, parameter_file, table, whole_file
+from yieldmon.finite import finite_document
 from yieldmon.physics.effects import get_effect
 from yieldmon.physics.grain import fitted
 from yieldmon.physics.machine import Machine
@@ -81,11 +81,11 @@ def run(args: argparse.Namespace) -> int:
     """Fit, report, write. Exit code 1 when weighed loads refuse the calibration."""
     if args.estimator is not None:
         curve = _flow_curve.run(args)
-        print(json.dumps(_finite(curve), indent=1) if args.json else _flow_curve.text(curve))
+        print(json.dumps(finite_document(curve), indent=1) if args.json else _flow_curve.text(curve))
         return 0
     if args.loads is not None:
         document = _by_loads.run(args)
-        print(json.dumps(_finite(document), indent=1) if args.json else _by_loads.text(document))
+        print(json.dumps(finite_document(document), indent=1) if args.json else _by_loads.text(document))
         return 1 if document["refused"] else 0
     if args.data is None:
         raise InputError("DATA", "is missing", "a table of a test facility, or --loads and --tickets")
@@ -136,7 +136,7 @@ def _of_table(args: argparse.Namespace) -> int:
     if args.out is not None:
         parameter_file.save(result.parameter_set, args.out)
         document["written"] = args.out
-    print(json.dumps(_finite(document), indent=1) if args.json else text(document))
+    print(json.dumps(finite_document(document), indent=1) if args.json else text(document))
     return 0
 
 
@@ -335,7 +335,7 @@ def _by_moisture(args: argparse.Namespace, machine: Machine, data: table.Table, 
     if args.out is not None and len(sets) > 1:
         moisture_file.save(fit_moisture_map(np.unique(moisture).tolist(), sets), Path(args.out) / "moisture-map.yaml")
     if args.json:
-        print(json.dumps(_finite({"by_moisture": documents}), indent=1))
+        print(json.dumps(finite_document({"by_moisture": documents}), indent=1))
     else:
         print("\n\n".join(f"moisture {d['moisture_pct']:g} %\n{text(d)}" for d in documents))
     return 0
@@ -414,14 +414,3 @@ def progress_bar(label: str) -> Iterator[Callable[[float], None]]:
     finally:
         if started:
             bar.stop()
-
-
-def _finite(value: Any) -> Any:
-    """JSON knows neither nan nor inf: null."""
-    if isinstance(value, Mapping):
-        return {k: _finite(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(v) for v in value]
-    if isinstance(value, float) and not isfinite(value):
-        return None
-    return value

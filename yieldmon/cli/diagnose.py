@@ -22,7 +22,7 @@ from yieldmon.files.whole_file import check_place, scratch_for
 from yieldmon.physics.effects import registry
 from yieldmon.physics.machine import Machine
 from yieldmon.resources import shipped
-from yieldmon.service import sweep_table
+from yieldmon.service import recorded, sweep_table
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     _check(args)
     machine = machine_file.load(args.machine)
-    source = _from_store(args, machine) if sweep_table.is_store(args.data) else _from_csv(args)
+    source = _from_store(args, machine) if recorded.is_store(args.data) else _from_csv(args)
     data, parameters = source.data, source.parameters
     machine = data.at_one_position(machine)
     options = replace(
@@ -148,7 +148,7 @@ class _Source:
 def _from_csv(args: argparse.Namespace) -> _Source:
     for option, value in (("--sweeps", args.sweeps), ("--table", args.table)):
         if value is not None:
-            raise InputError(option, f"{args.data} is no store", f"a name that ends in {', '.join(sweep_table.SUFFIXES)}")
+            raise InputError(option, f"{args.data} is no store", f"a name that ends in {', '.join(recorded.STORE_SUFFIXES)}")
     path = Path(args.params) if args.params is not None else shipped(parameter_file.DEFAULT)
     return _Source(table.load(args.data), parameter_file.load(path), path, keep_effects=args.keep_effects)
 

@@ -28,10 +28,10 @@ from yieldmon.service.factory_comparison import FactoryComparison
 from yieldmon.service.log_copies import refuse_copies
 from yieldmon.service.log_record import Progress
 from yieldmon.service.record_check import RecordCheck, record_lines
+from yieldmon.service.recorded import is_store
 from yieldmon.service.reprocessing import loads_of_rows, measured_again
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.tables import FORMATS, open_table
-from yieldmon.service.weighed_loads import is_store
 from yieldmon.units import Units
 
 _LONGEST_DELAY_S = 60

@@ -24,6 +24,7 @@ from yieldmon.bus.waiting import receive
 from yieldmon.cli import _outputs
 from yieldmon.errors import InputError
 from yieldmon.files.whole_file import READABLE, scratch_for
+from yieldmon.finite import finite
 from yieldmon.network.name import Name
 from yieldmon.resources import shipped
 from yieldmon.signals.survey import TELLING, Candidate, MessageSeen, Survey, mapping_text
@@ -142,7 +143,7 @@ def _message(message: MessageSeen) -> dict[str, Any]:
         "frames": message.frames,
         "dbc": message.dbc,
         "signals": {
-            name: {key: _finite(getattr(seen, key)) for key in ("low", "high", "last")} | {"unit": seen.bits.unit}
+            name: {key: finite(getattr(seen, key)) for key in ("low", "high", "last")} | {"unit": seen.bits.unit}
             for name, seen in message.signals.items()
         },
     }
@@ -151,10 +152,6 @@ def _message(message: MessageSeen) -> dict[str, Any]:
 def _fields(name: Name) -> str:
     """What distinguishes a node, as `source` of a mapping takes it."""
     return "{" + ", ".join(f"{key}: {getattr(name, key)}" for key in TELLING) + "}"
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def _show(survey: Survey) -> None:

@@ -19,7 +19,7 @@ from yieldmon.estimation.priors import EXCHANGED, at_bound_sentence
 from yieldmon.files.table import Table
 from yieldmon.physics.effects import family_of
 from yieldmon.physics.machine import Machine
-from yieldmon.physics.numerics import Array
+from yieldmon.physics.numerics import span
 
 from . import observations as obs
 from .candidates import Signature, library, signature
@@ -255,10 +255,10 @@ def adopted(diagnosis: Diagnosis, parent: ParameterSet, provenance: dict[str, st
         covariance_names=(*names, *kept),
         covariance=block_diag(covariance, parent.covariance_of(kept)) if kept else covariance,
         calibrated=CalibratedRange(
-            mass_flow_kg_s=_span(flow),
-            plate_angle_rad=_span(cells.plate_angle_rad),
-            elevator_speed_rad_s=_span(cells.elevator_speed_rad_s),
-            moisture_pct=_span(moist) if moist.size else None,
+            mass_flow_kg_s=span(flow),
+            plate_angle_rad=span(cells.plate_angle_rad),
+            elevator_speed_rad_s=span(cells.elevator_speed_rad_s),
+            moisture_pct=span(moist) if moist.size else None,
         ),
         response_unit="N" if cells.rows.si else "response",
         version=parent.version + 1,
@@ -431,10 +431,6 @@ def _overfull_note(opened: NDArray[np.bool_], held_out: HeldOut | None) -> list[
 
 def _undetectable_note(effects: tuple[str, ...]) -> list[str]:
     return [f"at no physical size would these rows show: {', '.join(effects)}"] if effects else []
-
-
-def _span(values: Array) -> tuple[float, float]:
-    return float(values.min()), float(values.max())
 
 
 __all__ = ["Diagnosis", "Examination", "Options", "adopted", "conclude", "diagnose", "diagnose_rows", "examine"]

@@ -17,7 +17,7 @@ from scipy import stats
 from yieldmon.estimation import model_error
 from yieldmon.estimation.clusters import cluster
 from yieldmon.physics.machine import SAME_ANGLE_RAD
-from yieldmon.physics.numerics import Array
+from yieldmon.physics.numerics import Array, span
 
 from .candidates import errors
 from .fit import Fit
@@ -120,19 +120,15 @@ def where(fit: Fit, noise: Noise, rng: np.random.Generator, *, level: float = 0.
         mean = float(np.mean(cells.mean[inside] / fit.frame.sd[inside]))
         out.append(
             Region(
-                _span(cells.plate_angle_rad[inside]),
-                _span(fill[inside]),
-                _span(cells.elevator_speed_rad_s[inside]),
+                span(cells.plate_angle_rad[inside]),
+                span(fill[inside]),
+                span(cells.elevator_speed_rad_s[inside]),
                 100.0 * error / (mean if abs(mean) > 1.0 else largest_ratio),
                 p,
                 tuple(int(j) for j in np.flatnonzero(inside)),
             )
         )
     return tuple(out)
-
-
-def _span(values: Array) -> tuple[float, float]:
-    return float(values.min()), float(values.max())
 
 
 def _steps(values: Array, width: float, most: int) -> NDArray[np.int64]:

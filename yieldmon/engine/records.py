@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from enum import IntEnum
-from math import degrees, isfinite
+from math import degrees
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from numpy.typing import ArrayLike
@@ -23,6 +23,7 @@ from yieldmon.estimation.open_loop import FlowEstimate
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.shape_verdict import ShapeVerdict
 from yieldmon.estimation.steady_drift import Advance
+from yieldmon.finite import finite
 from yieldmon.frames import EstimateQuality, OperatingState
 from yieldmon.physics.machine import RPM
 
@@ -80,10 +81,6 @@ class _Declared(NamedTuple):
     published: tuple[str, str] | None
 
 
-def _finite(value: float) -> float | None:
-    return float(value) if isfinite(value) else None
-
-
 def _codes(value: tuple[FaultCode, ...]) -> str:
     return " ".join(code.value for code in value)
 
@@ -95,9 +92,9 @@ def _name(value: IntEnum) -> str | None:
 _SAME = ""
 _CONVERSIONS: dict[str, tuple[type, bool, Callable[[Any], Any]]] = {
     "number": (float, False, float),
-    "known": (float, True, _finite),
-    "deg": (float, True, lambda value: _finite(degrees(value))),
-    "rpm": (float, True, lambda value: _finite(value / RPM)),
+    "known": (float, True, lambda value: finite(float(value))),
+    "deg": (float, True, lambda value: finite(degrees(value))),
+    "rpm": (float, True, lambda value: finite(float(value / RPM))),
     "whole": (int, False, int),
     "codes": (str, False, _codes),
     "verdict": (str, True, _name),

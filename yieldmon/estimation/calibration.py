@@ -15,7 +15,7 @@ from scipy.special import fdtrc
 from yieldmon.physics.effects import effect_parameter
 from yieldmon.physics.grain import GRAIN
 from yieldmon.physics.model import ForwardModel
-from yieldmon.physics.numerics import Array
+from yieldmon.physics.numerics import Array, span
 
 from . import model_error, multistart, profile_likelihood
 from .calibration_problem import CalibrationProblem, data_scale
@@ -145,11 +145,7 @@ def _parameter_set(problem: CalibrationProblem, theta: Array, uncertainty: FitUn
 def _calibrated_range(model: ForwardModel, data: Measurements) -> CalibratedRange:
     angle, speed, load, moisture = data.columns()
     flow = load if data.conditions.paddle_mass_kg is None else load * model.machine.passes_per_s(speed)
-    return CalibratedRange(_span(flow), _span(angle), _span(speed), _span(moisture) if np.all(np.isfinite(moisture)) else None)
-
-
-def _span(values: Array) -> tuple[float, float]:
-    return float(values.min()), float(values.max())
+    return CalibratedRange(span(flow), span(angle), span(speed), span(moisture) if np.all(np.isfinite(moisture)) else None)
 
 
 def _quality(problem: CalibrationProblem, error: Array, variance_factor: float) -> Residuals:

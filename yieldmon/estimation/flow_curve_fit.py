@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.physics.machine import SAME_ANGLE_RAD, Machine
-from yieldmon.physics.numerics import Array
+from yieldmon.physics.numerics import Array, span
 
 from .flow_curve import LEAST_RELATIVE_STD_DEV, OFFSET_SHARE, AlphaBeta, FlowCurve, LookUpTable, TableColumn
 from .load_inputs import WeighedLoad
@@ -95,7 +95,7 @@ def fit_table(machine: Machine, rows: Measurements, kind: str) -> CurveFit:
     share = mean_flow / (mean_flow + OFFSET_SHARE * mean_flow.max())
     moisture = columns[3][used]
     calibrated = CalibratedRange(
-        _span(flow), _span(angle), _speeds(speed), _span(moisture) if np.all(np.isfinite(moisture)) else None
+        span(flow), span(angle), _speeds(speed), span(moisture) if np.all(np.isfinite(moisture)) else None
     )
     curve = FlowCurve(law, _relative(share * errors, share * own, _inner(cells[2])), calibrated)
     return CurveFit(curve, int(flow.size), tuple(mean_flow.tolist()), tuple(errors.tolist()), tuple(own.tolist()))
@@ -150,11 +150,11 @@ def fit_loads(loads: Sequence[WeighedLoad], plate_angle_rad: float) -> CurveFit:
     law = AlphaBeta(alpha, beta, plate_angle_rad)
     flow = (alpha + beta * x) * x
     moist = [load.moisture_pct for load in loads]
-    moisture = None if any(m is None for m in moist) else _span(np.concatenate([m for m in moist if m is not None]))
+    moisture = None if any(m is None for m in moist) else span(np.concatenate([m for m in moist if m is not None]))
     speeds = _speeds(np.concatenate([part[1] for part in seconds]))
     own = matrix @ np.array([alpha, beta]) / weighed - 1.0
     relative = _relative(errors, own, np.ones(weighed.size, dtype=bool))
-    curve = FlowCurve(law, relative, CalibratedRange(_span(flow), (plate_angle_rad, plate_angle_rad), speeds, moisture))
+    curve = FlowCurve(law, relative, CalibratedRange(span(flow), (plate_angle_rad, plate_angle_rad), speeds, moisture))
     return CurveFit(curve, len(loads), tuple(weighed.tolist()), tuple(errors.tolist()), tuple(own.tolist()))
 
 
@@ -217,10 +217,6 @@ def _relative(left_out: Array, fitted: Array, inner: NDArray[np.bool_]) -> float
     return float(max(LEAST_RELATIVE_STD_DEV, np.sqrt(np.mean(left_out[inner] ** 2)), np.sqrt(np.mean(fitted**2))))
 
 
-def _span(values: Array) -> tuple[float, float]:
-    return float(values.min()), float(values.max())
-
-
 def _speeds(values: Array) -> tuple[float, float]:
-    low, high = _span(values)
+    low, high = span(values)
     return low * (1.0 - _SPEED_MARGIN), high * (1.0 + _SPEED_MARGIN)

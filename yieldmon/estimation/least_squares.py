@@ -70,59 +70,96 @@ def levenberg_marquardt(
     progress
         Called with the share of starts that are done.
     """
-    theta = np.array(start, dtype=float)
-    count = len(theta)
-    low, high = np.broadcast_to(lower, theta.shape), np.broadcast_to(upper, theta.shape)
-    unit = np.broadcast_to(high - low if scale is None else scale, theta.shape)
-    fixed = np.zeros(theta.shape, dtype=bool) if held is None else held
-    residual, jacobian = (np.array(part) for part in residuals(theta, np.arange(count)))
-    cost, size = _cost(residual), max(residual.shape[-1], 1)
-    damping = np.full(count, 1e-3)
-    done = ~np.isfinite(cost)
-    converged = np.zeros(count, dtype=bool)
-    curvature = np.zeros((count, theta.shape[-1], theta.shape[-1]))
+    search = _Search(residuals, start, lower, upper, held, scale, tolerance, least_gain, learns_curvature)
     for _ in range(iterations):
-        at = np.flatnonzero(~done)
+        going = np.flatnonzero(~search.done)
         if progress is not None:
-            progress(1.0 - at.size / count)
-        if not at.size:
+            progress(1.0 - going.size / len(search.done))
+        if not going.size:
             break
-        gradient = np.einsum("bmn,bm->bn", jacobian[at], residual[at]) * unit[at]
-        normal = np.einsum("bmi,bmj->bij", jacobian[at], jacobian[at]) * unit[at, :, None] * unit[at, None, :]
-        if learns_curvature:
-            normal = _curved(normal, curvature[at])
-        frozen = fixed[at] | ((theta[at] <= low[at]) & (gradient > 0.0)) | ((theta[at] >= high[at]) & (gradient < 0.0))
-        step = _damped_step(normal, gradient, frozen, damping[at])
-        trial = np.clip(theta[at] + step * unit[at], low[at], high[at])
-        if least_gain > 0.0:
-            move = (trial - theta[at]) / unit[at]
-            expected = -2.0 * np.sum(gradient * move, axis=-1) - np.einsum("bi,bij,bj->b", move, normal, move)
+        search.advance(going)
+    return search.found()
+
+
+class _Search:
+    """Where each start has come to (B, ...), and whether it is done."""
+
+    def __init__(
+        self,
+        residuals: Residuals,
+        start: Array,
+        lower: Array,
+        upper: Array,
+        held: NDArray[np.bool_] | None,
+        scale: Array | None,
+        tolerance: float,
+        least_gain: float,
+        learns_curvature: bool,
+    ) -> None:
+        self._residuals = residuals
+        self._tolerance, self._least_gain, self._learns = tolerance, least_gain, learns_curvature
+        self._theta = np.array(start, dtype=float)
+        count, width = self._theta.shape
+        self._low, self._high = np.broadcast_to(lower, self._theta.shape), np.broadcast_to(upper, self._theta.shape)
+        self._unit = np.broadcast_to(self._high - self._low if scale is None else scale, self._theta.shape)
+        self._held = np.zeros(self._theta.shape, dtype=bool) if held is None else held
+        self._residual, self._jacobian = (np.array(part) for part in residuals(self._theta, np.arange(count)))
+        self._cost = _cost(self._residual)
+        self._damping = np.full(count, 1e-3)
+        self._curvature = np.zeros((count, width, width))
+        self._converged = np.zeros(count, dtype=bool)
+        self.done: NDArray[np.bool_] = ~np.isfinite(self._cost)
+
+    def found(self) -> BatchSearch:
+        """What was reached."""
+        return BatchSearch(self._theta, self._cost, self._converged, self._residual, self._jacobian)
+
+    def advance(self, at: NDArray[np.intp]) -> None:
+        """One step, taken or rejected, of the starts `at`."""
+        jacobian, residual, unit = self._jacobian[at], self._residual[at], self._unit[at]
+        gradient = np.einsum("bmn,bm->bn", jacobian, residual) * unit
+        normal = np.einsum("bmi,bmj->bij", jacobian, jacobian) * unit[:, :, None] * unit[:, None, :]
+        if self._learns:
+            normal = _curved(normal, self._curvature[at])
+        theta, low, high = self._theta[at], self._low[at], self._high[at]
+        frozen = self._held[at] | ((theta <= low) & (gradient > 0.0)) | ((theta >= high) & (gradient < 0.0))
+        wanted = theta + _damped_step(normal, gradient, frozen, self._damping[at]) * unit
+        trial = np.clip(wanted, low, high)
+        if self._least_gain > 0.0:
             # A step cut short by a bound promises less than a shorter one might.
-            cut = np.any(trial != theta[at] + step * unit[at], axis=-1) & (damping[at] < 1e3)
-            worth = cut | (expected >= least_gain * (1.0 + 2.0 * cost[at] / size))
-            done[at[~worth]] = converged[at[~worth]] = True
+            cut = np.any(trial != wanted, axis=-1) & (self._damping[at] < 1e3)
+            worth = cut | self._promises(at, (trial - theta) / unit, gradient, normal)
+            self.done[at[~worth]] = self._converged[at[~worth]] = True
             at, trial = at[worth], trial[worth]
-            if not at.size:
-                continue
-        trial_residual, trial_jacobian = residuals(trial, at)
-        trial_cost = _cost(trial_residual)
-        moved = np.max(np.abs(trial - theta[at]) / unit[at], axis=-1, initial=0.0)
-        better = trial_cost <= cost[at]
-        if learns_curvature:
-            there = np.where(better[:, None], trial_residual, residual[at])
-            bent = np.einsum("bmn,bm->bn", trial_jacobian - jacobian[at], there) * unit[at]
-            curvature[at] = _learnt(curvature[at], (trial - theta[at]) / unit[at], bent)
-        stalled = moved <= tolerance
+        if at.size:
+            self._take(at, trial)
+
+    def _promises(self, at: NDArray[np.intp], move: Array, gradient: Array, normal: Array) -> NDArray[np.bool_]:
+        """Whether a move, in units, lowers the sum of squares by enough, as the quadratic model has it."""
+        expected = -2.0 * np.sum(gradient * move, axis=-1) - np.einsum("bi,bij,bj->b", move, normal, move)
+        size = max(self._residual.shape[-1], 1)
+        return np.asarray(expected >= self._least_gain * (1.0 + 2.0 * self._cost[at] / size))
+
+    def _take(self, at: NDArray[np.intp], trial: Array) -> None:
+        """Evaluate the trial places, go to those that are better, and set damping and what is done by the outcome."""
+        residual, jacobian = self._residuals(trial, at)
+        cost = _cost(residual)
+        move = (trial - self._theta[at]) / self._unit[at]
+        better = cost <= self._cost[at]
+        if self._learns:
+            there = np.where(better[:, None], residual, self._residual[at])
+            bent = np.einsum("bmn,bm->bn", jacobian - self._jacobian[at], there) * self._unit[at]
+            self._curvature[at] = _learnt(self._curvature[at], move, bent)
         taken = at[better]
-        theta[taken], cost[taken] = trial[better], trial_cost[better]
-        residual[taken], jacobian[taken] = trial_residual[better], trial_jacobian[better]
-        light = damping[at] <= (1e-3 if learns_curvature else -1.0)
-        damping[at] = np.where(better, np.maximum(damping[at] * 0.1, 1e-12), damping[at] * 8.0)
+        self._theta[taken], self._cost[taken] = trial[better], cost[better]
+        self._residual[taken], self._jacobian[taken] = residual[better], jacobian[better]
+        light = self._damping[at] <= (1e-3 if self._learns else -1.0)
+        self._damping[at] = np.where(better, np.maximum(self._damping[at] * 0.1, 1e-12), self._damping[at] * 8.0)
+        stalled = np.max(np.abs(move), axis=-1, initial=0.0) <= self._tolerance
         # A short step by heavy damping is a stall; one nearly undamped has arrived.
-        arrived = stalled & (better | light | (damping[at] > 1e8))
-        converged[at] |= arrived
-        done[at] |= arrived | (damping[at] > 1e12)
-    return BatchSearch(theta, cost, converged, residual, jacobian)
+        arrived = stalled & (better | light | (self._damping[at] > 1e8))
+        self._converged[at] |= arrived
+        self.done[at] |= arrived | (self._damping[at] > 1e12)
 
 
 def _curved(normal: Array, curvature: Array) -> Array:

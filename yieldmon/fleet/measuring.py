@@ -19,6 +19,7 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file, ticket_file
 from yieldmon.files.ticket_file import WeighedTicket
+from yieldmon.finite import finite
 from yieldmon.fleet import tables
 from yieldmon.fleet.identity import Identity
 from yieldmon.service import log_record
@@ -212,7 +213,7 @@ def _log_rows(taken: _Taken, names: Mapping[str, str]) -> list[dict[str, Any]]:
     for span, first, last in zip(spans, firsts, firsts[1:], strict=False):
         rows.append({
             "kind": tables.LOG, "name": names[span.log], "first_number": first + 1, "last_number": last,
-            "start_s": _known(span.start_s), "end_s": _known(span.end_s), "seconds": last - first,
+            "start_s": finite(span.start_s), "end_s": finite(span.end_s), "seconds": last - first,
             "measured_kg": float(sum(mass for _, _, mass in taken.rows[first:last])),
         })  # fmt: skip
     return rows
@@ -225,8 +226,8 @@ def _middle_s(row: tuple[float, float, float]) -> float:
 def _load_rows(monitor: Monitor) -> list[dict[str, Any]]:
     return [
         {
-            "kind": tables.LOAD, "name": str(load.number), "start_s": _known(load.start_s), "end_s": _known(load.end_s),
-            "measured_kg": load.measured_kg, "std_dev_kg": _known(load.std_dev_kg), "complete": load.complete,
+            "kind": tables.LOAD, "name": str(load.number), "start_s": finite(load.start_s), "end_s": finite(load.end_s),
+            "measured_kg": load.measured_kg, "std_dev_kg": finite(load.std_dev_kg), "complete": load.complete,
         }
         for load in monitor.loads
     ]  # fmt: skip
@@ -272,12 +273,8 @@ def _covered(ticket: WeighedTicket, given: Sequence[str]) -> Sequence[str]:
 def _parameter_rows(known: ParameterSet, time_s: float, origin: str, reason: str) -> list[dict[str, Any]]:
     return [
         {
-            "time_s": _known(time_s), "version": known.version, "origin": origin, "reason": reason, "name": name,
+            "time_s": finite(time_s), "version": known.version, "origin": origin, "reason": reason, "name": name,
             "value": value, "std_dev": known.standard_deviation(name),
         }
         for name, value in known.values.items()
     ]  # fmt: skip
-
-
-def _known(value: float) -> float | None:
-    return value if isfinite(value) else None

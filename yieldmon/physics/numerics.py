@@ -37,6 +37,11 @@ def distinct(x: Array) -> Array:
     return x[:1] if bool((x[:1] == x).all()) else x
 
 
+def span(values: Array) -> tuple[float, float]:
+    """Smallest and largest."""
+    return float(values.min()), float(values.max())
+
+
 def minimum(a: AnyArray, b: AnyArray) -> AnyArray:
     """Elementwise minimum by real part; the derivative follows the chosen branch."""
     return np.where(real(a) <= real(b), a, b)

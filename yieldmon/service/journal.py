@@ -8,7 +8,6 @@ import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from dataclasses import field as dataclass_field
-from math import isfinite
 from typing import Any
 
 from yieldmon.engine.health import FaultEvent
@@ -24,6 +23,7 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
 from yieldmon.files.crops import crops
+from yieldmon.finite import finite
 from yieldmon.service import batch as rows_of
 from yieldmon.service import ledger as ledgers
 from yieldmon.service.batch import Action, Batch, Load, ParameterVersion, Step, SweepRecord, Ticket
@@ -435,8 +435,8 @@ class Journal:
             number=summary.number,
             field=known.field if known is not None else self.field,
             crop=known.crop if known is not None else self.crop,
-            started_s=started_s if started_s is not None else _known(summary.start_s),
-            ended_s=_known(summary.end_s),
+            started_s=started_s if started_s is not None else finite(summary.start_s),
+            ended_s=finite(summary.end_s),
             mass_kg=summary.measured_kg,
             dry_mass_kg=summary.dry_kg if dry_known else None,
             area_m2=summary.area_m2 if area_known else None,
@@ -501,7 +501,3 @@ def _sweep_row(sweep: SweepEnded, time_s: float) -> SweepRecord:
         "parameter_version": sweep.parameter_version,
     }
     return SweepRecord(time_s, sweep.state.name.lower(), sweep.reason, document)
-
-
-def _known(value: float) -> float | None:
-    return value if isfinite(value) else None

@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 from collections import deque
 from collections.abc import Iterable
-from math import isfinite
 from pathlib import Path
 from typing import Protocol
 
@@ -21,6 +20,7 @@ from yieldmon.engine.faults import FAULTS, FaultCode, Severity
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.settings import TotalsSettings
 from yieldmon.engine.totals import Totals, dry_mass
+from yieldmon.finite import finite
 from yieldmon.frames import OperatingState
 from yieldmon.network import diagnostics
 from yieldmon.network.diagnostics import Lamp, TroubleCode, TroubleMemory
@@ -356,20 +356,16 @@ class NetworkLink:
 
 def second_of(record: WindowRecord, totals: Totals, settings: TotalsSettings) -> Second:
     """A record as a task controller gets it; dry figures where the moisture is known."""
-    flow = _known(record.mass_flow_kg_s)
+    flow = finite(record.mass_flow_kg_s)
     return Second(
         flow_kg_s=flow,
         total_kg=record.total_kg,
         harvesting=record.operating_state in (OperatingState.HARVESTING, OperatingState.SWEEPING),
         dry_flow_kg_s=None if flow is None else dry_mass(flow, record.moisture_pct, settings, totals.market_moisture_pct),
         dry_total_kg=totals.total_dry_kg if totals.total_unknown_moisture_kg == 0.0 else None,
-        moisture_pct=_known(record.moisture_pct),
-        ground_speed_m_s=_known(record.ground_speed_m_s),
+        moisture_pct=finite(record.moisture_pct),
+        ground_speed_m_s=finite(record.ground_speed_m_s),
     )
-
-
-def _known(value: float) -> float | None:
-    return value if isfinite(value) else None
 
 
 def _messages(frames: Iterable[RawFrame]) -> list[can.Message]:

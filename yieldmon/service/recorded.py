@@ -40,6 +40,11 @@ _LIMITS: dict[str, tuple[float, float]] = {
 }  # fmt: skip
 
 
+def is_store(path: str | Path) -> bool:
+    """Whether a name is a store's."""
+    return Path(path).suffix.lower() in STORE_SUFFIXES
+
+
 def read_seconds(path: Path | str) -> list[SecondRow]:
     """The seconds in a store (.sqlite, .sqlite3, .db) or in a table of `process` (.csv, .jsonl, .parquet), in order.
 

@@ -15,6 +15,7 @@ from yieldmon.documents import ReprocessedLoad
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.finite import finite
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
@@ -83,7 +84,7 @@ def measured_again(
             changed |= {"mass_flow_kg_s": float(flow[i]), "std_dev_kg_s": float(std_dev[i])}
             changed |= {"parameter_version": parameters.version, "force_n": float(force[i])}
         if zero_mv is not None and row.zero_mv is not None:
-            changed |= {"zero_mv": zero_mv, "force_n": _known(force[i])}
+            changed |= {"zero_mv": zero_mv, "force_n": finite(float(force[i]))}
         out.append(replace(row, **changed))
     before_kg = float(sum(row.mass_kg for row in rows))
     return Again(tuple(out), before_kg, total_kg, unusable)
@@ -102,10 +103,6 @@ def loads_of_rows(before: Sequence[SecondRow], after: Sequence[SecondRow]) -> li
 
 def _column(rows: Sequence[SecondRow], name: str) -> Array:
     return np.array([np.nan if (v := getattr(row, name)) is None else v for row in rows], dtype=float)
-
-
-def _known(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def _seconds(row: SecondRow, min_coverage: float) -> float:

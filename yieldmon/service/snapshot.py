@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from math import isfinite
 
 import yieldmon
 from yieldmon.bus.opening import time_stamps_of
@@ -32,6 +31,7 @@ from yieldmon.engine.state import EngineState
 from yieldmon.engine.totals import Totals
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files.crops import find_crop
+from yieldmon.finite import finite
 from yieldmon.frames import EstimateQuality, OperatingState
 from yieldmon.service.configuration import Configuration
 from yieldmon.service.harvested import harvested
@@ -150,7 +150,7 @@ def _load(totals: Totals, journal: Journal) -> StatusLoad:
         "crop": journal.crop,
         "mass_kg": totals.load_kg,
         "contested_mass_kg": totals.load_contested_kg,
-        "std_dev_kg": _finite(totals.load_budget.std_dev_kg),
+        "std_dev_kg": finite(totals.load_budget.std_dev_kg),
         "std_dev_by_cause_kg": _by_cause(totals.load_budget),
         "dry_mass_kg": totals.load_dry_kg if totals.load_unknown_moisture_kg == 0.0 else None,
         **harvested(totals),
@@ -160,7 +160,7 @@ def _load(totals: Totals, journal: Journal) -> StatusLoad:
 def _total(totals: Totals) -> StatusTotal:
     return {
         "mass_kg": totals.total_kg,
-        "std_dev_kg": _finite(totals.total_budget.std_dev_kg),
+        "std_dev_kg": finite(totals.total_budget.std_dev_kg),
         "std_dev_by_cause_kg": _by_cause(totals.total_budget),
         "dry_mass_kg": totals.total_dry_kg,
         "contested_mass_kg": totals.total_contested_kg,
@@ -174,7 +174,7 @@ def _sweep(monitor: Monitor, engine: EngineState) -> StatusSweep:
         "state": sweep.state.name.lower(),
         "progress_pct": round(sweep.progress_pct, 1),
         "sweeps": sweep.sweep_id,
-        "due_in_s": _finite(engine.sweep_due_in_s),
+        "due_in_s": finite(engine.sweep_due_in_s),
         "aborted_because": sweep.abort_reason.value if sweep.abort_reason is not None else None,
         "last_update": outcome.reason if outcome is not None else None,
     }
@@ -195,7 +195,7 @@ def _fault(monitor: Monitor, code: FaultCode) -> StatusFault:
     return {
         "code": code.value,
         "severity": fault.severity.name.lower(),
-        "since_s": _finite(monitor.faults.since(code)),
+        "since_s": finite(monitor.faults.since(code)),
         "occurrences": monitor.faults.occurrences(code),
         "detail": monitor.faults.detail(code),
         "cause": fault.cause,
@@ -255,28 +255,28 @@ def _waveform(monitor: Monitor) -> StatusWaveform | None:
         return None
     return {
         "published": monitor.settings.waveform.combine,
-        "shape_volume_flow_m3_s": _finite(seen.volume_m3_s),
-        "shape_volume_std_dev_m3_s": _finite(seen.volume_std_dev_m3_s),
-        "shape_flow_kg_s": _finite(seen.shape_kg_s),
-        "shape_std_dev_kg_s": _finite(seen.shape_std_dev_kg_s),
+        "shape_volume_flow_m3_s": finite(seen.volume_m3_s),
+        "shape_volume_std_dev_m3_s": finite(seen.volume_std_dev_m3_s),
+        "shape_flow_kg_s": finite(seen.shape_kg_s),
+        "shape_std_dev_kg_s": finite(seen.shape_std_dev_kg_s),
         "shape_verdict": seen.shape.name.lower(),
         "shape_missing_because": seen.shape_reason or None,
-        "kernel_flow_kg_s": _finite(seen.kernels_kg_s),
-        "kernel_std_dev_kg_s": _finite(seen.kernels_std_dev_kg_s),
+        "kernel_flow_kg_s": finite(seen.kernels_kg_s),
+        "kernel_std_dev_kg_s": finite(seen.kernels_std_dev_kg_s),
         "kernel_verdict": seen.kernels.name.lower(),
         "kernel_missing_because": seen.kernels_reason or None,
-        "thousand_kernel_weight_g": _finite(seen.kernel_weight_g),
+        "thousand_kernel_weight_g": finite(seen.kernel_weight_g),
         "contradiction": seen.contradiction or None,
-        "stretch_by_mean_force": _finite(seen.stretch),
+        "stretch_by_mean_force": finite(seen.stretch),
     }
 
 
 def _by_cause(budget: MassBudget) -> StdDevByCause:
     return {
-        "noise": _finite(budget.noise_kg2**0.5),
-        "parameters": _finite(budget.parameters_kg),
-        "zero": _finite(budget.zero_kg),
-        "moisture": _finite(budget.moisture_kg),
+        "noise": finite(budget.noise_kg2**0.5),
+        "parameters": finite(budget.parameters_kg),
+        "zero": finite(budget.zero_kg),
+        "moisture": finite(budget.moisture_kg),
     }
 
 
@@ -285,10 +285,6 @@ def _window(row: SecondRow) -> dict[str, float | str | None]:
     window["quality"] = EstimateQuality(row.quality).name.lower()
     window["operating_state"] = OperatingState(row.operating_state).name.lower()
     return window
-
-
-def _finite(value: float) -> float | None:
-    return value if isfinite(value) else None
 
 
 def _values(parameters: ParameterSet) -> dict[str, ValueWithStdDev]:

@@ -37,7 +37,6 @@ from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store
 from yieldmon.service.store_errors import StoreError
 
-SUFFIXES = (".sqlite", ".sqlite3", ".db")
 LEAST_ANGLES = 4
 _SPEED_STEP = np.log(1.02)
 _FLOW_STEP = np.log(1.1)
@@ -79,11 +78,6 @@ class _Visit:
     force_n: float
     relative_sd: float
     moisture_pct: float
-
-
-def is_store(path: Path | str) -> bool:
-    """Whether a name is that of a store rather than of a CSV table."""
-    return Path(path).suffix.lower() in SUFFIXES
 
 
 def given_parameters(path: Path | str) -> ParameterSet:

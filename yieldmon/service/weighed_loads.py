@@ -27,7 +27,7 @@ from yieldmon.service.assembly import build_monitor
 from yieldmon.service.bulk_processing import process_in_bulk
 from yieldmon.service.configuration import Configuration
 from yieldmon.service.log_copies import refuse_copies
-from yieldmon.service.recorded import STORE_SUFFIXES, opened
+from yieldmon.service.recorded import is_store, opened
 from yieldmon.service.rows import SecondRow
 
 _LEAST_SHARE = 0.9
@@ -48,11 +48,6 @@ class MeasuredLoad:
     def mass_kg(self) -> float:
         """As measured."""
         return float(sum(row.mass_kg for row in self.seconds))
-
-
-def is_store(path: str | Path) -> bool:
-    """Whether a name is a store's."""
-    return Path(path).suffix.lower() in STORE_SUFFIXES
 
 
 def read(

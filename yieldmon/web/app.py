@@ -7,7 +7,6 @@ import contextlib
 import json
 from collections.abc import AsyncIterator, Callable, Coroutine
 from dataclasses import dataclass
-from math import isfinite
 from pathlib import Path
 from time import monotonic, time
 from typing import Any
@@ -21,6 +20,7 @@ from starlette.staticfiles import StaticFiles
 from yieldmon import __version__
 from yieldmon.errors import InputError
 from yieldmon.files import machine_file
+from yieldmon.finite import finite_document
 from yieldmon.physics.machine import Machine
 from yieldmon.resources import shipped
 from yieldmon.service import configuration
@@ -280,16 +280,7 @@ def _number(text: str) -> int | None:
 
 
 def _json(document: Any) -> Response:
-    return JSONResponse(_finite(document), headers=_NO_STORE)
-
-
-def _finite(value: Any) -> Any:
-    """The same without numbers that JSON does not have."""
-    if isinstance(value, float):
-        return value if isfinite(value) else None
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    return [_finite(item) for item in value] if isinstance(value, list | tuple) else value
+    return JSONResponse(finite_document(document), headers=_NO_STORE)
 
 
 def _error(status: int, text: str, headers: dict[str, str] | None = None) -> Response:
