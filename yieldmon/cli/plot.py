@@ -146,7 +146,7 @@ def _flow(args: argparse.Namespace) -> Figure:
     rows = _seconds(args.record)
     truth = _beside(_truth(args.truth), rows) if args.truth else None
     weighed = None
-    if Path(args.record).suffix.lower() in recorded.STORE_SUFFIXES:
+    if recorded.is_store(args.record):
         with recorded.opened(Path(args.record)) as store:
             weighed = _weighed(store.loads(), store.tickets())
     names = ("time_s", "mass_flow_kg_s", "std_dev_kg_s", "total_kg")
