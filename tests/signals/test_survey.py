@@ -275,6 +275,18 @@ BA_DEF_DEF_ "VFrameFormat" "{kind}";
     assert json.loads(capsys.readouterr().out)["signals"]["elevator_speed"]["values"] == frames
 
 
+def test_damage_of_a_log_is_said_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    log = tmp_path / "damaged.log"
+    log.write_text(TRACTOR.read_text() + "no frame\n" * 30)
+    assert main(["signals", str(log)]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 4
+    assert "30 damaged records" in lines[-1]
+    assert caplog.records == []
+
+
 def test_two_files_of_one_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for layout, folder in ((COUNTS, "one"), (MULTIPLEXED, "two")):
         (tmp_path / folder).mkdir()

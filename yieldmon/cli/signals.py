@@ -89,12 +89,12 @@ def _as_written(paths: dict[str, str], mapping: Path) -> dict[str, str]:
 
 def _log_blocks(path: str) -> Iterator[FrameBlock]:
     require_log(path)
-    notes = LogNotes()
+    notes = LogNotes(on_damage=lambda _damage: None)
     yield from iter_blocks(path, notes)
     for damage in notes.damages[:3]:
         print(f"yieldmon: {damage}", file=sys.stderr)
-    if len(notes.damages) > 3:
-        print(f"yieldmon: {path}: {len(notes.damages)} damaged records skipped in all", file=sys.stderr)
+    if notes.damaged_places > 3:
+        print(f"yieldmon: {path}: {notes.damaged_places} damaged records skipped in all", file=sys.stderr)
 
 
 def _bus_blocks(args: argparse.Namespace) -> Iterator[FrameBlock]:
