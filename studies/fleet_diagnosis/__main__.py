@@ -17,10 +17,9 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +36,7 @@ from yieldmon.engine.settings import SweepSettings
 from yieldmon.engine.sweep import sweep_sequence
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
-from yieldmon.fleet.diagnosis import FleetDiagnosis, MachineSweeps, MachineVerdict, diagnose, verdict_of
+from yieldmon.fleet.diagnosis import FleetDiagnosis, MachineSweeps, diagnose
 from yieldmon.frames import EstimateQuality, OperatingState
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
@@ -179,27 +178,25 @@ def fleet_of(draw: int, *, strong: bool) -> list[MachineSweeps]:
 def record(draw: int, found: FleetDiagnosis) -> dict[str, Any]:
     """What was hidden beside what was said."""
     shared, own = hidden_of(draw)
-    said = {verdict.name: verdict for verdict in found.of_machines}
+    said = {verdict.name: verdict for verdict in found.machines if verdict.verdict != "none"}
 
     def own_named(name: str, effect: str) -> bool:
-        return name in said and len(said[name].named) >= 1 and said[name].named[0].may_be(effect)
+        return name in said and said[name].verdict == "effect" and said[name].named[0].may_be(effect)
 
-    elsewhere = [name for name, verdict in said.items() if verdict.named and name not in own]
     return {
         "draw": draw, "shared": shared, "own": own,
         "model": [[item.effect, item.confidence, dict(item.values)] for item in found.model],
         "machines": {name: [verdict.verdict, *([item.effect, *item.equivalent] for item in verdict.named)]
                      for name, verdict in said.items()},
-        "before": {v.name: [v.verdict, *([item.effect, *item.equivalent] for item in v.named)] for v in found.before},
         "shared_named": [item.effect for item in found.model] == [shared],
         "shared_among_named": shared in [item.effect for item in found.model],
         "own_named": {name: own_named(name, effect) for name, effect in own.items()},
-        "named_elsewhere": elsewhere,
+        "named_elsewhere": [name for name in said if name not in own],
     }  # fmt: skip
 
 
-def _ask(pool: ProcessPoolExecutor, machines: Sequence[tuple[MachineSweeps, ParameterSet]]) -> Iterable[MachineVerdict]:
-    return pool.map(verdict_of, *zip(*machines, strict=True))
+def _draw(draw: int, strong: bool) -> dict[str, Any]:
+    return record(draw, diagnose(fleet_of(draw, strong=strong)))
 
 
 def run(out: Path, draws: Sequence[int], workers: int, *, strong: bool) -> None:
@@ -207,10 +204,7 @@ def run(out: Path, draws: Sequence[int], workers: int, *, strong: bool) -> None:
     done = {line["draw"] for line in read(out)} if out.exists() else set()
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False).stdout.strip()
     with ProcessPoolExecutor(workers) as pool:
-        for draw in draws:
-            if draw in done:
-                continue
-            found = record(draw, diagnose(fleet_of(draw, strong=strong), partial(_ask, pool)))
+        for found in pool.map(_draw, *zip(*((draw, strong) for draw in draws if draw not in done), strict=True)):
             with out.open("a", encoding="utf-8") as file:
                 file.write(json.dumps({**found, "strong": strong, "seed": SEED, "commit": commit}) + "\n")
             print(_line(found), file=sys.stderr, flush=True)

@@ -19,7 +19,7 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.effects import get_effect
 from yieldmon.physics.grain import GRAIN, GrainParameter, evenly, fitted
 from yieldmon.physics.model import Conditions, ForwardModel
-from yieldmon.physics.numerics import COMPLEX_STEP, Array, real
+from yieldmon.physics.numerics import COMPLEX_STEP, AnyArray, Array, real
 
 from .observations import Cells, Rows
 
@@ -33,6 +33,7 @@ LAW_DEGREE = 2
 """Total degree of the polynomial in angle, load and speed by which it may differ."""
 MOST_SEEN = 1.0
 """The law's error is of no more than this multiple of what recalibration leaves of the effect's change."""
+_FLOW_STEPS = 3
 _REFERENCE_FORCE_N = 60.0
 """Largest force of a table in N for which the effects' own bounds in N are meant."""
 
@@ -52,6 +53,27 @@ class Parameter:
 
 
 @dataclass(frozen=True)
+class Following:
+    """Loads that follow the parameters: at the home angle they give the force that was measured there.
+
+    Tickets fix the gain: whatever the parameters, the force at home at the reference flow is the known one, `reference_n`. Flows
+    are those of the known parameters, with which the search begins.
+
+    elevator_speed_rad_s, moisture_pct: (settings + 1, 1), mass_flow_kg_s: (settings + 1, flows); the last row is the reference.
+    share: force at home over that at the reference, (settings, flows). power: d ln(force) / d ln(flow) there. place: of each of
+    the layout's cells in the flattened (settings, flows).
+    """
+
+    elevator_speed_rad_s: Array
+    moisture_pct: Array
+    mass_flow_kg_s: Array
+    share: Array
+    power: Array
+    reference_n: float
+    place: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
 class Frame:
     """What every fit to one set of cells shares: cells, their sd (of a mean), base parameters and fixed ones.
 
@@ -66,6 +88,8 @@ class Frame:
     unit: float
     nodes: int = SEARCH_NODES
     model_error: float = model_error.FLOOR
+    following: Following | None = None
+    """Flows by the parameters (restitution follows as well, and is no base parameter); None: the cells' own."""
 
     @property
     def known(self) -> tuple[str, ...]:
@@ -248,8 +272,33 @@ def predictions(frame: Frame, effects: Iterable[str], values: Mapping[str, Array
         name: np.asarray(v)[..., None] if np.ndim(v) else np.asarray(v) for name, v in (dict(frame.fixed) | dict(values)).items()
     }
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        out = np.asarray(evaluate(conditions, spread, overfull="nan"))
-    return out.reshape(*out.shape[:-2], -1)[..., grid.place]
+        if frame.following is not None:
+            flow, gain = _followed(model, frame.following, spread)
+            out = gain * np.asarray(evaluate(replace(conditions, mass_flow_kg_s=flow), spread, overfull="nan"))
+        else:
+            out = np.asarray(evaluate(conditions, spread, overfull="nan"))
+    return np.asarray(out.reshape(*out.shape[:-2], -1)[..., grid.place])
+
+
+def _followed(model: ForwardModel, following: Following, values: Mapping[str, AnyArray]) -> tuple[AnyArray, AnyArray]:
+    """Flow of each of the layout's cells, and the gain by which the force at the reference is the known one.
+
+    Newton's steps in ln(flow) with a real slope: the last ones carry complex parts along, so that derivatives follow too.
+    """
+    home = model.machine.home_plate_angle_rad
+    throw = model.throw(home, following.elevator_speed_rad_s, values, following.moisture_pct)
+    passes, flow = throw.passes_per_s, np.asarray(following.mass_flow_kg_s)
+    load: AnyArray = flow[:-1]
+    for _ in range(_FLOW_STEPS):
+        last = np.broadcast_to(flow[-1:], (*load.shape[:-2], 1, flow.shape[-1]))
+        force = throw.momentum(np.concatenate((load, last), axis=-2) / passes) * passes
+        reference = force[..., -1:, :1]
+        step = following.share * reference / force[..., :-1, :]
+        load = load * real(step) ** (1.0 / following.power)
+        if np.iscomplexobj(step):
+            load = load * (1.0 + 1j * np.imag(step) / (real(step) * following.power))
+    flat = load.reshape(*load.shape[:-2], -1)
+    return flat[..., following.place], following.reference_n / reference
 
 
 def fit(
@@ -344,6 +393,9 @@ def fit_base(frame: Frame, effects: tuple[str, ...] = ()) -> Fit:
 
 def _solve_gain(frame: Frame, effects: tuple[str, ...], start: dict[str, float]) -> tuple[float, dict[str, float]] | None:
     """chi2 and start with the best gain (1 + e, or k1 and k2) at this friction and density; the reading is linear in it."""
+    if frame.following is not None:
+        residual = (real(predictions(frame, effects, start)) - frame.cells.mean) / frame.sd
+        return (float(residual @ residual), start) if np.all(np.isfinite(residual)) else None
     y = frame.cells.mean / frame.sd
     if "restitution" in start:
         unit = real(predictions(frame, effects, start | {"restitution": 0.0})) / frame.sd

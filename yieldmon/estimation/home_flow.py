@@ -79,3 +79,24 @@ def bracketed(visits: Visits, time_s: Array, wander: float, *, at_home: NDArray[
         noise = ((1.0 - share) * spread[right - 1]) ** 2 + (share * spread[right]) ** 2
         sd[i] = np.sqrt(noise + wander * span * share * (1.0 - share))
     return value, sd
+
+
+def covariance(visits: Visits, time_s: Array, wander: float) -> Array:
+    """Covariance of `bracketed`'s errors at times away from home, (n, n), ascending; nan rows outside the first and last visit.
+
+    Two times share the noise of the visits that bracket both, and within one bracket the wander of the same bridge.
+    """
+    share = np.full((time_s.size, max(len(visits), 1)), np.nan)
+    bridge = np.zeros((time_s.size, time_s.size))
+    right = np.searchsorted(visits.time_s, time_s)
+    inside = np.flatnonzero((right > 0) & (right < len(visits)))
+    for i in inside:
+        before, span = right[i] - 1, visits.time_s[right[i]] - visits.time_s[right[i] - 1]
+        part = (time_s[i] - visits.time_s[before]) / span
+        share[i] = 0.0
+        share[i, before], share[i, right[i]] = 1.0 - part, part
+        for j in inside[right[inside] == right[i]]:
+            other = (time_s[j] - visits.time_s[before]) / span
+            bridge[i, j] = wander * span * min(part, other) * (1.0 - max(part, other))
+    spread = visits.sd if len(visits) else np.full(1, np.nan)
+    return np.asarray((share * spread**2) @ share.T + bridge)

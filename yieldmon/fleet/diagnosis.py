@@ -1,71 +1,52 @@
-"""Diagnosis over the sweeps of many machines: what many show is the model's, what one shows is the machine's.
+"""Diagnosis over the sweeps of many machines: what all show is the model's, what one shows beside the others is its own.
 
-Each machine's sweeps are diagnosed by themselves. An effect that most machines name (or hold for possible, where several cannot
-be told apart) is taken into the model, and all machines are diagnosed once more with it: what is named then is their own, unless
-most machines show it again. Among effects that one machine cannot tell apart, all machines' evidence together decides.
+Machines of one geometry are brought to one gain, that of their tickets, and compared at equal force at home: see
+`discrepancy.fleet`.
 """
 
 from __future__ import annotations
 
 import json
 import statistics
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from yieldmon.discrepancy import diagnosis, observations
-from yieldmon.discrepancy.selection import Choice, Policy, Step, merit, misfit
+import numpy as np
+
+from yieldmon.discrepancy.fleet import LEAST_MACHINES, Own, examine
+from yieldmon.discrepancy.lattice import Lattice, Sweep, lay, reference_force_n, with_force
+from yieldmon.discrepancy.selection import Choice, Policy
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file
 from yieldmon.fleet.querying import Query, opened
-from yieldmon.physics.effects import family_of
-from yieldmon.physics.machine import Machine
-from yieldmon.service import sweep_table
+from yieldmon.physics.machine import ImpactSensor, Implement, Machine
+from yieldmon.physics.model import ForwardModel
 from yieldmon.service.rows import SecondRow
+from yieldmon.service.sweep_table import AwayVisits, away_of_seconds
 
-LEAST_MACHINES = 3
 _SECONDS = """
 SELECT * EXCLUDE (machine, day) FROM records WHERE usable_for_calibration = 1 AND machine = ? AND day = ? ORDER BY number
 """
-_SHARE = 0.5
-"""Of the machines with a verdict that must show an effect which is the model's."""
-_FAR = 30.0
-"""-2 log evidence that counts against an effect which a machine has not fitted in the place of the one it names."""
-_ROUNDS = 3
-"""Diagnoses of all machines, each with what the last one found to be the model's."""
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """An effect in the place of a named one. law: by which it was fitted; values: of the law's parameters; behind: -2 log
-    evidence by which it is worse than the named one."""
-
-    law: str
-    values: Mapping[str, float]
-    behind: float
+_LEAST_ANGLES = 3
+"""Away from home."""
+_LEAST_VISITS = 40
+_SEED = 4
+POLICY = Policy()
 
 
 @dataclass(frozen=True)
 class Named:
-    """An effect that a diagnosis names. equivalent: those that its data cannot tell from it; values: of its parameters;
-    explanations: by effect, itself and what was fitted in its place."""
+    """An effect that a diagnosis names. equivalent: those that its data cannot tell from it; values: of its parameters."""
 
     effect: str
     equivalent: tuple[str, ...] = ()
     confidence: float = 1.0
     values: Mapping[str, float] = field(default_factory=dict)
-    explanations: Mapping[str, Explanation] = field(default_factory=dict)
 
     def may_be(self, effect: str) -> bool:
         """Whether the data allow that it is this one."""
         return effect == self.effect or effect in self.equivalent
-
-    def behind(self, effect: str) -> float:
-        """-2 log evidence by which the effect is worse than the named one."""
-        if effect in self.explanations:
-            return self.explanations[effect].behind
-        return 0.0 if self.may_be(effect) else _FAR
 
 
 @dataclass(frozen=True)
@@ -80,119 +61,145 @@ class MachineSweeps:
 
 @dataclass(frozen=True)
 class MachineVerdict:
-    """What one machine's sweeps say. verdict: effect, none, unknown, or why there is none; partial: effects of an unknown one
-    that help and are no name by this machine alone."""
+    """What one machine shows beside the others. verdict: effect, none, unknown (it differs, and too many effects would explain
+    it), or why there is none."""
 
     name: str
     verdict: str
     named: tuple[Named, ...] = ()
-    partial: tuple[Named, ...] = ()
+
+    @property
+    def judged(self) -> bool:
+        """Whether its sweeps could be compared with others."""
+        return self.verdict in ("effect", "none", "unknown")
 
 
 @dataclass(frozen=True)
 class FleetDiagnosis:
-    """model: effects that most machines show, with parameter values; of_machines: what is a machine's own; before: each machine
-    by itself."""
+    """model: effects that all machines show; machines: what is each one's own, alike ones with the verdict none."""
 
     model: tuple[Named, ...]
-    of_machines: tuple[MachineVerdict, ...]
-    before: tuple[MachineVerdict, ...]
+    machines: tuple[MachineVerdict, ...]
 
 
-Ask = Callable[[Sequence[tuple[MachineSweeps, ParameterSet]]], Iterable[MachineVerdict]]
-"""Diagnoses machines, each with the parameters of a model; verdicts in the same order."""
+Map = Callable[[Callable[["_Group"], "_Answer"], Iterable["_Group"]], Iterable["_Answer"]]
+"""`map`, or that of a pool of processes."""
 
 
-def shared_effects(verdicts: Sequence[MachineVerdict]) -> tuple[Named, ...]:
-    """Effects that most machines show, the most frequent first; each with the machines' median values.
-
-    A machine whose diagnosis holds several effects for possible counts for each of them, also where they are too many for a name
-    by itself; but LEAST_MACHINES must name the effect or one tied with it. Among those that most machines may have, that is taken
-    for which the evidence of all machines together is best.
-    """
-    judged = [verdict for verdict in verdicts if verdict.verdict in ("effect", "none", "unknown")]
-    named_by = Counter(effect for v in judged for effect in {e for item in v.named for e in (item.effect, *item.equivalent)})
-    left = [list(verdict.named or verdict.partial) for verdict in judged]
-    found: list[Named] = []
-    while True:
-        possible = Counter(effect for named in left for effect in {e for item in named for e in (item.effect, *item.equivalent)})
-        first = Counter(item.effect for named in left for item in named)
-        enough = [e for e, n in possible.items() if named_by[e] >= LEAST_MACHINES and n > _SHARE * len(judged) and first[e]]
-        if not enough:
-            return tuple(found)
-        behind = {e: sum(min(item.behind(e) for item in named) for named in left if named) for e in enough}
-        best = min(enough, key=lambda effect: (behind[effect], -possible[effect], -first[effect], effect))
-        showing = [item for named in left for item in named if item.may_be(best)]
-        found.append(Named(best, (), possible[best] / len(judged), _common_values(best, showing)))
-        left = [[item for item in named if not item.may_be(best)] for named in left]
-
-
-def _common_values(effect: str, showing: Sequence[Named]) -> dict[str, float]:
-    """The median values of an effect's parameters, by the law that most machines fitted."""
-    fitted = [item.explanations[effect] for item in showing if effect in item.explanations]
-    if not fitted:
-        values = [item.values for item in showing if item.effect == effect]
-    else:
-        law = Counter(item.law for item in fitted).most_common(1)[0][0]
-        values = [item.values for item in fitted if item.law == law]
-    return {key: statistics.median(each[key] for each in values) for key in values[0]}
-
-
-def diagnose(machines: Sequence[MachineSweeps], ask: Ask) -> FleetDiagnosis:
+def diagnose(machines: Sequence[MachineSweeps], policy: Policy = POLICY, each: Map = map) -> FleetDiagnosis:
     """What the machines share and what each has for itself.
 
     Parameters
     ----------
     machines : sequence of MachineSweeps
-        At least LEAST_MACHINES.
-    ask : callable
-        `verdict_of` for several machines, side by side where it pays.
+        Compared are those of one geometry, at least LEAST_MACHINES of it.
+    policy : Policy
+        Thresholds.
+    each : callable
+        Works through the geometries.
 
     Returns
     -------
     FleetDiagnosis
+        Machines in the order given; effects of the geometry with most machines first.
     """
-    before = after = tuple(ask([(machine, machine.parameters) for machine in machines]))
-    model: tuple[Named, ...] = ()
-    for _ in range(_ROUNDS - 1):
-        more = tuple(item for item in shared_effects(after) if item.effect not in {known.effect for known in model})
-        if not more:
-            break
-        model += more
-        values = {name: value for item in model for name, value in item.values.items()}
-        with_model = [replace(machine.parameters, values={**machine.parameters.values, **values}) for machine in machines]
-        after = tuple(ask(list(zip(machines, with_model, strict=True))))
-    return FleetDiagnosis(model, tuple(verdict for verdict in after if verdict.verdict != "none"), before)
+    groups = [_Group(tuple(group), policy) for group in sorted(_alike(machines), key=len, reverse=True)]
+    verdicts: dict[str, MachineVerdict] = {}
+    model: dict[str, Named] = {}
+    for shared, own in each(_of_geometry, groups):
+        verdicts |= {verdict.name: verdict for verdict in own}
+        for item in shared:
+            model.setdefault(item.effect, item)
+    return FleetDiagnosis(tuple(model.values()), tuple(verdicts[m.name] for m in machines))
 
 
-def verdict_of(machine: MachineSweeps, parameters: ParameterSet) -> MachineVerdict:
-    """The diagnosis of one machine's sweeps by a model that has the effects of these parameters."""
-    try:
-        table = sweep_table.of_seconds(machine.days, machine.name, machine.machine, parameters).table
-        options = diagnosis.Options(keep_effects=True)
-        rows = observations.from_table(table, machine.machine)
-        choice = diagnosis.examine(rows, parameters, options, name=machine.name).choice
-    except InputError as error:
-        return MachineVerdict(machine.name, str(error))
-    steps = tuple(_named(step, choice, options.policy) for step in choice.steps)
-    if choice.verdict == "effect":
-        return MachineVerdict(machine.name, choice.verdict, steps)
-    return MachineVerdict(machine.name, choice.verdict, (), steps if choice.verdict == "unknown" else ())
+@dataclass(frozen=True)
+class _Group:
+    """Machines of one geometry."""
+
+    machines: tuple[MachineSweeps, ...]
+    policy: Policy
 
 
-def _named(step: Step, choice: Choice, policy: Policy) -> Named:
-    usable = [c for c in step.candidates if not c.refused and family_of(c.effect) != step.added]
-    scale = misfit([choice.best, *(c.fit for c in usable)])
-    here = merit(choice.best, scale, policy)
-    fitted = [(step.law, choice.best), *((c.effect, c.fit) for c in usable)]
-    explanations = {
-        family_of(law): Explanation(law, _values(law, fit.values), merit(fit, scale, policy) - here) for law, fit in fitted
-    }
-    return Named(step.added, tuple(step.equivalent), step.confidence, explanations[step.added].values, explanations)
+_Answer = tuple[tuple[Named, ...], tuple[MachineVerdict, ...]]
 
 
-def _values(law: str, values: Mapping[str, float]) -> dict[str, float]:
-    return {name: value for name, value in values.items() if name.startswith(f"{law}.")}
+def _of_geometry(group: _Group) -> _Answer:
+    if "restitution" not in group.machines[0].parameters.values:
+        return (), tuple(MachineVerdict(m.name, "parameters without restitution") for m in group.machines)
+    sweeps = {m.name: away_of_seconds(m.days, m.machine, m.parameters) for m in group.machines}
+    usable = [m for m in group.machines if _says_enough(sweeps[m.name])]
+    why = f"needs {_LEAST_VISITS} visits away from home at {_LEAST_ANGLES} angles"
+    own = {m.name: MachineVerdict(m.name, why) for m in group.machines}
+    if len(usable) < LEAST_MACHINES:
+        own |= {m.name: MachineVerdict(m.name, f"fewer than {LEAST_MACHINES} machines of its geometry") for m in usable}
+        return (), tuple(own.values())
+    found = examine(_lattice(usable, sweeps), np.random.default_rng(_SEED), group.policy)
+    for name, one in found.own.items():
+        own[name] = _verdict(name, one, group.policy, differs=name in found.deviating)
+    return _named(found.shared), tuple(own.values())
+
+
+def _alike(machines: Sequence[MachineSweeps]) -> list[list[MachineSweeps]]:
+    """Machines by geometry and by what their parameters speak of."""
+    groups: dict[tuple[object, ...], list[MachineSweeps]] = {}
+    for m in machines:
+        bare = replace(m.machine, name="", sensor=ImpactSensor(), implement=Implement())
+        groups.setdefault((bare, tuple(sorted(m.parameters.values))), []).append(m)
+    return list(groups.values())
+
+
+def _says_enough(sweeps: Sequence[AwayVisits]) -> bool:
+    angles = {round(float(np.degrees(angle))) for sweep in sweeps for angle in sweep.plate_angle_rad}
+    return sum(map(len, sweeps)) >= _LEAST_VISITS and len(angles) >= _LEAST_ANGLES
+
+
+def _lattice(group: Sequence[MachineSweeps], sweeps: Mapping[str, Sequence[AwayVisits]]) -> Lattice:
+    """The machines with flows by the same grain, and forces of the same gain."""
+    every = [sweep for m in group for sweep in sweeps[m.name]]
+    flow = float(np.median(np.concatenate([sweep.mass_flow_kg_s for sweep in every])))
+    moisture = float(np.nanmedian([s.moisture_pct for s in every])) if any(np.isfinite(s.moisture_pct) for s in every) else np.nan
+    machine, first = group[0].machine, group[0].parameters
+    model = ForwardModel(machine, first.effects)
+    shared = {name: statistics.median(m.parameters.values[name] for m in group) for name in first.values}
+    common = ParameterSet(shared)
+    forces = {m.name: reference_force_n(model, m.parameters, flow, moisture) for m in group}
+    force = statistics.median(forces.values())
+    laid = []
+    for m in group:
+        own = with_force(model, common, forces[m.name], flow, moisture)
+        away = away_of_seconds(m.days, m.machine, own)
+        scale = force / forces[m.name]
+        laid.append((m.name, [_sweep(sweep, scale) for sweep in away]))
+    return lay(machine, with_force(model, common, force, flow, moisture), flow, laid)
+
+
+def _sweep(away: AwayVisits, scale: float) -> Sweep:
+    return Sweep(
+        away.plate_angle_rad, away.elevator_speed_rad_s, away.mass_flow_kg_s, scale * away.force_n, away.moisture_pct,
+        away.force_variance, away.flow_covariance,
+    )  # fmt: skip
+
+
+def _named(choice: Choice) -> tuple[Named, ...]:
+    if choice.verdict != "effect":
+        return ()
+    return tuple(
+        Named(
+            step.added, tuple(step.equivalent), step.confidence,
+            {name: value for name, value in choice.best.values.items() if name.startswith(f"{step.law}.")},
+        )
+        for step in choice.steps
+    )  # fmt: skip
+
+
+def _verdict(name: str, own: Own, policy: Policy, *, differs: bool) -> MachineVerdict:
+    if not differs or own.p_value >= policy.next_p:
+        return MachineVerdict(name, "none")
+    best, *others = own.explanations
+    tied = tuple(e.effect for e in others if e.behind <= policy.tie)
+    named = Named(best.effect, tied, 1.0 - own.p_value, best.values)
+    return MachineVerdict(name, "effect" if 1 + len(tied) <= policy.largest_class else "unknown", (named,))
 
 
 def sweeps_of(address: str) -> tuple[MachineSweeps, ...]:

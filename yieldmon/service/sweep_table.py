@@ -23,10 +23,11 @@ from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
 from yieldmon.estimation.clusters import cluster
+from yieldmon.estimation.home_flow import covariance, wander_per_s
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.scatter_law import scatter_law
-from yieldmon.estimation.sweep_flow import SweepWindows, window_flows
+from yieldmon.estimation.sweep_flow import SweepWindows, WindowFlows, window_flows
 from yieldmon.estimation.sweep_flow import force_n as model_force_n
 from yieldmon.files import parameter_file
 from yieldmon.files.table import Table
@@ -42,6 +43,8 @@ _SPEED_STEP = np.log(1.02)
 _FLOW_STEP = np.log(1.1)
 _MOISTURE_STEP_PCT = 2.0
 _LEAST_DOF = 20
+_LEAST_POWER = 0.2
+"""Of force by flow at home: where it is flatter, flow says little."""
 
 
 @dataclass(frozen=True)
@@ -141,6 +144,68 @@ def of_seconds(
         path, hashlib.sha256(text.encode()).hexdigest(), "mass_flow_kg_s", "force_n", columns, {"trial": trial}, (note,)
     )
     return SweepTable(table, text, used, scale_sd)
+
+
+@dataclass(frozen=True)
+class AwayVisits:
+    """Visits away from home of one sweep, arrays (visits,): flow is what home around them gives by the parameters.
+
+    force_variance: of ln(force), (visits,). flow_covariance: of ln(flow), which visits share that home visits bracket, (visits,
+    visits). moisture_pct: nan where not known.
+    """
+
+    plate_angle_rad: Array
+    elevator_speed_rad_s: Array
+    mass_flow_kg_s: Array
+    force_n: Array
+    moisture_pct: float
+    force_variance: Array
+    flow_covariance: Array
+
+    def __len__(self) -> int:
+        return self.force_n.size
+
+
+def away_of_seconds(records: Sequence[Sequence[SecondRow]], machine: Machine, parameters: ParameterSet) -> tuple[AwayVisits, ...]:
+    """What each sweep of one or several records measured away from home; sweeps without a known flow are left out."""
+    sweeps = [sweep for rows in records for sweep in _by_sweep([_values(row) for row in rows if _usable(row)])]
+    model = ForwardModel(machine, parameters.effects)
+    flows = [
+        _with_flow_sd(found, model, parameters, sweep)
+        for found, sweep in zip(window_flows(model, parameters, [sweep.windows for sweep in sweeps]), sweeps, strict=True)
+    ]
+    wander = wander_per_s([found.visits for found in flows])
+    found = (_away(sweep, flow, wander, machine) for sweep, flow in zip(sweeps, flows, strict=True))
+    return tuple(away for away in found if len(away))
+
+
+def _with_flow_sd(found: WindowFlows, model: ForwardModel, parameters: ParameterSet, sweep: _Sweep) -> WindowFlows:
+    """The visits with the deviation of their flow instead of that of their force, of which flow is no straight function."""
+    flow = np.exp(found.visits.log_flow)
+    if not flow.size:
+        return found
+    w, home = sweep.windows, np.full(flow.size, model.machine.home_plate_angle_rad)
+    speed = float(np.median(w.elevator_speed_rad_s))
+    more, less = (model_force_n(model, parameters.values, home, speed, flow * by, w.moisture_pct) for by in (1.01, 0.99))
+    power = np.log(more / less) / np.log(1.01 / 0.99)
+    power = np.where(np.isfinite(power), np.maximum(power, _LEAST_POWER), 1.0)
+    return replace(found, visits=replace(found.visits, sd=found.visits.sd / power))
+
+
+def _away(sweep: _Sweep, found: WindowFlows, wander: float, machine: Machine) -> AwayVisits:
+    w = sweep.windows
+    usable = np.isfinite(found.log_flow) & ~w.at_home(machine.home_plate_angle_rad)
+    steps, number = np.unique(sweep.step[usable], return_inverse=True)
+    count = np.bincount(number, minlength=steps.size)
+
+    def mean(values: Array) -> Array:
+        return np.asarray(np.bincount(number, values[usable], minlength=steps.size) / count)
+
+    noise = np.bincount(number, w.relative_sd[usable] ** 2, minlength=steps.size) / count**2
+    return AwayVisits(
+        mean(w.plate_angle_rad), mean(w.elevator_speed_rad_s), np.exp(mean(found.log_flow)), mean(w.force_n), w.moisture_pct,
+        noise, covariance(found.visits, mean(w.time_s), wander),
+    )  # fmt: skip
 
 
 @contextmanager

@@ -85,7 +85,7 @@ def diagnose(words: Words) -> None:
     parser = words.add_parser(
         "diagnose",
         help="missing effects that machines share, and those of single machines",
-        description="Missing effects in the sweeps of many machines: what most show is the model's, what one shows its own.",
+        description="Missing effects in the sweeps of many machines: what all show is the model's, what one shows its own.",
         epilog="example: yieldmon fleet diagnose season --json",
     )
     parser.add_argument("dataset", metavar="DATASET", help="what `fleet run` wrote, with sweeps of at least 3 machines")
