@@ -319,3 +319,39 @@ def test_grain_at_the_fields_edge_is_kept(seed: int, tmp_path: Path, capsys: pyt
     document, _ = mapped(capsys, tmp_path / "field.txt", "--flow-delay", "0")
     mass = document["mass_kg"]
     assert mass["kept"] > 0.9 * mass["integrated"]
+
+
+def test_task_data_of_two_machines_at_once(harvests: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The same log again 300 m further, at the same times: by another device, or by one that is not told."""
+    alone, _ = mapped(capsys, harvests / "isoxml")
+    log = (harvests / "isoxml" / "TLG00006.bin").read_bytes()
+    for device, other in (("another", "DVC-2"), ("untold", "DVC-1")):
+        folder = tmp_path / device
+        shutil.copytree(harvests / "isoxml", folder)
+        north = int(300 / EARTH_M_DEG * 1e7)
+        (folder / "TLG00007.bin").write_bytes(moved(log, (folder / "TLG00006.xml").read_text(), north))
+        header = (folder / "TLG00006.xml").read_text()
+        (folder / "TLG00007.xml").write_text(header.replace("DET-1", "DET-2") if device == "another" else header)
+        task = (folder / "TASKDATA.XML").read_text()
+        element = '<DET A="DET-2" B="1" C="1" E="0" F="0"/>'
+        twin = f'<DVC A="{other}" B="Second" C="1" D="A00086000DF95589" F="00" G="00">{element}</DVC>'
+        if device == "another":
+            task = task.replace("</ISO11783_TaskData>", f"{twin}</ISO11783_TaskData>")
+        (folder / "TASKDATA.XML").write_text(task)
+        document, _ = mapped(capsys, folder)
+        assert document["sources"][0]["points"] == 2 * alone["sources"][0]["points"]
+        assert len(document["delay"]["machines"]) == 2
+        assert document["points_by_reason"].get("duplicate", 0) == 2 * alone["points_by_reason"].get("duplicate", 0)
+        assert document["mass_kg"]["integrated"] == pytest.approx(2 * alone["mass_kg"]["integrated"])
+        assert document["area_ha"] == pytest.approx(2 * alone["area_ha"], rel=0.02)
+
+
+def moved(log: bytes, header: str, north: int) -> bytes:
+    """A log's records with every latitude raised; of each record: 6 bytes of time, north, east, status, the number of values."""
+    assert '<PTN A="" B="" D=""/>' in header
+    out, at = bytearray(log), 0
+    while at + 16 <= len(out):
+        latitude = int.from_bytes(out[at + 6 : at + 10], "little", signed=True) + north
+        out[at + 6 : at + 10] = latitude.to_bytes(4, "little", signed=True)
+        at += 16 + 5 * out[at + 15]
+    return bytes(out)

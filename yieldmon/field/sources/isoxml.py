@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import re
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -39,6 +40,8 @@ _KNOWN = {WIDTH, MASS_PER_AREA, MASS_PER_TIME, TOTAL_MASS, MOISTURE, TOTAL_AREA,
 _PART_NAME = re.compile(r"^[A-Z]{3}\d{5}\.(XML|BIN)$")
 _LOG_NAME = re.compile(r"^TLG\d+$", re.IGNORECASE)
 _LONGEST_INTERVAL_S = 10.0
+_AT_ONCE_S = 60.0
+"""For how long logs of one device are recorded at once before they are of several machines."""
 _SECTION = "4"
 
 
@@ -134,10 +137,11 @@ def _open(path: Path) -> Folder:
 
 @dataclass(frozen=True)
 class _Device:
-    """Constants of the device description: (DDI, element) -> raw value; elements that are sections."""
+    """Constants of the device descriptions: DDI -> raw value; elements that are sections; element -> name of its device."""
 
     constants: Mapping[int, float] = field(default_factory=dict)
     sections: frozenset[str] = frozenset()
+    names: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -180,7 +184,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
         raise InputError(
             str(path), f"has no log that can be read ({reasons or 'none is named'})", "a time log with yield and position"
         )
-    whole = joined(parts)
+    whole = joined(_machines_apart(parts))
     masses = [source.mass_kg for source in whole.sources]
     areas = [source.area_m2 for source in whole.sources]
     notes = dict.fromkeys(note for source in whole.sources for note in source.notes)
@@ -197,6 +201,26 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
         whole.default_flow_s,
     )
     return replace(whole, sources=(source,), source_of_row=np.zeros(len(whole), np.int32))
+
+
+def _machines_apart(parts: Sequence[HarvestTable]) -> list[HarvestTable]:
+    """The logs with the names of their machines where there are several; logs of one name that overlap in time are of several."""
+    names = [part.labels["machine"].names[0] for part in parts]
+    spans = [(float(np.nanmin(part["time_s"])), float(np.nanmax(part["time_s"]))) for part in parts]
+    for name in set(names):
+        mine = sorted((k for k, other in enumerate(names) if other == name), key=lambda k: spans[k])
+        if any(spans[after][0] + _AT_ONCE_S < spans[before][1] for before, after in pairwise(mine)):
+            for k in mine:
+                names[k] = f"{name} {_log_of(parts[k])}".strip()
+    several = len(set(names)) > 1
+    return [
+        replace(part, labels={**part.labels, "machine": Label.constant(name if several else "", len(part))})
+        for part, name in zip(parts, names, strict=True)
+    ]
+
+
+def _log_of(part: HarvestTable) -> str:
+    return part.sources[0].path.rpartition(": ")[2]
 
 
 def _reason(error: InputError) -> str:
@@ -226,7 +250,12 @@ def _device(root: ET.Element) -> _Device:
         except ValueError:
             continue
     sections = frozenset(element.get("A", "") for element in root.iter("DET") if element.get("C") == _SECTION)
-    return _Device(constants, sections)
+    names = {
+        element.get("A", ""): " ".join(device.get("B", "").split()) or device.get("A", "")
+        for device in root.iter("DVC")
+        for element in device.iter("DET")
+    }
+    return _Device(constants, sections, names)
 
 
 def _log(folder: Folder, task: _Task, device: _Device, options: ReadOptions) -> tuple[HarvestTable, str]:
@@ -294,6 +323,7 @@ def _log(folder: Folder, task: _Task, device: _Device, options: ReadOptions) -> 
         "field": Label.constant(options.field or task.field, count),
         "load": Label.constant(task.task, count),
         "crop": Label.constant(options.crop or task.crop, count),
+        "machine": Label.constant(of.device_name(), count),
     }
     lag = of.single(LAG) or of.single(LEAD)
     extra = {f"DDI {ddi:04X} {element}".strip(): values for (ddi, element), values in log.values.items() if ddi not in _KNOWN}
@@ -325,6 +355,11 @@ class _Values:
 
     def of(self, ddi: int) -> list[tuple[str, Array]]:
         return [(element, values) for (key, element), values in self.values.items() if key == ddi]
+
+    def device_name(self) -> str:
+        """Of the device that measured the yield."""
+        found = [element for ddi in (MASS_PER_TIME, MASS_PER_AREA) for element, _ in self.of(ddi)]
+        return next((self.device.names[element] for element in found if element in self.device.names), "")
 
     def one(self, ddi: int, scale: float) -> Array | None:
         """The values of the element that has most of them, or the sum of sections."""
