@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from yieldmon.documents import CalibratedParameter, LoadCalibrationDocument
+from yieldmon.documents.calibrate import CalibratedParameter, LoadCalibrationDocument
 from yieldmon.errors import InputError
 from yieldmon.estimation.load_inputs import WeighedLoad
 from yieldmon.estimation.load_outcome import LoadCalibration

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from yieldmon.cli import _by_loads, model_options
-from yieldmon.documents import CurveCalibrationDocument
+from yieldmon.documents.calibrate import CurveCalibrationDocument
 from yieldmon.errors import InputError
 from yieldmon.estimation.flow_curve import OFFSET_SHARE, AlphaBeta, FlowCurve, with_curve
 from yieldmon.estimation.flow_curve_fit import KINDS, CurveFit, fit_loads, fit_table

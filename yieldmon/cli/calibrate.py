@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from yieldmon.cli import _by_loads, _flow_curve, _outputs, model_options
-from yieldmon.documents import CalibrationDocument, ComparedModel
+from yieldmon.documents.calibrate import CalibrationDocument, ComparedModel
 from yieldmon.errors import InputError
 from yieldmon.estimation import empirical, identifiability
 from yieldmon.estimation.calibration import calibrate, default_start, profile_curves

@@ -17,7 +17,7 @@ from pathlib import Path
 from yieldmon.bus.logs import SUFFIXES, require_package
 from yieldmon.cli import _flow_curve, _outputs
 from yieldmon.cli._units import add_units
-from yieldmon.documents import ProcessSummary, ReprocessSummary
+from yieldmon.documents.process import ProcessSummary, ReprocessSummary
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.files.units import units_of

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.linalg import block_diag
 
-from yieldmon.documents import Verdict
+from yieldmon.documents.diagnose import Verdict
 from yieldmon.errors import InputError
 from yieldmon.estimation import model_error
 from yieldmon.estimation.identifiability import scale_tangent

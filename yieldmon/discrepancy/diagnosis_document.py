@@ -6,7 +6,7 @@ from math import degrees, isnan
 
 import numpy as np
 
-from yieldmon.documents import DiagnosisDocument, Gap, MeasureDocument, NamedEffect, RegionDocument
+from yieldmon.documents.diagnose import DiagnosisDocument, Gap, MeasureDocument, NamedEffect, RegionDocument
 from yieldmon.physics.effects import family_of, get_effect, registry
 from yieldmon.physics.machine import RPM
 

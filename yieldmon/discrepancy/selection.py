@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from yieldmon.documents import Verdict
+from yieldmon.documents.diagnose import Verdict
 from yieldmon.physics.effects import family_of
 from yieldmon.physics.numerics import Array
 

@@ -9,7 +9,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from yieldmon.documents import ProcessSummary
+from yieldmon.documents.process import ProcessSummary
 from yieldmon.engine.health import FaultEvent
 from yieldmon.engine.learning import ParametersChanged
 from yieldmon.engine.monitor import Monitor

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import sqrt
 
-from yieldmon.documents import FactoryComparisonSummary
+from yieldmon.documents.process import FactoryComparisonSummary
 from yieldmon.service.rows import SecondRow
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from yieldmon.documents import Harvested
+from yieldmon.documents.common import Harvested
 from yieldmon.engine.totals import Totals
 from yieldmon.units import crop_yield_kg_m2
 

@@ -15,7 +15,7 @@ import can
 from can.typechecking import CanFilter
 
 import yieldmon
-from yieldmon.documents import StatusNetwork
+from yieldmon.documents.status import StatusNetwork
 from yieldmon.engine.faults import FAULTS, FaultCode, Severity
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.settings import TotalsSettings

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from yieldmon.bus.codec import Codec
-from yieldmon.documents import ProcessSummary
+from yieldmon.documents.process import ProcessSummary
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import Result

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from yieldmon.documents import ProcessSummary
+from yieldmon.documents.process import ProcessSummary
 from yieldmon.engine.faults import FaultCode
 from yieldmon.service.rows import SecondRow
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from yieldmon.documents import ReprocessedLoad
+from yieldmon.documents.process import ReprocessedLoad
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.parameters import ParameterSet

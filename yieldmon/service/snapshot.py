@@ -7,7 +7,7 @@ from dataclasses import asdict
 import yieldmon
 from yieldmon.bus.opening import time_stamps_of
 from yieldmon.bus.receiver import ReceiverCounters
-from yieldmon.documents import (
+from yieldmon.documents.status import (
     StatusBus,
     StatusCrop,
     StatusFault,

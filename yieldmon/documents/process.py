@@ -1,0 +1,56 @@
+"""What `yieldmon process --json` prints."""
+
+from __future__ import annotations
+
+from typing import NotRequired, TypedDict
+
+from .common import Harvested, Number
+
+
+class FactoryComparisonSummary(TypedDict):
+    """Seconds with a flow of ours and of the factory's monitor."""
+
+    seconds: int
+    our_mean_kg_s: float
+    factory_mean_kg_s: float
+    factory_over_ours_pct: Number
+    correlation: Number
+
+
+class ReprocessedLoad(TypedDict):
+    """A load's mass as measured and as measured again."""
+
+    load: int
+    before_kg: float
+    after_kg: float
+
+
+class ReprocessSummary(TypedDict):
+    """`yieldmon process STORE --json`. seconds_unusable: with mass, but without a known force, angle or speed."""
+
+    windows: int
+    before_mass_kg: float
+    total_mass_kg: float
+    loads: list[ReprocessedLoad]
+    seconds_unusable: int
+
+
+class ProcessSummary(Harvested):
+    """`yieldmon process --json`; with --separate one for each log, by name. faults: how often each came."""
+
+    frames: int
+    frames_of_ours: int
+    frames_malformed: int
+    messages_incomplete: int
+    windows: int
+    total_mass_kg: float
+    dry_mass_kg: Number
+    faults: dict[str, int]
+    damages: list[str]
+    zero_known: bool
+    gaps: NotRequired[int]
+    gap_s: NotRequired[float]
+    overlap_s: NotRequired[float]
+    overlap_kg: NotRequired[float]
+    missing: NotRequired[dict[str, float]]
+    factory: NotRequired[FactoryComparisonSummary]

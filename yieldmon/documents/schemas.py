@@ -1,0 +1,20 @@
+"""Every document, by the name of its schema."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from .calibrate import CalibrationDocument, CurveCalibrationDocument, LoadCalibrationDocument
+from .diagnose import DiagnosisDocument
+from .process import ProcessSummary
+from .status import Status
+
+#: Name of the schema -> type.
+DOCUMENTS: dict[str, Any] = {
+    "status": Status,
+    "process": ProcessSummary,
+    "calibrate": CalibrationDocument,
+    "calibrate-curve": CurveCalibrationDocument,
+    "calibrate-loads": LoadCalibrationDocument,
+    "diagnose": DiagnosisDocument,
+}
