@@ -204,6 +204,26 @@ def test_an_unlikely_mass_is_asked_about(words, factor, said, warned, monkeypatc
     assert bool(err) == bool(warned)
 
 
+@pytest.mark.parametrize(
+    ("words", "units", "refused"),
+    [
+        (["20106"], "us", "MASS"),
+        (["20106lb"], "us", ""),
+        (["9120kg", "--std-dev", "20"], "us", "--std-dev"),
+        (["9120", "--units", "metric"], "us", ""),
+        (["9120", "--units", "us"], "metric", "MASS"),
+        (["9120"], "metric", ""),
+    ],
+)
+def test_a_mass_without_its_unit_is_refused_where_pounds_are_shown(words, units, refused, monkeypatch, capsys):
+    answer = {"factor": 1.0, "measured_mass_kg": 1.0, "weighed_mass_kg": 1.0, "anchor": True, "why_no_anchor": "", "units": units}
+    asked = []
+    monkeypatch.setattr(ticket, "ask_daemon", lambda args, request: asked.append(request["command"]) or answer)
+    assert main(["ticket", "7", *words]) == (2 if refused else 0)
+    assert ("ticket" in asked) is not bool(refused)
+    assert capsys.readouterr().err.startswith(f"yieldmon: {refused}: " if refused else "")
+
+
 @pytest.mark.parametrize("mass", ["0kg", "0", "nan", "inf", "-0.5t", "9,12t", "heavy", ""])
 @pytest.mark.parametrize("option", [[], ["--std-dev"]], ids=["mass", "std-dev"])
 def test_a_mass_that_is_none_is_refused_without_asking_the_daemon(mass, option, tmp_path, capsys):

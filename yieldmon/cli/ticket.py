@@ -49,6 +49,7 @@ def run(args: argparse.Namespace) -> int:
     request = {"command": "ticket", "first_load": first, "last_load": last, "mass_kg": mass(args.mass), "note": args.note}
     if args.std_dev is not None:
         request["std_dev_kg"] = mass(args.std_dev, "--std-dev")
+    _require_units(args)
     answer = ask_daemon(args, request)
     which = f"load {first}" if first == last else f"loads {first} to {last}"
     change_pct = 100.0 * (answer["factor"] - 1.0)
@@ -67,6 +68,14 @@ def run(args: argparse.Namespace) -> int:
         if answer["anchor"]:
             print("the loads of the last three days are measured again with what it teaches: `yieldmon load list`")
     return 0
+
+
+def _require_units(args: argparse.Namespace) -> None:
+    """Raises InputError for a mass without its unit where masses are shown in pounds."""
+    bare = {where: text for where, text in (("MASS", args.mass), ("--std-dev", args.std_dev)) if text and text[-1].isdigit()}
+    if bare and (args.units or ask_daemon(args, {"command": "loads"}).get("units")) == "us":
+        where, text = next(iter(bare.items()))
+        raise InputError(where, f"{text!r} is without its unit, where masses are shown in pounds", f"{text}lb or {text}kg")
 
 
 def _listed(args: argparse.Namespace) -> int:
