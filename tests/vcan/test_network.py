@@ -114,3 +114,32 @@ def test_a_tractors_network_traffic_leaves_us_alone(vcan0: str, tmp_path: Path) 
         eventually(lambda: len(node.status["network"]["partners"]) >= 5, "the tractor's nodes")
         assert "NetworkFault" not in node.faults
         assert node.status["network"]["address"] == US
+
+
+@pytest.mark.skipif(None in map(shutil.which, ("j1939cat", "testj1939")), reason="no j1939cat and testj1939 of can-utils")
+def test_testj1939_prints_what_j1939cat_asks_us_for(vcan0: str, tmp_path: Path) -> None:
+    request = tmp_path / "request"
+    request.write_bytes(SOFTWARE.to_bytes(3, "little"))
+    with daemon(vcan0, tmp_path) as node, (tmp_path / "printed").open("w") as printed:
+        eventually(lambda: claimed(node), "the claim")
+        # Without -oL what is printed stays in testj1939's buffer, which its end by a signal throws away.
+        words = ["stdbuf", "-oL", "testj1939", "-r", f"{vcan0}:{PEER:#x}"]
+        with subprocess.Popen(words, stdout=printed, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL) as receiver:
+            try:
+
+                def answered() -> bool:
+                    asking = ["j1939cat", "-i", str(request), f"{vcan0}:{PEER:#x}", f":{US:#x},{REQUEST:#x}"]
+                    subprocess.run(asking, check=True, timeout=20)
+                    time.sleep(0.5)
+                    return b"\x01yieldmon " in _payload((tmp_path / "printed").read_text())
+
+                eventually(answered, "the answer in what testj1939 prints")
+            finally:
+                receiver.kill()
+    first = (tmp_path / "printed").read_text().split(":", 1)[0]
+    assert [int(word, 16) for word in first.split()] == [US, SOFTWARE]
+
+
+def _payload(printed: str) -> bytes:
+    """The bytes in testj1939's lines: address and group before the first eight, the offset before the others."""
+    return bytes(int(word, 16) for line in printed.splitlines() for word in line.split()[1:] if len(word) == 2)
