@@ -129,7 +129,8 @@ def test_testj1939_prints_what_j1939cat_asks_us_for(vcan0: str, tmp_path: Path) 
 
                 def answered() -> bool:
                     asking = ["j1939cat", "-i", str(request), f"{vcan0}:{PEER:#x}", f":{US:#x},{REQUEST:#x}"]
-                    subprocess.run(asking, check=True, timeout=20)
+                    # Its exit status tells of the kernel's notes on what it sent, which not every release can read.
+                    subprocess.run(asking, check=False, timeout=20, stderr=subprocess.DEVNULL)
                     time.sleep(0.5)
                     return b"\x01yieldmon " in _payload((tmp_path / "printed").read_text())
 
