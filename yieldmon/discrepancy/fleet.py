@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 from yieldmon.estimation import model_error
-from yieldmon.physics.effects import family_of
+from yieldmon.physics.effects import family_of, get_effect
 from yieldmon.physics.numerics import Array, real
 
 from .candidates import lawful, library
@@ -41,13 +41,8 @@ _GRAIN_SD = 0.1
 """In steps that matter (`physics.grain`): scale of how far grain of one crop differs between machines, before that is learnt."""
 _SCATTER_GRID = np.concatenate(([0.0], np.geomspace(0.01, 4.0, 40)))
 _SCATTER_SWEEPS = 3
-_LAWS_OF_GRAIN = frozenset({
-    "air_drag", "gravity", "heap_shape", "jet_shielding", "miss_capture", "moisture_dependence", "residual_radial_speed",
-    "resting_grain", "secondary_impact", "speed_dependent_restitution", "speed_dependent_shape", "stream_rise", "unpushed_layers",
-})  # fmt: skip
-"""How grain moves is the same in machines of one geometry and crop: that one has such an effect for itself is unlikely."""
 _UNLIKELY = 2.0 * float(np.log(20.0))
-"""-2 log of the odds."""
+"""-2 log of the odds that one machine has an effect `of_grain` for itself."""
 _STATE_STEPS = 3
 
 
@@ -338,8 +333,8 @@ class _Guess:
     def surprise(self) -> float:
         """-2 log of how likely it is beforehand: its distance in wide prior widths, as in `selection.merit`, and its kind."""
         far = [(self.values[p.name] - p.start) / (5.0 * p.prior_sd) for p in self.signature.parameters if np.isfinite(p.prior_sd)]
-        law_of_grain = family_of(self.signature.law) in _LAWS_OF_GRAIN
-        return float(sum(min(distance**2, 4.0) for distance in far)) + law_of_grain * _UNLIKELY
+        of_grain = get_effect(family_of(self.signature.law)).of_grain
+        return float(sum(min(distance**2, 4.0) for distance in far)) + of_grain * _UNLIKELY
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,7 @@ def _by_time(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
 EFFECT = Effect(
     name="air_drag",
     stage="flight",
+    of_grain=True,
     summary="Quadratic drag takes a fixed share of the speed per metre of flight.",
     signature="loss of exp(-g L / v_t^2): longer paths, to a steep plate, lose more; no change with speed",
     source="quadratic drag, dv/ds = -(g / v_t^2) v; terminal speeds of grain: Mohsenin, Physical Properties of Plant and "

@@ -57,6 +57,8 @@ class Effect:
     """True for what no diagnosis names: a dimension that one measures, or the model's own error, for which there is no cause."""
     law: str = ""
     """What another law of an effect says; "" for the first. Such an effect's name is the effect's, a hyphen and the law's."""
+    of_grain: bool = False
+    """True for how the grain itself moves, which machines of one geometry share when they cut one crop."""
     unit_follows_response: bool = False
     """True where a parameter is in the reading's own unit, so that it scales with the table's response unit."""
 

@@ -16,6 +16,7 @@ def _setting(setting: Setting, values: Values) -> Setting:
 EFFECT = Effect(
     name="gravity",
     stage="flight",
+    of_grain=True,
     summary="Gravity slows the grain's way out along the paddle and bends its path to the plate.",
     signature="drop of about g L / v^2: grows as the elevator slows; more at low plate angles, where the low edge is near",
     source="equation of motion behind [8.10] with gravity kept; projectile motion",

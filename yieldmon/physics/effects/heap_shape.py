@@ -16,6 +16,7 @@ def _setting(setting: Setting, values: Values) -> Setting:
 EFFECT = Effect(
     name="heap_shape",
     stage="settle",
+    of_grain=True,
     summary="The heap on the paddle is steeper or flatter than the shape ratio says.",
     signature="the load at which force bends over moves, at every angle and speed alike",
     source="shape ratio h_f as an unknown: source thesis, chapter 8; 2.8 to 3.9 in the project's own discrete-element records",

@@ -27,6 +27,7 @@ def _by_fill(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
 EFFECT = Effect(
     name="jet_shielding",
     stage="impact",
+    of_grain=True,
     summary="Rebound dies in a thick stream, because grain rebounds into the grain behind it.",
     signature="sublinear over load from the first kernels on: gain from 1 + e for a thin stream to 1 for a thick one",
     source="inelastic landing of dense granular jets: Cheng et al., Physical Review Letters 99, 188001 (2007)",

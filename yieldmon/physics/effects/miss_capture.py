@@ -37,6 +37,7 @@ def _any_incidence(arrival: Arrival, values: Values, setting: Setting) -> Arriva
 EFFECT = Effect(
     name="miss_capture",
     stage="flight",
+    of_grain=True,
     summary="Grain on paths below the plate's low edge is turned by the stream that runs down the plate.",
     signature="more at low plate angles, where the stream runs down the plate, and at large loads; nothing at normal incidence",
     source="dense granular jets deflect as a whole: Cheng et al., Physical Review Letters 99, 188001 (2007); by the cosine of "

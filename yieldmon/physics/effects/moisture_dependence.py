@@ -33,6 +33,7 @@ def _setting(setting: Setting, values: Values) -> Setting:
 EFFECT = Effect(
     name="moisture_dependence",
     stage="crop",
+    of_grain=True,
     summary="Wetter grain rubs more, rebounds less and packs differently.",
     signature="friction, gain and density drift together with moisture; nothing at 15 %",
     source="ASAE D241 (density and moisture); Mohsenin, Physical Properties of Plant and Animal Materials (friction)",

@@ -16,6 +16,7 @@ def _setting(setting: Setting, values: Values) -> Setting:
 EFFECT = Effect(
     name="residual_radial_speed",
     stage="release",
+    of_grain=True,
     summary="Grain does not start from rest on the paddle but with a radial speed.",
     signature="the jet leaves earlier, faster and higher: more at low plate angles than at high ones",
     source="the source thesis's own hypothesis for its residuals; initial condition of [8.13]",

@@ -22,6 +22,7 @@ def _reading(reading: Reading, values: Values, setting: Setting) -> Reading:
 EFFECT = Effect(
     name="resting_grain",
     stage="impact",
+    of_grain=True,
     summary="Grain stays on the plate for a time, and its weight is read as force.",
     signature="adds m-dot g t: in proportion to flow, whatever the speed of the stream and nearly whatever the plate angle",
     source="weight of the grain held on the plate, m-dot t g",

@@ -36,6 +36,7 @@ def _by_cosine(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
 EFFECT = Effect(
     name="secondary_impact",
     stage="impact",
+    of_grain=True,
     summary="Grain that rebounds straight back into the stream is thrown onto the plate once more.",
     signature="extra gain near normal incidence, cos^2 of the incidence; the same at every load",
     source="second collision of a share s cos^2(alpha) of the rebounding grain, bounded by elastic exchange",

@@ -37,6 +37,7 @@ def _yielding(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
 EFFECT = Effect(
     name="speed_dependent_restitution",
     stage="impact",
+    of_grain=True,
     summary="Faster impacts are less elastic.",
     signature="gain falls with elevator speed and towards normal incidence",
     source="e ~ v^(-1/4) for plastic contact: Johnson, Contact Mechanics (1985), section 11.5",

@@ -17,6 +17,7 @@ def _setting(setting: Setting, values: Values) -> Setting:
 EFFECT = Effect(
     name="speed_dependent_shape",
     stage="settle",
+    of_grain=True,
     summary="The heap lies flatter or steeper against the housing as the elevator turns faster.",
     signature="the curve over fill changes with speed; nothing at the nominal speed",
     source="shape ratio h_f of [8.4], held constant by the published model, as a power of speed",

@@ -44,6 +44,7 @@ def _impulse(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
 EFFECT = Effect(
     name="stream_rise",
     stage="release",
+    of_grain=True,
     summary="The heap was pressed against the housing and swells where that ends: outer grain leaves upwards, some of it over "
     "the plate's top edge.",
     signature="loss over the top edge that grows with load and, beside gravity, with speed; less at low plate angles, where what "

@@ -59,6 +59,7 @@ def _arrival(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
 EFFECT = Effect(
     name="unpushed_layers",
     stage="release",
+    of_grain=True,
     summary="Layers ahead of the paddle are not pushed by it: they fly on level from the housing's edge.",
     signature="the jet leaves higher and slower, the more the further the heap reaches ahead: more at large loads, most at low "
     "plate angles, whose edge it clears; the same at every speed",
