@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from yieldmon.discrepancy.fit import Frame, predictions
-from yieldmon.discrepancy.lattice import Sweep, lay, reference_force_n, with_force
+from yieldmon.discrepancy.lattice import lay, reference_force_n, with_force
+from yieldmon.estimation.home_flow import AwayVisits
 from yieldmon.files import parameter_file
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
@@ -25,7 +26,7 @@ def laid(angles_deg: tuple[float, ...] = (40.0, 50.0, 60.0, 90.0)) -> Frame:
         angle = np.radians(angles_deg)
         speed, load = np.full(angle.size, rpm * RPM), np.full(angle.size, flow)
         force = MODEL.force(Conditions(angle, speed, mass_flow_kg_s=load, moisture_pct=15.0), SHIPPED.values)
-        made.append(Sweep(angle, speed, load, np.real(force), 15.0, np.full(angle.size, 2e-4), 1e-4 * np.eye(angle.size)))
+        made.append(AwayVisits(angle, speed, load, np.real(force), 15.0, np.full(angle.size, 2e-4), 1e-4 * np.eye(angle.size)))
     return lay(MACHINE, SHIPPED, 10.0, [("m", made)]).frame
 
 

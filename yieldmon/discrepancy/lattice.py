@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.estimation.clusters import cluster
+from yieldmon.estimation.home_flow import AwayVisits
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import SAME_ANGLE_RAD, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
@@ -26,20 +27,6 @@ _FLOW_STEP = np.log(1.1)
 _MOISTURE_STEP_PCT = 2.0
 _ERROR = 0.01
 """Relative sd of a cell about which nothing is said."""
-
-
-@dataclass(frozen=True)
-class Sweep:
-    """Visits away from home of one sweep, arrays (visits,); force_variance: of ln(force); flow_covariance: of ln(flow), (visits,
-    visits)."""
-
-    plate_angle_rad: Array
-    elevator_speed_rad_s: Array
-    mass_flow_kg_s: Array
-    force_n: Array
-    moisture_pct: float
-    force_variance: Array
-    flow_covariance: Array
 
 
 @dataclass(frozen=True)
@@ -91,7 +78,7 @@ def with_force(
 
 
 def lay(
-    machine: Machine, parameters: ParameterSet, reference_kg_s: float, sweeps: Sequence[tuple[str, Sequence[Sweep]]]
+    machine: Machine, parameters: ParameterSet, reference_kg_s: float, sweeps: Sequence[tuple[str, Sequence[AwayVisits]]]
 ) -> Lattice:
     """The lattice of machines of one geometry whose forces are of one gain, that of `parameters`, which also made the flows."""
     model = ForwardModel(machine, parameters.effects)

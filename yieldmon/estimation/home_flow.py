@@ -48,6 +48,34 @@ class Visits:
         return self.time_s.size
 
 
+@dataclass(frozen=True)
+class AwayVisits:
+    """Visits away from home of one sweep.
+
+    Attributes
+    ----------
+    plate_angle_rad, elevator_speed_rad_s, mass_flow_kg_s, force_n : Array
+        Of each visit, (visits,), in rad, rad/s, kg/s and N; the flow is what the visits home around it give by the parameters.
+    moisture_pct : float
+        Of the sweep; nan where not known.
+    force_variance : Array
+        Of ln(force), (visits,).
+    flow_covariance : Array
+        Of ln(flow), (visits, visits): visits share the visits home that bracket them.
+    """
+
+    plate_angle_rad: Array
+    elevator_speed_rad_s: Array
+    mass_flow_kg_s: Array
+    force_n: Array
+    moisture_pct: float
+    force_variance: Array
+    flow_covariance: Array
+
+    def __len__(self) -> int:
+        return self.force_n.size
+
+
 def wander_per_s(sweeps: Sequence[Visits]) -> float:
     """Variance by which ln(flow) wanders in a second, pooled over sweeps; 0 where their own noise explains all differences."""
     excess, seconds = 0.0, 0.0

@@ -14,16 +14,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from yieldmon.discrepancy.fleet import LEAST_MACHINES, Own, examine
-from yieldmon.discrepancy.lattice import Lattice, Sweep, lay, reference_force_n, with_force
+from yieldmon.discrepancy.lattice import Lattice, lay, reference_force_n, with_force
 from yieldmon.discrepancy.selection import Choice, Policy
 from yieldmon.errors import InputError
+from yieldmon.estimation.home_flow import AwayVisits
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file
 from yieldmon.fleet.querying import Query, opened
 from yieldmon.physics.machine import ImpactSensor, Implement, Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.service.rows import SecondRow
-from yieldmon.service.sweep_table import AwayVisits, away_of_seconds
+from yieldmon.service.sweep_table import away_of_seconds
 
 _SECONDS = """
 SELECT * EXCLUDE (machine, day) FROM records WHERE usable_for_calibration = 1 AND machine = ? AND day = ? ORDER BY number
@@ -170,15 +171,8 @@ def _lattice(group: Sequence[MachineSweeps], sweeps: Mapping[str, Sequence[AwayV
         own = with_force(model, common, forces[m.name], flow, moisture)
         away = away_of_seconds(m.days, m.machine, own)
         scale = force / forces[m.name]
-        laid.append((m.name, [_sweep(sweep, scale) for sweep in away]))
+        laid.append((m.name, [replace(sweep, force_n=scale * sweep.force_n) for sweep in away]))
     return lay(machine, with_force(model, common, force, flow, moisture), flow, laid)
-
-
-def _sweep(away: AwayVisits, scale: float) -> Sweep:
-    return Sweep(
-        away.plate_angle_rad, away.elevator_speed_rad_s, away.mass_flow_kg_s, scale * away.force_n, away.moisture_pct,
-        away.force_variance, away.flow_covariance,
-    )  # fmt: skip
 
 
 def _named(choice: Choice) -> tuple[Named, ...]:

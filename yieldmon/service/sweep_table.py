@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
 from yieldmon.estimation.clusters import cluster
-from yieldmon.estimation.home_flow import covariance, wander_per_s
+from yieldmon.estimation.home_flow import AwayVisits, covariance, wander_per_s
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.scatter_law import scatter_law
@@ -144,26 +144,6 @@ def of_seconds(
         path, hashlib.sha256(text.encode()).hexdigest(), "mass_flow_kg_s", "force_n", columns, {"trial": trial}, (note,)
     )
     return SweepTable(table, text, used, scale_sd)
-
-
-@dataclass(frozen=True)
-class AwayVisits:
-    """Visits away from home of one sweep, arrays (visits,): flow is what home around them gives by the parameters.
-
-    force_variance: of ln(force), (visits,). flow_covariance: of ln(flow), which visits share that home visits bracket, (visits,
-    visits). moisture_pct: nan where not known.
-    """
-
-    plate_angle_rad: Array
-    elevator_speed_rad_s: Array
-    mass_flow_kg_s: Array
-    force_n: Array
-    moisture_pct: float
-    force_variance: Array
-    flow_covariance: Array
-
-    def __len__(self) -> int:
-        return self.force_n.size
 
 
 def away_of_seconds(records: Sequence[Sequence[SecondRow]], machine: Machine, parameters: ParameterSet) -> tuple[AwayVisits, ...]:
