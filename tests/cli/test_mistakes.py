@@ -268,45 +268,38 @@ def test_a_fit_that_is_not_determined_is_written_as_uncertain_as_its_bounds(fold
     assert 0.3 < share <= 1.0 + 1e-9
 
 
-WITHOUT_MF4 = (
-    "simulate --scenario scenario.yaml --log new.mf4",
-    "monitor log.log --once --record new.mf4",
-    "process bytes.mf4 --out x.csv",
-    "process bytes.mf4 --out x.csv --jobs 1",
-    "process bytes.mf4 --out tables --separate",
-    "signals bytes.mf4",
+WITHOUT = {
+    "asammdf": (
+        "mf4",
+        "simulate --scenario scenario.yaml --log new.mf4",
+        "monitor log.log --once --record new.mf4",
+        "process bytes.mf4 --out x.csv",
+        "process bytes.mf4 --out x.csv --jobs 1",
+        "process bytes.mf4 --out tables --separate",
+        "signals bytes.mf4",
+    ),
+    "pyarrow": (
+        "parquet",
+        "pack log.log --out new.parquet",
+        "process bytes.parquet --out x.csv",
+        "process log.log --out new.parquet",
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    ("package", "extra", "words"), [(package, extra, words) for package, (extra, *lines) in WITHOUT.items() for words in lines]
 )
-
-
-@pytest.mark.parametrize("words", WITHOUT_MF4)
-def test_mf4_without_its_package_names_the_extra(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], words: str
+def test_a_file_without_its_package_names_the_extra(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], package: str, extra: str, words: str
 ) -> None:
-    monkeypatch.setitem(sys.modules, "asammdf", None)
+    for name in (package, f"{package}.parquet"):
+        monkeypatch.setitem(sys.modules, name, None)
     Path("bytes.mf4").write_bytes(b"MDF     4.10")
-    before = hashes(folder)
-    assert main(words.split()) == 1
-    assert capfd.readouterr() == ("", "yieldmon: needs asammdf, which is not installed; pip install 'yieldmon[mf4]'\n")
-    assert hashes(folder) == before
-
-
-WITHOUT_PARQUET = (
-    "pack log.log --out new.parquet",
-    "process bytes.parquet --out x.csv",
-    "process log.log --out new.parquet",
-)
-
-
-@pytest.mark.parametrize("words", WITHOUT_PARQUET)
-def test_parquet_without_its_package_names_the_extra(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], words: str
-) -> None:
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
     Path("bytes.parquet").write_bytes(b"PAR1")
     before = hashes(folder)
     assert main(words.split()) == 1
-    assert capfd.readouterr() == ("", "yieldmon: needs pyarrow, which is not installed; pip install 'yieldmon[parquet]'\n")
+    assert capfd.readouterr() == ("", f"yieldmon: needs {package}, which is not installed; pip install 'yieldmon[{extra}]'\n")
     assert hashes(folder) == before
 
 
