@@ -16,9 +16,6 @@ is said after two seconds; a mass that its signal cannot carry has been said bef
 
 from __future__ import annotations
 
-import argparse
-import json
-import logging
 import random
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
@@ -32,6 +29,8 @@ from unittest import mock
 import can
 import numpy as np
 
+from tests.robustness import undoing
+from tests.robustness.undoing import Mend, Simulation
 from tests.service.bench import START_S, traffic
 from yieldmon import frames
 from yieldmon.bus import waiting
@@ -362,47 +361,36 @@ def _no_rivals(self: object, times_s: Any, values: Any, bounds: Any, edges_s: An
     return np.zeros(len(bounds) - 1, np.intp)
 
 
-UNDO: dict[str, tuple[Callable[[random.Random], None], Callable[[], AbstractContextManager[Any]]]] = {
-    "waiting on monotonic time": (waits, lambda: mock.patch.object(waiting, "receive", can.BusABC.recv)),
-    "counters that come again": (forged, _counters_alone),
-    "frames closer than a sensor sends": (forged, lambda: mock.patch.object(windows, "_CROWDED_FRAMES", 1e9)),
-    "rivals of speed and angle": (forged, lambda: mock.patch("yieldmon.engine.rivals.RivalWatch.take", _no_rivals)),
-    "contested mass apart": (
-        forged, lambda: mock.patch("yieldmon.engine.windows.Window.contested", property(lambda window: False)),
+def _mend(
+    points: tuple[int, ...], trouble: Callable[[random.Random], None], undone: Callable[[], AbstractContextManager[Any]]
+) -> Mend:
+    return Mend(points, lambda lives, seed: simulate(lives, seed, (trouble,))[0], undone)
+
+
+MENDS = {
+    "waiting on monotonic time": _mend((3,), waits, lambda: mock.patch.object(waiting, "receive", can.BusABC.recv)),
+    "counters that come again": _mend((8,), forged, _counters_alone),
+    "frames closer than a sensor sends": _mend((8,), forged, lambda: mock.patch.object(windows, "_CROWDED_FRAMES", 1e9)),
+    "rivals of speed and angle": _mend((8,), forged, lambda: mock.patch("yieldmon.engine.rivals.RivalWatch.take", _no_rivals)),
+    "contested mass apart": _mend(
+        (8,), forged, lambda: mock.patch("yieldmon.engine.windows.Window.contested", property(lambda window: False)),
     ),
-    "each echo once": (repeated, lambda: mock.patch.object(Transmitter, "is_echo", _any_copy_is_an_echo)),
-    "signs of life of the transmitter": (hangs, lambda: mock.patch.object(Transmitter, "hangs_s", return_value=0.0)),
-    "masses near the end": (
-        near_the_end, lambda: mock.patch("yieldmon.engine.publishing.Publisher.mass_near_end", return_value=None),
+    "each echo once": _mend((8,), repeated, lambda: mock.patch.object(Transmitter, "is_echo", _any_copy_is_an_echo)),
+    "signs of life of the transmitter": _mend(
+        (9,), hangs, lambda: mock.patch.object(Transmitter, "hangs_s", return_value=0.0),
     ),
-    "a clock that is set": (
-        clock_is_set, lambda: mock.patch("yieldmon.engine.clock.BusClock._absorb", return_value=None),
+    "masses near the end": _mend(
+        (10,), near_the_end, lambda: mock.patch("yieldmon.engine.publishing.Publisher.mass_near_end", return_value=None),
+    ),
+    "a clock that is set": _mend(
+        (3,), clock_is_set, lambda: mock.patch("yieldmon.engine.clock.BusClock._absorb", return_value=None),
     ),
 }  # fmt: skip
 
 
+SIMULATION = Simulation(__doc__, "lives", 200, simulate, MENDS)
+
+
 def main(arguments: list[str]) -> int:
-    """Prints counts as JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--lives", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--undo", choices=sorted(UNDO), help="a mend to undo; ends with 0 when that is found")
-    parser.add_argument("--table", action="store_true", help="undo every mend in turn")
-    args = parser.parse_args(arguments)
-    logging.disable(logging.CRITICAL)
-    if args.table or args.undo:
-        found = {}
-        for name in UNDO if args.table else [args.undo]:
-            trouble, undone = UNDO[name]
-            with undone():
-                broken, _ = simulate(args.lives, args.seed, (trouble,))
-            found[name] = {"found": bool(broken), "problems": len(broken), "first": broken[0] if broken else None}
-        print(json.dumps(found, indent=2))
-        return 0 if all(entry["found"] for entry in found.values()) else 1
-    broken, met = simulate(args.lives, args.seed)
-    print(
-        json.dumps(
-            {"lives": args.lives, "seed": args.seed, "troubles": met, "problems": len(broken), "first": broken[:10]}, indent=2
-        )
-    )
-    return 1 if broken else 0
+    """See `undoing.main`."""
+    return undoing.main(SIMULATION, arguments)

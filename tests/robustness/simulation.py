@@ -18,23 +18,21 @@ Ends with 1 when one is broken.
 
 from __future__ import annotations
 
-import argparse
-import json
-import logging
 import os
 import random
 import shutil
 import sqlite3
-import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
+from tests.robustness import undoing
+from tests.robustness.undoing import Mend, Simulation
 from tests.service.test_store import second
 from yieldmon.engine.state import EngineState
 from yieldmon.engine.totals import Totals
@@ -473,14 +471,7 @@ def simulate(days: int, seed: int) -> World:
 # Each mend undone
 
 
-@contextmanager
-def undone(name: str) -> Iterator[None]:
-    """The service as it was before a mend."""
-    with UNDO[name]():
-        yield
-
-
-def _patched(target: str, value: Any) -> Callable[[], Any]:
+def _patched(target: str, value: Any) -> Callable[[], AbstractContextManager[Any]]:
     return lambda: mock.patch(target, value)
 
 
@@ -499,44 +490,35 @@ def _nothing_set_aside(path: Path, label: str, **_: Any) -> rescue.Rescued:
     raise OSError("not set aside")
 
 
-UNDO: dict[str, Callable[[], Any]] = {
-    "checksums": _no_checksums,
-    "rescue": _patched("yieldmon.service.recovery.rescue.rescue", _nothing_set_aside),
-    "removed files": _patched("yieldmon.service.store.Store.require_attached", lambda store: None),
-    "witness of commits": _patched("yieldmon.service.recovery.witnessed", lambda path: 0),
-    "looking after files while closed": _patched(
-        "yieldmon.service.writer.StoreWriter._opened", lambda writer: writer._open_store()
+def _mend(points: tuple[int, ...], undone: Callable[[], AbstractContextManager[Any]]) -> Mend:
+    return Mend(points, lambda days, seed: simulate(days, seed).broken, undone)
+
+
+MENDS = {
+    "checksums": _mend((1,), _no_checksums),
+    "rescue": _mend((1,), _patched("yieldmon.service.recovery.rescue.rescue", _nothing_set_aside)),
+    "removed files": _mend((6,), _patched("yieldmon.service.store.Store.require_attached", lambda store: None)),
+    "witness of commits": _mend((1,), _patched("yieldmon.service.recovery.witnessed", lambda path: 0)),
+    "looking after files while closed": _mend(
+        (6,), _patched("yieldmon.service.writer.StoreWriter._opened", lambda writer: writer._open_store())
     ),
-    "mending in use": _patched("yieldmon.service.writer.StoreWriter._mended", lambda writer, store, error: False),
-    "interrupted replacement": _patched("yieldmon.service.rescue.finish", lambda path: None),
-    "totals of the last second": _patched("yieldmon.service.recovery._caught_up", lambda totals, last: totals),
-    "tickets told once": _patched(
-        "yieldmon.service.store_sql._INSERT_TICKET", "INSERT INTO ticket VALUES (NULL, ?, ?, ?, ?, ?, ?, ?)"
+    "mending in use": _mend((2,), _patched("yieldmon.service.writer.StoreWriter._mended", lambda writer, store, error: False)),
+    "interrupted replacement": _mend((1,), _patched("yieldmon.service.rescue.finish", lambda path: None)),
+    "totals of the last second": _mend((1,), _patched("yieldmon.service.recovery._caught_up", lambda totals, last: totals)),
+    "tickets told once": _mend(
+        (), _patched("yieldmon.service.store_sql._INSERT_TICKET", "INSERT INTO ticket VALUES (NULL, ?, ?, ?, ?, ?, ?, ?)")
     ),
 }
 
 
+def _told(days: int, seed: int) -> tuple[list[str], Counter[str]]:
+    world = simulate(days, seed)
+    return world.broken, world.troubles
+
+
+SIMULATION = Simulation(__doc__, "days", 1000, _told, MENDS)
+
+
 def main(arguments: list[str]) -> int:
-    """Prints counts as JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--days", type=int, default=1000)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--undo", choices=sorted(UNDO), help="a mend to undo; ends with 0 when that is found")
-    parser.add_argument("--table", action="store_true", help="undo every mend in turn")
-    args = parser.parse_args(arguments)
-    logging.disable(logging.CRITICAL)
-    if args.table or args.undo:
-        found = {}
-        for name in UNDO if args.table else [args.undo]:
-            with undone(name):
-                problems = simulate(args.days, args.seed).broken
-            found[name] = {"found": bool(problems), "problems": len(problems), "first": problems[0][:160] if problems else None}
-        json.dump(found, sys.stdout, indent=2)
-        print()
-        return 0 if all(entry["found"] for entry in found.values()) else 1
-    world = simulate(args.days, args.seed)
-    report = {"days": args.days, "seed": args.seed, "troubles": world.troubles, "problems": len(world.broken)}
-    report["first"] = world.broken[:10]
-    json.dump(report, sys.stdout, indent=2)
-    print()
-    return 1 if world.broken else 0
+    """See `undoing.main`."""
+    return undoing.main(SIMULATION, arguments)

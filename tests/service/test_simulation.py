@@ -2,31 +2,28 @@
 
 from __future__ import annotations
 
-import logging
-
 import pytest
 
 from tests.robustness import bus_simulation
-from tests.robustness.simulation import simulate, undone
+from tests.robustness import simulation as store_simulation
+from tests.robustness.undoing import found_without, quiet
 
 
 @pytest.fixture(autouse=True)
-def quiet():
-    logging.disable(logging.CRITICAL)
-    yield
-    logging.disable(logging.NOTSET)
+def silent():
+    with quiet():
+        yield
 
 
 def test_simulated_days_break_no_invariant():
-    world = simulate(40, seed=7)
+    world = store_simulation.simulate(40, seed=7)
     assert world.broken == []
     assert len(world.troubles) >= 8
 
 
 @pytest.mark.parametrize("mend", ["rescue", "removed files", "witness of commits", "interrupted replacement"])
 def test_a_mend_undone_is_found(mend):
-    with undone(mend):
-        assert simulate(60, seed=7).broken
+    assert found_without(store_simulation.MENDS[mend], 60, 7).found
 
 
 def test_simulated_harvests_on_a_bus_break_no_invariant():
@@ -39,6 +36,4 @@ def test_simulated_harvests_on_a_bus_break_no_invariant():
     "mend", ["waiting on monotonic time", "each echo once", "signs of life of the transmitter", "contested mass apart"]
 )
 def test_a_mend_undone_on_a_bus_is_found(mend):
-    trouble, undo = bus_simulation.UNDO[mend]
-    with undo():
-        assert bus_simulation.simulate(2, 7, (trouble,))[0]
+    assert found_without(bus_simulation.MENDS[mend], 2, 7).found
