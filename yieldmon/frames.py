@@ -24,6 +24,17 @@ Value = float | int | Unusable
 #: A signal's physical value: float in the DBC's unit, int for counters and coded values (never a value-table object).
 
 
+def number(value: object) -> float:
+    """A signal's value as a float; nan for anything that is no finite number."""
+    if isinstance(value, (int, float)):
+        try:
+            result = float(value)
+        except OverflowError:
+            return float("nan")
+        return result if result - result == 0.0 else float("nan")
+    return float("nan")
+
+
 class Frame(NamedTuple):
     """One decoded frame.
 

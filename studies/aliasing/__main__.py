@@ -44,9 +44,9 @@ def results(machine: Machine, rpm: float) -> tuple[np.ndarray, np.ndarray]:
     weighted, plain = [], []
     for second in range(SECONDS):
         inside = (times > second + 0.002) & (times <= second + 1.002)
-        builder.add_block(rows[inside])
+        builder.samples.add_block(rows[inside])
         for tenth in range(10):
-            builder.add_speed(second + 0.1 * tenth + 0.05, round(rpm / 0.125) * 0.125 * RPM)
+            builder.speed.add(second + 0.1 * tenth + 0.05, round(rpm / 0.125) * 0.125 * RPM)
         weighted.append(builder.close(float(second), second + 1.0).mean_mv)
         plain.append(float(samples[inside].mean()))
     return np.array(weighted[1:]), np.array(plain[1:])

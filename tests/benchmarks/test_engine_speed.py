@@ -56,9 +56,9 @@ def test_close(benchmark):
         start_s = float(next(second))
         shifted = rows.copy()
         shifted[:, 0] += start_s
-        builder.add_block(shifted)
+        builder.samples.add_block(shifted)
         for tenth in range(10):
-            builder.add_speed(start_s + 0.1 * tenth, 400.0 * RPM)
+            builder.speed.add(start_s + 0.1 * tenth, 400.0 * RPM)
         return builder.close(start_s, start_s + 1.0)
 
     assert benchmark(close).samples == 1000

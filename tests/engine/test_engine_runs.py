@@ -190,11 +190,11 @@ def test_windows_closed_together_are_those_closed_one_by_one(data: st.DataObject
     def closed(edges: list[int]) -> list[object]:
         builder, windows = WindowBuilder(WindowSettings(), MACHINE), []
         for first, last in pairwise(edges):
-            builder.add_block(table[(table[:, 0] >= first) & (table[:, 0] < last)])
+            builder.samples.add_block(table[(table[:, 0] >= first) & (table[:, 0] < last)])
             for time_s, value in part(speeds, first, last):
-                builder.add_speed(time_s, value)
+                builder.speed.add(time_s, value)
             inside = part(angles, first, last)
-            builder.add_angles([t for t, _ in inside], [v for _, v in inside])
+            builder.angle.extend([t for t, _ in inside], [v for _, v in inside])
             windows += builder.close_run([float(second) for second in range(first, last + 1)])
         return windows
 

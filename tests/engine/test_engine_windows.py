@@ -32,9 +32,9 @@ def close_seconds(builder: WindowBuilder, table: np.ndarray, rpm: np.ndarray, ex
     """Close a window each second over a table of rows; rpm: one speed a tenth of a second; `extra` empty windows follow."""
     windows = []
     for second in range(len(rpm) // 10 + extra):
-        builder.add_block(table[(table[:, 0] >= second) & (table[:, 0] < second + 1)])
+        builder.samples.add_block(table[(table[:, 0] >= second) & (table[:, 0] < second + 1)])
         for tenth in range(10 if second < len(rpm) // 10 else 0):
-            builder.add_speed(second + 0.1 * tenth, float(rpm[10 * second + tenth]) * RPM)
+            builder.speed.add(second + 0.1 * tenth, float(rpm[10 * second + tenth]) * RPM)
         windows.append(builder.close(float(second), second + 1.0))
     return windows
 

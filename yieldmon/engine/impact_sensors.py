@@ -18,8 +18,8 @@ from yieldmon.engine.inputs import DEGREE, MOVING, RunInputs
 from yieldmon.engine.runs import FrameRun, in_millivolts
 from yieldmon.engine.settings import WindowSettings
 from yieldmon.engine.sources import QUANTITIES, SampleSource, Sources
-from yieldmon.engine.windows import Window, WindowBuilder, number
-from yieldmon.frames import Value
+from yieldmon.engine.windows import Window, WindowBuilder
+from yieldmon.frames import Value, number
 from yieldmon.physics.machine import Machine
 
 Array = NDArray[np.float64]
@@ -56,23 +56,23 @@ class ImpactSensors:
             counter = get(source.counter) if source.counter is not None else None
             status = get(source.status) if source.status is not None else None
             if source.scale_mv == 1.0 and source.offset_mv == 0.0:
-                builder.rows.append((now_s, counter, status, *map(get, source.signals)))
+                builder.samples.rows.append((now_s, counter, status, *map(get, source.signals)))
             else:
                 samples = np.array([[number(get(name)) for name in source.signals]])
                 row = np.concatenate(([[np.nan, np.nan]], samples), axis=1)
-                builder.rows.append((now_s, counter, status, *in_millivolts(source, row)[0, 2:].tolist()))
+                builder.samples.rows.append((now_s, counter, status, *in_millivolts(source, row)[0, 2:].tolist()))
 
     def take_row(self, sensor: int, now_s: float, row: Sequence[float]) -> None:
         """One row of a `SampleRun` of the sensor with this number."""
-        self._sensors[sensor][1].rows.append((now_s, *row))
+        self._sensors[sensor][1].samples.rows.append((now_s, *row))
 
     def add(self, quantity: str, now_s: float, value: float) -> None:
         """A measured elevator speed, rad/s, or plate angle, deg."""
         for _, builder in self._sensors:
             if quantity == "elevator_speed":
-                builder.add_speed(now_s, value)
+                builder.speed.add(now_s, value)
             else:
-                builder.add_angle(now_s, value * DEGREE)
+                builder.angle.add(now_s, value * DEGREE)
 
     def forget_angle(self) -> None:
         """The last plate angle no longer holds; a fixed one always does."""
@@ -95,7 +95,7 @@ class ImpactSensors:
             times = run.times_s[samples.places] + offset_s
             parts.append((times, partial(_add_rows, builder, np.column_stack((times, samples.rows)))))
             for name, track in moving:
-                add = builder.add_speeds if name == "elevator_speed" else builder.add_angles
+                add = (builder.speed if name == "elevator_speed" else builder.angle).extend
                 values = track.values if name == "elevator_speed" else track.values * DEGREE
                 parts.append((track.times_s, partial(_add_values, add, track.times_s.tolist(), values.tolist())))
         return RunFeeding(parts, inputs)
@@ -158,7 +158,7 @@ def _fixed(sources: Sources, name: str) -> float | None:
 
 
 def _add_rows(builder: WindowBuilder, rows: Array, first: int, last: int) -> None:
-    builder.add_block(rows[first:last])
+    builder.samples.add_block(rows[first:last])
 
 
 def _add_values(

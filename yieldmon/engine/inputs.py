@@ -19,8 +19,7 @@ from yieldmon.engine.rivals import TankWatch
 from yieldmon.engine.runs import FrameRun, SignalRun
 from yieldmon.engine.settings import InputSettings
 from yieldmon.engine.sources import CONDITIONS, DEFAULT_SOURCES, PAIRS, QUANTITIES, InputSource, Sources
-from yieldmon.engine.windows import number
-from yieldmon.frames import ActuatorState, Value
+from yieldmon.frames import ActuatorState, Value, number
 
 Array = NDArray[np.float64]
 

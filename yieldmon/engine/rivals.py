@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from math import inf, isfinite, radians
 
 import numpy as np
-from numpy.typing import NDArray
 
+from yieldmon.engine import segments
+from yieldmon.engine.segments import Array, Counts
 from yieldmon.physics.machine import Machine
-
-Array = NDArray[np.float64]
-Counts = NDArray[np.intp]
 
 _CROWDED_SHARE, _CROWDED_FRAMES = 0.2, 2.0
 """So many frames more than the cycle allows come late or early because of others on the bus."""
@@ -48,6 +46,31 @@ def angle_limits(interval_s: float) -> RivalLimits:
     return RivalLimits(interval_s, radians(_ANGLE_STEP_DEG), radians(_ANGLE_RATE_DEG_S))
 
 
+class Crowding:
+    """Counts frames that come closer together than one sender sends them, whatever they carry."""
+
+    def __init__(self, share: float, frames: float, interval_s: float) -> None:
+        """share, frames: so many more than the cycle allows are bunched by the bus. interval_s: the cycle; nan: not known."""
+        self._share = share
+        self._frames = frames
+        self._interval_s = interval_s
+        self._late = 0.0
+
+    def take(self, arrived: Counts, edges_s: Array, lost: Counts | int = 0) -> Counts:
+        """Frames of each window (w,) beyond what is possible. Those that the window before lacks, though none was lost, have come
+        late.
+
+        arrived (w,): frames that came. edges_s (w + 1,): the windows' edges. lost: of those due, known not to come.
+        """
+        if not isfinite(self._interval_s):
+            return np.zeros(arrived.size, np.intp)
+        due = np.diff(edges_s) / self._interval_s
+        late = np.concatenate(([self._late], np.maximum(due - arrived - lost, 0.0)))
+        self._late = float(late[-1])
+        possible = due * (1.0 + self._share) + self._frames + late[:-1]
+        return np.floor(np.maximum(arrived - possible, 0.0)).astype(np.intp)
+
+
 class RivalWatch:
     """Judges the values of one input, window by window; a leap up counts with one down in the same window or the one before."""
 
@@ -55,7 +78,7 @@ class RivalWatch:
         self._limits = limits
         self._last_time_s = self._last_value = float("nan")
         self._before = (0, 0)
-        self._late_values = 0.0
+        self._crowding = Crowding(_CROWDED_SHARE, _CROWDED_FRAMES, limits.interval_s)
 
     def take(self, times_s: Array, values: Array, bounds: Counts, edges_s: Array) -> Counts:
         """Values of each window (w,) that a second sender accounts for.
@@ -71,27 +94,13 @@ class RivalWatch:
         with np.errstate(invalid="ignore"):
             leaps = np.abs(change) > limits.step + limits.rate * np.maximum(step_s, 0.0)
             leaps &= np.abs(step_s) <= _LONGEST_LEAP_S
-        sizes = np.diff(bounds)
-        crowded = np.zeros(sizes.size)
-        if isfinite(limits.interval_s):
-            due = np.diff(edges_s) / limits.interval_s
-            # What the window before lacks has come late.
-            late = np.concatenate(([self._late_values], np.maximum(due - sizes, 0.0)))
-            self._late_values = float(late[-1])
-            possible = due * (1.0 + _CROWDED_SHARE) + _CROWDED_FRAMES + late[:-1]
-            crowded = np.floor(np.maximum(sizes - possible, 0.0))
+        crowded = self._crowding.take(np.diff(bounds), edges_s)
         if not leaps.any() and not any(self._before):
-            return crowded.astype(np.intp)
-        ups, downs = (_counts(leaps & (change * sign > 0.0), bounds) for sign in (1.0, -1.0))
+            return crowded
+        ups, downs = (segments.count(leaps & (change * sign > 0.0), bounds) for sign in (1.0, -1.0))
         both = (ups + _shifted(ups, self._before[0]) > 0) & (downs + _shifted(downs, self._before[1]) > 0)
         self._before = int(ups[-1]), int(downs[-1])
-        return np.maximum(np.where(both, ups + downs, 0), crowded.astype(np.intp))
-
-
-def _counts(marked: NDArray[np.bool_], bounds: Counts) -> Counts:
-    """How many are marked in each window."""
-    found: Counts = np.diff(np.searchsorted(np.flatnonzero(marked), bounds))
-    return found
+        return np.maximum(np.where(both, ups + downs, 0), crowded)
 
 
 def _shifted(counts: Counts, first: int) -> Counts:

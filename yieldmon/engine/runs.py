@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.engine.sources import DEFAULT_SOURCES, SampleSource, Sources
-from yieldmon.engine.windows import number
-from yieldmon.frames import Frame
+from yieldmon.frames import Frame, number
 
 Array = NDArray[np.float64]
 
