@@ -26,8 +26,8 @@ from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.settings import TotalsSettings
 from yieldmon.network.identifier import ADDRESS_CLAIMED, NULL_ADDRESS, REQUEST, Identifier
 from yieldmon.physics.machine import Implement, Machine
-from yieldmon.service.document import Network
 from yieldmon.service.link import NetworkLink
+from yieldmon.service.service_sections import Network
 from yieldmon.service.side_inputs import SideInputs
 from yieldmon.signals.binding import Binding
 from yieldmon.signals.decoding import MapDecoder

@@ -19,8 +19,9 @@ from yieldmon.estimation.drift_rates import DriftRates
 from yieldmon.resources import shipped
 from yieldmon.service import configuration
 from yieldmon.service.configuration import ConfigurationError
-from yieldmon.service.document import ENGINE_SECTIONS, FIXED_BY_THE_FRAMES, Document, Section
+from yieldmon.service.document import ENGINE_SECTIONS, FIXED_BY_THE_FRAMES, Document
 from yieldmon.service.former_keys import FORMER_KEYS
+from yieldmon.service.section import Section
 
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = {"STATE_DIRECTORY": "/state", "RUNTIME_DIRECTORY": "/run/yieldmon"}

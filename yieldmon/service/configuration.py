@@ -31,11 +31,12 @@ from yieldmon.files import flow_curve_file, machine_file, moisture_file, paramet
 from yieldmon.physics.machine import SAME_ANGLE_RAD, Machine
 from yieldmon.resources import shipped
 from yieldmon.service.control import LONGEST_SOCKET_BYTES
-from yieldmon.service.document import ENGINE_SECTIONS, Document, Section
+from yieldmon.service.document import ENGINE_SECTIONS, Document
 from yieldmon.service.folders import runtime_folder, state_folder
 from yieldmon.service.former_keys import with_present_keys
 from yieldmon.service.output_section import output_map
 from yieldmon.service.retention import Retention
+from yieldmon.service.section import Section
 from yieldmon.service.signal_section import signal_map
 from yieldmon.signals.mapping import SignalMap
 from yieldmon.signals.output_mapping import OutputMap

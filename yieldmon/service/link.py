@@ -43,7 +43,7 @@ from yieldmon.network.task_controller.client import Outgoing, TaskControllerClie
 from yieldmon.network.task_controller.combine import Second, combine
 from yieldmon.physics.machine import Machine
 from yieldmon.service.configuration import Configuration
-from yieldmon.service.document import Network
+from yieldmon.service.service_sections import Network
 
 _MACHINE_ID = Path("/etc/machine-id")
 _IDENTITY_NUMBERS = 1 << 21
