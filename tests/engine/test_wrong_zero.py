@@ -15,7 +15,8 @@ from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.frames import Frame
 from yieldmon.service import commands
-from yieldmon.service.journal import Journal, Memory
+from yieldmon.service.journal import Journal
+from yieldmon.service.memory import Memory
 
 BENCH = Bench(flow=lambda t: 14.0 if t >= 1020.0 else 0.0, scatter=0.05, noise_mv=2.0)
 

@@ -34,7 +34,7 @@ from pathlib import Path
 from typing import IO
 
 from tests.robustness import crash_life as crash_test_life
-from yieldmon.service.journal import recall
+from yieldmon.service.memory import recall
 from yieldmon.service.store import Store
 from yieldmon.service.store_errors import StoreError
 

@@ -37,7 +37,8 @@ from yieldmon.service import commands, configuration, recorded
 from yieldmon.service.assembly import monitor_of
 from yieldmon.service.batch import Load
 from yieldmon.service.control import ControlServer
-from yieldmon.service.journal import Journal, Memory
+from yieldmon.service.journal import Journal
+from yieldmon.service.memory import Memory
 from yieldmon.service.store import Store
 from yieldmon.service.tables import open_table
 

@@ -21,7 +21,8 @@ from pathlib import Path
 
 from tests.service.bench import running
 from yieldmon.errors import InputError
-from yieldmon.service.journal import Memory, digest
+from yieldmon.files.parameter_file import digest
+from yieldmon.service.memory import Memory
 from yieldmon.service.recovery import recover
 from yieldmon.service.retention import Retention
 from yieldmon.service.store import Store

@@ -16,7 +16,8 @@ from yieldmon.resources import shipped
 from yieldmon.service import commands, configuration
 from yieldmon.service.assembly import build_monitor
 from yieldmon.service.batch import Load, Ticket
-from yieldmon.service.journal import Journal, Memory
+from yieldmon.service.journal import Journal
+from yieldmon.service.memory import Memory
 
 LOADS = tuple(Load(number, "north", "corn", None, None, mass_kg, 0.9 * mass_kg) for number, mass_kg in ((1, 3000.0), (2, 1000.0)))
 

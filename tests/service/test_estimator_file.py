@@ -20,7 +20,8 @@ from yieldmon.plant.combine import VirtualCombine
 from yieldmon.plant.scenario import from_mapping
 from yieldmon.service import commands, configuration
 from yieldmon.service.assembly import monitor_of
-from yieldmon.service.journal import Journal, Memory
+from yieldmon.service.journal import Journal
+from yieldmon.service.memory import Memory
 
 TABLE = Path(__file__).parents[1] / "data" / "corn_facility.csv"
 FLOW_KG_S = 9.0

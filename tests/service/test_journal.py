@@ -11,7 +11,8 @@ from yieldmon.engine.settings import EngineSettings
 from yieldmon.files import parameter_file
 from yieldmon.physics.machine import Machine
 from yieldmon.service.assembly import build_monitor
-from yieldmon.service.journal import Journal, Memory
+from yieldmon.service.journal import Journal
+from yieldmon.service.memory import Memory
 
 SHIPPED = parameter_file.load()
 

@@ -11,7 +11,8 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.shape_verdict import ShapeVerdict
 from yieldmon.service import commands, configuration
 from yieldmon.service.assembly import build_monitor
-from yieldmon.service.journal import Journal, Memory, recall
+from yieldmon.service.journal import Journal
+from yieldmon.service.memory import Memory, recall
 from yieldmon.service.store import Store
 
 ON = """

@@ -5,6 +5,8 @@ Numbers are written with Python's shortest exact representation, so a file read 
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping
 from math import isfinite
 from pathlib import Path
@@ -43,6 +45,12 @@ def load(path: str | Path | None = None) -> ParameterSet:
     if known.values["density"] < _LEAST_DENSITY_KG_M3:
         raise InputError(f"{path}: density", f"is {known.values['density']:g}", "kg/m3; this looks like g/cm3 or t/m3")
     return known
+
+
+def digest(parameters: ParameterSet) -> str:
+    """Tells one parameter file's content from another's."""
+    text = json.dumps(to_document(parameters), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def from_document(document: Mapping[str, Any], where: str) -> ParameterSet:

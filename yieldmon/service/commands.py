@@ -69,7 +69,7 @@ def _load_start(request: Mapping[str, Any], monitor: Monitor, journal: Journal, 
         journal.kernel_weight_g = weight_g
     in_use = monitor.estimator.parameters
     # A curve is one grain's: another crop's parameters would not give the flow.
-    chosen = journal.change_crop(crop, in_use, _who(request)) if crop and in_use.curve is None else None
+    chosen = journal.parameters.change_crop(crop, in_use, journal.crop, _who(request)) if crop and in_use.curve is None else None
     if chosen is not None:
         monitor.set_estimator(estimator_of(monitor.machine, chosen), calibration_age_s(chosen, now_s))
     journal.name_load(_name(request, "field"), crop)
@@ -100,7 +100,7 @@ def _totals_reset(request: Mapping[str, Any], monitor: Monitor, journal: Journal
     before_kg = monitor.totals.total_kg
     if request.get("total_kg") != round(before_kg):
         raise InputError("totals reset", f"the total is {before_kg:.0f} kg", "that figure, so that nothing is reset by mistake")
-    journal.act(ledger.TOTALS_RESET, _who(request), {"total_kg": before_kg}, now_s)
+    journal.actions.add(ledger.TOTALS_RESET, _who(request), {"total_kg": before_kg}, now_s)
     journal.happened(monitor.reset_totals())
     return {"total_kg": before_kg, "load": monitor.totals.load_number}
 
@@ -138,7 +138,7 @@ def _ticket(
     why_not = _why_no_reference(monitor, journal, covered, stored)
     if not why_not:
         _teach(monitor, covered, ticket, std_dev_kg)
-    number = journal.ticket(ticket, _who(request), teaches=not why_not)
+    number = journal.actions.ticket(ticket, _who(request), teaches=not why_not)
     return {
         "crop": covered[-1].crop,
         "ticket": number,
@@ -153,12 +153,12 @@ def _ticket(
 
 
 def _tickets(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
-    return {"tickets": journal.ticket_table()}
+    return {"tickets": journal.actions.ticket_table()}
 
 
 def _ticket_undo(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
     number = _whole(request, "ticket")
-    ticket, version = journal.undo_ticket(number, _who(request), now_s)
+    ticket, version = journal.actions.undo_ticket(number, _who(request), now_s)
     monitor.forget_ticket(range(ticket.first_load, ticket.last_load + 1))
     given_up = None
     if version is not None:
@@ -167,7 +167,7 @@ def _ticket_undo(request: Mapping[str, Any], monitor: Monitor, journal: Journal,
 
 
 def _calibrations(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
-    return {"calibrations": journal.calibration_table()}
+    return {"calibrations": journal.parameters.table()}
 
 
 def _calibration_undo(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
@@ -181,7 +181,7 @@ def _back_before(version: int, request: Mapping[str, Any], monitor: Monitor, jou
         raise InputError(
             f"version {version}", "the flow comes from estimator_file, which learns nothing", "another estimator_file"
         )
-    chosen = journal.undo_parameters(version, _who(request), now_s)
+    chosen = journal.parameters.undo(version, _who(request), now_s)
     monitor.set_estimator(estimator_of(monitor.machine, chosen), calibration_age_s(chosen, now_s))
     return {"undone": version, "until": last, "version": chosen.version, "effects": list(chosen.effects)}
 
@@ -197,7 +197,7 @@ def _why_no_reference(monitor: Monitor, journal: Journal, covered: list[Load], s
     earlier = {load.load.number: load for load in stored if load.load.number not in whole}
     for number, load in earlier.items():
         found = reference(load, monitor.machine, monitor.settings.windows.min_coverage)
-        if min(found.versions, default=0) < journal.calibrated_version:
+        if min(found.versions, default=0) < journal.actions.calibrated_version:
             return f"load {number} was measured before the parameter file in use"
         monitor.know_load(found.summary, found.seconds)
         whole[number] = found.summary.complete

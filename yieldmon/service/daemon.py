@@ -37,9 +37,10 @@ from yieldmon.service.assembly import calibration_age_s, monitor_of
 from yieldmon.service.configuration import Configuration
 from yieldmon.service.control import Answer, ControlError, ControlServer
 from yieldmon.service.input_frames import InputFrames
-from yieldmon.service.journal import Journal, Memory, choose_parameters
+from yieldmon.service.journal import Journal
 from yieldmon.service.link import link_for
 from yieldmon.service.mapped_outputs import MappedOutputs, OutputMessage
+from yieldmon.service.memory import Memory, choose_parameters
 from yieldmon.service.metrics import MetricsFile
 from yieldmon.service.notify import ServiceManager
 from yieldmon.service.ownership import owned
@@ -535,13 +536,13 @@ class Daemon:
         """After a ticket updated the parameters, the last days' loads are measured again; what comes of it goes to the store."""
         posted = self._poster.take()
         if posted is not None and posted.factors:
-            self._journal.posted(posted.tickets, posted.version, posted.factors)
+            self._journal.actions.posted(posted.tickets, posted.version, posted.factors)
             self._commit()
-        if self._journal.tickets_wait and not self._monitor.masses_wait and not self._poster.busy:
+        if self._journal.actions.waiting and not self._monitor.masses_wait and not self._poster.busy:
             totals, now_s = self._monitor.totals, self._monitor.bus_time_s
             version = self._monitor.estimator.parameters.version
             open_load = totals.load_number if totals.load_open else None
-            self._poster.start(self._monitor.machine, self._journal.take_applied_tickets(), version, open_load, now_s)
+            self._poster.start(self._monitor.machine, self._journal.actions.take_waiting(), version, open_load, now_s)
 
     def _do_reload(self) -> None:
         """Takes the configuration anew, or goes on with the old one and says so."""
@@ -565,7 +566,7 @@ class Daemon:
         if new.outputs != old.outputs:
             raise InputError("outputs", "changed with the service running", "a restart: the bus is filtered for them")
         fixed = [name for name in _FIXED_AT_START if getattr(new.document, name) != getattr(old.document, name)]
-        fresh = self._journal.use_parameter_file(new.parameters)
+        fresh = self._journal.parameters.read_anew(new.parameters)
         state = self._monitor.snapshot()
         self._commit()
         if fresh is not None:

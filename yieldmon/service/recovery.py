@@ -11,7 +11,7 @@ from pathlib import Path
 from yieldmon.engine.state import EngineState
 from yieldmon.engine.totals import Totals
 from yieldmon.service import rescue
-from yieldmon.service.journal import Memory, recall
+from yieldmon.service.memory import Memory, recall
 from yieldmon.service.retention import Retention
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store

@@ -1,0 +1,61 @@
+"""Loads as measured, each with the field and crop that it began with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from yieldmon.engine.loads import LoadSummary
+from yieldmon.finite import finite
+from yieldmon.service.batch import Load
+
+_UNKNOWN_MOISTURE_KG = 1e-6
+_UNKNOWN_AREA_SHARE = 0.02
+"""Share of a load's mass without a known area above which the load's area counts as not known."""
+
+
+class LoadBook:
+    """All loads, and those that no batch has brought to the store yet."""
+
+    def __init__(self, loads: Sequence[Load]) -> None:
+        """loads: as the store has them."""
+        self._loads = {load.number: load for load in loads}
+        self._new: dict[int, Load] = {}
+
+    def __iter__(self) -> Iterator[Load]:
+        """In order of their numbers."""
+        return iter([self._loads[number] for number in sorted(self._loads)])
+
+    def measured(self, summary: LoadSummary, field: str, crop: str) -> None:
+        """A load as the monitor has it now. field, crop: for one that is not known yet."""
+        known = self._loads.get(summary.number)
+        started_s = known.started_s if known is not None else None
+        dry_known = summary.unknown_moisture_kg <= _UNKNOWN_MOISTURE_KG
+        area_known = summary.area_m2 > 0.0 and summary.unknown_area_kg <= _UNKNOWN_AREA_SHARE * summary.measured_kg
+        load = Load(
+            number=summary.number,
+            field=known.field if known is not None else field,
+            crop=known.crop if known is not None else crop,
+            started_s=started_s if started_s is not None else finite(summary.start_s),
+            ended_s=finite(summary.end_s),
+            mass_kg=summary.measured_kg,
+            dry_mass_kg=summary.dry_kg if dry_known else None,
+            area_m2=summary.area_m2 if area_known else None,
+        )
+        if load != known:
+            self._loads[load.number] = self._new[load.number] = load
+
+    def corrected(self, number: int, change_kg: float) -> None:
+        """The mass of a load of this or an earlier run changed by so much; one that is not known stays so."""
+        known = self._loads.get(number)
+        if known is not None:
+            self._loads[number] = self._new[number] = replace(known, mass_kg=max(0.0, known.mass_kg + change_kg))
+
+    def take(self) -> tuple[Load, ...]:
+        """Those that no batch has brought yet; they count as brought."""
+        new, self._new = tuple(self._new.values()), {}
+        return new
+
+    def report_all(self) -> None:
+        """The next batch brings them all."""
+        self._new = dict(self._loads) | self._new

@@ -1,0 +1,131 @@
+"""What a store remembers, from which a start goes on."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from dataclasses import field as field_of
+
+from yieldmon.engine.since_zero import KEPT_S
+from yieldmon.engine.state import EngineState
+from yieldmon.errors import InputError
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.files import parameter_file
+from yieldmon.service import ledger as ledgers
+from yieldmon.service.batch import Action, Load, ParameterVersion, Ticket
+from yieldmon.service.reference_loads import StoredLoad, of_store
+from yieldmon.service.rows import SecondRow
+from yieldmon.service.store import Store
+from yieldmon.service.store_errors import StoreDamagedError
+
+_log = logging.getLogger(__name__)
+
+KEPT_VERSIONS = 200
+"""Newest parameter versions that an undo can go back to."""
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What a store remembers. engine and parameters are None in a new store; parameters are those last in use, and
+    parameter_digest is of the file that they began with."""
+
+    engine: EngineState | None = None
+    saved_s: float = 0.0
+    parameters: ParameterSet | None = None
+    parameter_origin: str = "file"
+    parameter_digest: str = ""
+    last_batch: int = 0
+    last_second: int = 0
+    last_version: int = 0
+    loads: tuple[Load, ...] = ()
+    tickets: tuple[Ticket, ...] = ()
+    field: str = ""
+    crop: str = ""
+    kernel_weight_g: float | None = None
+    """Of a thousand kernels, as an operator told it."""
+    faults: tuple[str, ...] = ()
+    counters: Mapping[str, int] | None = None
+    of_crop: Mapping[str, ParameterSet] = field_of(default_factory=dict)
+    """The newest parameters of each crop."""
+    versions: Mapping[int, ParameterSet] = field_of(default_factory=dict)
+    """The newest parameter versions."""
+    actions: tuple[Action, ...] = ()
+    since_zero: tuple[SecondRow, ...] = ()
+    """Seconds since the operator's last zero calibration, where that can be undone."""
+    ticketed: tuple[StoredLoad, ...] = ()
+    """Loads of the newest tickets."""
+
+
+def recall(store: Store) -> Memory:
+    """What the store remembers. Raises StoreDamagedError when it makes no sense."""
+    document = store.state()
+    if document is None:
+        return Memory()
+    versions = store.parameter_versions()
+    last_second = store.last_second()
+    try:
+        engine, actions = EngineState.from_dict(document["engine"]), tuple(store.actions())
+        return Memory(
+            engine=engine,
+            saved_s=float(document["saved_s"]),
+            parameters=parameter_file.from_document(versions[-1].document, str(store.path)),
+            parameter_origin=versions[-1].origin,
+            parameter_digest=str(document["parameter_digest"]),
+            last_batch=store.last_batch(),
+            last_second=max(int(document["last_second"]), last_second.number if last_second is not None else 0),
+            last_version=versions[-1].version,
+            loads=tuple(store.loads()),
+            tickets=tuple(store.tickets()),
+            field=str(document["field"]),
+            crop=str(document["crop"]),
+            kernel_weight_g=None if document.get("kernel_weight_g") is None else float(document["kernel_weight_g"]),
+            faults=tuple(document["faults"]),
+            counters=store.counters(),
+            of_crop=_by_crop(versions, str(store.path)),
+            versions={v.version: parameter_file.from_document(v.document, str(store.path)) for v in versions[-KEPT_VERSIONS:]},
+            actions=actions,
+            since_zero=_since_zero(store, actions) if engine.zero_undo is not None else (),
+            ticketed=_ticketed(store, engine),
+        )
+    except (KeyError, IndexError, TypeError, ValueError, InputError) as error:
+        raise StoreDamagedError(f"{store.path}: the state cannot be used: {error!r}") from error
+
+
+def _since_zero(store: Store, actions: Sequence[Action]) -> tuple[SecondRow, ...]:
+    last = next((a for a in reversed(actions) if a.kind == ledgers.ZERO), None)
+    if last is None:
+        return ()
+    newest = store.last_second()
+    first = max(int(last.document["second"]) + 1, (newest.number if newest is not None else 0) - KEPT_S)
+    return tuple(store.seconds(first, on_damage=lambda number: None))
+
+
+def _ticketed(store: Store, engine: EngineState) -> tuple[StoredLoad, ...]:
+    """Empty where the seconds are damaged: the tickets' corrections stand, and a start must not wait for repairs."""
+    try:
+        return of_store(store, {ticket.load_number for ticket in engine.tickets})
+    except StoreDamagedError as error:
+        _log.warning("loads with tickets are not read again: %s", error)
+        return ()
+
+
+def choose_parameters(memory: Memory, configured: ParameterSet) -> tuple[ParameterSet, str]:
+    """The parameters to run with, and where they come from.
+
+    What was learnt since goes on for as long as the configured file is the one it began with; another file wins.
+    """
+    if memory.parameters is not None and memory.parameter_digest == parameter_file.digest(configured):
+        return memory.parameters, "store"
+    if memory.last_version:
+        return replace(configured, version=memory.last_version + 1), "file"
+    return configured, "file"
+
+
+def _by_crop(versions: Iterable[ParameterVersion], where: str) -> dict[str, ParameterSet]:
+    found = {}
+    for version in versions:
+        known = parameter_file.from_document(version.document, where)
+        if "crop" in known.provenance:
+            found[known.provenance["crop"]] = known
+    return found

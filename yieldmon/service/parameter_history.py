@@ -1,0 +1,131 @@
+"""Which parameters are in use, which were before, and which are known for each crop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from yieldmon.engine.records import CalibrationStep
+from yieldmon.errors import InputError
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.files import parameter_file
+from yieldmon.files.crops import crops
+from yieldmon.service import ledger as ledgers
+from yieldmon.service.action_log import ActionLog
+from yieldmon.service.batch import ParameterVersion, Step
+from yieldmon.service.memory import KEPT_VERSIONS, Memory
+from yieldmon.service.update_steps import step_document
+
+_SHIPPED_CROP = "corn"
+"""Of the shipped parameter file."""
+
+
+class ParameterHistory:
+    """Numbers the parameters that come into use; each change is in the action log."""
+
+    def __init__(self, memory: Memory, configured: ParameterSet, actions: ActionLog) -> None:
+        """memory: what the store holds. configured: the parameters as their file has them."""
+        self.digest = parameter_file.digest(configured)
+        """Of the parameter file last read."""
+        self.version = memory.last_version
+        """In use."""
+        self._actions = actions
+        self._in_use = (memory.parameters, memory.parameter_origin) if memory.parameters is not None else None
+        self._of_crop = dict(memory.of_crop)
+        self._versions = dict(memory.versions)
+        self._new: list[tuple[ParameterSet, str]] = []
+        self._new_steps: list[tuple[int, CalibrationStep]] = []
+        self._shipped_digest = parameter_file.digest(parameter_file.load())
+
+    def crop_of(self, parameters: ParameterSet, named: str) -> str:
+        """Whose crop parameters are, "" where nobody said. named: the crop that an operator named last."""
+        return parameters.provenance.get("crop", named) or (_SHIPPED_CROP if self.digest == self._shipped_digest else "")
+
+    def change_crop(self, crop: str, in_use: ParameterSet, named: str, who: str = "") -> ParameterSet | None:
+        """The parameters for another crop: what was last known of it, else what is shipped. None where those in use stay: they
+        are this crop's, whose they are is not stated, or nothing is known of this one.
+
+        What is known of the crop before is kept. named: the crop that an operator named last.
+        """
+        before = self.crop_of(in_use, named)
+        if crop == before or not before:
+            return None
+        known = self._of_crop.get(crop)
+        if known is None and crop in crops():
+            known = crops()[crop].parameters()
+        if known is None:
+            return None
+        kept = replace(in_use, version=self.version + 1, provenance={**in_use.provenance, "crop": before})
+        self._of_crop[before] = kept
+        self.use(kept, "crop", who, f"what is known of {before} is kept")
+        chosen = replace(known, version=self.version + 1)
+        self.use(chosen, "crop", who, f"what is known of {crop}")
+        return chosen
+
+    def read_anew(self, configured: ParameterSet) -> ParameterSet | None:
+        """A parameter file read anew: the set to use from now on, None when it is the one that is in use."""
+        found = parameter_file.digest(configured)
+        if found == self.digest:
+            return None
+        self.digest = found
+        return replace(configured, version=self.version + 1)
+
+    def undo(self, version: int, who: str, now_s: float) -> ParameterSet:
+        """The parameters before a version, as a new version in use. Raises InputError."""
+        changes = self._actions.updates
+        if version not in changes:
+            raise InputError(f"version {version}", "no such calibration", "a version that `yieldmon calibrations list` shows")
+        before = int(changes[version].document.get("from_version", 0))
+        if version in self._actions.undone_versions:
+            raise InputError(f"version {version}", "is undone already", "one that stands")
+        if before not in self._versions:
+            raise InputError(f"version {version}", "the parameters before it are not known", "a later version")
+        self._actions.add(ledgers.PARAMETERS_UNDO, who, {"version": version}, now_s)
+        chosen = replace(self._versions[before], version=self.version + 1)
+        self.use(chosen, "undo", who, f"version {version} undone: as version {before}")
+        return chosen
+
+    def use(
+        self,
+        parameters: ParameterSet,
+        origin: str,
+        who: str = "",
+        reason: str = "",
+        tickets: Sequence[int] = (),
+        step: CalibrationStep | None = None,
+    ) -> None:
+        """These are in use from now on. origin: where they come from. tickets: from which they were learnt. step: how they came
+        of those before them."""
+        document = {
+            "version": parameters.version, "from_version": self.version, "origin": origin, "reason": reason,
+            "effects": list(parameters.effects), "tickets": list(tickets),
+        }  # fmt: skip
+        self._actions.add(ledgers.PARAMETERS, who, document)
+        self._versions[parameters.version] = parameters
+        while len(self._versions) > KEPT_VERSIONS:
+            del self._versions[min(self._versions)]
+        if step is not None:
+            self._new_steps.append((parameters.version, step))
+        self.version = parameters.version
+        self._in_use = (parameters, origin)
+        self._new.append(self._in_use)
+
+    def table(self) -> list[dict[str, Any]]:
+        """All changes of parameters and zeros by an operator, with who and when."""
+        return ledgers.calibration_rows(self._actions, self.version)
+
+    def take(self, time_s: float) -> tuple[tuple[ParameterVersion, ...], tuple[Step, ...]]:
+        """Versions and steps that no batch has brought yet; they count as brought. time_s: Unix time."""
+        versions = tuple(
+            ParameterVersion(parameters.version, time_s, origin, parameter_file.to_document(parameters))
+            for parameters, origin in self._new
+        )
+        steps = tuple(Step(version, step.end_s, step_document(step)) for version, step in self._new_steps)
+        self._new, self._new_steps = [], []
+        return versions, steps
+
+    def report_all(self) -> None:
+        """The next batch brings those in use."""
+        if self._in_use is not None and self._in_use not in self._new:
+            self._new.insert(0, self._in_use)
