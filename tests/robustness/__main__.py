@@ -25,6 +25,7 @@ RUNS = {
     "fuzz-readers": "mutated logs, tables, stores and requests through every reader",
     "simulation": "the service on a disk, a clock and a process that fail at random; invariants after each life",
     "bus-simulation": "forgers, clocks, echoes, threads that hang: the engine and what is around it, by seed, mends undone",
+    "process-simulation": "signals between any two instructions, peers at the socket, parts that fail, by seed; mends undone",
     "verdict-starts": "diagnose from random start parameters and from calibrate's: one verdict, the same names, the same F",
     "web-attack": "the page and the control socket under attack beside a daemon that measures",
     "web-page": "the page in a browser: heap at sixty times the pace, a large map, faults, and what pages cost the daemon",

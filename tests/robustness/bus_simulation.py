@@ -19,7 +19,7 @@ from __future__ import annotations
 import random
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
@@ -30,7 +30,7 @@ import can
 import numpy as np
 
 from tests.robustness import undoing
-from tests.robustness.undoing import Mend, Simulation
+from tests.robustness.undoing import Simulation, Trouble, live, mend, require
 from tests.service.bench import START_S, traffic
 from yieldmon import frames
 from yieldmon.bus import waiting
@@ -56,16 +56,6 @@ _RECOVERED_S = 2.5
 _LARGEST_CHANGE = 0.2
 """Of a second's mass: less may be a forger that sends what the sensor sends."""
 _HANGS_S = 2.0
-
-
-class Broken(Exception):
-    """An invariant that does not hold."""
-
-
-def require(holds: bool, what: str) -> None:
-    """Raises Broken unless it holds."""
-    if not holds:
-        raise Broken(what)
 
 
 def harvest(rng: random.Random) -> list[Frame]:
@@ -316,25 +306,12 @@ def near_the_end(rng: random.Random) -> None:
     require(said or not silent, f"{sorted(set(silent))} not available at {load_kg:g} and {total_kg:g} kg, unsaid")
 
 
-TROUBLES: tuple[Callable[[random.Random], None], ...] = (
-    forged, forged, forged, clock_is_set, waits, repeated, hangs, near_the_end,
-)  # fmt: skip
+TROUBLES: tuple[Trouble, ...] = (forged, forged, forged, clock_is_set, waits, repeated, hangs, near_the_end)
 
 
-def simulate(
-    lives: int, seed: int, troubles: tuple[Callable[[random.Random], None], ...] = TROUBLES
-) -> tuple[list[str], Counter[str]]:
-    """What was broken, with its seed and life, and how often each trouble came."""
-    broken, met = list[str](), Counter[str]()
-    for number in range(lives):
-        rng = random.Random(f"{seed}/{number}")
-        trouble = troubles[number % len(troubles)]
-        met[trouble.__name__] += 1
-        try:
-            trouble(rng)
-        except Broken as error:
-            broken.append(f"seed {seed}, life {number}, {trouble.__name__}: {error}")
-    return broken, met
+def simulate(lives: int, seed: int) -> tuple[list[str], Counter[str]]:
+    """What so many lives broke, and how often each trouble came."""
+    return live(lives, seed, TROUBLES)
 
 
 # Each mend undone
@@ -361,28 +338,22 @@ def _no_rivals(self: object, times_s: Any, values: Any, bounds: Any, edges_s: An
     return np.zeros(len(bounds) - 1, np.intp)
 
 
-def _mend(
-    points: tuple[int, ...], trouble: Callable[[random.Random], None], undone: Callable[[], AbstractContextManager[Any]]
-) -> Mend:
-    return Mend(points, lambda lives, seed: simulate(lives, seed, (trouble,))[0], undone)
-
-
 MENDS = {
-    "waiting on monotonic time": _mend((3,), waits, lambda: mock.patch.object(waiting, "receive", can.BusABC.recv)),
-    "counters that come again": _mend((8,), forged, _counters_alone),
-    "frames closer than a sensor sends": _mend((8,), forged, lambda: mock.patch.object(windows, "_CROWDED_FRAMES", 1e9)),
-    "rivals of speed and angle": _mend((8,), forged, lambda: mock.patch("yieldmon.engine.rivals.RivalWatch.take", _no_rivals)),
-    "contested mass apart": _mend(
+    "waiting on monotonic time": mend((3,), waits, lambda: mock.patch.object(waiting, "receive", can.BusABC.recv)),
+    "counters that come again": mend((8,), forged, _counters_alone),
+    "frames closer than a sensor sends": mend((8,), forged, lambda: mock.patch.object(windows, "_CROWDED_FRAMES", 1e9)),
+    "rivals of speed and angle": mend((8,), forged, lambda: mock.patch("yieldmon.engine.rivals.RivalWatch.take", _no_rivals)),
+    "contested mass apart": mend(
         (8,), forged, lambda: mock.patch("yieldmon.engine.windows.Window.contested", property(lambda window: False)),
     ),
-    "each echo once": _mend((8,), repeated, lambda: mock.patch.object(Transmitter, "is_echo", _any_copy_is_an_echo)),
-    "signs of life of the transmitter": _mend(
+    "each echo once": mend((8,), repeated, lambda: mock.patch.object(Transmitter, "is_echo", _any_copy_is_an_echo)),
+    "signs of life of the transmitter": mend(
         (9,), hangs, lambda: mock.patch.object(Transmitter, "hangs_s", return_value=0.0),
     ),
-    "masses near the end": _mend(
+    "masses near the end": mend(
         (10,), near_the_end, lambda: mock.patch("yieldmon.engine.publishing.Publisher.mass_near_end", return_value=None),
     ),
-    "a clock that is set": _mend(
+    "a clock that is set": mend(
         (3,), clock_is_set, lambda: mock.patch("yieldmon.engine.clock.BusClock._absorb", return_value=None),
     ),
 }  # fmt: skip

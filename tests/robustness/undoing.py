@@ -9,13 +9,42 @@ from __future__ import annotations
 import argparse
 import json
 import logging
-from collections.abc import Callable, Iterator, Mapping
+import random
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 _FIRST = 10
 _LINE = 160
+
+
+class Broken(Exception):
+    """An invariant that does not hold."""
+
+
+def require(holds: bool, what: str) -> None:
+    """Raises Broken unless it holds."""
+    if not holds:
+        raise Broken(what)
+
+
+Trouble = Callable[[random.Random], None]
+"""A life that meets one trouble, its chances from a generator; raises Broken."""
+
+
+def live(count: int, seed: int, troubles: Sequence[Trouble]) -> tuple[list[str], Counter[str]]:
+    """What so many lives with these troubles in turn broke, with seed and life, and how often each trouble came."""
+    broken, met = list[str](), Counter[str]()
+    for number in range(count):
+        trouble = troubles[number % len(troubles)]
+        met[trouble.__name__] += 1
+        try:
+            trouble(random.Random(f"{seed}/{number}"))
+        except Broken as error:
+            broken.append(f"seed {seed}, life {number}, {trouble.__name__}: {error}")
+    return broken, met
 
 
 @dataclass(frozen=True)
@@ -50,6 +79,11 @@ class Simulation:
     default: int
     simulate: Callable[[int, int], tuple[list[str], Mapping[str, int]]]
     mends: Mapping[str, Mend]
+
+
+def mend(points: tuple[int, ...], trouble: Trouble, undone: Callable[[], AbstractContextManager[Any]]) -> Mend:
+    """One whose absence lives with that trouble find."""
+    return Mend(points, lambda lives, seed: live(lives, seed, (trouble,))[0], undone)
 
 
 @contextmanager
