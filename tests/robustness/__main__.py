@@ -26,6 +26,8 @@ RUNS = {
     "simulation": "the service on a disk, a clock and a process that fail at random; invariants after each life",
     "bus-simulation": "forgers, clocks, echoes, threads that hang: the engine and what is around it, by seed, mends undone",
     "process-simulation": "signals between any two instructions, peers at the socket, parts that fail, by seed; mends undone",
+    "files-simulation": "hostile logs, records, stores and names, umasks and installs, by seed; mends undone",
+    "mends": "every point that an attack once found, with its mend undone: which simulation finds it again",
     "verdict-starts": "diagnose from random start parameters and from calibrate's: one verdict, the same names, the same F",
     "web-attack": "the page and the control socket under attack beside a daemon that measures",
     "web-page": "the page in a browser: heap at sixty times the pace, a large map, faults, and what pages cost the daemon",

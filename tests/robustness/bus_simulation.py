@@ -11,15 +11,17 @@ are the daemon's own, on one thread and on a clock that only the simulation move
 Invariants: no mass without its time, whatever the clock is set to, and the fault says so; a forged sensor, speed or angle is said
 within two seconds, and a second that is not what the same machine measures unforged is not ok and in no total, while what follows
 counts again; a frame of ours that another node repeats is no echo; nothing waits longer than it is told to; a thread that hangs
-is said after two seconds; a mass that its signal cannot carry has been said before. Ends with 1 when one is broken.
+is said after two seconds; a mass that its signal cannot carry has been said before; every fault is in each message of them. Ends
+with 1 when one is broken.
 """
 
 from __future__ import annotations
 
+import itertools
 import random
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
@@ -43,6 +45,10 @@ from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.state import EngineState
 from yieldmon.engine.totals import Totals
 from yieldmon.frames import NOT_AVAILABLE, EstimateQuality, Frame
+from yieldmon.network import diagnostics
+from yieldmon.network.diagnostics import TroubleCode
+from yieldmon.network.name import Name
+from yieldmon.network.node import Node, NodeSettings
 from yieldmon.service import configuration
 from yieldmon.service.assembly import monitor_of
 from yieldmon.service.service_faults import ServiceFaults
@@ -306,7 +312,46 @@ def near_the_end(rng: random.Random) -> None:
     require(said or not silent, f"{sorted(set(silent))} not available at {load_kg:g} and {total_kg:g} kg, unsaid")
 
 
-TROUBLES: tuple[Trouble, ...] = (forged, forged, forged, clock_is_set, waits, repeated, hangs, near_the_end)
+_DM1, _BROADCAST, _PACKETS = 0xFECA, 0xECFF, 0xEBFF
+
+
+def trouble_codes(rng: random.Random) -> None:
+    """Several faults at once, as a display hears of them that puts messages together by the standard's own rules."""
+    node = Node(NodeSettings(name=Name(identity_number=1)))
+    node.start(0.0)
+    due, heard = set[tuple[int, int]](), list[set[tuple[int, int]]]()
+    size, parts = 0, list[bytes]()
+    for tenth in range(200):
+        sent = node.poll(0.1 * tenth)
+        if tenth % 10 == 0 and node.address is not None:
+            if tenth % 50 == 20:
+                due = {(520192 + number, rng.randrange(31)) for number in range(rng.randint(2, 19))}
+                heard.clear()
+            sent = [*sent, *node.tell_trouble([TroubleCode(spn, fmi) for spn, fmi in sorted(due)], 0.1 * tenth)]
+        for frame in sent:
+            group = frame.identifier >> 8 & 0x1FFFF
+            if group == _DM1:
+                heard.append(_codes_in(frame.data))
+            elif group == _BROADCAST and frame.data[0] == 32 and int.from_bytes(frame.data[5:8], "little") == _DM1:
+                size, parts = int.from_bytes(frame.data[1:3], "little"), []
+            elif group == _PACKETS and size:
+                parts.append(frame.data[1:])
+                if 7 * len(parts) >= size:
+                    heard.append(_codes_in(b"".join(parts)[:size]))
+                    size = 0
+        if due and tenth % 50 == 15:
+            # The first one may have been on its way since before these faults.
+            require(len(heard) >= 2, f"{len(heard)} messages of {len(due)} faults in 4 s")
+            require(all(codes == due for codes in heard[1:]), f"{len(heard[-1])} of {len(due)} faults in a message")
+
+
+def _codes_in(data: bytes) -> set[tuple[int, int]]:
+    """Suspect parameter numbers and failure modes of a DM1, SAE J1939-73, conversion method 0."""
+    found = (data[at : at + 4] for at in range(2, len(data) - 3, 4))
+    return {(one[0] | one[1] << 8 | (one[2] >> 5) << 16, one[2] & 0x1F) for one in found if any(one)}
+
+
+TROUBLES: tuple[Trouble, ...] = (*(forged, forged, forged, clock_is_set, waits, repeated, hangs, near_the_end, trouble_codes),)
 
 
 def simulate(lives: int, seed: int) -> tuple[list[str], Counter[str]]:
@@ -338,6 +383,17 @@ def _no_rivals(self: object, times_s: Any, values: Any, bounds: Any, edges_s: An
     return np.zeros(len(bounds) - 1, np.intp)
 
 
+def _one_by_one() -> AbstractContextManager[Any]:
+    """As it was: one code each second, by turns."""
+    before, turn = diagnostics.message, itertools.count()
+
+    def message(codes: Iterable[TroubleCode]) -> bytes:
+        active = tuple(codes)
+        return before((active[next(turn) % len(active)],) if active else ())
+
+    return mock.patch.object(diagnostics, "message", message)
+
+
 MENDS = {
     "waiting on monotonic time": mend((3,), waits, lambda: mock.patch.object(waiting, "receive", can.BusABC.recv)),
     "counters that come again": mend((8,), forged, _counters_alone),
@@ -356,6 +412,7 @@ MENDS = {
     "a clock that is set": mend(
         (3,), clock_is_set, lambda: mock.patch("yieldmon.engine.clock.BusClock._absorb", return_value=None),
     ),
+    "trouble codes together": mend((19,), trouble_codes, _one_by_one),
 }  # fmt: skip
 
 

@@ -331,7 +331,7 @@ def binds(rng: random.Random) -> None:
     handlers = {name: signal.getsignal(name) for name in (signal.SIGHUP, signal.SIGTERM, signal.SIGINT)}
     said = io.StringIO()
     try:
-        with _home(text) as folder, mock.patch.object(control.socket, "socket", Refused), contextlib.redirect_stderr(said):
+        with _home(text) as folder, mock.patch.object(socket, "socket", Refused), contextlib.redirect_stderr(said):
             code = command.main(["run", "--config", str(folder / "c.yaml")])
     finally:
         for name, handler in handlers.items():
@@ -385,7 +385,8 @@ def _with_event(name: str) -> Any:
     """A flag as it was: a threading.Event, whose lock a handler may find held."""
 
     def event(self: Daemon) -> threading.Event:
-        return self.__dict__.setdefault(f"{name} as it was", threading.Event())
+        found: threading.Event = self.__dict__.setdefault(f"{name} as it was", threading.Event())
+        return found
 
     def put(self: Daemon, value: bool) -> None:
         if value:
@@ -410,7 +411,7 @@ def _patience_anew_with_each_byte() -> Any:
     before = control._Server._read
 
     def read(self: Any, selector: Any, asking: Any) -> None:
-        asking.until_s = control.monotonic() + control._PATIENCE_S
+        asking.until_s += 2.0
         before(self, selector, asking)
 
     return mock.patch.object(control._Server, "_read", read)
