@@ -159,7 +159,20 @@ _REPLACING = (_many_times,)
 
 def forged(rng: random.Random) -> None:
     """Another node for five seconds of a harvest."""
-    forger = rng.choice(list(FORGERS))
+    _forged(rng, rng.choice(list(FORGERS)))
+
+
+def contradicted(rng: random.Random) -> None:
+    """One that sends other samples under the sensor's counters."""
+    _forged(rng, _same_counters)
+
+
+def crowded(rng: random.Random) -> None:
+    """One in the sensor's place, at many times its rate."""
+    _forged(rng, _many_times)
+
+
+def _forged(rng: random.Random, forger: _Forger) -> None:
     given, begin_s = harvest(rng), START_S + EMPTY_S + rng.uniform(4.0, 8.0)
     end_s = begin_s + 5.0
     true = _of(given, FORGERS[forger], begin_s, end_s)
@@ -396,8 +409,8 @@ def _one_by_one() -> AbstractContextManager[Any]:
 
 MENDS = {
     "waiting on monotonic time": mend((3,), waits, lambda: mock.patch.object(waiting, "receive", can.BusABC.recv)),
-    "counters that come again": mend((8,), forged, _counters_alone),
-    "frames closer than a sensor sends": mend((8,), forged, lambda: mock.patch.object(windows, "_CROWDED_FRAMES", 1e9)),
+    "counters that come again": mend((8,), contradicted, _counters_alone),
+    "frames closer than a sensor sends": mend((8,), crowded, lambda: mock.patch.object(windows, "_CROWDED_FRAMES", 1e9)),
     "rivals of speed and angle": mend((8,), forged, lambda: mock.patch("yieldmon.engine.rivals.RivalWatch.take", _no_rivals)),
     "contested mass apart": mend(
         (8,), forged, lambda: mock.patch("yieldmon.engine.windows.Window.contested", property(lambda window: False)),

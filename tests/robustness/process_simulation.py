@@ -100,6 +100,9 @@ class _Lock:
     def locked(self) -> bool:
         return self._lock.locked()
 
+    def _at_fork_reinit(self) -> None:
+        self.__init__()  # type: ignore[misc]
+
     def __enter__(self) -> bool:
         return self.acquire()
 
@@ -290,7 +293,7 @@ def journal_fails(rng: random.Random) -> None:
 
         made = Daemon(configuration.load(folder / "c.yaml"), bus_factory=bus, silence_s=float("inf"))
         peer = can.Bus(interface="virtual", channel=channel, preserve_timestamps=True)
-        sent = [encoded(frame) for frame in traffic(START_S, rng.randint(4, 8), 0.0)]
+        sent = [encoded(frame) for frame in traffic(START_S, rng.randint(7, 10), 0.0)]
 
         def play() -> None:
             made.started.wait(_PATIENCE_S)

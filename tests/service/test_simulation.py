@@ -1,11 +1,12 @@
-"""Samples of ``python -m tests.robustness simulation`` and ``bus-simulation``: no invariant broken, a mend undone is found."""
+"""Samples of the simulations of ``python -m tests.robustness``: no invariant broken, a mend undone is found."""
 
 from __future__ import annotations
 
 import pytest
 
-from tests.robustness import bus_simulation
+from tests.robustness import bus_simulation, files_simulation, process_simulation
 from tests.robustness import simulation as store_simulation
+from tests.robustness.mends import POINTS, SHARES
 from tests.robustness.undoing import found_without, quiet
 
 
@@ -37,3 +38,25 @@ def test_simulated_harvests_on_a_bus_break_no_invariant():
 )
 def test_a_mend_undone_on_a_bus_is_found(mend):
     assert found_without(bus_simulation.MENDS[mend], 2, 7).found
+
+
+@pytest.mark.parametrize(("simulation", "lives", "troubles"), [(process_simulation, 5, 5), (files_simulation, 12, 12)])
+def test_simulated_lives_of_process_and_files_break_no_invariant(simulation, lives, troubles):
+    broken, met = simulation.simulate(lives, seed=7)
+    assert broken == []
+    assert len(met) == troubles
+
+
+@pytest.mark.parametrize(
+    ("simulation", "mend"),
+    [
+        (process_simulation, "flags for signals"), (process_simulation, "answers that are cut"),
+        (files_simulation, "modes of what is saved"), (files_simulation, "names of parents"),
+    ],
+)  # fmt: skip
+def test_a_mend_undone_in_process_and_files_is_found(simulation, mend):
+    assert found_without(simulation.MENDS[mend], 2, 7).found
+
+
+def test_each_point_of_the_list_has_a_mend_that_can_be_undone():
+    assert {number for share in SHARES for mend in share.simulation.mends.values() for number in mend.points} == set(POINTS)
