@@ -123,16 +123,22 @@ def _consensus(lattice: Lattice, kept: NDArray[np.bool_], misfit: float) -> Fram
     machines = [m for m, keep in zip(lattice.machines, kept, strict=True) if keep]
     frame = lattice.frame
     count = len(frame.cells)
-    total, weight = np.zeros(count), np.zeros(count)
+    total, weight, spread = np.zeros(count), np.zeros(count), np.zeros(count)
     for m in machines:
-        variance = np.concatenate([1.0 / np.diag(factor.T @ factor) for _, factor in m.blocks])
-        total += np.bincount(m.cell, m.log_force / variance, minlength=count)
-        weight += np.bincount(m.cell, 1.0 / variance, minlength=count)
+        for first, factor in m.blocks:
+            # Visits of one sweep share the visits home that bracket them, and several of them may be of one cell.
+            place = m.cell[first : first + len(factor)]
+            covariance = np.linalg.inv(factor.T @ factor)
+            w = 1.0 / np.diag(covariance)
+            shared = (place[:, None] == place) * covariance * np.outer(w, w)
+            total += np.bincount(place, w * m.log_force[first : first + len(factor)], minlength=count)
+            weight += np.bincount(place, w, minlength=count)
+            spread += np.bincount(place, shared.sum(axis=1), minlength=count)
     seen = weight > 0.0
     rows = frame.cells.rows
     value = np.where(seen, np.exp(np.divide(total, weight, out=np.zeros(count), where=seen)), rows.value)
     # A cell that none of them measured says nothing.
-    sigma = value * np.where(seen, np.sqrt(misfit / np.where(seen, weight, 1.0)), 1e3)
+    sigma = value * np.where(seen, np.sqrt(misfit * spread) / np.where(seen, weight, 1.0), 1e3)
     grouped = cells(replace(rows, value=value, sigma=sigma))
     return replace(frame, cells=grouped, sd=sigma)
 

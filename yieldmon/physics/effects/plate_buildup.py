@@ -16,6 +16,12 @@ def _reading(reading: Reading, values: Values, setting: Setting) -> Reading:
     return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + force / setting.passes_per_s)
 
 
+def _zeroed(reading: Reading, values: Values, setting: Setting) -> Reading:
+    angle, home = setting.plate_angle_rad, setting.machine.home_plate_angle_rad
+    force = values["weight_n"] * (np.sin(angle) * np.cos(angle) - np.sin(home) * np.cos(home))
+    return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + force / setting.passes_per_s)
+
+
 EFFECT = Effect(
     name="plate_buildup",
     stage="sensor",
@@ -25,4 +31,14 @@ EFFECT = Effect(
     parameters=(EffectParameter("weight_n", "N", 0.0, 0.0, 30.0, 2.0, "weight of what sticks", 4.0),),
     reading=_reading,
     unit_follows_response=True,
+)
+
+LAWS = (
+    replace(
+        EFFECT,
+        name="plate_buildup-zeroed",
+        law="the horizontal part of the weight across the plate, less what the zero at home took away",
+        source="statics: W cos(phi) across the plate, sin(phi) of that horizontal; the zero is taken at home with what sticks there",
+        reading=_zeroed,
+    ),
 )

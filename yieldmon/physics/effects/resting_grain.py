@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from yieldmon.physics.numerics import AnyArray
 from yieldmon.physics.stages import Reading, Setting
 
 from .effect import Effect, EffectParameter, Values
@@ -13,10 +14,20 @@ from .effect import Effect, EffectParameter, Values
 _GRAVITY_M_S2 = 9.81
 
 
-def _reading(reading: Reading, values: Values, setting: Setting) -> Reading:
+def _weight(reading: Reading, values: Values) -> AnyArray:
     arrival = reading.impulse.arrival
-    landed = np.sum(arrival.landing_share * arrival.jet.mass_kg, axis=-1, keepdims=True)
-    return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + landed * _GRAVITY_M_S2 * values["time_s"])
+    landed: AnyArray = np.sum(arrival.landing_share * arrival.jet.mass_kg, axis=-1, keepdims=True)
+    return landed * _GRAVITY_M_S2 * values["time_s"]
+
+
+def _reading(reading: Reading, values: Values, setting: Setting) -> Reading:
+    return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + _weight(reading, values))
+
+
+def _across(reading: Reading, values: Values, setting: Setting) -> Reading:
+    angle = setting.plate_angle_rad
+    pressing = _weight(reading, values) * np.cos(angle)
+    return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + pressing * np.sin(angle))
 
 
 EFFECT = Effect(
@@ -29,4 +40,14 @@ EFFECT = Effect(
     parameters=(EffectParameter("time_s", "s", 0.0, 0.0, 0.3, 0.05, "time that grain stays", 0.05),),
     reading=_reading,
     unit_follows_response=True,
+)
+
+LAWS = (
+    replace(
+        EFFECT,
+        name="resting_grain-across_plate",
+        law="only the part of the weight across the plate presses on the cell, and of that the horizontal part is read",
+        source="statics of a body on an incline, m-dot t g cos(phi) across the plate",
+        reading=_across,
+    ),
 )

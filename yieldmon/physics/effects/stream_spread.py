@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from yieldmon.physics.numerics import AnyArray, arctan, erf, exp, maximum, real, sin_cos, sqrt
+from yieldmon.physics.numerics import AnyArray, arctan, erf, exp, maximum, minimum, real, sin_cos, sqrt
 from yieldmon.physics.stages import Arrival, Setting
 
 from .effect import Effect, EffectParameter, Values
 
 _FAR = 7.0
 """Standard deviations beyond which the low edge no longer cuts the fan (1e-12 of the grain)."""
+
+_Shape = Callable[[AnyArray, AnyArray], tuple[AnyArray, AnyArray, AnyArray]]
+"""Share, mean and variance of what lies below an edge, from the edge and the standard deviation."""
 
 
 def _gaussian(edge: AnyArray, spread: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
@@ -24,20 +28,36 @@ def _gaussian(edge: AnyArray, spread: AnyArray) -> tuple[AnyArray, AnyArray, Any
     return lands, -spread * hazard, spread * spread * (1.0 - z * hazard - hazard * hazard)
 
 
-def _arrival(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
-    spread = values["spread_rad"]
+def _uniform(edge: AnyArray, spread: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
+    """The same of directions spread evenly to both sides."""
+    half = np.sqrt(3.0) * spread
+    beyond = maximum(minimum(edge, half), -half)
+    width = beyond + half
+    return width / (2.0 * half), 0.5 * (beyond - half), width * width / 12.0
+
+
+def _to_edge(arrival: Arrival, setting: Setting) -> AnyArray:
+    """By how much a path must be turned at the tip, towards the low edge, to end at the low edge."""
+    jet, length = arrival.jet, setting.machine.plate_length_m
+    sin, cos = sin_cos(setting.plate_angle_rad)
+    x = setting.plate_pivot_x_m + length * cos - jet.x_m
+    y = setting.plate_pivot_y_m + length * sin - jet.y_m
+    g = 0.0 if setting.gravity_m_s2 is None else setting.gravity_m_s2
+    drop = 0.5 * g * x * x / (jet.vx_m_s**2 + jet.vy_m_s**2)
+    root = sqrt(maximum(x * x - 4.0 * drop * (drop - y), np.asarray(1e-9)))
+    return arctan(2.0 * (y - drop) / (x + root)) - arctan(jet.vy_m_s / jet.vx_m_s)
+
+
+def _fanned(arrival: Arrival, spread: AnyArray, setting: Setting, shape: _Shape) -> Arrival:
     meets = np.isfinite(real(arrival.from_low_edge_m)) & (real(arrival.normal_speed_m_s) > 0.0)
     fans_out = real(spread) > 0.0
     normal = np.where(meets, arrival.normal_speed_m_s, 1.0)
     tangential = np.where(meets, arrival.tangential_speed_m_s, 0.0)
     speed = sqrt(normal * normal + tangential * tangential)
-    length = maximum(np.where(meets, arrival.flight_length_m, 1.0), np.asarray(1e-3))
-    kappa = np.where(meets, arrival.from_low_edge_m, 0.0)
     incidence = arctan(tangential / normal)
-    # Seen from where the path comes from, the low edge lies this far round from the path, towards the low edge.
-    edge = arctan((length * tangential / speed - kappa) * speed / (length * normal)) - incidence
+    edge = _to_edge(arrival, setting)
     # What lands is turned towards the top.
-    lands, turn, variance = _gaussian(edge, np.where(fans_out, spread, 1.0))
+    lands, turn, variance = shape(edge, np.where(fans_out, spread, 1.0))
     kept = speed * exp(-0.5 * variance)
     sin, cos = sin_cos(incidence + turn)
     fan = meets & fans_out
@@ -51,6 +71,14 @@ def _arrival(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
     )
 
 
+def _arrival(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
+    return _fanned(arrival, values["spread_rad"], setting, _gaussian)
+
+
+def _even(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
+    return _fanned(arrival, values["spread_rad"], setting, _uniform)
+
+
 EFFECT = Effect(
     name="stream_spread",
     stage="flight",
@@ -61,4 +89,14 @@ EFFECT = Effect(
     arrival=_arrival,
     needs_misses=True,
     rank=1,
+)
+
+LAWS = (
+    replace(
+        EFFECT,
+        name="stream_spread-even",
+        law="directions spread evenly between two limits, as the layers of the heap ahead of the paddle would leave one beside another",
+        source="even fan of half width sqrt(3) s, cut by the plate's low edge; moments of a truncated uniform distribution",
+        arrival=_even,
+    ),
 )
