@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from yieldmon.physics.effects import registry
+from yieldmon.physics.effects import get_effect, registry
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.stages import Arrival
@@ -227,26 +227,51 @@ def test_spread_moves_grain_across_the_edge_both_ways() -> None:
     assert error[2] < 1e-3
 
 
+@pytest.mark.parametrize("law", ["stream_spread", "stream_spread-even"])
+@pytest.mark.parametrize("gravity", [None, 9.81])
 @pytest.mark.parametrize("incidence", [-0.4, 0.3, 0.9])
 @pytest.mark.parametrize("kappa_m", [-0.15, -0.02, 0.02, 0.1])
-def test_a_fan_is_many_straight_paths_of_which_the_edge_lets_some_pass(incidence: float, kappa_m: float) -> None:
-    """Against ten thousand paths turned one by one about the point that they leave from."""
-    spread, speed, length = 0.12, 6.0, 0.4
-    path = Arrival(
-        SimpleNamespace(vx_m_s=speed, vy_m_s=0.0),
-        np.asarray(kappa_m),
-        np.asarray(length / speed),
-        np.asarray(speed * np.cos(incidence)),
-        np.asarray(speed * np.sin(incidence)),
-        np.asarray(float(kappa_m < 0.0)),
+def test_a_fan_is_many_paths_of_which_the_edge_lets_some_pass(
+    kappa_m: float, incidence: float, gravity: float | None, law: str
+) -> None:
+    """Against ten thousand paths turned one by one at the point that they leave from; kappa and incidence without gravity."""
+    spread, speed, length, plate = 0.12, 6.0, 0.4, np.radians(60.0)
+    down, into = np.array([np.cos(plate), np.sin(plate)]), np.array([np.sin(plate), -np.cos(plate)])
+    launch = np.cos(incidence) * into + np.sin(incidence) * down
+    machine = SimpleNamespace(plate_length_m=0.2)
+    tip = np.array([0.4, -0.2]) + (machine.plate_length_m + kappa_m) * down - length * launch
+    setting = SimpleNamespace(
+        machine=machine, plate_angle_rad=np.asarray(plate), plate_pivot_x_m=0.4, plate_pivot_y_m=-0.2, gravity_m_s2=gravity
     )
-    fan = registry()["stream_spread"].arrival(path, {"spread_rad": spread}, None)
-    direction = incidence + spread * stats.norm.ppf((np.arange(10_000) + 0.5) / 10_000)
-    meets = np.abs(direction) < 0.5 * np.pi
-    strikes = meets & (kappa_m + length * (np.cos(incidence) * np.tan(direction) - np.sin(incidence)) < 0.0)
-    assert float(fan.landing_share) == pytest.approx(np.mean(strikes), abs=2e-4)
-    for got, of in ((fan.normal_speed_m_s, np.cos), (fan.tangential_speed_m_s, np.sin)):
-        assert float(fan.landing_share * got) == pytest.approx(np.mean(speed * of(direction) * strikes), abs=5e-4 * speed)
+
+    def thrown(turn_rad: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Place from the low edge, time, speed into the plate and down it, of paths turned towards the low edge."""
+        vx, vy = (speed * v for v in (
+            launch[0] * np.cos(turn_rad) - launch[1] * np.sin(turn_rad),
+            launch[0] * np.sin(turn_rad) + launch[1] * np.cos(turn_rad),
+        ))  # fmt: skip
+        g, gap = gravity or 0.0, -(tip - np.array([0.4, -0.2])) @ into
+        closing, sliding = vx * into[0] + vy * into[1], vx * down[0] + vy * down[1]
+        with np.errstate(invalid="ignore"):
+            arriving = np.sqrt(np.where(closing > 0.0, closing**2 - 2.0 * g * down[0] * gap, np.nan))
+            time = 2.0 * gap / (closing + arriving)
+        begins = (tip - np.array([0.4, -0.2])) @ down - machine.plate_length_m
+        fallen = g * down[1]
+        return begins + sliding * time + 0.5 * fallen * time**2, time, arriving, sliding + fallen * time
+
+    place, time, normal, tangential = thrown(np.zeros(1))
+    jet = SimpleNamespace(x_m=tip[0], y_m=tip[1], vx_m_s=speed * launch[0], vy_m_s=speed * launch[1])
+    path = Arrival(jet, place, time, normal, tangential, (place < 0.0).astype(float))
+    fan = get_effect(law).arrival(path, {"spread_rad": np.asarray(spread)}, setting)
+    share = (np.arange(10_000) + 0.5) / 10_000
+    turn = spread * (stats.norm.ppf(share) if law == "stream_spread" else np.sqrt(3.0) * (2.0 * share - 1.0))
+    place, _, normal, tangential = thrown(turn)
+    strikes = np.isfinite(place) & (place < 0.0)
+    assert float(fan.landing_share[0]) == pytest.approx(np.mean(strikes), abs=3e-4)
+    within = 5e-4 if gravity is None else 1e-2
+    for got, of in ((fan.normal_speed_m_s, normal), (fan.tangential_speed_m_s, tangential)):
+        expected = np.mean(np.where(strikes, of, 0.0))
+        assert float((fan.landing_share * got)[0]) == pytest.approx(expected, abs=within * speed)
 
 
 @pytest.mark.parametrize(("other", "key", "size"), [("plate_overshoot", "depth_m", 0.02), ("miss_capture", "share", 0.8)])
