@@ -11,7 +11,7 @@ from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import COMPLEX_STEP
 
 FURTHER = tuple(law for name in registry() for law in laws(name)[1:])
-GRAIN = {"friction": 0.3, "density": 1150.0, "shape_ratio": 2.0, "restitution": 0.5}
+GRAIN = {"friction": 0.3, "density": 1150.0, "shape_ratio": 2.0, "restitution": 0.5, "gravity.acceleration_m_s2": 9.81}
 ANGLE, SPEED, FLOW = np.meshgrid(
     np.radians([40.0, 55.0, 70.0, 90.0]), np.array([340.0, 460.0]) * RPM, [2.0, 8.0, 16.0], indexing="ij"
 )
@@ -19,7 +19,7 @@ CONDITIONS = Conditions(ANGLE.ravel(), SPEED.ravel(), mass_flow_kg_s=FLOW.ravel(
 
 
 def _force(name: str, sizes: dict[str, complex]) -> np.ndarray:
-    effects = (name,) if name else ()
+    effects = ("gravity", name) if name else ("gravity",)
     return np.asarray(ForwardModel(Machine(), effects).force(CONDITIONS, GRAIN | sizes, overfull="nan"))
 
 

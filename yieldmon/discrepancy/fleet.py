@@ -96,19 +96,18 @@ def examine(lattice: Lattice, rng: np.random.Generator, policy: Policy) -> Found
     comparison = _Comparison(lattice, base, rng, policy)
     scale = comparison.state(kept).misfit
     shared = _shared(lattice, kept, scale, rng, policy)
-    known = shared.best if shared.verdict == "effect" else shared.base
-    comparison = _Comparison(lattice, known, rng, policy)
+    # What describes the fleet best gives the shapes, named or not.
+    comparison = _Comparison(lattice, shared.best, rng, policy)
     again = comparison.settled(kept)
     if not np.array_equal(again, kept):
         kept = again
         shared = _shared(lattice, kept, comparison.state(kept).misfit, rng, policy)
-        known = shared.best if shared.verdict == "effect" else shared.base
-        comparison = _Comparison(lattice, known, rng, policy)
+        comparison = _Comparison(lattice, shared.best, rng, policy)
     state = comparison.state(kept)
     tail = comparison.tail(state)
     own = {placed.name: comparison.own(i, state, tail) for i, placed in enumerate(lattice.machines)}
     names = tuple(placed.name for placed, keep in zip(lattice.machines, kept, strict=True) if not keep)
-    grain = {p.name: float(sd) * p.scale for p, sd in zip(known.frame.base, np.sqrt(np.median(state.grain, axis=0)), strict=True)}
+    grain = {p.name: float(sd) * p.scale for p, sd in zip(shared.best.frame.base, np.sqrt(np.median(state.grain, axis=0)), strict=True)}
     return Found(shared, own, names, grain, state.misfit)
 
 

@@ -38,7 +38,7 @@ LAWS = (
         EFFECT,
         name="plate_buildup-zeroed",
         law="the horizontal part of the weight across the plate, less what the zero at home took away",
-        source="statics: W cos(phi) across the plate, sin(phi) of that horizontal; the zero is taken at home with what sticks there",
+        source="statics: W cos(phi) across the plate, sin(phi) of that horizontal; zero taken at home with what sticks there",
         reading=_zeroed,
     ),
 )

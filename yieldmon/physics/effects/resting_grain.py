@@ -14,20 +14,22 @@ from .effect import Effect, EffectParameter, Values
 _GRAVITY_M_S2 = 9.81
 
 
-def _weight(reading: Reading, values: Values) -> AnyArray:
+def _pressing(reading: Reading, values: Values, gravity_m_s2: AnyArray | float) -> AnyArray:
+    """Momentum per paddle of the weight that lies on the plate."""
     arrival = reading.impulse.arrival
     landed: AnyArray = np.sum(arrival.landing_share * arrival.jet.mass_kg, axis=-1, keepdims=True)
-    return landed * _GRAVITY_M_S2 * values["time_s"]
+    return landed * gravity_m_s2 * values["time_s"]
 
 
 def _reading(reading: Reading, values: Values, setting: Setting) -> Reading:
-    return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + _weight(reading, values))
+    return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + _pressing(reading, values, _GRAVITY_M_S2))
 
 
 def _across(reading: Reading, values: Values, setting: Setting) -> Reading:
-    angle = setting.plate_angle_rad
-    pressing = _weight(reading, values) * np.cos(angle)
-    return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + pressing * np.sin(angle))
+    if setting.gravity_m_s2 is None:
+        return reading
+    across = _pressing(reading, values, setting.gravity_m_s2) * np.cos(setting.plate_angle_rad)
+    return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + across * np.sin(setting.plate_angle_rad))
 
 
 EFFECT = Effect(
@@ -46,7 +48,7 @@ LAWS = (
     replace(
         EFFECT,
         name="resting_grain-across_plate",
-        law="only the part of the weight across the plate presses on the cell, and of that the horizontal part is read",
+        law="only the part of the weight across the plate presses, and its horizontal part is read; where the model has gravity",
         source="statics of a body on an incline, m-dot t g cos(phi) across the plate",
         reading=_across,
     ),

@@ -95,7 +95,7 @@ LAWS = (
     replace(
         EFFECT,
         name="stream_spread-even",
-        law="directions spread evenly between two limits, as the layers of the heap ahead of the paddle would leave one beside another",
+        law="directions spread evenly between two limits, as layers of the heap that leave one beside another",
         source="even fan of half width sqrt(3) s, cut by the plate's low edge; moments of a truncated uniform distribution",
         arrival=_even,
     ),
