@@ -13,6 +13,7 @@ from yieldmon.cli.main import main
 from yieldmon.errors import InputError
 from yieldmon.fleet import tables
 from yieldmon.fleet.dataset import MARK, Dataset
+from yieldmon.fleet.manifest import load
 from yieldmon.fleet.querying import opened
 from yieldmon.fleet.summary import summarise
 
@@ -158,6 +159,31 @@ def test_names_that_no_run_gives_are_refused(season: Path, name: str) -> None:
         with pytest.raises(InputError, match="names as"):
             act()
     assert (season / name / MARK).is_file()
+
+
+@pytest.mark.parametrize("name", ["JD S790 #2", "100% Müller", "a=b?c*[1]", "m0"])
+def test_a_machine_is_called_as_its_folder_is(tmp_path: Path, name: str) -> None:
+    """Hive's way: what a path, a pattern or a query would take for its own stands as %XX, and readers give the name back."""
+    log = tmp_path / "logs" / name / "7 Oct" / "a.log"
+    log.parent.mkdir(parents=True)
+    log.touch()
+    [partition] = load(str(tmp_path / "logs")).partitions
+    assert (partition.machine, partition.day) == (name, "7 Oct")
+    assert not {" ", "#", "?", "*", "["} & {*partition.name}
+    out = str(made(tmp_path / "season", partition.name))
+    assert [(commit.machine, commit.day) for commit in Dataset(out).commits()] == [(name, "7 Oct")]
+    with opened(out) as query:
+        assert query.rows("SELECT machine, day FROM provenance") == [{"machine": name, "day": "7 Oct"}]
+    Dataset(out).begin()
+    assert len(Dataset(out).commits()) == 1
+
+
+@pytest.mark.parametrize("name", ["(2)", "m\\0", "m\n0", "..", "", "Ä" * 50])
+def test_a_name_that_is_no_folders_is_refused_with_one_line(tmp_path: Path, name: str) -> None:
+    manifest = tmp_path / "manifest.csv"
+    manifest.write_text(f'machine,day,log\n"{name}",1,a.log\n', encoding="utf-8")
+    with pytest.raises(InputError, match=r"begins with a letter or digit"):
+        load(str(manifest))
 
 
 @pytest.mark.parametrize("folder", ["season[1]", "season*", "season?", "it's; DROP"])

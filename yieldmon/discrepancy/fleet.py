@@ -107,7 +107,8 @@ def examine(lattice: Lattice, rng: np.random.Generator, policy: Policy) -> Found
     tail = comparison.tail(state)
     own = {placed.name: comparison.own(i, state, tail) for i, placed in enumerate(lattice.machines)}
     names = tuple(placed.name for placed, keep in zip(lattice.machines, kept, strict=True) if not keep)
-    grain = {p.name: float(sd) * p.scale for p, sd in zip(shared.best.frame.base, np.sqrt(np.median(state.grain, axis=0)), strict=True)}
+    scatter = np.sqrt(np.median(state.grain, axis=0))
+    grain = {p.name: float(sd) * p.scale for p, sd in zip(shared.best.frame.base, scatter, strict=True)}
     return Found(shared, own, names, grain, state.misfit)
 
 

@@ -5,6 +5,8 @@
     DATASET/_run                                    which run may write
     DATASET/_temporary/                             of the run under way
 
+NAME has what is no letter, digit, '.', '_', '-' or '~' as %XX.
+
 `_COMMITTED` is written last and names each file with its size and SHA-256: what it does not name is not part of the dataset. In a
 file system the partition's folder takes its name by one rename, with everything in it; in an object store, whose objects appear
 whole, the mark is the last object. Nothing of a time or a host is written: the same inputs give the same bytes.
@@ -22,10 +24,11 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 from yieldmon.errors import InputError
 from yieldmon.fleet.filesystem import filesystem_of, is_remote
-from yieldmon.fleet.manifest import NAME
+from yieldmon.fleet.manifest import name_of
 
 MARK = "_COMMITTED"
 _FAILED, _RUN, _TEMPORARY = "_failed", "_run", "_temporary"
@@ -50,12 +53,12 @@ class Commit:
     @property
     def machine(self) -> str:
         """Name of the machine."""
-        return self.name.partition("/")[0].partition("=")[2]
+        return unquote(self.name.partition("/")[0].partition("=")[2])
 
     @property
     def day(self) -> str:
         """Name of the day."""
-        return self.name.partition("/")[2].partition("=")[2]
+        return unquote(self.name.partition("/")[2].partition("=")[2])
 
 
 class Dataset:
@@ -183,9 +186,10 @@ class Dataset:
         found = []
         for machine in self._entries("", "machine=", "directory"):
             for name in self._entries(machine, "day=", "directory"):
-                if not all(NAME.fullmatch(part.partition("=")[2]) for part in name.split("/")):
+                if any(name_of(part.partition("=")[2]) is None for part in name.split("/")):
                     problem = f"holds {name[:120]!r}"
-                    raise InputError(self.address, problem, "names as `fleet run` gives them: letters, digits, '.', '_' and '-'")
+                    expected = "names as `fleet run` gives them: letters, digits, '.', '_' and '-', others as %XX"
+                    raise InputError(self.address, problem, expected)
                 found.append(name)
         return found
 

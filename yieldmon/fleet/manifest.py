@@ -7,11 +7,11 @@ the logs of a day, or in the machine's folder, `config.yaml` is its configuratio
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote, unquote
 
 from yieldmon.bus.logs import SUFFIXES
 from yieldmon.errors import InputError
@@ -19,10 +19,27 @@ from yieldmon.files import delimited
 from yieldmon.fleet.filesystem import filesystem_of, is_remote
 
 CONFIG, TICKETS = "config.yaml", "tickets.csv"
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
-"""Of a machine or a day."""
+_MOST_BYTES = 200
+"""Of a name as a folder's."""
 _REQUIRED = ("machine", "day", "log")
 _OPTIONAL = ("config", "tickets", "crop")
+
+
+def folder_of(name: str) -> str:
+    """A machine's or day's name as a partition's folder has it: what is no letter, digit, '.', '_', '-' or '~' as %XX, as Hive,
+    DuckDB and Arrow read it."""
+    return quote(name, safe="")
+
+
+def name_of(folder: str) -> str | None:
+    """The name that `folder_of` gives that folder; None where there is none."""
+    name = unquote(folder)
+    return name if _is_name(name) and folder_of(name) == folder else None
+
+
+def _is_name(text: str) -> bool:
+    plain = text[:1].isalnum() and text.isprintable() and text == text.strip() and not {"/", "\\"} & {*text}
+    return plain and len(folder_of(text)) <= _MOST_BYTES
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +59,7 @@ class Partition:
     @property
     def name(self) -> str:
         """As it stands in a dataset."""
-        return f"machine={self.machine}/day={self.day}"
+        return f"machine={folder_of(self.machine)}/day={folder_of(self.day)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,6 +188,7 @@ def _is_log(name: str) -> bool:
 
 
 def _name(text: str, where: str) -> str:
-    if not NAME.fullmatch(text):
-        raise InputError(where, f"is {text[:120]!r}", "a name of letters, digits, '.', '_' and '-'")
+    if not _is_name(text):
+        expected = "a name that begins with a letter or digit, without '/', '\\' and control characters, at most 200 bytes (%XX)"
+        raise InputError(where, f"is {text[:120]!r}", expected)
     return text
