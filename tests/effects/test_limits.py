@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from yieldmon.physics.effects import get_effect
+from yieldmon.physics.effects import registry
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.stages import Arrival
@@ -227,13 +227,10 @@ def test_spread_moves_grain_across_the_edge_both_ways() -> None:
     assert error[2] < 1e-3
 
 
-@pytest.mark.parametrize("law", ["stream_spread", "stream_spread-even"])
 @pytest.mark.parametrize("gravity", [None, 9.81])
 @pytest.mark.parametrize("incidence", [-0.4, 0.3, 0.9])
 @pytest.mark.parametrize("kappa_m", [-0.15, -0.02, 0.02, 0.1])
-def test_a_fan_is_many_paths_of_which_the_edge_lets_some_pass(
-    kappa_m: float, incidence: float, gravity: float | None, law: str
-) -> None:
+def test_a_fan_is_many_paths_of_which_the_edge_lets_some_pass(kappa_m: float, incidence: float, gravity: float | None) -> None:
     """Against ten thousand paths turned one by one at the point that they leave from; kappa and incidence without gravity."""
     spread, speed, length, plate = 0.12, 6.0, 0.4, np.radians(60.0)
     down, into = np.array([np.cos(plate), np.sin(plate)]), np.array([np.sin(plate), -np.cos(plate)])
@@ -262,10 +259,8 @@ def test_a_fan_is_many_paths_of_which_the_edge_lets_some_pass(
     place, time, normal, tangential = thrown(np.zeros(1))
     jet = SimpleNamespace(x_m=tip[0], y_m=tip[1], vx_m_s=speed * launch[0], vy_m_s=speed * launch[1])
     path = Arrival(jet, place, time, normal, tangential, (place < 0.0).astype(float))
-    fan = get_effect(law).arrival(path, {"spread_rad": np.asarray(spread)}, setting)
-    share = (np.arange(10_000) + 0.5) / 10_000
-    turn = spread * (stats.norm.ppf(share) if law == "stream_spread" else np.sqrt(3.0) * (2.0 * share - 1.0))
-    place, _, normal, tangential = thrown(turn)
+    fan = registry()["stream_spread"].arrival(path, {"spread_rad": np.asarray(spread)}, setting)
+    place, _, normal, tangential = thrown(spread * stats.norm.ppf((np.arange(10_000) + 0.5) / 10_000))
     strikes = np.isfinite(place) & (place < 0.0)
     assert float(fan.landing_share[0]) == pytest.approx(np.mean(strikes), abs=3e-4)
     within = 5e-4 if gravity is None else 1e-2

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from yieldmon.physics.numerics import AnyArray, arctan, erf, exp, maximum, minimum, real, sin_cos, sqrt
+from yieldmon.physics.numerics import AnyArray, arctan, erf, exp, maximum, real, sin_cos, sqrt
 from yieldmon.physics.stages import Arrival, Setting
 
 from .effect import Effect, EffectParameter, Values
 
 _FAR = 7.0
 """Standard deviations beyond which the low edge no longer cuts the fan (1e-12 of the grain)."""
-
-_Shape = Callable[[AnyArray, AnyArray], tuple[AnyArray, AnyArray, AnyArray]]
-"""Share, mean and variance of what lies below an edge, from the edge and the standard deviation."""
 
 
 def _gaussian(edge: AnyArray, spread: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
@@ -26,14 +22,6 @@ def _gaussian(edge: AnyArray, spread: AnyArray) -> tuple[AnyArray, AnyArray, Any
     lands = 0.5 * (1.0 + erf(z / np.sqrt(2.0)))
     hazard = exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) / lands
     return lands, -spread * hazard, spread * spread * (1.0 - z * hazard - hazard * hazard)
-
-
-def _uniform(edge: AnyArray, spread: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
-    """The same of directions spread evenly to both sides."""
-    half = np.sqrt(3.0) * spread
-    beyond = maximum(minimum(edge, half), -half)
-    width = beyond + half
-    return width / (2.0 * half), 0.5 * (beyond - half), width * width / 12.0
 
 
 def _to_edge(arrival: Arrival, setting: Setting) -> AnyArray:
@@ -48,7 +36,8 @@ def _to_edge(arrival: Arrival, setting: Setting) -> AnyArray:
     return arctan(2.0 * (y - drop) / (x + root)) - arctan(jet.vy_m_s / jet.vx_m_s)
 
 
-def _fanned(arrival: Arrival, spread: AnyArray, setting: Setting, shape: _Shape) -> Arrival:
+def _arrival(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
+    spread = values["spread_rad"]
     meets = np.isfinite(real(arrival.from_low_edge_m)) & (real(arrival.normal_speed_m_s) > 0.0)
     fans_out = real(spread) > 0.0
     normal = np.where(meets, arrival.normal_speed_m_s, 1.0)
@@ -57,7 +46,7 @@ def _fanned(arrival: Arrival, spread: AnyArray, setting: Setting, shape: _Shape)
     incidence = arctan(tangential / normal)
     edge = _to_edge(arrival, setting)
     # What lands is turned towards the top.
-    lands, turn, variance = shape(edge, np.where(fans_out, spread, 1.0))
+    lands, turn, variance = _gaussian(edge, np.where(fans_out, spread, 1.0))
     kept = speed * exp(-0.5 * variance)
     sin, cos = sin_cos(incidence + turn)
     fan = meets & fans_out
@@ -71,14 +60,6 @@ def _fanned(arrival: Arrival, spread: AnyArray, setting: Setting, shape: _Shape)
     )
 
 
-def _arrival(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
-    return _fanned(arrival, values["spread_rad"], setting, _gaussian)
-
-
-def _even(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
-    return _fanned(arrival, values["spread_rad"], setting, _uniform)
-
-
 EFFECT = Effect(
     name="stream_spread",
     stage="flight",
@@ -89,14 +70,4 @@ EFFECT = Effect(
     arrival=_arrival,
     needs_misses=True,
     rank=1,
-)
-
-LAWS = (
-    replace(
-        EFFECT,
-        name="stream_spread-even",
-        law="directions spread evenly between two limits, as layers of the heap that leave one beside another",
-        source="even fan of half width sqrt(3) s, cut by the plate's low edge; moments of a truncated uniform distribution",
-        arrival=_even,
-    ),
 )
