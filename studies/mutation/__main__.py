@@ -68,7 +68,7 @@ NAMED = (
     Named("reported faults are kept at a reload", "yieldmon/service/daemon.py", "        self._faults.report_all_anew()\n", ""),
     Named(
         "a dead thread is passed over", "yieldmon/service/daemon.py",
-        "            if not thread.alive:\n", "            if False:\n",
+        "            if not is_alive:\n", "            if False:\n",
         ("tests/service/test_stalls.py", "tests/service/test_signs_of_life.py"),
     ),
     Named(

@@ -32,8 +32,9 @@ from typing import Any
 from tests.robustness.soak_machine import CYCLE_S, EXPECTED_FAULTS, STUCK_EVERY, MachineOnBus
 from yieldmon.service import configuration
 from yieldmon.service.batch import Batch
+from yieldmon.service.bus_time import SILENCE_S
 from yieldmon.service.control import ask
-from yieldmon.service.daemon import SILENCE_S, Daemon
+from yieldmon.service.daemon import Daemon
 from yieldmon.service.retention import Retention
 from yieldmon.service.store import Store
 

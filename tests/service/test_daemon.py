@@ -25,8 +25,9 @@ from yieldmon.cli import main as cli
 from yieldmon.files import parameter_file
 from yieldmon.frames import EstimateQuality, Frame
 from yieldmon.service import configuration
+from yieldmon.service.bus_time import SILENCE_S
+from yieldmon.service.command_queue import CommandQueue
 from yieldmon.service.control import ControlError
-from yieldmon.service.daemon import SILENCE_S
 from yieldmon.service.journal import Journal
 from yieldmon.service.store import Store
 
@@ -182,26 +183,12 @@ def test_a_stop_writes_everything_whatever_cannot_be_taken_away(tmp_path, monkey
         assert store.counters()["starts"] == 1
 
 
-def test_a_command_that_was_not_answered_is_not_carried_out_later(tmp_path, monkeypatch):
+def test_a_command_that_was_not_answered_is_not_carried_out_later():
     """The operator who was told so gives it again."""
-    monkeypatch.setattr("yieldmon.service.daemon._COMMAND_PATIENCE_S", 0.3)
-    with running(tmp_path) as bench:
-        bench.play(3, EMPTY_MV)
-        bench.played()
-        gate, held, take = threading.Event(), threading.Event(), bench.daemon._do_commands
-
-        def late() -> None:
-            held.set()
-            assert gate.wait(PATIENCE_S)
-            take()
-
-        monkeypatch.setattr(bench.daemon, "_do_commands", late)
-        assert held.wait(PATIENCE_S)
-        with pytest.raises(ControlError, match="did not answer in time; nothing was done"):
-            bench.daemon.command({"command": "load-start"})
-        monkeypatch.undo()
-        gate.set()
-        assert bench.daemon.command({"command": "load-start"})["load"] == 2
+    queued = CommandQueue(patience_s=0.01)
+    with pytest.raises(ControlError, match="did not answer in time; nothing was done"):
+        queued.ask({"command": "load-start"})
+    assert list(queued.take()) == []
 
 
 def test_names_are_shown_as_they_were_given(tmp_path, capsys):
@@ -228,6 +215,7 @@ def test_a_slow_disk_is_a_fault_until_it_has_caught_up(tmp_path, monkeypatch):
     with running(tmp_path) as bench:
         bench.play(3, EMPTY_MV)
         bench.played()
+        wait_for(lambda: bench.daemon.writer.health().pending == 0, "the seconds so far on the disk")
         gate.clear()
         bench.play(3, EMPTY_MV)
         bench.played()

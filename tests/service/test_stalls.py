@@ -13,7 +13,8 @@ from tests.service.bench import CODEC, PATIENCE_S, START_S, running, traffic, wa
 from yieldmon import frames
 from yieldmon.frames import Frame
 from yieldmon.service import configuration
-from yieldmon.service.daemon import SILENCE_S, Daemon
+from yieldmon.service.bus_time import SILENCE_S
+from yieldmon.service.daemon import Daemon
 
 
 class StarvedBus(can.BusABC):

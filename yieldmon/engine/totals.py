@@ -38,6 +38,16 @@ class Totals:
     load_unknown_area_kg: float = 0.0
     market_moisture_pct: float = CORN_MARKET_MOISTURE_PCT
 
+    @property
+    def known_total_dry_kg(self) -> float | None:
+        """Dry mass of the total; None where the moisture of some of it is not known."""
+        return self.total_dry_kg if self.total_unknown_moisture_kg == 0.0 else None
+
+    @property
+    def known_load_dry_kg(self) -> float | None:
+        """The same of the load."""
+        return self.load_dry_kg if self.load_unknown_moisture_kg == 0.0 else None
+
     def with_contested(self, mass_kg: float) -> Totals:
         """Mass of a window that more than one node sent samples for: counted here and nowhere else."""
         share = 1.0 if self.load_open else 0.0

@@ -7,18 +7,14 @@ thread touches the monitor; the others reach it through queues.
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 import os
-import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import Future
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from time import monotonic
-from typing import Any, Protocol, cast
+from typing import Any, cast
 
 import can
 
@@ -30,26 +26,30 @@ from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import Result, frames_in, records_in
 from yieldmon.errors import InputError
-from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.frames import Frame
 from yieldmon.service import commands
-from yieldmon.service.assembly import calibration_age_s, monitor_of
+from yieldmon.service.assembly import monitor_of
+from yieldmon.service.bus_time import SILENCE_S, BusTime
+from yieldmon.service.bus_traffic import BusTraffic, FrameRate
+from yieldmon.service.command_queue import CommandQueue
 from yieldmon.service.configuration import Configuration
-from yieldmon.service.control import Answer, ControlError, ControlServer
+from yieldmon.service.control import Answer, ControlServer
+from yieldmon.service.frame_sender import FrameSender
 from yieldmon.service.input_frames import InputFrames
 from yieldmon.service.journal import Journal
 from yieldmon.service.link import link_for
-from yieldmon.service.mapped_outputs import MappedOutputs, OutputMessage
-from yieldmon.service.memory import Memory, choose_parameters
+from yieldmon.service.mapped_outputs import MappedOutputs
+from yieldmon.service.memory import choose_parameters
 from yieldmon.service.metrics import MetricsFile
 from yieldmon.service.notify import ServiceManager
 from yieldmon.service.ownership import owned
 from yieldmon.service.posting import Poster
 from yieldmon.service.recovery import recover
-from yieldmon.service.reference_loads import StoredLoad, of_path, reference
-from yieldmon.service.rows import SecondRow, kept_second
+from yieldmon.service.reference_loads import StoredLoad, of_path
+from yieldmon.service.reload_check import at_next_start
+from yieldmon.service.resumption import resume, successor
+from yieldmon.service.rows import SecondRow
 from yieldmon.service.service_faults import ServiceFaults
-from yieldmon.service.snapshot import Rates, snapshot
+from yieldmon.service.snapshot import snapshot
 from yieldmon.service.store import Store
 from yieldmon.service.transmit import ASKED_ECHO_S, ECHO_S, Transmitter
 from yieldmon.service.writer import StoreWriter
@@ -58,36 +58,13 @@ _log = logging.getLogger(__name__)
 
 _BATCH_FRAMES = 512
 _WAIT_S = 0.05
-#: With no frame of ours for this long the engine's time goes on by the monotonic clock, this much behind it, so that frames
-#: still on their way are not late.
-SILENCE_S = 0.15
-_TICK_DELAY_S = 0.1
 _LAST_ROWS = 10
-_COMMAND_PATIENCE_S = 5.0
 #: From this age on what `status` says is marked as stale.
 _STALE_S = 5.0
 #: A thread that gives no sign of life for so long is a reason to have the daemon started anew.
 _HANGS_FOR_GOOD_S = 8.0
 #: How long a stop waits for the disk; with the other steps it is over within 5 s.
 STOP_WRITING_S = 1.5
-
-#: Sections of the configuration that a reload cannot change.
-_FIXED_AT_START = ("bus", "store", "status", "network")
-
-
-class _Alive(Protocol):
-    @property
-    def alive(self) -> bool: ...
-
-
-@dataclass
-class _Job:
-    """A command on its way to the engine's thread."""
-
-    request: Mapping[str, Any]
-    answer: Future[Answer]
-    stored: Sequence[StoredLoad] = ()
-    """Loads that it names, as the store has them."""
 
 
 class Daemon:
@@ -116,7 +93,6 @@ class Daemon:
         self._outputs = MappedOutputs(configuration.outputs, configuration.engine.totals)
         self._network_clock = network_clock
         self._address: int | None = None
-        self._silence_s = silence_s
         self._stop_writing_s = stop_writing_s
         self.started = threading.Event()
         """Set once frames are taken and commands answered."""
@@ -124,33 +100,29 @@ class Daemon:
         self._stop_wanted = False
         self._reload_wanted = False
         self._reloads = 0
-        self._commands: queue.SimpleQueue[_Job] = queue.SimpleQueue()
+        self._commands = CommandQueue()
         self._faults = ServiceFaults()
         self._reload_note = "none since the start"
         self._rows: deque[SecondRow] = deque(maxlen=_LAST_ROWS)
         self._record: WindowRecord | None = None
         """Of the last window of the monitor in use."""
         self._malformed = 0
-        self._unsendable = 0
         self._started_s = monotonic()
         self._store_note = ""
         self._origin = "file"
-        self._last_heard: tuple[float, float] | None = None
-        """Bus time and monotonic time of the last frame, whoever sent it."""
-        self._ours_s = float("-inf")
         self._answer: Answer = {}
+        self._window_closed = False
         settings = configuration.document.bus
+        self._time = BusTime(silence_s, settings.idle_after_s, self._started_s)
         self._receiver = Receiver(bus_factory or self._open_bus, capacity=settings.receive_queue_frames)
         self._transmitter = Transmitter(
             self._receiver.send, settings.transmit_queue_frames, settings.transmit_max_age_s,
             echo_s=ASKED_ECHO_S if bus_factory is None and settings.interface == "socketcan" else ECHO_S,
         )  # fmt: skip
+        self._sender = FrameSender(self._codec, self._link, self._transmitter, network_clock)
         self._writer = StoreWriter(self._open_store, configuration.document.store.pending_seconds, path=configuration.store_path)
         self._poster = Poster(configuration.store_path, self._writer.wait_until_written)
-        self._rates = Rates()
-        self._threads: Mapping[str, _Alive] = {
-            "receive": self._receiver, "transmit": self._transmitter, "store": self._writer,
-        }  # fmt: skip
+        self._rate = FrameRate()
         self._answered_s = monotonic()
         self._replacements = 0
 
@@ -177,7 +149,7 @@ class Daemon:
     @property
     def heard_bus_s(self) -> float | None:
         """Bus time of the last frame that the engine has taken, s; None before the first."""
-        return None if self._last_heard is None else self._last_heard[0]
+        return self._time.last_s
 
     @property
     def snapshot(self) -> Answer:
@@ -209,8 +181,8 @@ class Daemon:
         parameters, self._origin = choose_parameters(memory, self.configuration.parameters)
         self._journal = Journal(memory, self.configuration.parameters, now_s=time.time())
         self._journal.new_monitor(parameters, self._origin)
-        self._monitor = _monitor_for(self.configuration, parameters)
-        self._resume(memory)
+        self._monitor = monitor_of(self.configuration, parameters)
+        resume(self._monitor, memory, self._origin, self.configuration.parameters, time.time())
         commands.set_crop(self._monitor, self._journal)
         self._answer = self._snapshot()
         self._receiver.start()
@@ -225,7 +197,7 @@ class Daemon:
         for helper in helpers:
             helper.start()
         self._report_faults()
-        self._submit(self._link.start(self._network_clock()))
+        self._sender.send(self._link.start(self._network_clock()))
         self.started.set()
         self._manager.ready()
         for note in self.configuration.notes:
@@ -282,24 +254,6 @@ class Daemon:
     def _open_store(self) -> Store:
         return Store(self.configuration.store_path, self.configuration.retention)
 
-    def _resume(self, memory: Memory) -> None:
-        now_s = time.time()
-        if memory.engine is None:
-            age_s = calibration_age_s(self.configuration.parameters, now_s)
-            self._monitor.set_estimator(self._monitor.estimator, age_s)
-            return
-        age_s = memory.engine.calibration_age_s
-        if self._origin == "file":
-            age_s = calibration_age_s(self.configuration.parameters, now_s)
-        elif age_s is not None:
-            age_s += max(0.0, now_s - memory.saved_s)
-        self._monitor.restore(dataclasses.replace(memory.engine, calibration_age_s=age_s))
-        self._monitor.remember_since_zero([kept_second(row) for row in memory.since_zero])
-        for stored in memory.ticketed if self._origin == "store" else ():
-            found = reference(stored, self._monitor.machine, self._monitor.settings.windows.min_coverage)
-            self._monitor.know_load(found.summary, found.seconds)
-        self._monitor.remember_tickets(memory.engine.tickets)
-
     # The engine's thread
 
     def _round(self) -> None:
@@ -314,8 +268,8 @@ class Daemon:
                 self._take_message(item)
         self._tick_if_silent(empty_until_s if not items else float("-inf"))
         self._receiver.due_s = self._monitor.due_s
-        self._submit(self._link.poll(self._network_clock()))
-        self._send_mapped(self._outputs.poll(self._network_clock()))
+        self._sender.send(self._link.poll(self._network_clock()))
+        self._sender.send_mapped(self._outputs.poll(self._network_clock()))
         if self._link.address != self._address:
             self._address = self._link.address
             self._answer = self._snapshot()
@@ -327,12 +281,13 @@ class Daemon:
         if self._reload_wanted and (self._window_closed or not items):
             self._reload_wanted = False
             self._do_reload()
-        for name, thread in self._threads.items():
-            if not thread.alive:
+        alive = {"receive": self._receiver.alive, "transmit": self._transmitter.alive, "store": self._writer.alive}
+        for name, is_alive in alive.items():
+            if not is_alive:
                 raise RuntimeError(f"the {name} thread has died")
 
     def _take_message(self, message: can.Message) -> None:
-        self._last_heard = (message.timestamp, monotonic())
+        self._time.heard(message.timestamp, monotonic())
         try:
             heard = self._inputs.heard(message)
         except FrameError as error:
@@ -347,26 +302,18 @@ class Daemon:
         if (concerned or published or mapped) and self._transmitter.is_echo(message):
             return
         if concerned:
-            self._submit(self._link.hear(message, self._network_clock()))
+            self._sender.send(self._link.hear(message, self._network_clock()))
         for frame in heard:
             if frame.message not in frames.OUTPUTS:
-                self._ours_s = frame.time_s
+                self._time.ours(frame.time_s)
                 self._happened(self._monitor.feed(frame))
         for name in (*(published if self.configuration.outputs.shipped else ()), *([mapped] if mapped else ())):
             self._faults.conflict(name, monotonic())
 
     def _tick_if_silent(self, empty_until_s: float) -> None:
-        """Lets the engine's time go on without frames of ours: as far as others' frames say, or the bus is known to be empty."""
-        if self._last_heard is None:
-            # No frame yet, so no bus time either; the system's clock is as good a start as any, once it is needed.
-            if monotonic() - self._started_s > self.configuration.document.bus.idle_after_s:
-                self._last_heard = (time.time(), monotonic())
-                self._happened(self._monitor.tick(self._last_heard[0]))
-            return
-        bus_s, heard_s = self._last_heard
-        if empty_until_s - heard_s > self._silence_s:
-            self._happened(self._monitor.tick(bus_s + (empty_until_s - heard_s) - _TICK_DELAY_S))
-        elif abs(bus_s - self._ours_s) > self._silence_s:
+        """Lets the engine's time go on where no frame of ours does."""
+        bus_s = self._time.without_ours(empty_until_s, monotonic(), time.time())
+        if bus_s is not None:
             self._happened(self._monitor.tick(bus_s))
 
     def _happened(self, results: Sequence[Result]) -> None:
@@ -374,43 +321,13 @@ class Daemon:
         if not results:
             return
         if self.configuration.outputs.shipped:
-            self._send(frames_in(results))
-        self._send_mapped(self._outputs.take(results, self._monitor.totals, self._network_clock()))
+            self._sender.send_frames(frames_in(results))
+        self._sender.send_mapped(self._outputs.take(results, self._monitor.totals, self._network_clock()))
         rows = self._journal.take(results)
         if rows:
             self._rows.extend(rows)
             self._record = records_in(results)[-1]
             self._second_done()
-
-    def _send(self, out: list[Frame]) -> None:
-        for frame in out:
-            try:
-                # A late command is worse than none.
-                waits_from_s = None if frame.message == frames.PLATE_ACTUATOR_COMMAND else self._network_clock()
-                message = self._link.addressed(self._codec.encode(frame), waits_from_s)
-            except FrameError as error:
-                self._unsendable += 1
-                if self._unsendable == 1:
-                    _log.error("%s", error)
-                continue
-            if message is not None:
-                self._transmitter.submit(message)
-
-    def _send_mapped(self, out: Iterable[OutputMessage]) -> None:
-        for item in out:
-            message: can.Message | None = item.message
-            if item.own_address:
-                if self._link.address is not None:
-                    item.message.arbitration_id = item.message.arbitration_id & ~0xFF | self._link.address
-                message = self._link.addressed(item.message, self._network_clock() if item.may_wait else None)
-            if message is not None:
-                self._transmitter.submit(message)
-
-    def _submit(self, messages: Iterable[can.Message]) -> None:
-        for message in messages:
-            self._transmitter.submit(message)
-
-    _window_closed = False
 
     def _second_done(self) -> None:
         """A window has closed: the engine lives, its frames are out, and the second goes to the store."""
@@ -421,7 +338,7 @@ class Daemon:
         if max(self._receiver.hangs_s(), self._transmitter.hangs_s()) < _HANGS_FOR_GOOD_S:
             # A daemon that hears or says nothing any more is one to start anew.
             self._manager.alive()
-        self._rates.second(monotonic(), self._receiver.counters().received)
+        self._rate.second(monotonic(), self._receiver.counters().received)
         self._answer = self._snapshot()
         self._manager.status(commands.summary(self._answer))
 
@@ -438,35 +355,28 @@ class Daemon:
         """Trouble codes, and the second's values for a task controller."""
         now_s = self._network_clock()
         if self.configuration.document.diagnostics.dm1_enabled:
-            self._submit(self._link.tell_trouble(self._monitor.faults.active, now_s))
+            self._sender.send(self._link.tell_trouble(self._monitor.faults.active, now_s))
         if self._record is not None:
-            self._submit(self._link.tell_second(self._record, self._monitor.totals, now_s))
+            self._sender.send(self._link.tell_second(self._record, self._monitor.totals, now_s))
 
     def _commit(self) -> None:
-        self._writer.submit(self._journal.batch(self._monitor, time.time(), self._counters()))
+        self._writer.submit(self._journal.batch(self._monitor, time.time(), self._traffic().counters()))
 
-    def _counters(self) -> dict[str, int]:
-        received, sent = self._receiver.counters(), self._transmitter.counters()
-        return {
-            "starts": 1,
-            "frames_received": received.received,
-            "frames_dropped": received.dropped,
-            "kernel_drops": received.kernel_drops,
-            "error_frames": received.error_frames,
-            "bus_offs": received.bus_offs,
-            "interface_losses": received.interface_losses,
-            "frames_malformed": self._malformed,
-            "frames_sent": sent.sent,
-            "frames_late": sent.late,
-            "frames_refused": sent.failed,
-        }
+    def _traffic(self) -> BusTraffic:
+        return BusTraffic(
+            received=self._receiver.counters(),
+            sent=self._transmitter.counters(),
+            frames_per_s=self._rate.frames_per_s,
+            malformed=self._malformed,
+            incomplete=self._inputs.incomplete,
+        )
 
     # Faults that only the service sees
 
     def _take_event(self, event: BusEvent) -> None:
         self._faults.bus_event(event, monotonic())
         if event.kind is BusEventKind.INTERFACE_RESTORED:
-            self._submit(self._link.start(self._network_clock()))
+            self._sender.send(self._link.start(self._network_clock()))
 
     def _report_faults(self) -> None:
         """Reports to the monitor each condition that came, went or changed."""
@@ -495,15 +405,7 @@ class Daemon:
         """
         if request["command"] == "status":
             return self._status()
-        job = _Job(request, Future(), self._stored(request))
-        self._commands.put(job)
-        try:
-            return job.answer.result(_COMMAND_PATIENCE_S)
-        except TimeoutError:
-            # What was said to have failed must not be done later.
-            if not job.answer.cancel():
-                return job.answer.result()
-            raise ControlError("the engine did not answer in time; nothing was done") from None
+        return self._commands.ask(request, self._stored(request))
 
     def _stored(self, request: Mapping[str, Any]) -> Sequence[StoredLoad]:
         """Loads that a ticket names, read here and not on the engine's thread, which must not wait for a disk."""
@@ -518,10 +420,7 @@ class Daemon:
 
     def _do_commands(self) -> None:
         done = False
-        while not self._commands.empty():
-            job = self._commands.get()
-            if not job.answer.set_running_or_notify_cancel():
-                continue
+        for job in self._commands.take():
             try:
                 answer = commands.execute(job.request, self._monitor, self._journal, time.time(), job.stored)
                 job.answer.set_result({**answer, "units": self.configuration.document.units})
@@ -560,21 +459,10 @@ class Daemon:
         self._manager.ready()
 
     def _use(self, new: Configuration) -> None:
-        old = self.configuration
-        if new.signals != old.signals:
-            raise InputError("signals", "changed with the service running", "a restart: the bus is filtered for them")
-        if new.outputs != old.outputs:
-            raise InputError("outputs", "changed with the service running", "a restart: the bus is filtered for them")
-        fixed = [name for name in _FIXED_AT_START if getattr(new.document, name) != getattr(old.document, name)]
+        later = at_next_start(self.configuration, new)
         fresh = self._journal.parameters.read_anew(new.parameters)
-        state = self._monitor.snapshot()
         self._commit()
-        if fresh is not None:
-            state = dataclasses.replace(state, calibration_age_s=calibration_age_s(fresh, time.time()))
-        monitor = _monitor_for(new, fresh or self._monitor.estimator.parameters)
-        monitor.restore(state)
-        if fresh is None:
-            monitor.take_tickets_of(self._monitor)
+        monitor = successor(self._monitor, new, fresh, time.time())
         commands.set_crop(monitor, self._journal)
         self._monitor, self._record = monitor, None
         # The next batch brings the parameters.
@@ -583,7 +471,7 @@ class Daemon:
         self.configuration = new
         self._outputs = MappedOutputs(new.outputs, new.engine.totals)
         logging.getLogger("yieldmon").setLevel(new.document.logging.level.upper())
-        self._reload_note = "taken" + (f"; {', '.join(fixed)} will be at the next start" if fixed else "")
+        self._reload_note = "taken" + (f"; {', '.join(later)} will be at the next start" if later else "")
         _log.info("configuration reloaded: %s", self._reload_note)
         for note in new.notes:
             _log.warning("%s", note)
@@ -596,19 +484,11 @@ class Daemon:
             record=self._record,
             journal=self._journal,
             rows=tuple(self._rows),
-            received=self._receiver.counters(),
-            sent=self._transmitter.counters(),
+            traffic=self._traffic(),
             store=self._writer.health(),
             store_note=self._store_note,
-            frames_per_s=self._rates.frames_per_s,
-            malformed=self._malformed,
-            incomplete=self._inputs.incomplete,
             reload_note=self._reload_note,
             reloads=self._reloads,
             uptime_s=monotonic() - self._started_s,
             network=self._link.status(),
         )
-
-
-def _monitor_for(configuration: Configuration, parameters: ParameterSet) -> Monitor:
-    return monitor_of(configuration, parameters)

@@ -11,7 +11,7 @@ def harvested(totals: Totals) -> Harvested:
     """Area of the open load, and the yields of the mass whose area is known; None where nothing is."""
     placed_kg = totals.load_kg - totals.load_unknown_area_kg
     share = placed_kg / totals.load_kg if totals.load_kg > 0.0 else 0.0
-    dry_kg = totals.load_dry_kg if totals.load_unknown_moisture_kg == 0.0 else None
+    dry_kg = totals.known_load_dry_kg
     area_m2 = totals.load_area_m2 if totals.load_area_m2 > 0.0 else None
     return {
         "area_m2": area_m2,

@@ -362,7 +362,7 @@ def second_of(record: WindowRecord, totals: Totals, settings: TotalsSettings) ->
         total_kg=record.total_kg,
         harvesting=record.operating_state in (OperatingState.HARVESTING, OperatingState.SWEEPING),
         dry_flow_kg_s=None if flow is None else dry_mass(flow, record.moisture_pct, settings, totals.market_moisture_pct),
-        dry_total_kg=totals.total_dry_kg if totals.total_unknown_moisture_kg == 0.0 else None,
+        dry_total_kg=totals.known_total_dry_kg,
         moisture_pct=finite(record.moisture_pct),
         ground_speed_m_s=finite(record.ground_speed_m_s),
     )

@@ -84,7 +84,7 @@ def document(summary: Summary, monitor: Monitor) -> ProcessSummary:
         "messages_incomplete": summary.incomplete,
         "windows": summary.windows,
         "total_mass_kg": totals.total_kg,
-        "dry_mass_kg": totals.total_dry_kg if totals.total_unknown_moisture_kg == 0.0 else None,
+        "dry_mass_kg": totals.known_total_dry_kg,
         "area_m2": land["area_m2"],
         "mass_of_unknown_area_kg": land["mass_of_unknown_area_kg"],
         "yield_kg_m2": land["yield_kg_m2"],

@@ -133,7 +133,7 @@ def _of_record(
     return {
         "moisture": record.moisture_pct if isfinite(record.moisture_pct) else None,
         "dry_mass_flow": dry_kg_s,
-        "dry_load_mass": totals.load_dry_kg if totals.load_unknown_moisture_kg == 0.0 else None,
-        "dry_total_mass": totals.total_dry_kg if totals.total_unknown_moisture_kg == 0.0 else None,
+        "dry_load_mass": totals.known_load_dry_kg,
+        "dry_total_mass": totals.known_total_dry_kg,
         "active_faults": float(len(record.faults)),
     }

@@ -5,10 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 
 import yieldmon
-from yieldmon.bus.opening import time_stamps_of
-from yieldmon.bus.receiver import ReceiverCounters
 from yieldmon.documents.status import (
-    StatusBus,
     StatusCrop,
     StatusFault,
     StatusFigures,
@@ -33,31 +30,16 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files.crops import find_crop
 from yieldmon.finite import finite
 from yieldmon.frames import EstimateQuality, OperatingState
+from yieldmon.service.bus_traffic import BusTraffic
 from yieldmon.service.configuration import Configuration
 from yieldmon.service.harvested import harvested
 from yieldmon.service.journal import Journal
 from yieldmon.service.mapping_check import aliasing_pct, notes
 from yieldmon.service.rows import SecondRow
-from yieldmon.service.transmit import TransmitCounters
 from yieldmon.service.writer import StoreHealth
 from yieldmon.units import crop_yield_kg_m2
 
-_SPAN_S = 5.0
 _RECENT_LOADS = 10
-
-
-class Rates:
-    """Frames received per second, over the last few seconds."""
-
-    def __init__(self) -> None:
-        self._seen: list[tuple[float, int]] = []
-        self.frames_per_s = 0.0
-
-    def second(self, now_s: float, received: int) -> None:
-        """Called about once a second with the count so far; now_s is monotonic."""
-        self._seen = [entry for entry in self._seen if now_s - entry[0] <= _SPAN_S] + [(now_s, received)]
-        (first_s, first), (last_s, last) = self._seen[0], self._seen[-1]
-        self.frames_per_s = (last - first) / (last_s - first_s) if last_s > first_s else 0.0
 
 
 def snapshot(
@@ -67,13 +49,9 @@ def snapshot(
     record: WindowRecord | None,
     journal: Journal,
     rows: tuple[SecondRow, ...],
-    received: ReceiverCounters,
-    sent: TransmitCounters,
+    traffic: BusTraffic,
     store: StoreHealth,
     store_note: str,
-    frames_per_s: float,
-    malformed: int,
-    incomplete: int,
     reload_note: str,
     reloads: int,
     uptime_s: float,
@@ -106,7 +84,7 @@ def snapshot(
         "waveform": _waveform(monitor),
         "parameters": _parameters(parameters, engine),
         "faults": [_fault(monitor, code) for code in monitor.faults.active],
-        "bus": _bus(configuration, received, sent, frames_per_s, malformed, incomplete),
+        "bus": traffic.status(configuration.document.bus),
         "network": network,
         "signals": {
             "rate_hz": [round(source.rate_hz, 3) for source in configuration.signals.sources.impact],
@@ -152,7 +130,7 @@ def _load(totals: Totals, journal: Journal) -> StatusLoad:
         "contested_mass_kg": totals.load_contested_kg,
         "std_dev_kg": finite(totals.load_budget.std_dev_kg),
         "std_dev_by_cause_kg": _by_cause(totals.load_budget),
-        "dry_mass_kg": totals.load_dry_kg if totals.load_unknown_moisture_kg == 0.0 else None,
+        "dry_mass_kg": totals.known_load_dry_kg,
         **harvested(totals),
     }
 
@@ -201,36 +179,6 @@ def _fault(monitor: Monitor, code: FaultCode) -> StatusFault:
         "cause": fault.cause,
         "effect": fault.effect,
         "remedy": fault.remedy,
-    }
-
-
-def _bus(
-    configuration: Configuration,
-    received: ReceiverCounters,
-    sent: TransmitCounters,
-    frames_per_s: float,
-    malformed: int,
-    incomplete: int,
-) -> StatusBus:
-    bus = configuration.document.bus
-    return {
-        "interface": bus.interface,
-        "channel": bus.channel,
-        "time_stamps": time_stamps_of(bus.interface),
-        "frames_per_s": round(frames_per_s, 1),
-        "received": received.received,
-        "dropped": received.dropped,
-        "kernel_drops": received.kernel_drops,
-        "error_frames": received.error_frames,
-        "bus_offs": received.bus_offs,
-        "interface_losses": received.interface_losses,
-        "failures": received.failures,
-        "malformed": malformed,
-        "incomplete": incomplete,
-        "sent": sent.sent,
-        "late": sent.late,
-        "refused": sent.failed,
-        "last_refusal": sent.last_failure or None,
     }
 
 

@@ -1,0 +1,52 @@
+"""Commands on their way from the control socket's threads to the engine's."""
+
+from __future__ import annotations
+
+import queue
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from typing import Any
+
+from yieldmon.service.control import Answer, ControlError
+from yieldmon.service.reference_loads import StoredLoad
+
+#: How long a command waits for the engine.
+PATIENCE_S = 5.0
+
+
+@dataclass(frozen=True)
+class Job:
+    """A command that waits for its answer. stored: loads that it names, as the store has them."""
+
+    request: Mapping[str, Any]
+    stored: Sequence[StoredLoad] = ()
+    answer: Future[Answer] = field(default_factory=Future)
+
+
+class CommandQueue:
+    """`ask` is called on any thread, `take` on the engine's."""
+
+    def __init__(self, patience_s: float = PATIENCE_S) -> None:
+        self._jobs: queue.SimpleQueue[Job] = queue.SimpleQueue()
+        self._patience_s = patience_s
+
+    def ask(self, request: Mapping[str, Any], stored: Sequence[StoredLoad] = ()) -> Answer:
+        """Waits for the answer. Raises InputError for a request that is refused, ControlError where the engine does not answer in
+        time."""
+        job = Job(request, stored)
+        self._jobs.put(job)
+        try:
+            return job.answer.result(self._patience_s)
+        except TimeoutError:
+            # What was said to have failed must not be done later.
+            if not job.answer.cancel():
+                return job.answer.result()
+            raise ControlError("the engine did not answer in time; nothing was done") from None
+
+    def take(self) -> Iterator[Job]:
+        """Those that wait, without what was given up; the caller sets the answer of each."""
+        while not self._jobs.empty():
+            job = self._jobs.get()
+            if job.answer.set_running_or_notify_cancel():
+                yield job

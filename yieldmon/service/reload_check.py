@@ -1,0 +1,18 @@
+"""What of a new configuration a running daemon can take."""
+
+from __future__ import annotations
+
+from yieldmon.errors import InputError
+from yieldmon.service.configuration import Configuration
+
+#: Sections of the configuration that a reload cannot change.
+_FIXED_AT_START = ("bus", "store", "status", "network")
+
+
+def at_next_start(old: Configuration, new: Configuration) -> list[str]:
+    """Sections that changed and are taken at the next start only. Raises InputError where nothing of the new one can be used
+    before."""
+    for name in ("signals", "outputs"):
+        if getattr(new, name) != getattr(old, name):
+            raise InputError(name, "changed with the service running", "a restart: the bus is filtered for them")
+    return [name for name in _FIXED_AT_START if getattr(new.document, name) != getattr(old.document, name)]
