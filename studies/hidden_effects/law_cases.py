@@ -66,7 +66,11 @@ COMBINE: dict[str, tuple[str, float, float]] = {
 
 
 def combine_rows(effects: dict[str, Any], averaging_s: float, rng: np.random.Generator) -> Rows:
-    """270 rows of the virtual combine: 6 angles, 5 flows, 3 speeds, 3 trials."""
+    """270 rows of the virtual combine: 6 angles, 5 flows, 3 speeds, 3 trials.
+
+    With an angle offset the angles are 1 deg less: its table of pulses ends at 94 deg.
+    """
+    angles_deg = tuple(range(39, 90, 10) if "plate_angle_offset" in effects else range(40, 91, 10))
     grain = {
         "friction": float(rng.uniform(0.15, 0.45)),
         "restitution": float(rng.uniform(0.35, 0.65)),
@@ -74,7 +78,7 @@ def combine_rows(effects: dict[str, Any], averaging_s: float, rng: np.random.Gen
     }
     scenario = Scenario.model_validate({"duration_s": 10, "crop": grain, "effects": {"gravity": "on"} | effects})
     columns = facility.measure(
-        scenario, Machine(), (1.5, 4.0, 8.0, 12.0, 17.0), tuple(range(40, 91, 10)), (340.0, 400.0, 460.0),
+        scenario, Machine(), (1.5, 4.0, 8.0, 12.0, 17.0), angles_deg, (340.0, 400.0, 460.0),
         averaging_s=averaging_s, trials=3, seed=int(rng.integers(2**31)),
     )  # fmt: skip
     nothing = np.full(len(columns["force_n"]), np.nan)
