@@ -123,3 +123,10 @@ list:
 def test_plain_characters_are_read_as_among_others(text):
     """ASCII goes through libyaml where it is there, anything else through PyYAML's own parser."""
     assert repr(strict_yaml.parse(text, "x")) == repr(strict_yaml.parse(text + "# \u00e9\n", "x"))
+
+
+def test_a_read_that_fails_this_time_names_its_file():
+    """Linux refuses to read the first byte of a process's memory, as a disk that fails does."""
+    with pytest.raises(OSError, match="Input/output error") as caught:
+        strict_yaml.read("/proc/self/mem")
+    assert caught.value.filename == "/proc/self/mem"

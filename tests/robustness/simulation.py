@@ -25,7 +25,7 @@ import sqlite3
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -38,7 +38,7 @@ from yieldmon.engine.state import EngineState
 from yieldmon.engine.totals import Totals
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
-from yieldmon.service import recovery, rescue
+from yieldmon.service import recovery, rescue, schema
 from yieldmon.service.batch import Batch, Load, ParameterVersion, Ticket
 from yieldmon.service.retention import Retention
 from yieldmon.service.rows import SecondRow
@@ -83,11 +83,23 @@ class World:
     def open_store(self) -> Store:
         if self.read_only:
             raise StoreError(f"{self.path}: attempt to write a readonly database")
-        store = Store(self.path, Retention())
+        with self.room():
+            store = Store(self.path, Retention())
         if self.full:
             pages = store._pragma("page_count")
             store._database.execute(f"PRAGMA max_page_count = {pages}")
         return store
+
+    def room(self) -> AbstractContextManager[Any]:
+        """On a full medium no table can be made, but in memory."""
+        made = Store._migrate
+
+        def make(store: Store, step: int) -> None:
+            if store._database.execute("PRAGMA database_list").fetchone()[2]:
+                raise sqlite3.OperationalError("database or disk is full")
+            made(store, step)
+
+        return mock.patch.object(Store, "_migrate", make) if self.full else nullcontext()
 
 
 class Life:
@@ -95,7 +107,8 @@ class Life:
 
     def __init__(self, world: World) -> None:
         self.world = world
-        found = recovery.recover(world.path, Retention(), world.open_store)
+        with world.room():
+            found = recovery.recover(world.path, Retention(), world.open_store)
         memory, self.said = found.memory, bool(found.note)
         self.totals = memory.engine.totals if memory.engine is not None else Totals()
         self.batch = memory.last_batch
@@ -436,6 +449,21 @@ def day(world: World) -> None:
             harm(world)
 
 
+def _begun(world: World) -> None:
+    """A store that was never made to its end, since the medium was full, and is."""
+    made, end = Store._migrate, world.rng.randrange(schema.VERSION)
+
+    def make(store: Store, step: int) -> None:
+        if step == end:
+            raise sqlite3.OperationalError("database or disk is full")
+        made(store, step)
+
+    with mock.patch.object(Store, "_migrate", make), suppress(StoreError):
+        Store(world.path).close()
+    world.full = True
+    world.troubles["begun"] += 1
+
+
 def _clear(world: World) -> None:
     for left in world.folder.iterdir():
         left.unlink()
@@ -459,6 +487,8 @@ def simulate(days: int, seed: int) -> World:
                 for left in Path(place).iterdir():
                     left.unlink()
                 world = World(Path(place), random.Random(f"{seed}/{number // 20}"))
+                if world.rng.random() < 0.3:
+                    _begun(world)
             day(world)
             problems += [f"seed {seed}, day {number}: {what}" for what in world.broken]
             world.broken.clear()
@@ -486,6 +516,10 @@ def _no_checksums() -> Iterator[None]:
         yield
 
 
+def _no_copy(path: Path, timeout_s: float) -> sqlite3.Connection:
+    raise StoreError(f"{path}: no other way")
+
+
 def _nothing_set_aside(path: Path, label: str, **_: Any) -> rescue.Rescued:
     raise OSError("not set aside")
 
@@ -505,6 +539,7 @@ MENDS = {
     "mending in use": _mend((2,), _patched("yieldmon.service.writer.StoreWriter._mended", lambda writer, store, error: False)),
     "interrupted replacement": _mend((1,), _patched("yieldmon.service.rescue.finish", lambda path: None)),
     "totals of the last second": _mend((1,), _patched("yieldmon.service.recovery._caught_up", lambda totals, last: totals)),
+    "stores that cannot be made to their end": _mend((), _patched("yieldmon.service.store.in_memory", _no_copy)),
     "tickets told once": _mend(
         (), _patched("yieldmon.service.store_sql._INSERT_TICKET", "INSERT INTO ticket VALUES (NULL, ?, ?, ?, ?, ?, ?, ?)")
     ),

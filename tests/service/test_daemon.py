@@ -322,6 +322,22 @@ def test_reload_takes_a_good_configuration_and_refuses_a_bad_one(tmp_path):
         assert bench.daemon.monitor.settings.sweep.interval_s == 7200.0
 
 
+def test_what_waits_for_a_start_is_told_against_what_this_one_began_with(tmp_path):
+    with running(tmp_path) as bench:
+        texts = (
+            "store: {size_mb: 64}\nbus: {transmit_max_age_s: 60}",
+            "bus: {transmit_max_age_s: 60}",
+            "bus: {transmit_max_age_s: 9}",
+        )
+        answers = []
+        for number, text in enumerate((texts[0], texts[0], texts[1], texts[2]), start=1):
+            (tmp_path / "c.yaml").write_text(text)
+            bench.daemon.request_reload()
+            wait_for(lambda number=number: bench.status["configuration"]["reloads"] == number, "the reload")
+            answers.append(bench.status["configuration"]["reload"])
+        assert answers == ["taken; store will be at the next start"] * 2 + ["taken", "taken; bus will be at the next start"]
+
+
 def test_an_interface_that_goes_and_comes_back(tmp_path):
     with running(tmp_path) as bench:
         bench.play(3, EMPTY_MV)

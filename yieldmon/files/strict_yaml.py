@@ -201,6 +201,8 @@ def read(path: Path | str) -> str:
             return file.read(MAX_BYTES + 1).decode("utf-8")
     except OSError as error:
         if error.errno in _PASSING:
+            # A read's error does not name its file.
+            error.filename = str(path)
             raise
         raise InputError(str(path), error.strerror or str(error), "a readable YAML file") from error
     except UnicodeDecodeError as error:

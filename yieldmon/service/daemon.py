@@ -85,6 +85,7 @@ class Daemon:
         default the configured one. silence_s: see SILENCE_S; infinite for traffic that is not sent in real time.
         network_clock: times the address claim and what else the network's protocols time. stop_writing_s: see STOP_WRITING_S."""
         self.configuration = configuration
+        self._at_start = configuration
         self._reload = reload
         self._manager = ServiceManager(environment)
         self._codec = Codec()
@@ -459,7 +460,7 @@ class Daemon:
         self._manager.ready()
 
     def _use(self, new: Configuration) -> None:
-        later = at_next_start(self.configuration, new)
+        later = at_next_start(self._at_start, new)
         fresh = self._journal.parameters.read_anew(new.parameters)
         self._commit()
         monitor = successor(self._monitor, new, fresh, time.time())

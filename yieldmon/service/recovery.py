@@ -98,6 +98,7 @@ def _read(path: Path, retention: Retention, open_store: Callable[[], Store]) -> 
         open_store,
         lambda: Store(path, retention, exclusive=True),
         lambda: Store(path, retention, immutable=True),
+        lambda: Store(path, retention, copied=True),
     )
     failures: list[StoreError] = []
     for way in ways:

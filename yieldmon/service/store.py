@@ -29,7 +29,17 @@ from yieldmon.service.ledger import ledger
 from yieldmon.service.retention import DEFAULT_RETENTION, Retention
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store_errors import StoreDamagedError, StoreDetachedError, StoreError, failures_of, refusals
-from yieldmon.service.store_file import header_problem, looks_like_a_store, parts, prepared, read_only, witness
+from yieldmon.service.store_file import (
+    has_journal,
+    header_problem,
+    in_memory,
+    looks_like_a_store,
+    parts,
+    prepared,
+    read_only,
+    unwritten,
+    witness,
+)
 from yieldmon.service.store_sql import COLUMNS, second_is_sound, statements, write, write_mark
 
 #: Tables whose rows a start depends on: read, and held against their checksums, at opening.
@@ -56,12 +66,15 @@ class Store:
         timeout_s: float = 2.0,
         exclusive: bool = False,
         immutable: bool = False,
+        copied: bool = False,
     ) -> None:
         """Open the store at `path`, making or migrating it when needed.
 
         timeout_s: how long a commit waits for another process that holds the file. exclusive: nobody else may read
         meanwhile, which takes no room on the medium: a store on a full one can be opened and read this way. immutable: only
-        read, from a medium that takes no writing at all; not a store with a journal, whose last seconds would be missed.
+        read, from a medium that takes no writing at all; not a store with a journal, whose last seconds would be missed. copied:
+        only read, from a copy in memory, which is what is migrated: for one of an older version, or one that was never made to
+        its end, on a medium without room for that.
 
         Raises StoreError when it cannot be opened, StoreDamagedError when it is damaged, InputError when it is another
         program's or of a newer version.
@@ -70,9 +83,11 @@ class Store:
         self.retention = retention
         with failures_of(path):
             if immutable:
-                _refuse_journal(path)
-                address = f"{path.absolute().as_uri()}?immutable=1"
-                self._database = sqlite3.connect(address, timeout=timeout_s, isolation_level=None, uri=True)
+                if has_journal(path):
+                    raise StoreError(f"{path}: its journal cannot be read on a medium that takes no writing")
+                self._database = unwritten(path, timeout_s)
+            elif copied:
+                self._database = in_memory(path, timeout_s)
             else:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 self._database = sqlite3.connect(path, timeout=timeout_s, isolation_level=None)
@@ -414,9 +429,3 @@ class Store:
     def _rows_of(self, columns: str, source: str, values: Iterable[Any] = ()) -> list[tuple[Any, ...]]:
         with failures_of(self.path):
             return self._database.execute(f"SELECT {columns} FROM {source}", tuple(values)).fetchall()
-
-
-def _refuse_journal(path: Path) -> None:
-    journal = path.with_name(f"{path.name}-wal")
-    if journal.exists() and journal.stat().st_size:
-        raise StoreError(f"{path}: its journal cannot be read on a medium that takes no writing")

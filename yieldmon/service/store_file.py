@@ -15,6 +15,7 @@ from urllib.parse import quote
 from yieldmon.errors import InputError
 from yieldmon.service import schema
 from yieldmon.service.checksums import row_checksum
+from yieldmon.service.store_errors import StoreError
 
 _LARGEST_VALUE_BYTES = 16 * 1024 * 1024
 _LIMIT_LENGTH = 0
@@ -28,6 +29,8 @@ _WITNESS_BYTES = 64
 _NO_INDEX = (8, 10, 14)
 """SQLITE_READONLY, SQLITE_IOERR and SQLITE_CANTOPEN: what making the journal's index fails with."""
 _COPIES = 3
+LARGEST_COPY_BYTES = 128 * 1024 * 1024
+"""Of a store that is read from a copy: a larger one has no place in the service's memory beside what measures."""
 
 
 def _tolerant(text: bytes) -> str:
@@ -44,6 +47,38 @@ def prepared(database: sqlite3.Connection) -> sqlite3.Connection:
 def parts(path: Path) -> tuple[Path, Path, Path]:
     """The files of a store: itself, its journal and the journal's index."""
     return path, path.with_name(f"{path.name}-wal"), path.with_name(f"{path.name}-shm")
+
+
+def has_journal(path: Path) -> bool:
+    """Whether a store has a journal with something in it."""
+    journal = parts(path)[1]
+    return journal.exists() and journal.stat().st_size > 0
+
+
+def unwritten(path: Path, timeout_s: float) -> sqlite3.Connection:
+    """A connection for which nothing is written, not even a journal's index; it sees nothing of a journal."""
+    return sqlite3.connect(f"{path.absolute().as_uri()}?immutable=1", timeout=timeout_s, isolation_level=None, uri=True)
+
+
+def in_memory(path: Path, timeout_s: float) -> sqlite3.Connection:
+    """A connection to a copy in memory, for which no room on the medium is needed. Raises StoreError for what is too large."""
+    size = sum(part.stat().st_size for part in parts(path)[:2] if part.exists())
+    if size > LARGEST_COPY_BYTES:
+        expected = f"at most {LARGEST_COPY_BYTES >> 20}"
+        raise StoreError(f"{path}: {size >> 20} MB, too large to be read in memory; expected {expected}, or room on its medium")
+    source = sqlite3.connect(path, timeout=timeout_s, isolation_level=None) if has_journal(path) else unwritten(path, timeout_s)
+    try:
+        # Alone with the file SQLite keeps the journal's index in memory.
+        source.execute("PRAGMA locking_mode = EXCLUSIVE")
+        copy = sqlite3.connect(":memory:", isolation_level=None)
+        try:
+            source.backup(copy)
+        except BaseException:
+            copy.close()
+            raise
+        return copy
+    finally:
+        source.close()
 
 
 def header_problem(path: Path) -> str | None:
