@@ -9,10 +9,10 @@ from yieldmon.service.configuration import Configuration
 _FIXED_AT_START = ("bus", "store", "status", "network")
 
 
-def at_next_start(old: Configuration, new: Configuration) -> list[str]:
-    """Sections that changed and are taken at the next start only. Raises InputError where nothing of the new one can be used
+def at_next_start(start: Configuration, new: Configuration) -> list[str]:
+    """Sections that changed since the start and are taken at the next one only. Raises InputError where nothing of the new one can be used
     before."""
     for name in ("signals", "outputs"):
-        if getattr(new, name) != getattr(old, name):
+        if getattr(new, name) != getattr(start, name):
             raise InputError(name, "changed with the service running", "a restart: the bus is filtered for them")
-    return [name for name in _FIXED_AT_START if getattr(new.document, name) != getattr(old.document, name)]
+    return [name for name in _FIXED_AT_START if getattr(new.document, name) != getattr(start.document, name)]
