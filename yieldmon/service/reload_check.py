@@ -10,8 +10,8 @@ _FIXED_AT_START = ("bus", "store", "status", "network")
 
 
 def at_next_start(start: Configuration, new: Configuration) -> list[str]:
-    """Sections that changed since the start and are taken at the next one only. Raises InputError where nothing of the new one can
-    be used before."""
+    """Sections that changed since the start and are taken at the next one. Raises InputError where nothing of the new one can be
+    used before."""
     for name in ("signals", "outputs"):
         if getattr(new, name) != getattr(start, name):
             raise InputError(name, "changed with the service running", "a restart: the bus is filtered for them")
