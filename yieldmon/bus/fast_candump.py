@@ -110,13 +110,7 @@ def parse_lines(
     ParsedLines
     """
     buffer = np.frombuffer(chunk, np.uint8)
-    ends = np.flatnonzero(buffer == ord("\n"))
-    starts = np.concatenate([[0], ends + 1])
-    if len(buffer) == 0 or buffer[-1] == ord("\n"):
-        starts = starts[:-1]
-    else:
-        ends = np.append(ends, len(buffer))
-    widths = ends - starts
+    starts, ends = _line_bounds(buffer)
     lines = len(starts)
     parsed = ParsedLines(
         lines,
@@ -128,6 +122,35 @@ def parse_lines(
     )
     module = _compiled_module() if compiled or (compiled is None and len(chunk) >= _COMPILED_FROM_BYTES) else None
     done = np.zeros(lines, bool) if module is None else _compiled_pass(module, chunk, buffer, starts, ends, channels, parsed)
+    _parse_by_shape(chunk, buffer, starts, ends, channels, parsed, done)
+    for index in np.flatnonzero(~done).tolist():
+        message = parse_slowly(index, chunk[starts[index] : ends[index]])
+        if message is not None:
+            done[index] = True
+            _fill_slowly(parsed, index, message, channels)
+    return parsed if done.all() else _only(parsed, done)
+
+
+def _line_bounds(buffer: Bytes) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First byte of each line, and the byte after its last, without the line end."""
+    ends = np.flatnonzero(buffer == ord("\n"))
+    starts = np.concatenate([[0], ends + 1])
+    if len(buffer) == 0 or buffer[-1] == ord("\n"):
+        return starts[:-1], ends
+    return starts, np.append(ends, len(buffer))
+
+
+def _parse_by_shape(
+    chunk: bytes,
+    buffer: Bytes,
+    starts: NDArray[np.intp],
+    ends: NDArray[np.intp],
+    channels: list[str],
+    parsed: ParsedLines,
+    done: NDArray[np.bool_],
+) -> None:
+    """Parses lines of one width together, by the shapes of the first few; marks those that had one of them as done."""
+    widths = ends - starts
     left = widths[~done]
     for width in np.flatnonzero(np.bincount(left)) if left.size else ():
         rows = np.flatnonzero((widths == width) & ~done)
@@ -141,17 +164,13 @@ def parse_lines(
             fits = _fill(parsed, rows, _columns(buffer, starts[rows], int(width)), shape, channels)
             done[rows[fits]] = True
             rows = rows[~fits]
-    kept = done.copy()
-    for index in np.flatnonzero(~done).tolist():
-        message = parse_slowly(index, chunk[starts[index] : ends[index]])
-        if message is not None:
-            kept[index] = True
-            _fill_slowly(parsed, index, message, channels)
-    if kept.all():
-        return parsed
+
+
+def _only(parsed: ParsedLines, kept: NDArray[np.bool_]) -> ParsedLines:
+    """The frames of the lines that have one."""
     places = np.cumsum(kept) - 1
     return ParsedLines(
-        lines,
+        parsed.lines,
         parsed.time_s[kept],
         parsed.can_id[kept],
         parsed.length[kept],

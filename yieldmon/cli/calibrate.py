@@ -93,30 +93,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _of_table(args: argparse.Namespace) -> int:
-    if args.starts < 1:
-        raise InputError("--starts", f"is {args.starts}", "1 or more")
-    if args.out is not None and not args.by_moisture:
-        whole_file.check_place(args.out)
-    if args.profiles is not None:
-        from yieldmon.plots import canvas
-
-        canvas.check_name(Path(args.profiles), "--profiles")
-        whole_file.check_place(args.profiles)
+    _check_options(args)
     machine = model_options.machine(args)
-    data = table.load(args.data)
-    for note in data.notes:
-        print(f"yieldmon: {note}", file=sys.stderr)
-    rows = model_options.measurements(data, machine, args.response_scale)
-    left_out = np.ones(len(data), dtype=bool)
-    left_out[np.arange(len(data)) if rows.places is None else rows.places] = False
-    model_options.check_force(data, rows, machine)
-    if note := data.unread(left_out):
-        print(f"yieldmon: {note}", file=sys.stderr)
-    if args.plate_angle is not None:
-        chosen = np.isclose(rows.columns()[0], np.radians(args.plate_angle), atol=1e-6)
-        if not np.any(chosen):
-            raise InputError("--plate-angle", f"is {args.plate_angle:g}", f"an angle that {data.path} holds")
-        rows = rows.select(chosen)
+    data, rows = _read(args, machine)
     if args.by_moisture:
         return _by_moisture(args, machine, data, rows)
     result = _fit(args, machine, data, rows)
@@ -138,6 +117,38 @@ def _of_table(args: argparse.Namespace) -> int:
         document["written"] = args.out
     print(json.dumps(finite_document(document), indent=1) if args.json else text(document))
     return 0
+
+
+def _check_options(args: argparse.Namespace) -> None:
+    """What can be refused before anything is read."""
+    if args.starts < 1:
+        raise InputError("--starts", f"is {args.starts}", "1 or more")
+    if args.out is not None and not args.by_moisture:
+        whole_file.check_place(args.out)
+    if args.profiles is not None:
+        from yieldmon.plots import canvas
+
+        canvas.check_name(Path(args.profiles), "--profiles")
+        whole_file.check_place(args.profiles)
+
+
+def _read(args: argparse.Namespace, machine: Machine) -> tuple[table.Table, Measurements]:
+    """The table and those of its rows that are fitted; what is left out is said."""
+    data = table.load(args.data)
+    for note in data.notes:
+        print(f"yieldmon: {note}", file=sys.stderr)
+    rows = model_options.measurements(data, machine, args.response_scale)
+    left_out = np.ones(len(data), dtype=bool)
+    left_out[np.arange(len(data)) if rows.places is None else rows.places] = False
+    model_options.check_force(data, rows, machine)
+    if note := data.unread(left_out):
+        print(f"yieldmon: {note}", file=sys.stderr)
+    if args.plate_angle is None:
+        return data, rows
+    chosen = np.isclose(rows.columns()[0], np.radians(args.plate_angle), atol=1e-6)
+    if not np.any(chosen):
+        raise InputError("--plate-angle", f"is {args.plate_angle:g}", f"an angle that {data.path} holds")
+    return data, rows.select(chosen)
 
 
 def report(result: Calibration, data: table.Table, rows: Measurements) -> CalibrationDocument:

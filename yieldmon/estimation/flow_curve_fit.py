@@ -64,17 +64,7 @@ def fit_table(machine: Machine, rows: Measurements, kind: str) -> CurveFit:
     used = (flow > 0.0) & (force > 0.0)
     angle, speed, load, force, flow = (v[used] for v in (columns[0], columns[1], columns[2], force, flow))
     angle = _one_each(angle)
-    for value in np.unique(angle):
-        here = np.unique(load[angle == value]).size
-        if here < LEAST_LOADS:
-            raise ValueError(
-                f"{here} loads at {np.degrees(value):g} deg; expected {LEAST_LOADS} or more that give a force above 0"
-            )
-    if not angle.size:
-        raise ValueError("no row has a load and a force above 0")
-    if kind == AlphaBeta.kind and np.ptp(angle) > 0.0:
-        angles = ", ".join(f"{a:g}" for a in np.degrees(np.unique(angle)))
-        raise ValueError(f"rows at {angles} deg; alpha_beta holds at one plate angle: choose it with --plate-angle")
+    _refuse_few(kind, angle, load)
 
     def fitted(part: NDArray[np.bool_]) -> AlphaBeta | LookUpTable:
         if kind == AlphaBeta.kind:
@@ -99,6 +89,21 @@ def fit_table(machine: Machine, rows: Measurements, kind: str) -> CurveFit:
     )
     curve = FlowCurve(law, _relative(share * errors, share * own, _inner(cells[2])), calibrated)
     return CurveFit(curve, int(flow.size), tuple(mean_flow.tolist()), tuple(errors.tolist()), tuple(own.tolist()))
+
+
+def _refuse_few(kind: str, angle: Array, load: Array) -> None:
+    """Raises ValueError where the rows do not determine a curve of this kind."""
+    if not angle.size:
+        raise ValueError("no row has a load and a force above 0")
+    for value in np.unique(angle):
+        here = np.unique(load[angle == value]).size
+        if here < LEAST_LOADS:
+            raise ValueError(
+                f"{here} loads at {np.degrees(value):g} deg; expected {LEAST_LOADS} or more that give a force above 0"
+            )
+    if kind == AlphaBeta.kind and np.ptp(angle) > 0.0:
+        angles = ", ".join(f"{a:g}" for a in np.degrees(np.unique(angle)))
+        raise ValueError(f"rows at {angles} deg; alpha_beta holds at one plate angle: choose it with --plate-angle")
 
 
 def fit_loads(loads: Sequence[WeighedLoad], plate_angle_rad: float) -> CurveFit:

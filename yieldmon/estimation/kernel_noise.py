@@ -234,15 +234,9 @@ def kernel_impulse(
         return _unusable(KernelVerdict.NO_NOISE, "no force of grain")
     frequency = loaded.frequency_hz[band]
     gain = mean_force_n * power_gain(frequency, cell_response_s, sample_interval_s)
-    shown, ground = loaded.density[band], quiet.density[band]
-    impulse = max(float(np.median((shown - ground) / gain)), 0.0)
-    variance = np.ones_like(gain)
-    for _ in range(_ITERATIONS):
-        expected = ground + impulse * gain
-        variance = expected**2 / loaded.averages + ground**2 / quiet.averages
-        # A background wrong by one share everywhere is taken as wrong in each place, which is what lines of vibration are.
-        weight = gain / (variance + (s.quiet_error * ground) ** 2)
-        impulse = max(float((weight * (shown - ground)).sum() / (weight * gain).sum()), 0.0)
+    ground = quiet.density[band]
+    above = loaded.density[band] - ground
+    impulse, weight, variance = _least_squares(above, ground, gain, (loaded.averages, quiet.averages), s.quiet_error)
     if impulse <= 0.0:
         return _unusable(KernelVerdict.NO_NOISE, "no noise above that of the empty machine")
     slope = float((weight * gain).sum()) * impulse
@@ -251,7 +245,7 @@ def kernel_impulse(
     turned = (2.0 * np.pi * frequency * cell_response_s) ** 2
     cell = s.response_error * float((weight * gain * 4.0 * turned / (1.0 + turned)).sum() / (weight * gain).sum())
     cell_sd = s.response_error * 4.0 * turned / (1.0 + turned)
-    per_half = _halves(shown - ground, gain, weight, variance, s.quiet_error * ground, cell_sd)
+    per_half = _halves(above, gain, weight, variance, s.quiet_error * ground, cell_sd)
     uneven = _unevenness(per_half / impulse)
     lasting = float(np.hypot(np.hypot(background, cell), uneven))
     total = float(np.hypot(random, lasting))
@@ -262,6 +256,25 @@ def kernel_impulse(
     why = max(parts, key=parts.__getitem__)
     reason = f"deviation {100.0 * total:.0f} %, mostly {_CAUSES[why]}; the limit is {100.0 * s.largest_sd:.0f} %"
     return KernelImpulse(impulse, random, lasting, why, reason)
+
+
+def _least_squares(
+    above: Array, ground: Array, gain: Array, averages: tuple[float, float], quiet_error: float
+) -> tuple[float, Array, Array]:
+    """Impulse, N s, by repeatedly weighted least squares of above = impulse * gain, and weights and variances of the frequencies.
+
+    above, ground: density beyond that of the empty machine, and that. averages: periodograms of the loaded and of the empty
+    machine. quiet_error: relative deviation of ground.
+    """
+    impulse = max(float(np.median(above / gain)), 0.0)
+    weight = variance = np.ones_like(gain)
+    for _ in range(_ITERATIONS):
+        expected = ground + impulse * gain
+        variance = expected**2 / averages[0] + ground**2 / averages[1]
+        # A background wrong by one share everywhere is taken as wrong in each place, which is what lines of vibration are.
+        weight = gain / (variance + (quiet_error * ground) ** 2)
+        impulse = max(float((weight * above).sum() / (weight * gain).sum()), 0.0)
+    return impulse, weight, variance
 
 
 _CAUSES = {

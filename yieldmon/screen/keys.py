@@ -18,14 +18,7 @@ _FOR_THE_CALLER = {"q": "quit", "\x03": "quit", "r": "record", "u": "units"}
 def press(view: View, key: str) -> str | None:
     """Apply a key. Returns "quit", "record" or "units" where the caller has to act, else None."""
     if view.typing:
-        if key in ("\r", "\n", "\x1b"):
-            view.typing = False
-            if key == "\x1b":
-                view.needle = ""
-        elif key in ("\x7f", "\b"):
-            view.needle = view.needle[:-1]
-        elif key.isprintable():
-            view.needle += key
+        _type(view, key)
         return None
     if key in _FOR_THE_CALLER:
         return _FOR_THE_CALLER[key]
@@ -43,6 +36,18 @@ def press(view: View, key: str) -> str | None:
         case "k":
             view.selected = max(0, view.selected - 1)
     return None
+
+
+def _type(view: View, key: str) -> None:
+    """A key of the text that is looked for: return ends it, escape withdraws it."""
+    if key in ("\r", "\n", "\x1b"):
+        view.typing = False
+        if key == "\x1b":
+            view.needle = ""
+    elif key in ("\x7f", "\b"):
+        view.needle = view.needle[:-1]
+    elif key.isprintable():
+        view.needle += key
 
 
 @contextmanager

@@ -290,6 +290,12 @@ _NAMED_BUS_OPTIONS = frozenset({
 
 def _contradictions(document: Document, machine: Machine) -> Iterator[tuple[str, str, str]]:
     """(key, value, expected) where keys that are right by themselves do not go together."""
+    yield from _contradictions_of_the_service(document)
+    yield from _contradictions_of_the_measurement(document)
+    yield from _contradictions_of_the_sweep(document, machine)
+
+
+def _contradictions_of_the_service(document: Document) -> Iterator[tuple[str, str, str]]:
     if document.bus.interface not in _COMMON_INTERFACES:
         import can
 
@@ -302,6 +308,9 @@ def _contradictions(document: Document, machine: Machine) -> Iterator[tuple[str,
     if Path(document.status.socket).is_absolute() and len(os.fsencode(document.status.socket)) > LONGEST_SOCKET_BYTES:
         problem = f"has {len(os.fsencode(document.status.socket))} bytes"
         yield "status.socket", problem, f"at most {LONGEST_SOCKET_BYTES}, which is what a socket's address has room for"
+
+
+def _contradictions_of_the_measurement(document: Document) -> Iterator[tuple[str, str, str]]:
     gate = document.gate
     if gate.grain_off_n > gate.grain_on_n:
         yield "gate.grain_off_n", f"{gate.grain_off_n:g}", f"at most gate.grain_on_n, {gate.grain_on_n:g} N"
@@ -315,6 +324,9 @@ def _contradictions(document: Document, machine: Machine) -> Iterator[tuple[str,
     if windows.min_coverage > windows.full_coverage:
         expected = f"at most windows.full_coverage, {windows.full_coverage:g}"
         yield "windows.min_coverage", f"{windows.min_coverage:g}", expected
+
+
+def _contradictions_of_the_sweep(document: Document, machine: Machine) -> Iterator[tuple[str, str, str]]:
     sweep = document.sweep
     needed_s = sweep.windows_per_step + _BESIDE_WINDOWS_S
     if sweep.enabled and sweep.measure_timeout_s < needed_s:

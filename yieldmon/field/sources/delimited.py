@@ -127,62 +127,62 @@ def read_rows(
         Whether numbers are written with a comma.
     """
     arrays: dict[int, list[Array]] = {column: [] for column in numbers}
-    codes: dict[int, list[Array]] = {column: [] for column in texts}
-    names: dict[int, dict[str, int]] = {column: {} for column in texts}
+    labels = {column: _Labels(column) for column in texts}
     short, wrong = _Bad(), _Bad()
     count = 0
-    while True:
-        block: list[list[str]] = []
-        lines: list[int] = []
-        taken = 0
-        for line, row in islice(source, BLOCK_ROWS):
-            taken += 1
+    while taken := list(islice(source, BLOCK_ROWS)):
+        for line, row in taken:
             if len(row) < fields:
                 short.add(line)
-            else:
-                block.append(row)
-                lines.append(line)
-        if not taken:
-            break
-        block, values = _block_numbers(block, lines, numbers, wrong, decimal_comma)
+        whole = [(line, row) for line, row in taken if len(row) >= fields]
+        block, values = _block_numbers(whole, numbers, wrong, decimal_comma)
         count += len(block)
         for column in numbers:
             arrays[column].append(values[column])
-        for column in texts:
-            known = names[column]
-            codes[column].append(
-                np.fromiter(
-                    (known.setdefault(" ".join(row[column].split()) if column < len(row) else "", len(known)) for row in block),
-                    np.int32,
-                    len(block),
-                )
-            )
+        for label in labels.values():
+            label.add(block)
     return Rows(
         {column: np.concatenate(parts) if parts else np.zeros(0) for column, parts in arrays.items()},
-        {
-            column: Label(
-                np.concatenate(parts).astype(np.int32) if parts else np.zeros(0, np.int32), tuple(names[column]) or ("",)
-            )
-            for column, parts in codes.items()
-        },
+        {column: label.whole() for column, label in labels.items()},
         count,
         short.skipped(f"fewer than {fields} fields") + wrong.skipped("a field that is no number"),
     )
 
 
+class _Labels:
+    """A column of texts, block by block."""
+
+    def __init__(self, column: int) -> None:
+        self._column = column
+        self._codes: list[Array] = []
+        self._names: dict[str, int] = {}
+
+    def add(self, block: Sequence[list[str]]) -> None:
+        known, column = self._names, self._column
+        texts = (" ".join(row[column].split()) if column < len(row) else "" for row in block)
+        self._codes.append(np.fromiter((known.setdefault(text, len(known)) for text in texts), np.int32, len(block)))
+
+    def whole(self) -> Label:
+        codes = np.concatenate(self._codes).astype(np.int32) if self._codes else np.zeros(0, np.int32)
+        return Label(codes, tuple(self._names) or ("",))
+
+
 def _block_numbers(
-    block: list[list[str]], lines: list[int], numbers: Sequence[int], wrong: _Bad, decimal_comma: bool
+    rows: Sequence[tuple[int, list[str]]], numbers: Sequence[int], wrong: _Bad, decimal_comma: bool
 ) -> tuple[list[list[str]], dict[int, Array]]:
+    """The rows whose wanted fields are numbers, and these by column. rows: number and fields of each."""
+
     def cell(row: list[str], column: int) -> str:
         text = row[column] if column < len(row) else ""
         return text.replace(",", ".") if decimal_comma else text
 
+    block = [row for _, row in rows]
     try:
         return block, {column: np.fromiter((float(cell(row, column)) for row in block), float, len(block)) for column in numbers}
     except ValueError:
         pass
     good, values = [], []
-    for line, row in zip(lines, block, strict=True):
+    for line, row in rows:
         try:
             values.append([number(cell(row, column)) for column in numbers])
             good.append(row)

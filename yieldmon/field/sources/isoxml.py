@@ -161,7 +161,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
     try:
         root = timelog.xml_root(folder.bytes_of(TASK_FILE), TASK_FILE)
     except InputError as error:
-        skipped.append(Skipped(TASK_FILE, _reason(error)))
+        skipped.append(Skipped(TASK_FILE, error.problem))
         root = ET.Element("ISO11783_TaskData")
     device, tasks = _device(root), _tasks(root)
     listed = {task.log.upper() for task in tasks}
@@ -178,7 +178,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
                 skipped.append(Skipped(task.log, problem))
             parts.append(part)
         except InputError as error:
-            skipped.append(Skipped(task.log, _reason(error)))
+            skipped.append(Skipped(task.log, error.problem))
     if not parts:
         reasons = "; ".join(f"{one.part}: {one.why}" for one in skipped[:3])
         raise InputError(
@@ -223,10 +223,6 @@ def _log_of(part: HarvestTable) -> str:
     return part.sources[0].path.rpartition(": ")[2]
 
 
-def _reason(error: InputError) -> str:
-    return error.problem
-
-
 def _tasks(root: ET.Element) -> list[_Task]:
     fields = {element.get("A", ""): element for element in root.iter("PFD")}
     crops = {element.get("A", ""): element.get("B", "") for element in root.iter("CTP")}
@@ -268,32 +264,13 @@ def _log(folder: Folder, task: _Task, device: _Device, options: ReadOptions) -> 
     if not np.isfinite(log.longitude_deg).any():
         raise InputError(where, "has no positions", "")
     of = _Values(log.values, device)
-    interval = np.diff(log.time_s, prepend=log.time_s[0])
-    usual = np.median(interval[interval > 0]) if (interval > 0).any() else 1.0
-    longest = max(_LONGEST_INTERVAL_S, 3.0 * usual)
-    # After a pause the machine cut for one usual interval and drove as far as in the next, not for all of the pause.
-    begins = (interval < 0) | (interval > longest)
-    begins[0] = True
-    interval = np.where(begins, usual, interval)
-    plane = Sites.about(log.longitude_deg, log.latitude_deg)
-    x, y = plane.to_m(log.longitude_deg, log.latitude_deg)
-    way = np.hypot(np.diff(x, prepend=x[0]), np.diff(y, prepend=y[0]))
-    way = np.where(begins, np.append(np.where(begins, 0.0, way)[1:], 0.0), way)
-    notes = []
-    width = of.width_m()
-    if options.width_m is not None:
-        width = np.full(count, options.width_m)
-    elif width is None:
+    interval, way = _steps(log)
+    width = of.width_m() if options.width_m is None else np.full(count, options.width_m)
+    if width is None:
         raise InputError(where, f"has no working width (DDI {WIDTH}, {DEFAULT_WIDTH} or {MAX_WIDTH})", "--width M")
-    flow = of.one(MASS_PER_TIME, 1e-6)
-    total = of.one(TOTAL_MASS, 1.0)
+    flow, notes = of.flow_kg_s(interval, way, width)
     if flow is None:
-        per_area = of.one(MASS_PER_AREA, 1e-6)
-        if per_area is None:
-            raise InputError(where, f"has no yield (DDI {MASS_PER_TIME} or {MASS_PER_AREA})", "")
-        with np.errstate(invalid="ignore", divide="ignore"):
-            flow = np.where(interval > 0, per_area * way * width / interval, np.nan)
-        notes.append(f"flow is yield by area (DDI {MASS_PER_AREA}) times way and width")
+        raise InputError(where, f"has no yield (DDI {MASS_PER_TIME} or {MASS_PER_AREA})", "")
     moisture = of.one(MOISTURE, 1e-4)
     columns, limits = plausible(
         {
@@ -309,16 +286,6 @@ def _log(folder: Folder, task: _Task, device: _Device, options: ReadOptions) -> 
             "header_down": of.header_down(count),
         }
     )
-    area = of.one(TOTAL_AREA, 1.0)
-    source = Source(
-        where,
-        KIND,
-        count,
-        (),
-        None if total is None else _risen(total),
-        None if area is None else _risen(area),
-        (*notes, *limits),
-    )
     labels = {
         "field": Label.constant(options.field or task.field, count),
         "load": Label.constant(task.task, count),
@@ -326,17 +293,29 @@ def _log(folder: Folder, task: _Task, device: _Device, options: ReadOptions) -> 
         "machine": Label.constant(of.device_name(), count),
     }
     lag = of.single(LAG) or of.single(LEAD)
-    extra = {f"DDI {ddi:04X} {element}".strip(): values for (ddi, element), values in log.values.items() if ddi not in _KNOWN}
     table = build(
         columns,
         labels,
-        source,
+        Source(where, KIND, count, (), of.risen(TOTAL_MASS), of.risen(TOTAL_AREA), (*notes, *limits)),
         unix_time=True,
         declared_flow_s=None if lag is None else lag * 1e-3,
         default_flow_s=FORAGE_FLOW_S if of.of(LENGTH_OF_CUT) else DEFAULT_FLOW_S,
-        extra=extra,
+        extra={f"DDI {ddi:04X} {element}".strip(): values for (ddi, element), values in log.values.items() if ddi not in _KNOWN},
     )
     return table, log.problem
+
+
+def _steps(log: timelog.TimeLog) -> tuple[Array, Array]:
+    """Time, s, and way, m, of each record since the one before."""
+    interval = np.diff(log.time_s, prepend=log.time_s[0])
+    usual = np.median(interval[interval > 0]) if (interval > 0).any() else 1.0
+    longest = max(_LONGEST_INTERVAL_S, 3.0 * usual)
+    # After a pause the machine cut for one usual interval and drove as far as in the next, not for all of the pause.
+    begins = (interval < 0) | (interval > longest)
+    begins[0] = True
+    x, y = Sites.about(log.longitude_deg, log.latitude_deg).to_m(log.longitude_deg, log.latitude_deg)
+    way = np.hypot(np.diff(x, prepend=x[0]), np.diff(y, prepend=y[0]))
+    return np.where(begins, usual, interval), np.where(begins, np.append(np.where(begins, 0.0, way)[1:], 0.0), way)
 
 
 def _risen(counter: Array) -> float:
@@ -378,6 +357,21 @@ class _Values:
         if found is not None and np.isfinite(found).any():
             return float(found[np.isfinite(found)][-1])
         return self.device.constants.get(ddi)
+
+    def risen(self, ddi: int) -> float | None:
+        """What a counter counted over the log."""
+        counter = self.one(ddi, 1.0)
+        return None if counter is None else _risen(counter)
+
+    def flow_kg_s(self, interval_s: Array, way_m: Array, width_m: Array) -> tuple[Array | None, tuple[str, ...]]:
+        """Mass flow, and notes on it. interval_s, way_m, width_m: of each record."""
+        flow = self.one(MASS_PER_TIME, 1e-6)
+        per_area = self.one(MASS_PER_AREA, 1e-6)
+        if flow is not None or per_area is None:
+            return flow, ()
+        with np.errstate(invalid="ignore", divide="ignore"):
+            flow = np.where(interval_s > 0, per_area * way_m * width_m / interval_s, np.nan)
+        return flow, (f"flow is yield by area (DDI {MASS_PER_AREA}) times way and width",)
 
     def width_m(self) -> Array | None:
         width = self.one(WIDTH, 1e-3)

@@ -25,6 +25,7 @@ KIND = "GeoPackage, GeoJSON or shapefile"
 ORDER = 30
 _SUFFIXES = (".gpkg", ".geojson", ".json", ".shp", ".gml", ".fgb", ".kml")
 _WGS84 = "EPSG:4326"
+_POSITION = ("longitude", "latitude")
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -113,12 +114,24 @@ class _Metadata:
     field: str = ""
 
 
-def _layer(path: Path, address: str, name: str, options: ReadOptions) -> HarvestTable:
+@dataclass(frozen=True)
+class _Layer:
+    """What GDAL read: values of each field, points in the layer's own coordinate system (crs), and what it said."""
+
+    names: tuple[str, ...]
+    fields: Sequence[np.ndarray]
+    x: Array
+    y: Array
+    crs: str | None
+    said: tuple[str, ...]
+
+
+def _read_layer(address: str, where: str) -> _Layer:
+    """The first layer of points. Raises InputError where there is none."""
     import pyogrio
     import pyogrio.errors
     import pyogrio.raw
 
-    where = f"{path}: {name}" if name != path.name else str(path)
     try:
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
@@ -138,45 +151,54 @@ def _layer(path: Path, address: str, name: str, options: ReadOptions) -> Harvest
         OverflowError,
     ) as error:
         raise InputError(where, f"cannot be read: {str(error)[:120]}", "a vector file that GDAL reads") from error
-    names = [str(one) for one in meta["fields"]]
     if geometry is None or not len(geometry):
         raise InputError(where, "has no points", "a layer of points")
     x, y = _points(geometry)
     if not np.isfinite(x).any():
         raise InputError(where, f"holds {meta.get('geometry_type')}", "points")
+    return _Layer(tuple(map(str, meta["fields"])), fields, x, y, meta.get("crs"), _told([str(one.message) for one in said]))
+
+
+def _layer(path: Path, address: str, name: str, options: ReadOptions) -> HarvestTable:
+    where = f"{path}: {name}" if name != path.name else str(path)
+    layer = _read_layer(address, where)
     sidecar = _metadata(path, name)
-    x, y, notes = to_degrees(x, y, meta.get("crs"), options, where)
-    notes = (*notes, *_told([str(one.message) for one in said]))
-    usable = [one for one in names if one not in ("longitude", "latitude")]
-    found, more = columns_of(
-        usable, {q: c for q, c in options.columns.items() if q not in ("longitude", "latitude")}, sidecar.units, where
-    )
-    columns = {**found, "longitude": Column(" x", "longitude", "deg"), "latitude": Column(" y", "latitude", "deg")}
-    numbers: dict[str, Array] = {" x": x, " y": y}
+    x, y, notes = to_degrees(layer.x, layer.y, layer.crs, options, where)
+    usable = [one for one in layer.names if one not in _POSITION]
+    wanted = {quantity: column for quantity, column in options.columns.items() if quantity not in _POSITION}
+    found, more = columns_of(usable, wanted, sidecar.units, where)
+    columns, numbers, texts = _values({q: (column, layer.fields[layer.names.index(column.name)]) for q, column in found.items()})
+    columns |= {"longitude": Column(" x", "longitude", "deg"), "latitude": Column(" y", "latitude", "deg")}
+    numbers |= {" x": x, " y": y}
+    for quantity, said in (("crop", sidecar.crop), ("field", sidecar.field)):
+        if said:
+            texts[f" {quantity}"] = Label.constant(said, len(x))
+            columns[quantity] = Column(f" {quantity}", quantity, "")
+    kind = "John Deere Operations Center" if sidecar.units else KIND
+    return assemble(Raw(columns, numbers, texts, len(x), notes=(*notes, *layer.said, *more)), where, kind, options)
+
+
+def _values(found: Mapping[str, tuple[Column, np.ndarray]]) -> tuple[dict[str, Column], dict[str, Array], dict[str, Label]]:
+    """Columns by quantity, and numbers and texts by column. found: by quantity a column and its values."""
+    columns = {quantity: column for quantity, (column, _) in found.items()}
+    numbers: dict[str, Array] = {}
     texts: dict[str, Label] = {}
-    for quantity, column in found.items():
-        values = fields[names.index(column.name)]
+    for quantity, (column, values) in found.items():
+        kind = QUANTITIES[quantity].kind
         if np.issubdtype(values.dtype, np.datetime64):
             numbers[column.name] = _unix(values)
             columns[quantity] = Column(column.name, quantity, "s")
-        elif values.dtype == object or QUANTITIES[quantity].kind == "text":
-            texts[column.name] = labels_from(list(values))
-            if QUANTITIES[quantity].kind not in ("text", "date", "state"):
-                numbers[column.name] = _numbers(texts.pop(column.name))
-        else:
+        elif values.dtype != object and kind != "text":
             numbers[column.name] = values.astype(float)
-    moment = next((c for q, c in found.items() if q in ("time", "day") and _is_moment(fields[names.index(c.name)])), None)
+        elif kind in ("text", "date", "state"):
+            texts[column.name] = labels_from(list(values))
+        else:
+            numbers[column.name] = _numbers(labels_from(list(values)))
+    moment = next((found[q][0] for q in found if q in ("time", "day") and _is_moment(found[q][1])), None)
     if moment is not None:
         numbers["unix time"] = numbers.pop(moment.name)
         columns["time"] = Column("unix time", "time", "s")
-    if sidecar.crop:
-        texts[" crop"] = Label.constant(sidecar.crop, len(x))
-        columns["crop"] = Column(" crop", "crop", "")
-    if sidecar.field:
-        texts[" field"] = Label.constant(sidecar.field, len(x))
-        columns["field"] = Column(" field", "field", "")
-    kind = "John Deere Operations Center" if sidecar.units else KIND
-    return assemble(Raw(columns, numbers, texts, len(x), notes=(*notes, *more)), where, kind, options)
+    return columns, numbers, texts
 
 
 def _told(said: Sequence[str]) -> tuple[str, ...]:
