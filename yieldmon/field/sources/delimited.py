@@ -130,12 +130,8 @@ def read_rows(
     labels = {column: _Labels(column) for column in texts}
     short, wrong = _Bad(), _Bad()
     count = 0
-    while taken := list(islice(source, BLOCK_ROWS)):
-        for line, row in taken:
-            if len(row) < fields:
-                short.add(line)
-        whole = [(line, row) for line, row in taken if len(row) >= fields]
-        block, values = _block_numbers(whole, numbers, wrong, decimal_comma)
+    while taken := _block(source, fields, short):
+        block, values = _block_numbers(*taken, numbers, wrong, decimal_comma)
         count += len(block)
         for column in numbers:
             arrays[column].append(values[column])
@@ -147,6 +143,20 @@ def read_rows(
         count,
         short.skipped(f"fewer than {fields} fields") + wrong.skipped("a field that is no number"),
     )
+
+
+def _block(source: Iterator[tuple[int, list[str]]], fields: int, short: _Bad) -> tuple[list[int], list[list[str]]] | None:
+    """Numbers and fields of the next rows that have enough fields; None where there are no more."""
+    lines: list[int] = []
+    block: list[list[str]] = []
+    line = None
+    for line, row in islice(source, BLOCK_ROWS):
+        if len(row) < fields:
+            short.add(line)
+        else:
+            lines.append(line)
+            block.append(row)
+    return None if line is None else (lines, block)
 
 
 class _Labels:
@@ -168,21 +178,20 @@ class _Labels:
 
 
 def _block_numbers(
-    rows: Sequence[tuple[int, list[str]]], numbers: Sequence[int], wrong: _Bad, decimal_comma: bool
+    lines: list[int], block: list[list[str]], numbers: Sequence[int], wrong: _Bad, decimal_comma: bool
 ) -> tuple[list[list[str]], dict[int, Array]]:
-    """The rows whose wanted fields are numbers, and these by column. rows: number and fields of each."""
+    """The rows whose wanted fields are numbers, and these by column. lines: number of each row."""
 
     def cell(row: list[str], column: int) -> str:
         text = row[column] if column < len(row) else ""
         return text.replace(",", ".") if decimal_comma else text
 
-    block = [row for _, row in rows]
     try:
         return block, {column: np.fromiter((float(cell(row, column)) for row in block), float, len(block)) for column in numbers}
     except ValueError:
         pass
     good, values = [], []
-    for line, row in rows:
+    for line, row in zip(lines, block, strict=True):
         try:
             values.append([number(cell(row, column)) for column in numbers])
             good.append(row)
