@@ -114,3 +114,18 @@ def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
     with pytest.raises(OSError, match="No space left"):
         parameter_file.save(parameters, path)
     assert path.read_bytes() == before
+
+
+def test_a_number_that_is_cut_off_is_refused_or_told(tmp_path, caplog):
+    """The rest of a number is a number as well, and a file that a full stick or a broken copy left ends anywhere."""
+    path = tmp_path / "cut.yaml"
+    parameter_file.save(parameter_file.load(), path)
+    content = path.read_bytes()
+    for size in range(1, content.index(b"effects:")):
+        path.write_bytes(content[:size])
+        caplog.clear()
+        try:
+            parameter_file.load(path)
+        except InputError:
+            continue
+        assert content[size - 1 : size] == b"\n" or "its last line has no end" in caplog.text, size
