@@ -14,14 +14,15 @@ from __future__ import annotations
 
 from yieldmon.bus.codec import Codec
 from yieldmon.bus.logs import read_log
-from yieldmon.discrepancy.diagnosis import Diagnosis, diagnose
+from yieldmon.discrepancy.diagnosis import Diagnosis, Options, diagnose
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import WindowResult
 from yieldmon.errors import InputError
 from yieldmon.estimation.calibration import calibrate, default_start
 from yieldmon.estimation.calibration_result import Calibration
 from yieldmon.estimation.closed_loop import self_calibrate
-from yieldmon.estimation.closed_loop_inputs import Sweep
+from yieldmon.estimation.closed_loop_inputs import DensityAnchor, MassAnchor, Sweep
+from yieldmon.estimation.closed_loop_outcome import Outcome
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.measurements import Measurements
 from yieldmon.estimation.open_loop import FlowEstimate, FlowStatus, OpenLoop
@@ -42,7 +43,8 @@ from yieldmon.plant.scenario import load as load_scenario
 from yieldmon.resources import shipped
 from yieldmon.service.assembly import build_monitor
 from yieldmon.service.configuration import load as load_configuration
-from yieldmon.service.processing import process_logs
+from yieldmon.service.ledger import LoadRecord
+from yieldmon.service.processing import Summary, process_logs
 from yieldmon.service.recorded import read_loads, read_seconds
 from yieldmon.service.rows import SecondRow
 
@@ -53,6 +55,7 @@ __all__ = [
     "ClosedLoopSettings",
     "Codec",
     "Conditions",
+    "DensityAnchor",
     "Diagnosis",
     "Effect",
     "EffectParameter",
@@ -61,13 +64,18 @@ __all__ = [
     "ForwardModel",
     "Frame",
     "InputError",
+    "LoadRecord",
     "Machine",
+    "MassAnchor",
     "Measurements",
     "Monitor",
     "OpenLoop",
+    "Options",
+    "Outcome",
     "ParameterSet",
     "Scenario",
     "SecondRow",
+    "Summary",
     "Sweep",
     "Table",
     "VirtualCombine",

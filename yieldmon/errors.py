@@ -6,8 +6,23 @@ from __future__ import annotations
 class InputError(ValueError):
     """A file, key, row or argument that cannot be used.
 
-    `where` names the place (file, row, key), `problem` what is wrong with it, `expected` what would be right. The text is
-    always one line; the command line prints it and exits with 2.
+    Parameters
+    ----------
+    where : str
+        The place: file, row, key.
+    problem : str
+        What is wrong with it.
+    expected : str
+        What would be right.
+
+    Notes
+    -----
+    The text is always one line; the command line prints it and exits with 2.
+
+    Examples
+    --------
+    >>> print(api.InputError("corn.yaml: friction", "is 'high'", "a number from 0 to 1"))
+    corn.yaml: friction: is 'high'; expected a number from 0 to 1
     """
 
     def __init__(self, where: str, problem: str, expected: str = "") -> None:

@@ -38,8 +38,20 @@ def number(value: object) -> float:
 class Frame(NamedTuple):
     """One decoded frame.
 
-    time_s: the bus's own time of reception, seconds (any epoch; the engine uses differences only).
-    message: name in the DBC. signals: signal name -> physical value.
+    Parameters
+    ----------
+    time_s : float
+        The bus's own time of reception, s, of any epoch: the engine uses differences only.
+    message : str
+        Name in the DBC.
+    signals : mapping of str to float, int or Unusable
+        Physical value by signal name, in the DBC's unit; int for counters and codes; `NOT_AVAILABLE` or `ERROR` in place of a
+        value.
+
+    Examples
+    --------
+    >>> api.Frame(3.5, "ElevatorSpeed", {"ElevatorSpeed": 400.0}).signals["ElevatorSpeed"]
+    400.0
     """
 
     time_s: float

@@ -8,9 +8,26 @@ _PACKAGE = Path(__file__).resolve().parent
 
 
 def shipped(name: str) -> Path:
-    """Path of a shipped file or folder such as ``dbc/yieldmon.dbc`` or ``config/machines/sprocket-8.yaml``.
+    """Path of a shipped file or folder.
 
-    Raises FileNotFoundError when the installation lacks it.
+    Parameters
+    ----------
+    name : str
+        Such as ``dbc/yieldmon.dbc`` or ``config/machines/sprocket-8.yaml``.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    FileNotFoundError
+        When the installation lacks it.
+
+    Examples
+    --------
+    >>> api.shipped("dbc/yieldmon.dbc").name
+    'yieldmon.dbc'
     """
     for root in (_PACKAGE / "data", _PACKAGE.parent):
         path = root / name

@@ -23,9 +23,35 @@ class FrameError(ValueError):
 class Codec:
     """Decodes and encodes the frames of one DBC.
 
-    Values in the J1939 "not available" range decode to NOT_AVAILABLE; error and reserved ranges, and codes that the
-    value table does not define, decode to ERROR. Counters and coded signals are int, everything else float in the DBC's
-    unit.
+    Parameters
+    ----------
+    dbc_path : path, optional
+        The DBC; None: the shipped one.
+
+    Attributes
+    ----------
+    layouts : mapping of str to MessageLayout
+        By message name: identifier, length and signals.
+
+    Raises
+    ------
+    InputError
+        For a DBC that cannot be used.
+
+    Notes
+    -----
+    Values in the J1939 "not available" range decode to `NOT_AVAILABLE`; error and reserved ranges, and codes that the value table
+    does not define, to `ERROR`. Counters and coded signals are int, everything else float in the DBC's unit.
+
+    References
+    ----------
+    SAE J1939-71, ranges of transmitted values.
+
+    Examples
+    --------
+    >>> codec = api.Codec()
+    >>> codec.decode(codec.encode(api.Frame(3.5, "ElevatorSpeed", {"ElevatorSpeed": 400.0})))
+    Frame(time_s=3.5, message='ElevatorSpeed', signals={'ElevatorSpeed': 400.0})
     """
 
     def __init__(self, dbc_path: Path | str | None = None) -> None:
@@ -38,15 +64,38 @@ class Codec:
             table[layout.identity] = (layout, tuple(_unpack(signal) for signal in layout.signals))
 
     def layout_of(self, arbitration_id: int) -> MessageLayout | None:
-        """Layout of the message that a 29-bit identifier names, whatever its priority; None for one not of ours."""
+        """Layout of the message that an identifier names, whatever its priority.
+
+        Parameters
+        ----------
+        arbitration_id : int
+            29 bits.
+
+        Returns
+        -------
+        MessageLayout or None
+            None for one not of ours.
+        """
         entry = self._entry(arbitration_id)
         return entry[0] if entry is not None else None
 
     def decode(self, message: can.Message) -> Frame | None:
-        """Frame with the message's timestamp, or None when the message is not one of ours.
+        """A message as a frame.
 
-        None: an identifier that the DBC does not name, an 11-bit identifier, a remote frame, an error frame (the
-        receiver reports those). Raises FrameError when the length is not the DBC's.
+        Parameters
+        ----------
+        message : can.Message
+
+        Returns
+        -------
+        Frame or None
+            With the message's timestamp, s. None for an identifier that the DBC does not name, an 11-bit identifier, a remote
+            frame or an error frame (the receiver reports those).
+
+        Raises
+        ------
+        FrameError
+            For a length that is not the DBC's.
         """
         if message.is_error_frame or message.is_remote_frame or not message.is_extended_id:
             return None
@@ -74,11 +123,23 @@ class Codec:
         return Frame(message.timestamp, layout.name, signals)
 
     def encode(self, frame: Frame) -> can.Message:
-        """Message with the frame's time as timestamp. Bits that no signal uses are 1.
+        """A frame as a message with the frame's time as timestamp; bits that no signal uses are 1.
 
-        Raises FrameError for a message the DBC does not name, a signal too many or too few, a value outside the
-        signal's range (nothing is clipped) or no number, a code that the value table does not define, and for
-        NOT_AVAILABLE or ERROR on a signal that has no raw value for it.
+        Parameters
+        ----------
+        frame : Frame
+            All signals of the message.
+
+        Returns
+        -------
+        can.Message
+
+        Raises
+        ------
+        FrameError
+            For a message the DBC does not name, a signal too many or too few, a value outside the signal's range (nothing is
+            clipped) or no number, a code that the value table does not define, and for NOT_AVAILABLE or ERROR on a signal that
+            has no raw value for it.
         """
         layout = self.layouts.get(frame.message)
         if layout is None:
@@ -100,7 +161,17 @@ class Codec:
         )
 
     def filters(self, messages: Iterable[str]) -> list[can.typechecking.CanFilter]:
-        """python-can filters that let just these messages through, whatever their priority."""
+        """python-can filters that let just these messages through, whatever their priority.
+
+        Parameters
+        ----------
+        messages : iterable of str
+            Names in the DBC.
+
+        Returns
+        -------
+        list of dict
+        """
         return [
             {"can_id": self.layouts[name].identity, "can_mask": self.layouts[name].identity_mask, "extended": True}
             for name in messages

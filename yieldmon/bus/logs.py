@@ -100,10 +100,33 @@ class LogNotes:
 
 
 def read_log(path: Path | str, notes: LogNotes | None = None) -> Iterator[can.Message]:
-    """The log's frames in the order of the file, error and remote frames included.
+    r"""A log's frames in the order of the file, error and remote frames included.
 
-    `notes` is filled on the way. Raises InputError, when iterated, for a file that is missing, of an unknown format, in
-    UTF-16, or in which every single place is damaged.
+    Parameters
+    ----------
+    path : path
+        By its suffix candump (.log), .asc, .csv, .trc, .blf, .db, .mf4, each also with .gz behind, or a file of `yieldmon pack`.
+    notes : LogNotes, optional
+        Filled on the way: frames, error frames, damaged places.
+
+    Yields
+    ------
+    can.Message
+
+    Raises
+    ------
+    InputError
+        When iterated, for a file that is missing, of an unknown format, in UTF-16, or in which every single place is damaged.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     log = pathlib.Path(folder, "drive.log")
+    ...     _ = log.write_text("(1790000000.000000) can0 18FF0117#803E00FFFFFFFFFF\n")
+    ...     messages = list(api.read_log(log))
+    >>> hex(messages[0].arbitration_id)
+    '0x18ff0117'
     """
     path = Path(path)
     notes = notes if notes is not None else LogNotes()

@@ -37,9 +37,26 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Options:
-    """form: "auto", "restitution" or "exchange". hold_out: see `observations.seal`. without: effects taken out of the library.
+    """How `diagnose` works.
 
-    keep_effects: the model in question has the effects that the parameters speak of, at their values, instead of none.
+    Parameters
+    ----------
+    form : {"auto", "restitution", "exchange"}
+        Of the impact: one restitution, or k1 and k2.
+    hold_out : str
+        Rows that are sealed away until the end: "cells", "trials", "none", or a column and value such as "plate_angle_deg=70".
+    without : tuple of str
+        Effects taken out of the library.
+    keep_effects : bool
+        The model in question has the effects that the parameters speak of, at their values, instead of none.
+    seed : int
+    policy : Policy
+        When an effect is named.
+
+    Examples
+    --------
+    >>> api.Options(hold_out="none").form
+    'auto'
     """
 
     form: str = "auto"
@@ -79,7 +96,46 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All that was found; `base` and `best` are fitted to every row but outliers, `choice` to the unsealed rows alone."""
+    """All that `diagnose` found.
+
+    Parameters
+    ----------
+    options : Options
+    form : str
+        Of the impact: "restitution" or "exchange".
+    noise : Noise
+        Of the rows.
+    outliers : int
+        Rows that are left out.
+    choice : Choice
+        Steps, candidates and confidence; fitted to the unsealed rows alone.
+    base, best : Fit
+        Without and with the effects that are named; fitted to every row but outliers.
+    rows : Rows
+    sealed : ndarray of bool
+        (n,) rows that were held out.
+    before, after : Measure
+        Gap between model and rows without and with the effects.
+    held_out : HeldOut, optional
+        The same on the sealed rows; None where there are none.
+    noise_floor_rms : float
+        In the reading's unit.
+    regions, remaining : tuple of Region
+        Where the model misses, before and after.
+    plan : Plan
+        The next experiment.
+    minimum_detectable : dict of str to float
+        Smallest size of each effect that these rows would show.
+    undetectable : tuple of str
+        Effects that these rows would not show at any size within physical bounds; none that is named or tied.
+    correction : Correction, optional
+        A stopgap for the remaining gap.
+    notes : tuple of str
+
+    Examples
+    --------
+    See `diagnose`.
+    """
 
     options: Options
     form: str
@@ -99,7 +155,6 @@ class Diagnosis:
     plan: Plan
     minimum_detectable: dict[str, float]
     undetectable: tuple[str, ...]
-    """Effects that these rows would not show at any size within physical bounds; none that is named or tied."""
     correction: Correction | None
     notes: tuple[str, ...] = field(default=())
 
@@ -121,7 +176,36 @@ class Diagnosis:
 def diagnose(
     table: Table, machine: Machine, parameters: ParameterSet, options: Options = Options(), progress: Progress | None = None
 ) -> Diagnosis:
-    """Run the workflow on one table. Raises InputError where the table cannot carry it."""
+    """Find which effects a model lacks, from one table.
+
+    Parameters
+    ----------
+    table : Table
+    machine : Machine
+    parameters : ParameterSet
+        The grain until now.
+    options : Options
+    progress : callable, optional
+        Asked with what is under way and the share done, 0 .. 1.
+
+    Returns
+    -------
+    Diagnosis
+
+    Raises
+    ------
+    InputError
+        Where the table cannot carry it.
+
+    Examples
+    --------
+    >>> columns = {"plate_angle_deg": np.full(3, 70.0), "mass_flow_kg_s": np.arange(5.0, 20.0, 5.0), "force_n": np.full(3, 90.0)}
+    >>> table = api.Table("bench.csv", "", "mass_flow_kg_s", "force_n", columns, {})
+    >>> api.diagnose(table, api.Machine(), api.load_parameters()).verdict
+    Traceback (most recent call last):
+        ...
+    yieldmon.errors.InputError: bench.csv: has 3 rows with load and reading; expected at least 8
+    """
     return diagnose_rows(obs.from_table(table, machine), parameters, options, progress, table.path)
 
 

@@ -42,20 +42,41 @@ class Monitor:
 
     Parameters
     ----------
-    settings, machine
-        Every number that the engine uses.
-    estimator
-        Turns force into flow.
-    calibrator
+    settings : EngineSettings
+        Every number that the engine uses, as `load_configuration` gives it.
+    machine : Machine
+    estimator : OpenLoop
+        Turns force into flow; anything with `parameters` and `estimate` of the same arguments.
+    calibrator : SelfCalibrator, optional
         Learns from sweeps and reference masses; None: the parameters stay.
-    sources
-        Which message and signal brings what.
-    ranges
+    sources : Sources
+        Which message and signal brings what; the shipped DBC by default.
+    ranges : SignalRanges, optional
         Of the signals that are published; None: those of the shipped DBC.
-    drives_plate
+    drives_plate : bool
         False for a log, whose plate follows no command: learns from the sweeps that it shows, and commands none.
 
-    Operator commands are plain methods; they take effect with the next window or tick.
+    Attributes
+    ----------
+    settings : EngineSettings
+    machine : Machine
+    sources : Sources
+    faults : Faults
+        Active faults, since when and why.
+
+    Notes
+    -----
+    `feed`, `feed_run` and `tick` never raise on any sequence of frames. Operator commands are plain methods; they take effect
+    with the next window or tick. `build_monitor` puts one together.
+
+    Examples
+    --------
+    >>> loaded = api.load_configuration(api.shipped("config/yieldmon.yaml"))
+    >>> monitor = api.build_monitor(loaded.engine, loaded.machine, loaded.parameters)
+    >>> frames = [api.Frame(0.1 * tenth, "ElevatorSpeed", {"ElevatorSpeed": 400.0}) for tenth in range(25)]
+    >>> windows = [result for frame in frames for result in monitor.feed(frame) if isinstance(result, api.WindowResult)]
+    >>> [code.value for code in windows[0].record.faults]
+    ['SensorMissing', 'PlateFeedbackStale']
     """
 
     def __init__(
@@ -81,32 +102,79 @@ class Monitor:
     # Frames
 
     def feed(self, frame: Frame) -> list[Result]:
-        """Take one frame; returns what happened, in order, usually nothing."""
+        """Take one frame.
+
+        Parameters
+        ----------
+        frame : Frame
+            Of any message; those that the engine does not listen to only tell the time.
+
+        Returns
+        -------
+        list of WindowResult or PlateCommand
+            What happened, in order, usually nothing.
+        """
         return self._timeline.take(frame)
 
     def tick(self, time_s: float) -> list[Result]:
-        """Bus time has come to time_s (s) without a frame of ours; returns what happened."""
+        """Bus time has come so far without a frame of ours.
+
+        Parameters
+        ----------
+        time_s : float
+            Bus time, s.
+
+        Returns
+        -------
+        list of WindowResult or PlateCommand
+            What happened, in order.
+        """
         return self._timeline.tick(time_s)
 
     def feed_run(self, run: FrameRun, *, reports: bool = True) -> list[Result]:
         """Take a run of frames: the same as `feed` frame by frame, to the bit, at a fraction of its cost.
 
-        reports: False leaves out the frames that publish a window, which a log's reader has no use for.
+        Parameters
+        ----------
+        run : FrameRun
+            Frames as columns.
+        reports : bool
+            False leaves out the frames that publish a window, which a log's reader has no use for.
+
+        Returns
+        -------
+        list of WindowResult or PlateCommand
+            What happened, in order.
         """
         return self._timeline.take_run(run, publishing=reports)
 
     # Operator and service
 
     def start_load(self) -> LoadEvents:
-        """Begin a new load."""
+        """Begin a new load.
+
+        Returns
+        -------
+        list of LoadOpened or LoadClosed
+        """
         return self._parts.loads.start(self._parts.bus_now)
 
     def reset_totals(self) -> LoadEvents:
-        """All masses from 0, in a new load."""
+        """All masses from 0, in a new load.
+
+        Returns
+        -------
+        list of LoadOpened or LoadClosed
+        """
         return self._parts.loads.reset(self._parts.bus_now)
 
     def stop_load(self) -> LoadEvents:
-        """The load is complete; mass measured from now on belongs to no load until the next one starts."""
+        """The load is complete; mass measured from now on belongs to no load until the next one starts.
+
+        Returns
+        -------
+        list of LoadOpened or LoadClosed
+        """
         return self._parts.loads.stop(self._parts.bus_now)
 
     @property
@@ -120,11 +188,28 @@ class Monitor:
         return self._parts.measurement.signs_of_grain
 
     def set_market_moisture(self, moisture_pct: float) -> None:
-        """Of the crop that is harvested from now on; the configuration's `totals.moisture_reference_pct` goes before it."""
+        """Dry mass from now on at the market moisture of the crop that is harvested.
+
+        Parameters
+        ----------
+        moisture_pct : float
+            Wet basis, %; the configuration's `totals.moisture_reference_pct` goes before it.
+        """
         self._parts.loads.set_market_moisture(moisture_pct)
 
     def set_kernel_weight(self, thousand_kernel_weight_g: float) -> bool:
-        """The mass of a thousand kernels of what is harvested from now on; False where the waveform is not looked at."""
+        """The mass of a thousand kernels of what is harvested from now on.
+
+        Parameters
+        ----------
+        thousand_kernel_weight_g : float
+            g.
+
+        Returns
+        -------
+        bool
+            False where the waveform is not looked at.
+        """
         if self._parts.waveform is None:
             return False
         self._parts.waveform.kernel_weight_g = thousand_kernel_weight_g
@@ -146,10 +231,19 @@ class Monitor:
         self._parts.measurement.zero.calibrate(against_signs=bool(self.signs_of_grain))
 
     def undo_zero(self) -> tuple[dict[int, float], LoadEvents]:
-        """The zero before the operator's last calibration again; mass that was missed since, load number -> kg, and the loads
-        that changed.
+        """The zero before the operator's last calibration again.
 
-        Raises ValueError when there is none to go back to.
+        Returns
+        -------
+        missed_kg : dict of int to float
+            Mass that was missed since, kg, by load number.
+        events : list of LoadOpened or LoadClosed
+            The loads that changed.
+
+        Raises
+        ------
+        ValueError
+            When there is none to go back to.
         """
         parts, zero = self._parts, self._parts.measurement.zero
         known = zero.before
@@ -163,15 +257,32 @@ class Monitor:
         return found, parts.loads.correct(found)
 
     def remember_since_zero(self, seconds: Sequence[KeptSecond]) -> None:
-        """After a restart: what was measured since the operator's last zero calibration."""
+        """After a restart: what was measured since the operator's last zero calibration.
+
+        Parameters
+        ----------
+        seconds : sequence of KeptSecond
+        """
         self._parts.since_zero.add(seconds)
 
     def know_load(self, load: LoadSummary, seconds: Sequence[KeptSecond]) -> None:
-        """A closed load that an earlier run measured, with its seconds: a ticket for it teaches like one for this run's."""
+        """A closed load that an earlier run measured: a ticket for it teaches like one for this run's.
+
+        Parameters
+        ----------
+        load : LoadSummary
+        seconds : sequence of KeptSecond
+            Of that load.
+        """
         self._parts.learning.know_load(load, seconds)
 
     def remember_tickets(self, tickets: Sequence[TicketState]) -> None:
-        """After `restore` and `know_load`: the state's tickets, of which those for other loads are passed over."""
+        """After `restore` and `know_load`: the state's tickets, of which those for other loads are passed over.
+
+        Parameters
+        ----------
+        tickets : sequence of TicketState
+        """
         learning, pairs = self._parts.learning, []
         for ticket in tickets:
             known = learning.of_earlier_load(ticket.load_number, ticket.weighed_kg, ticket.std_dev_kg)
@@ -180,12 +291,23 @@ class Monitor:
         learning.remember_tickets([a for a, _ in pairs], [a for a, waits in pairs if waits])
 
     def take_tickets_of(self, before: Monitor) -> None:
-        """After `restore` from the monitor that measured until now: its tickets."""
+        """After `restore` from the monitor that measured until now: its tickets.
+
+        Parameters
+        ----------
+        before : Monitor
+        """
         learning = before._parts.learning
         self._parts.learning.remember_tickets(learning.tickets, learning.waiting)
 
     def forget_ticket(self, load_numbers: Sequence[int]) -> None:
-        """A ticket for these loads was taken back; those entered since then count anew."""
+        """A ticket was taken back; those entered since then count anew.
+
+        Parameters
+        ----------
+        load_numbers : sequence of int
+            The loads that it covered.
+        """
         self._parts.learning.forget_ticket(frozenset(load_numbers))
 
     @property
@@ -207,19 +329,49 @@ class Monitor:
         self.sweep.abort(self._parts.clock.now_s or 0.0)
 
     def set_estimator(self, estimator: FlowEstimator, calibration_age_s: float | None) -> None:
-        """Other parameters; calibration_age_s: time since they were calibrated, None where it is not known."""
+        """Other parameters.
+
+        Parameters
+        ----------
+        estimator : OpenLoop
+            As in `Monitor`.
+        calibration_age_s : float or None
+            Time since they were calibrated, s; None where it is not known.
+        """
         self._parts.learning.use(estimator, calibration_age_s)
         self._parts.learning.scale_alarm.accept()
 
     def ticket(self, load_number: int, mass_kg: float, std_dev_kg: float) -> ReferenceMass:
-        """A scale ticket for a load; returns the reference mass, which counts when the window or sweep under way ends.
+        """A scale ticket for a load.
 
-        Raises ValueError when the load is not known or a number makes no sense.
+        Parameters
+        ----------
+        load_number : int
+        mass_kg, std_dev_kg : float
+            Weighed mass and its standard deviation, kg.
+
+        Returns
+        -------
+        ReferenceMass
+            Counts when the window or sweep under way ends.
+
+        Raises
+        ------
+        ValueError
+            When the load is not known or a number makes no sense.
         """
         return self._parts.learning.ticket(load_number, mass_kg, std_dev_kg, self.loads, self._parts.bus_now)
 
     def report_fault(self, code: FaultCode, present: bool, detail: str = "") -> None:
-        """A condition that the service sees (bus error, store failing, output conflict, ...); holds until reported gone."""
+        """A condition that the service sees, such as a bus error or a store that fails; holds until reported gone.
+
+        Parameters
+        ----------
+        code : FaultCode
+        present : bool
+        detail : str
+            What is to be said of it.
+        """
         self.faults.report(code, present, detail)
 
     # What there is to see
@@ -270,10 +422,20 @@ class Monitor:
         return self._parts.clock.bus_time(self._parts.schedule.next_s)
 
     def snapshot(self) -> EngineState:
-        """What is to outlive a restart."""
+        """What is to outlive a restart.
+
+        Returns
+        -------
+        EngineState
+        """
         return snapshot(self._parts, self._timeline.conclusion.windows)
 
     def restore(self, state: EngineState) -> None:
-        """Go on from a snapshot; to be called before the first frame."""
+        """Go on from a snapshot; to be called before the first frame.
+
+        Parameters
+        ----------
+        state : EngineState
+        """
         restore(self._parts, state)
         self._timeline.conclusion.windows = state.windows

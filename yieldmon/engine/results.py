@@ -29,7 +29,21 @@ Event = FaultEvent | LoadOpened | LoadClosed | ParametersChanged | SweepEnded | 
 
 @dataclass(frozen=True, slots=True)
 class WindowResult:
-    """A window has closed: its record, the frames that publish it, and what happened with it."""
+    """A window has closed: its record, the frames that publish it, and what happened with it.
+
+    Parameters
+    ----------
+    record : WindowRecord
+        Times in s, mass flow in kg/s, masses in kg, angles in rad, speeds in rad/s; nan where there is none.
+    frames : tuple of Frame
+        To send, in order.
+    events : tuple
+        In the order in which they happened: faults, loads opened and closed, parameters changed, sweeps ended, zeros taken.
+
+    Examples
+    --------
+    See `Monitor`.
+    """
 
     record: WindowRecord
     frames: tuple[Frame, ...] = ()

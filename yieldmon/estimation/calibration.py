@@ -41,10 +41,57 @@ def calibrate(
     response_unit: str = "N",
     progress: Callable[[float], None] | None = None,
 ) -> Calibration:
-    """Least squares of momentum over the `free` parameters, from `start` and `starts` - 1 random places.
+    """Least squares of momentum over the free parameters.
 
-    start: values of all parameters of the model (those not free keep theirs). bounds override the published or physical ones.
-    robust: soft-L1 loss. Raises ValueError when there are fewer rows than free parameters or the model cannot carry the loads.
+    Parameters
+    ----------
+    model : ForwardModel
+    data : Measurements
+    start : mapping of str to float
+        Values of all parameters of the model; those not free keep theirs. See `default_start`.
+    free : sequence of str
+        Parameters to fit.
+    prior : Prior, optional
+        Gaussian, on free parameters.
+    bounds : mapping of str to (float, float), optional
+        In place of the published or physical ones.
+    starts : int
+        Searches: one from `start`, the others from random places within the bounds.
+    rng : numpy.random.Generator, optional
+        Of the random places; None: seed 0.
+    robust : bool
+        Soft-L1 loss, for tables with outliers.
+    intervals : bool
+        Profile-likelihood intervals; False: by the standard errors alone.
+    response_unit : str
+        Unit of the reading, "N" for a force.
+    progress : callable, optional
+        Asked with the share done, 0 .. 1.
+
+    Returns
+    -------
+    Calibration
+
+    Raises
+    ------
+    ValueError
+        For fewer rows than free parameters, or where the model cannot carry the loads.
+
+    References
+    ----------
+    Bates and Watts, "Nonlinear Regression Analysis and Its Applications" (Wiley, 1988), chapters 2 and 6.
+
+    Examples
+    --------
+    >>> model, free = api.ForwardModel(api.Machine()), ["restitution", "friction"]
+    >>> grain = {"friction": 0.2, "restitution": 0.6, "density": 1100.0, "shape_ratio": 2.0}
+    >>> angle, flow = (each.ravel() for each in np.meshgrid(np.radians([40.0, 60.0, 80.0]), [5.0, 10.0, 15.0]))
+    >>> at = api.Conditions(angle, 400.0 * api.RPM, mass_flow_kg_s=flow)
+    >>> data = api.Measurements(at, model.paddle_momentum(at, grain))
+    >>> start = api.default_start(model, data, ["restitution"], grain | {"friction": 0.3})
+    >>> found = api.calibrate(model, data, start, free, starts=1)
+    >>> {name: round(found.parameter_set.values[name], 3) for name in free}
+    {'restitution': 0.6, 'friction': 0.2}
     """
     problem = CalibrationProblem(model, data, start, tuple(free), prior, bounds, robust)
     rng = np.random.default_rng(0) if rng is None else rng
@@ -73,7 +120,30 @@ def profile_curves(
 def default_start(
     model: ForwardModel, data: Measurements, impact: Sequence[str], known: Mapping[str, float] | None = None
 ) -> dict[str, float]:
-    """Values to start from: the given ones, else middling grain and effects at their typical size, in the data's scale."""
+    """Values from which to search.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    data : Measurements
+        In whose scale values are that follow a response's own unit.
+    impact : sequence of str
+        "restitution", or "k1" and "k2".
+    known : mapping of str to float, optional
+        Values that are given.
+
+    Returns
+    -------
+    dict of str to float
+        All parameters of the model: the given ones, else middling grain and effects at their typical size.
+
+    Examples
+    --------
+    >>> at = api.Conditions(np.radians([50.0, 70.0]), 400.0 * api.RPM, mass_flow_kg_s=np.array([5.0, 10.0]))
+    >>> rows = api.Measurements(at, np.array([4.2, 7.4]))
+    >>> sorted(api.default_start(api.ForwardModel(api.Machine()), rows, ["restitution"]))
+    ['density', 'friction', 'restitution', 'shape_ratio']
+    """
     known = dict(known or {})
     scale = data_scale(model, data) if any(GRAIN[name].follows_response for name in impact) else 1.0
     chosen = (*(p.name for p in GRAIN.values() if not p.form), *impact)

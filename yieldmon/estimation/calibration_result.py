@@ -65,7 +65,33 @@ class Residuals:
 
 @dataclass(frozen=True)
 class Calibration:
-    """The result of `calibrate`. correlation: (n, n) in the order of `parameters`."""
+    """The result of `calibrate`.
+
+    Parameters
+    ----------
+    parameter_set : ParameterSet
+        Of the best fit, to be saved or used.
+    parameters : tuple of FittedParameter
+        n free ones: value, standard error, interval (95 %), and what of it the data leave open.
+    correlation : ndarray
+        (n, n) in the order of `parameters`.
+    basins : tuple of Basin
+        Distinct minima, the best first.
+    starts : int
+        Places from which was searched.
+    residuals : Residuals
+        Quality of the fit.
+    predicted : ndarray
+        (rows,) momentum in the order of the measurements.
+    jacobian : ndarray
+        (rows, n): derivatives of the predictions.
+    sentences : tuple of str
+        What a reader should know of the fit.
+
+    Examples
+    --------
+    See `calibrate`.
+    """
 
     parameter_set: ParameterSet
     parameters: tuple[FittedParameter, ...]
@@ -74,9 +100,7 @@ class Calibration:
     starts: int
     residuals: Residuals
     predicted: Array = field(repr=False)
-    """(rows,), in the order of the measurements."""
     jacobian: Array = field(repr=False)
-    """(rows, n): derivatives of the predictions."""
     sentences: tuple[str, ...] = ()
 
     @property

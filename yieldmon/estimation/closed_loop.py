@@ -41,11 +41,46 @@ def self_calibrate(
     density: DensityAnchor | None = None,
     settings: ClosedLoopSettings | None = None,
 ) -> Outcome:
-    """Flows of the sweeps and updated parameters. The parameters in question are those with a variance in `prior`.
+    """Flows of sweeps and updated parameters.
 
-    The update is refused whole when the misfit is too large, and in part where the data say next to nothing: see
-    ClosedLoopSettings.learned_information and kept_ratio. Raises ValueError when there is nothing to go by, the prior has no
-    covariance, or no flow can explain a sweep.
+    Parameters
+    ----------
+    model : ForwardModel
+    prior : ParameterSet
+        The parameters until now; those with a variance are in question.
+    sweeps : sequence of Sweep
+    anchors : sequence of MassAnchor
+        Weighed masses.
+    density : DensityAnchor, optional
+        A density measured otherwise.
+    settings : ClosedLoopSettings, optional
+
+    Returns
+    -------
+    Outcome
+        `parameter_set` is the one to use from now on; `flows`, `parameters`, `scale` and `reason` say what was found. The update
+        is refused whole when the misfit is too large, and in part where the data say next to nothing: see
+        `ClosedLoopSettings.learned_information` and `kept_ratio`.
+
+    Raises
+    ------
+    ValueError
+        When there is nothing to go by, the prior has no covariance, or no flow can explain a sweep.
+
+    References
+    ----------
+    "Self-Calibrating Mass Flow Sensor" (Univ. of Illinois / Deere), section 9.3; Gelman et al., "Bayesian Data Analysis", on the
+    normal approximation of the posterior.
+
+    Examples
+    --------
+    >>> prior = api.load_parameters()
+    >>> model = api.ForwardModel(api.Machine(), prior.effects)
+    >>> angle, speed = np.radians(np.repeat([40.0, 60.0, 80.0], 4)), np.full(12, 400.0 * api.RPM)
+    >>> force = model.force(api.Conditions(angle, speed, mass_flow_kg_s=12.0), prior.values)
+    >>> found = api.self_calibrate(model, prior, [api.Sweep(np.arange(12.0), angle, speed, force, 0.01 * force)])
+    >>> round(found.flows[0].mass_flow_kg_s, 1)
+    12.0
     """
     problem = ClosedLoopProblem(model, prior, sweeps, anchors, density, ClosedLoopSettings() if settings is None else settings)
     return _outcome(problem, problem.solve())

@@ -14,9 +14,32 @@ from .parameters import ParameterSet
 
 @dataclass(frozen=True)
 class Sweep:
-    """Windows of one sweep, all arrays (n,). time_s from any epoch. moisture_pct only where an effect needs it.
+    """Windows of one sweep of the plate.
 
-    Raises ValueError for shapes that differ, values that are not finite, or standard deviations that are not above 0.
+    Parameters
+    ----------
+    time_s : ndarray
+        (n,) s, of any epoch.
+    plate_angle_rad : ndarray
+        (n,) rad.
+    elevator_speed_rad_s : ndarray
+        (n,) rad/s.
+    force_n, force_std_dev_n : ndarray
+        (n,) mean horizontal force and its standard deviation, N.
+    moisture_pct : ndarray, optional
+        (n,) %, where an effect needs it.
+
+    Raises
+    ------
+    ValueError
+        For shapes that differ, values that are not finite, or standard deviations that are not above 0.
+
+    Examples
+    --------
+    >>> angle = np.radians([40.0, 60.0, 80.0])
+    >>> sweep = api.Sweep(np.arange(3.0), angle, np.full(3, 400.0 * api.RPM), np.array([91.0, 92.0, 88.0]), np.ones(3))
+    >>> sweep.force_n.shape
+    (3,)
     """
 
     time_s: Array
@@ -38,7 +61,26 @@ class Sweep:
 
 @dataclass(frozen=True)
 class MassAnchor:
-    """A weighed mass and the windows in which it was harvested; all arrays (n,). std_dev_kg: the scale's."""
+    """A weighed mass and the windows in which it was harvested.
+
+    Parameters
+    ----------
+    reference_kg, std_dev_kg : float
+        What the scale says and its standard deviation, kg.
+    duration_s : ndarray
+        (n,) of each window, s.
+    force_n, plate_angle_rad, elevator_speed_rad_s : ndarray
+        (n,) N, rad, rad/s.
+    moisture_pct : ndarray, optional
+        (n,) %, where an effect needs it.
+
+    Examples
+    --------
+    >>> seconds = np.ones(3000)
+    >>> load = api.MassAnchor.from_windows(9000.0, 45.0, seconds, 28.0 * seconds, 1.22 * seconds, 41.9 * seconds)
+    >>> float(load.duration_s.sum())
+    3000.0
+    """
 
     reference_kg: float
     std_dev_kg: float
@@ -60,7 +102,19 @@ class MassAnchor:
         *,
         groups: int = 12,
     ) -> MassAnchor:
-        """Many windows condensed to `groups` at each plate angle: windows of like force are replaced by their mean."""
+        """Many windows condensed: at each plate angle, windows of like force are replaced by their mean.
+
+        Parameters
+        ----------
+        reference_kg, std_dev_kg, duration_s, force_n, plate_angle_rad, elevator_speed_rad_s
+            As in `MassAnchor`.
+        groups : int
+            Groups at each plate angle.
+
+        Returns
+        -------
+        MassAnchor
+        """
         bins = np.round(plate_angle_rad / np.radians(2.0)).astype(int)
         parts = []
         for value in np.unique(bins):
@@ -93,7 +147,24 @@ class MassAnchor:
         plate_angle_rad: float,
         elevator_speed_rad_s: float,
     ) -> MassAnchor:
-        """From a measured total alone: `parameters` made it, at about `mass_flow_kg_s`."""
+        """From a measured total alone.
+
+        Parameters
+        ----------
+        reference_kg, std_dev_kg : float
+            What the scale says and its standard deviation, kg.
+        measured_kg : float
+            What was measured, kg.
+        model : ForwardModel
+        parameters : ParameterSet
+            With which it was measured.
+        mass_flow_kg_s, plate_angle_rad, elevator_speed_rad_s : float
+            At about which it was measured, kg/s, rad, rad/s.
+
+        Returns
+        -------
+        MassAnchor
+        """
         conditions = Conditions(plate_angle_rad, elevator_speed_rad_s, mass_flow_kg_s=mass_flow_kg_s)
         force = np.atleast_1d(np.real(model.force(conditions, parameters.values)))
         return cls(
@@ -108,7 +179,18 @@ class MassAnchor:
 
 @dataclass(frozen=True, slots=True)
 class DensityAnchor:
-    """A density measured otherwise, kg/m3, in the terms of the parameter `density`."""
+    """A density measured otherwise.
+
+    Parameters
+    ----------
+    density_kg_m3, std_dev_kg_m3 : float
+        In the terms of the parameter `density`, and its standard deviation, kg/m3.
+
+    Examples
+    --------
+    >>> api.DensityAnchor.from_test_weight(720.0, 10.0, 1.5, 0.06).density_kg_m3
+    1080.0
+    """
 
     density_kg_m3: float
     std_dev_kg_m3: float
@@ -117,7 +199,18 @@ class DensityAnchor:
     def from_test_weight(
         cls, test_weight_kg_m3: float, std_dev_kg_m3: float, ratio: float, ratio_std_dev: float
     ) -> DensityAnchor:
-        """From a test weight. The fitted density is no test weight (it stands for the heap on a paddle): `ratio` = fitted
-        density over test weight in a calibration, with its own standard deviation."""
+        """From a test weight. The fitted density is no test weight: it stands for the heap on a paddle.
+
+        Parameters
+        ----------
+        test_weight_kg_m3, std_dev_kg_m3 : float
+            Test weight and its standard deviation, kg/m3.
+        ratio, ratio_std_dev : float
+            Fitted density over test weight in a calibration, and its standard deviation.
+
+        Returns
+        -------
+        DensityAnchor
+        """
         relative = np.hypot(std_dev_kg_m3 / test_weight_kg_m3, ratio_std_dev / ratio)
         return cls(ratio * test_weight_kg_m3, float(ratio * test_weight_kg_m3 * relative))

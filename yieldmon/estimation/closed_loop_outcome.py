@@ -79,16 +79,42 @@ class ScaleReport:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of `self_calibrate`. parameter_set: the one to use from now on (the prior's own where updated is False)."""
+    """The result of `self_calibrate`.
+
+    Parameters
+    ----------
+    parameter_set : ParameterSet
+        The one to use from now on; the prior's own where updated is False.
+    updated : bool
+    consistent : bool
+        Whether the misfit is no more than noise and model error explain; if not, nothing is updated.
+    reason : str
+        One sentence for the operator.
+    region : str
+        Where the sweeps' misfit is largest.
+    flows : tuple of FlowPosterior
+        Mean mass flow of each sweep, kg/s, with its deviation.
+    parameters : tuple of Learning
+        What became of each parameter in question.
+    scale : ScaleReport
+        What became of the scale that no sweep determines.
+    chi2, dof, p_value : float, int, float
+        Misfit, its degrees of freedom, and the probability of so large a misfit by chance.
+    residuals : tuple of ndarray
+        Of each sweep, N: measured less predicted force, in the order of its windows.
+    prior_widening : float
+        What `update_from_tickets` multiplied the prior's covariance by before it agreed with the weighed masses.
+
+    Examples
+    --------
+    See `self_calibrate`.
+    """
 
     parameter_set: ParameterSet
     updated: bool
     consistent: bool
-    """Whether the misfit is no more than noise and model error explain; if not, nothing is updated."""
     reason: str
-    """One sentence for the operator."""
     region: str
-    """Where the sweeps' misfit is largest."""
     flows: tuple[FlowPosterior, ...]
     parameters: tuple[Learning, ...]
     scale: ScaleReport
@@ -96,10 +122,13 @@ class Outcome:
     dof: int
     p_value: float
     residuals: tuple[Array, ...] = field(repr=False)
-    """Of each sweep, N: measured less predicted force, in the order of its windows."""
     prior_widening: float = 1.0
-    """What `update_from_tickets` multiplied the prior's covariance by before it agreed with the weighed masses."""
 
     def learned(self) -> tuple[str, ...]:
-        """Names of the parameters that moved."""
+        """Names of the parameters that moved.
+
+        Returns
+        -------
+        tuple of str
+        """
         return tuple(p.name for p in self.parameters if p.learned)

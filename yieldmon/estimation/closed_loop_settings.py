@@ -9,9 +9,36 @@ from dataclasses import dataclass
 class ClosedLoopSettings:
     """How a sweep is read.
 
-    flow: "constant", "linear" (a slope with prior flow_slope_sd_per_s) or "process" (a random process around a constant with
-    correlation time flow_process_time_s; its size is taken from windows at like angles, flow_process_sd is the likeliest before).
-    model_error: relative standard deviation of the model's own error, one draw for each plate angle of a sweep.
+    Parameters
+    ----------
+    flow : {"constant", "linear", "process"}
+        How the flow may change during a sweep: not at all, with a slope, or as a random process around a constant.
+    flow_slope_sd_per_s : float
+        Prior standard deviation of the slope, share of the flow per second.
+    flow_process_sd : float
+        The likeliest standard deviation of the process before the sweep, share of the flow; its size is taken from windows at
+        like angles.
+    flow_process_time_s : float
+        Correlation time of the process, s.
+    model_error : float
+        Relative standard deviation of the model's own error, one draw for each plate angle of a sweep.
+    learned_information : float
+        Data over prior information along a direction of parameter space; below it nothing is taken from the data. Small scraps of
+        information in every sweep would add up to certainty that is the model's error and not the grain's.
+    kept_ratio : float
+        A parameter whose width shrinks to no less than this share of the prior's keeps its value and variance.
+    consistent_p : float
+        Probability of so large a misfit below which a sweep updates nothing.
+
+    Raises
+    ------
+    ValueError
+        For another flow model.
+
+    Examples
+    --------
+    >>> api.ClosedLoopSettings(flow="linear").flow_slope_sd_per_s
+    0.005
     """
 
     flow: str = "constant"
@@ -20,12 +47,8 @@ class ClosedLoopSettings:
     flow_process_time_s: float = 20.0
     model_error: float = 0.0
     learned_information: float = 0.05
-    """Data over prior information along a direction of parameter space; below it nothing is taken from the data. Small scraps of
-    information in every sweep would add up to certainty that is the model's error and not the grain's."""
     kept_ratio: float = 0.99
-    """A parameter whose width shrinks to no less than this share of the prior's keeps its value and variance."""
     consistent_p: float = 1e-3
-    """Probability of so large a misfit below which a sweep updates nothing."""
 
     def __post_init__(self) -> None:
         if self.flow not in ("constant", "linear", "process"):

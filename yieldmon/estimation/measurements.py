@@ -13,11 +13,30 @@ from yieldmon.physics.numerics import Array
 
 @dataclass(frozen=True)
 class Measurements:
-    """Rows of known load: conditions (1-D arrays), momentum (n,) per paddle in kg m/s or a response's own unit.
+    """Rows of known load, as `calibrate` takes them.
 
-    sigma: (n,) standard deviation of each momentum, None where unknown; then it is estimated from the rows. places: (n,) index of
-    each row in the table that it comes from, None where these are all of its rows. Rows with a momentum or load that is nan do
-    not belong here. Raises ValueError for them.
+    Parameters
+    ----------
+    conditions : Conditions
+        1-D arrays of n rows, or numbers.
+    momentum : ndarray
+        (n,) per paddle, kg m/s or a response's own unit.
+    sigma : ndarray, optional
+        (n,) standard deviation of each momentum; None where unknown: it is estimated from the rows.
+    places : ndarray of int, optional
+        (n,) index of each row in the table that it comes from; None where these are all of its rows.
+
+    Raises
+    ------
+    ValueError
+        For a momentum, angle, speed, load or plate position that is nan, and for a sigma that is not above 0.
+
+    Examples
+    --------
+    >>> at = api.Conditions(np.radians([50.0, 70.0]), 400.0 * api.RPM, mass_flow_kg_s=np.array([5.0, 10.0]))
+    >>> rows = api.Measurements(at, np.array([4.2, 7.4]))
+    >>> rows.columns()[2]
+    array([ 5., 10.])
     """
 
     conditions: Conditions
@@ -34,7 +53,13 @@ class Measurements:
             raise ValueError("measurements: angle, speed, load and plate position must be finite")
 
     def columns(self) -> Array:
-        """(4, n): plate angle, elevator speed, load, moisture (nan where unknown)."""
+        """The rows as columns.
+
+        Returns
+        -------
+        ndarray
+            (4, n): plate angle (rad), elevator speed (rad/s), load (kg/s or kg), moisture (%, nan where unknown).
+        """
         c = self.conditions
         load = c.mass_flow_kg_s if c.paddle_mass_kg is None else c.paddle_mass_kg
         moisture = np.nan if c.moisture_pct is None else c.moisture_pct
@@ -42,7 +67,17 @@ class Measurements:
         return np.stack([np.broadcast_to(part, self.momentum.shape) for part in parts])
 
     def select(self, rows: NDArray[np.bool_]) -> Measurements:
-        """Those rows alone."""
+        """Some of the rows.
+
+        Parameters
+        ----------
+        rows : ndarray of bool
+            (n,).
+
+        Returns
+        -------
+        Measurements
+        """
         places = np.flatnonzero(rows) if self.places is None else self.places[rows]
         return Measurements(
             self._conditions(self._all()[:, rows]),
@@ -52,7 +87,15 @@ class Measurements:
         )
 
     def cells(self) -> tuple[Conditions, NDArray[np.intp]]:
-        """The distinct conditions, and for each row the index of its own."""
+        """Rows of the same conditions.
+
+        Returns
+        -------
+        conditions : Conditions
+            The distinct ones.
+        index : ndarray of int
+            (n,) of each row's own.
+        """
         columns = np.nan_to_num(self._all(), nan=-1.0)
         distinct, index = np.unique(columns, axis=1, return_inverse=True)
         distinct = np.where((np.arange(5)[:, None] == 3) & (distinct < 0.0), np.nan, distinct)

@@ -29,24 +29,56 @@ _DIAGONAL = np.eye(4, dtype=bool)
 
 
 class FlowStatus(IntEnum):
-    """What a flow estimate is worth."""
+    """What a flow estimate is worth.
+
+    Attributes
+    ----------
+    OK
+        An estimate within the calibrated range.
+    NO_GRAIN
+        The force is at or below that of an empty machine; the flow is 0 within its standard deviation.
+    OUTSIDE_CALIBRATION
+        An estimate, but flow, angle, speed or moisture lie outside the range that the parameters were calibrated in.
+    SATURATED
+        More force than a full paddle gives; no estimate (nan).
+    NOT_AVAILABLE
+        An input is missing or meaningless; no estimate (nan).
+
+    Examples
+    --------
+    >>> api.FlowStatus(1).name
+    'NO_GRAIN'
+    """
 
     OK = 0
     NO_GRAIN = 1
-    """The force is at or below that of an empty machine; the flow is 0 within its standard deviation."""
     OUTSIDE_CALIBRATION = 2
-    """An estimate, but flow, angle, speed or moisture lie outside the range that the parameters were calibrated in."""
     SATURATED = 3
-    """More force than a full paddle gives; no estimate (nan)."""
     NOT_AVAILABLE = 4
-    """An input is missing or meaningless; no estimate (nan)."""
 
 
 @dataclass(frozen=True, slots=True)
 class FlowEstimate:
-    """Mass flow and its standard deviation, kg/s (nan where there is none), and FlowStatus codes, all of one shape.
+    """Mass flow with its standard deviation and status, all of one shape.
 
-    noise_std_dev_kg_s: the part of the standard deviation that changes from window to window; the rest is the parameters'.
+    Parameters
+    ----------
+    mass_flow_kg_s : ndarray
+        kg/s, nan where there is none.
+    std_dev_kg_s : ndarray
+        Standard deviation, kg/s.
+    status : ndarray of int
+        `FlowStatus` codes.
+    noise_std_dev_kg_s : ndarray
+        The part of the standard deviation that changes from window to window, kg/s; the rest is the parameters'.
+
+    Examples
+    --------
+    >>> parameters = api.load_parameters()
+    >>> estimator = api.OpenLoop(api.ForwardModel(api.Machine(), parameters.effects), parameters)
+    >>> found = estimator.estimate([0.0, 90.0], np.radians(70.0), 400.0 * api.RPM)
+    >>> [api.FlowStatus(code).name for code in found.status]
+    ['NO_GRAIN', 'OK']
     """
 
     mass_flow_kg_s: Array
@@ -161,8 +193,33 @@ def with_status(
 class OpenLoop:
     """Force to mass flow with one set of parameters.
 
-    The parameters enter the standard deviation by the covariance of the set, the model's own error by its
-    `model_error`; window noise is given at each call.
+    Parameters
+    ----------
+    model : ForwardModel
+        With the effects that the parameters speak of.
+    parameters : ParameterSet
+        Their covariance and model_error enter the standard deviation of the flow.
+
+    Attributes
+    ----------
+    model : ForwardModel
+    parameters : ParameterSet
+
+    Raises
+    ------
+    ValueError
+        For other effects in the parameters than in the model.
+
+    References
+    ----------
+    "Self-Calibrating Mass Flow Sensor" (Univ. of Illinois / Deere), chapter 8, solved for the flow.
+
+    Examples
+    --------
+    >>> parameters = api.load_parameters()
+    >>> estimator = api.OpenLoop(api.ForwardModel(api.Machine(), parameters.effects), parameters)
+    >>> estimator.invert([60.0, 90.0], np.radians(70.0), 400.0 * api.RPM).round(2)
+    array([ 6.86, 11.95])
     """
 
     def __init__(self, model: ForwardModel, parameters: ParameterSet) -> None:
@@ -191,7 +248,22 @@ class OpenLoop:
         elevator_speed_rad_s: ArrayLike,
         moisture_pct: ArrayLike | None = None,
     ) -> Array:
-        """Mass flow alone, kg/s: 0 at or below the empty reading, nan above that of a full paddle. Finite input only."""
+        """Mass flow alone.
+
+        Parameters
+        ----------
+        force_n : array_like
+            Mean horizontal force above zero load, N.
+        plate_angle_rad, elevator_speed_rad_s : array_like
+            rad, rad/s.
+        moisture_pct : array_like, optional
+            %, where an effect needs it.
+
+        Returns
+        -------
+        ndarray
+            kg/s: 0 at or below the empty reading, nan above that of a full paddle. For finite input only.
+        """
         throw = self._throw(plate_angle_rad, elevator_speed_rad_s, moisture_pct)
         return invert_force(throw, np.asarray(force_n, dtype=float))[0]
 
@@ -203,7 +275,19 @@ class OpenLoop:
         force_std_dev_n: ArrayLike = 0.0,
         moisture_pct: ArrayLike | None = None,
     ) -> FlowEstimate:
-        """Mass flow with standard deviation and status; scalars or arrays that broadcast, any of them nan where unknown."""
+        """Mass flow with standard deviation and status.
+
+        Parameters
+        ----------
+        force_n, plate_angle_rad, elevator_speed_rad_s, moisture_pct : array_like
+            As in `invert`; nan where unknown.
+        force_std_dev_n : array_like
+            Of the force, from window noise, N.
+
+        Returns
+        -------
+        FlowEstimate
+        """
         (force, angle, speed, noise, moist), usable = broadcast_inputs(
             force_n, plate_angle_rad, elevator_speed_rad_s, force_std_dev_n, moisture_pct
         )

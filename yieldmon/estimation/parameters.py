@@ -29,10 +29,40 @@ class CalibratedRange:
 
 @dataclass(frozen=True)
 class ParameterSet:
-    """Values by name (friction, density in kg/m3, shape_ratio, restitution or k1 and k2, `effect.parameter`).
+    """A calibrated set of parameters: values, their errors, where they hold and where they came from.
 
-    covariance: (n, n) in the order of covariance_names, a subset of the values; the others count as exactly known. provenance:
-    plain text entries (data file hash, date, method, parent version). Raises ValueError when the pieces do not fit together.
+    Parameters
+    ----------
+    values : mapping of str to float
+        `friction`, `density` (kg/m3), `shape_ratio`, `restitution` or `k1` and `k2`, and `effect.parameter` for each effect.
+    covariance_names : tuple of str
+        n of the values; the others count as exactly known.
+    covariance : ndarray
+        (n, n) in the order of covariance_names.
+    calibrated : CalibratedRange
+        Where the calibration data lay.
+    response_unit : str
+        Unit of the reading, "N" for a force.
+    version : int
+        Counts the sets of a machine.
+    provenance : mapping of str to str
+        Hash of the data file, date, method, parent version.
+    model_error : float
+        Relative standard deviation of a predicted force that is the model's own and no parameter's; 0: not known to have one.
+    curve : FlowCurve, optional
+        What gives the flow in place of the physics; None: the physics.
+
+    Raises
+    ------
+    ValueError
+        When the pieces do not fit together.
+
+    Examples
+    --------
+    >>> grain = {"friction": 0.2, "restitution": 0.6, "density": 1100.0, "shape_ratio": 2.0}
+    >>> known = api.ParameterSet(grain, ("friction", "density"), np.diag([0.02**2, 50.0**2]))
+    >>> known.standard_deviation("density"), known.standard_deviation("shape_ratio")
+    (50.0, 0.0)
     """
 
     values: Mapping[str, float]
@@ -43,9 +73,7 @@ class ParameterSet:
     version: int = 1
     provenance: Mapping[str, str] = field(default_factory=dict)
     model_error: float = 0.0
-    """Relative standard deviation of a predicted force that is the model's own and no parameter's; 0: not known to have one."""
     curve: FlowCurve | None = None
-    """What gives the flow in place of the physics; None: the physics."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
@@ -84,14 +112,35 @@ class ParameterSet:
         return tuple(sorted({name.partition(".")[0] for name in self.values if "." in name}))
 
     def standard_deviation(self, name: str) -> float:
-        """Standard deviation of one parameter, 0 where it counts as exactly known."""
+        """Standard deviation of one parameter.
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        float
+            In the parameter's unit; 0 where it counts as exactly known.
+        """
         if name not in self.covariance_names:
             return 0.0
         index = self.covariance_names.index(name)
         return float(np.sqrt(self.covariance[index, index]))
 
     def covariance_of(self, names: Iterable[str]) -> Array:
-        """Covariance in the order of `names`; zero rows for parameters that count as exactly known."""
+        """Covariance of some parameters.
+
+        Parameters
+        ----------
+        names : iterable of str
+            m of them.
+
+        Returns
+        -------
+        ndarray
+            (m, m) in the order of `names`; zero rows for parameters that count as exactly known.
+        """
         wanted = list(names)
         out = np.zeros((len(wanted), len(wanted)))
         for i, a in enumerate(wanted):

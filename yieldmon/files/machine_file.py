@@ -42,7 +42,27 @@ _IMPLEMENT = {
 
 
 def load(path: str | Path | None = None) -> Machine:
-    """The machine in a YAML file, or the shipped 8-tooth machine. Raises InputError naming file, key, value and range."""
+    """The machine in a YAML file.
+
+    Parameters
+    ----------
+    path : path, optional
+        None: the shipped 8-tooth machine.
+
+    Returns
+    -------
+    Machine
+
+    Raises
+    ------
+    InputError
+        Naming file, key, value and range.
+
+    Examples
+    --------
+    >>> api.load_machine().name
+    'sprocket-8'
+    """
     path = shipped(DEFAULT) if path is None else path
     return from_document(load_mapping(path), path)
 

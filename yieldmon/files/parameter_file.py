@@ -39,7 +39,27 @@ _KEYS = ("format", "version", "effects", "covariance", "calibrated_range", "resp
 
 
 def load(path: str | Path | None = None) -> ParameterSet:
-    """The parameters in a YAML file, or the shipped corn. Raises InputError naming file, key, value and range."""
+    """The parameters in a YAML file.
+
+    Parameters
+    ----------
+    path : path, optional
+        None: the shipped corn.
+
+    Returns
+    -------
+    ParameterSet
+
+    Raises
+    ------
+    InputError
+        Naming file, key, value and range.
+
+    Examples
+    --------
+    >>> api.load_parameters().effects
+    ('gravity',)
+    """
     path = shipped(DEFAULT) if path is None else path
     known = from_document(load_mapping(path), str(path))
     if known.values["density"] < _LEAST_DENSITY_KG_M3:
@@ -119,7 +139,30 @@ def to_document(parameters: ParameterSet) -> dict[str, Any]:
 
 
 def save(parameters: ParameterSet, path: str | Path) -> None:
-    """Write the file whole or not at all. Raises InputError or OSError as `whole_file.scratch_for`."""
+    """Write a parameter file, whole or not at all.
+
+    Parameters
+    ----------
+    parameters : ParameterSet
+    path : path
+        Replaced where there is such a file.
+
+    Raises
+    ------
+    InputError
+        For a folder that is missing or takes no file.
+    OSError
+        As the system gives it.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     api.save_parameters(api.load_parameters(), pathlib.Path(folder, "mine.yaml"))
+    ...     again = api.load_parameters(pathlib.Path(folder, "mine.yaml"))
+    >>> again.values == api.load_parameters().values
+    True
+    """
     text = strict_yaml.dump(to_document(parameters))
     with scratch_for(path, durable=True, mode=READABLE) as scratch:
         scratch.write_text(text, encoding="utf-8")

@@ -36,10 +36,30 @@ _LIMITS = {
 
 @dataclass(frozen=True)
 class Table:
-    """Columns as they stand in the file (degrees, rpm, %), nan for unknown; `text` holds trial, group and unknown columns.
+    """A measurement table: columns as they stand in the file, one row a measurement.
 
-    load: which of LOADS the table gives, None when neither is there (open and closed loop find it); of both, the flow. reading:
-    which of READINGS; of force and momentum, the force. The other of two must agree with it (`check_doubled`).
+    Parameters
+    ----------
+    path : str
+    sha256 : str
+        Of the file.
+    load : {"mass_flow_kg_s", "paddle_mass_kg"} or None
+        Which of them the table gives; of both, the flow. None when neither is there (open and closed loop find it).
+    reading : {"force_n", "momentum_kg_m_s", "response"}
+        Which of them the table gives; of force and momentum, the force.
+    columns : mapping of str to ndarray
+        (n,) each, by name: plate_angle_deg (deg), elevator_speed_rpm (rpm), moisture_pct (%), plate_position_m (m), load and
+        reading; nan for unknown.
+    text : mapping of str to tuple of str
+        Trial, group and unknown columns.
+    notes : tuple of str
+        What was passed over while reading.
+    lines : tuple of int
+        Line of the file of each row; empty where the table is no file's.
+
+    Examples
+    --------
+    See `load_table`.
     """
 
     path: str
@@ -50,10 +70,20 @@ class Table:
     text: Mapping[str, tuple[str, ...]]
     notes: tuple[str, ...] = field(default=())
     lines: tuple[int, ...] = ()
-    """Of the file, of each row; empty where the table is no file's."""
 
     def unread(self, rows: np.ndarray) -> str:
-        """One sentence about rows (bool, one each) that are left out, "" where there is none."""
+        """One sentence about rows that are left out.
+
+        Parameters
+        ----------
+        rows : ndarray of bool
+            (n,) which of them.
+
+        Returns
+        -------
+        str
+            "" where there is none.
+        """
         count = int(np.count_nonzero(rows))
         if not count:
             return ""
@@ -65,19 +95,58 @@ class Table:
         return len(self.columns["plate_angle_deg"])
 
     def speed_rad_s(self, machine: Machine) -> Array:
-        """Elevator speed of each row, the machine's nominal one where the table does not say."""
+        """Elevator speed of each row.
+
+        Parameters
+        ----------
+        machine : Machine
+
+        Returns
+        -------
+        ndarray
+            (n,) rad/s; the machine's nominal one where the table does not say.
+        """
         rpm = self.columns.get("elevator_speed_rpm", np.full(len(self), np.nan))
         return np.where(np.isnan(rpm), machine.nominal_elevator_speed_rad_s, rpm * RPM)
 
     def at_one_position(self, machine: Machine) -> Machine:
-        """The machine with its plate where the whole table has it. Raises InputError for a table of several positions."""
+        """The machine with its plate where the whole table has it.
+
+        Parameters
+        ----------
+        machine : Machine
+
+        Returns
+        -------
+        Machine
+
+        Raises
+        ------
+        InputError
+            For a table of several positions.
+        """
         places = np.unique(self.columns.get("plate_position_m", np.zeros(1)))
         if places.size > 1:
             raise InputError(f"{self.path}: plate_position_m", f"holds {places.size} positions", "one, but for `calibrate`")
         return machine.with_plate_at(float(places[0])) if places[0] else machine
 
     def conditions(self, machine: Machine) -> Conditions:
-        """Angle, speed, load, moisture and plate position of each row. Raises InputError when the table gives no load."""
+        """Angle, speed, load, moisture and plate position of each row.
+
+        Parameters
+        ----------
+        machine : Machine
+
+        Returns
+        -------
+        Conditions
+            (n,) arrays.
+
+        Raises
+        ------
+        InputError
+            When the table gives no load, or gives load or reading twice and the two disagree.
+        """
         if self.load is None:
             raise InputError(self.path, "has no load column", f"one of {', '.join(LOADS)}")
         self.check_doubled(machine)
@@ -90,7 +159,17 @@ class Table:
         )
 
     def check_doubled(self, machine: Machine) -> None:
-        """Raises InputError where the table gives load or reading twice and the two disagree on this machine."""
+        """Compare load and reading where the table gives them twice.
+
+        Parameters
+        ----------
+        machine : Machine
+
+        Raises
+        ------
+        InputError
+            Where the two disagree on this machine by more than 1 %.
+        """
         passes = machine.passes_per_s(self.speed_rad_s(machine))
         for one, other in (LOADS, READINGS[:2]):
             if one not in self.columns or other not in self.columns:
@@ -107,7 +186,17 @@ class Table:
                 )
 
     def momentum(self, machine: Machine) -> Array:
-        """The reading as momentum per paddle, kg m/s (for `response`, in its own unit)."""
+        """The reading as momentum per paddle.
+
+        Parameters
+        ----------
+        machine : Machine
+
+        Returns
+        -------
+        ndarray
+            (n,) kg m/s; for `response`, in its own unit.
+        """
         values = self.columns[self.reading]
         if self.reading == "force_n":
             return values / machine.passes_per_s(self.speed_rad_s(machine))
@@ -115,9 +204,32 @@ class Table:
 
 
 def load(path: str | Path, *, need_load: bool = True) -> Table:
-    """Read a table. Raises InputError naming file, line and column, the value, and what was expected.
+    r"""Read a measurement table: delimited text or an Excel workbook.
 
-    need_load: whether a mass flow or paddle mass column is required.
+    Parameters
+    ----------
+    path : path
+    need_load : bool
+        Whether a mass flow or paddle mass column is required.
+
+    Returns
+    -------
+    Table
+
+    Raises
+    ------
+    InputError
+        Naming file, line and column, the value, and what was expected.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder, "bench.csv")
+    ...     _ = path.write_text("plate_angle_deg,mass_flow_kg_s,force_n\n70,5,40.1\n70,10,88.2")
+    ...     table = api.load_table(path)
+    >>> len(table), table.momentum(api.Machine()).round(2).tolist()
+    (2, [3.3, 7.25])
     """
     source = delimited.read(path)
     where = source.path

@@ -49,11 +49,50 @@ class Implement:
 
 @dataclass(frozen=True, slots=True)
 class Machine:
-    """Clean-grain elevator head and impact plate. Lengths in m, angles in rad, speeds in rad/s.
+    """Clean-grain elevator head and impact plate.
 
-    paddle_spacings_m is the repeating pattern of distances along the chain. The plate turns about its top edge
-    (plate_pivot_x_m, plate_pivot_y_m); paddle_length_m is from the sprocket's centre to the tip. plate_travel_m: how far the
-    plate can be moved from there, level (towards the elevator, at most 0; away from it).
+    Parameters
+    ----------
+    name : str
+    sprocket_pitch_radius_m : float
+        Of the upper sprocket, m.
+    paddle_spacings_m : tuple of float
+        Repeating pattern of distances between paddles along the chain, m.
+    paddle_length_m, paddle_width_m : float
+        From the sprocket's centre to the tip, and across, m.
+    plate_pivot_x_m, plate_pivot_y_m : float
+        Top edge of the plate, about which it turns, m.
+    plate_length_m : float
+        m.
+    home_plate_angle_rad, min_plate_angle_rad, max_plate_angle_rad : float
+        Where the plate is while it measures, and its range, rad.
+    nominal_elevator_speed_rad_s, min_elevator_speed_rad_s, max_elevator_speed_rad_s : float
+        Of the upper sprocket, rad/s.
+    sensor : ImpactSensor
+        The force cell behind the plate: N per mV, full scale in mV, response time in s.
+    implement : Implement
+        The combine around it, as a task controller learns of it.
+    plate_travel_m : tuple of float
+        How far the plate can be moved level from its pivot: towards the elevator (at most 0) and away from it (at least 0), m.
+
+    Raises
+    ------
+    ValueError
+        For a length that is not above 0, a home angle outside the plate's range, or a plate in the paddles' way.
+
+    Notes
+    -----
+    Axes: origin at the upper sprocket's centre, x to the right, y down, angles clockwise from +x.
+
+    References
+    ----------
+    "Self-Calibrating Mass Flow Sensor" (Univ. of Illinois / Deere), tables 8.1 and 11.1, figure 8.1.
+
+    Examples
+    --------
+    >>> machine = api.Machine()
+    >>> round(machine.passes_per_s(400.0 * api.RPM), 2)
+    12.16
     """
 
     name: str = "sprocket-8"
@@ -88,12 +127,33 @@ class Machine:
             raise ValueError(f"machine {self.name}: plate_travel_m lets the plate into the paddles' way")
 
     def plate_reach_m(self, plate_position_m: float) -> float:
-        """Level distance from the sprocket's centre to the nearest point of the plate over its angles, at a position of it."""
+        """Level distance from the sprocket's centre to the nearest point of the plate over its angles.
+
+        Parameters
+        ----------
+        plate_position_m : float
+            Of the plate from its pivot, away from the elevator, m.
+
+        Returns
+        -------
+        float
+            m.
+        """
         low_edge_m = self.plate_length_m * min(0.0, cos(self.max_plate_angle_rad))
         return self.plate_pivot_x_m + plate_position_m + low_edge_m
 
     def with_plate_at(self, plate_position_m: float) -> Machine:
-        """The machine with its plate moved away from the elevator by so much, for good."""
+        """The machine with its plate moved for good.
+
+        Parameters
+        ----------
+        plate_position_m : float
+            Away from the elevator, m.
+
+        Returns
+        -------
+        Machine
+        """
         low, high = self.plate_travel_m
         travel = (min(0.0, low - plate_position_m), max(0.0, high - plate_position_m))
         return replace(self, plate_pivot_x_m=self.plate_pivot_x_m + plate_position_m, plate_travel_m=travel)
@@ -109,17 +169,63 @@ class Machine:
         return sum(self.paddle_spacings_m)
 
     def paddle_speed_m_s(self, elevator_speed_rad_s: Speed) -> Speed:
-        """Chain speed at a sprocket speed, m/s."""
+        """Chain speed.
+
+        Parameters
+        ----------
+        elevator_speed_rad_s : float or ndarray
+            Of the upper sprocket, rad/s.
+
+        Returns
+        -------
+        float or ndarray
+            m/s.
+        """
         return elevator_speed_rad_s * self.sprocket_pitch_radius_m
 
     def passes_per_s(self, elevator_speed_rad_s: Speed) -> Speed:
-        """Paddles that pass in a second at a sprocket speed, on average."""
+        """Paddles that pass in a second, on average.
+
+        Parameters
+        ----------
+        elevator_speed_rad_s : float or ndarray
+            Of the upper sprocket, rad/s.
+
+        Returns
+        -------
+        float or ndarray
+            1/s.
+        """
         return elevator_speed_rad_s * self.sprocket_pitch_radius_m / self.paddle_spacing_m
 
     def per_paddle(self, rate_per_s: Speed, elevator_speed_rad_s: Speed) -> Speed:
-        """What each paddle has of a rate: kg of a mass flow in kg/s, kg m/s of a force in N."""
+        """What each paddle has of a rate.
+
+        Parameters
+        ----------
+        rate_per_s : float or ndarray
+            A mass flow, kg/s, or a force, N.
+        elevator_speed_rad_s : float or ndarray
+            Of the upper sprocket, rad/s.
+
+        Returns
+        -------
+        float or ndarray
+            kg of a mass flow, kg m/s of a force.
+        """
         return rate_per_s * self.paddle_spacing_m / (elevator_speed_rad_s * self.sprocket_pitch_radius_m)
 
     def full_paddle_mass_kg(self, density_kg_m3: Speed, shape_ratio: Speed) -> Speed:
-        """Mass of a heap that reaches from the sprocket's centre to the tip [8.9]."""
+        """Mass of a heap that reaches from the sprocket's centre to the tip [8.9].
+
+        Parameters
+        ----------
+        density_kg_m3, shape_ratio : float or ndarray
+            Of the grain.
+
+        Returns
+        -------
+        float or ndarray
+            kg.
+        """
         return 0.5 * shape_ratio * density_kg_m3 * self.paddle_width_m * self.paddle_length_m**2

@@ -30,8 +30,28 @@ Parameters = Mapping[str, ArrayLike]
 class Conditions:
     """What the machine does while it is measured; arrays that broadcast against each other and against the parameters.
 
-    plate_angle_rad, elevator_speed_rad_s; one of mass_flow_kg_s and paddle_mass_kg; moisture_pct only where an effect needs it.
-    plate_position_m: of the plate from where the machine has it, away from the elevator; None: there.
+    Parameters
+    ----------
+    plate_angle_rad : array_like
+        rad.
+    elevator_speed_rad_s : array_like
+        Of the upper sprocket, rad/s.
+    mass_flow_kg_s, paddle_mass_kg : array_like, optional
+        The load: one of the two, kg/s or kg.
+    moisture_pct : array_like, optional
+        Wet basis, %; needed only where an effect asks for it (`ForwardModel.needs_moisture`).
+    plate_position_m : array_like, optional
+        Of the plate from where the machine has it, away from the elevator, m; None: there.
+
+    Raises
+    ------
+    ValueError
+        Unless one of mass_flow_kg_s and paddle_mass_kg is given.
+
+    Examples
+    --------
+    >>> api.Conditions(plate_angle_rad=1.22, elevator_speed_rad_s=400.0 * api.RPM, mass_flow_kg_s=10.0).paddle_mass_kg is None
+    True
     """
 
     plate_angle_rad: ArrayLike
@@ -49,8 +69,41 @@ class Conditions:
 class ForwardModel:
     """Force on the plate of one machine, with zero or more named effects.
 
-    nodes: Gauss-Legendre order of each panel. Parameters are given at each call, so one model serves any grain. All methods
-    broadcast conditions against parameters; parameters may be complex (complex-step derivatives).
+    Parameters
+    ----------
+    machine : Machine
+    effects : iterable of str
+        Names of effects, see `effects`.
+    nodes : int
+        Gauss-Legendre order of each panel of a throw.
+
+    Attributes
+    ----------
+    machine : Machine
+    nodes : int
+
+    Raises
+    ------
+    ValueError
+        For an effect that is not known or named twice.
+
+    Notes
+    -----
+    Parameters are given at each call, so one model serves any grain: a mapping of `friction`, `density` (kg/m3), `shape_ratio`,
+    `restitution` or `k1` and `k2`, and `effect.parameter` for each effect, with values that broadcast against the conditions.
+    They may be complex (complex-step derivatives).
+
+    References
+    ----------
+    "Self-Calibrating Mass Flow Sensor" (Univ. of Illinois / Deere), chapter 8; numbers in brackets are its equations.
+
+    Examples
+    --------
+    >>> model = api.ForwardModel(api.Machine(), ["gravity"])
+    >>> grain = {"friction": 0.2, "restitution": 0.6, "density": 1100.0, "shape_ratio": 2.0, "gravity.acceleration_m_s2": 9.81}
+    >>> at = api.Conditions(np.radians([50.0, 70.0]), 400.0 * api.RPM, mass_flow_kg_s=10.0)
+    >>> model.force(at, grain).round(1)
+    array([40.9, 82.4])
     """
 
     def __init__(self, machine: Machine, effects: Iterable[str] = (), *, nodes: int = 20) -> None:
@@ -84,7 +137,16 @@ class ForwardModel:
         return any(effect.needs_moisture for effect in self._effects)
 
     def with_effects(self, effects: Iterable[str]) -> ForwardModel:
-        """The same machine and order with other effects."""
+        """The same machine and order with other effects.
+
+        Parameters
+        ----------
+        effects : iterable of str
+
+        Returns
+        -------
+        ForwardModel
+        """
         return ForwardModel(self.machine, effects, nodes=self.nodes)
 
     def throw(
@@ -95,13 +157,44 @@ class ForwardModel:
         moisture_pct: ArrayLike | None = None,
         plate_position_m: ArrayLike | None = None,
     ) -> Throw:
-        """All that does not depend on the load, worked out once; see `Throw`."""
+        """All that does not depend on the load, worked out once; see `Throw`.
+
+        Parameters
+        ----------
+        plate_angle_rad, elevator_speed_rad_s, moisture_pct, plate_position_m : array_like
+            As in `Conditions`.
+        parameters : mapping of str to array_like
+
+        Returns
+        -------
+        Throw
+
+        Raises
+        ------
+        ValueError
+            For a parameter that is missing, or for both of restitution and k1, k2.
+        """
         return Throw(self, plate_angle_rad, elevator_speed_rad_s, parameters, moisture_pct, plate_position_m)
 
     def paddle_momentum(self, conditions: Conditions, parameters: Parameters, *, overfull: str = "raise") -> AnyArray:
-        """Horizontal momentum given to the plate per paddle, kg m/s (or the response's unit where k1, k2 carry it).
+        """Horizontal momentum given to the plate per paddle.
 
-        overfull: what to do with a load above a full paddle [8.9]: "raise" ValueError, or give "nan" there.
+        Parameters
+        ----------
+        conditions : Conditions
+        parameters : mapping of str to array_like
+        overfull : {"raise", "nan"}
+            What to do with a load above a full paddle [8.9].
+
+        Returns
+        -------
+        ndarray
+            kg m/s, or the response's unit where k1, k2 carry it; of the shape to which conditions and parameters broadcast.
+
+        Raises
+        ------
+        ValueError
+            For a load above a full paddle, unless `overfull` is "nan"; for a parameter that is missing.
         """
         throw = self._throw(conditions, parameters)
         momentum = throw.momentum(throw.offered_mass(conditions))
@@ -110,7 +203,23 @@ class ForwardModel:
         return momentum
 
     def force(self, conditions: Conditions, parameters: Parameters, *, overfull: str = "raise") -> AnyArray:
-        """Mean horizontal force, N: momentum per paddle times paddle passes per second [8.24]."""
+        """Mean horizontal force: momentum per paddle times paddle passes per second [8.24].
+
+        Parameters
+        ----------
+        conditions, parameters, overfull
+            As in `paddle_momentum`.
+
+        Returns
+        -------
+        ndarray
+            N, of the shape to which conditions and parameters broadcast.
+
+        Raises
+        ------
+        ValueError
+            As `paddle_momentum`.
+        """
         throw = self._throw(conditions, parameters)
         momentum = throw.momentum(throw.offered_mass(conditions))
         if overfull == "raise":
@@ -122,8 +231,38 @@ class ForwardModel:
     ) -> tuple[Array, Array]:
         """Value and exact first derivatives by complex step, one forward pass a name.
 
-        names: parameters, or "mass_flow_kg_s" / "paddle_mass_kg" for the load. of: "momentum" or "force". Returns arrays of
-        shape S and S + (len(names),); nan where the load is above a full paddle.
+        Parameters
+        ----------
+        conditions : Conditions
+        parameters : mapping of str to array_like
+        names : sequence of str
+            n parameters, or "mass_flow_kg_s" / "paddle_mass_kg" for the load.
+        of : {"momentum", "force"}
+
+        Returns
+        -------
+        value : ndarray
+            Of some shape S, kg m/s or N; nan where the load is above a full paddle.
+        jacobian : ndarray
+            S + (n,), in the value's unit per unit of each name.
+
+        Raises
+        ------
+        ValueError
+            For a name that is neither a parameter nor the load that the conditions give.
+
+        References
+        ----------
+        Squire and Trapp, "Using complex variables to estimate derivatives of real functions", SIAM Review 40 (1998).
+
+        Examples
+        --------
+        >>> model = api.ForwardModel(api.Machine())
+        >>> grain = {"friction": 0.2, "restitution": 0.6, "density": 1100.0, "shape_ratio": 2.0}
+        >>> at = api.Conditions(np.radians(70.0), 400.0 * api.RPM, mass_flow_kg_s=10.0)
+        >>> value, jacobian = model.derivatives(at, grain, ["mass_flow_kg_s", "restitution"], of="force")
+        >>> jacobian.round(2)
+        array([ 6.77, 56.33])
         """
         evaluate = self.paddle_momentum if of == "momentum" else self.force
         value = real(np.asarray(evaluate(conditions, parameters, overfull="nan")))

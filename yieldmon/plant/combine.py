@@ -93,10 +93,33 @@ def _table(machine: Machine, conditions: tuple[Condition, ...], detail: Detail |
 
 
 class VirtualCombine:
-    """A combine on a bus. Bus time starts at 0; the same scenario, machine, seed and commands give the same frames.
+    """A combine on a bus, simulated.
 
-    :meth:`frames_until` and :meth:`samples_until` advance it (use one of them); :meth:`handle` takes PlateActuatorCommand
-    frames; :attr:`truth` is what really happened so far. The combine ends at the scenario's duration.
+    Parameters
+    ----------
+    scenario : Scenario
+    machine : Machine, optional
+        None: the shipped one.
+    seed : int
+        The same scenario, machine, seed and commands give the same frames.
+    table : PulseTable, optional
+        Pulses of this crop and machine, where they are at hand.
+
+    Attributes
+    ----------
+    scenario : Scenario
+    machine : Machine
+
+    Notes
+    -----
+    Bus time starts at 0 and ends at the scenario's duration. `frames_until` and `samples_until` advance it (use one of them);
+    `handle` takes PlateActuatorCommand frames; `truth` is what really happened so far.
+
+    Examples
+    --------
+    >>> combine = api.VirtualCombine(api.Scenario(duration_s=10), seed=1)
+    >>> sum(frame.message == "ImpactSensorSamples" for frame in combine.frames_until(2.0))
+    500
     """
 
     def __init__(
@@ -156,19 +179,46 @@ class VirtualCombine:
         return self._block * BLOCK_S
 
     def handle(self, frame: Frame) -> None:
-        """Take a frame from the bus; other messages than PlateActuatorCommand are none of the combine's business."""
+        """Take a frame from the bus.
+
+        Parameters
+        ----------
+        frame : Frame
+            Other messages than PlateActuatorCommand are passed over.
+        """
         if frame.message == frames.PLATE_ACTUATOR_COMMAND:
             self._commands.append(frame)
 
     def frames_until(self, time_s: float) -> Iterator[Frame]:
-        """Frames up to a bus time (or the scenario's end), in time order. Commands taken meanwhile act from the next block on."""
+        """Frames in order of time. Commands taken meanwhile act from the next block (20 ms) on.
+
+        Parameters
+        ----------
+        time_s : float
+            Bus time, s; at most the scenario's duration.
+
+        Yields
+        ------
+        Frame
+        """
         while self._block < self._blocks and self.time_s + BLOCK_S <= time_s + 1e-9:
             start = self._block
             voltage, _, _ = self._advance()
             yield from self._frames(start, voltage)
 
     def samples_until(self, time_s: float) -> Samples:
-        """The same samples as arrays, without making frames."""
+        """The same samples as arrays, without making frames.
+
+        Parameters
+        ----------
+        time_s : float
+            Bus time, s; at most the scenario's duration.
+
+        Returns
+        -------
+        Samples
+            time_s (s), sample_mv (mV), plate_angle_deg (deg), speed_rad_s (rad/s), each (n,).
+        """
         blocks = []
         first = self._block
         while self._block < self._blocks and self.time_s + BLOCK_S <= time_s + 1e-9:
@@ -307,7 +357,18 @@ class VirtualCombine:
         )
 
     def delivered_kg(self, time_s: ArrayLike) -> Array:
-        """True mass past the plate by a time or times, kg; shape of time_s. Runs straight within a paddle's share of time."""
+        """True mass past the plate; it runs straight within a paddle's share of time.
+
+        Parameters
+        ----------
+        time_s : array_like
+            Bus time, s.
+
+        Returns
+        -------
+        ndarray
+            kg, of the shape of time_s.
+        """
         paddles = self._paddles
         if len(paddles.mass_kg) == 0:
             return np.zeros(np.shape(time_s))

@@ -119,11 +119,44 @@ class Frames(_Section):
 
 
 class Scenario(_Section):
-    """What the virtual combine harvests and what goes wrong: crop, flow, elevator, faults; examples in config/scenarios."""
+    """What the virtual combine harvests and what goes wrong; examples in config/scenarios.
+
+    Parameters
+    ----------
+    duration_s : float
+        s.
+    machine : str
+        Name of a shipped machine file, or the path of one.
+    crop : Crop
+        Grain and moisture (%).
+    effects : Effects
+        Physical effects that act, none by default.
+    flow : FlowProfile
+        Pieces of mass flow (kg/s) over time.
+    elevator, actuator, sensor, tank, field : sections
+        Elevator speed (rpm), plate actuator, impact sensor (mV), grain tank (kg), way over the field.
+    frames : Frames
+        Optional frames that are sent.
+    faults : Faults
+        What goes wrong and when (s).
+    kernels : Kernels, optional
+        Single kernels; None: smooth pulses.
+    paddle_scatter_pct : float
+        Standard deviation of a pulse's impulse about what its load should give, %; the load itself is true.
+
+    Raises
+    ------
+    pydantic.ValidationError
+        For a key that is not known or a value out of its range.
+
+    Examples
+    --------
+    >>> api.Scenario(duration_s=30, paddle_scatter_pct=0).flow.pieces[0].flow_kg_s
+    10.0
+    """
 
     duration_s: Annotated[float, Field(ge=1, le=400_000)] = 120.0
     machine: Annotated[str, Field(min_length=1)] = "sprocket-8"
-    """Name of a shipped machine file, or the path of one."""
     crop: Crop = Crop()
     effects: Effects = Effects()
     flow: FlowProfile = FlowProfile(pieces=[Steady(kind="steady", duration_s=60.0, flow_kg_s=10.0)])
@@ -135,9 +168,7 @@ class Scenario(_Section):
     frames: Frames = Frames()
     faults: Faults = Faults()
     kernels: Kernels | None = None
-    """None: smooth pulses."""
     paddle_scatter_pct: Annotated[float, Field(ge=0, le=50)] = 7.0
-    """Standard deviation of a pulse's impulse about what its load should give; the load itself is true."""
 
 
 def from_mapping(values: Any, where: str) -> Scenario:
@@ -160,6 +191,25 @@ def from_mapping(values: Any, where: str) -> Scenario:
 
 
 def load(path: Path | str) -> Scenario:
-    """Read a scenario file. Raises InputError naming file, key, value and what was expected."""
+    """Read a scenario file.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    Scenario
+
+    Raises
+    ------
+    InputError
+        Naming file, key, value and what was expected.
+
+    Examples
+    --------
+    >>> api.load_scenario(api.shipped("config/scenarios/demo.yaml")).machine
+    'sprocket-8'
+    """
     values = strict_yaml.load(path)
     return from_mapping(values if values is not None else {}, str(path))

@@ -38,9 +38,31 @@ def build_monitor(
     *,
     drives_plate: bool = True,
 ) -> Monitor:
-    """A monitor that starts from these parameters and, with a calibrator, learns from sweeps and weighed loads.
+    """A monitor that starts from these parameters.
 
-    drives_plate: False for a log, see `Monitor`.
+    Parameters
+    ----------
+    settings : EngineSettings
+        `engine` of what `load_configuration` gives.
+    machine : Machine
+    parameters : ParameterSet
+    calibrator : CalibratorSettings, optional
+        With which it learns from sweeps and weighed loads; None: the parameters stay.
+    sources : Sources
+        Which message and signal brings what; the shipped DBC by default.
+    drives_plate : bool
+        False for a log, see `Monitor`.
+
+    Returns
+    -------
+    Monitor
+
+    Examples
+    --------
+    >>> loaded = api.load_configuration(api.shipped("config/yieldmon.yaml"))
+    >>> monitor = api.build_monitor(loaded.engine, loaded.machine, loaded.parameters)
+    >>> monitor.totals.total_kg
+    0.0
     """
     estimator = estimator_of(machine, parameters)
     teachable = calibrator is not None and parameters.curve is None

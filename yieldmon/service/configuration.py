@@ -78,11 +78,31 @@ class Configuration:
 
 
 def load(path: Path | str, environment: Mapping[str, str] = os.environ) -> Configuration:
-    """Configuration from the YAML file at `path`; keys that it leaves out have their defaults.
+    """Configuration from a YAML file; keys that it leaves out have their defaults.
 
-    A file without a single character is refused: a power cut or a full disk leaves such files, and the defaults may be another
-    machine's. `environment` gives the service manager's folders. Raises ConfigurationError, or InputError from the machine,
-    parameter or moisture map file.
+    Parameters
+    ----------
+    path : path
+    environment : mapping of str to str
+        Gives the service manager's folders.
+
+    Returns
+    -------
+    Configuration
+        `document` (the file's keys), `engine`, `machine`, `parameters`, `calibrator`, `signals` and the paths that it names.
+
+    Raises
+    ------
+    ConfigurationError
+        For each key that is wrong, and for a file without a single character: a power cut or a full disk leaves such files, and
+        the defaults may be another machine's.
+    InputError
+        From the machine, parameter or moisture map file.
+
+    Examples
+    --------
+    >>> api.load_configuration(api.shipped("config/yieldmon.yaml")).document.store.path
+    'yieldmon.sqlite'
     """
     path = Path(path).absolute()
     text = strict_yaml.read(path)

@@ -41,8 +41,32 @@ class Ledger:
 
 @dataclass(frozen=True)
 class LoadRecord:
-    """A load with all its masses, kg, None where there is none: as measured, as measured again (posted), as weighed, and the best
-    of these (corrected). ticket_id: number of the ticket that counts."""
+    """A load with all its masses.
+
+    Parameters
+    ----------
+    number : int
+    field, crop : str
+        As an operator named them.
+    started_s, ended_s : float or None
+        Unix time, s.
+    mass_kg, dry_mass_kg : float or None
+        As measured, kg; None where the moisture of some of it is not known.
+    area_m2 : float or None
+        Harvested for it, m2.
+    posted_mass_kg : float or None
+        As measured again, kg.
+    ticket_mass_kg : float or None
+        As weighed, kg.
+    corrected_mass_kg, corrected_dry_mass_kg : float or None
+        The best of these, kg.
+    ticket_id : int or None
+        Number of the ticket that counts.
+
+    Examples
+    --------
+    See `read_loads`.
+    """
 
     number: int
     field: str

@@ -18,8 +18,29 @@ from yieldmon.signals.mapping import SignalMap, default_map
 
 @dataclass
 class Summary:
-    """What a pass over logs met. frames: all in the logs; ours: those that the engine was fed; samples: those among them that
-    bring an impact sensor's samples; incomplete: messages of several frames that lack one."""
+    """What a pass over logs met.
+
+    Parameters
+    ----------
+    frames : int
+        All in the logs.
+    ours : int
+        Those that the engine was fed.
+    samples : int
+        Those among them that bring an impact sensor's samples.
+    malformed : int
+        Of wrong length.
+    incomplete : int
+        Messages of several frames that lack one.
+    windows : int
+        That closed.
+    damages : list of str
+        Damaged places of the logs.
+
+    Examples
+    --------
+    See `process_logs`.
+    """
 
     frames: int = 0
     ours: int = 0
@@ -37,11 +58,42 @@ def process_logs(
     take_row: Callable[[SecondRow], None],
     signals: SignalMap | None = None,
 ) -> Summary:
-    """Feeds the logs, one after the other, to the monitor and hands over each second's row.
+    r"""Feed logs, one after the other, to a monitor.
 
-    signals: where the engine's quantities come from, None: the shipped DBC. Frames that the monitor sends are not needed here:
-    those in a log were sent by the monitor of that time. Raises
-    InputError for a log that cannot be read, and as refuse_nothing().
+    Parameters
+    ----------
+    paths : sequence of path
+    monitor : Monitor
+    codec : Codec
+    take_row : callable
+        Asked with each second's `SecondRow`.
+    signals : SignalMap, optional
+        Where the engine's quantities come from; None: the shipped DBC. Frames that the monitor sends are not needed here: those
+        in a log were sent by the monitor of that time.
+
+    Returns
+    -------
+    Summary
+        Counts of frames and windows, and what was damaged.
+
+    Raises
+    ------
+    InputError
+        For a log that cannot be read, and where all logs hold nothing that the engine could take, or nothing to weigh.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> loaded, codec, rows = api.load_configuration(api.shipped("config/yieldmon.yaml")), api.Codec(), []
+    >>> monitor = api.build_monitor(loaded.engine, loaded.machine, loaded.parameters)
+    >>> combine = api.VirtualCombine(api.Scenario(duration_s=4), loaded.machine)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     log = pathlib.Path(folder, "drive.log")
+    ...     lines = [codec.encode(frame) for frame in combine.frames_until(4.0)]
+    ...     _ = log.write_text("".join(f"({m.timestamp:.6f}) can0 {m.arbitration_id:08X}#{m.data.hex()}\n" for m in lines))
+    ...     summary = api.process_logs([log], monitor, codec, rows.append)
+    >>> summary.windows == len(rows)
+    True
     """
     summary = Summary()
     mapping = default_map() if signals is None else signals

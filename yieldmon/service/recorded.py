@@ -46,9 +46,28 @@ def is_store(path: str | Path) -> bool:
 
 
 def read_seconds(path: Path | str) -> list[SecondRow]:
-    """The seconds in a store (.sqlite, .sqlite3, .db) or in a table of `process` (.csv, .jsonl, .parquet), in order.
+    """The seconds in a store or in a table of `process`, in order.
 
-    Raises InputError for a file that is missing, of another kind, or has a column or value that does not belong.
+    Parameters
+    ----------
+    path : path
+        .sqlite, .sqlite3 or .db; .csv, .jsonl or .parquet.
+
+    Returns
+    -------
+    list of SecondRow
+
+    Raises
+    ------
+    InputError
+        For a file that is missing, of another kind, or has a column or value that does not belong.
+
+    Examples
+    --------
+    >>> api.read_seconds("/no/such.csv")
+    Traceback (most recent call last):
+        ...
+    yieldmon.errors.InputError: /no/such.csv: no such file; expected a store, or a table that `yieldmon process` wrote
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -72,7 +91,31 @@ def read_seconds(path: Path | str) -> list[SecondRow]:
 
 
 def read_loads(path: Path | str) -> list[LoadRecord]:
-    """The loads of a store, as measured, measured again and weighed. Raises InputError."""
+    """The loads of a store, as measured, measured again and weighed.
+
+    Parameters
+    ----------
+    path : path
+        .sqlite, .sqlite3 or .db.
+
+    Returns
+    -------
+    list of LoadRecord
+        number, field, crop, started_s, ended_s (Unix time), area_m2, and masses in kg: mass_kg as measured, posted_mass_kg as
+        measured again, ticket_mass_kg as weighed, corrected_mass_kg the best of these.
+
+    Raises
+    ------
+    InputError
+        For what is no store.
+
+    Examples
+    --------
+    >>> sum(load.corrected_mass_kg for load in api.read_loads("/no/such.sqlite"))
+    Traceback (most recent call last):
+        ...
+    yieldmon.errors.InputError: /no/such.sqlite: no such file; expected a daemon's store
+    """
     with opened(Path(path)) as store:
         return [LoadRecord(**row) for row in store.corrected_loads()]
 

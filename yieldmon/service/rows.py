@@ -36,7 +36,18 @@ else:
     _FIELDS = [(name, kind, field(default=None)) if name in _LATER else (name, kind) for name, kind in _KINDS.items()]
     SecondRow = make_dataclass("SecondRow", [("number", int), *_FIELDS], frozen=True, slots=True)
     SecondRow.__module__ = __name__
-    SecondRow.__doc__ = "One second as stores and tables hold it: number, and the columns of engine.records.COLUMNS."
+    _TYPES = "".join(f"\n{column.name} : {column.kind.__name__}{' or None' if column.optional else ''}" for column in COLUMNS)
+    SecondRow.__doc__ = f"""One second as stores and tables hold it; units are in the names, None is not known.
+
+Parameters
+----------
+number : int
+    Counts the rows of a store, or of an output file, up from 1 without a gap.{_TYPES}
+
+Examples
+--------
+See `process_logs`.
+"""
 
 _values = attrgetter(*(column.attribute for column in COLUMNS))
 _CONVERSIONS = tuple(column.convert for column in COLUMNS)

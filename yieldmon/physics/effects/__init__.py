@@ -59,12 +59,21 @@ def _of_others() -> dict[str, Effect]:
 
 @lru_cache(maxsize=1)
 def registry() -> MappingProxyType[str, Effect]:
-    """All effects by name, in alphabetical order.
+    """All effects by name, in alphabetical order, with those of other packages (entry points of the group `yieldmon.effects`).
+
+    Returns
+    -------
+    mapping of str to Effect
 
     Raises
     ------
     InputError
         For a plug-in that is no effect, or whose name is taken.
+
+    Examples
+    --------
+    >>> "gravity" in api.effects()
+    True
     """
     return MappingProxyType(dict(sorted((_own() | _of_others()).items())))
 

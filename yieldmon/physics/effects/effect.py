@@ -14,7 +14,26 @@ Values = Mapping[str, AnyArray]
 
 @dataclass(frozen=True, slots=True)
 class EffectParameter:
-    """One parameter: null is the value at which the effect vanishes; lower and upper are physical bounds."""
+    """One parameter of an effect.
+
+    Parameters
+    ----------
+    name, unit : str
+    null : float
+        Value at which the effect vanishes.
+    lower, upper : float
+        Physical bounds.
+    prior_sd : float
+        Standard deviation of what is likely before any data.
+    description : str
+    typical : float
+        A size at which the effect matters; where searches start.
+
+    Examples
+    --------
+    >>> api.effects()["gravity"].parameters[0].unit
+    'm/s2'
+    """
 
     name: str
     unit: str
@@ -24,16 +43,43 @@ class EffectParameter:
     prior_sd: float
     description: str
     typical: float
-    """A size at which the effect matters; where searches start."""
 
 
 @dataclass(frozen=True, slots=True)
 class Effect:
     """A physical effect that the published model leaves out.
 
-    stage: where in the machine it acts (fill, settle, release, flight, impact, sensor, crop). The hooks take the state of one
-    step of the throw, the effect's own values and the setting, and return the altered state. needs_misses asks the model to
-    follow grain that passes below the plate as well.
+    Parameters
+    ----------
+    name : str
+        Of a law that is not the effect's first: the effect's name, a hyphen and the law's.
+    stage : str
+        Where in the machine it acts: fill, settle, release, flight, impact, sensor, crop.
+    summary, signature, source : str
+        What it is, how it shows in a table, and where it is described.
+    parameters : tuple of EffectParameter
+    setting, load, jet, arrival, impulse, reading : callable, optional
+        Hooks: each takes the state of one step of the throw, the effect's own values by name and the setting, and returns the
+        altered state; `setting` takes the setting and the values.
+    needs_misses : bool
+        Whether the model is to follow grain that passes below the plate as well.
+    needs_moisture : bool
+        Whether the effect cannot be worked out without the grain's moisture.
+    rank : int
+        Effects of a lower rank act first within a stage: 0 and 1 settle which grain passes the low edge, the rest build on it.
+    measured : bool
+        True for what no diagnosis names: a dimension that one measures, or the model's own error, for which there is no cause.
+    law : str
+        What another law of an effect says; "" for the first.
+    of_grain : bool
+        True for how the grain itself moves, which machines of one geometry share when they cut one crop.
+    unit_follows_response : bool
+        True where a parameter is in the reading's own unit, so that it scales with the table's response unit.
+
+    Examples
+    --------
+    >>> api.effects()["gravity"].stage
+    'flight'
     """
 
     name: str
@@ -50,17 +96,11 @@ class Effect:
     reading: Callable[[Reading, Values, Setting], Reading] | None = None
     needs_misses: bool = False
     needs_moisture: bool = False
-    """True where the effect cannot be worked out without the grain's moisture."""
     rank: int = 2
-    """Effects of a lower rank act first within a stage: 0 and 1 settle which grain passes the low edge, the rest build on it."""
     measured: bool = False
-    """True for what no diagnosis names: a dimension that one measures, or the model's own error, for which there is no cause."""
     law: str = ""
-    """What another law of an effect says; "" for the first. Such an effect's name is the effect's, a hyphen and the law's."""
     of_grain: bool = False
-    """True for how the grain itself moves, which machines of one geometry share when they cut one crop."""
     unit_follows_response: bool = False
-    """True where a parameter is in the reading's own unit, so that it scales with the table's response unit."""
 
     @property
     def family(self) -> str:
