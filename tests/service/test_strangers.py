@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
 from pathlib import Path
 
 import pytest
 
 from yieldmon.errors import InputError
+from yieldmon.service.batch import Batch
 from yieldmon.service.recovery import recover
 from yieldmon.service.retention import Retention
 from yieldmon.service.store import Store
-from yieldmon.service.store_file import refuse_stranger, unmounted_above
+from yieldmon.service.store_file import refuse_stranger, unmounted_above, witnessed
 
 
 def start(path: Path) -> None:
@@ -42,6 +44,28 @@ def test_another_programs_database_is_left_as_it_is(tmp_path):
 def test_a_folder_is_refused(tmp_path):
     with pytest.raises(InputError, match="is a folder"):
         start(tmp_path)
+
+
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "yieldmon.sqlite")
+    with pytest.raises(InputError, match="is no file"):
+        start(tmp_path / "yieldmon.sqlite")
+
+
+def test_a_pipe_where_commits_are_noted_is_not_waited_for(tmp_path):
+    path = tmp_path / "yieldmon.sqlite"
+    os.mkfifo(tmp_path / "yieldmon.sqlite.last")
+    start(path)
+    with Store(path) as store:
+        store.commit([Batch(1, 1.0, {})])
+    assert witnessed(path) == 0
+
+
+def test_a_folder_in_the_place_of_the_journal_stops_no_measuring(tmp_path):
+    path = tmp_path / "yieldmon.sqlite"
+    (tmp_path / "yieldmon.sqlite-wal").mkdir()
+    found = recover(path, Retention(), lambda: Store(path))
+    assert (found.made, found.memory.engine) == (False, None)
 
 
 @pytest.mark.parametrize("content", [None, b"", b"\0" * 4096])

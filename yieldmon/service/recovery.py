@@ -77,7 +77,7 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store]) -
 def _nothing_at(path: Path) -> bool:
     """Whether nothing has been written to the store's files yet."""
     try:
-        return not any(part.exists() and part.stat().st_size for part in parts(path)[:2])
+        return not any(part.is_file() and part.stat().st_size for part in parts(path)[:2])
     except OSError:
         return False
 

@@ -26,6 +26,8 @@ _DEFENSIVE = 1010
 _READING_S, _READING_S_PER_MB = 10.0, 1.0
 _STEPS_BETWEEN_LOOKS = 100_000
 _WITNESS_BYTES = 64
+_NOT_WAITING = os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOFOLLOW
+"""Opening a pipe would wait for its other end."""
 _NO_INDEX = (8, 10, 14)
 """SQLITE_READONLY, SQLITE_IOERR and SQLITE_CANTOPEN: what making the journal's index fails with."""
 _COPIES = 3
@@ -102,7 +104,7 @@ def witness(path: Path, batch: int) -> None:
     a sound one: this says how far it had come. What cannot be noted is not."""
     line = f"{batch} {row_checksum('witness', batch)}\n".encode()
     with suppress(OSError):
-        descriptor = os.open(_witness(path), os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+        descriptor = os.open(_witness(path), os.O_WRONLY | os.O_CREAT | _NOT_WAITING, 0o600)
         try:
             os.pwrite(descriptor, line.ljust(_WITNESS_BYTES), 0)
         finally:
@@ -112,7 +114,11 @@ def witness(path: Path, batch: int) -> None:
 def witnessed(path: Path) -> int:
     """The last batch that `witness` noted, 0 where there is no such note or it is damaged."""
     try:
-        words = _witness(path).read_bytes()[:_WITNESS_BYTES].split()
+        descriptor = os.open(_witness(path), os.O_RDONLY | _NOT_WAITING)
+        try:
+            words = os.read(descriptor, _WITNESS_BYTES).split()
+        finally:
+            os.close(descriptor)
         batch, checksum = (int(word) for word in words)
     except (OSError, ValueError):
         return 0
@@ -244,8 +250,9 @@ def refuse_stranger(path: Path, fstab: Path = Path("/etc/fstab")) -> None:
     missing = unmounted_above(path, fstab)
     if missing is not None:
         raise InputError(str(path), f"{missing} is not mounted", f"its medium (mount {missing}), or another store.path")
-    if path.is_dir():
-        raise InputError(str(path), "is a folder", "a store, or the name of a file that does not exist yet")
+    if path.exists() and not path.is_file():
+        problem = "is a folder" if path.is_dir() else "is no file"
+        raise InputError(str(path), problem, "a store, or the name of a file that does not exist yet")
     try:
         with path.open("rb") as file:
             begin = file.read(64)
