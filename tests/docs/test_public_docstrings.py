@@ -109,7 +109,8 @@ def test_what_is_missing_is_found() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_examples_run(name: str) -> None:
     thing = inspect.unwrap(getattr(api, name))
-    runner, said = doctest.DocTestRunner(), []
+    runner = doctest.DocTestRunner()
+    said: list[str] = []
     for test in doctest.DocTestFinder(exclude_empty=True).find(thing, name, globs={"api": api, "np": np}):
         runner.run(test, out=said.append)
     assert "".join(said) == ""

@@ -431,7 +431,12 @@ def test_status_is_readable_and_complete(tmp_path, capsys):
     assert status["zero_mv"] == pytest.approx(ZERO_MV, abs=1.0)
     assert status["store"]["failing"] is None
     assert set(status["parameters"]["values"]) >= {"friction", "density"}
-    assert "harvesting" in text
+    rows = dict(re.findall(r"^([a-z]+) {2,}(\S.*?) *$", text, re.M))
+    assert list(rows) == ["state", "now", "load", "total", "sweep", "parameters", "bus", "store", "configuration"]
+    assert rows["state"].startswith("harvesting, running for ")
+    assert re.fullmatch(r"\d\.\d\d kg/s ± \d\.\d\d kg/s \(ok\), moisture 15\.5 %", rows["now"])
+    assert re.fullmatch(r"1: \S+ kg ± \S+ kg wet, \S+ kg dry, at 15\.5 % moisture", rows["load"])
+    assert re.search(r"shape_ratio\s+2,", text)
     assert "no faults" in text
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from rich.console import Console
@@ -18,7 +18,7 @@ from yieldmon.cli._units import add_units
 from yieldmon.files.units import units_of
 from yieldmon.units import Units
 
-_SHOWN_WINDOWS = 5
+_SHOWN_SECONDS = 5
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -47,48 +47,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _show(status: Mapping[str, Any], units: Units, console: Console) -> None:
-    load, total, bus, store = (status[key] for key in ("load", "total", "bus", "store"))
-    sweep, parameters = status["sweep"], status["parameters"]
     facts = Table(show_header=False, box=None, pad_edge=False)
-    dropped = bus["dropped"] + bus["kernel_drops"]
-    state = f"{status['state'].replace('_', ' ')}, up {_span(status['uptime_s'])}"
-    facts.add_row("state", f"STALE, as it was {_span(status['age_s'])} ago: {state}" if status["stale"] else state)
-    if status["zero_waits_for"]:
-        facts.add_row("zero", f"waits for {status['zero_waits_for']}")
-    facts.add_row("now", _now(status["now"], units))
-    for name, text in _load(load, status["crop"], units):
+    for name, text in _facts(status, units):
         facts.add_row(name, text)
-    contested_kg = total["contested_mass_kg"]
-    apart = f", and {units.mass(contested_kg)} contested (more than one node sent samples)" if contested_kg else ""
-    facts.add_row("total", f"{units.mass(total['mass_kg'])}{apart}")
-    facts.add_row(
-        "bus",
-        f"{bus['interface']} {bus['channel']}: {bus['frames_per_s']:.0f} frames/s, {dropped} dropped, "
-        f"{bus['error_frames']} error frames, {bus['sent']} sent, {bus['late'] + bus['refused']} not sent; "
-        f"time stamps: {bus['time_stamps']}",
-    )
-    facts.add_row("store", f"{store['file']}: {store['failing'] or store['note'] or 'writing'}, {store['pending']} waiting")
-    facts.add_row("sweep", f"{sweep['state'].replace('_', ' ')}, {_due(sweep['due_in_s'])}, {sweep['sweeps']} so far")
-    for name, text in _waveform(status["waveform"], units):
-        facts.add_row(name, text)
-    values = ", ".join(f"{name} {entry['value']:.4g} ± {entry['std_dev']:.2g}" for name, entry in parameters["values"].items())
-    age = "age not known" if parameters["age_s"] is None else f"{_span(parameters['age_s'])} old"
-    curve = "" if parameters["estimator"] == "physical" else f", {parameters['estimator']}"
-    facts.add_row("parameters", f"version {parameters['version']}{curve}, {age}" + (f": {values}" if values else ""))
-    for note in status["signals"]["notes"]:
-        facts.add_row("signals", note)
-    facts.add_row("reload", status["configuration"]["reload"])
     console.print(facts)
     if status["windows"]:
-        flow = units.flow_unit
-        windows = Table(
-            "window", f"flow {flow.name}", f"± {flow.name}", "quality", "force N", "plate deg", "speed rpm", "lost", box=None
-        )
-        for row in status["windows"][-_SHOWN_WINDOWS:]:
-            flows = (_number(row[key], flow.si) for key in ("mass_flow_kg_s", "std_dev_kg_s"))
-            numbers = (_number(row[key]) for key in ("force_n", "plate_angle_deg", "elevator_speed_rpm"))
-            windows.add_row(str(row["number"]), *flows, row["quality"].replace("_", " "), *numbers, str(row["lost_frames"]))
-        console.print(windows)
+        console.print(_seconds(status["windows"][-_SHOWN_SECONDS:], units))
     for fault in status["faults"]:
         detail = f" ({fault['detail']})" if fault["detail"] else ""
         console.print(Text.assemble((fault["code"], "bold"), f"{detail}: {fault['effect']} {fault['remedy']}"))
@@ -96,8 +60,62 @@ def _show(status: Mapping[str, Any], units: Units, console: Console) -> None:
         console.print("no faults")
 
 
+def _facts(status: Mapping[str, Any], units: Units) -> Iterator[tuple[str, str]]:
+    """Name and text of each row, most wanted first."""
+    bus, store, configuration = (status[key] for key in ("bus", "store", "configuration"))
+    state = f"{_words(status['state'])}, running for {_span(status['uptime_s'])}"
+    yield "state", f"STALE, as it was {_span(status['age_s'])} ago: {state}" if status["stale"] else state
+    if status["zero_waits_for"]:
+        yield "zero", f"waits for {status['zero_waits_for']}"
+    yield "now", _now(status["now"], units)
+    yield from _load(status["load"], status["crop"], units)
+    contested_kg = status["total"]["contested_mass_kg"]
+    apart = f", and {units.mass(contested_kg)} contested (more than one node sent samples)" if contested_kg else ""
+    yield "total", f"{units.mass(status['total']['mass_kg'])}{apart}"
+    yield from _sweep(status["sweep"])
+    yield from _waveform(status["waveform"], units)
+    yield "parameters", _parameters(status["parameters"])
+    dropped = bus["dropped"] + bus["kernel_drops"]
+    yield (
+        "bus",
+        f"{bus['interface']} {bus['channel']}: {bus['frames_per_s']:.0f} frames/s received, {dropped} dropped, "
+        f"{bus['error_frames']} error frames; {bus['sent']} sent, {bus['late'] + bus['refused']} not sent; "
+        f"time stamps: {bus['time_stamps']}",
+    )
+    for note in status["signals"]["notes"]:
+        yield "signals", note
+    waiting = f", {store['pending']} s of records not written yet" if store["pending"] else ""
+    yield "store", f"{store['file']}: {store['failing'] or store['note'] or 'writing'}{waiting}"
+    yield "configuration", f"{configuration['file']}; reload: {configuration['reload']}"
+
+
+def _seconds(rows: Sequence[Mapping[str, Any]], units: Units) -> Table:
+    flow = units.flow_unit
+    table = Table(
+        "second",
+        f"flow {flow.name}",
+        f"± {flow.name}",
+        "quality",
+        "force N",
+        "plate deg",
+        "elevator rpm",
+        "lost frames",
+        box=None,
+    )
+    for row in rows:
+        flows = (_number(row[key], flow.si) for key in ("mass_flow_kg_s", "std_dev_kg_s"))
+        numbers = (_number(row[key]) for key in ("force_n", "plate_angle_deg", "elevator_speed_rpm"))
+        table.add_row(str(row["number"]), *flows, _words(row["quality"]), *numbers, str(row["lost_frames"]))
+    return table
+
+
 def _now(now: Mapping[str, Any], units: Units) -> str:
-    parts = [units.flow(now["mass_flow_kg_s"]) if now["mass_flow_kg_s"] is not None else "no flow"]
+    quality = f" ({_words(now['quality'])})" if now["quality"] is not None else ""
+    if now["mass_flow_kg_s"] is None:
+        parts = [f"no mass flow{quality}"]
+    else:
+        around = f" ± {units.flow(now['std_dev_kg_s'])}" if now["std_dev_kg_s"] is not None else ""
+        parts = [f"{units.flow(now['mass_flow_kg_s'])}{around}{quality}"]
     if now["yield_kg_m2"] is not None:
         parts.append(units.crop_yield(now["yield_kg_m2"]))
     if now["moisture_pct"] is not None:
@@ -112,14 +130,35 @@ def _load(load: Mapping[str, Any], crop: Mapping[str, Any], units: Units) -> Ite
     names = " ".join(name for name in (load["field"], load["crop"]) if name)
     spread = load["std_dev_kg"]
     around = f" ± {units.mass(spread)}" if spread is not None else ""
-    dry = "not known" if load["dry_mass_kg"] is None else units.mass_with_bushels(load["dry_mass_kg"])
-    at = f" at {crop['market_moisture_pct']:g} %"
+    dry = "dry mass not known"
+    if load["dry_mass_kg"] is not None:
+        dry = f"{units.mass_with_bushels(load['dry_mass_kg'])} dry, at {crop['market_moisture_pct']:g} % moisture"
     title = f"{load['number']}{'' if load['open'] else ' (closed)'}{' ' if names else ''}{names}"
-    yield "load", f"{title}: {units.mass_with_bushels(load['mass_kg'])}{around} wet, dry {dry}{at}"
+    yield "load", f"{title}: {units.mass_with_bushels(load['mass_kg'])}{around} wet, {dry}"
     if load["area_m2"] is not None:
         dry_yield = load["dry_yield_kg_m2"]
         text = f"{units.area(load['area_m2'])}, {units.crop_yield(load['yield_kg_m2'])} wet"
         yield "", text + (f", {units.crop_yield(dry_yield)} dry" if dry_yield is not None else "")
+
+
+def _sweep(sweep: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Sweeps of the plate, and what came of the last one."""
+    yield "sweep", f"{_words(sweep['state'])}, {_due(sweep['due_in_s'])}, {sweep['sweeps']} so far"
+    if sweep["aborted_because"] is not None:
+        yield "", f"the last one was aborted: {sweep['aborted_because']}"
+    if sweep["last_update"] is not None:
+        yield "", f"last update: {sweep['last_update']}"
+
+
+def _parameters(parameters: Mapping[str, Any]) -> str:
+    """Version, age and values; a value without a deviation counts as exactly known."""
+    values = ", ".join(
+        f"{name} {entry['value']:.4g}" + (f" ± {entry['std_dev']:.2g}" if entry["std_dev"] else "")
+        for name, entry in parameters["values"].items()
+    )
+    age = "age not known" if parameters["age_s"] is None else f"{_span(parameters['age_s'])} old"
+    curve = "" if parameters["estimator"] == "physical" else f", {parameters['estimator']}"
+    return f"version {parameters['version']}{curve}, {age}" + (f": {values}" if values else "")
 
 
 def _waveform(seen: Mapping[str, Any] | None, units: Units) -> Iterator[tuple[str, str]]:
@@ -130,6 +169,10 @@ def _waveform(seen: Mapping[str, Any] | None, units: Units) -> Iterator[tuple[st
         flow, around = (seen[f"{kind}_{key}_kg_s"] for key in ("flow", "std_dev"))
         why = seen[f"{kind}_missing_because"]
         yield name, f"no flow: {why}" if flow is None else f"{units.flow(flow)} ± {units.flow(around)}"
+
+
+def _words(code: str) -> str:
+    return code.replace("_", " ")
 
 
 def _number(value: float | None, unit_si: float = 1.0) -> str:
