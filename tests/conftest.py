@@ -1,9 +1,14 @@
-"""One thread of linear algebra per process, and a garbage collector that leaves what the collection of tests made alone."""
+"""One thread of linear algebra per process, a garbage collector that leaves what the collection of tests made alone, and logging
+as it was before each test."""
 
 from __future__ import annotations
 
 import gc
+import logging
 import os
+from collections.abc import Iterator
+
+import pytest
 
 # Two workers on two cores: more threads wait for each other. Read when numpy is imported, here and in the tests' processes.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -12,3 +17,14 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 def pytest_collection_finish() -> None:
     # The tests' modules and items stay until the end; each full collection would walk through them.
     gc.freeze()
+
+
+@pytest.fixture(autouse=True)
+def logging_as_before() -> Iterator[None]:
+    """A command that runs in the tests' own process filters what pytest's handlers take, and sets levels."""
+    ours, handlers = logging.getLogger("yieldmon"), logging.getLogger().handlers
+    level, before = ours.level, {handler: list(handler.filters) for handler in handlers}
+    yield
+    ours.setLevel(level)
+    for handler, filters in before.items():
+        handler.filters[:] = filters
