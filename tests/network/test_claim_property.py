@@ -11,7 +11,8 @@ import random
 
 import pytest
 
-from yieldmon.network.identifier import ADDRESS_CLAIMED, NULL_ADDRESS, REQUEST, Identifier, RawFrame, frame
+from yieldmon.identifiers import NULL_ADDRESS
+from yieldmon.network.identifier import ADDRESS_CLAIMED, REQUEST, Identifier, RawFrame, frame
 from yieldmon.network.name import Name
 from yieldmon.network.node import Node, NodeSettings
 

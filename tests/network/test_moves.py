@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from yieldmon.network.identifier import ADDRESS_CLAIMED, GLOBAL_ADDRESS, Identifier, RawFrame
+from yieldmon.identifiers import GLOBAL_ADDRESS
+from yieldmon.network.identifier import ADDRESS_CLAIMED, Identifier, RawFrame
 from yieldmon.network.name import Name
 from yieldmon.network.node import Node, NodeSettings
 

@@ -24,7 +24,8 @@ from yieldmon.bus.bulk import block_of
 from yieldmon.bus.databases import load_messages
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.settings import TotalsSettings
-from yieldmon.network.identifier import ADDRESS_CLAIMED, NULL_ADDRESS, REQUEST, Identifier
+from yieldmon.identifiers import NULL_ADDRESS
+from yieldmon.network.identifier import ADDRESS_CLAIMED, REQUEST, Identifier
 from yieldmon.physics.machine import Implement, Machine
 from yieldmon.service.link import NetworkLink
 from yieldmon.service.service_sections import Network

@@ -14,10 +14,11 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.bus.candump import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, channel_name, flagged_id
+from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG, channel_name, flagged_id
 from yieldmon.bus.codec import Codec
 from yieldmon.bus.layout import MessageLayout, SignalLayout
 from yieldmon.frames import Frame, Unusable
+from yieldmon.identifiers import EXTENDED_FLAG, LARGEST_EXTENDED_ID
 
 #: SignalColumn.status
 USABLE = 0
@@ -26,7 +27,6 @@ ERROR = 2
 
 _UNUSABLE = {NOT_AVAILABLE: Unusable.NOT_AVAILABLE, ERROR: Unusable.ERROR}
 _PAYLOAD_BYTES = 8
-_ID_MASK = 0x1FFFFFFF
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ def messages_of(block: FrameBlock) -> Iterator[can.Message]:
         remote, error = bool(flagged & REMOTE_FLAG), bool(flagged & ERROR_FLAG)
         yield can.Message(
             timestamp=time_s,
-            arbitration_id=flagged & _ID_MASK,
+            arbitration_id=flagged & LARGEST_EXTENDED_ID,
             is_extended_id=bool(flagged & EXTENDED_FLAG),
             is_remote_frame=remote,
             is_error_frame=error,

@@ -19,7 +19,8 @@ import re
 
 import can
 
-EXTENDED_FLAG = 0x80000000
+from yieldmon.identifiers import EXTENDED_FLAG, LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID
+
 REMOTE_FLAG = 0x40000000
 ERROR_FLAG = 0x20000000
 
@@ -95,12 +96,12 @@ def _message(
     can_id = int(match["id"], 16)
     is_extended = len(match["id"]) > 3
     is_error = is_extended and bool(can_id & ERROR_FLAG)
-    if can_id & ~(ERROR_FLAG | 0x1FFFFFFF) or (not is_extended and can_id > 0x7FF):
+    if can_id & ~(ERROR_FLAG | LARGEST_EXTENDED_ID) or (not is_extended and can_id > LARGEST_STANDARD_ID):
         return None
     return can.Message(
         timestamp=float(match["time"]),
         channel=match["channel"],
-        arbitration_id=can_id & 0x1FFFFFFF,
+        arbitration_id=can_id & LARGEST_EXTENDED_ID,
         is_extended_id=is_extended and not is_error,
         is_error_frame=is_error,
         is_remote_frame=is_remote,

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import can
 
-from yieldmon.bus.layout import EXTENDED_ID_MASK, GROUP_MASK, IDENTITY_MASK, MessageLayout, SignalLayout, load_layouts
+from yieldmon.bus.layout import MessageLayout, SignalLayout, load_layouts
 from yieldmon.frames import ERROR, NOT_AVAILABLE, Frame, Unusable, Value
+from yieldmon.identifiers import GROUP_MASK, IDENTITY_MASK, LARGEST_EXTENDED_ID
 
 #: One entry per signal, in the order in which decode() unpacks them: name, start, mask, scale, offset, largest valid
 #: raw value, smallest "not available", codes or None, integral.
@@ -181,7 +182,7 @@ class Codec:
         entry = self._by_identity.get(arbitration_id & IDENTITY_MASK)
         if entry is None:
             entry = self._by_group.get(arbitration_id & GROUP_MASK)
-        return entry if arbitration_id <= EXTENDED_ID_MASK else None
+        return entry if arbitration_id <= LARGEST_EXTENDED_ID else None
 
 
 def _unpack(signal: SignalLayout) -> _Unpack:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.bus.compiled import compiled
+from yieldmon.identifiers import EXTENDED_FLAG, LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID
 
 Bytes = NDArray[np.uint8]
 
@@ -18,9 +19,6 @@ LONGEST_CHANNEL = 31
 
 _OPEN, _CLOSE, _BLANK, _POINT, _HASH, _ZERO, _NINE, _RETURN, _R, _T = b"() .#09\rrt"
 _LOWER = 0x20
-_EXTENDED = 0x80000000
-_LARGEST_STANDARD_ID = 0x7FF
-_LARGEST_EXTENDED_ID = 0x1FFFFFFF
 _MAX_SECONDS_DIGITS = 10
 _MICRO_DIGITS = 6
 _LARGEST_EXACT = 2**53
@@ -136,9 +134,9 @@ def _identifier(buffer, at, end):  # type: ignore[no-untyped-def]
         at += 1
     if at >= end or buffer[at] != _HASH:
         return can_id, -1
-    if at - first == 8 and can_id <= _LARGEST_EXTENDED_ID:
-        return np.uint32(can_id | np.uint32(_EXTENDED)), at + 1
-    if at - first == 3 and can_id <= _LARGEST_STANDARD_ID:
+    if at - first == 8 and can_id <= LARGEST_EXTENDED_ID:
+        return np.uint32(can_id | np.uint32(EXTENDED_FLAG)), at + 1
+    if at - first == 3 and can_id <= LARGEST_STANDARD_ID:
         return can_id, at + 1
     return can_id, -1
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from yieldmon.bus.layout import largest_valid_raw, smallest_not_available_raw
 from yieldmon.errors import InputError
+from yieldmon.identifiers import group_of
 
 if TYPE_CHECKING:
     from cantools.database.can import Message as DbcMessage
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 
 CLASSIC_BYTES = 8
 """Most in a frame that is not one of CAN FD."""
-NULL_ADDRESS = 0xFE
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,12 +97,6 @@ class MessageBits:
     def group(self) -> int:
         """J1939 parameter group number of the identifier."""
         return group_of(self.frame_id)
-
-
-def group_of(identifier: int) -> int:
-    """Parameter group number of a 29-bit identifier; the destination of a destination-specific group is no part of it."""
-    group = identifier >> 8 & 0x3FFFF
-    return group & 0x3FF00 if (group >> 8 & 0xFF) < 0xF0 else group
 
 
 def load_messages(path: Path | str) -> dict[str, MessageBits]:

@@ -16,15 +16,12 @@ from cantools.database.can import Signal as DbcSignal
 
 from yieldmon.bus.layout import largest_valid_raw, read_database
 from yieldmon.errors import InputError
+from yieldmon.identifiers import DESTINATION_MASK, IDENTITY_MASK, is_broadcast
 from yieldmon.resources import shipped
 
 SHIPPED = ("dbc/factory_deere.dbc", "dbc/factory_case.dbc")
 MASS_FLOW, MOISTURE = "factory_mass_flow", "factory_moisture"
 UNITS = {MASS_FLOW: "kg/s", MOISTURE: "%"}
-
-_FIRST_BROADCAST_FORMAT = 240
-_PRIORITY_LEFT_OUT = 0x03FFFFFF
-_DESTINATION = 0x0000FF00
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +42,8 @@ _Layouts = dict[int, tuple[str, int, tuple[_Field, ...]]]
 
 def identity_of(identifier: int) -> int:
     """What distinguishes the layouts: group and source, without priority and destination."""
-    identity = identifier & _PRIORITY_LEFT_OUT
-    return identity & ~_DESTINATION if identifier >> 16 & 0xFF < _FIRST_BROADCAST_FORMAT else identity
+    identity = identifier & IDENTITY_MASK
+    return identity if is_broadcast(identity >> 8) else identity & ~DESTINATION_MASK
 
 
 class FactoryMonitor:

@@ -17,7 +17,8 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.bus.candump import EXTENDED_FLAG, channel_name, flagged_id
+from yieldmon.bus.candump import channel_name, flagged_id
+from yieldmon.identifiers import EXTENDED_FLAG, LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID
 
 Bytes = NDArray[np.uint8]
 
@@ -48,8 +49,6 @@ def _hex_values() -> Bytes:
 _HEX = _hex_values()
 _MICROS_PER_S = 1e6
 _LARGEST_EXACT = float(2**53)
-_LARGEST_STANDARD_ID = 0x7FF
-_LARGEST_EXTENDED_ID = 0x1FFFFFFF
 
 
 @dataclass(frozen=True)
@@ -247,7 +246,7 @@ def _fill(parsed: ParsedLines, rows: NDArray[np.intp], columns: Bytes, shape: _S
     for nibble in nibbles:
         can_id = can_id << np.uint32(4) | nibble
     data = _HEX[columns[shape.data]]
-    fits &= can_id <= (_LARGEST_EXTENDED_ID if shape.is_extended else _LARGEST_STANDARD_ID)
+    fits &= can_id <= (LARGEST_EXTENDED_ID if shape.is_extended else LARGEST_STANDARD_ID)
     fits &= nibbles.max(axis=0) < _INVALID
     fits &= data.max(axis=0, initial=0) < _INVALID
     length = len(data) // 2

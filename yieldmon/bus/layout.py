@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from yieldmon.errors import InputError
+from yieldmon.identifiers import GROUP_MASK, IDENTITY_MASK
 from yieldmon.resources import shipped
 
 if TYPE_CHECKING:
@@ -19,11 +20,6 @@ if TYPE_CHECKING:
     from cantools.database.can import Message as DbcMessage
     from cantools.database.can import Signal as DbcSignal
 
-
-#: Priority is no part of a J1939 identity: parameter group and source address are compared.
-IDENTITY_MASK = 0x03FFFFFF
-GROUP_MASK = 0x03FFFF00
-EXTENDED_ID_MASK = 0x1FFFFFFF
 
 #: Choices with these names are the J1939 reserved raw values, listed in the DBC for human readers.
 _RESERVED_CHOICES = ("SignalError", "SignalNotAvailable")

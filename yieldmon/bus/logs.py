@@ -28,6 +28,7 @@ from yieldmon.bus.gunzip import Gunzip
 from yieldmon.bus.mf4_reading import Mf4Log
 from yieldmon.bus.sqlite_log import SqliteLog
 from yieldmon.errors import InputError
+from yieldmon.identifiers import LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID
 
 if TYPE_CHECKING:
     from _typeshed import WriteableBuffer
@@ -46,7 +47,6 @@ SUFFIXES = (*TEXT_SUFFIXES, *BINARY_SUFFIXES, PACKED_SUFFIX)
 LONGEST_LINE_BYTES = 4096
 #: Control characters that stand in no text log: all but tab, line feed and carriage return.
 _CONTROL_BYTE = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")
-_LARGEST_ID = 0x1FFFFFFF
 #: A compressed log is unpacked up to this size, and to half of the room that there is.
 LARGEST_UNPACKED_BYTES = 8 * 1024**3
 _UNPACK_STEP_BYTES = 1024 * 1024
@@ -318,7 +318,7 @@ def _read_with_python_can(lines: _Lines, suffix: str) -> Iterator[can.Message]:
 
 
 def _impossible(message: can.Message) -> str | None:
-    if not 0 <= message.arbitration_id <= (_LARGEST_ID if message.is_extended_id else 0x7FF):
+    if not 0 <= message.arbitration_id <= (LARGEST_EXTENDED_ID if message.is_extended_id else LARGEST_STANDARD_ID):
         return f"identifier 0x{message.arbitration_id:X}"
     limit = 64 if message.is_fd else 8
     if message.dlc > limit or len(message.data) > limit:

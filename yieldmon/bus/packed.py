@@ -19,10 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.bus.bulk import FrameBlock, concatenate
-from yieldmon.bus.candump import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG
 from yieldmon.bus.layout import MessageLayout
 from yieldmon.bus.packed_columns import CONSTANT, Coded, Column, decode, encode
 from yieldmon.errors import InputError
+from yieldmon.identifiers import EXTENDED_FLAG
 
 if TYPE_CHECKING:
     import pyarrow as pa

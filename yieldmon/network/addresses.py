@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from .identifier import ADDRESS_CLAIMED, FIRST_UNUSABLE_ADDRESS, NULL_ADDRESS, Identifier
+from yieldmon.identifiers import NULL_ADDRESS
+
+from .identifier import ADDRESS_CLAIMED, FIRST_UNUSABLE_ADDRESS, Identifier
 from .name import Name, NameMatch
 
 

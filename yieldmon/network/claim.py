@@ -9,17 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+from yieldmon.identifiers import GLOBAL_ADDRESS, NULL_ADDRESS
+
 from .addresses import AddressTable
-from .identifier import (
-    ADDRESS_CLAIMED,
-    GLOBAL_ADDRESS,
-    NULL_ADDRESS,
-    REQUEST,
-    Identifier,
-    RawFrame,
-    frame,
-    group_bytes,
-)
+from .identifier import ADDRESS_CLAIMED, REQUEST, Identifier, RawFrame, frame, group_bytes
 from .name import Name
 
 CLAIM_WAIT_S = 0.25

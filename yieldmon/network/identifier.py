@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-GLOBAL_ADDRESS = 255
-NULL_ADDRESS = 254
+from yieldmon.identifiers import GLOBAL_ADDRESS, NULL_ADDRESS, is_broadcast
+
 #: Addresses below this one can be held by a node.
 FIRST_UNUSABLE_ADDRESS = NULL_ADDRESS
-#: PDU formats from here on are broadcasts, whose PDU specific byte belongs to the group.
-_FIRST_BROADCAST_FORMAT = 240
 DEFAULT_PRIORITY = 6
 
 REQUEST = 59904
@@ -57,11 +55,6 @@ class Identifier(NamedTuple):
         """The 29-bit identifier."""
         specific = self.group & 0xFF if is_broadcast(self.group) else self.destination
         return self.priority << 26 | (self.group & 0x3FF00) << 8 | specific << 8 | self.source
-
-
-def is_broadcast(group: int) -> bool:
-    """Whether a parameter group has no destination address (PDU 2)."""
-    return group >> 8 & 0xFF >= _FIRST_BROADCAST_FORMAT
 
 
 class RawFrame(NamedTuple):

@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
+from yieldmon.identifiers import GLOBAL_ADDRESS, NULL_ADDRESS, is_broadcast
+
 from . import diagnostics, identification
 from .addresses import AddressTable
 from .claim import AddressClaim, ClaimState
@@ -17,8 +19,6 @@ from .identifier import (
     ADDRESS_CLAIMED,
     COMMANDED_ADDRESS,
     DEFAULT_PRIORITY,
-    GLOBAL_ADDRESS,
-    NULL_ADDRESS,
     REQUEST,
     TRANSPORT_CONNECTION,
     TRANSPORT_DATA,
@@ -26,7 +26,6 @@ from .identifier import (
     Payload,
     RawFrame,
     frame,
-    is_broadcast,
 )
 from .moves import Moves
 from .name import Name

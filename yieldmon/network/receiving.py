@@ -5,17 +5,10 @@ from __future__ import annotations
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 
+from yieldmon.identifiers import GLOBAL_ADDRESS
+
 from .assembly import MAX_BYTES, Assembly, parts_in
-from .identifier import (
-    GLOBAL_ADDRESS,
-    TRANSPORT_CONNECTION,
-    TRANSPORT_DATA,
-    Identifier,
-    Payload,
-    RawFrame,
-    frame,
-    group_bytes,
-)
+from .identifier import TRANSPORT_CONNECTION, TRANSPORT_DATA, Identifier, Payload, RawFrame, frame, group_bytes
 
 RTS, CTS, END_OF_MESSAGE, BROADCAST, ABORT = 16, 17, 19, 32, 255
 BUSY, NO_RESOURCES, TIMED_OUT, BAD_SEQUENCE = 1, 2, 3, 7

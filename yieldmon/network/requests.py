@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .identifier import ACKNOWLEDGEMENT, GLOBAL_ADDRESS, REQUEST, Identifier, RawFrame, frame, group_bytes
+from yieldmon.identifiers import GLOBAL_ADDRESS
+
+from .identifier import ACKNOWLEDGEMENT, REQUEST, Identifier, RawFrame, frame, group_bytes
 
 POSITIVE, NEGATIVE, ACCESS_DENIED, CANNOT_RESPOND = 0, 1, 2, 3
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
+from yieldmon.identifiers import GLOBAL_ADDRESS
+
 from .assembly import MAX_BYTES, PART_BYTES, parts_in
-from .identifier import GLOBAL_ADDRESS, TRANSPORT_CONNECTION, TRANSPORT_DATA, Identifier, RawFrame, frame, group_bytes
+from .identifier import TRANSPORT_CONNECTION, TRANSPORT_DATA, Identifier, RawFrame, frame, group_bytes
 from .receiving import ABORT, BROADCAST, CTS, END_OF_MESSAGE, RTS, TIMED_OUT
 
 BROADCAST_GAP_S = 0.05

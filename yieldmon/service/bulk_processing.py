@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.bus.bulk import USABLE, FrameBlock, SignalColumn, concatenate, decode_block
-from yieldmon.bus.candump import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG
 from yieldmon.bus.codec import Codec
 from yieldmon.bus.loading import iter_blocks
 from yieldmon.bus.logs import LogNotes
@@ -31,6 +31,7 @@ from yieldmon.engine.results import Result
 from yieldmon.engine.runs import FrameRun, SampleRun, SignalRun, in_millivolts, sample_columns
 from yieldmon.engine.sources import SampleSource, Sources
 from yieldmon.errors import InputError
+from yieldmon.identifiers import EXTENDED_FLAG
 from yieldmon.service.processing import Summary, hand_over, refuse_nothing
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.side_inputs import SideInputs

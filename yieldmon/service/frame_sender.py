@@ -9,6 +9,7 @@ import can
 
 from yieldmon.bus.codec import Codec, FrameError
 from yieldmon.frames import PLATE_ACTUATOR_COMMAND, Frame
+from yieldmon.identifiers import SOURCE_MASK
 from yieldmon.service.link import Link
 from yieldmon.service.mapped_outputs import OutputMessage
 from yieldmon.service.transmit import Transmitter
@@ -53,7 +54,7 @@ class FrameSender:
             message: can.Message | None = item.message
             if item.own_address:
                 if self._link.address is not None:
-                    item.message.arbitration_id = item.message.arbitration_id & ~0xFF | self._link.address
+                    item.message.arbitration_id = item.message.arbitration_id & ~SOURCE_MASK | self._link.address
                 message = self._link.addressed(item.message, self._clock() if item.may_wait else None)
             if message is not None:
                 self._transmitter.submit(message)

@@ -6,12 +6,10 @@ import can
 
 from yieldmon.bus.codec import Codec, FrameError
 from yieldmon.frames import OUTPUTS, Frame
+from yieldmon.identifiers import EXTENDED_FLAG, LARGEST_EXTENDED_ID
 from yieldmon.service.side_inputs import SideInputs
 from yieldmon.signals.decoding import MapDecoder
-from yieldmon.signals.long_messages import EXTENDED
 from yieldmon.signals.mapping import SignalMap
-
-_EXTENDED_IDENTIFIER = 0x1FFFFFFF
 
 
 class InputFrames:
@@ -53,9 +51,9 @@ class InputFrames:
         own = self._codec.filters(sorted(self._own))
         mapped: list[can.typechecking.CanFilter] = [
             {
-                "can_id": match.identity & _EXTENDED_IDENTIFIER,
-                "can_mask": match.mask & _EXTENDED_IDENTIFIER,
-                "extended": bool(match.identity & EXTENDED),
+                "can_id": match.identity & LARGEST_EXTENDED_ID,
+                "can_mask": match.mask & LARGEST_EXTENDED_ID,
+                "extended": bool(match.identity & EXTENDED_FLAG),
             }
             for match in self._decoder.matches
         ]

@@ -22,12 +22,12 @@ from yieldmon.engine.settings import TotalsSettings
 from yieldmon.engine.totals import Totals, dry_mass
 from yieldmon.finite import finite
 from yieldmon.frames import OperatingState
+from yieldmon.identifiers import FORMAT_MASK, GLOBAL_ADDRESS, SOURCE_MASK
 from yieldmon.network import diagnostics
 from yieldmon.network.diagnostics import Lamp, TroubleCode, TroubleMemory
 from yieldmon.network.identifier import (
     ACKNOWLEDGEMENT,
     ADDRESS_CLAIMED,
-    GLOBAL_ADDRESS,
     REQUEST,
     TRANSPORT_CONNECTION,
     TRANSPORT_DATA,
@@ -50,9 +50,7 @@ _IDENTITY_NUMBERS = 1 << 21
 #: Frames of these groups concern every node.
 _HEARD = frozenset({ADDRESS_CLAIMED, REQUEST, TRANSPORT_CONNECTION, TRANSPORT_DATA, ACKNOWLEDGEMENT, PROCESS_DATA})
 _HEARD_FORMATS = frozenset(group >> 8 for group in _HEARD)
-_FORMAT_MASK = 0x03FF0000
 _LAMPS = {Severity.NOTE: None, Severity.WARNING: Lamp.AMBER_WARNING, Severity.STOP_TRUSTING: Lamp.AMBER_WARNING}
-_SOURCE_MASK = 0xFF
 #: How long a second's frames wait for an address: after it the next second is there.
 WAITS_S = 1.0
 #: Frames further apart than this are of different seconds.
@@ -246,7 +244,7 @@ class NetworkLink:
 
     def filters(self) -> list[CanFilter]:
         """See Link; whatever comes from the preferred address too."""
-        entries = [(pdu_format << 16, _FORMAT_MASK) for pdu_format in sorted(_HEARD_FORMATS)] + [(self._preferred, _SOURCE_MASK)]
+        entries = [(pdu_format << 16, FORMAT_MASK) for pdu_format in sorted(_HEARD_FORMATS)] + [(self._preferred, SOURCE_MASK)]
         return [CanFilter(can_id=value, can_mask=mask, extended=True) for value, mask in entries]
 
     @property
@@ -259,7 +257,7 @@ class NetworkLink:
         identifier = message.arbitration_id
         if not message.is_extended_id or message.is_error_frame or message.is_remote_frame:
             return False
-        return identifier >> 16 & 0x3FF in _HEARD_FORMATS or identifier & _SOURCE_MASK == self._node.address
+        return identifier >> 16 & 0x3FF in _HEARD_FORMATS or identifier & SOURCE_MASK == self._node.address
 
     def start(self, now_s: float) -> list[can.Message]:
         """See Link."""
@@ -302,7 +300,7 @@ class NetworkLink:
             return None
         group = Identifier.of(message.arbitration_id).group
         self._node.answer_with({group: bytes(message.data)})
-        message.arbitration_id = message.arbitration_id & ~_SOURCE_MASK | address
+        message.arbitration_id = message.arbitration_id & ~SOURCE_MASK | address
         return message
 
     def tell_trouble(self, active: Iterable[FaultCode], now_s: float) -> list[can.Message]:

@@ -13,16 +13,13 @@ from yieldmon.engine.results import Result, WindowResult
 from yieldmon.engine.settings import TotalsSettings
 from yieldmon.engine.totals import Totals, dry_mass
 from yieldmon.frames import PLATE_ACTUATOR_COMMAND, Frame, Unusable
+from yieldmon.identifiers import GROUP_MASK, IDENTITY_MASK, LARGEST_STANDARD_ID, SOURCE_MASK
 from yieldmon.signals.output_mapping import OutputGroup, OutputMap
 from yieldmon.signals.packing import packed
 from yieldmon.signals.published import CARRIED, FRAME_COUNTER, PUBLISHED
 
 #: From this age on a value is not known any more.
 STALE_S = 3.0
-_SOURCE_MASK = 0xFF
-_GROUP_MASK = 0x03FFFF00
-_IDENTITY_MASK = 0x03FFFFFF
-_STANDARD_MASK = 0x7FF
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,14 +50,14 @@ class MappedOutputs:
         return [
             CanFilter(can_id=group.frame_id & mask, can_mask=mask, extended=group.extended)
             for group in self._groups
-            for mask in (_STANDARD_MASK if not group.extended else _GROUP_MASK if group.own_address else _IDENTITY_MASK,)
+            for mask in (LARGEST_STANDARD_ID if not group.extended else GROUP_MASK if group.own_address else IDENTITY_MASK,)
         ]
 
     def name_of(self, message: can.Message, address: int | None) -> str | None:
         """The message of ours whose identifier a received frame has; None where it has none of them."""
         for group in self._groups:
             ours = _identifier(group, address)
-            mask = _IDENTITY_MASK if group.extended else _STANDARD_MASK
+            mask = IDENTITY_MASK if group.extended else LARGEST_STANDARD_ID
             if message.is_extended_id == group.extended and ours is not None and not (message.arbitration_id ^ ours) & mask:
                 return group.name
         return None
@@ -109,7 +106,7 @@ class MappedOutputs:
 def _identifier(group: OutputGroup, address: int | None) -> int | None:
     if not group.own_address:
         return group.frame_id
-    return None if address is None else group.frame_id & ~_SOURCE_MASK | address
+    return None if address is None else group.frame_id & ~SOURCE_MASK | address
 
 
 def values_of(frames: Iterable[Frame]) -> dict[str, float | None]:

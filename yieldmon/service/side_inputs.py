@@ -14,9 +14,10 @@ from can.typechecking import CanFilter
 from numpy.typing import NDArray
 
 from yieldmon.bus.bulk import NOT_AVAILABLE, USABLE, DecodedBlock, FrameBlock, MessageColumns, SignalColumn
-from yieldmon.bus.candump import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG
 from yieldmon.bus.factory_monitor import MASS_FLOW, FactoryMonitor
 from yieldmon.frames import FACTORY_MONITOR, VEHICLE_DIRECTION_SPEED, VEHICLE_POSITION, Frame, Value
+from yieldmon.identifiers import EXTENDED_FLAG, FORMAT_MASK, GROUP_MASK, IDENTITY_MASK, SOURCE_MASK, is_broadcast
 from yieldmon.network.fast_packet import FAST_PACKET_GROUPS
 from yieldmon.network.navigation import (
     DIRECTION_SPEED,
@@ -37,10 +38,7 @@ from yieldmon.service.side_columns import merged, placed, taken, taken_column
 _KMH = 3.6
 _FLOW_DDI = 87
 _KG_PER_MG = 1e-6
-_GROUP_MASK = 0x03FFFF00
-_FORMAT_MASK = 0x03FF0000
-_ADDRESSED_MASK = 0x03FF00FF
-_FIRST_BROADCAST_FORMAT = 240
+_ADDRESSED_MASK = FORMAT_MASK | SOURCE_MASK
 #: Groups that the shipped DBC decodes; their frames go on as they are while nothing better speaks.
 _IN_THE_DBC = (POSITION_GROUP, DIRECTION_SPEED)
 #: Signals of the DBC's frames, and the quantity that each is.
@@ -80,10 +78,10 @@ class SideInputs:
 
     def filters(self) -> list[CanFilter]:
         """What this wants to hear."""
-        entries = [(group << 8, _GROUP_MASK) for group in sorted(GROUPS)]
+        entries = [(group << 8, GROUP_MASK) for group in sorted(GROUPS)]
         for identity in self._factory_identities.tolist():
-            entries.append((identity, _GROUP_MASK | 0xFF if _is_broadcast(identity) else _ADDRESSED_MASK))
-        entries.append((PROCESS_DATA << 8, _FORMAT_MASK))
+            entries.append((identity, IDENTITY_MASK if is_broadcast(identity >> 8) else _ADDRESSED_MASK))
+        entries.append((PROCESS_DATA << 8, FORMAT_MASK))
         return [CanFilter(can_id=value, can_mask=mask, extended=True) for value, mask in entries]
 
     def frames(self, message: can.Message, decoded: Frame | None) -> list[Frame]:
@@ -132,9 +130,9 @@ class SideInputs:
         groups = identifiers >> np.uint32(8) & np.uint32(_MOST_GROUPS - 1)
         native = np.isin(groups, np.array(_IN_THE_DBC, np.uint32))
         other = np.isin(groups, np.array(sorted(GROUPS), np.uint32)) | (groups >> np.uint32(8) == PROCESS_DATA >> 8)
-        exact = identifiers & np.uint32(_GROUP_MASK | 0xFF)
+        exact = identifiers & np.uint32(IDENTITY_MASK)
         addressed = identifiers & np.uint32(_ADDRESSED_MASK)
-        broadcast = np.array([_is_broadcast(identity) for identity in self._factory_identities.tolist()], bool)
+        broadcast = np.array([is_broadcast(identity >> 8) for identity in self._factory_identities.tolist()], bool)
         other |= np.isin(exact, self._factory_identities[broadcast]) | np.isin(addressed, self._factory_identities[~broadcast])
         return rows[other & ~native], rows[native]
 
@@ -284,13 +282,9 @@ class SideInputs:
         return [Frame(frame.time_s, frame.message, kept)] if kept else []
 
 
-def _is_broadcast(identity: int) -> bool:
-    return identity >> 16 & 0xFF >= _FIRST_BROADCAST_FORMAT
-
-
 def _all_of(group: int) -> slice:
     """A group as identifiers hold it: with the destination in its last byte where it has one."""
-    if group >> 8 & 0xFF >= _FIRST_BROADCAST_FORMAT:
+    if is_broadcast(group):
         return slice(group, group + 1)
     return slice(group & ~0xFF, (group | 0xFF) + 1)
 

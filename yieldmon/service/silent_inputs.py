@@ -6,18 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from yieldmon.bus.candump import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
-from yieldmon.bus.databases import group_of
+from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG
 from yieldmon.bus.loading import iter_blocks
 from yieldmon.bus.logs import LogNotes
+from yieldmon.identifiers import ADDRESS_CLAIM, EXTENDED_FLAG, GROUP_MASK, LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID, group_of
 from yieldmon.network.addresses import AddressTable
-from yieldmon.network.identifier import ADDRESS_CLAIMED, GLOBAL_ADDRESS
 from yieldmon.network.name import Name, NameMatch
 from yieldmon.signals.mapping import Group
 
-_LARGEST_STANDARD = 0x7FF
-_IDENTIFIER = 0x1FFFFFFF
-_CLAIM, _CLAIM_MASK = EXTENDED_FLAG | ADDRESS_CLAIMED << 8 | GLOBAL_ADDRESS << 8, EXTENDED_FLAG | 0x03FFFF00
+_CLAIM, _CLAIM_MASK = EXTENDED_FLAG | ADDRESS_CLAIM, EXTENDED_FLAG | GROUP_MASK
 
 
 class Traffic:
@@ -41,13 +38,13 @@ class Traffic:
         if not message.extended:
             wide = message.frame_id | EXTENDED_FLAG in self._identifiers
             return "it comes with a 29-bit identifier, the DBC gives it 11 bits" if wide else None
-        if message.frame_id <= _LARGEST_STANDARD and message.frame_id in self._identifiers:
+        if message.frame_id <= LARGEST_STANDARD_ID and message.frame_id in self._identifiers:
             return "it comes with an 11-bit identifier, the DBC gives it 29 bits"
         if isinstance(group.source, NameMatch):
             of_name = [address for address, name in self._holders if group.source.matches(name)]
             if len(of_name) != 1:
                 return f"nodes {_listed(of_name)} all fit that NAME" if of_name else "no node with that NAME claims an address"
-        wanted = {i & _IDENTIFIER for i in self._identifiers if i & EXTENDED_FLAG}
+        wanted = {i & LARGEST_EXTENDED_ID for i in self._identifiers if i & EXTENDED_FLAG}
         senders = sorted({identifier & 0xFF for identifier in wanted if group_of(identifier) == message.group})
         return f"it comes from {_listed(senders)} only" if senders else None
 

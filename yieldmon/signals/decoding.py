@@ -9,10 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.frames import NOT_AVAILABLE, Frame, Value
+from yieldmon.identifiers import (
+    ADDRESS_CLAIM,
+    EXTENDED_FLAG,
+    FORMAT_MASK,
+    GROUP_MASK,
+    LARGEST_EXTENDED_ID,
+    LARGEST_STANDARD_ID,
+    SOURCE_MASK,
+    is_broadcast,
+)
 from yieldmon.network.addresses import AddressTable
 from yieldmon.network.name import Name, NameMatch
 from yieldmon.signals.long_messages import (
-    EXTENDED,
     PRIORITY,
     TRANSPORT,
     TRANSPORT_MASK,
@@ -27,14 +36,10 @@ from yieldmon.signals.pulses import PulseSpeed
 
 Array = NDArray[np.float64]
 
-_ALL = 0x1FFFFFFF
-_CLAIM, _CLAIM_MASK = 0x00EEFF00, 0x03FFFF00
-_FIRST_BROADCAST_FORMAT = 0xF0
-
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """Which identifiers a group takes: identifier & mask == identity; both with the `EXTENDED` flag. named: the source address
+    """Which identifiers a group takes: identifier & mask == identity; both with `EXTENDED_FLAG`. named: the source address
     must be that of a node with this NAME."""
 
     identity: int
@@ -51,18 +56,17 @@ def match_of(group: Group) -> Match:
     """The identifiers of a group's frames. With a source of its own a J1939 group is known by parameter group and source."""
     message, source = group.message, group.source
     if not message.extended:
-        return Match(message.frame_id, 0x7FF | EXTENDED, None)
-    broadcast = (message.frame_id >> 16 & 0xFF) >= _FIRST_BROADCAST_FORMAT
-    by_group = 0x03FFFF00 if broadcast else 0x03FF0000
+        return Match(message.frame_id, LARGEST_STANDARD_ID | EXTENDED_FLAG, None)
+    by_group = GROUP_MASK if is_broadcast(message.frame_id >> 8) else FORMAT_MASK
     if any_source(source, message) or isinstance(source, NameMatch):
         named = source if isinstance(source, NameMatch) else None
-        return Match(message.frame_id & by_group | EXTENDED, by_group | EXTENDED, named)
+        return Match(message.frame_id & by_group | EXTENDED_FLAG, by_group | EXTENDED_FLAG, named)
     if isinstance(source, int):
         identity = message.frame_id & by_group | source
-        return Match(identity | EXTENDED, by_group | 0xFF | EXTENDED, None)
+        return Match(identity | EXTENDED_FLAG, by_group | SOURCE_MASK | EXTENDED_FLAG, None)
     # The priority is no part of what J1939 knows a message by.
-    mask = _ALL & ~PRIORITY if message.j1939 else _ALL
-    return Match(message.frame_id & mask | EXTENDED, mask | EXTENDED, None)
+    mask = LARGEST_EXTENDED_ID & ~PRIORITY if message.j1939 else LARGEST_EXTENDED_ID
+    return Match(message.frame_id & mask | EXTENDED_FLAG, mask | EXTENDED_FLAG, None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +97,7 @@ class MapDecoder:
     @property
     def matches(self) -> tuple[Match, ...]:
         """What is listened to, for filters; with a NAME, address claims too."""
-        claims = (Match(_CLAIM | EXTENDED, _CLAIM_MASK | EXTENDED, None),) if self._by_name else ()
+        claims = (Match(ADDRESS_CLAIM | EXTENDED_FLAG, GROUP_MASK | EXTENDED_FLAG, None),) if self._by_name else ()
         transport = [Match(identity, TRANSPORT_MASK, None) for identity in TRANSPORT] if self._long.by_transport else []
         return (*(decoder.match for decoder in (*self._groups, *self._of_long)), *transport, *claims)
 
@@ -109,14 +113,14 @@ class MapDecoder:
 
     def decode(self, time_s: float, identifier: int, extended: bool, data: bytes) -> list[Frame]:
         """The frames that one data frame of the bus brings, usually none or one."""
-        key = identifier | EXTENDED if extended else identifier
+        key = identifier | EXTENDED_FLAG if extended else identifier
         known = self._of_identifier.get(key)
         if known is None:
             if len(self._of_identifier) >= _KEPT_IDENTIFIERS:
                 self._of_identifier.clear()
             known = tuple(d for d in self._groups if key & d.match.mask == d.match.identity), self._long.takes(key)
             self._of_identifier[key] = known
-        if self._by_name and key & (_CLAIM_MASK | EXTENDED) == _CLAIM | EXTENDED:
+        if self._by_name and key & (GROUP_MASK | EXTENDED_FLAG) == ADDRESS_CLAIM | EXTENDED_FLAG:
             self._table.hear(identifier, data)
         decoders, of_long = known
         found = self._decoded(decoders, time_s, identifier, data) if decoders else []
@@ -150,7 +154,7 @@ class MapDecoder:
     ) -> tuple[list[GroupColumns], NDArray[np.intp]]:
         """Each group's frames among data frames of the bus, and the rows that were too short.
 
-        identifiers (n,): with the `EXTENDED` flag. payloads (n,): the first eight bytes, first byte lowest. long: row -> all data
+        identifiers (n,): with `EXTENDED_FLAG`. payloads (n,): the first eight bytes, first byte lowest. long: row -> all data
         of frames that have more.
         """
         claims = self._claims(identifiers, lengths, payloads)
@@ -206,7 +210,7 @@ class MapDecoder:
         """(row, address, NAME) of the address claims of a block."""
         if not self._by_name:
             return []
-        is_claim = (identifiers & np.uint32(_CLAIM_MASK | EXTENDED)) == np.uint32(_CLAIM | EXTENDED)
+        is_claim = (identifiers & np.uint32(GROUP_MASK | EXTENDED_FLAG)) == np.uint32(ADDRESS_CLAIM | EXTENDED_FLAG)
         rows = np.flatnonzero(is_claim & (lengths == 8))
         return [(int(row), int(identifiers[row]) & 0xFF, Name.of_bytes(int(payloads[row]).to_bytes(8, "little"))) for row in rows]
 

@@ -11,22 +11,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.bus.databases import CLASSIC_BYTES, MessageBits, group_of
+from yieldmon.bus.databases import CLASSIC_BYTES, MessageBits
+from yieldmon.identifiers import EXTENDED_FLAG, FORMAT_MASK, LARGEST_EXTENDED_ID, group_of
 from yieldmon.network.identifier import TRANSPORT_CONNECTION, TRANSPORT_DATA, Identifier
 from yieldmon.network.reassembly import Reassembler
 
-EXTENDED = 1 << 31
-"""Marks a 29-bit identifier, as SocketCAN does."""
-TRANSPORT = tuple(group << 8 | EXTENDED for group in (TRANSPORT_CONNECTION, TRANSPORT_DATA))
-TRANSPORT_MASK = 0x03FF0000 | EXTENDED
+TRANSPORT = tuple(group << 8 | EXTENDED_FLAG for group in (TRANSPORT_CONNECTION, TRANSPORT_DATA))
+TRANSPORT_MASK = FORMAT_MASK | EXTENDED_FLAG
 PRIORITY = 0x1C000000
-_ALL = 0x1FFFFFFF
 Numbers = Callable[[int], NDArray[np.uint64]]
 """First byte -> the eight bytes from there on of each message (n,), the first one lowest."""
 
 
 class Whole(NamedTuple):
-    """A complete message. identifier: with the `EXTENDED` flag; of the transport protocol, which does not carry the priority,
+    """A complete message. identifier: with `EXTENDED_FLAG`; of the transport protocol, which does not carry the priority,
     that of its group, sender and destination. row: of the frame that completed it, in its block."""
 
     identifier: int
@@ -64,20 +62,22 @@ class LongMessages:
         return bool(self._groups)
 
     def takes(self, identifier: int) -> bool:
-        """Whether frames with this identifier, with the `EXTENDED` flag, may be of one of the messages."""
+        """Whether frames with this identifier, with `EXTENDED_FLAG`, may be of one of the messages."""
         if self._groups and identifier & TRANSPORT_MASK in TRANSPORT:
             return True
         if self._direct is not None:
             return any(identifier & mask == identity for identity, mask in self._direct)
-        return group_of(identifier & _ALL) in self._groups if identifier & EXTENDED else identifier in self._standard
+        if identifier & EXTENDED_FLAG:
+            return group_of(identifier & LARGEST_EXTENDED_ID) in self._groups
+        return identifier in self._standard
 
     def feed(self, time_s: float, identifier: int, data: bytes) -> Whole | None:
         """The message that a frame which is taken completes."""
-        if not identifier & EXTENDED:
+        if not identifier & EXTENDED_FLAG:
             return Whole(identifier, False, data)
-        for payload in self._reassembler.feed(identifier & _ALL, data, time_s):
+        for payload in self._reassembler.feed(identifier & LARGEST_EXTENDED_ID, data, time_s):
             parts = Identifier(payload.priority, payload.group, payload.destination, payload.source)
-            return Whole(parts.value | EXTENDED, identifier & TRANSPORT_MASK in TRANSPORT, payload.data)
+            return Whole(parts.value | EXTENDED_FLAG, identifier & TRANSPORT_MASK in TRANSPORT, payload.data)
         return None
 
     def feed_block(

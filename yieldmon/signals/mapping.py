@@ -10,9 +10,10 @@ import difflib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from yieldmon.bus.databases import NULL_ADDRESS, MessageBits, SignalBits
+from yieldmon.bus.databases import MessageBits, SignalBits
 from yieldmon.engine.sources import DEFAULT_SOURCES, QUANTITIES, InputSource, SampleSource, Sources
 from yieldmon.errors import InputError
+from yieldmon.identifiers import GROUP_MASK, IDENTITY_MASK, NULL_ADDRESS
 from yieldmon.network.assembly import MAX_BYTES
 from yieldmon.physics.machine import Machine
 from yieldmon.signals.binding import IMPACT, Binding, Source, check
@@ -25,7 +26,6 @@ Load = Callable[[str], Mapping[str, MessageBits]]
 
 
 _MOST_IN_A_FRAME = 64
-_BUT_PRIORITY, _SOURCE = 0x03FFFFFF, 0xFF
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +167,7 @@ def _frames_of(draft: _Draft) -> tuple[object, ...]:
     if not message.extended:
         return (message.frame_id,)
     from_all = any_source(draft.source, message)
-    group = message.frame_id & (_BUT_PRIORITY if draft.source is None and not from_all else _BUT_PRIORITY & ~_SOURCE)
+    group = message.frame_id & (IDENTITY_MASK if draft.source is None and not from_all else GROUP_MASK)
     return group, "any" if from_all else str(draft.source)
 
 

@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import degrees
 
-from yieldmon.bus.databases import NULL_ADDRESS, MessageBits, SignalBits, group_of
+from yieldmon.bus.databases import MessageBits, SignalBits
 from yieldmon.errors import InputError
+from yieldmon.identifiers import GROUP_MASK, IDENTITY_MASK, NULL_ADDRESS, SOURCE_MASK, group_of
 from yieldmon.network.identifier import (
     ACKNOWLEDGEMENT,
     ADDRESS_CLAIMED,
@@ -25,8 +26,6 @@ from yieldmon.signals.units import accepted, factor
 
 OWN = "own"
 MIN_PERIOD_MS, MAX_PERIOD_MS = 50.0, 10_000.0
-_SOURCE_MASK = 0xFF
-_IDENTITY_MASK = 0x03FFFFFF
 _EXTENDED = 1 << 29
 _DM1 = 0xFECA
 #: Groups by which nodes agree on addresses and long messages.
@@ -275,7 +274,7 @@ def _factor(binding: OutputBinding, quantity: Published, signal: SignalBits) -> 
 def _group(draft: _Draft, network: bool) -> OutputGroup:
     first, message = draft.first, draft.message
     own = first.source == OWN or (
-        first.source is None and message.extended and (message.j1939 or message.frame_id & _SOURCE_MASK == NULL_ADDRESS)
+        first.source is None and message.extended and (message.j1939 or message.frame_id & SOURCE_MASK == NULL_ADDRESS)
     )
     if first.source is not None and not message.extended:
         raise first.refuse("source", f"{message.name} has an 11-bit identifier", "no source; only 29-bit identifiers carry one")
@@ -283,7 +282,7 @@ def _group(draft: _Draft, network: bool) -> OutputGroup:
         raise first.refuse("source", f"{first.source}", "own, the address that we claim, or network.enabled: false")
     frame_id = message.frame_id
     if isinstance(first.source, int):
-        frame_id = frame_id & ~_SOURCE_MASK | first.source
+        frame_id = frame_id & ~SOURCE_MASK | first.source
     return OutputGroup(
         name=message.name,
         frame_id=frame_id,
@@ -323,7 +322,7 @@ def _identity(frame_id: int, extended: bool, own_address: bool) -> int:
     """What makes two frames the same one: all but the priority; and the group where the address is ours."""
     if not extended:
         return frame_id
-    return frame_id & (_IDENTITY_MASK & ~_SOURCE_MASK if own_address else _IDENTITY_MASK) | _EXTENDED
+    return frame_id & (GROUP_MASK if own_address else IDENTITY_MASK) | _EXTENDED
 
 
 def _check_identifiers(

@@ -10,20 +10,19 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.bus.databases import NULL_ADDRESS, MessageBits, SignalBits, group_of
+from yieldmon.bus.databases import MessageBits, SignalBits
 from yieldmon.engine.sources import QUANTITIES
+from yieldmon.identifiers import ADDRESS_CLAIM, EXTENDED_FLAG, GROUP_MASK, LARGEST_EXTENDED_ID, NULL_ADDRESS, group_of
 from yieldmon.network.addresses import AddressTable
 from yieldmon.network.name import Name
 from yieldmon.signals.binding import IMPACT, MIN_RATE_HZ
 from yieldmon.signals.extraction import Extraction
 from yieldmon.signals.group_names import group_name
-from yieldmon.signals.long_messages import EXTENDED, LongMessages, Numbers, Whole, numbers
+from yieldmon.signals.long_messages import LongMessages, Numbers, Whole, numbers
 from yieldmon.signals.units import factor
 
 Array = NDArray[np.float64]
 
-_IDENTIFIER = 0x1FFFFFFF
-_CLAIM, _CLAIM_MASK = 0x00EEFF00, 0x03FFFF00
 _MOST_IDENTIFIERS = 10_000
 """A hostile node may send any identifier; those beyond are only counted."""
 _PAST_ADDRESSES = 0xFE
@@ -155,7 +154,7 @@ class Survey:
         self.frames = 0
         for name, messages in databases.items():
             for message in messages.values():
-                key = message.frame_id | EXTENDED if message.extended else message.frame_id
+                key = message.frame_id | EXTENDED_FLAG if message.extended else message.frame_id
                 self._exact.setdefault(key, (name, message))
                 if message.extended:
                     self._groups.setdefault(message.group, (name, message))
@@ -173,9 +172,9 @@ class Survey:
         payloads: NDArray[np.uint64],
         long: Mapping[int, bytes] | None = None,
     ) -> None:
-        """Data frames, in order; identifiers with the `EXTENDED` flag, payloads and long as in `MapDecoder.decode_block`."""
+        """Data frames, in order; identifiers with `EXTENDED_FLAG`, payloads and long as in `MapDecoder.decode_block`."""
         self.frames += time_s.size
-        is_claim = (identifiers & np.uint32(_CLAIM_MASK | EXTENDED)) == np.uint32(_CLAIM | EXTENDED)
+        is_claim = (identifiers & np.uint32(GROUP_MASK | EXTENDED_FLAG)) == np.uint32(ADDRESS_CLAIM | EXTENDED_FLAG)
         for row in np.flatnonzero(is_claim & (lengths == 8)).tolist():
             self._claimed(int(identifiers[row]) & 0xFF, Name.of_bytes(int(payloads[row]).to_bytes(8, "little")))
         order = np.argsort(identifiers, kind="stable")
@@ -222,16 +221,16 @@ class Survey:
 
     def _named(self, identifier: int) -> tuple[str, MessageBits] | None:
         exact = self._exact.get(identifier)
-        if exact is not None or not identifier & EXTENDED:
+        if exact is not None or not identifier & EXTENDED_FLAG:
             return exact
-        return self._groups.get(group_of(identifier & _IDENTIFIER))
+        return self._groups.get(group_of(identifier & LARGEST_EXTENDED_ID))
 
     @property
     def messages(self) -> list[MessageSeen]:
         """All identifiers, by parameter group and source; 11-bit ones first."""
         found = []
         for key, seen in self._seen.items():
-            extended, identifier = bool(key & EXTENDED), key & _IDENTIFIER
+            extended, identifier = bool(key & EXTENDED_FLAG), key & LARGEST_EXTENDED_ID
             group = group_of(identifier) if extended else None
             dbc, name = (None, None) if seen.message is None else (seen.message[0], seen.message[1].name)
             if name is None and group is not None:
@@ -247,7 +246,7 @@ class Survey:
     @property
     def nodes(self) -> list[tuple[int, Name | None]]:
         """Source addresses that sent 29-bit frames, with the NAMEs that they claimed."""
-        sources = {key & 0xFF for key in self._seen if key & EXTENDED} | {address for address, _ in self._table.items()}
+        sources = {key & 0xFF for key in self._seen if key & EXTENDED_FLAG} | {address for address, _ in self._table.items()}
         return [(source, self._table.name_of(source)) for source in sorted(sources) if source < _PAST_ADDRESSES]
 
     @property
@@ -290,7 +289,7 @@ class Survey:
 
     def _is_elsewhere(self, message: MessageSeen) -> bool:
         """Whether a message comes from another address than the one that its DBC names, or with another priority."""
-        seen = self._seen[message.identifier | EXTENDED].message if message.extended else None
+        seen = self._seen[message.identifier | EXTENDED_FLAG].message if message.extended else None
         if seen is None or seen[1].frame_id & 0xFF == NULL_ADDRESS:
             return False
         return seen[1].frame_id != message.identifier

@@ -11,7 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 
-from yieldmon.network.identifier import ACKNOWLEDGEMENT, GLOBAL_ADDRESS
+from yieldmon.identifiers import GLOBAL_ADDRESS
+from yieldmon.network.identifier import ACKNOWLEDGEMENT
 from yieldmon.network.process_data import (
     PROCESS_DATA,
     WORKING_SET_MASTER,
