@@ -451,11 +451,13 @@ def test_a_ticket_that_waits_during_a_sweep_teaches_as_one_before_it(
             weighed_kg = load.reference_kg * (factor if number == 3 else 1.0)
             learning.ticket(number, weighed_kg, 0.003 * weighed_kg, (summary,), at_s)
             learning.learn(at_s, dataclasses.replace(windows[0], time_s=at_s + 600.0), sweep)
+            assert [mass.load_number for mass in learning.waiting] == [3] * (waits and number == 3)
         sweep.state = SweepState.MEASURING
         for i, window in enumerate(windows):
             sweep.completed = i == len(windows) - 1
             learning.learn(window.time_s, window, sweep)
         masses.append(home_error_pct(learning.estimator, flows[-1]))  # type: ignore[arg-type]
         assert not learning.masses_wait
+        assert learning.waiting == ()
     assert masses[1] == pytest.approx(masses[0], abs=0.02)
     assert abs(masses[1] - before) > 0.1

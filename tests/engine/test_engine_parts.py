@@ -25,6 +25,16 @@ from yieldmon.engine.zero import ZeroState
 from yieldmon.resources import shipped
 
 NAN = float("nan")
+NUMBERS = {
+    "SensorMissing": (520192, 9), "SensorStuck": (520192, 2), "SensorSaturated": (520192, 0),
+    "ZeroDrifted": (520193, 13), "SpeedMissing": (520194, 9), "SpeedOutOfRange": (520194, 1),
+    "PlateNotFollowing": (520195, 7), "PlateFeedbackStale": (520195, 9), "SweepAborted": (520196, 31),
+    "CalibrationOld": (520197, 13), "FlowOutsideCalibration": (520198, 31), "NotIdentifiable": (520199, 31),
+    "ModelDisagrees": (520200, 31), "StoreFailing": (520201, 12), "FramesLost": (520202, 19),
+    "ClockJumped": (520203, 2), "BusError": (520204, 19), "OutputConflict": (520205, 19),
+    "ScaleFault": (520206, 2), "NetworkFault": (520207, 19), "ZeroMissing": (520193, 31),
+    "WaveformContradicts": (520208, 31), "MassNearEnd": (520209, 0), "ScaleDisagrees": (520210, 31),
+}  # fmt: skip
 
 GATE = [
     # force N, pulses, empty, loaded, speed in range, idle s -> opens a closed gate, keeps an open one
@@ -114,6 +124,12 @@ def test_the_table_of_faults_is_the_bus_s() -> None:
             assert sentence.endswith(".")
     pairs = [(d.spn, d.fmi) for d in FAULTS.values()]
     assert len(set(pairs)) == len(pairs)
+
+
+def test_faults_have_the_numbers_that_displays_know() -> None:
+    """Suspect parameter numbers and failure modes went out with version 0.1; a new fault gets new ones."""
+    found = {definition.code.value: (definition.spn, definition.fmi) for definition in FAULTS.values()}
+    assert found == NUMBERS
 
 
 @pytest.mark.parametrize("code", FAULTS)

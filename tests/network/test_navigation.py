@@ -33,6 +33,11 @@ def values(group: int, data: bytes) -> dict[str, float]:
     return {r.quantity.value: r.value for r in read(payload(group, data))}
 
 
+def _gnss(height: int) -> bytes:
+    """Position and height, um, without a time."""
+    return struct.pack("<BHIqqq", 0, 0xFFFF, 0xFFFFFFFF, 475 * 10**15, -85 * 10**15, height)
+
+
 def test_pysobus_vehicle_position() -> None:
     listener = Reassembler()
     (got,) = listener.feed(0x60FEF31C, bytes.fromhex("D1EE2397FA7C744B"), 0.0)
@@ -72,6 +77,11 @@ def test_pysobus_gnss_position() -> None:
         ),
         (129026, struct.pack("<BBHHH", 0, 0xFD, 15708, 250, 0xFFFF), {"ground_speed_m_s": 2.5}),
         (129026, struct.pack("<BBHHH", 0, 0xFC, 0xFFFF, 0xFFFF, 0xFFFF), {}),
+        (129029, _gnss(height=-5_000_000), {"latitude_deg": 47.5, "longitude_deg": -8.5, "altitude_m": -5.0}),
+        (129029, _gnss(height=0x7FFFFFFFFFFFFFFC), {"latitude_deg": 47.5, "longitude_deg": -8.5, "altitude_m": 2**63 * 1e-6}),
+        (129029, _gnss(height=0x7FFFFFFFFFFFFFFD), {"latitude_deg": 47.5, "longitude_deg": -8.5}),
+        (129026, struct.pack("<BBHHH", 0, 0xFC, 0xFFFD, 0xFFFC, 0xFFFF), {"ground_speed_m_s": 655.32}),
+        (129026, struct.pack("<BBHHH", 0, 0xFC, 0xFFFD, 0xFFFD, 0xFFFF), {}),
         (126992, struct.pack("<BBHI", 0, 0xF0, 20000, 432000000), {"time_s": 20000 * 86400 + 43200.0}),
         (126992, struct.pack("<BBHI", 0, 0xF0, 0xFFFF, 0xFFFFFFFF), {}),
         (65254, bytes([40, 30, 12, 7, 60, 40, 125, 125]), {"time_s": datetime(2025, 7, 15, 12, 30, 10, tzinfo=UTC).timestamp()}),

@@ -233,6 +233,14 @@ def test_totals_are_the_tasks() -> None:
     assert {ddi for t, _, ddi, _ in bench.server.values if t > 20.0} == {90, 116, 119, 183}
 
 
+def test_a_server_without_a_task_hears_totals_from_its_connection_on() -> None:
+    bench = connected()
+    at_s, before_kg = bench.states[-1][0], bench.second.total_kg
+    bench.command(Command.REQUEST_VALUE, 90)
+    since_kg = (bench.now_s - at_s + 1.0) * (bench.second.flow_kg_s or 0.0)
+    assert bench.values(90)[-1][1] <= since_kg < before_kg
+
+
 def test_server_that_goes_and_comes_back() -> None:
     bench = connected()
     bench.command(Command.TIME_INTERVAL, 87, 1000)

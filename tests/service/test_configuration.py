@@ -170,6 +170,13 @@ def test_a_wrong_key_gets_file_key_value_and_what_was_expected(written, text, li
     assert len(caught.value.problems) == 1
 
 
+def test_grain_may_come_and_go_at_one_force(written):
+    assert (
+        configuration.load(written("gate: {grain_on_n: 2, grain_off_n: 2, certain_force_n: 2}"), {}).document.gate.grain_off_n
+        == 2
+    )
+
+
 def test_all_faults_are_told_at_once(written, capsys):
     path = written("store: {size_mb: -1, siz_mb: 3}\nlogging: {level: loud}")
     assert cli.main(["check-config", str(path)]) == 2

@@ -63,6 +63,11 @@ CASES = {
     ),
     "a source without addresses": (IMPACT.replace("}", ", source: any}"), "impact_voltage.source", "11-bit", "29-bit"),
     "a source that is none": (IMPACT.replace("}", ", source: 300}"), "impact_voltage.source", "300", "0 to 253"),
+    "a NAME of 65 bits": (IMPACT.replace("}", ", source: 0x1FFFFFFFFFFFFFFFF}"), "impact_voltage.source", "0x1FF", "253"),
+    "an identity of 22 bits": (
+        IMPACT.replace("}", ", source: {identity_number: 2097152}}"), "source.identity_number", "2097152", "NAME",
+    ),
+    "a rate and a spacing": (IMPACT.replace("}", ", spacing_ms: 10}"), "impact_voltage.spacing_ms", "beside rate_hz", "one of"),
     "a NAME that is none": (IMPACT.replace("}", ", source: {function: 999}}"), "source.function", "999", "NAME"),
     "a range upside down": (IMPACT.replace("}", ", range: [5, 1]}"), "impact_voltage.range", "5", "smaller first"),
     "a constant that cannot be": ("elevator_speed: {value: -4}", "elevator_speed.value", "-4", "rpm"),
