@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
+from engine_bench import MACHINE
 
 from yieldmon.engine.plate_commands import PlateDemand
 from yieldmon.engine.settings import PlateSettings, SweepSettings
-from yieldmon.engine.sweep import PlateReading, SweepAbort, SweepMachine, SweepWindow, sweep_sequence
+from yieldmon.engine.sweep import PlateReading, SweepAbort, SweepMachine, SweepWindow, support_start_s, sweep_sequence
 from yieldmon.frames import ActuatorState, CommandMode, SweepState
+from yieldmon.physics.machine import RPM
 
 S = SweepState
 HOME = 70.0
@@ -406,3 +409,10 @@ def test_progress_runs_from_0_to_100() -> None:
     assert seen == sorted(seen)
     assert seen[0] == 0.0
     assert rig.machine.progress_pct == 100.0
+
+
+@pytest.mark.parametrize(("speed_rpm", "begins_s"), [(400.0, 99.8355), (60.0, 99.5), (0.0, 99.5)])
+def test_a_window_reaches_back_by_a_pattern_of_the_chain_at_most(speed_rpm: float, begins_s: float) -> None:
+    """At 400 rpm and a pitch radius of 54.1 mm the chain makes 2.27 m/s: a pattern of two paddles, 0.3727 m, in 164 ms."""
+    window = SimpleNamespace(start_s=100.0, speed_rad_s=speed_rpm * RPM)
+    assert support_start_s(window, MACHINE, 0.5) == pytest.approx(begins_s, abs=1e-4)  # type: ignore[arg-type]

@@ -15,7 +15,7 @@ import yaml
 from yieldmon.cli.main import main
 from yieldmon.files import parameter_file
 from yieldmon.resources import shipped
-from yieldmon.service.installation import package_source
+from yieldmon.service.installation import Installer, package_source
 
 ROOT = Path(__file__).parents[2]
 UNIT, CONFIGURATION = "etc/systemd/system/yieldmon.service", "etc/yieldmon/yieldmon.yaml"
@@ -235,3 +235,9 @@ def test_a_planted_link_is_not_written_to(tmp_path: Path) -> None:
     assert install(root) == 0
     assert victim.read_text(encoding="utf-8") == "somebody else's"
     assert not unit.is_symlink()
+
+
+def test_a_command_that_is_not_there_is_a_failure(tmp_path: Path) -> None:
+    installer = Installer(tmp_path, dry_run=False)
+    assert installer.run(str(tmp_path / "gone"), live_only=False) is False
+    assert installer.failures == [f"{tmp_path / 'gone'}: not on this machine"]
