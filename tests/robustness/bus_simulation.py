@@ -21,7 +21,7 @@ import itertools
 import random
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
@@ -36,7 +36,7 @@ from tests.robustness.undoing import Simulation, Trouble, live, mend, require
 from tests.service.bench import START_S, traffic
 from yieldmon import frames
 from yieldmon.bus import waiting
-from yieldmon.engine import windows
+from yieldmon.engine import sample_frames
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.health import FaultEvent
 from yieldmon.engine.records import WindowRecord
@@ -380,16 +380,9 @@ def _any_copy_is_an_echo(sender: Transmitter, message: can.Message) -> bool:
     return (message.arbitration_id, bytes(message.data)) in [entry[1:] for entry in sender._echoes]
 
 
-@contextmanager
-def _counters_alone() -> Iterator[None]:
+def _counters_alone() -> AbstractContextManager[Any]:
     """Frames whose counter comes again are left out, whatever is in them."""
-    before = windows.WindowBuilder._contested
-
-    def contested(self: Any, table: Any, bounds: Any, edges: Any, new: Any, lost: Any) -> Any:
-        return before(self, table, bounds, edges, np.ones_like(new), lost)
-
-    with mock.patch.object(windows.WindowBuilder, "_contested", contested):
-        yield
+    return mock.patch.object(sample_frames, "_contradicted", lambda table, new, bounds: np.zeros(bounds.size - 1, np.intp))
 
 
 def _no_rivals(self: object, times_s: Any, values: Any, bounds: Any, edges_s: Any) -> Any:
@@ -410,7 +403,7 @@ def _one_by_one() -> AbstractContextManager[Any]:
 MENDS = {
     "waiting on monotonic time": mend((3,), waits, lambda: mock.patch.object(waiting, "receive", can.BusABC.recv)),
     "counters that come again": mend((8,), contradicted, _counters_alone),
-    "frames closer than a sensor sends": mend((8,), crowded, lambda: mock.patch.object(windows, "_CROWDED_FRAMES", 1e9)),
+    "frames closer than a sensor sends": mend((8,), crowded, lambda: mock.patch.object(sample_frames, "_CROWDED_FRAMES", 1e9)),
     "rivals of speed and angle": mend((8,), forged, lambda: mock.patch("yieldmon.engine.rivals.RivalWatch.take", _no_rivals)),
     "contested mass apart": mend(
         (8,), forged, lambda: mock.patch("yieldmon.engine.windows.Window.contested", property(lambda window: False)),

@@ -12,7 +12,6 @@ from functools import partial
 from math import hypot, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from yieldmon.engine.inputs import DEGREE, MOVING, RunInputs
 from yieldmon.engine.runs import FrameRun, in_millivolts
@@ -21,8 +20,8 @@ from yieldmon.engine.sources import QUANTITIES, SampleSource, Sources
 from yieldmon.engine.windows import Window, WindowBuilder
 from yieldmon.frames import Value, number
 from yieldmon.physics.machine import Machine
+from yieldmon.physics.numerics import Array
 
-Array = NDArray[np.float64]
 _INTO_BUILDER = {"elevator_speed": 1.0, "plate_angle": DEGREE}
 
 

@@ -20,8 +20,7 @@ from yieldmon.engine.runs import FrameRun, SignalRun
 from yieldmon.engine.settings import InputSettings
 from yieldmon.engine.sources import CONDITIONS, DEFAULT_SOURCES, PAIRS, QUANTITIES, InputSource, Sources
 from yieldmon.frames import ActuatorState, Value, number
-
-Array = NDArray[np.float64]
+from yieldmon.physics.numerics import Array
 
 DEGREE = pi / 180.0
 MOVING = ("elevator_speed", "plate_angle")

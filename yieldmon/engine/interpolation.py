@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.engine.rivals import RivalWatch
-from yieldmon.engine.segments import Array, Counts, bounds_at
+from yieldmon.engine.segments import Counts, bounds_at
+from yieldmon.physics.numerics import Array
 
 
 @dataclass(frozen=True, slots=True)

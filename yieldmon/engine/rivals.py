@@ -9,8 +9,9 @@ from math import inf, isfinite, radians
 import numpy as np
 
 from yieldmon.engine import segments
-from yieldmon.engine.segments import Array, Counts
+from yieldmon.engine.segments import Counts
 from yieldmon.physics.machine import Machine
+from yieldmon.physics.numerics import Array
 
 _CROWDED_SHARE, _CROWDED_FRAMES = 0.2, 2.0
 """So many frames more than the cycle allows come late or early because of others on the bus."""

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from yieldmon.engine.sources import DEFAULT_SOURCES, SampleSource, Sources
 from yieldmon.frames import Frame, number
-
-Array = NDArray[np.float64]
+from yieldmon.physics.numerics import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from yieldmon.engine import segments
 from yieldmon.engine.rivals import Crowding
-from yieldmon.engine.segments import Array, Counts
+from yieldmon.engine.segments import Counts
 from yieldmon.engine.sources import SampleSource
 from yieldmon.frames import SensorStatus, number
+from yieldmon.physics.numerics import Array
 
 ROW_COLUMNS = 3
 """Columns of a sample row before the samples: engine time, counter, status."""

@@ -12,7 +12,6 @@ from math import exp, hypot, isfinite, log, sqrt
 from statistics import median
 
 import numpy as np
-from numpy.typing import NDArray
 
 from yieldmon.engine.flow import Flow
 from yieldmon.engine.measurement import Reading
@@ -30,8 +29,8 @@ from yieldmon.estimation.pulse_shape import estimate, estimate_near
 from yieldmon.estimation.shape_verdict import ShapeVerdict
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
+from yieldmon.physics.numerics import Array
 
-Array = NDArray[np.float64]
 _NAN = float("nan")
 _SEGMENT = 256
 _BINS = 64

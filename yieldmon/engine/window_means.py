@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from yieldmon.engine import segments
 from yieldmon.engine.sample_frames import SampleFrames
-from yieldmon.engine.segments import Array
 from yieldmon.engine.window_weights import WindowWeights
+from yieldmon.physics.numerics import Array
 
 Waves = NDArray[np.complex128]
 

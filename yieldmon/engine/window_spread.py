@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from yieldmon.engine import segments
 from yieldmon.engine.sample_frames import SampleFrames
-from yieldmon.engine.segments import Array, Counts
+from yieldmon.engine.segments import Counts
+from yieldmon.physics.numerics import Array
 
 
 def scatter(frames: SampleFrames, to_end: Array, passed: Array) -> tuple[Array, Array, Counts]:

@@ -19,7 +19,8 @@ import numpy as np
 
 from yieldmon.engine.interpolation import Knots
 from yieldmon.engine.sample_frames import SampleFrames
-from yieldmon.engine.segments import Array, Counts, sum_rows
+from yieldmon.engine.segments import Counts, sum_rows
+from yieldmon.physics.numerics import Array
 
 
 @dataclass(frozen=True, slots=True)

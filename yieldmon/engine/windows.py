@@ -19,13 +19,13 @@ from yieldmon.engine.interpolation import InterpolatedSignal, Knots
 from yieldmon.engine.quick import maker_of
 from yieldmon.engine.rivals import RivalWatch, angle_limits, speed_limits
 from yieldmon.engine.sample_frames import SampleBuffer, SampleFrames
-from yieldmon.engine.segments import Array
 from yieldmon.engine.settings import WindowSettings
 from yieldmon.engine.sources import DEFAULT_SOURCES, SampleSource
 from yieldmon.engine.window_means import Leftover, pulse_harmonics, weighted_means
 from yieldmon.engine.window_spread import extremes, scatter
 from yieldmon.engine.window_weights import ChainPhase, weights_of
 from yieldmon.physics.machine import Machine
+from yieldmon.physics.numerics import Array
 
 _DISPUTED = {
     (False, False): "",

@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.physics.numerics import Array
+
 from .navigation import (
     COURSE_SPEED_RAPID,
     CRUISE_VEHICLE_SPEED,
@@ -26,7 +28,6 @@ from .navigation import (
     Quantity,
 )
 
-Array = NDArray[np.float64]
 Raw = NDArray[np.int64]
 _KMH = 1 / 3.6
 _FRAME_BYTES = 8

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from yieldmon import frames
 from yieldmon.frames import Frame
 from yieldmon.physics.machine import RPM, Machine
+from yieldmon.physics.numerics import Array
 from yieldmon.plant import elevator, kernels, profiles, sensor
 from yieldmon.plant.actuator import ActuatorFault, PlateActuator
 from yieldmon.plant.field import Track
@@ -20,8 +21,6 @@ from yieldmon.plant.pulse_table import QUANTILES, Condition, Detail, PulseTable
 from yieldmon.plant.scenario import Channel, Scenario
 from yieldmon.plant.sensor import ImpactCell, SensorFault
 from yieldmon.plant.tank import Load, Tank
-
-Array = NDArray[np.float64]
 
 BLOCK_S = 0.02
 """Commands take effect at the start of the next block."""

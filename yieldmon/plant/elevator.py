@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.signal import lfilter
 
 from yieldmon.physics.machine import RPM, Machine
+from yieldmon.physics.numerics import Array
 from yieldmon.plant.profiles import SAMPLE_INTERVAL_S, Harvest, correlated_noise
-
-Array = NDArray[np.float64]
 
 
 class ElevatorSettings(BaseModel):

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from yieldmon.physics.machine import Machine
+from yieldmon.physics.numerics import Array
 from yieldmon.plant.effects import AirDrag
-
-Array = NDArray[np.float64]
 
 _DRAG_LEGS = (12, 4, 2)
 """Steps towards the plate, then towards it from there, and again: drag makes every leg end short of it."""

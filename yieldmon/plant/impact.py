@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from yieldmon.physics.numerics import Array
 from yieldmon.plant.effects import Effects
 from yieldmon.plant.flight import Arrival
-
-Array = NDArray[np.float64]
 
 
 def landed_share(arrival: Arrival, plate_length_m: float, effects: Effects) -> Array:

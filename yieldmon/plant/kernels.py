@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from yieldmon.physics.numerics import Array
 from yieldmon.plant.pulse_table import QUANTILES
 from yieldmon.plant.scenario import Kernels
-
-Array = NDArray[np.float64]
 
 
 def strike(

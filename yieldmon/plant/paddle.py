@@ -13,10 +13,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-Array = NDArray[np.float64]
+from yieldmon.physics.numerics import Array
 
 _STEP_RAD = 0.025
 _LAST_ANGLE_RAD = 2.2

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.signal import lfilter
 
-Array = NDArray[np.float64]
+from yieldmon.physics.numerics import Array
 
 FlowKgS = Annotated[float, Field(ge=0, le=30)]
 DurationS = Annotated[float, Field(gt=0, le=1e6)]

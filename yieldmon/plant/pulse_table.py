@@ -10,15 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import NdBSpline, make_interp_spline
 
 from yieldmon.physics.machine import RPM, Machine
+from yieldmon.physics.numerics import Array
 from yieldmon.plant.effects import Effects
 from yieldmon.plant.grain import Grain
 from yieldmon.plant.throw import full_paddle_kg, throw
 
-Array = NDArray[np.float64]
 Values = Array | float
 
 QUANTILES = np.concatenate([[0.0, 0.002, 0.01, 0.03], np.linspace(0.06, 0.94, 23), [0.97, 0.99, 0.998, 1.0]])

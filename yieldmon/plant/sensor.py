@@ -6,14 +6,12 @@ from enum import StrEnum
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.signal import lfilter
 
 from yieldmon.frames import SAMPLE_INTERVAL_S, SensorStatus
 from yieldmon.physics.machine import ImpactSensor
-
-Array = NDArray[np.float64]
+from yieldmon.physics.numerics import Array
 
 
 class SensorFault(StrEnum):

@@ -10,15 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from yieldmon.physics.machine import Machine
+from yieldmon.physics.numerics import Array
 from yieldmon.plant import flight, heap, impact
 from yieldmon.plant.effects import Effects
 from yieldmon.plant.grain import Grain
 from yieldmon.plant.paddle import release_curve
-
-Array = NDArray[np.float64]
 
 _LAYERS = 7
 

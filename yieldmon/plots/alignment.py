@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .canvas import Array
+from yieldmon.physics.numerics import Array
 
 _LEAST_OVERLAP = 0.5
 """Of the shorter of the two."""

@@ -6,16 +6,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
 from yieldmon.files.whole_file import scratch_for
+from yieldmon.physics.numerics import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 SUFFIXES = (".png", ".svg")
 MEASURED, TRUTH, MODEL, FACTORY = "tab:orange", "black", "tab:blue", "tab:purple"

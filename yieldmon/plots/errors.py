@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.physics.numerics import Array
 from yieldmon.units import Units, rounded
 
-from .canvas import MEASURED, Array, new_figure
+from .canvas import MEASURED, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from yieldmon.physics.numerics import Array
 from yieldmon.units import Units
 
-from .canvas import FACTORY, MEASURED, TRUTH, Array, band, legend_above, new_figure
+from .canvas import FACTORY, MEASURED, TRUTH, band, legend_above, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,8 +9,9 @@ import numpy as np
 
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.physics.numerics import Array
 
-from .canvas import Array, new_figure
+from .canvas import new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

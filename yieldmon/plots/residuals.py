@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .canvas import Array, new_figure
+from yieldmon.physics.numerics import Array
+
+from .canvas import new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

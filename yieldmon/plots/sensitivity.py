@@ -14,8 +14,9 @@ from numpy.typing import ArrayLike
 from yieldmon.physics.grain import GRAIN
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.physics.numerics import Array
 
-from .canvas import Array, new_figure
+from .canvas import new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

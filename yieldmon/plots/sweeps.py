@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.physics.numerics import Array
 from yieldmon.units import Units
 
-from .canvas import Array, band, new_figure
+from .canvas import band, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

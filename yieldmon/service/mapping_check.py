@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from yieldmon.engine.aliasing import ALIAS_FREE_HZ, aliasing_share
 from yieldmon.engine.sources import QUANTITIES, SampleSource
 from yieldmon.physics.machine import RPM, Machine
+from yieldmon.physics.numerics import Array
 from yieldmon.service.configuration import Configuration
 from yieldmon.signals.packing import Packing, span
 from yieldmon.signals.published import PUBLISHED
@@ -21,7 +21,6 @@ from yieldmon.signals.published import PUBLISHED
 if TYPE_CHECKING:
     from yieldmon.engine.runs import FrameRun
 
-Array = NDArray[np.float64]
 
 SPEEDS_RPM = (300.0, 400.0, 500.0)
 RATE_TOLERANCE = 0.05

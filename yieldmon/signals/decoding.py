@@ -21,6 +21,7 @@ from yieldmon.identifiers import (
 )
 from yieldmon.network.addresses import AddressTable
 from yieldmon.network.name import Name, NameMatch
+from yieldmon.physics.numerics import Array
 from yieldmon.signals.long_messages import (
     PRIORITY,
     TRANSPORT,
@@ -33,8 +34,6 @@ from yieldmon.signals.long_messages import (
 )
 from yieldmon.signals.mapping import Group, SignalMap, any_source
 from yieldmon.signals.pulses import PulseSpeed
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

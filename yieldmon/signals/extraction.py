@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.bus.databases import SignalBits
+from yieldmon.physics.numerics import Array
 
-Array = NDArray[np.float64]
 _FLOATS = {16: ("<e", np.uint16, np.float16), 32: ("<f", np.uint32, np.float32), 64: ("<d", np.uint64, np.float64)}
 
 

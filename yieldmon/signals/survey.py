@@ -15,13 +15,12 @@ from yieldmon.engine.sources import QUANTITIES
 from yieldmon.identifiers import ADDRESS_CLAIM, EXTENDED_FLAG, GROUP_MASK, LARGEST_EXTENDED_ID, NULL_ADDRESS, group_of
 from yieldmon.network.addresses import AddressTable
 from yieldmon.network.name import Name
+from yieldmon.physics.numerics import Array
 from yieldmon.signals.binding import IMPACT, MIN_RATE_HZ
 from yieldmon.signals.extraction import Extraction
 from yieldmon.signals.group_names import group_name
 from yieldmon.signals.long_messages import LongMessages, Numbers, Whole, numbers
 from yieldmon.signals.units import factor
-
-Array = NDArray[np.float64]
 
 _MOST_IDENTIFIERS = 10_000
 """A hostile node may send any identifier; those beyond are only counted."""

@@ -6,11 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from yieldmon.frames import ACCUMULATED_MASS, MASS_FLOW, SELF_CALIBRATION_STATUS, EstimateQuality, Frame, SweepState, Value
-
-Array = NDArray[np.float64]
+from yieldmon.physics.numerics import Array
 
 BANDS_KG_S = ((0.0, 2.0), (2.0, 4.0), (4.0, 8.0), (8.0, 16.0), (16.0, 25.0))
 RATED_FROM_KG_S = 4.0

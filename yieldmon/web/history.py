@@ -16,12 +16,12 @@ from threading import Lock
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.physics.numerics import Array
 from yieldmon.service import sweep_table
 from yieldmon.service.ledger import ticket_rows
 from yieldmon.service.store import Store
@@ -52,8 +52,6 @@ WHERE number BETWEEN ? AND ? AND (latitude_deg IS NULL OR latitude_deg BETWEEN -
 ORDER BY number DESC LIMIT ?
 """
 _PLACE_COLUMNS = 6
-
-Array = NDArray[np.float64]
 
 
 @dataclass
