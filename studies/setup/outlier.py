@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from studies.setup.study import LOAD_FLOWS, TICKET_SD, Combine, answers, combine
+from studies.setup.study import LOAD_FLOWS, TICKET_SD, Combine, answers, combine, noise_sd
 from yieldmon.cli._setup import derive
 from yieldmon.engine.anchors import AnchorSource, ReferenceMass
+from yieldmon.engine.budget import MassBudget
 from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.load_forces import LoadForceSums
 from yieldmon.engine.records import CalibrationOutcome, WindowRecord
@@ -77,7 +78,7 @@ class _Machine:
         number, mass, sums = len(self.anchors) + 1, self.measured(load), LoadForceSums()
         for kg, force, speed in zip(mass, load.force_n, load.speed_rad_s, strict=True):
             sums.add(number, float(kg), 1.0, float(force), self.machine.home_plate_angle_rad, float(speed), float("nan"))
-        end_s = self.now_s + mass.size
+        end_s, noise = self.now_s + mass.size, noise_sd(self.estimator, load.force_n, load.speed_rad_s)
         self.anchors.append(
             ReferenceMass(
                 AnchorSource.TICKET,
@@ -88,6 +89,7 @@ class _Machine:
                 float(mass.sum()),
                 True,
                 number,
+                budget=MassBudget(noise_kg2=(noise * float(mass.sum())) ** 2),
                 forces=sums.of(number),
             )
         )

@@ -19,7 +19,7 @@ from studies.facility.mean_force import shown_force_n, true_angle_rad
 from yieldmon.cli._setup import derive
 from yieldmon.estimation.closed_loop_inputs import Sweep
 from yieldmon.estimation.load_inputs import WeighedLoad
-from yieldmon.estimation.loads import calibrate_loads
+from yieldmon.estimation.loads import calibrate_loads, departure
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.files.crops import crop
 from yieldmon.physics.machine import RPM, ImpactSensor, Machine
@@ -36,6 +36,9 @@ TICKET_SD = 0.003
 LOAD_FLOWS = ((3.5, 6.0), (9.0, 13.0), (16.0, 21.0), (5.0, 9.0), (12.0, 17.0), (18.0, 22.0))
 """Of the weighed loads, drawn between these, kg/s: as different as the field allows."""
 NEXT_LOADS = 10
+SCATTER = 0.02
+"""Relative standard deviation of one second's mean force by the paddles' scatter, as the monitor's windows state it."""
+_EXACT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -132,12 +135,14 @@ def answers(truth: Combine, rng: np.random.Generator) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Result:
-    """One seed and one way. errors: relative, of the next loads, %. sd: stated for a next load, %."""
+    """One seed and one way. errors: relative, of the next loads, %. sd: stated for a next load, %. own_sd: of each of these loads
+    by the parameters' covariance and its own scatter, %."""
 
     seed: int
     way: str
     errors_pct: tuple[float, ...]
     sd_pct: float
+    own_sd_pct: tuple[float, ...]
 
 
 def run(seed: int, *, with_sweeps: bool = True) -> list[Result]:
@@ -148,6 +153,7 @@ def run(seed: int, *, with_sweeps: bool = True) -> list[Result]:
     machine, prior = derive.machine(said), derive.parameters(said)
     cell = machine.sensor.gain_n_per_mv / truth.machine.sensor.gain_n_per_mv
     model = ForwardModel(machine, prior.effects)
+    shipped, home = OpenLoop(model, prior), machine.home_plate_angle_rad
     weighed = []
     for number, (low, high) in enumerate(LOAD_FLOWS, 1):
         flow, force, speed = truth.load(rng.uniform(2000.0, 9000.0), rng.uniform(low, high), rng)
@@ -159,8 +165,9 @@ def run(seed: int, *, with_sweeps: bool = True) -> list[Result]:
                 TICKET_SD * kg,
                 np.ones(flow.size),
                 force * cell,
-                np.full(flow.size, machine.home_plate_angle_rad),
+                np.full(flow.size, home),
                 speed,
+                noise_sd=noise_sd(shipped, force * cell, speed),
             )
         )
     sweeps = [_sweep(truth, machine, cell, rng) for _ in range(8)]
@@ -175,14 +182,27 @@ def run(seed: int, *, with_sweeps: bool = True) -> list[Result]:
         ways["six loads and sweeps"] = calibrate_loads(model, prior, weighed, sweeps=sweeps)
     results = []
     for way, found in ways.items():
-        loop = OpenLoop(model, prior if found is None else found.parameter_set)
-        errors = []
+        known = prior if found is None else found.parameter_set
+        loop = OpenLoop(model, known)
+        errors, deviations = [], []
         for flow, force, speed in judged:
-            angle = np.full(flow.size, machine.home_plate_angle_rad)
+            angle, kg = np.full(flow.size, home), float(flow.sum())
             measured = float(np.nansum(loop.invert(force * cell, angle, speed)))
-            errors.append(100.0 * (measured / float(flow.sum()) - 1.0))
-        results.append(Result(seed, way, tuple(errors), float("nan") if found is None else 100.0 * found.next_load_sd))
+            errors.append(100.0 * (measured / kg - 1.0))
+            noise = noise_sd(loop, force * cell, speed)
+            exact = WeighedLoad("", kg, _EXACT * kg, np.ones(flow.size), force * cell, angle, speed, noise_sd=noise)
+            deviations.append(100.0 * departure(model, known, exact)[1])
+        stated = float("nan") if found is None else 100.0 * found.next_load_sd
+        results.append(Result(seed, way, tuple(errors), stated, tuple(deviations)))
     return results
+
+
+def noise_sd(loop: OpenLoop, force_n: Array, speed_rad_s: Array) -> float:
+    """Relative standard deviation of a load's mass by the scatter of its seconds at home, as the monitor states it."""
+    home = loop.model.machine.home_plate_angle_rad
+    found = loop.estimate(force_n, home, speed_rad_s, SCATTER * force_n)
+    assert found.noise_std_dev_kg_s is not None
+    return float(np.sqrt(np.nansum(found.noise_std_dev_kg_s**2)) / np.nansum(found.mass_flow_kg_s))
 
 
 def _sweep(truth: Combine, machine: Machine, cell: float, rng: np.random.Generator) -> Sweep:

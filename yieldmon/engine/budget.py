@@ -87,11 +87,6 @@ class MassBudget:
         """All causes together."""
         return hypot(sqrt(self.noise_kg2), self.parameters_kg, self.zero_kg, self.moisture_kg)
 
-    @property
-    def beside_parameters_kg(self) -> float:
-        """All causes but the parameters."""
-        return hypot(sqrt(self.noise_kg2), self.zero_kg, self.moisture_kg)
-
     @classmethod
     def unknown(cls) -> MassBudget:
         """Of a mass that was accumulated without one."""

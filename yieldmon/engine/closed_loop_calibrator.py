@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from math import hypot, isfinite
+from math import hypot, isfinite, sqrt
 
 import numpy as np
 
@@ -31,6 +31,8 @@ from yieldmon.physics.model import ForwardModel
 
 _DRIFT_WIDENING = 16.0
 """Of the parameters' covariance: with up to so much of it, what a later ticket says is drift, and no other scale."""
+_LEAST_LOAD_ERROR = 1e-4
+"""Of a weighed load's measured mass."""
 _KEPT_WEIGHINGS = 6
 """Accepted weighings that a new one is held against."""
 
@@ -159,15 +161,14 @@ class ClosedLoopCalibrator:
 
     @property
     def _load_settings(self) -> LoadSettings:
-        # The anchors' own standard deviation holds this error already.
-        return LoadSettings(load_error=1e-4)
+        return LoadSettings(load_error=max(self._settings.anchor_error, _LEAST_LOAD_ERROR))
 
     def _accepted(self, found: Sequence[tuple[ReferenceMass, MassAnchor]], prior: ParameterSet) -> tuple[list[MassAnchor], str]:
         """The masses to update from, and one sentence about one that the loads before it contradict ("" where there is none)."""
         accepted, doubt = [], ""
         for reference, mass in found:
             name = name_of(reference)
-            load = _weighed(name, mass)
+            load = _weighed(reference, mass)
             error = self._contradiction(prior, load)
             if error is None:
                 self._weighings = [*self._weighings[1 - _KEPT_WEIGHINGS :], load]
@@ -288,7 +289,7 @@ class ClosedLoopCalibrator:
         # Of two tickets for one load the newer counts.
         known = {name_of(anchor): anchor for anchor in taught}
         found = {
-            name: _weighed(name, self._mass_anchor(anchor, used, anchor.end_s - anchor.start_s))
+            name: _weighed(anchor, self._mass_anchor(anchor, used, anchor.end_s - anchor.start_s))
             for name, anchor in known.items()
             if name in (*state.weighed, state.doubted)
         }
@@ -339,12 +340,12 @@ class ClosedLoopCalibrator:
         measured_kg = float(mass.duration_s @ flow.mass_flow_kg_s)
         if not isfinite(measured_kg):
             return as_stated(reference)
-        beside_kg = reference.budget.beside_parameters_kg
+        shared_kg = hypot(reference.budget.zero_kg, reference.budget.moisture_kg)
         std_dev_kg = hypot(
             mass.std_dev_kg,
             float(mass.duration_s @ flow.std_dev_kg_s),
             self._settings.closed_loop.model_error * measured_kg,
-            beside_kg if isfinite(beside_kg) else 0.0,
+            shared_kg if isfinite(shared_kg) else 0.0,
         )
         return ScaleCheck(name_of(reference), reference.start_s, mass.reference_kg, measured_kg, std_dev_kg)
 
@@ -361,7 +362,7 @@ class ClosedLoopCalibrator:
     def _mass_anchor(self, anchor: ReferenceMass, used: ParameterSet, span_s: float) -> MassAnchor:
         """The total in pieces, each with the parameters that made it."""
         machine = self._model.machine
-        sd = float(np.hypot(anchor.std_dev_kg, self._settings.anchor_error * anchor.reference_kg))
+        sd = hypot(anchor.std_dev_kg, self._settings.anchor_error * anchor.reference_kg, _noise_kg(anchor))
         forces = anchor.forces
         if forces is not None and (not self._model.needs_moisture or np.all(np.isfinite(forces.moisture_pct))):
             moisture = forces.moisture_pct if self._model.needs_moisture else None
@@ -417,16 +418,22 @@ class ClosedLoopCalibrator:
         )
 
 
-def _weighed(name: str, mass: MassAnchor) -> WeighedLoad:
+def _noise_kg(anchor: ReferenceMass) -> float:
+    """Standard deviation of the measured mass by the windows' scatter; 0 where it is not known."""
+    return sqrt(anchor.budget.noise_kg2) if isfinite(anchor.budget.noise_kg2) else 0.0
+
+
+def _weighed(anchor: ReferenceMass, mass: MassAnchor) -> WeighedLoad:
     return WeighedLoad(
-        name,
+        name_of(anchor),
         mass.reference_kg,
-        mass.std_dev_kg,
+        anchor.std_dev_kg,
         mass.duration_s,
         mass.force_n,
         mass.plate_angle_rad,
         mass.elevator_speed_rad_s,
         mass.moisture_pct,
+        _noise_kg(anchor) / anchor.measured_kg,
     )
 
 

@@ -121,7 +121,7 @@ def _linear(machine: MachineLoads, known: ParameterSet, settings: LoadSettings, 
     error, slope = load_errors(machine.model, known, loads), _slopes(machine.model, known, loads)
     if not (np.all(np.isfinite(error)) and np.all(np.isfinite(slope))):
         raise ValueError(f"machine {machine.name}: a load holds more force than a full paddle gives with the crop's parameters")
-    variance = np.array([load.relative_sd**2 + settings.load_error**2 for load in loads])
+    variance = np.array([load.relative_sd**2 + load.measured_sd(settings.load_error) ** 2 for load in loads])
     target = slope @ at - error
     return _Linear(slope.T @ (slope / variance[:, None]), slope.T @ (target / variance))
 

@@ -41,7 +41,7 @@ class Direction:
         """e.g. `mass flow +1.00, density +1.00, 1 + restitution -1.00`, the largest change being 1."""
         top = max(abs(c) for c in self.components)
         parts = [(n, c / top) for n, c in zip(self.names, self.components, strict=True) if abs(c) > _WORTH_NAMING * top]
-        return ", ".join(f"{shown(n)} {c:+.2f}" for n, c in sorted(parts, key=lambda p: -abs(p[1])))
+        return ", ".join(f"{shown(n)} {c:+.2f}" for n, c in sorted(parts, key=lambda p: -round(abs(p[1]), 2)))
 
     @property
     def is_scale(self) -> bool:

@@ -54,7 +54,9 @@ class LoadProblem:
         self, model: ForwardModel, given: ParameterSet, start: ParameterSet, loads: Sequence[WeighedLoad], settings: LoadSettings
     ) -> None:
         self.model, self.given, self.start, self.loads, self.settings = model, given, start, tuple(loads), settings
-        self.sd = np.hypot([load.relative_sd for load in loads], settings.load_error)
+        self.own = np.array([load.measured_sd(settings.load_error) for load in loads])
+        """(n,) relative standard deviation of each load's measured mass, where the parameters are right."""
+        self.sd = np.hypot([load.relative_sd for load in loads], self.own)
         self.force, self.angle, self.speed, self.duration = (
             np.concatenate([getattr(load, name) for load in loads])
             for name in ("force_n", "plate_angle_rad", "elevator_speed_rad_s", "duration_s")
@@ -213,7 +215,7 @@ class LoadProblem:
         rows = np.nan_to_num(self.slopes(each, flow, by_flow, steps))[active]
         spread = np.einsum("ki,ij,kj->k", rows, known.covariance, rows)
         mean = rows.mean(axis=0)
-        return float(np.sqrt(spread.mean() + self.settings.load_error**2)), float(np.sqrt(mean @ known.covariance @ mean))
+        return float(np.sqrt(spread.mean() + np.mean(self.own[active] ** 2))), float(np.sqrt(mean @ known.covariance @ mean))
 
 
 def _in_rows(known: Sequence[ParameterSet]) -> dict[str, Array]:

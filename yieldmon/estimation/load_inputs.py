@@ -14,12 +14,13 @@ from yieldmon.physics.numerics import Array
 class LoadSettings:
     """What is assumed before the loads.
 
-    load_error: relative standard deviation of a load's measured mass beside the scale's. density_sd, gain_sd: relative, of a
-    machine that was never calibrated. least_information: of the loads on a direction, over what was known; below it, it is held.
+    load_error: relative standard deviation of a load's measured mass beside the scale's and the windows' scatter: what the
+    zero's wandering and the model leave (measured: studies/setup). density_sd, gain_sd: relative, of a machine that was never
+    calibrated. least_information: of the loads on a direction, over what was known; below it, it is held.
     outlier_sds: departure from the other loads that is no scatter. huber_sds: departure from which a load loses weight.
     """
 
-    load_error: float = 0.002
+    load_error: float = 0.0016
     density_sd: float = 0.2
     gain_sd: float = 0.2
     least_information: float = 1.0
@@ -33,7 +34,9 @@ class LoadSettings:
 class WeighedLoad:
     """A weighed mass and the windows in which it was harvested, all arrays (n,).
 
-    duration_s: time that each window stands for. Raises ValueError for shapes that differ or values that are not finite.
+    duration_s: time that each window stands for. noise_sd: relative standard deviation of the measured mass by the windows'
+    scatter, which averages out over a long load; 0 where it is not known. Raises ValueError for shapes that differ or values that
+    are not finite.
     """
 
     name: str
@@ -44,10 +47,13 @@ class WeighedLoad:
     plate_angle_rad: Array
     elevator_speed_rad_s: Array
     moisture_pct: Array | None = None
+    noise_sd: float = 0.0
 
     def __post_init__(self) -> None:
         if not (0.0 < self.weighed_kg < np.inf and 0.0 < self.std_dev_kg < np.inf):
             raise ValueError(f"load {self.name}: weighed {self.weighed_kg} kg, sd {self.std_dev_kg} kg; expected above 0")
+        if not 0.0 <= self.noise_sd < np.inf:
+            raise ValueError(f"load {self.name}: noise_sd {self.noise_sd}; expected 0 or above")
         for name in ("duration_s", "force_n", "plate_angle_rad", "elevator_speed_rad_s"):
             value = getattr(self, name)
             if value.shape != self.force_n.shape or value.ndim != 1 or not value.size or not np.all(np.isfinite(value)):
@@ -57,6 +63,10 @@ class WeighedLoad:
     def relative_sd(self) -> float:
         """Of the weighed mass."""
         return self.std_dev_kg / self.weighed_kg
+
+    def measured_sd(self, load_error: float) -> float:
+        """Relative standard deviation of the measured mass, where the parameters are right."""
+        return float(np.hypot(load_error, self.noise_sd))
 
     def condensed(self, groups: int = 12) -> WeighedLoad:
         """Windows of like force, at like angle and speed, replaced by their mean: at most `groups` for each angle and speed."""

@@ -35,7 +35,7 @@ LEAST_LOADS = 3
 """Fewer weighed loads say nothing against a further one."""
 _LEFT_OUT_WEIGHT = 0.632
 _PRIOR_LOADS = 4.0
-"""What `LoadSettings.load_error` counts for, in loads, beside the scatter that the loads themselves show."""
+"""What the stated deviations count for, in loads, beside the scatter that the loads themselves show."""
 
 
 def calibrate_loads(
@@ -222,7 +222,7 @@ def _posterior(
     if full is not None:
         covariance[-2:, -2:] += np.outer(full.step - fit.step, full.step - fit.step)
     spread = np.einsum("ki,ij,kj->k", rows, covariance, rows)
-    next_sd = float(np.sqrt(np.mean(spread) + inflation * problem.settings.load_error**2))
+    next_sd = float(np.sqrt(np.mean(spread) + inflation * np.mean(problem.own[active] ** 2)))
     mean = rows.mean(axis=0)
     return _as_set(problem, centre, covariance), next_sd, float(np.sqrt(mean @ covariance @ mean))
 

@@ -264,8 +264,9 @@ class OpenLoop:
         ndarray
             kg/s: 0 at or below the empty reading, nan above that of a full paddle. For finite input only.
         """
-        throw = self._throw(plate_angle_rad, elevator_speed_rad_s, moisture_pct)
-        return invert_force(throw, np.asarray(force_n, dtype=float))[0]
+        moisture = np.nan if moisture_pct is None else moisture_pct
+        inputs = (force_n, plate_angle_rad, elevator_speed_rad_s, moisture)
+        return self._inverted(*np.broadcast_arrays(*(np.asarray(v, dtype=float) for v in inputs)))[0]
 
     def estimate(
         self,

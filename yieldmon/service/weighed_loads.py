@@ -181,7 +181,14 @@ def _weighed(name: str, ticket: WeighedTicket, covered: Sequence[MeasuredLoad], 
         angle,
         speed,
         moisture if np.all(np.isfinite(moisture)) else None,
+        _noise_sd(covered, total_kg),
     )
+
+
+def _noise_sd(covered: Sequence[MeasuredLoad], total_kg: float) -> float:
+    """Relative, of the loads' mass, by the windows' scatter; windows without one, as older stores hold them, count as exact."""
+    rows = [row for load in covered for row in load.seconds if row.noise_std_dev_kg_s is not None]
+    return float(np.sqrt(sum((row.noise_std_dev_kg_s * row.duration_s) ** 2 for row in rows))) / total_kg
 
 
 def force_columns(rows: Sequence[SecondRow], parameters: ParameterSet, machine: Machine) -> np.ndarray:
