@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from yieldmon.engine.anchors import AnchorSource, ReferenceMass
+from yieldmon.engine.budget import MassBudget
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.learning import Learning
@@ -128,14 +129,19 @@ def test_a_ticket_fixes_what_the_sweep_cannot() -> None:
 
 
 def test_a_ticket_is_no_better_than_its_weighing_and_what_is_not_the_scales_together() -> None:
-    """A scale good to 1 kg in 6000 kg, with an anchor error of 1 %, is worth what a scale good to 60 kg is without one."""
+    """A scale good to 1 kg in 6000 kg, with an anchor error of 1 % or a scatter of 60 kg in the load's seconds, is worth what a
+    scale good to 60 kg is without."""
     before, found = OpenLoop(MODEL, PRIOR), []
-    for anchor_error, sd_kg in ((0.01, 1.0), (0.0, np.hypot(1.0, 60.0)), (0.0, 1.0)):
+    cases = ((0.01, 1.0, 0.0), (0.0, np.hypot(1.0, 60.0), 0.0), (0.0, 1.0, 0.0), (0.0, 1.0, 60.0), (0.0, 60.0, float("nan")))
+    for anchor_error, sd_kg, noise_kg in cases:
         calibrator = ClosedLoopCalibrator(MODEL, dataclasses.replace(EXACT, anchor_error=anchor_error))
-        outcome = calibrator.weigh(records(12.0)[0], (ticket(before, 12.0, 0.0, 500.0, sd_kg),), before)
+        weighed = dataclasses.replace(ticket(before, 12.0, 0.0, 500.0, sd_kg), budget=MassBudget(noise_kg2=noise_kg**2))
+        outcome = calibrator.weigh(records(12.0)[0], (weighed,), before)
         assert outcome.estimator is not None
         found.append(outcome.estimator.parameters.covariance)
     assert found[0] == pytest.approx(found[1], rel=1e-6)
+    assert found[3] == pytest.approx(found[1], rel=1e-6)
+    assert found[4] == pytest.approx(found[1], rel=1e-3)
     assert found[0][2, 2] > found[2][2, 2]
 
 

@@ -175,8 +175,25 @@ def test_no_loads_and_nonsense_are_refused():
         calibrate_loads(MODEL, SHIPPED, [])
     with pytest.raises(ValueError, match="expected above 0"):
         replace(load("a", 6.0), weighed_kg=0.0)
+    with pytest.raises(ValueError, match="expected 0 or above"):
+        replace(load("a", 6.0), noise_sd=np.nan)
     with pytest.raises(ValueError, match="one finite number"):
         replace(load("a", 6.0), force_n=np.array([np.nan]))
+
+
+@pytest.mark.parametrize(("noise_sd", "named"), [(0.0, True), (0.0042, False)])
+def test_the_scatter_of_a_short_load_is_no_other_trucks_grain(noise_sd, named):
+    """45 s of seconds that scatter by 2.8 %, 1.9 % off."""
+    three = [load("a", 6.0), load("b", 11.0), load("c", 16.0)]
+    short = replace(load("d", 9.0, 1.019, sd=1e-4), std_dev_kg=0.003 * 5400.0, noise_sd=noise_sd)
+    found = calibrate_loads(MODEL, SHIPPED, [*three, short])
+    assert (found.outliers == ("d",)) is named
+    assert (contradicted(MODEL, SHIPPED, three, short) is not None) is named
+
+
+def test_a_next_load_like_short_ones_is_as_uncertain_as_their_scatter():
+    loads = [replace(load(name, flow), noise_sd=0.008) for name, flow in (("a", 6.0), ("b", 11.0), ("c", 16.0))]
+    assert calibrate_loads(MODEL, SHIPPED, loads).next_load_sd > 0.008
 
 
 @pytest.mark.parametrize(("flows", "seed"), [((8.0, 11.0, 15.0), 1), ((9.0, 11.0, 13.0), 4)])

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from tests.service.test_posting import MACHINE, known, rows
+from yieldmon.files.ticket_file import WeighedTicket
 from yieldmon.physics.model import ForwardModel
-from yieldmon.service.weighed_loads import force_columns
+from yieldmon.service.weighed_loads import force_columns, loads_of, match
 
 OF_MOISTURE = ForwardModel(MACHINE, ("moisture_dependence",)).effect_parameters
 
@@ -34,3 +35,11 @@ def test_a_second_without_force_angle_or_speed_stands_for_no_time(unknown: dict[
     first, second = rows(1, 0.0, seconds=2)
     duration_s = force_columns([replace(first, **unknown), second], known(), MACHINE)[0]
     np.testing.assert_allclose(duration_s, [np.nan, 1.0], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("scatter_kg_s", "noise_sd"), [((0.3, 0.4), 0.025), ((0.3, None), 0.015), ((None, None), 0.0)])
+def test_the_scatter_of_a_loads_seconds_is_its_own(scatter_kg_s: tuple[float | None, ...], noise_sd: float) -> None:
+    """Two seconds of 10 kg each."""
+    seconds = [replace(r, noise_std_dev_kg_s=kg_s) for r, kg_s in zip(rows(1, 0.0, seconds=2), scatter_kg_s, strict=True)]
+    (load,) = match(loads_of(seconds, {1: known()}), [WeighedTicket("1", "1", 20.0, 0.1, "line 2")], MACHINE)
+    assert load.noise_sd == pytest.approx(noise_sd)
