@@ -13,6 +13,7 @@ import pytest
 import yaml
 
 from yieldmon.cli.main import main
+from yieldmon.files.crops import crops
 from yieldmon.service import configuration
 
 ANSWERS = {
@@ -74,6 +75,17 @@ def test_answers_become_a_configuration_that_the_daemon_takes(tmp_path, capsys):
     assert main(["setup", "--answers", answers(tmp_path), "--out", str(tmp_path / "new"), "--json", "--force"]) == 0
 
 
+BOLTED = {key: 55 for key in ("home_plate_angle_deg", "min_plate_angle_deg", "max_plate_angle_deg")}
+
+
+@pytest.mark.parametrize(
+    "changes", [{"crop": name} for name in crops()] + [BOLTED | {"plate_measured_deg": [55], "plate_reported_deg": None}]
+)
+def test_what_is_written_passes_check_config(tmp_path, capsys, changes):
+    assert main(["setup", "--answers", answers(tmp_path, **changes), "--out", str(tmp_path / "new")]) == 0
+    assert main(["check-config", str(tmp_path / "new/yieldmon.yaml")]) == 0
+
+
 @pytest.mark.parametrize(
     ("changes", "problem"),
     [
@@ -93,6 +105,10 @@ def test_answers_become_a_configuration_that_the_daemon_takes(tmp_path, capsys):
         ({"largest_flow_kg_s": 90}, "these paddles carry"),
         ({"paddle_spacings_m": [0.1656, 0.4142]}, "is a paddle missing?"),
         ({"paddle_length_m": 0.05}, "longer than the sprocket's pitch radius"),
+        (
+            {"cell_full_scale_mv": 10000},
+            "cell_full_scale_mv: gain_n_per_mv 0.502647 times full_scale_mv 10000 is 5026 N",
+        ),
         ({"crop": "oats"}, "expected one of corn"),
     ],
 )

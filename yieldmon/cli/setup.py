@@ -14,7 +14,7 @@ from yieldmon.cli._setup.questions import QUESTIONS, bolted
 from yieldmon.errors import InputError
 from yieldmon.files import machine_file, parameter_file, strict_yaml
 from yieldmon.files.whole_file import READABLE, readable_folder, scratch_for
-from yieldmon.service import configuration
+from yieldmon.service import configuration, plausible
 
 CONFIGURATION, MACHINE, RECORD = "yieldmon.yaml", "machine.yaml", "setup-record.yaml"
 AFTER = """\
@@ -67,6 +67,8 @@ def run(args: argparse.Namespace) -> int:
 def write(answers: dict[str, Any], folder: Path, *, force: bool) -> dict[str, Any]:
     """The files; returns what they rest on. Raises InputError, and then writes none."""
     machine, parameters = derive.machine(answers), derive.parameters(answers)
+    if (problem := plausible.cell_problem(machine, parameters)) is not None:
+        raise InputError("cell_full_scale_mv", *problem)
     gain = derive.cell_gain(answers["cell_weights_kg"], answers["cell_readings_mv"])
     offset, fixed_deg = derive.offset_deg(answers), derive.bolted_deg(answers)
     names = {"configuration": CONFIGURATION, "machine": MACHINE, "parameters": f"{answers['crop']}.yaml", "record": RECORD}

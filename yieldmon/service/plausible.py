@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.files.crops import crops
+from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.service.configuration import Configuration
 
@@ -14,7 +18,7 @@ _ANGLES = 9
 
 
 def implausible(configuration: Configuration) -> list[tuple[str, str, str]]:
-    """What cannot be of the force cell, from its full scale in newtons against the force of full paddles.
+    """What cannot be of the force cell.
 
     Parameters
     ----------
@@ -25,28 +29,40 @@ def implausible(configuration: Configuration) -> list[tuple[str, str, str]]:
     list of tuple of str
         (where, problem, expected); empty for a cell that can be.
     """
-    machine, known = configuration.machine, configuration.parameters
-    speed = machine.nominal_elevator_speed_rad_s
-    shape = known.values["density"], known.values["shape_ratio"]
-    flow = _NEARLY_FULL * machine.full_paddle_mass_kg(*shape) * machine.passes_per_s(speed)
-    model = ForwardModel(machine, known.effects)
+    found = cell_problem(configuration.machine, configuration.parameters)
+    return [] if found is None else [(f"{configuration.machine_path}: sensor", *found)]
 
-    def full_at(angle_rad: float) -> float:
-        at = Conditions(angle_rad, speed, mass_flow_kg_s=flow, moisture_pct=15.0)
-        return abs(float(model.force(at, known.values, overfull="nan").real))
 
-    full_n = full_at(machine.home_plate_angle_rad)
-    # The cell of a plate that presses little at its home, such as one that is bolted on, was made for the other angles too.
+def cell_problem(machine: Machine, known: ParameterSet) -> tuple[str, str] | None:
+    """A full scale in newtons that full paddles cannot give, as (problem, expected); None for a cell that can be.
+
+    At least it is the force of the grain in question at home, and at most ten times that of the heaviest shipped crop at any angle
+    of the plate: the cell stays where the crop changes. Of a plate that does not turn the angles from its own to upright count, for
+    which its cell was made.
+    """
+    heaviest = max(item.parameters().values["density"] for item in crops().values())
+    heavy = {**known.values, "density": max(heaviest, known.values["density"])}
+    model, home_rad = ForwardModel(machine, known.effects), machine.home_plate_angle_rad
+    full_n = _full_force_n(machine, model, home_rad, known.values)
     low, high = machine.min_plate_angle_rad, machine.max_plate_angle_rad
-    forces_n = (full_at(low + (high - low) * step / (_ANGLES - 1)) for step in range(_ANGLES))
+    if low == high:
+        high = max(high, math.pi / 2.0)
+    forces_n = (_full_force_n(machine, model, low + (high - low) * step / (_ANGLES - 1), heavy) for step in range(_ANGLES))
     most_n = _MOST_OVER_FULL * max((force for force in forces_n if math.isfinite(force)), default=full_n)
     sensor = machine.sensor
     end_n = sensor.gain_n_per_mv * sensor.full_scale_mv
     if not full_n > 0.0 or full_n <= end_n <= most_n:
-        return []
-    return [(
-        f"{configuration.machine_path}: sensor",
+        return None
+    return (
         f"gain_n_per_mv {sensor.gain_n_per_mv:g} times full_scale_mv {sensor.full_scale_mv:g} is {end_n:.0f} N",
         f"{full_n:.0f} to {most_n:.0f} N, as full paddles press with {full_n:.0f} N: gain in N (not kgf, lbf) "
         "per mV, full scale in mV at the cell",
-    )]  # fmt: skip
+    )
+
+
+def _full_force_n(machine: Machine, model: ForwardModel, angle_rad: float, values: Mapping[str, float]) -> float:
+    speed = machine.nominal_elevator_speed_rad_s
+    full_kg = machine.full_paddle_mass_kg(values["density"], values["shape_ratio"])
+    flow = _NEARLY_FULL * full_kg * machine.passes_per_s(speed)
+    at = Conditions(angle_rad, speed, mass_flow_kg_s=flow, moisture_pct=15.0)
+    return abs(float(model.force(at, values, overfull="nan").real))
