@@ -75,7 +75,7 @@ def test_answers_become_a_configuration_that_the_daemon_takes(tmp_path, capsys):
     assert main(["setup", "--answers", answers(tmp_path), "--out", str(tmp_path / "new"), "--json", "--force"]) == 0
 
 
-BOLTED = {key: 55 for key in ("home_plate_angle_deg", "min_plate_angle_deg", "max_plate_angle_deg")}
+BOLTED = dict.fromkeys(("home_plate_angle_deg", "min_plate_angle_deg", "max_plate_angle_deg"), 55)
 
 
 @pytest.mark.parametrize(

@@ -36,9 +36,9 @@ def implausible(configuration: Configuration) -> list[tuple[str, str, str]]:
 def cell_problem(machine: Machine, known: ParameterSet) -> tuple[str, str] | None:
     """A full scale in newtons that full paddles cannot give, as (problem, expected); None for a cell that can be.
 
-    At least it is the force of the grain in question at home, and at most ten times that of the heaviest shipped crop at any angle
-    of the plate: the cell stays where the crop changes. Of a plate that does not turn the angles from its own to upright count, for
-    which its cell was made.
+    At least it is the force of the grain in question at home, and at most ten times that of the heaviest shipped crop at any
+    angle of the plate: the cell stays where the crop changes. Of a plate that does not turn the angles from its own to upright
+    count, for which its cell was made.
     """
     heaviest = max(item.parameters().values["density"] for item in crops().values())
     heavy = {**known.values, "density": max(heaviest, known.values["density"])}
