@@ -225,6 +225,23 @@ def test_a_mass_without_its_unit_is_refused_where_pounds_are_shown(words, units,
     assert capsys.readouterr().err.startswith(f"yieldmon: {refused}: " if refused else "")
 
 
+@pytest.mark.parametrize(
+    ("text", "kg"),
+    [("2550lbs", 1156.66), ("2550 lb", 1156.66), ("10 short tons", 9071.85), ("1 short ton", 907.185), ("9.12t", 9120)],
+)
+def test_a_mass_is_taken_in_its_unit(text, kg, monkeypatch, capsys):
+    answer = {"factor": 1.0, "measured_mass_kg": 1.0, "weighed_mass_kg": 1.0, "anchor": True, "why_no_anchor": "", "units": "us"}
+    asked = []
+    monkeypatch.setattr(ticket, "ask_daemon", lambda args, request: asked.append(request) or answer)
+    assert main(["ticket", "7", *text.split(" ")]) == 0
+    assert next(r for r in asked if r["command"] == "ticket")["mass_kg"] == pytest.approx(kg, rel=1e-5)
+
+
+def test_a_ton_that_may_be_two_is_refused(tmp_path, capsys):
+    assert main(["ticket", "--socket", str(tmp_path / "none.sock"), "1", "9.12 tons"]) == 2
+    assert "a ton is 9.12t (1000 kg) or 10.05 short tons (2000 lb)" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("mass", ["0kg", "0", "nan", "inf", "-0.5t", "9,12t", "heavy", ""])
 @pytest.mark.parametrize("option", [[], ["--std-dev"]], ids=["mass", "std-dev"])
 def test_a_mass_that_is_none_is_refused_without_asking_the_daemon(mass, option, tmp_path, capsys):

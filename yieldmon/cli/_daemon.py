@@ -13,7 +13,7 @@ from typing import Any
 from yieldmon.errors import InputError
 from yieldmon.service.control import ControlError, ask
 from yieldmon.service.folders import runtime_folder
-from yieldmon.units import KG_PER_LB, KG_PER_T
+from yieldmon.units import KG_PER_LB, KG_PER_T, LB_PER_SHORT_TON
 
 SYSTEM_SOCKET = Path("/run/yieldmon/yieldmon.sock")
 
@@ -47,10 +47,16 @@ def daemon_socket(args: argparse.Namespace) -> Path:
     return SYSTEM_SOCKET if SYSTEM_SOCKET.exists() or not user.exists() else user
 
 
+_MASS_UNITS = (
+    ("kg", 1.0), ("lbs", KG_PER_LB), ("lb", KG_PER_LB), ("shorttons", LB_PER_SHORT_TON * KG_PER_LB),
+    ("shortton", LB_PER_SHORT_TON * KG_PER_LB), ("t", KG_PER_T),
+)  # fmt: skip
+
+
 def mass(text: str, where: str = "mass") -> float:
-    """A mass in kg from the command line: a number above 0, with or without its unit kg, t or lb. Raises InputError."""
-    number, scale = text.strip(), 1.0
-    for unit, factor in (("kg", 1.0), ("t", KG_PER_T), ("lb", KG_PER_LB)):
+    """A mass in kg from the command line: a number above 0, with or without its unit. Raises InputError."""
+    number, scale = text.replace(" ", ""), 1.0
+    for unit, factor in _MASS_UNITS:
         if number.endswith(unit):
             number, scale = number.removesuffix(unit).strip(), factor
             break
@@ -60,5 +66,7 @@ def mass(text: str, where: str = "mass") -> float:
         mass_kg = nan
     if not 0.0 < mass_kg < inf:
         point = ", with a point, not a comma" if "," in text else ""
+        if number.endswith(("ton", "tons")):
+            point += "; a ton is 9.12t (1000 kg) or 10.05 short tons (2000 lb)"
         raise InputError(where, repr(text), f"kilograms above 0, such as 9120, 9120kg, 9.12t or 20106lb{point}")
     return mass_kg
