@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from yieldmon.estimation.kernel_noise import density, kernel_impulse
-from yieldmon.physics.machine import Machine
+from yieldmon.physics.machine import RPM, Machine
 from yieldmon.plant.combine import VirtualCombine, pulse_table
 from yieldmon.plant.kernels import strike
 from yieldmon.plant.pulse_table import QUANTILES
@@ -52,6 +52,42 @@ def test_kernels_keep_the_mean_force_and_add_noise() -> None:
     found = kernel_impulse(shown, nothing, force_n, cell_response_s=0.0002, sample_interval_s=1e-3)
     # Impulse per kilogram times a kernel's mass; the spread of kernels adds its square, those of 10 g their own noise.
     assert found.impulse_n_s == pytest.approx(force_n / 8.0 * 3.6e-4 * (1.0 + 0.12**2), rel=0.06)
+
+
+@pytest.mark.parametrize("mass_kg", [0.5, 0.9])
+def test_the_stream_has_no_edges_of_its_own_where_kernels_are_listened_to(mass_kg: float) -> None:
+    """Pulses of discrete elements at 300 to 450 Hz have at most 2 % of their impulse (studies/waveform/kernel_forces.npz)."""
+    scenario = from_mapping({**STEADY, "kernels": {}}, "test")
+    times = pulse_table(scenario, Machine()).arrival_times_s(mass_kg, np.deg2rad(70.0), 400.0 * RPM)
+    shares, middles, widths = np.diff(QUANTILES), 0.5 * (times[1:] + times[:-1]), np.diff(times)
+    frequency = np.arange(300.0, 451.0, 10.0)[:, None]
+    spectrum = np.abs((shares * np.exp(-2j * np.pi * frequency * middles) * np.sinc(frequency * widths)).sum(axis=1))
+    assert np.sqrt(np.mean(spectrum**2)) < 0.035
+
+
+def test_a_contact_spreads_a_kernel_s_push_and_keeps_its_impulse() -> None:
+    times = np.full(QUANTILES.size, 0.01)
+    settings = Kernels(thousand_kernel_weight_g=350.0, contact_ms=0.5)
+    struck = strike(settings, 0.5, 4.0, times, 5e-5, 400, np.random.default_rng(2))
+    at_once = strike(
+        Kernels(thousand_kernel_weight_g=350.0, contact_ms=0.0), 0.5, 4.0, times, 5e-5, 400, np.random.default_rng(2)
+    )
+    assert struck.sum() == pytest.approx(at_once.sum())
+    assert np.count_nonzero(at_once) == 1
+    assert np.count_nonzero(struck) == 10
+    late = strike(settings, 0.5, 4.0, times + 0.02, 5e-5, 400, np.random.default_rng(2))
+    assert late.sum() == pytest.approx(at_once.sum())
+
+
+def test_noise_goes_with_the_load_as_asked_for() -> None:
+    times = 0.01 + 0.02 * QUANTILES
+    settings = Kernels(mass_spread_pct=0.0, noise_load_exponent=-0.5)
+    rng = np.random.default_rng(4)
+    ratios = []
+    for mass in (0.5, 2.0):
+        struck = np.stack([strike(settings, mass, 4.0, times, 1e-3, 40, rng) for _ in range(400)])[:, 12:28]
+        ratios.append(struck.var(axis=0).mean() / struck.mean() / (3.5e-4 * 4.0 / mass))
+    assert ratios == pytest.approx([1.0, 0.5], rel=0.08)
 
 
 def test_kernels_are_off_unless_asked_for() -> None:

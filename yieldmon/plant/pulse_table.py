@@ -16,7 +16,7 @@ from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.numerics import Array
 from yieldmon.plant.effects import Effects
 from yieldmon.plant.grain import Grain
-from yieldmon.plant.throw import full_paddle_kg, throw
+from yieldmon.plant.throw import LAYERS, full_paddle_kg, throw
 
 Values = Array | float
 
@@ -41,6 +41,7 @@ class Detail:
     angles_deg: tuple[float, float, int] = (36.0, 94.0, 15)
     speeds_rpm: tuple[float, float, int] = (240.0, 620.0, 14)
     cells: int = 128
+    layers: int = LAYERS
     shapes: bool = True
     """Whether pulse shapes are kept; impulses alone build faster."""
 
@@ -137,7 +138,7 @@ def _nodes(
     machine: Machine, condition: Condition, masses: Array, angles: Array, speed: float, detail: Detail
 ) -> tuple[Array, Array, Array]:
     """Impulse per kg and tip speed, landed share and arrival turns (rad of sprocket) of shape (masses, angles, ...)."""
-    result = throw(machine, condition.grain, condition.effects, masses, angles, speed, detail.cells)
+    result = throw(machine, condition.grain, condition.effects, masses, angles, speed, detail.cells, detail.layers)
     impulse = result.impulse_n_s.sum(axis=(2, 3)).T
     landed = result.landed_kg.sum(axis=(2, 3)).T / masses[:, None]
     gain = impulse / (masses[:, None] * speed * machine.paddle_length_m)

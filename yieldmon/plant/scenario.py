@@ -63,7 +63,11 @@ class Kernels(_Section):
     mass_spread_pct: Annotated[float, Field(ge=0, le=60)] = 12.0
     """Standard deviation of a kernel's impulse about the mean."""
     noise_ratio: Annotated[float, Field(ge=0.2, le=3)] = 1.0
-    """Variance over that of kernels that strike independently of each other (studies/waveform: 0.6 to 1.1)."""
+    """Variance over that of kernels that strike independently of each other (studies/waveform), of 0.5 kg on a paddle."""
+    noise_load_exponent: Annotated[float, Field(ge=-1, le=1)] = 0.0
+    """noise_ratio goes with the load on a paddle to this power (studies/waveform: -0.12)."""
+    contact_ms: Annotated[float, Field(ge=0, le=5)] = 0.2
+    """Time for which a kernel pushes, as half a sine."""
 
 
 class _Timed(_Section):

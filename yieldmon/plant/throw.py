@@ -18,7 +18,8 @@ from yieldmon.plant.effects import Effects
 from yieldmon.plant.grain import Grain
 from yieldmon.plant.paddle import release_curve
 
-_LAYERS = 7
+LAYERS = 7
+"""Of a heap ahead of its paddle; what a cell of some milliseconds shows needs no more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,11 +63,12 @@ def throw(
     plate_angle_rad: Array | float,
     speed_rad_s: float,
     cells: int = 400,
+    layers: int = LAYERS,
 ) -> Throw:
     """Throw heaps (paddle_mass_kg, 1-D) at plates (plate_angle_rad, 1-D) with the elevator at speed_rad_s.
 
-    Angles and speed are the true ones; chain slip has been taken off the speed. Raises ValueError for a heap above a full
-    paddle.
+    Angles and speed are the true ones; chain slip has been taken off the speed. Heaps are cut into cells along the paddle and
+    layers ahead of it. Raises ValueError for a heap above a full paddle.
     """
     masses = np.atleast_1d(np.asarray(paddle_mass_kg, dtype=float))
     angles = np.atleast_1d(np.asarray(plate_angle_rad, dtype=float))[:, None, None, None]
@@ -81,12 +83,12 @@ def throw(
     radial = effects.residual_radial_speed.share_of_tip_speed if effects.residual_radial_speed else 0.0
     release = release_curve(grain.friction, gravity / (length * speed_rad_s**2), radial, float(start))(parcels.radius)
 
-    layer = (2.0 * np.arange(_LAYERS) + 1.0) / _LAYERS - 1.0
+    layer = (2.0 * np.arange(layers) + 1.0) / layers - 1.0
     fan = np.deg2rad(effects.stream_spread.half_width_deg) * layer if effects.stream_spread else np.zeros(1)
     path = flight.leave_tip(release.angle_rad[None, :, :, None], release.radial_speed[None, :, :, None], length, speed_rad_s, fan)
     arrival = flight.reach_plate(path, machine, angles, gravity, effects.air_drag)
 
-    mass = (unit * parcels.area)[None, :, :, None] / _LAYERS
+    mass = (unit * parcels.area)[None, :, :, None] / layers
     depth = _stream_depth_m(unit * parcels.area, release.angle_rad, machine, grain, length, speed_rad_s)
     e = impact.restitution(arrival, depth[None, :, :, None], grain.restitution, effects)
     landed = mass * impact.landed_share(arrival, machine.plate_length_m, effects)
