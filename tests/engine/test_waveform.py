@@ -133,13 +133,13 @@ def test_without_a_shape_the_mean_force_stands() -> None:
 
 @cache
 def struck(response_s: float) -> tuple[Frame, ...]:
-    """Kernels of 350 mg through a cell, their weight in frames; the last twelve seconds with grain."""
-    pieces = [{"kind": "steady", "duration_s": 14, "flow_kg_s": 0}, {"kind": "steady", "duration_s": 12, "flow_kg_s": FLOW_KG_S}]
+    """Kernels of 350 mg through a cell, their weight in frames; the last eighteen seconds with grain."""
+    pieces = [{"kind": "steady", "duration_s": 14, "flow_kg_s": 0}, {"kind": "steady", "duration_s": 20, "flow_kg_s": FLOW_KG_S}]
     values = {
-        "duration_s": 26, "flow": {"pieces": pieces}, "kernels": {"thousand_kernel_weight_g": 350},
+        "duration_s": 32, "flow": {"pieces": pieces}, "kernels": {"thousand_kernel_weight_g": 350},
         "frames": {"kernel_weight": True}, "sensor": {"response_s": response_s},
     }  # fmt: skip
-    return tuple(VirtualCombine(from_mapping(values, "test"), seed=5).frames_until(26.0))
+    return tuple(VirtualCombine(from_mapping(values, "test"), seed=5).frames_until(32.0))
 
 
 @cache
@@ -185,6 +185,59 @@ def test_without_a_weight_it_says_that_this_is_what_is_missing() -> None:
     seen = monitored(2e-4).waveform
     assert seen is not None
     assert (seen.kernels, seen.kernels_reason) == (KernelVerdict.NO_KERNEL_WEIGHT, "no thousand-kernel weight is known")
+
+
+STEPS = (6.0, 14.0, 10.0)
+
+
+@cache
+def stepping() -> tuple[Frame, ...]:
+    """Kernels through a fast cell; the flow changes every five seconds."""
+    pieces = [{"kind": "steady", "duration_s": 12, "flow_kg_s": 0}, {"kind": "step", "duration_s": 15, "flows_kg_s": list(STEPS)}]
+    flow = {"pieces": [pieces[0], *pieces[1:] * 4], "smoothing_s": 0.3}
+    values = {"duration_s": 72, "flow": flow, "kernels": {"noise_ratio": 1.2}, "sensor": {"response_s": 2e-4}}
+    return tuple(VirtualCombine(from_mapping(values, "test"), seed=8).frames_until(72.0))
+
+
+def heard(parameters: ParameterSet = PARAMETERS, **settings: object) -> tuple[list[WindowRecord], Monitor]:
+    """Records of that traffic from where kernel noise gives a flow."""
+    waveform = replace(WaveformSettings(), shape=LAW, enabled=True, quiet_windows=2, thousand_kernel_weight_g=350.0, **settings)  # type: ignore[arg-type]
+    engine = replace(EngineSettings(), sweep=replace(SweepSettings(), enabled=False), waveform=waveform)
+    machine = replace(MACHINE, sensor=replace(MACHINE.sensor, response_s=2e-4))
+    monitor = Monitor(engine, machine, OpenLoop(ForwardModel(machine, parameters.effects), parameters))
+    records = [r for frame in stepping() if frame.message != GRAIN_KERNELS for r in records_in(monitor.feed(frame))]
+    return [r for r in records if r.kernel_verdict is KernelVerdict.USED], monitor
+
+
+def test_kernel_noise_gives_the_flow_where_the_flow_changes() -> None:
+    """Taken off by one mean for all loads, the pulses left 1.5 times the noise of the kernels."""
+    records, monitor = heard()
+    assert len(records) > 25
+    by_kernels, by_force = (np.array([getattr(r, n) for r in records]) for n in ("kernel_flow_kg_s", "mean_force_flow_kg_s"))
+    assert by_kernels.sum() / by_force.sum() == pytest.approx(1.0, abs=0.15)
+    # Seconds go with the mean force; the scale alone is the kernels'.
+    assert np.std(by_kernels[-20:] / by_force[-20:]) < 0.03
+    assert monitor.waveform is not None
+    assert monitor.waveform.bias == pytest.approx(1.2 * by_force[-30:].sum() / by_kernels[-30:].sum(), rel=0.05)
+
+
+def test_where_density_and_gain_are_doubted_the_kernels_scale_is_counted() -> None:
+    wrong = replace(PARAMETERS, values={**VALUES, "density": 935.0, "restitution": 0.4675})
+    doubted = replace(wrong, covariance=np.diag([0.02**2, 165.0**2, 0.08**2]))
+    records, _ = heard(doubted, combine=True, kernel_bias_sd=0.03, stretch_sd=0.2)
+    force, kernels = (sum(getattr(r, n) for r in records[-15:]) for n in ("mean_force_flow_kg_s", "kernel_flow_kg_s"))
+    # The mean force, whose own deviation is 13 %, is 14 % off.
+    assert abs(force / kernels - 1.0) > 0.1
+    assert abs(sum(r.mass_kg for r in records[-15:]) / kernels - 1.0) < 0.05
+    sure, _ = heard(wrong, combine=True, kernel_bias_sd=0.5, stretch_sd=0.2)
+    assert sum(r.mass_kg for r in sure[-15:]) == pytest.approx(force, rel=0.05)
+
+
+def test_a_scale_by_kernels_that_the_mean_force_cannot_have_is_a_contradiction() -> None:
+    sure = replace(PARAMETERS, values={**VALUES, "restitution": 0.1}, covariance=np.diag([0.004**2, 11.0**2, 0.008**2]))
+    records, monitor = heard(sure, kernel_bias_sd=0.03, contradiction_windows=5)
+    assert FaultCode.WAVEFORM_CONTRADICTS in records[-1].faults
+    assert "kernel noise and mean force differ by" in monitor.faults.detail(FaultCode.WAVEFORM_CONTRADICTS)
 
 
 def test_a_cell_stated_wrongly_is_a_contradiction_not_a_wrong_flow() -> None:

@@ -55,9 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> LoadCalibrationDocument:
     """The report as plain data. Raises InputError."""
-    for name in _TABLE_ONLY:
-        if getattr(args, name) not in (None, False, "", []):
-            raise InputError(f"--{name.replace('_', '-')}", "belongs to a table of a test facility", "none with --loads")
+    refuse_others(args, "--loads")
     from yieldmon.service import weighed_loads
 
     configured, measured, loads = _measured(args)
@@ -77,6 +75,19 @@ def run(args: argparse.Namespace) -> LoadCalibrationDocument:
     return document
 
 
+def refuse_others(args: argparse.Namespace, option: str) -> None:
+    """Raises InputError for an option that goes with a table alone."""
+    for name in _TABLE_ONLY:
+        if getattr(args, name) not in (None, False, "", []):
+            raise InputError(f"--{name.replace('_', '-')}", "belongs to a table of a test facility", f"none with {option}")
+
+
+def refuse_table(args: argparse.Namespace, option: str) -> None:
+    """Raises InputError for a table of a test facility."""
+    if args.data is not None:
+        raise InputError(args.data, f"is given beside {option}", "either a table of a test facility or weighed loads")
+
+
 def matched(args: argparse.Namespace) -> tuple[Configuration, tuple[WeighedLoad, ...]]:
     """The weighed loads that the arguments name, and what measured them. Raises InputError."""
     configured, _, loads = _measured(args)
@@ -86,17 +97,17 @@ def matched(args: argparse.Namespace) -> tuple[Configuration, tuple[WeighedLoad,
 def _measured(args: argparse.Namespace) -> tuple[Configuration, tuple[MeasuredLoad, ...], tuple[WeighedLoad, ...]]:
     if args.tickets is None:
         raise InputError("--tickets", "is missing", "a table with the columns load and weighed_kg beside --loads")
-    if args.data is not None:
-        raise InputError(args.data, "is given beside --loads", "either a table of a test facility or weighed loads")
+    refuse_table(args, "--loads")
     from yieldmon.service import weighed_loads  # The daemon's own modules, which a table of a test facility does not need.
 
-    configured = _configured(args)
+    configured = configuration_of(args)
     tickets = ticket_file.load(args.tickets)
     measured = weighed_loads.read(args.loads, configured)
     return configured, measured, weighed_loads.match(measured, tickets, configured.machine)
 
 
-def _configured(args: argparse.Namespace) -> Configuration:
+def configuration_of(args: argparse.Namespace) -> Configuration:
+    """What measured the loads. Raises InputError."""
     from yieldmon.service import configuration
 
     loaded = configuration.load(args.config if args.config is not None else shipped("config/yieldmon.yaml"))

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from yieldmon.cli import _by_loads, _flow_curve, _outputs, model_options
+from yieldmon.cli import _by_loads, _flow_curve, _outputs, _pulse_shape, model_options
 from yieldmon.documents.calibrate import CalibrationDocument, ComparedModel
 from yieldmon.errors import InputError
 from yieldmon.estimation import empirical, identifiability
@@ -66,6 +66,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--robust", action="store_true", help="soft-L1 loss: outliers lose weight")
     parser.add_argument("--by-moisture", action="store_true", help="a fit for each moisture_pct and a map; --out names a folder")
     _flow_curve.add_argument(parser)
+    _pulse_shape.add_argument(parser)
     parser.add_argument("--compare", action="store_true", help="compare with the empirical models, by cross-validation")
     parser.add_argument("--identifiability", action="store_true", help="report what these rows determine, and what would add")
     parser.add_argument(
@@ -79,6 +80,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Fit, report, write. Exit code 1 when weighed loads refuse the calibration."""
+    if args.pulse_shape:
+        shape = _pulse_shape.run(args)
+        print(json.dumps(finite_document(shape), indent=1) if args.json else _pulse_shape.text(shape))
+        return 1 if shape["refused"] else 0
     if args.estimator is not None:
         curve = _flow_curve.run(args)
         print(json.dumps(finite_document(curve), indent=1) if args.json else _flow_curve.text(curve))

@@ -1,4 +1,4 @@
-"""What `yieldmon calibrate --json` prints: by a table, as a curve, by weighed loads."""
+"""What `yieldmon calibrate --json` prints: by a table, as a curve, by weighed loads, of the pulses' shape."""
 
 from __future__ import annotations
 
@@ -142,4 +142,32 @@ class LoadCalibrationDocument(TypedDict):
     sweeps: int
     refused: bool
     notes: list[str]
+    written: NotRequired[str]
+
+
+class LoadShape(TypedDict):
+    """Volume flow by the shape of a load's pulses: its error with the arrival in use, and where only the others calibrate."""
+
+    load: str
+    waves: int
+    before_error_pct: Number
+    left_out_error_pct: Number
+
+
+class PulseShapeDocument(TypedDict):
+    """`yieldmon calibrate --pulse-shape --json`. std_dev: of ln stretch and ln tail."""
+
+    file: str
+    loads: list[LoadShape]
+    kinds: int
+    terms: list[str]
+    log_stretch: list[float]
+    log_tail: list[float]
+    std_dev: list[float]
+    load_share: list[float]
+    plate_angle_deg: list[float]
+    elevator_speed_rpm: list[float]
+    kernel_bias: Number
+    kernel_bias_std_dev: Number
+    refused: str
     written: NotRequired[str]

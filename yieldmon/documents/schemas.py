@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from .calibrate import CalibrationDocument, CurveCalibrationDocument, LoadCalibrationDocument
+from .calibrate import CalibrationDocument, CurveCalibrationDocument, LoadCalibrationDocument, PulseShapeDocument
 from .diagnose import DiagnosisDocument
 from .process import ProcessSummary
 from .status import Status
@@ -16,5 +16,6 @@ DOCUMENTS: dict[str, Any] = {
     "calibrate": CalibrationDocument,
     "calibrate-curve": CurveCalibrationDocument,
     "calibrate-loads": LoadCalibrationDocument,
+    "calibrate-pulse-shape": PulseShapeDocument,
     "diagnose": DiagnosisDocument,
 }

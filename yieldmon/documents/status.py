@@ -74,8 +74,9 @@ class StatusTotal(TypedDict):
 class StatusWaveform(TypedDict):
     """What the last second's samples say beside their mean: volume flow from the pulses' shape and the flow that it means, flow
     from kernel noise, or why there is none. shape_verdict, kernel_verdict: as in records, by name. contradiction:
-    of shape and mean force. stretch_by_mean_force: the `waveform.stretch` with which both would agree over the last windows; with
-    `waveform.shape_terms` a factor on that of the terms."""
+    of shape or kernel noise with the mean force. stretch_by_mean_force, kernel_bias_by_mean_force: the `waveform.stretch` and
+    `waveform.kernel_bias` with which they would agree with it over the last windows; with `waveform.shape_terms` a factor on the
+    terms' stretch."""
 
     published: bool
     shape_volume_flow_m3_s: Number
@@ -91,6 +92,7 @@ class StatusWaveform(TypedDict):
     thousand_kernel_weight_g: Number
     contradiction: str | None
     stretch_by_mean_force: Number
+    kernel_bias_by_mean_force: Number
 
 
 class StatusSweep(TypedDict):

@@ -255,7 +255,7 @@ class WaveformSettings:
 
     enabled: bool = False
     combine: bool = False
-    """Publish and count mean force and shape together, by their covariance."""
+    """Publish and count mean force, shape and kernel noise together, by their covariance."""
     harmonics: int = 20
     """Harmonics of the paddle pattern that are fitted."""
     model_error: float = 0.1

@@ -14,6 +14,7 @@ from statistics import median
 import numpy as np
 
 from yieldmon.engine.flow import Flow
+from yieldmon.engine.kernel_channel import SEGMENT, KernelChannel
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.records import FlowEstimator
 from yieldmon.engine.settings import WaveformSettings
@@ -21,8 +22,9 @@ from yieldmon.engine.windows import Trace
 from yieldmon.estimation import kernel_noise
 from yieldmon.estimation.arrival_law import ArrivalLaw
 from yieldmon.estimation.channel_combination import combine, relative_covariance
-from yieldmon.estimation.kernel_noise import Density, KernelImpulse, KernelNoiseSettings, KernelVerdict
-from yieldmon.estimation.pattern_fold import FoldedPattern, PatternWave, fold_all, harmonics_of_all, residual_of_pulses
+from yieldmon.estimation.kernel_noise import KernelImpulse, KernelVerdict
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.pattern_fold import PatternWave, fold_all, harmonics_of_all
 from yieldmon.estimation.pulse_fit import PulseEstimate
 from yieldmon.estimation.pulse_model import PulseModel, PulseSettings
 from yieldmon.estimation.pulse_shape import estimate, estimate_near
@@ -32,21 +34,16 @@ from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 
 _NAN = float("nan")
-_SEGMENT = 256
 _BINS = 64
-_FINE_BINS = 512
-_KEEP = 0.95
-"""What of the running mean pulse, which is taken off before the noise is looked at, a window leaves."""
 _NO_FIT = 1000.0
 """Misfit that stands for pulses to which no fit settles."""
 _FITS = 1.0
 """Misfit below which a fit counts whose steps have not settled: within the model's own error."""
 _WHOLE = 0.98
-_APART = 3
-"""Windows between grain and a window of the empty machine."""
-_LEAST_SAMPLES = 4.0
 _FLOW_SD = 10.0
 _ITERATIONS = 10
+_SCALE_HOLDS_S = 600.0
+"""How long the scale that shape or kernels have found counts where they tell nothing, as in a sweep."""
 _SEARCH_EVERY = 10
 """Windows from one search for pulses that fit nowhere to the next."""
 
@@ -59,9 +56,9 @@ class WaveformReading:
     density's standard deviation in it. shape, shape_reason: whether there is one, and why not. kernels_kg_s,
     kernels_std_dev_kg_s: from kernel noise. kernels, kernels_reason: whether it gives a flow, and why not. kernel_weight_g:
     of a thousand kernels, as used. mean_kg_s, mean_std_dev_kg_s: by the mean force alone. combined_kg_s,
-    combined_std_dev_kg_s: mean force and shape together. contradiction: of shape and mean force, over the last windows; empty
-    where they agree. stretch: the one with which the shape's flow would be that of the mean force, median over the same
-    windows.
+    combined_std_dev_kg_s: all of them together. contradiction: of shape or kernel noise with the mean force, over the last
+    windows; empty where they agree. stretch: the one with which the shape's flow would be that of the mean force, median over
+    the same windows. bias: the same of kernel noise. wave: harmonics of the paddle pattern, None where there is no fit.
     """
 
     volume_m3_s: float = _NAN
@@ -81,9 +78,26 @@ class WaveformReading:
     combined_std_dev_kg_s: float = _NAN
     contradiction: str = ""
     stretch: float = _NAN
+    bias: float = _NAN
+    wave: PatternWave | None = None
 
 
 NOTHING = WaveformReading()
+
+
+@dataclass(frozen=True, slots=True)
+class _Scale:
+    """A channel's flow over that by the mean force of one estimator, as it was at a time: it changes slowly.
+
+    lasting_sd, random_sd: relative standard deviations of that flow, but for the noise of the mean force; random_sd: of what
+    averages out.
+    """
+
+    log_over_mean_force: float
+    lasting_sd: float
+    random_sd: float
+    estimator: FlowEstimator
+    time_s: float
 
 
 def _without(verdict: ShapeVerdict, reason: str, kernels: KernelVerdict = KernelVerdict.NOT_LOOKED_AT) -> WaveformReading:
@@ -109,28 +123,19 @@ class Waveform:
         self.last = NOTHING
         self._settings = settings
         self._machine = machine
-        self._noise = KernelNoiseSettings(
-            low_hz=settings.kernel_low_hz,
-            high_hz=settings.kernel_high_hz,
-            quiet_error=settings.quiet_error,
-            response_error=settings.response_error,
-            bias=settings.kernel_bias,
-            bias_sd=settings.kernel_bias_sd,
-        )
-        self._law = _law_of(settings)
+        self._kernel_channel = KernelChannel(settings, machine)
+        self._law = law_of(settings)
         self._pulses: PulseModel | None = None
         self._estimator: FlowEstimator | None = None
         self._prepared: dict[float, tuple[PatternWave, PulseEstimate]] = {}
         """Waves and fits by their windows' ends, and the estimator that they are of."""
         self._fitted_with: FlowEstimator | None = None
         self._searchable_in = 0
-        self._sums, self._counts = np.zeros(_FINE_BINS), np.zeros(_FINE_BINS)
-        self._loaded: deque[tuple[Density, float]] = deque(maxlen=settings.kernel_windows)
-        self._quiet: deque[Density] = deque(maxlen=settings.kernel_windows)
-        self._quiet_mean: Density | None = None
-        self._waiting: deque[Density] = deque()
         self._differences: deque[tuple[float, float]] = deque(maxlen=settings.contradiction_windows)
         self._stretches: deque[float] = deque(maxlen=settings.contradiction_windows)
+        self._biases: deque[float] = deque(maxlen=settings.kernel_windows)
+        self._of_shapes: deque[_Scale] = deque(maxlen=settings.contradiction_windows)
+        self._of_kernels: _Scale | None = None
 
     def prepare(self, readings: Sequence[Reading], rates_kg_s: Sequence[float], estimator: FlowEstimator) -> None:
         """Fit the pulses of these windows side by side, begun at the mean force's flow; `see` then takes them up one by one."""
@@ -168,35 +173,26 @@ class Waveform:
         trace = reading.window.trace
         if trace is None:
             return _without(ShapeVerdict.NO_SAMPLES, _NO_TRACE)
-        if trace.samples_mv.size < _SEGMENT:
-            few = f"{trace.samples_mv.size} samples a second, at least {_SEGMENT} are needed"
+        if trace.samples_mv.size < SEGMENT:
+            few = f"{trace.samples_mv.size} samples a second, at least {SEGMENT} are needed"
             return _without(ShapeVerdict.NO_SAMPLES, few, KernelVerdict.NO_BAND)
         if reading.zero is None or not reading.in_range:
             return _without(ShapeVerdict.NO_SAMPLES, _NO_ZERO)
         force_n = (trace.samples_mv - reading.zero.zero_mv) * self._machine.sensor.gain_n_per_mv
         if not reading.harvesting:
-            self._sums[:], self._counts[:] = 0.0, 0.0
-            self._see_empty(kernel_noise.density(force_n, trace.interval_s, segment=_SEGMENT), reading)
+            self._kernel_channel.empty(force_n, trace.interval_s, reading.force_n)
             return _without(ShapeVerdict.NO_GRAIN, _NO_GRAIN)
-        self._waiting.clear()
+        self._kernel_channel.grain()
         if not (flow.rate_kg_s > 0.0 and reading.still):
-            return _without(ShapeVerdict.NOT_STILL, _NOT_STILL)
+            return self._counted(_without(ShapeVerdict.NOT_STILL, _NOT_STILL), reading, flow, estimator)
         if reading.window.end_s not in self._prepared or estimator is not self._fitted_with:
             self.prepare((reading,), (flow.rate_kg_s,), estimator)
         shape = self._shape(reading, estimator)
-        kernels = None if shape is None else self._kernels(force_n, self._aligned(trace, shape, reading), reading.force_n)
+        kernels = None
+        if shape is not None:
+            aligned = self._aligned(trace, shape, reading)
+            kernels = self._kernel_channel.loaded(force_n, aligned, reading, flow.rate_kg_s, estimator)
         return self._judged(reading, flow, estimator, shape, kernels)
-
-    def _see_empty(self, shown: Density, reading: Reading) -> None:
-        """A window of the empty machine counts once grain has neither just gone nor comes with the next windows."""
-        if not abs(reading.force_n) < self._machine.sensor.gain_n_per_mv:
-            self._waiting.clear()
-            return
-        self._waiting.append(shown)
-        if len(self._waiting) > 2 * _APART:
-            self._quiet.append(self._waiting[_APART])
-            self._quiet_mean = None
-            self._waiting.popleft()
 
     def _shape(self, reading: Reading, estimator: FlowEstimator) -> PulseEstimate | None:
         """The fit to the window's pulses; where none was found near the mean force's flow, over all fills and shifts."""
@@ -218,24 +214,7 @@ class Waveform:
 
     def _model(self, estimator: FlowEstimator) -> PulseModel:
         if self._pulses is None or estimator is not self._estimator:
-            settings, sensor = self._settings, self._machine.sensor
-            values = dict(estimator.parameters.values)
-            values["friction"] = max(values["friction"], 0.02)
-            sd = dict(PulseSettings().sd)
-            sd |= {"log_friction": settings.friction_sd, "log_shape_ratio": settings.shape_ratio_sd}
-            # The mean force only says where to begin: a prior that is felt would make the two channels one.
-            sd |= {"log_cell": settings.response_error, "log_volume_flow": _FLOW_SD}
-            self._pulses = PulseModel(
-                ForwardModel(self._machine, estimator.parameters.effects),
-                values,
-                PulseSettings(
-                    harmonics=settings.harmonics,
-                    model_error=settings.model_error,
-                    cell_response_s=sensor.response_s,
-                    sd=sd,
-                    arrival=self._law,
-                ),
-            )
+            self._pulses = pulse_model(self._settings, self._machine, estimator.parameters, self._law)
             self._estimator = estimator
         return self._pulses
 
@@ -243,37 +222,6 @@ class Waveform:
         """The samples with their phase counted from the pulses themselves: the phase from ten speeds a second creeps."""
         turns_per_s = self._machine.paddle_speed_m_s(reading.window.speed_rad_s) / self._machine.pattern_length_m
         return replace(trace, phase=trace.phase - shape.values["shift_s"] * turns_per_s)
-
-    def _kernels(self, force_n: Array, trace: Trace, mean_force_n: float) -> KernelImpulse | None:
-        """The impulse of a kernel from the last windows; None until a mean pulse and the empty machine's noise are known."""
-        sums, counts = self._sums.copy(), self._counts.copy()
-        place = np.floor((trace.phase % 1.0) * _FINE_BINS).astype(np.intp) % _FINE_BINS
-        self._sums = _KEEP * self._sums + np.bincount(place, weights=force_n, minlength=_FINE_BINS)
-        self._counts = _KEEP * self._counts + np.bincount(place, minlength=_FINE_BINS)
-        if counts.min() < _LEAST_SAMPLES:
-            return None
-        before = FoldedPattern(sums / counts, np.zeros(_FINE_BINS), counts, float("inf"))
-        left = residual_of_pulses(force_n, trace.phase, before, self._machine.paddle_spacings_m)
-        shown = kernel_noise.density(left, trace.interval_s, segment=_SEGMENT)
-        # The running mean holds noise of its own.
-        shown = replace(shown, density=shown.density / (1.0 + float(np.mean(1.0 / counts))))
-        self._loaded.append((shown, mean_force_n))
-        if len(self._quiet) < self._settings.quiet_windows or len(self._loaded) < self._settings.quiet_windows:
-            return None
-        force = float(np.mean([f for _, f in self._loaded]))
-        return kernel_noise.kernel_impulse(
-            kernel_noise.pooled([d for d, _ in self._loaded]),
-            self._empty_noise(),
-            force,
-            cell_response_s=self._machine.sensor.response_s,
-            sample_interval_s=trace.interval_s,
-            settings=self._noise,
-        )
-
-    def _empty_noise(self) -> Density:
-        if self._quiet_mean is None:
-            self._quiet_mean = kernel_noise.pooled(list(self._quiet))
-        return self._quiet_mean
 
     def _judged(
         self,
@@ -286,6 +234,7 @@ class Waveform:
         rate, std_dev = mean_flow.rate_kg_s, mean_flow.std_dev_kg_s
         seen = WaveformReading(mean_kg_s=rate, mean_std_dev_kg_s=std_dev, kernel_weight_g=self._weight_g(reading) or _NAN)
         if shape is not None and isfinite(shape.volume_flow_m3_s):
+            seen = replace(seen, wave=self._prepared[reading.window.end_s][0])
             seen = self._with_shape(seen, shape, reading, mean_flow, estimator)
         elif reading.window.coverage < _WHOLE:
             seen = replace(seen, shape=ShapeVerdict.FEW_TURNS, shape_reason=_FEW_TURNS)
@@ -295,7 +244,44 @@ class Waveform:
             no_fit = self._contradiction(0.0, _NO_FIT)
             seen = replace(seen, shape=ShapeVerdict.NO_PULSES, shape_reason=_NO_PULSES, contradiction=no_fit)
         missing = seen.shape_reason if shape is None else ""
-        return self._with_kernels(seen, reading, kernels, missing)
+        seen = self._with_kernels(seen, reading, kernels, missing)
+        if seen.kernels is KernelVerdict.USED:
+            over, sd = seen.kernels_kg_s / rate, seen.kernels_std_dev_kg_s / seen.kernels_kg_s
+            self._of_kernels = _Scale(log(over), sd, 0.0, estimator, reading.window.end_s)
+            seen = replace(seen, bias=self._agreeing_bias(over))
+        elif seen.kernels is not KernelVerdict.TOO_EARLY:
+            self._of_kernels = None
+        return self._counted(seen, reading, mean_flow, estimator)
+
+    def _counted(self, seen: WaveformReading, reading: Reading, mean_flow: Flow, estimator: FlowEstimator) -> WaveformReading:
+        """All channels together: the mean force's flow, whose scale the others correct as they have found it of late."""
+        rate, now_s = mean_flow.rate_kg_s, reading.window.end_s
+        if not rate > 0.0:
+            return seen
+
+        def held(scale: _Scale) -> bool:
+            return scale.estimator is estimator and now_s - scale.time_s <= _SCALE_HOLDS_S
+
+        noise = mean_flow.budget.noise_kg_s / rate
+        noise = noise if isfinite(noise) else 0.0
+        lasting = sqrt(max((mean_flow.std_dev_kg_s / rate) ** 2 - noise**2, 0.0))
+        flow, sd, corrected = rate, lasting, False
+        if shapes := [scale for scale in self._of_shapes if held(scale)]:
+            mean = sum(scale.log_over_mean_force for scale in shapes) / len(shapes)
+            shape_sd = hypot(shapes[-1].lasting_sd, sqrt(sum(scale.random_sd**2 for scale in shapes)) / len(shapes))
+            exponent, parameters = _exponent(mean_flow), estimator.parameters
+            both = combine(rate, lasting, rate * exp(mean), shape_sd, exponent=exponent, parameters=parameters)
+            flow, sd, corrected = both.mass_flow_kg_s, both.relative_sd, True
+        if self._of_kernels is not None and held(self._of_kernels):
+            over, over_sd = self._of_kernels.log_over_mean_force, self._of_kernels.lasting_sd
+            if against := self._kernels_contradict(over / hypot(lasting, over_sd)):
+                seen = replace(seen, contradiction=seen.contradiction or against)
+            weight = sd**2 / (sd**2 + over_sd**2)
+            flow *= (rate * exp(over) / flow) ** weight
+            sd, corrected = sd * over_sd / hypot(sd, over_sd), True
+        if not corrected:
+            return seen
+        return replace(seen, combined_kg_s=flow, combined_std_dev_kg_s=flow * hypot(sd, noise))
 
     def _with_shape(
         self, seen: WaveformReading, shape: PulseEstimate, reading: Reading, mean_flow: Flow, estimator: FlowEstimator
@@ -317,6 +303,8 @@ class Waveform:
             seen = replace(seen, contradiction=against, stretch=self._agreeing_stretch(shape, rate / density))
         if outside := of_mean or shape.outside:
             return replace(seen, shape=ShapeVerdict.OUTSIDE_CALIBRATION, shape_reason=outside)
+        lasting_sd = sqrt(max(shape.relative_sd**2 - shape.random_sd**2, 0.0))
+        self._of_shapes.append(_Scale(log(flow / rate), lasting_sd, shape.random_sd, estimator, reading.window.end_s))
         return replace(
             seen,
             shape=ShapeVerdict.USED,
@@ -324,8 +312,6 @@ class Waveform:
             volume_std_dev_m3_s=shape.volume_flow_m3_s * shape.relative_sd,
             shape_kg_s=flow,
             shape_std_dev_kg_s=flow * hypot(shape.relative_sd, sqrt(relative_covariance(parameters)[0])),
-            combined_kg_s=together.mass_flow_kg_s,
-            combined_std_dev_kg_s=together.mass_flow_kg_s * together.relative_sd,
         )
 
     def _outside(self, volume_flow_m3_s: float, reading: Reading, estimator: FlowEstimator) -> str:
@@ -357,7 +343,7 @@ class Waveform:
             reading.force_n,
             1e-6 * seen.kernel_weight_g,
             kernel_mass_sd=self._settings.kernel_mass_sd,
-            settings=self._noise,
+            settings=self._kernel_channel.noise,
         )
         return replace(
             seen,
@@ -365,6 +351,17 @@ class Waveform:
             kernels_std_dev_kg_s=found.mass_flow_kg_s * found.relative_sd,
             kernels=KernelVerdict.USED,
         )
+
+    def _agreeing_bias(self, over_mean_force: float) -> float:
+        """The bias with which kernel noise would give the mean force's flow; kernel noise is in proportion to it."""
+        self._biases.append(self._settings.kernel_bias / over_mean_force)
+        return median(self._biases)
+
+    def _kernels_contradict(self, z: float) -> str:
+        # The noise of many windows is in each: no median of windows is needed.
+        if not abs(z) > self._settings.contradiction_z:
+            return ""
+        return f"kernel noise and mean force differ by {abs(z):.1f} standard deviations"
 
     def _agreeing_stretch(self, shape: PulseEstimate, volume_flow_m3_s: float) -> float:
         """The stretch to which the window's posterior moves when the volume flow is given."""
@@ -389,11 +386,32 @@ class Waveform:
 
 def _shows_pulses(reading: Reading) -> bool:
     trace = reading.window.trace
-    return trace is not None and trace.samples_mv.size >= _SEGMENT and reading.in_range and reading.harvesting and reading.still
+    return trace is not None and trace.samples_mv.size >= SEGMENT and reading.in_range and reading.harvesting and reading.still
 
 
-def _law_of(settings: WaveformSettings) -> ArrivalLaw:
-    """How grain arrives: by the terms of the pulse-shape file, or one stretch and tail over the file's range."""
+def pulse_model(settings: WaveformSettings, machine: Machine, parameters: ParameterSet, law: ArrivalLaw) -> PulseModel:
+    """Pulses of a machine with these parameters' grain, which arrives by a law."""
+    values = dict(parameters.values)
+    values["friction"] = max(values["friction"], 0.02)
+    sd = dict(PulseSettings().sd)
+    sd |= {"log_friction": settings.friction_sd, "log_shape_ratio": settings.shape_ratio_sd}
+    # The mean force only says where to begin: a prior that is felt would make the two channels one.
+    sd |= {"log_cell": settings.response_error, "log_volume_flow": _FLOW_SD}
+    return PulseModel(
+        ForwardModel(machine, parameters.effects),
+        values,
+        PulseSettings(
+            harmonics=settings.harmonics,
+            model_error=settings.model_error,
+            cell_response_s=machine.sensor.response_s,
+            sd=sd,
+            arrival=law,
+        ),
+    )
+
+
+def law_of(settings: WaveformSettings) -> ArrivalLaw:
+    """How grain arrives by the settings: by the terms of the pulse-shape file, or one stretch and tail over the file's range."""
     known = settings.shape or ArrivalLaw()
     if settings.shape_terms and settings.shape is not None:
         return known

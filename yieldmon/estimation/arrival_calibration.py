@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -16,9 +16,44 @@ from .pulse_fit import PulseEstimate
 from .pulse_model import GAIN, SHIFT, PulseModel
 from .pulse_shape import estimate, look_for_start
 
+Terms = tuple[Sequence[int], Sequence[int], Sequence[int]]
 SEVERAL_GRAINS = (tuple(range(TERMS)), (0, 1, 2, 3, 4, 8, 9), (0, 1, 2, 3, 4, 5, 8, 9))
 """Terms of stretch, tail and delay for a calibration over loads, plate angles, speeds and frictions."""
 _TYPICAL_LOG_TAIL = float(np.log(0.004))
+
+
+@dataclass(frozen=True)
+class ArrivalPoint:
+    """How the pulses at one known volume flow arrive.
+
+    Attributes
+    ----------
+    features : ndarray (TERMS,)
+    found : ndarray (3,)
+        ln stretch, ln tail (s) and delay (s).
+    fill, plate_angle_rad, elevator_speed_rad_s : float
+    """
+
+    features: Array
+    found: Array
+    fill: float
+    plate_angle_rad: float
+    elevator_speed_rad_s: float
+
+
+def arrival_point(pulses: PulseModel, wave: PatternWave, volume_flow_m3_s: float) -> ArrivalPoint:
+    """Fit stretch, tail and delay to a wave at a known flow.
+
+    The model's own arrival law is not used; friction, shape_ratio and cell are held at their means.
+    """
+    wide = ArrivalLaw(tail=(_TYPICAL_LOG_TAIL,), covariance=(0.3**2, 0.7**2, 0.0))
+    sd = {**pulses.settings.sd, "log_volume_flow": 0.0, "log_friction": 0.0, "log_shape_ratio": 0.0, "log_cell": 0.0}
+    held = PulseModel(pulses.model, pulses.parameters, replace(pulses.settings, arrival=wide, sd=sd))
+    values = _at_flow(held, wave, volume_flow_m3_s).values
+    fill = pulses.mean_fill(volume_flow_m3_s, wave.elevator_speed_rad_s)
+    where = wide.conditions(wave.plate_angle_rad, wave.elevator_speed_rad_s, pulses.parameters["friction"])
+    found = np.array([values["log_stretch"], values["log_tail"] + _TYPICAL_LOG_TAIL, values["shift_s"]])
+    return ArrivalPoint(features(fill, where), found, fill, wave.plate_angle_rad, wave.elevator_speed_rad_s)
 
 
 def calibrate_arrival(
@@ -26,48 +61,66 @@ def calibrate_arrival(
     waves: Sequence[PatternWave],
     volume_flows_m3_s: Sequence[float],
     *,
-    terms: int | tuple[Sequence[int], Sequence[int], Sequence[int]] = 2,
+    terms: int | Terms = 2,
 ) -> ArrivalLaw:
     """The arrival law that waves at known volume flows follow.
 
     Parameters
     ----------
     pulses : PulseModel or sequence
-        One, or one for each wave where their grain differs. Its own arrival law is not used; friction, shape_ratio and cell are
-        held at their means.
+        One, or one for each wave where their grain differs; see `arrival_point`.
     waves, volume_flows_m3_s : sequences
         More than terms.
     terms : int or tuple
-        Which coefficients of stretch, tail and delay are free: so many of the first `ArrivalLaw` names, or their places, as
-        `SEVERAL_GRAINS`. One plate angle determines two.
+        As `law_of`.
 
     Returns
     -------
     ArrivalLaw
-        covariance from the residuals; fills, plate_angles_rad and elevator_speeds_rad_s those of the waves.
 
     Raises
     ------
     ValueError
         For too few waves.
     """
+    models = [pulses] * len(waves) if isinstance(pulses, PulseModel) else list(pulses)
+    points = [arrival_point(*row) for row in zip(models, waves, volume_flows_m3_s, strict=True)]
+    return law_of(points, terms=terms, indexed=models[0].settings.indexed)
+
+
+def law_of(points: Sequence[ArrivalPoint], *, terms: int | Terms, indexed: bool = False) -> ArrivalLaw:
+    """The law that points follow, by least squares.
+
+    Parameters
+    ----------
+    points : sequence
+        More than terms.
+    terms : int or tuple
+        Which coefficients of stretch, tail and delay are free: so many of the first `ArrivalLaw` names, or their places, as
+        `SEVERAL_GRAINS`. One plate angle determines two.
+    indexed : bool
+        Whether the law has a delay.
+
+    Returns
+    -------
+    ArrivalLaw
+        covariance from the residuals; fills, plate_angles_rad and elevator_speeds_rad_s those of the points.
+
+    Raises
+    ------
+    ValueError
+        For too few points.
+    """
     chosen = tuple(tuple(range(terms)) for _ in range(3)) if isinstance(terms, int) else terms
     most = max(map(len, chosen))
-    if len(waves) <= most:
-        raise ValueError(f"{len(waves)} waves, expected more than {most}, the terms of the law")
-    models = [pulses] * len(waves) if isinstance(pulses, PulseModel) else list(pulses)
-    wide = ArrivalLaw(tail=(_TYPICAL_LOG_TAIL,), covariance=(0.3**2, 0.7**2, 0.0))
-    rows, targets, fills = [], [], []
-    for model, wave, flow in zip(models, waves, volume_flows_m3_s, strict=True):
-        sd = {**model.settings.sd, "log_volume_flow": 0.0, "log_friction": 0.0, "log_shape_ratio": 0.0, "log_cell": 0.0}
-        fit = _at_flow(PulseModel(model.model, model.parameters, replace(model.settings, arrival=wide, sd=sd)), wave, flow)
-        fills.append(model.mean_fill(flow, wave.elevator_speed_rad_s))
-        where = wide.conditions(wave.plate_angle_rad, wave.elevator_speed_rad_s, model.parameters["friction"])
-        rows.append(features(fills[-1], where))
-        targets.append((fit.values["log_stretch"], fit.values["log_tail"] + _TYPICAL_LOG_TAIL, fit.values["shift_s"]))
-    laws, left = zip(*map(partial(_fitted_law, np.array(rows)), chosen, np.array(targets).T), strict=True)
-    spread, indexed = np.array(left) @ np.array(left).T, models[0].settings.indexed
-    angles, speeds = [wave.plate_angle_rad for wave in waves], [wave.elevator_speed_rad_s for wave in waves]
+    if len(points) <= most:
+        raise ValueError(f"{len(points)} waves, expected more than {most}, the terms of the law")
+    rows, targets = (np.array([getattr(point, name) for point in points]) for name in ("features", "found"))
+    laws, left = zip(*map(partial(_fitted_law, rows), chosen, targets.T), strict=True)
+    spread = np.array(left) @ np.array(left).T
+    fills, angles, speeds = (
+        [getattr(point, name) for point in points] for name in ("fill", "plate_angle_rad", "elevator_speed_rad_s")
+    )
     return ArrivalLaw(
         laws[0],
         laws[1],

@@ -9,7 +9,7 @@ whether there is anything to see.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import lru_cache
 
@@ -21,6 +21,8 @@ _ALIASES = 64
 _CLEAR_OF_ALIASES = 0.4
 """Share of the sampling rate up to which what the sampler folds back is small beside what is there."""
 _ITERATIONS = 6
+_HANN_NEIGHBOURS = 1.0 + 2.0 * ((2.0 / 3.0) ** 2 + (1.0 / 6.0) ** 2)
+"""Variance of a sum over frequencies over that of independent ones: correlation of a Hann spectrum with its next neighbours."""
 
 
 class KernelVerdict(IntEnum):
@@ -76,7 +78,8 @@ class Density:
     density : ndarray (k,)
         Two-sided, N^2/Hz, so that the sum over positive and negative frequencies times their spacing is the mean square.
     averages : float
-        Independent segments that were averaged.
+        Independent segments that were averaged, as far as sums over many frequencies go: neighbours that share their noise count
+        as fewer segments.
     """
 
     frequency_hz: Array
@@ -158,7 +161,7 @@ def density(samples_n: Array, sample_interval_s: float, *, segment: int = 256) -
     frequency: Array = np.asarray(np.fft.rfftfreq(segment, sample_interval_s), dtype=np.float64)
     # Hann segments that overlap by half: 1 / (1 + 2 (1/6)^2) of their number are independent (Welch, 1967).
     independent = count if count == 1 else count / (1.0 + 2.0 * (1.0 - 1.0 / count) / 36.0)
-    return Density(frequency[1:-1], power[1:-1], independent)
+    return Density(frequency[1:-1], power[1:-1], independent / _HANN_NEIGHBOURS)
 
 
 @lru_cache(maxsize=8)
@@ -166,6 +169,17 @@ def _hann(segment: int) -> Array:
     window = np.hanning(segment + 1)[:-1]
     window.flags.writeable = False
     return window
+
+
+def in_pulses(found: Density, crest: float) -> Density:
+    """A density of shot noise that comes in pulses: kernels strike for part of the time, and fewer of them average out less.
+
+    Parameters
+    ----------
+    crest : float
+        Mean square of the pulses over the square of their mean.
+    """
+    return replace(found, averages=found.averages / crest)
 
 
 def pooled(parts: list[Density]) -> Density:
@@ -341,14 +355,18 @@ def expected_sd(
     duration_s: float,
     settings: KernelNoiseSettings | None = None,
     segment: int = 256,
+    crest: float = 1.0,
 ) -> KernelImpulse:
-    """What a sensor would reach: `kernel_impulse` on the densities that are to be expected, with a white background."""
+    """What a sensor would reach: `kernel_impulse` on the densities that are to be expected, with a white background.
+
+    crest: as of `in_pulses`.
+    """
     frequency: Array = np.asarray(np.fft.rfftfreq(segment, sample_interval_s), dtype=np.float64)[1:-1]
-    averages = duration_s / (segment * sample_interval_s) * 2.0 / (1.0 + 2.0 / 36.0)
+    averages = duration_s / (segment * sample_interval_s) * 2.0 / (1.0 + 2.0 / 36.0) / _HANN_NEIGHBOURS
     ground = np.full(frequency.size, quiet_n2_hz)
     shown = ground + mean_force_n * impulse_n_s * power_gain(frequency, cell_response_s, sample_interval_s)
     return kernel_impulse(
-        Density(frequency, shown, averages),
+        in_pulses(Density(frequency, shown, averages), crest),
         Density(frequency, ground, averages),
         mean_force_n,
         cell_response_s=cell_response_s,
@@ -365,6 +383,7 @@ __all__ = [
     "KernelVerdict",
     "density",
     "expected_sd",
+    "in_pulses",
     "kernel_flow",
     "kernel_impulse",
     "pooled",

@@ -217,7 +217,7 @@ class Waveform(Section):
     """Flow from the pulses' shape and from kernel noise, beside the mean force; off until proven on the machine."""
 
     enabled: bool = choice(_V.enabled, "evaluate the samples themselves")
-    combine: bool = choice(_V.combine, "publish and count mean force and shape together")
+    combine: bool = choice(_V.combine, "publish and count mean force, shape and kernel noise together")
     harmonics: int = quantity(_V.harmonics, 4, 21, "harmonics", "of the paddle pattern that are fitted")
     model_error: float = quantity(_V.model_error, 0.001, 0.5, "1", "the pulse model's own error, relative")
     friction_sd: float = quantity(_V.friction_sd, 0.001, 1.0, "1", "relative deviation of friction")

@@ -216,6 +216,7 @@ def _waveform(monitor: Monitor) -> StatusWaveform | None:
         "thousand_kernel_weight_g": finite(seen.kernel_weight_g),
         "contradiction": seen.contradiction or None,
         "stretch_by_mean_force": finite(seen.stretch),
+        "kernel_bias_by_mean_force": finite(seen.bias),
     }
 
 

@@ -82,11 +82,18 @@ def _of_logs(
         )
         process_in_bulk([source], monitor, Codec(), rows.append, signals=configured.signals, progress=progress)
         versions = {configured.parameters.version: configured.parameters}
-        here = _loads(rows, source, versions, len(found))
-        if not here:
-            raise InputError(source, _why_no_mass(rows), "a log of a load, from the empty machine on")
-        found += here
+        found += loads_in_log(rows, source, versions, len(found))
     return tuple(found)
+
+
+def loads_in_log(
+    rows: Sequence[SecondRow], log: str, versions: Mapping[int, ParameterSet], before: int
+) -> tuple[MeasuredLoad, ...]:
+    """The loads of a log, numbered on from `before`. Raises InputError where it holds none."""
+    found = _loads(rows, log, versions, before)
+    if not found:
+        raise InputError(log, _why_no_mass(rows), "a log of a load, from the empty machine on")
+    return found
 
 
 def _why_no_mass(rows: Sequence[SecondRow]) -> str:
@@ -117,7 +124,7 @@ def match(loads: Sequence[MeasuredLoad], tickets: Sequence[WeighedTicket], machi
     taken: dict[str, str] = {}
     out = []
     for ticket in tickets:
-        covered = _covered(loads, ticket)
+        covered = loads_on(ticket, loads)
         for load in covered:
             if load.name in taken:
                 raise InputError(ticket.where, f"load {load.name} has a ticket already", "each load on one ticket")
@@ -127,7 +134,8 @@ def match(loads: Sequence[MeasuredLoad], tickets: Sequence[WeighedTicket], machi
     return tuple(out)
 
 
-def _covered(loads: Sequence[MeasuredLoad], ticket: WeighedTicket) -> list[MeasuredLoad]:
+def loads_on(ticket: WeighedTicket, loads: Sequence[MeasuredLoad]) -> list[MeasuredLoad]:
+    """The loads that a ticket is for. Raises InputError where there is none such."""
     names = [load.name for load in loads]
     if ticket.first in names and ticket.last in names:
         first, last = names.index(ticket.first), names.index(ticket.last)

@@ -1,0 +1,99 @@
+"""`calibrate --pulse-shape`: how a machine's pulses arrive, from logs of weighed loads, for `pulse_shape_file`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from yieldmon.cli import _by_loads
+from yieldmon.documents.calibrate import PulseShapeDocument
+from yieldmon.errors import InputError
+from yieldmon.estimation.machine_shape import MachineShape, calibrate_machine_shape
+from yieldmon.files import pulse_shape_file, ticket_file, whole_file
+from yieldmon.physics.machine import RPM
+
+
+def add_argument(parser: argparse.ArgumentParser) -> None:
+    """--pulse-shape of `calibrate`."""
+    parser.add_argument("--pulse-shape", action="store_true", help="fit pulse_shape_file from logs of weighed loads instead")
+
+
+def run(args: argparse.Namespace) -> PulseShapeDocument:
+    """Fit and write; the report as plain data. Raises InputError."""
+    _by_loads.refuse_others(args, "--pulse-shape")
+    _by_loads.refuse_table(args, "--pulse-shape")
+    if args.estimator is not None:
+        raise InputError("--estimator", "fits a curve", "either --estimator or --pulse-shape")
+    if args.loads is None or args.tickets is None:
+        raise InputError("--pulse-shape", "lacks its loads", "--loads LOG... and --tickets FILE")
+    if args.out is not None:
+        whole_file.check_place(args.out)
+    from yieldmon.service import weighed_waves  # The daemon's own modules, which a table of a test facility does not need.
+
+    configured = weighed_waves.looking(_by_loads.configuration_of(args))
+    tickets = ticket_file.load(args.tickets)
+    weighed = weighed_waves.match(weighed_waves.read(args.loads, configured), tickets, configured)
+    try:
+        found = calibrate_machine_shape(weighed_waves.pulses(configured), weighed.waves)
+    except ValueError as error:
+        raise InputError(", ".join(args.loads), str(error), "loads at flows that differ, sampled at 300 Hz or more") from error
+    document = report(found, weighed.biases, args)
+    if args.out is not None and not found.refused:
+        source = f"{len(found.loads)} weighed loads, {', '.join(Path(log).name for log in args.loads)}"
+        pulse_shape_file.save(found.law, args.out, source=source)
+        document["written"] = args.out
+    return document
+
+
+def report(found: MachineShape, biases: dict[str, float], args: argparse.Namespace) -> PulseShapeDocument:
+    """The result as plain data."""
+    law, values = found.law, np.array(list(biases.values()))
+    return {
+        "file": ", ".join(args.loads),
+        "loads": [
+            {"load": item.load, "waves": item.waves, "before_error_pct": 100.0 * item.before,
+             "left_out_error_pct": 100.0 * item.left_out}
+            for item in found.loads
+        ],
+        "kinds": found.kinds,
+        "terms": list(found.terms),
+        "log_stretch": list(law.stretch[: len(found.terms)]),
+        "log_tail": list((law.tail or ())[: len(found.terms)]),
+        "std_dev": [law.covariance[0] ** 0.5, law.covariance[1] ** 0.5],
+        "load_share": list(law.fills),
+        "plate_angle_deg": np.degrees(law.plate_angles_rad).tolist(),
+        "elevator_speed_rpm": [speed / RPM for speed in law.elevator_speeds_rad_s],
+        "kernel_bias": float(values.mean()) if values.size else None,
+        "kernel_bias_std_dev": float(values.std(ddof=1)) if values.size > 1 else None,
+        "refused": found.refused,
+    }  # fmt: skip
+
+
+def text(document: PulseShapeDocument) -> str:
+    """The report for people."""
+    lines = [f"{'load':<12}{'waves':>8}{'before':>11}{'left out':>11}"]
+    for load in document["loads"]:
+        before, after = (_percent(load[key]) for key in ("before_error_pct", "left_out_error_pct"))
+        lines.append(f"{load['load'][:12]:<12}{load['waves']:>8}{before:>11}{after:>11}")
+    (least, most), (low, high) = document["load_share"], document["plate_angle_deg"]
+    slow, fast = document["elevator_speed_rpm"]
+    lines.append(
+        f"calibrated: load {least:.2f} to {most:.2f} of a full paddle, plate {low:.0f} to {high:.0f} deg, "
+        f"{slow:.0f} to {fast:.0f} rpm"
+    )
+    lines.append(f"stretch known to {100.0 * document['std_dev'][0]:.1f} %, by {', '.join(document['terms'])}")
+    if document["kernel_bias"] is not None:
+        spread = document["kernel_bias_std_dev"]
+        around = "" if spread is None else f" ± {spread:.3f}"
+        lines.append(f"kernel noise agrees with the weighed loads at waveform.kernel_bias {document['kernel_bias']:.3f}{around}")
+    if document["refused"]:
+        lines.append(f"refused: {document['refused']}")
+    if "written" in document:
+        lines.append(f"written: {document['written']}; for pulse_shape_file, with waveform.shape_terms: true")
+    return "\n".join(lines)
+
+
+def _percent(value: float | None) -> str:
+    return "-" if value is None or not np.isfinite(value) else f"{value:+.1f} %"

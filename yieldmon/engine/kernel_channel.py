@@ -1,0 +1,161 @@
+"""The impulse of a kernel, from the noise of the last seconds of grain and of the empty machine."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+from math import isfinite
+
+import numpy as np
+
+from yieldmon.engine.measurement import Reading
+from yieldmon.engine.records import FlowEstimator
+from yieldmon.engine.settings import WaveformSettings
+from yieldmon.engine.windows import Trace
+from yieldmon.estimation import kernel_noise
+from yieldmon.estimation.kernel_noise import Density, KernelImpulse, KernelNoiseSettings
+from yieldmon.estimation.pattern_fold import residual_of_pulses
+from yieldmon.estimation.running_pulses import RunningPulses
+from yieldmon.physics.machine import Machine
+from yieldmon.physics.numerics import Array
+
+SEGMENT = 256
+"""Samples of which a spectrum is made."""
+_APART = 3
+"""Windows between grain and a window of the empty machine."""
+_CHANGING = 0.1
+"""Of the mean force from one window to the next, relative; within such a window the pulses are not of one load."""
+
+_EVERY, _FEW = 5, 20
+"""The mean over the windows kept moves slowly: it is formed anew after so many, and always while there are few."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Noise:
+    """Of one window with grain; flow_kg_s: by the mean force, of the estimator in use."""
+
+    density: Density
+    force_n: float
+    plate_angle_rad: float
+    speed_rad_s: float
+    moisture_pct: float
+    flow_kg_s: float
+
+    @property
+    def impulse_per_kg(self) -> float:
+        return self.force_n / self.flow_kg_s
+
+
+class KernelChannel:
+    """Looks at one window after another."""
+
+    def __init__(self, settings: WaveformSettings, machine: Machine) -> None:
+        self._settings = settings
+        self._machine = machine
+        self.noise = KernelNoiseSettings(
+            low_hz=settings.kernel_low_hz,
+            high_hz=settings.kernel_high_hz,
+            quiet_error=settings.quiet_error,
+            response_error=settings.response_error,
+            bias=settings.kernel_bias,
+            bias_sd=settings.kernel_bias_sd,
+        )
+        self._pulses = RunningPulses()
+        self._loaded: deque[_Noise] = deque(maxlen=settings.kernel_windows)
+        self._estimator: FlowEstimator | None = None
+        self._apparent: KernelImpulse | None = None
+        self._heard = 0
+        """Windows since that was found."""
+        self._force_before_n = 0.0
+        self._quiet: deque[Density] = deque(maxlen=settings.kernel_windows)
+        self._quiet_mean: Density | None = None
+        self._waiting: deque[Density] = deque()
+
+    def empty(self, force_n: Array, interval_s: float, mean_force_n: float) -> None:
+        """A window of the empty machine; it counts once grain has neither just gone nor comes with the next windows."""
+        if not abs(mean_force_n) < self._machine.sensor.gain_n_per_mv:
+            self._waiting.clear()
+            return
+        self._waiting.append(kernel_noise.density(force_n, interval_s, segment=SEGMENT))
+        if len(self._waiting) > 2 * _APART:
+            self._quiet.append(self._waiting[_APART])
+            self._quiet_mean = None
+            self._waiting.popleft()
+
+    def grain(self) -> None:
+        """Grain is there: the windows before it do not count as empty."""
+        self._waiting.clear()
+
+    def _changed(self, force_n: float) -> bool:
+        before, self._force_before_n = self._force_before_n, force_n
+        return not abs(force_n - before) < _CHANGING * force_n
+
+    def loaded(
+        self, force_n: Array, trace: Trace, reading: Reading, flow_kg_s: float, estimator: FlowEstimator
+    ) -> KernelImpulse | None:
+        """A window with grain, the phase of its trace counted from the pulses themselves; flow_kg_s: by its mean force.
+
+        A kernel's impulse goes with the load, the plate and the speed as that of a kilogram does: the mean force's model brings
+        earlier windows to this one, and its scale drops out. Only windows of the plate at home are listened to, the kernels'
+        own scatter over angles being unknown. None until enough of them, with pulses like earlier ones, and the empty machine
+        have been heard.
+        """
+        if estimator is not self._estimator:
+            self._estimate_anew(estimator)
+        if reading.at_home:
+            self._hear(force_n, trace, reading, flow_kg_s)
+        if min(len(self._quiet), len(self._loaded)) < self._settings.quiet_windows:
+            return None
+        if self._apparent is None or self._heard >= _EVERY or len(self._loaded) < _FEW:
+            self._apparent, self._heard = self._apparent_mass(trace.interval_s), 0
+        return replace(self._apparent, impulse_n_s=self._apparent.impulse_n_s * reading.force_n / flow_kg_s)
+
+    def _apparent_mass(self, interval_s: float) -> KernelImpulse:
+        """A kernel's impulse over that of a kilogram, of the windows kept."""
+        weights = [noise.density.averages for noise in self._loaded]
+        per_kg = sum(w * noise.force_n * noise.impulse_per_kg for w, noise in zip(weights, self._loaded, strict=True))
+        return kernel_noise.kernel_impulse(
+            kernel_noise.pooled([noise.density for noise in self._loaded]),
+            self._empty_noise(),
+            per_kg / sum(weights),
+            cell_response_s=self._machine.sensor.response_s,
+            sample_interval_s=interval_s,
+            settings=self.noise,
+        )
+
+    def _hear(self, force_n: Array, trace: Trace, reading: Reading, flow_kg_s: float) -> None:
+        """Keep the noise of a window whose flow does not just change."""
+        window, changed = reading.window, self._changed(reading.force_n)
+        like = self._pulses.take(
+            force_n,
+            trace.phase,
+            mean_force_n=reading.force_n,
+            plate_angle_rad=window.plate_angle_rad,
+            elevator_speed_rad_s=window.speed_rad_s,
+        )
+        if like is None or changed:
+            return
+        mean, own = like
+        left = residual_of_pulses(force_n, trace.phase, mean, self._machine.paddle_spacings_m)
+        crest = float(np.mean(mean.mean_n**2) / np.mean(mean.mean_n) ** 2)
+        shown = kernel_noise.in_pulses(kernel_noise.density(left, trace.interval_s, segment=SEGMENT), crest)
+        shown = replace(shown, density=shown.density / (1.0 + own))
+        moisture_pct = reading.inputs.fresh["moisture"]
+        self._heard += 1
+        self._loaded.append(_Noise(shown, reading.force_n, window.plate_angle_rad, window.speed_rad_s, moisture_pct, flow_kg_s))
+
+    def _estimate_anew(self, estimator: FlowEstimator) -> None:
+        """The flows of the windows kept, by another estimator."""
+        self._estimator, self._apparent = estimator, None
+        if not self._loaded:
+            return
+        columns = np.array([(n.force_n, n.plate_angle_rad, n.speed_rad_s, 0.0, n.moisture_pct) for n in self._loaded]).T
+        flows = np.broadcast_to(estimator.estimate(*columns).mass_flow_kg_s, len(self._loaded)).tolist()
+        kept = [replace(noise, flow_kg_s=flow) for noise, flow in zip(self._loaded, flows, strict=True)]
+        self._loaded.clear()
+        self._loaded.extend(noise for noise in kept if isfinite(noise.flow_kg_s) and noise.flow_kg_s > 0.0)
+
+    def _empty_noise(self) -> Density:
+        if self._quiet_mean is None:
+            self._quiet_mean = kernel_noise.pooled(list(self._quiet))
+        return self._quiet_mean

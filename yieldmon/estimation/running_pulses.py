@@ -1,0 +1,82 @@
+"""Mean pulses of the last windows, each kind of load by itself.
+
+What is left of the samples once the mean pulse has been taken off is noise only where that mean is of pulses like them: their
+width goes with the load, the plate and the speed.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from math import floor, log
+
+import numpy as np
+
+from yieldmon.physics.numerics import Array
+
+from .pattern_fold import FoldedPattern
+
+_BINS = 512
+_KEEP = 0.95
+"""What of a running mean a further window of its kind leaves."""
+_LEAST_SAMPLES = 2.0
+_KINDS = 64
+"""Kept; the one not seen for longest goes first."""
+_LOG_FORCE, _ANGLE_RAD, _LOG_SPEED = 0.1, float(np.deg2rad(2.0)), 0.03
+"""Steps by which pulses are told apart."""
+_BETWEEN_BINS = 2.0 / 3.0
+"""Of a bin's variance, what the straight line between two bins has in the mean."""
+
+
+@dataclass(slots=True)
+class _Sums:
+    values: Array
+    weights: Array
+    squares: Array
+
+
+class RunningPulses:
+    """Exponentially weighted mean pulses over the phase of the paddle pattern, by mean force, plate angle and speed."""
+
+    def __init__(self) -> None:
+        self._kinds: OrderedDict[tuple[int, int, int], _Sums] = OrderedDict()
+
+    def take(
+        self, samples_n: Array, phase: Array, *, mean_force_n: float, plate_angle_rad: float, elevator_speed_rad_s: float
+    ) -> tuple[FoldedPattern, float] | None:
+        """The mean of earlier windows like this one, which then joins them.
+
+        Parameters
+        ----------
+        samples_n, phase : ndarray (n,)
+            As in `pattern_fold.fold`, the phase counted from the pulses themselves.
+        mean_force_n : float
+            Above 0.
+
+        Returns
+        -------
+        tuple or None
+            The mean pattern, and by what share of a sample's variance its own chance adds to that of a difference; None where
+            too few such windows have been.
+        """
+        kind = (
+            floor(log(mean_force_n) / _LOG_FORCE),
+            round(plate_angle_rad / _ANGLE_RAD),
+            round(log(elevator_speed_rad_s) / _LOG_SPEED),
+        )
+        sums = self._kinds.pop(kind, None) or _Sums(np.zeros(_BINS), np.zeros(_BINS), np.zeros(_BINS))
+        found = None
+        if sums.weights.min() >= _LEAST_SAMPLES:
+            mean = sums.values / sums.weights
+            own = _BETWEEN_BINS * float(np.mean(sums.squares / sums.weights**2))
+            found = FoldedPattern(mean, np.zeros(_BINS), sums.weights, float("inf")), own
+        place = np.floor((phase % 1.0) * _BINS).astype(np.intp) % _BINS
+        counts = np.bincount(place, minlength=_BINS)
+        self._kinds[kind] = _Sums(
+            _KEEP * sums.values + np.bincount(place, weights=samples_n, minlength=_BINS),
+            _KEEP * sums.weights + counts,
+            _KEEP**2 * sums.squares + counts,
+        )
+        if len(self._kinds) > _KINDS:
+            self._kinds.popitem(last=False)
+        return found
