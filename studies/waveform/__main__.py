@@ -8,7 +8,8 @@
     python -m studies.waveform hidden                     # effects that the model does not know, through the monitor
     python -m studies.waveform cost                       # processor time, on and off
     python -m studies.waveform pictures --out DIR         # pulse.png, fill.png (of fill.json)
-    python -m studies.waveform season --seeds 30          # load errors of a season by channel
+    python -m studies.waveform season --seeds 30          # load errors of a season by channel, estimators alone
+    python -m studies.waveform daemon-season --seeds 30 --seed 17001 --out F.json   # the same through the monitor, with kernels
     python -m studies.waveform shape --out F.yaml         # the law of those pulses, with its range (config/pulse-shape.yaml)
     python -m studies.waveform pack LEDGER... --out F.npz # a campaign's forces at 10 kHz
 
@@ -83,6 +84,18 @@ def _season(args: argparse.Namespace) -> Any:
     return season.report(args.seeds, args.seed)
 
 
+def _daemon_season(args: argparse.Namespace) -> Any:
+    from studies.waveform import daemon_season
+
+    found: Any = None
+    for found in daemon_season.report(args.seeds, args.seed):
+        row = {key: value for key, value in found["seasons"][-1].items() if not isinstance(value, list)}
+        print(json.dumps(row), file=sys.stderr, flush=True)
+        if args.out is not None:
+            args.out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    return found
+
+
 def _shape(args: argparse.Namespace) -> Any:
     from studies.waveform import fill
     from yieldmon.files import pulse_shape_file
@@ -100,7 +113,7 @@ def _pack(args: argparse.Namespace) -> Any:
 
 _PARTS = {
     "information": _information, "fill": _fill, "attempts": _attempts, "kernels": _kernels, "hidden": _hidden, "cost": _cost,
-    "pictures": _pictures, "season": _season, "verdicts": _verdicts, "shape": _shape,
+    "pictures": _pictures, "season": _season, "daemon-season": _daemon_season, "verdicts": _verdicts, "shape": _shape,
     "pack": _pack,
 }  # fmt: skip
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from studies.dem.job import TOP_RAD, Throw
 from studies.dem.script import start_angle_rad
-from yieldmon.estimation.arrival_calibration import SEVERAL_GRAINS, calibrate_arrival
+from yieldmon.estimation.arrival_calibration import SEVERAL_GRAINS, arrival_point, calibrate_arrival, law_of
 from yieldmon.estimation.arrival_law import ArrivalLaw
 from yieldmon.estimation.pattern_fold import PatternWave
 from yieldmon.estimation.pulse_fit import PulseEstimate
@@ -82,28 +82,33 @@ def pulse_model(friction: float, model_error: float, indexed: bool) -> PulseMode
 
 
 class Judge:
-    """Estimates by arrival laws that have seen neither the judged load nor the judged plate angle.
+    """Estimates by arrival laws that have not seen what is judged.
 
-    pooled: one law over speeds and frictions; else one for each of them, of five terms.
+    pooled: one law over speeds and frictions; else one for each of them, of five terms. left_out: the judged load, the judged
+    plate angle, or all pulses that have either.
     """
 
-    def __init__(self, model_error: float, indexed: bool, pooled: bool) -> None:
-        self._pooled = pooled
+    def __init__(self, model_error: float, indexed: bool, pooled: bool, left_out: str = "both") -> None:
+        self._pooled, self._left_out, self._indexed = pooled, left_out, indexed
         self._models = {f: pulse_model(f, model_error, indexed) for f in FRICTIONS}
         self.waves = {key: wave(history, key[0], key[3]) for key, history in histories().items() if key[2] in LOADS_KG}
+        self._points = {
+            key: arrival_point(self._models[key[1]], shown, volume_flow_m3_s(key[2], key[0])) for key, shown in self.waves.items()
+        }
         self._laws: dict[tuple[float, ...], ArrivalLaw] = {}
 
     def law(self, rpm: float, friction: float, load_kg: float, angle_deg: float) -> ArrivalLaw:
         """Of all pulses but those of a load or a plate angle."""
         group = () if self._pooled else (rpm, friction)
         if (*group, load_kg, angle_deg) not in self._laws:
-            keys = [k for k in self.waves if k[2] != load_kg and k[3] != angle_deg and (self._pooled or k[:2] == (rpm, friction))]
-            self._laws[*group, load_kg, angle_deg] = calibrate_arrival(
-                [self._models[k[1]] for k in keys],
-                [self.waves[k] for k in keys],
-                [volume_flow_m3_s(k[2], k[0]) for k in keys],
-                terms=SEVERAL_GRAINS if self._pooled else 5,
-            )
+
+            def unseen(key: tuple[float, ...]) -> bool:
+                same = {"load": key[2] == load_kg, "angle": key[3] == angle_deg}
+                return any(same.values()) if self._left_out == "both" else same[self._left_out]
+
+            keys = [k for k in self.waves if not unseen(k) and (self._pooled or k[:2] == (rpm, friction))]
+            terms = SEVERAL_GRAINS if self._pooled else 5
+            self._laws[*group, load_kg, angle_deg] = law_of([self._points[k] for k in keys], terms=terms, indexed=self._indexed)
         return self._laws[*group, load_kg, angle_deg]
 
     def estimate(self, shown: PatternWave, rpm: float, friction: float, load_kg: float, angle_deg: float) -> PulseEstimate:
@@ -181,14 +186,16 @@ def other_grain(judge: Judge) -> list[dict[str, Any]]:
 
 
 def report(model_error: float) -> dict[str, Any]:
-    """Tables by speed and friction before (a law for each, nothing refused) and after, and the pulses of other grain."""
+    """Tables by speed and friction before (a law for each, nothing refused) and after, load or angle alone left out, and the
+    pulses of other grain."""
     rows = []
     for indexed in (True, False):
-        for pooled in (False, True):
-            judge = Judge(model_error, indexed, pooled)
+        for pooled, unseen in ((False, "both"), (True, "both"), (True, "load"), (True, "angle")):
+            judge = Judge(model_error, indexed, pooled, unseen)
             found = [left_out(judge, rpm, friction) for rpm, friction in TABLES]
             heads: list[dict[str, Any]] = [{"rpm": rpm, "friction": friction} for rpm, friction in TABLES]
             errors, stated, told = (np.concatenate(part) for part in zip(*found, strict=True))
             for head, part in zip([*heads, {"rpm": "all"}], [*found, (errors, stated, told.astype(bool))], strict=True):
-                rows.append({**head, "pooled": pooled, "indexed": indexed, "model_error": model_error, **_row(*part)})
+                way = {"left_out": unseen, "pooled": pooled, "indexed": indexed, "model_error": model_error}
+                rows.append({**head, **way, **_row(*part)})
     return {"left_out": rows, "other_grain": other_grain(Judge(model_error, True, True))}

@@ -49,7 +49,7 @@ def draw_fill(document: dict[str, Any], path: Path) -> None:
 
     figure = Figure(figsize=(11, 5), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
-    rows = [r for r in document["left_out"] if r["pooled"] and r["indexed"] and r["rpm"] != "all"]
+    rows = [r for r in document["left_out"] if r["pooled"] and r["indexed"] and r["left_out"] == "both" and r["rpm"] != "all"]
     for shift, (rpm, friction) in enumerate(TABLES):
         row = next(r for r in rows if (r["rpm"], r["friction"]) == (rpm, friction))
         told = np.array(row["told"], dtype=bool)
