@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 from math import exp, hypot, isfinite, log, sqrt
 from statistics import median
 
-import numpy as np
-
 from yieldmon.engine.flow import Flow
 from yieldmon.engine.kernel_channel import SEGMENT, KernelChannel
 from yieldmon.engine.measurement import Reading
@@ -31,7 +29,6 @@ from yieldmon.estimation.pulse_shape import estimate, estimate_near
 from yieldmon.estimation.shape_verdict import ShapeVerdict
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
-from yieldmon.physics.numerics import Array
 
 _NAN = float("nan")
 _BINS = 64
