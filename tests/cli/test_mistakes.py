@@ -142,7 +142,7 @@ MISTAKES = {
     "export over a file": ("export other.db --out table.csv", "--out table.csv: exists already"),
     "demo over a picture": ("demo --duration 5 --picture picture.png", "--picture picture.png: exists already"),
     # daemon's verbs, without a daemon
-    "a ticket in pounds of tea": ("ticket 1 9120lbs", "mass: '9120lbs'; expected kilograms above 0"),
+    "a ticket in pounds of tea": ("ticket 1 9120stone", "mass: '9120stone'; expected kilograms above 0"),
     "a ticket of nothing": ("ticket 1 0", "expected kilograms above 0"),
     "a ticket for a field": ("ticket north 9120", "LOAD: 'north'; expected a number such as 7"),
 }
