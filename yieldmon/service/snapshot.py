@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import fields
 
 import yieldmon
 from yieldmon.documents.status import (
@@ -230,7 +230,8 @@ def _by_cause(budget: MassBudget) -> StdDevByCause:
 
 
 def _window(row: SecondRow) -> dict[str, float | str | None]:
-    window = asdict(row)
+    # Not asdict, which copies each value deeply, for every window.
+    window = {column.name: getattr(row, column.name) for column in fields(row)}
     window["quality"] = EstimateQuality(row.quality).name.lower()
     window["operating_state"] = OperatingState(row.operating_state).name.lower()
     return window
