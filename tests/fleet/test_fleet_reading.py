@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import socket
 from collections.abc import Iterator
 from pathlib import Path
@@ -40,6 +41,17 @@ def season(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert measure(source, str(folder / "first")) == 1
     assert measure(source, str(folder / "second"), "--params", str(folder / "p.yaml")) == 1
     return folder
+
+
+def test_names_that_differ_at_their_end_only(season: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = tmp_path / "data"
+    shutil.copytree(season / "first", data)
+    for old, new in (("m0", "New Holland CR 7.90"), ("m1", "New Holland CR 7.80")):
+        (data / f"machine={old}").rename(data / f"machine={new.replace(' ', '%20')}")
+    assert main(["fleet", "report", str(data)]) == 0
+    shown = capsys.readouterr().out.splitlines()
+    assert [line[:20] for line in shown[1:3]] == ["New Holland CR 7.80 ", "New Holland CR 7.90 "]
+    assert len({len(line) for line in shown[:3]}) == 1
 
 
 def test_report(season: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

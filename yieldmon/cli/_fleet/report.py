@@ -26,13 +26,15 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _text(summary: dict[str, Any]) -> str:
-    lines = [f"{'machine':<16} days    hours         t  faults disagrees tickets  error %  drift %"]
-    for m in summary["machines"]:
+    names = [plain(m["machine"]) for m in summary["machines"]]
+    wide = max([15, *map(len, names)]) + 1
+    lines = [f"{'machine':<{wide}} days    hours         t  faults disagrees tickets  error %  drift %"]
+    for name, m in zip(names, summary["machines"], strict=True):
         faults = sum(int(f["count"]) for f in m["faults"].values())
         error = m["tickets"]["mean_error_pct"]
         drift = max((p["change_pct"] or 0.0 for p in m["parameters"].values()), key=abs, default=0.0)
         lines.append(
-            f"{m['machine'][:15]:<16}{m['days']:>5}{m['hours']:>9.1f}{m['mass_kg'] / 1000.0:>10.1f}{faults:>8}"
+            f"{name:<{wide}}{m['days']:>5}{m['hours']:>9.1f}{m['mass_kg'] / 1000.0:>10.1f}{faults:>8}"
             f"{len(m['model_disagrees']):>10}{m['tickets']['count']:>8}"
             + (f"{error:>+9.2f}" if error is not None else f"{'-':>9}")
             + f"{drift:>+9.2f}"

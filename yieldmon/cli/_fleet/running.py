@@ -135,16 +135,18 @@ def _progress(partitions: Sequence[Partition]) -> Iterator[Callable[[Outcome], N
 
 def _lines(sizes: dict[str, int], total: int) -> Callable[[Outcome], None]:
     began = said = time.monotonic()
-    done = count = 0
+    done = measured = count = 0
 
     def advance(outcome: Outcome) -> None:
-        nonlocal said, done, count
+        nonlocal said, done, measured, count
         done, count = done + sizes[outcome.name], count + 1
+        # Days that are there already say nothing about how long the others take.
+        measured += sizes[outcome.name] if outcome.status != SKIPPED else 0
         now = time.monotonic()
         if now - said >= _SAID_EVERY_S:
             said = now
-            left_s = (now - began) * (total - done) / done
-            print(f"yieldmon: {count} of {len(sizes)} days, {left_s:.0f} s left", file=sys.stderr)
+            left = f", {(now - began) * (total - done) / measured:.0f} s left" if measured else ""
+            print(f"yieldmon: {count} of {len(sizes)} days{left}", file=sys.stderr)
 
     return advance
 
