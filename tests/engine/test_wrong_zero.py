@@ -14,9 +14,12 @@ from yieldmon.engine.settings import AnchorSettings, EngineSettings
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.frames import Frame
-from yieldmon.service import commands
+from yieldmon.resources import shipped
+from yieldmon.service import commands, configuration
+from yieldmon.service.assembly import monitor_of
 from yieldmon.service.journal import Journal
 from yieldmon.service.memory import Memory
+from yieldmon.service.resumption import successor
 
 BENCH = Bench(flow=lambda t: 14.0 if t >= 1020.0 else 0.0, scatter=0.05, noise_mv=2.0)
 
@@ -48,6 +51,30 @@ def test_zero_in_grain_is_refused_then_a_fault_and_an_undo_restores_the_mass() -
     assert target.totals.total_kg == pytest.approx(14.0 * 119.0, rel=0.03)
     with pytest.raises(InputError, match="no zero calibration by an operator"):
         ask(target, "zero-undo")
+
+
+@pytest.mark.parametrize("reload_s", [1042.0, 1080.0], ids=["while it is taken", "after it"])
+def test_a_zero_is_taken_and_taken_back_across_a_reload(reload_s: float) -> None:
+    loaded, frames = configuration.load(shipped("config/yieldmon.yaml"), {}), BENCH.frames(100)
+    whole, target = monitor_of(loaded), monitor_of(loaded)
+    feed(whole, run_of(frames))
+    feed(target, run_of([f for f in frames if f.time_s < 1041.0]))
+    ask(target, "zero", force=True)
+    feed(target, run_of([f for f in frames if 1041.0 <= f.time_s < reload_s]))
+    target = successor(target, loaded, None, 1.7e9)
+    feed(target, run_of([f for f in frames if f.time_s >= reload_s]))
+    assert target.totals.total_kg < 0.6 * whole.totals.total_kg, "the zero was taken"
+    ask(target, "zero-undo")
+    assert target.totals.total_kg == pytest.approx(whole.totals.total_kg, rel=0.05)
+
+
+def test_a_sweep_that_was_asked_for_is_still_wanted_after_a_reload() -> None:
+    target = monitor()
+    feed(target, BENCH.run(10))
+    target.request_sweep()
+    after = successor(target, configuration.load(shipped("config/yieldmon.yaml"), {}), None, 1.7e9)
+    assert after.sweep.requested
+    assert not successor(monitor(), configuration.load(shipped("config/yieldmon.yaml"), {}), None, 1.7e9).sweep.requested
 
 
 def test_zero_with_the_elevator_empty_is_taken() -> None:

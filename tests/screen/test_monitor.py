@@ -248,6 +248,21 @@ def test_recording_writes_every_frame(log, tmp_path, capsys):
     assert sum(1 for _ in can.LogReader(copy)) == 44
 
 
+def test_a_recording_takes_no_other_ones_name(log, tmp_path, monkeypatch):
+    """A clock that is set back, or the hour that comes twice in autumn, says the same time again."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("time.strftime", lambda _: "yieldmon-20261025-023000")
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    pressed = ["rrr"]
+    monkeypatch.setattr("yieldmon.screen.keys.waiting", lambda: pressed.pop() if pressed else "")
+    kept = tmp_path / "yieldmon-20261025-023000.log"
+    kept.write_text("kept\n")
+    assert main(["monitor", str(log), "--speed", "4"]) == 0
+    assert kept.read_text() == "kept\n"
+    names = sorted(path.name for path in tmp_path.glob("yieldmon-*"))
+    assert names == ["yieldmon-20261025-023000-2.log", "yieldmon-20261025-023000-3.log", "yieldmon-20261025-023000.log"]
+
+
 @pytest.mark.parametrize(
     "arguments", [["missing.log", "--once"], ["--record", "x.unknown", "--once", "LOG"], ["LOG", "--speed", "-1"]]
 )

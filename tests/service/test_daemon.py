@@ -30,6 +30,7 @@ from yieldmon.service.command_queue import CommandQueue
 from yieldmon.service.control import ControlError
 from yieldmon.service.journal import Journal
 from yieldmon.service.store import Store
+from yieldmon.service.writer import StoreWriter
 
 EMPTY_MV, GRAIN_MV = 0.0, 60.0
 
@@ -299,6 +300,76 @@ def test_a_reload_that_cannot_read_its_file_this_time_ends_nothing(tmp_path, mon
         assert "Input/output error" in bench.status["configuration"]["reload"]
         bench.play(3, 0.0)
         bench.played()
+
+
+def test_a_store_that_is_opened_again_after_a_reload_is_the_one_of_the_start(tmp_path):
+    with running(tmp_path) as bench:
+        bench.play(14, EMPTY_MV)
+        bench.play(3, GRAIN_MV)
+        bench.played()
+        (tmp_path / "c.yaml").write_text("bus: {channel: other}\nstore: {path: other.sqlite}\nunits: us")
+        bench.daemon.request_reload()
+        wait_for(lambda: bench.status["configuration"]["reloads"] == 1, "the reload")
+        assert bench.status["configuration"]["reload"] == "taken; bus, store will be at the next start"
+        assert bench.status["units"] == "us"
+        assert bench.daemon.writer.wait_until_written(PATIENCE_S)
+        # Files that are removed in use are written anew, and opened.
+        for file in tmp_path.glob("yieldmon.sqlite*"):
+            if not file.name.endswith(".lock"):
+                file.unlink()
+        bench.play(3, GRAIN_MV)
+        bench.played()
+        wait_for(lambda: bench.daemon.writer.health().replacements == 1, "the replacement")
+        bench.play(3, GRAIN_MV)
+        bench.played()
+        assert bench.status["store"]["file"] == str(tmp_path / "yieldmon.sqlite")
+    assert not (tmp_path / "other.sqlite").exists()
+    with Store(tmp_path / "yieldmon.sqlite") as store:
+        rows = store.seconds()
+    assert [row.number for row in rows] == list(range(1, len(rows) + 1))
+
+
+def test_no_commit_tells_of_a_parameter_file_without_its_parameters(tmp_path, monkeypatch):
+    """A power cut between two commits would leave the start after it with what was learnt before the file."""
+    batches, submit = [], StoreWriter.submit
+    monkeypatch.setattr(StoreWriter, "submit", lambda writer, batch: (batches.append(batch), submit(writer, batch)))
+    known = parameter_file.load()
+    other = dataclasses.replace(known, values={**known.values, "friction": 0.9 * known.values["friction"]})
+    parameter_file.save(other, tmp_path / "other.yaml")
+    with running(tmp_path) as bench:
+        bench.play(3, EMPTY_MV)
+        bench.played()
+        (tmp_path / "c.yaml").write_text("parameter_file: other.yaml")
+        bench.daemon.request_reload()
+        wait_for(lambda: bench.status["configuration"]["reloads"] == 1, "the reload")
+        bench.play(3, EMPTY_MV)
+        bench.played()
+    first = next(n for n, batch in enumerate(batches) if batch.state["parameter_digest"] == parameter_file.digest(other))
+    assert [version.version for batch in batches[: first + 1] for version in batch.parameter_versions] == [1, 2]
+
+
+def test_what_is_answered_is_in_the_store(tmp_path, monkeypatch):
+    gate, commit = threading.Event(), Store.commit
+
+    def slow(store, batches):
+        assert gate.wait(PATIENCE_S)
+        commit(store, batches)
+
+    monkeypatch.setattr("yieldmon.service.daemon.TELLING_S", PATIENCE_S)
+    with running(tmp_path) as bench:
+        bench.play(2, EMPTY_MV)
+        bench.played()
+        assert bench.daemon.writer.wait_until_written(PATIENCE_S)
+        monkeypatch.setattr(Store, "commit", slow)
+        asking = threading.Thread(target=bench.daemon.command, args=({"command": "load-start", "field": "north"},))
+        asking.start()
+        wait_for(lambda: bench.status["load"]["number"] == 2, "the load")
+        assert bench.daemon.command({"command": "loads"})["loads"], "questions wait for nothing"
+        assert asking.is_alive(), "no answer before the disk has it"
+        gate.set()
+        asking.join(PATIENCE_S)
+        with Store.reading(tmp_path / "yieldmon.sqlite") as store:
+            assert [load.field for load in store.loads()] == ["", "north"]
 
 
 def test_reload_takes_a_good_configuration_and_refuses_a_bad_one(tmp_path):

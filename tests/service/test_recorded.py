@@ -51,6 +51,16 @@ def test_task_data_of_a_time_that_it_has_no_room_for_is_one_line(tmp_path: Path,
     assert "does not fit task data" in capsys.readouterr().err
 
 
+def test_a_store_is_read_whole_by_a_link_while_it_is_written(tmp_path: Path):
+    path, link = tmp_path / "s.sqlite", tmp_path / "elsewhere" / "link.sqlite"
+    link.parent.mkdir()
+    link.symlink_to(path)
+    with Store(path) as store:
+        for number in range(1, 4):
+            store.commit([Batch(number, 1.0, {}, (second(number),))])
+            assert [row.number for row in recorded.read_seconds(link)] == list(range(1, number + 1))
+
+
 def test_names_of_loads_are_no_formulas_and_no_commands_to_a_terminal(tmp_path: Path):
     path, out = tmp_path / "s.sqlite", tmp_path / "loads.csv"
     with Store(path) as store:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import shutil
 import sqlite3
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from yieldmon.service.recovery import recover
 from yieldmon.service.retention import Retention
 from yieldmon.service.store import Store
 from yieldmon.service.store_errors import StoreDamagedError, StoreDetachedError
-from yieldmon.service.store_file import read_only, witness
+from yieldmon.service.store_file import parts, read_only, witness
 from yieldmon.service.writer import StoreWriter
 
 PATIENCE_S = 10.0
@@ -50,6 +51,28 @@ def path(tmp_path: Path) -> Path:
             events = (FaultEvent(1.0, "X", True, "d"),)
             store.commit([batch(n, state=state(n), parameter_versions=versions, faults=events, counters={"a": n})])
     return path
+
+
+@pytest.mark.parametrize("empty", [False, True], ids=["missing", "empty"])
+def test_a_journal_without_its_store_is_not_thrown_away(tmp_path: Path, path: Path, empty: bool) -> None:
+    place = tmp_path / "place"
+    place.mkdir()
+    orphan = place / "s.sqlite"
+    with Store(path) as store:
+        for n in range(41, 44):
+            store.commit([batch(n, state=state(n))])
+        shutil.copyfile(parts(path)[1], parts(orphan)[1])
+    witness(orphan, 43)
+    if empty:
+        orphan.touch()
+    kept = parts(orphan)[1].read_bytes()
+    found = recover(orphan, Retention(), lambda: Store(orphan))
+    assert found.note.startswith("damaged, set aside as s.sqlite.damaged-")
+    assert kept in [aside.read_bytes() for aside in place.glob("s.sqlite.damaged-*-wal")]
+    # Of the pages that the last commits wrote; what only the file had is gone, and told.
+    assert found.memory.last_second == 43
+    assert found.memory.last_batch == 43
+    assert "saved: 2 of state, 1 of load, 43 of second" in found.note
 
 
 def damage(path: Path, table: str) -> None:

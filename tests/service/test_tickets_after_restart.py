@@ -12,6 +12,8 @@ import pytest
 from tests.service.bench import START_S, running, wait_for
 from yieldmon.cli import main as cli
 from yieldmon.files import parameter_file
+from yieldmon.service.action_log import ActionLog
+from yieldmon.service.batch import Ticket
 from yieldmon.service.store import Store
 
 LOADS = ((5, 40.0), (4, 80.0), (5, 110.0), (4, 60.0))
@@ -91,6 +93,35 @@ def test_tickets_teach_the_same_after_restarts(tmp_path, capsys) -> None:
         assert [math.sqrt(row[i]) for i, row in enumerate(covariance_anew)] == pytest.approx(
             [math.sqrt(row[i]) for i, row in enumerate(covariance)], rel=1e-6
         )
+
+
+def test_a_ticket_that_teaches_after_a_restart_is_taken_back_with_what_it_taught(tmp_path, capsys) -> None:
+    season = Season(tmp_path / "a", capsys)
+    with running(season.folder) as bench:
+        season.harvest(bench)
+        ask(season.folder, capsys, "ticket", "3", f"{1.1 * season.masses[3]}kg")
+        season.now_s = bench.now_s
+    with running(season.folder, start_s=season.now_s + 60.0) as bench:
+        bench.play(3, 0.0)
+        bench.played()
+        wait_for(lambda: bench.status["parameters"]["version"] == 2, "what it teaches")
+        undone = ask(season.folder, capsys, "ticket", "undo", "1")
+        assert (undone.get("undone"), undone.get("version")) == (2, 3)
+    assert season.lessons()[2][1] == season.lessons()[0][1] != season.lessons()[1][1]
+
+
+def test_loads_are_measured_again_though_the_daemon_was_killed_meanwhile() -> None:
+    tickets = [Ticket(1.0, 1, 1, 100.0, 90.0, "")]
+    log = ActionLog([], [], 0.0)
+    log.ticket(tickets[0], teaches=True)
+    assert log.unfinished == (1,)
+    assert log.take_waiting() == (1,)
+    assert log.unfinished == (1,), "while they are measured"
+    after = ActionLog(tickets, tuple(log), 0.0, log.unfinished)
+    assert after.waiting == [1]
+    log.posted((1,), 2, {})
+    assert log.unfinished == ()
+    assert ActionLog([], [], 0.0, (1,)).waiting == [], "a ticket that the store lost"
 
 
 def test_a_store_made_anew_by_the_last_write_has_the_tickets_too(tmp_path, capsys, monkeypatch) -> None:

@@ -121,11 +121,20 @@ class _Recorder:
         if self._logger is not None:
             self._logger = None
             return ""
-        return self.start(Path(time.strftime("yieldmon-%Y%m%d-%H%M%S.log")))
+        return self.start(_not_taken(time.strftime("yieldmon-%Y%m%d-%H%M%S")))
 
     def take(self, message: can.Message) -> None:
         if self._logger is not None:
             self._logger.on_message_received(message)
+
+
+def _not_taken(name: str) -> Path:
+    """A log of this name, with a number behind where there is one: a clock that is set back says the same time twice."""
+    path, count = Path(f"{name}.log"), 1
+    while path.exists():
+        count += 1
+        path = Path(f"{name}-{count}.log")
+    return path
 
 
 def _may_ask(args: argparse.Namespace) -> bool:

@@ -300,6 +300,17 @@ class Monitor:
         learning = before._parts.learning
         self._parts.learning.remember_tickets(learning.tickets, learning.waiting)
 
+    def take_zero_of(self, before: Monitor) -> None:
+        """After `restore` from the monitor that measured until now: a zero calibration under way, and what was measured since.
+
+        Parameters
+        ----------
+        before : Monitor
+        """
+        parts, known = self._parts, before._parts
+        parts.since_zero.add(known.since_zero.seconds)
+        parts.measurement.zero.go_on_with(known.measurement.zero)
+
     def forget_ticket(self, load_numbers: Sequence[int]) -> None:
         """A ticket was taken back; those entered since then count anew.
 

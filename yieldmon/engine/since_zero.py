@@ -57,6 +57,11 @@ class SinceZero:
         self._by_scale[load_number] = self._by_scale.get(load_number, 0.0) + mass_kg
 
     @property
+    def seconds(self) -> tuple[KeptSecond, ...]:
+        """The newest of them, in order."""
+        return tuple(self._seconds)
+
+    @property
     def by_scale(self) -> dict[int, float]:
         """Load number -> kg, for a restart."""
         return dict(self._by_scale)

@@ -169,6 +169,11 @@ class SweepMachine:
         """The next sweep is due after_s from now."""
         self._due_s = now_s + after_s
 
+    @property
+    def requested(self) -> bool:
+        """Whether the operator asked for a sweep that has not begun."""
+        return self._requested
+
     def request(self) -> None:
         """Operator: sweep as soon as the conditions hold, due or not."""
         self._requested = True

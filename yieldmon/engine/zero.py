@@ -105,6 +105,11 @@ class ZeroTracker:
         """Whether a zero calibration by the operator is under way."""
         return self._calibrating
 
+    def go_on_with(self, before: ZeroTracker) -> None:
+        """A calibration by the operator that another tracker has under way is this one's, from its first window."""
+        if before._calibrating:
+            self.calibrate(against_signs=before._against_signs)
+
     @property
     def refusal(self) -> ZeroRefusal | None:
         """Why there is no first zero although the elevator runs; None where there is one, or nothing has been seen yet."""

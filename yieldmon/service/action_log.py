@@ -13,12 +13,15 @@ from yieldmon.service.batch import Action, Ticket
 class ActionLog:
     """All tickets and actions, and those that no batch has brought to the store yet."""
 
-    def __init__(self, tickets: Sequence[Ticket], actions: Sequence[Action], now_s: float) -> None:
-        """tickets, actions: as the store has them. now_s: Unix time."""
+    def __init__(
+        self, tickets: Sequence[Ticket], actions: Sequence[Action], now_s: float, unfinished: Sequence[int] = ()
+    ) -> None:
+        """tickets, actions: as the store has them. now_s: Unix time. unfinished: as the run before had it."""
         self.now_s = now_s
         """Unix time of an action of which nothing else is said."""
-        self.waiting: list[int] = []
+        self.waiting: list[int] = [number for number in unfinished if 1 <= number <= len(tickets)]
         """Numbers of the tickets that are to update the parameters, or did and whose loads are not measured again yet."""
+        self._taken: tuple[int, ...] = ()
         self._tickets = list(tickets)
         self._actions = list(actions)
         self._new_tickets: list[Ticket] = []
@@ -62,11 +65,20 @@ class ActionLog:
 
     def take_waiting(self) -> tuple[int, ...]:
         """The tickets that wait; each is returned once."""
-        numbers, self.waiting = tuple(self.waiting), []
-        return numbers
+        self._taken, self.waiting = tuple(self.waiting), []
+        return self._taken
+
+    @property
+    def unfinished(self) -> tuple[int, ...]:
+        """Numbers of the tickets that wait or whose loads are being measured again, which a restart has to go on with."""
+        return (*self._taken, *self.waiting)
 
     def posted(self, tickets: Sequence[int], version: int, factors: Mapping[int, float]) -> None:
-        """Loads were measured again with the parameters of this version, after these tickets. factors: by load number."""
+        """Loads were measured again with the parameters of this version, after these tickets. factors: by load number; none where
+        nothing came of it."""
+        self._taken = ()
+        if not factors:
+            return
         document = {
             "tickets": list(tickets), "version": version, "factors": {str(n): factor for n, factor in sorted(factors.items())}
         }  # fmt: skip

@@ -27,6 +27,10 @@ _MOST_LOADS = 63
 """Between the first and the last of a ticket that teaches about loads of an earlier run."""
 
 
+QUERIES = frozenset({"status", "loads", "tickets", "calibrations"})
+"""Commands that change nothing."""
+
+
 def execute(
     request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float, stored: Sequence[StoredLoad] = ()
 ) -> Answer:

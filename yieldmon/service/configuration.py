@@ -32,7 +32,7 @@ from yieldmon.physics.machine import SAME_ANGLE_RAD, Machine
 from yieldmon.resources import shipped
 from yieldmon.service.control import LONGEST_SOCKET_BYTES
 from yieldmon.service.document import ENGINE_SECTIONS, Document
-from yieldmon.service.folders import runtime_folder, state_folder
+from yieldmon.service.folders import runtime_folder, state_folder, where_sqlite_writes
 from yieldmon.service.former_keys import with_present_keys
 from yieldmon.service.output_section import output_map
 from yieldmon.service.retention import Retention
@@ -158,17 +158,12 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
         machine_path=machine_path,
         parameters=parameters,
         parameter_path=parameter_path,
-        store_path=_where_sqlite_writes(state_folder(environment) / document.store.path),
+        store_path=where_sqlite_writes(state_folder(environment) / document.store.path),
         retention=Retention(document.store.record_hours, document.store.size_mb, document.store.event_rows),
         socket_path=runtime_folder(environment) / document.status.socket,
         prometheus_path=runtime_folder(environment) / prometheus if prometheus is not None else None,
         notes=(*renamed, *([] if curve is None else [_on_curve(curve, Path(str(curve_path)))])),
     )
-
-
-def _where_sqlite_writes(path: Path) -> Path:
-    """What a link to a store leads to: by the link a second daemon would have a lock of its own. Linked folders stay as named."""
-    return Path(os.path.realpath(path)) if path.is_symlink() else path
 
 
 def with_estimator(configuration: Configuration, path: Path | str) -> Configuration:

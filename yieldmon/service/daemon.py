@@ -30,7 +30,7 @@ from yieldmon.service import commands
 from yieldmon.service.assembly import monitor_of
 from yieldmon.service.bus_time import SILENCE_S, BusTime
 from yieldmon.service.bus_traffic import BusTraffic, FrameRate
-from yieldmon.service.command_queue import CommandQueue
+from yieldmon.service.command_queue import CommandQueue, Job
 from yieldmon.service.configuration import Configuration
 from yieldmon.service.control import Answer, ControlServer
 from yieldmon.service.frame_sender import FrameSender
@@ -45,7 +45,7 @@ from yieldmon.service.ownership import owned
 from yieldmon.service.posting import Poster
 from yieldmon.service.recovery import recover
 from yieldmon.service.reference_loads import StoredLoad, of_path
-from yieldmon.service.reload_check import at_next_start
+from yieldmon.service.reload_check import at_next_start, usable_now
 from yieldmon.service.resumption import resume, successor
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.service_faults import ServiceFaults
@@ -63,6 +63,8 @@ _LAST_ROWS = 10
 _STALE_S = 5.0
 #: A thread that gives no sign of life for so long is a reason to have the daemon started anew.
 _HANGS_FOR_GOOD_S = 8.0
+#: How long an answer waits for the disk to have what was told.
+TELLING_S = 2.0
 #: How long a stop waits for the disk; with the other steps it is over within 5 s.
 STOP_WRITING_S = 1.5
 
@@ -406,7 +408,10 @@ class Daemon:
         """
         if request["command"] == "status":
             return self._status()
-        return self._commands.ask(request, self._stored(request))
+        answer = self._commands.ask(request, self._stored(request))
+        if request["command"] not in commands.QUERIES and not self._writer.wait_until_written(TELLING_S):
+            _log.warning("%s: done, and not in the store yet", request["command"])
+        return answer
 
     def _stored(self, request: Mapping[str, Any]) -> Sequence[StoredLoad]:
         """Loads that a ticket names, read here and not on the engine's thread, which must not wait for a disk."""
@@ -420,24 +425,26 @@ class Daemon:
             return ()
 
     def _do_commands(self) -> None:
-        done = False
+        done: list[tuple[Job, Answer]] = []
         for job in self._commands.take():
             try:
-                answer = commands.execute(job.request, self._monitor, self._journal, time.time(), job.stored)
-                job.answer.set_result({**answer, "units": self.configuration.document.units})
-                done = True
+                done.append((job, commands.execute(job.request, self._monitor, self._journal, time.time(), job.stored)))
             except InputError as error:
                 job.answer.set_exception(error)
         if done:
             self._commit()
             self._answer = self._snapshot()
+        # What is answered has been handed to the store.
+        for job, answer in done:
+            job.answer.set_result({**answer, "units": self.configuration.document.units})
 
     def _post(self) -> None:
         """After a ticket updated the parameters, the last days' loads are measured again; what comes of it goes to the store."""
         posted = self._poster.take()
-        if posted is not None and posted.factors:
+        if posted is not None:
             self._journal.actions.posted(posted.tickets, posted.version, posted.factors)
-            self._commit()
+            if posted.factors:
+                self._commit()
         if self._journal.actions.waiting and not self._monitor.masses_wait and not self._poster.busy:
             totals, now_s = self._monitor.totals, self._monitor.bus_time_s
             version = self._monitor.estimator.parameters.version
@@ -461,12 +468,14 @@ class Daemon:
 
     def _use(self, new: Configuration) -> None:
         later = at_next_start(self._at_start, new)
-        fresh = self._journal.parameters.read_anew(new.parameters)
+        new = usable_now(self._at_start, new)
+        fresh = self._journal.parameters.unlike(new.parameters)
         self._commit()
         monitor = successor(self._monitor, new, fresh, time.time())
         commands.set_crop(monitor, self._journal)
         self._monitor, self._record = monitor, None
-        # The next batch brings the parameters.
+        # The next batch brings both: the file's name alone would make a start take the parameters before it for the file's.
+        self._journal.parameters.configure(new.parameters)
         self._journal.new_monitor(monitor.estimator.parameters, "file")
         self._faults.report_all_anew()
         self.configuration = new

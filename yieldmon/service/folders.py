@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -21,3 +22,9 @@ def runtime_folder(environment: Mapping[str, str]) -> Path:
     if environment.get("XDG_RUNTIME_DIR"):
         return Path(environment["XDG_RUNTIME_DIR"]) / "yieldmon"
     return state_folder(environment)
+
+
+def where_sqlite_writes(path: Path) -> Path:
+    """What a link to a store leads to: SQLite keeps the journal beside that, and by the link a second daemon would have a lock of
+    its own. Linked folders stay as named."""
+    return Path(os.path.realpath(path)) if path.is_symlink() else path

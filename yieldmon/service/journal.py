@@ -32,7 +32,7 @@ class Journal:
 
     def __init__(self, memory: Memory, configured: ParameterSet, field: str = "", crop: str = "", *, now_s: float) -> None:
         """memory: what the store holds. configured: the parameters as their file has them. now_s: Unix time."""
-        self.actions = ActionLog(memory.tickets, memory.actions, now_s)
+        self.actions = ActionLog(memory.tickets, memory.actions, now_s, memory.unfinished_tickets)
         self.parameters = ParameterHistory(memory, configured, self.actions)
         self.loads = LoadBook(memory.loads)
         self.field = memory.field or field
@@ -144,6 +144,7 @@ class Journal:
             "crop": self.crop,
             "kernel_weight_g": self.kernel_weight_g,
             "faults": sorted(self._faults),
+            "unfinished_tickets": list(self.actions.unfinished),
         }
 
     def _fault(self, code: str, active: bool, detail: str) -> None:

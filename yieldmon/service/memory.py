@@ -51,6 +51,8 @@ class Memory:
     versions: Mapping[int, ParameterSet] = field_of(default_factory=dict)
     """The newest parameter versions."""
     actions: tuple[Action, ...] = ()
+    unfinished_tickets: tuple[int, ...] = ()
+    """Numbers of those that are still to update the parameters, or whose loads are still to be measured again."""
     since_zero: tuple[SecondRow, ...] = ()
     """Seconds since the operator's last zero calibration, where that can be undone."""
     ticketed: tuple[StoredLoad, ...] = ()
@@ -85,6 +87,7 @@ def recall(store: Store) -> Memory:
             of_crop=_by_crop(versions, str(store.path)),
             versions={v.version: parameter_file.from_document(v.document, str(store.path)) for v in versions[-KEPT_VERSIONS:]},
             actions=actions,
+            unfinished_tickets=tuple(map(int, document.get("unfinished_tickets", ()))),
             since_zero=_since_zero(store, actions) if engine.zero_undo is not None else (),
             ticketed=_ticketed(store, engine),
         )

@@ -63,13 +63,13 @@ class ParameterHistory:
         self.use(chosen, "crop", who, f"what is known of {crop}")
         return chosen
 
-    def read_anew(self, configured: ParameterSet) -> ParameterSet | None:
-        """A parameter file read anew: the set to use from now on, None when it is the one that is in use."""
-        found = parameter_file.digest(configured)
-        if found == self.digest:
-            return None
-        self.digest = found
-        return replace(configured, version=self.version + 1)
+    def unlike(self, configured: ParameterSet) -> ParameterSet | None:
+        """A parameter file read anew: the set to use from now on, None when it is the one that was read last."""
+        return None if parameter_file.digest(configured) == self.digest else replace(configured, version=self.version + 1)
+
+    def configure(self, configured: ParameterSet) -> None:
+        """This file's parameters are those to begin with from now on."""
+        self.digest = parameter_file.digest(configured)
 
     def undo(self, version: int, who: str, now_s: float) -> ParameterSet:
         """The parameters before a version, as a new version in use. Raises InputError."""

@@ -22,7 +22,7 @@ from yieldmon.service.checksums import UNCHECKED, row_checksum
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store
 from yieldmon.service.store_errors import StoreDetachedError, StoreError
-from yieldmon.service.store_file import header_problem, parts, prepared, set_aside
+from yieldmon.service.store_file import header_problem, is_orphaned, parts, prepared, set_aside
 from yieldmon.service.store_sql import second_is_sound
 
 #: How long copying one-second records may hold up a start; the newest come first, the others stay in the file set aside.
@@ -138,15 +138,18 @@ def _put_in_place(path: Path, label: str) -> Path:
 
 @contextmanager
 def _opened(path: Path, model: Path) -> Iterator[sqlite3.Connection | None]:
-    """The damaged store to be read; a copy with another header or first page where that is what is damaged; None when all fails.
+    """The damaged store to be read; a copy with another header or first page where that is what is damaged; None when all fails. Of a
+    journal alone, what it has.
 
     model: an empty store. Tables of one that was made by this version begin at the same pages.
     """
     mended = path.with_name(f"{path.name}.mended")
     try:
-        database = _readable(path) if header_problem(path) is None else None
-        if database is None and path.exists() and path.stat().st_size <= _MENDED_AT_MOST_BYTES:
-            content = path.read_bytes()
+        orphaned = is_orphaned(path)
+        database = _readable(path) if header_problem(path) is None and not orphaned else None
+        if database is None and (orphaned or (path.exists() and path.stat().st_size <= _MENDED_AT_MOST_BYTES)):
+            # Under a journal without its file lies an empty store: tables begin at the same pages.
+            content = model.read_bytes() if orphaned else path.read_bytes()
             for candidate in (content, _with_the_schema_of(model.read_bytes(), content)):
                 for part in parts(mended):
                     part.unlink(missing_ok=True)

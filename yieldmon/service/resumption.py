@@ -43,6 +43,9 @@ def successor(before: Monitor, configuration: Configuration, fresh: ParameterSet
         state = replace(state, calibration_age_s=calibration_age_s(fresh, now_s))
     monitor = monitor_of(configuration, fresh or before.estimator.parameters)
     monitor.restore(state)
+    monitor.take_zero_of(before)
+    if before.sweep.requested:
+        monitor.request_sweep()
     if fresh is None:
         monitor.take_tickets_of(before)
     return monitor

@@ -33,6 +33,7 @@ from yieldmon.service.store_file import (
     has_journal,
     header_problem,
     in_memory,
+    is_orphaned,
     looks_like_a_store,
     parts,
     prepared,
@@ -90,6 +91,8 @@ class Store:
                 self._database = in_memory(path, timeout_s)
             else:
                 path.parent.mkdir(parents=True, exist_ok=True)
+                if is_orphaned(path):
+                    raise StoreDamagedError(f"{path}: is empty or missing, and its journal is there")
                 self._database = sqlite3.connect(path, timeout=timeout_s, isolation_level=None)
         self._identities: dict[Path, tuple[int, int]] = {}
         self._unchecked_to: int | None = 0

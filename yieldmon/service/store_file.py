@@ -15,6 +15,7 @@ from urllib.parse import quote
 from yieldmon.errors import InputError
 from yieldmon.service import schema
 from yieldmon.service.checksums import row_checksum
+from yieldmon.service.folders import where_sqlite_writes
 from yieldmon.service.store_errors import StoreError
 
 _LARGEST_VALUE_BYTES = 16 * 1024 * 1024
@@ -55,6 +56,11 @@ def has_journal(path: Path) -> bool:
     """Whether a store has a journal with something in it."""
     journal = parts(path)[1]
     return journal.exists() and journal.stat().st_size > 0
+
+
+def is_orphaned(path: Path) -> bool:
+    """Whether a store is missing, or empty, and its journal is there: SQLite would throw the journal away."""
+    return has_journal(path) and not (path.exists() and path.stat().st_size)
 
 
 def unwritten(path: Path, timeout_s: float) -> sqlite3.Connection:
@@ -148,6 +154,7 @@ def read_only(path: Path) -> sqlite3.Connection:
     """
     if not path.is_file():
         raise InputError(str(path), "is a folder" if path.is_dir() else "no such file", "a daemon's store")
+    path = where_sqlite_writes(path)
     # Reading beside a writer needs the writer's journal index; without a journal the file alone is the whole store.
     journal = path.with_name(f"{path.name}-wal").exists()
     try:
