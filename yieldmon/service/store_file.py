@@ -60,7 +60,7 @@ def has_journal(path: Path) -> bool:
 
 def is_orphaned(path: Path) -> bool:
     """Whether a store is missing, or empty, and its journal is there: SQLite would throw the journal away."""
-    return has_journal(path) and not (path.exists() and path.stat().st_size)
+    return parts(path)[1].is_file() and has_journal(path) and not (path.exists() and path.stat().st_size)
 
 
 def unwritten(path: Path, timeout_s: float) -> sqlite3.Connection:
