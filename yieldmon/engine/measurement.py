@@ -80,7 +80,7 @@ class PaddleScatter:
     @property
     def square(self) -> float:
         """As known now."""
-        return self._sum / self.patterns
+        return self._sum / self.patterns if self.patterns > 0.0 else self._settings.paddle_scatter**2
 
     def see(self, square: float, patterns: float) -> None:
         """A window's own, from so many paddle patterns."""

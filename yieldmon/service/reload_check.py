@@ -21,8 +21,8 @@ def at_next_start(start: Configuration, new: Configuration) -> list[str]:
 
 
 def usable_now(start: Configuration, new: Configuration) -> Configuration:
-    """The new configuration with what is fixed at the start as it was then: a bus or a store that is opened again while the daemon
-    runs is the one that it began with."""
+    """The new configuration with what is fixed at the start as it was then: a bus or a store that is opened again is the one that
+    the daemon began with."""
     fixed = {name: getattr(start.document, name) for name in _FIXED_AT_START}
     return replace(
         new,

@@ -138,8 +138,8 @@ def _put_in_place(path: Path, label: str) -> Path:
 
 @contextmanager
 def _opened(path: Path, model: Path) -> Iterator[sqlite3.Connection | None]:
-    """The damaged store to be read; a copy with another header or first page where that is what is damaged; None when all fails. Of
-    a journal alone, what it has.
+    """The damaged store to be read; a copy with another header or first page where that is what is damaged; None when all fails.
+    Of a journal alone, what it has.
 
     model: an empty store. Tables of one that was made by this version begin at the same pages.
     """
