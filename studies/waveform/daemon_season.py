@@ -26,7 +26,7 @@ from studies.waveform.fill import FOLDER
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.monitor import Monitor
-from yieldmon.engine.results import Result, frames_in, records_in
+from yieldmon.engine.results import Result, frames_in, records_in, windows_in
 from yieldmon.engine.runs import run_of
 from yieldmon.engine.settings import EngineSettings, SweepSettings, WaveformSettings
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
@@ -156,11 +156,10 @@ def _calibrate(known: ParameterSet, told_g: float, rng: np.random.Generator, slo
     combine = VirtualCombine(from_mapping(ground, "calibration"), MACHINE, seed=int(rng.integers(1 << 30)))
     measured, stretches, biases = 0.0, [], []
     for frame in _frames(combine, CALIBRATION_S, 0.0):
-        for record in records_in(monitor.feed(frame)):
-            measured += record.mass_kg
-            assert monitor.waveform is not None
-            stretches.append(monitor.waveform.stretch)
-            biases.append(monitor.waveform.bias)
+        for window in windows_in(monitor.feed(frame)):
+            measured += window.record.mass_kg
+            stretches.append(window.waveform.stretch)
+            biases.append(window.waveform.bias)
     weighed = float(combine.truth.columns["mass_flow_kg_s"].sum()) * (1.0 + TICKET_SD * rng.standard_normal())
     bias = float(np.nanmedian(biases[-100:])) * measured / weighed
     return replace(waveform, combine=True, stretch=float(np.nanmedian(stretches)), kernel_bias=bias)

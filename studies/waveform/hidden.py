@@ -15,7 +15,7 @@ from studies.waveform.fill import MACHINE, histories
 from yieldmon import frames
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
-from yieldmon.engine.results import records_in
+from yieldmon.engine.results import windows_in
 from yieldmon.engine.settings import EngineSettings, SweepSettings, WaveformSettings
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
@@ -56,8 +56,8 @@ def judged(
     waveform = replace(WaveformSettings(), shape=pulse_shape_file.load(), enabled=True, stretch=stretch[0], stretch_sd=stretch[1])
     settings = replace(EngineSettings(), sweep=replace(SweepSettings(), enabled=False), waveform=waveform)
     monitor = Monitor(settings, machine, OpenLoop(ForwardModel(machine, parameters.effects), parameters))
-    records = [r for frame in traffic for r in records_in(monitor.feed(frame))]
-    late = [r for r in records if r.time_s > LATE_S]
+    windows = [window for frame in traffic for window in windows_in(monitor.feed(frame))]
+    late = [window.record for window in windows if window.record.time_s > LATE_S]
 
     def mean(name: str) -> float:
         found = np.array([getattr(r, name) for r in late], dtype=float)
@@ -67,13 +67,13 @@ def judged(
     relative = mean("shape_std_dev_kg_s") / shape
     error = float(np.log(shape / truth_kg_s))
     shown = any(FaultCode.WAVEFORM_CONTRADICTS in r.faults for r in late)
-    seen = monitor.waveform
+    agreeing = windows[-1].waveform.stretch
     return {
         "mean_force_error_pct": _pct(flow / truth_kg_s - 1.0), "mean_force_sd_pct": _pct(mean("std_dev_kg_s") / flow),
         "shape_error_pct": _pct(shape / truth_kg_s - 1.0), "shape_sd_pct": _pct(relative),
         "covered": bool(abs(error) <= 2.0 * relative) if np.isfinite(error) else None, "contradiction": shown,
         "silently_wrong": bool(np.isfinite(error) and abs(error) > 2.0 * relative and not shown),
-        "stretch_by_mean_force": round(seen.stretch, 3) if seen is not None and np.isfinite(seen.stretch) else None,
+        "stretch_by_mean_force": round(agreeing, 3) if np.isfinite(agreeing) else None,
     }  # fmt: skip
 
 

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from yieldmon.engine.monitor import Monitor
-from yieldmon.engine.results import records_in
+from yieldmon.engine.results import windows_in
 from yieldmon.engine.settings import EngineSettings, SweepSettings, WaveformSettings
+from yieldmon.engine.waveform import NOTHING
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import pulse_shape_file
@@ -42,14 +43,13 @@ def verdict(response_s: float, flows_kg_s: tuple[float, ...], seed: int) -> dict
     machine = replace(Machine(), sensor=replace(Machine().sensor, response_s=response_s))
     monitor = Monitor(engine, machine, OpenLoop(ForwardModel(machine, PARAMETERS.effects), PARAMETERS))
     combine = VirtualCombine(from_mapping(scenario, "verdicts"), seed=seed)
-    by_kernels, true_kg_s = 0.0, 0.0
+    by_kernels, true_kg_s, seen = 0.0, 0.0, NOTHING
     for frame in combine.frames_until(END_S):
-        for record in records_in(monitor.feed(frame)):
-            if np.isfinite(record.kernel_flow_kg_s):
-                by_kernels += record.kernel_flow_kg_s
+        for window in windows_in(monitor.feed(frame)):
+            seen = window.waveform
+            if np.isfinite(seen.kernels_kg_s):
+                by_kernels += seen.kernels_kg_s
                 true_kg_s += float(combine.truth.columns["mass_flow_kg_s"][-1])
-    seen = monitor.waveform
-    assert seen is not None
     told = by_kernels > 0.0
     return {
         "cell_ms": 1e3 * response_s, "verdict": seen.kernels.name.lower(), "says": seen.kernels_reason,

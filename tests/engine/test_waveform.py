@@ -15,7 +15,7 @@ from tests.service.bench import CODEC
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord
-from yieldmon.engine.results import records_in
+from yieldmon.engine.results import WindowResult, records_in, windows_in
 from yieldmon.engine.settings import EngineSettings, SweepSettings, WaveformSettings
 from yieldmon.estimation.channel_combination import combine
 from yieldmon.estimation.kernel_noise import KernelVerdict
@@ -271,11 +271,15 @@ def test_a_log_in_bulk_says_what_its_frames_one_by_one_say(tmp_path: Path) -> No
         return Monitor(engine, MACHINE, OpenLoop(ForwardModel(MACHINE, PARAMETERS.effects), PARAMETERS))
 
     rows: list[SecondRow] = []
-    process_in_bulk([tmp_path / "a.log"], monitor(), CODEC, rows.append)
+    together: list[WindowResult] = []
+    process_in_bulk(
+        [tmp_path / "a.log"], monitor(), CODEC, rows.append, take_results=lambda found: together.extend(windows_in(found))
+    )
     alone = monitor()
     with can.LogReader(str(tmp_path / "a.log")) as log:
         frames = [frame for message in log if (frame := CODEC.decode(message)) is not None]
-    records = [r for frame in frames for r in records_in(alone.feed(frame))]
+    windows = [window for frame in frames for window in windows_in(alone.feed(frame))]
+    records = [window.record for window in windows]
     assert len(rows) == len(records)
     assert sum(row.shape_flow_kg_s is not None for row in rows) >= 10
     for row, record in zip(rows, records, strict=True):
@@ -284,3 +288,11 @@ def test_a_log_in_bulk_says_what_its_frames_one_by_one_say(tmp_path: Path) -> No
         for name in ("shape_flow_kg_s", "shape_std_dev_kg_s", "shape_volume_flow_m3_s", "mass_kg"):
             shown = getattr(row, name)
             assert (np.nan if shown is None else shown) == pytest.approx(getattr(record, name), rel=1e-9, nan_ok=True), name
+    # The wave of each window leaves with it, however many close at once.
+    assert len(together) == len(windows)
+    for one, other in zip(together, windows, strict=True):
+        assert (one.waveform.wave is None) is (one.record.shape_verdict is not ShapeVerdict.USED)
+        assert (other.waveform.wave is None) is (one.waveform.wave is None)
+        if one.waveform.wave is not None:
+            assert one.waveform.wave.elevator_speed_rad_s == one.record.elevator_speed_rad_s
+            np.testing.assert_allclose(one.waveform.wave.amplitudes_n, other.waveform.wave.amplitudes_n, rtol=1e-9)

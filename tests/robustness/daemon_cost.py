@@ -1,6 +1,6 @@
 """What the daemon costs: its share of one core, and how long after a window's end the result is on the bus.
 
-    python -m tests.robustness daemon-cost [--seconds S] [--json]
+    python -m tests.robustness daemon-cost [--seconds S] [--waveform] [--json]
 
 The daemon (`yieldmon run`, a process of its own) and the virtual combine meet on python-can's udp_multicast, so no CAN in the
 kernel is needed. The combine's frames are made beforehand and sent in real time; shares are the daemon's own processor time (its
@@ -8,6 +8,7 @@ kernel is needed. The combine's frames are made beforehand and sent in real time
 1,800 frames a second, what fills 250 kbit/s. Every frame passes through Python here, which drops those of other nodes after
 having read them; on SocketCAN the kernel does. Latency: from the instant at which a one-second window ends to the instant at
 which its MassFlow frame arrives at another process's socket. It holds the wait for the combine's next frame, up to 4 ms.
+--waveform: with `waveform.enabled` and `combine`; exit code 1 where pulses or kernel noise were not looked at in the end.
 """
 
 from __future__ import annotations
@@ -36,14 +37,9 @@ FULL_BUS_FRAMES_S = 1800
 EMPTY_S, WARM_UP_S = 8.0, 16.0
 FLOW_KG_S = 12.0
 START_LIMIT_S = 120.0
-SCENARIO = {
-    "flow": {
-        "pieces": [
-            {"kind": "steady", "duration_s": EMPTY_S, "flow_kg_s": 0.0},
-            {"kind": "steady", "duration_s": 1e5, "flow_kg_s": FLOW_KG_S},
-        ]
-    }
-}
+#: Kernel noise needs the empty machine's for longer.
+WAVEFORM_EMPTY_S = 25.0
+WAVEFORM = {"enabled": True, "combine": True, "thousand_kernel_weight_g": 350.0}
 
 
 @dataclass(frozen=True)
@@ -65,12 +61,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prog="python -m tests.robustness daemon-cost", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--seconds", type=float, default=120.0, metavar="S", help="length of each kind of traffic (default: 120)")
+    parser.add_argument("--waveform", action="store_true", help="with pulse shape and kernel noise looked at, and combined")
     parser.add_argument("--json", action="store_true", help="print one JSON document")
     options = parser.parse_args(arguments)
     if not 5.0 <= options.seconds <= 3600.0:
         parser.error(f"--seconds is {options.seconds:g}; expected 5 to 3600")
     with tempfile.TemporaryDirectory() as folder:
-        phases = measure(Path(folder), options.seconds)
+        phases = measure(Path(folder), options.seconds, waveform=options.waveform)
     if options.json:
         print(json.dumps({"load_average": os.getloadavg(), "phases": [vars(phase) for phase in phases]}))
         return 0
@@ -82,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def measure(folder: Path, seconds: float) -> list[Phase]:
+def measure(folder: Path, seconds: float, *, waveform: bool = False) -> list[Phase]:
     """Runs the daemon through both kinds of traffic."""
     import can
 
@@ -91,9 +88,11 @@ def measure(folder: Path, seconds: float) -> list[Phase]:
     configuration = folder / "yieldmon.yaml"
     bus = {"interface": "udp_multicast", "channel": GROUP, "options": {"port": PORT}}
     # JSON is YAML.
-    configuration.write_text(json.dumps({"bus": bus}))
+    configuration.write_text(json.dumps({"bus": bus, "waveform": WAVEFORM} if waveform else {"bus": bus}))
     folders = {"STATE_DIRECTORY": str(folder), "RUNTIME_DIRECTORY": str(folder)}
-    messages = traffic(WARM_UP_S + 2.0 * seconds + 1.0)
+    empty_s = WAVEFORM_EMPTY_S if waveform else EMPTY_S
+    warm_up_s = empty_s + WARM_UP_S - EMPTY_S
+    messages = traffic(warm_up_s + 2.0 * seconds + 1.0, empty_s)
     command = [sys.executable, "-m", "yieldmon", "run", "--config", str(configuration)]
     daemon = subprocess.Popen(command, cwd=ROOT, env={**os.environ, **folders})
     try:
@@ -112,7 +111,7 @@ def measure(folder: Path, seconds: float) -> list[Phase]:
                 time.sleep(0.1)
         with can.Bus(GROUP, interface="udp_multicast", port=PORT) as sender, Listener() as listener:
             player = Player(sender, messages)
-            player.play(WARM_UP_S, filler=False)
+            player.play(warm_up_s, filler=False)
             phases = []
             for name, filler in (("nominal", False), ("full bus", True)):
                 before_s, cpu_s, sent = time.monotonic(), cpu_time_s(daemon.pid), player.sent
@@ -121,7 +120,10 @@ def measure(folder: Path, seconds: float) -> list[Phase]:
                 wall_s = time.monotonic() - before_s
                 share = 100.0 * (cpu_time_s(daemon.pid) - cpu_s) / wall_s
                 phases.append(listener.phase(name, (player.sent - sent) / wall_s, share))
-        told = status()["bus"]
+        said = status()
+        told, seen = said["bus"], said["waveform"]
+        if waveform and (seen["shape_verdict"] != "used" or seen["kernel_verdict"] in ("not_looked_at", "too_early")):
+            raise SystemExit(f"the waveform was not looked at: pulses {seen['shape_verdict']}, kernels {seen['kernel_verdict']}")
         # The status is of the last window's end; a second of nominal traffic came after it at most.
         missing = player.own_sent - told["received"] - player.own_sent * 1.1 / player.played_s
         if told["dropped"] or told["late"] or missing > 0.0:
@@ -133,7 +135,7 @@ def measure(folder: Path, seconds: float) -> list[Phase]:
         daemon.wait(START_LIMIT_S)
 
 
-def traffic(duration_s: float) -> list[Any]:
+def traffic(duration_s: float, empty_s: float = EMPTY_S) -> list[Any]:
     """The virtual combine's frames, encoded, with the time of each from 0."""
     from yieldmon.bus.codec import Codec
     from yieldmon.physics.machine import Machine
@@ -141,7 +143,11 @@ def traffic(duration_s: float) -> list[Any]:
     from yieldmon.plant.combine import VirtualCombine
 
     codec = Codec()
-    chosen = scenario.from_mapping({**SCENARIO, "duration_s": duration_s + 1.0}, "daemon-cost")
+    pieces = [
+        {"kind": "steady", "duration_s": empty_s, "flow_kg_s": 0.0},
+        {"kind": "steady", "duration_s": 1e5, "flow_kg_s": FLOW_KG_S},
+    ]
+    chosen = scenario.from_mapping({"flow": {"pieces": pieces}, "duration_s": duration_s + 1.0}, "daemon-cost")
     combine = VirtualCombine(chosen, Machine(), 0)
     return [codec.encode(frame) for frame in combine.frames_until(duration_s)]
 

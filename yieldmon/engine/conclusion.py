@@ -55,7 +55,7 @@ class Conclusion:
         frames = parts.publisher.frames(record, self._published()) if self.publishing else ()
         emptied = parts.unloading.emptied(reading.inputs, window.end_s - window.start_s) and loads.totals.load_kg > 0.0
         started = loads.start(bus_s) if emptied else ()
-        return _result(record, frames, (*begun, *zero, *shown, *learnt, *ended, *started))
+        return _result(record, frames, (*begun, *zero, *shown, *learnt, *ended, *started), seen)
 
     def _flow(self, reading: Reading, estimate: Estimate | None) -> tuple[Flow, WaveformReading]:
         """The flow by mean force, and what the samples' shape says; both together where that is asked for."""

@@ -13,6 +13,7 @@ from yieldmon.engine.learning import ParametersChanged
 from yieldmon.engine.loads import LoadClosed, LoadOpened
 from yieldmon.engine.plate import SweepEnded
 from yieldmon.engine.records import WindowRecord
+from yieldmon.engine.waveform import NOTHING, WaveformReading
 from yieldmon.frames import Frame
 
 
@@ -39,6 +40,8 @@ class WindowResult:
         To send, in order.
     events : tuple
         In the order in which they happened: faults, loads opened and closed, parameters changed, sweeps ended, zeros taken.
+    waveform : WaveformReading
+        What the window's samples say beside their mean; nan and None where they are not looked at.
 
     Examples
     --------
@@ -48,6 +51,7 @@ class WindowResult:
     record: WindowRecord
     frames: tuple[Frame, ...] = ()
     events: tuple[Event, ...] = ()
+    waveform: WaveformReading = NOTHING
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,9 +70,14 @@ def frames_in(results: Iterable[Result]) -> list[Frame]:
     return [frame for result in results for frame in result.frames]
 
 
+def windows_in(results: Iterable[Result]) -> list[WindowResult]:
+    """The windows that closed, in order."""
+    return [result for result in results if isinstance(result, WindowResult)]
+
+
 def records_in(results: Iterable[Result]) -> list[WindowRecord]:
     """The records of the windows that closed, in order."""
-    return [result.record for result in results if isinstance(result, WindowResult)]
+    return [result.record for result in windows_in(results)]
 
 
 def events_in(results: Iterable[Result]) -> list[Event]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from yieldmon.bus.codec import Codec
+from yieldmon.engine.results import Result, windows_in
 from yieldmon.engine.waveform import law_of, pulse_model
 from yieldmon.errors import InputError
 from yieldmon.estimation.machine_shape import WeighedWave
@@ -15,9 +16,9 @@ from yieldmon.estimation.pattern_fold import PatternWave
 from yieldmon.estimation.pulse_model import PulseModel
 from yieldmon.files.ticket_file import WeighedTicket
 from yieldmon.service.assembly import build_monitor
+from yieldmon.service.bulk_processing import process_in_bulk
 from yieldmon.service.configuration import Configuration
 from yieldmon.service.log_copies import refuse_copies
-from yieldmon.service.processing import process_logs
 from yieldmon.service.recorded import is_store
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.weighed_loads import MeasuredLoad, loads_in_log, loads_on
@@ -56,19 +57,16 @@ def read(sources: Sequence[str], configured: Configuration) -> tuple[WavedLoad, 
 
 def _of_log(source: str, configured: Configuration, before: int) -> list[WavedLoad]:
     rows: list[SecondRow] = []
-    waves: dict[int, PatternWave] = {}
+    seen: list[PatternWave | None] = []
     monitor = build_monitor(
         configured.engine, configured.machine, configured.parameters, None, configured.signals.sources, drives_plate=False
     )
 
-    def take(row: SecondRow) -> None:
-        rows.append(row)
-        seen = monitor.waveform
-        # Of windows that close together only the last one's wave is there to see.
-        if seen is not None and seen.wave is not None and seen.mean_kg_s == row.mean_force_flow_kg_s:
-            waves[row.number] = seen.wave
+    def take(results: Sequence[Result]) -> None:
+        seen.extend(result.waveform.wave for result in windows_in(results))
 
-    process_logs([source], monitor, Codec(), take, configured.signals)
+    process_in_bulk([source], monitor, Codec(), rows.append, signals=configured.signals, take_results=take)
+    waves = {row.number: wave for row, wave in zip(rows, seen, strict=True) if wave is not None}
     versions = {configured.parameters.version: configured.parameters}
     return [
         WavedLoad(load, tuple((row, waves[row.number]) for row in _steady(load.seconds) if row.number in waves))
