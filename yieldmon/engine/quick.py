@@ -1,9 +1,10 @@
-"""Frozen dataclasses of many fields made in a fraction of the time, once a second of every log."""
+"""Frozen dataclasses of many fields made, and changed, in a fraction of the time, once a second of every log."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import fields, make_dataclass
+from operator import attrgetter
 from typing import Any, TypeVar
 
 T = TypeVar("T")
@@ -32,3 +33,29 @@ def maker_of(kind: type[T]) -> Callable[..., T]:
         return made  # type: ignore[no-any-return]
 
     return make
+
+
+def changer_of(kind: type[T]) -> Callable[..., T]:
+    """What `dataclasses.replace` is, for one kind.
+
+    Parameters
+    ----------
+    kind : type
+        As of `maker_of`, of two fields or more.
+
+    Returns
+    -------
+    callable
+        Takes an instance, and values by the names of fields.
+    """
+    names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+    places = {name: place for place, name in enumerate(names)}
+    values, made = attrgetter(*names), maker_of(kind)
+
+    def changed(one: T, **changes: Any) -> T:
+        row = list(values(one))
+        for name, value in changes.items():
+            row[places[name]] = value
+        return made(*row)
+
+    return changed

@@ -14,6 +14,7 @@ from statistics import median
 from yieldmon.engine.flow import Flow
 from yieldmon.engine.kernel_channel import SEGMENT, KernelChannel
 from yieldmon.engine.measurement import Reading
+from yieldmon.engine.quick import changer_of
 from yieldmon.engine.records import FlowEstimator
 from yieldmon.engine.settings import WaveformSettings
 from yieldmon.engine.windows import Trace
@@ -80,6 +81,7 @@ class WaveformReading:
 
 
 NOTHING = WaveformReading()
+_with = changer_of(WaveformReading)
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,21 +233,21 @@ class Waveform:
         rate, std_dev = mean_flow.rate_kg_s, mean_flow.std_dev_kg_s
         seen = WaveformReading(mean_kg_s=rate, mean_std_dev_kg_s=std_dev, kernel_weight_g=self._weight_g(reading) or _NAN)
         if shape is not None and isfinite(shape.volume_flow_m3_s):
-            seen = replace(seen, wave=self._prepared[reading.window.end_s][0])
+            seen = _with(seen, wave=self._prepared[reading.window.end_s][0])
             seen = self._with_shape(seen, shape, reading, mean_flow, estimator)
         elif reading.window.coverage < _WHOLE:
-            seen = replace(seen, shape=ShapeVerdict.FEW_TURNS, shape_reason=_FEW_TURNS)
+            seen = _with(seen, shape=ShapeVerdict.FEW_TURNS, shape_reason=_FEW_TURNS)
         elif of_mean := self._outside(rate / estimator.parameters.values["density"], reading, estimator):
-            seen = replace(seen, shape=ShapeVerdict.OUTSIDE_CALIBRATION, shape_reason=of_mean)
+            seen = _with(seen, shape=ShapeVerdict.OUTSIDE_CALIBRATION, shape_reason=of_mean)
         else:
             no_fit = self._contradiction(0.0, _NO_FIT)
-            seen = replace(seen, shape=ShapeVerdict.NO_PULSES, shape_reason=_NO_PULSES, contradiction=no_fit)
+            seen = _with(seen, shape=ShapeVerdict.NO_PULSES, shape_reason=_NO_PULSES, contradiction=no_fit)
         missing = seen.shape_reason if shape is None else ""
         seen = self._with_kernels(seen, reading, kernels, missing)
         if seen.kernels is KernelVerdict.USED:
             over, sd = seen.kernels_kg_s / rate, seen.kernels_std_dev_kg_s / seen.kernels_kg_s
             self._of_kernels = _Scale(log(over), sd, 0.0, estimator, reading.window.end_s)
-            seen = replace(seen, bias=self._agreeing_bias(over))
+            seen = _with(seen, bias=self._agreeing_bias(over))
         elif seen.kernels is not KernelVerdict.TOO_EARLY:
             self._of_kernels = None
         return self._counted(seen, reading, mean_flow, estimator)
@@ -272,13 +274,13 @@ class Waveform:
         if self._of_kernels is not None and held(self._of_kernels):
             over, over_sd = self._of_kernels.log_over_mean_force, self._of_kernels.lasting_sd
             if against := self._kernels_contradict(over / hypot(lasting, over_sd)):
-                seen = replace(seen, contradiction=seen.contradiction or against)
+                seen = _with(seen, contradiction=seen.contradiction or against)
             weight = sd**2 / (sd**2 + over_sd**2)
             flow *= (rate * exp(over) / flow) ** weight
             sd, corrected = sd * over_sd / hypot(sd, over_sd), True
         if not corrected:
             return seen
-        return replace(seen, combined_kg_s=flow, combined_std_dev_kg_s=flow * hypot(sd, noise))
+        return _with(seen, combined_kg_s=flow, combined_std_dev_kg_s=flow * hypot(sd, noise))
 
     def _with_shape(
         self, seen: WaveformReading, shape: PulseEstimate, reading: Reading, mean_flow: Flow, estimator: FlowEstimator
@@ -297,12 +299,12 @@ class Waveform:
         if not of_mean:
             # There the law holds, and a shape that finds itself outside speaks against the mean force all the same.
             against = self._contradiction(together.z, shape.misfit)
-            seen = replace(seen, contradiction=against, stretch=self._agreeing_stretch(shape, rate / density))
+            seen = _with(seen, contradiction=against, stretch=self._agreeing_stretch(shape, rate / density))
         if outside := of_mean or shape.outside:
-            return replace(seen, shape=ShapeVerdict.OUTSIDE_CALIBRATION, shape_reason=outside)
+            return _with(seen, shape=ShapeVerdict.OUTSIDE_CALIBRATION, shape_reason=outside)
         lasting_sd = sqrt(max(shape.relative_sd**2 - shape.random_sd**2, 0.0))
         self._of_shapes.append(_Scale(log(flow / rate), lasting_sd, shape.random_sd, estimator, reading.window.end_s))
-        return replace(
+        return _with(
             seen,
             shape=ShapeVerdict.USED,
             volume_m3_s=shape.volume_flow_m3_s,
@@ -330,11 +332,11 @@ class Waveform:
         """missing: why there is no fit, without which the pulses cannot be taken off."""
         if kernels is None:
             early = missing or f"needs {self._settings.quiet_windows} s of the empty machine, and of grain"
-            return replace(seen, kernels=KernelVerdict.TOO_EARLY, kernels_reason=early)
+            return _with(seen, kernels=KernelVerdict.TOO_EARLY, kernels_reason=early)
         if not kernels.usable:
-            return replace(seen, kernels=kernels.verdict, kernels_reason=kernels.reason)
+            return _with(seen, kernels=kernels.verdict, kernels_reason=kernels.reason)
         if not isfinite(seen.kernel_weight_g):
-            return replace(seen, kernels=KernelVerdict.NO_KERNEL_WEIGHT, kernels_reason=_NO_WEIGHT)
+            return _with(seen, kernels=KernelVerdict.NO_KERNEL_WEIGHT, kernels_reason=_NO_WEIGHT)
         found = kernel_noise.kernel_flow(
             kernels,
             reading.force_n,
@@ -342,7 +344,7 @@ class Waveform:
             kernel_mass_sd=self._settings.kernel_mass_sd,
             settings=self._kernel_channel.noise,
         )
-        return replace(
+        return _with(
             seen,
             kernels_kg_s=found.mass_flow_kg_s,
             kernels_std_dev_kg_s=found.mass_flow_kg_s * found.relative_sd,

@@ -25,13 +25,14 @@ class Combined:
 
 def relative_covariance(parameters: ParameterSet) -> tuple[float, float]:
     """Variance of ln(density) and its covariance with ln(1 + restitution); the latter 0 for parameters without restitution."""
-    names = ("density", "restitution") if "restitution" in parameters.values else ("density",)
-    block = parameters.covariance_of(names)
-    density = parameters.values["density"]
-    variance = float(block[0, 0]) / density**2
-    if len(names) == 1:
+    values, known = parameters.values, parameters.covariance_names
+    if "density" not in known:
+        return 0.0, 0.0
+    row, density = parameters.covariance[known.index("density")], values["density"]
+    variance = float(row[known.index("density")]) / density**2
+    if "restitution" not in values or "restitution" not in known:
         return variance, 0.0
-    return variance, float(block[0, 1]) / (density * (1.0 + parameters.values["restitution"]))
+    return variance, float(row[known.index("restitution")]) / (density * (1.0 + values["restitution"]))
 
 
 def combine(

@@ -14,6 +14,7 @@ from enum import IntEnum
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from yieldmon.physics.numerics import Array
 
@@ -153,22 +154,39 @@ def density(samples_n: Array, sample_interval_s: float, *, segment: int = 256) -
     count = (len(samples_n) - segment) // (segment // 2) + 1
     if count < 1:
         raise ValueError(f"{len(samples_n)} samples, expected at least one segment of {segment}")
-    places = np.arange(count)[:, None] * (segment // 2) + np.arange(segment)
-    window = _hann(segment)
-    parts = np.asarray(samples_n, dtype=float)[places]
-    waves = np.fft.rfft((parts - parts.mean(axis=1, keepdims=True)) * window, axis=1)
-    power = (np.abs(waves) ** 2).mean(axis=0) * sample_interval_s / (window**2).sum()
-    frequency: Array = np.asarray(np.fft.rfftfreq(segment, sample_interval_s), dtype=np.float64)
+    window, power_of_window = _hann(segment)
+    parts = np.asarray(samples_n, dtype=float)[_segments(count, segment)]
+    parts -= (parts.sum(axis=1) / segment)[:, None]
+    parts *= window
+    waves = np.fft.rfft(parts)
+    power = (waves.real**2 + waves.imag**2).sum(axis=0) * (sample_interval_s / (power_of_window * count))
     # Hann segments that overlap by half: 1 / (1 + 2 (1/6)^2) of their number are independent (Welch, 1967).
     independent = count if count == 1 else count / (1.0 + 2.0 * (1.0 - 1.0 / count) / 36.0)
-    return Density(frequency[1:-1], power[1:-1], independent / _HANN_NEIGHBOURS)
+    return Density(_frequencies(segment, sample_interval_s), power[1:-1], independent / _HANN_NEIGHBOURS)
 
 
 @lru_cache(maxsize=8)
-def _hann(segment: int) -> Array:
+def _hann(segment: int) -> tuple[Array, float]:
+    """The window, and the sum of its squares."""
     window = np.hanning(segment + 1)[:-1]
     window.flags.writeable = False
-    return window
+    return window, float((window**2).sum())
+
+
+@lru_cache(maxsize=8)
+def _segments(count: int, segment: int) -> NDArray[np.intp]:
+    """Places (count, segment) of the samples of segments that overlap by half."""
+    places = np.arange(count)[:, None] * (segment // 2) + np.arange(segment)
+    places.flags.writeable = False
+    return places
+
+
+@lru_cache(maxsize=8)
+def _frequencies(segment: int, sample_interval_s: float) -> Array:
+    """Above 0 and below Nyquist."""
+    frequency: Array = np.asarray(np.fft.rfftfreq(segment, sample_interval_s)[1:-1], dtype=np.float64)
+    frequency.flags.writeable = False
+    return frequency
 
 
 def in_pulses(found: Density, crest: float) -> Density:
@@ -185,7 +203,7 @@ def in_pulses(found: Density, crest: float) -> Density:
 def pooled(parts: list[Density]) -> Density:
     """Mean of densities on the same frequencies, weighted by their averages."""
     weights = np.array([p.averages for p in parts])
-    mean = (weights[:, None] * np.stack([p.density for p in parts])).sum(axis=0) / weights.sum()
+    mean = weights @ np.array([p.density for p in parts]) / weights.sum()
     return Density(parts[0].frequency_hz, mean, float(weights.sum()))
 
 

@@ -68,9 +68,9 @@ class RunningPulses:
         found = None
         if sums.weights.min() >= _LEAST_SAMPLES:
             mean = sums.values / sums.weights
-            own = _BETWEEN_BINS * float(np.mean(sums.squares / sums.weights**2))
+            own = _BETWEEN_BINS * float((sums.squares / (sums.weights * sums.weights)).sum()) / _BINS
             found = FoldedPattern(mean, np.zeros(_BINS), sums.weights, float("inf")), own
-        place = np.floor((phase % 1.0) * _BINS).astype(np.intp) % _BINS
+        place = ((phase - np.floor(phase)) * _BINS).astype(np.intp) % _BINS
         counts = np.bincount(place, minlength=_BINS)
         self._kinds[kind] = _Sums(
             _KEEP * sums.values + np.bincount(place, weights=samples_n, minlength=_BINS),
