@@ -9,7 +9,7 @@
     python -m studies.waveform cost                       # processor time, on and off
     python -m studies.waveform pictures --out DIR         # pulse.png, fill.png (of fill.json)
     python -m studies.waveform season --seeds 30          # load errors of a season by channel, estimators alone
-    python -m studies.waveform daemon-season --seeds 30 --seed 17001 --out F.json   # the same through the monitor, with kernels
+    python -m studies.waveform daemon-season --seeds 30 --seed 17001 --out F.json   # through the monitor, with kernels; goes on
     python -m studies.waveform shape --out F.yaml         # the law of those pulses, with its range (config/pulse-shape.yaml)
     python -m studies.waveform pack LEDGER... --out F.npz # a campaign's forces at 10 kHz
 
@@ -87,8 +87,8 @@ def _season(args: argparse.Namespace) -> Any:
 def _daemon_season(args: argparse.Namespace) -> Any:
     from studies.waveform import daemon_season
 
-    found: Any = None
-    for found in daemon_season.report(args.seeds, args.seed):
+    found = before = json.loads(args.out.read_text()) if args.out is not None and args.out.exists() else None
+    for found in daemon_season.report(args.seeds, args.seed, before):
         row = {key: value for key, value in found["seasons"][-1].items() if not isinstance(value, list)}
         print(json.dumps(row), file=sys.stderr, flush=True)
         if args.out is not None:

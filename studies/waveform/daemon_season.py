@@ -248,12 +248,15 @@ def best_possible(exponent: float) -> dict[str, float]:
     return {"exponent": exponent, "least_over_b": round(min(found) / found[0], 3), "share": float(shares[int(np.argmin(found))])}
 
 
-def report(seeds: int, first: int) -> Iterator[dict[str, Any]]:
-    """The document so far after each season, the last one whole."""
+def report(seeds: int, first: int, before: dict[str, Any] | None = None) -> Iterator[dict[str, Any]]:
+    """The document so far after each season, the last one whole. before: one that was not finished; its seasons stand."""
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False).stdout.strip()
-    rows: list[dict[str, Any]] = []
+    rows = [{"commit": before["commit"], **row} for row in before["seasons"]] if before is not None else []
+    done = {row["seed"] for row in rows}
     for seed in range(first, first + seeds):
-        rows.append(season(seed))
+        if seed in done:
+            continue
+        rows.append({"commit": commit, **season(seed)})
         errors = {name: np.array([row[f"{name}_mean_abs_pct"] for row in rows]) for name in NAMES}
         alike = np.array([row["signs"][0] == row["signs"][1] for row in rows])
         yield {
