@@ -23,11 +23,11 @@ from yieldmon.bus.logs import (
     log_format,
     open_bytes,
     read_log,
+    reading_log,
     refuse_unreadable,
     without_byte_order_mark,
 )
 from yieldmon.bus.packed import Wanted, read_blocks
-from yieldmon.errors import InputError
 
 _CHUNK_BYTES = 4 * 1024 * 1024
 _MESSAGES_PER_BLOCK = 100_000
@@ -90,16 +90,13 @@ def iter_blocks(
 def _candump_blocks(path: Path, notes: LogNotes, chunk_bytes: int, compiled: bool | None) -> Iterator[FrameBlock]:
     channels: list[str] = []
     line = 1
-    try:
-        with open_bytes(path, log_format(path)[1]) as stream:
-            for chunk in _whole_lines(stream, path, chunk_bytes):
-                parsed = _parse(chunk, path, notes, channels, line, compiled)
-                line += parsed.lines
-                columns = (parsed.time_s, parsed.can_id, parsed.length, parsed.payload, parsed.channel)
-                yield FrameBlock(*columns, tuple(channels), parsed.long)
-            early_end = early_end_of(stream)
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "a readable CAN log") from error
+    with reading_log(path), open_bytes(path, log_format(path)[1]) as stream:
+        for chunk in _whole_lines(stream, path, chunk_bytes):
+            parsed = _parse(chunk, path, notes, channels, line, compiled)
+            line += parsed.lines
+            columns = (parsed.time_s, parsed.can_id, parsed.length, parsed.payload, parsed.channel)
+            yield FrameBlock(*columns, tuple(channels), parsed.long)
+        early_end = early_end_of(stream)
     if early_end is not None:
         notes.damage(f"{path}:{line}", early_end)
     refuse_unreadable(notes)

@@ -14,7 +14,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -27,7 +27,7 @@ from yieldmon.bus.candump import dropped_frames, parse_line
 from yieldmon.bus.gunzip import Gunzip
 from yieldmon.bus.mf4_reading import Mf4Log
 from yieldmon.bus.sqlite_log import SqliteLog
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, reading
 from yieldmon.identifiers import LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID
 
 if TYPE_CHECKING:
@@ -132,13 +132,16 @@ def read_log(path: Path | str, notes: LogNotes | None = None) -> Iterator[can.Me
     notes = notes if notes is not None else LogNotes()
     suffix, compressed = log_format(path)
     read = _read_text if suffix in TEXT_SUFFIXES else _read_packed if suffix == PACKED_SUFFIX else _read_binary
-    try:
+    with reading_log(path):
         for message in read(path, suffix, compressed, notes):
             notes.frame(message)
             yield message
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "a readable CAN log") from error
     refuse_unreadable(notes)
+
+
+def reading_log(path: Path | str) -> AbstractContextManager[None]:
+    """Raises InputError for a log that the system does not let be read."""
+    return reading(path, "a readable CAN log")
 
 
 def refuse_unreadable(notes: LogNotes) -> None:
@@ -151,10 +154,8 @@ def refuse_unreadable(notes: LogNotes) -> None:
 def require_log(path: Path | str) -> None:
     """Raises InputError unless there is a file with the name of a known format that can be opened."""
     log_format(Path(path))
-    try:
+    with reading_log(path):
         Path(path).open("rb").close()
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "a readable CAN log") from error
 
 
 def require_package(path: Path | str) -> None:

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
-import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from yieldmon.cli import _by_loads, _flow_curve, _outputs, _pulse_shape, model_options
+from yieldmon.cli import _by_loads, _flow_curve, _outputs, _provenance, _pulse_shape, model_options
+from yieldmon.cli._json import print_json
 from yieldmon.documents.calibrate import CalibrationDocument, ComparedModel
 from yieldmon.errors import InputError
 from yieldmon.estimation import empirical, identifiability
@@ -25,8 +23,7 @@ from yieldmon.estimation.measurements import Measurements
 from yieldmon.estimation.moisture import fit as fit_moisture_map
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import EXCHANGED, Prior
-from yieldmon.files import moisture_file, parameter_file, table, whole_file
-from yieldmon.finite import finite_document
+from yieldmon.files import digests, moisture_file, parameter_file, table, whole_file
 from yieldmon.physics.effects import get_effect
 from yieldmon.physics.grain import fitted
 from yieldmon.physics.machine import Machine
@@ -82,15 +79,24 @@ def run(args: argparse.Namespace) -> int:
     """Fit, report, write. Exit code 1 when weighed loads refuse the calibration."""
     if args.pulse_shape:
         shape = _pulse_shape.run(args)
-        print(json.dumps(finite_document(shape), indent=1) if args.json else _pulse_shape.text(shape))
+        if args.json:
+            print_json(shape, indent=1)
+        else:
+            print(_pulse_shape.text(shape))
         return 1 if shape["refused"] else 0
     if args.estimator is not None:
         curve = _flow_curve.run(args)
-        print(json.dumps(finite_document(curve), indent=1) if args.json else _flow_curve.text(curve))
+        if args.json:
+            print_json(curve, indent=1)
+        else:
+            print(_flow_curve.text(curve))
         return 0
     if args.loads is not None:
         document = _by_loads.run(args)
-        print(json.dumps(finite_document(document), indent=1) if args.json else _by_loads.text(document))
+        if args.json:
+            print_json(document, indent=1)
+        else:
+            print(_by_loads.text(document))
         return 1 if document["refused"] else 0
     if args.data is None:
         raise InputError("DATA", "is missing", "a table of a test facility, or --loads and --tickets")
@@ -120,7 +126,10 @@ def _of_table(args: argparse.Namespace) -> int:
     if args.out is not None:
         parameter_file.save(result.parameter_set, args.out)
         document["written"] = args.out
-    print(json.dumps(finite_document(document), indent=1) if args.json else text(document))
+    if args.json:
+        print_json(document, indent=1)
+    else:
+        print(text(document))
     return 0
 
 
@@ -150,10 +159,7 @@ def _read(args: argparse.Namespace, machine: Machine) -> tuple[table.Table, Meas
         print(f"yieldmon: {note}", file=sys.stderr)
     if args.plate_angle is None:
         return data, rows
-    chosen = np.isclose(rows.columns()[0], np.radians(args.plate_angle), atol=1e-6)
-    if not np.any(chosen):
-        raise InputError("--plate-angle", f"is {args.plate_angle:g}", f"an angle that {data.path} holds")
-    return data, rows.select(chosen)
+    return data, model_options.at_plate_angle(rows, args.plate_angle, data)
 
 
 def report(result: Calibration, data: table.Table, rows: Measurements) -> CalibrationDocument:
@@ -301,16 +307,13 @@ def _fit_form(
 def _with_provenance(
     fitted: ParameterSet, args: argparse.Namespace, data: table.Table, parent: ParameterSet | None
 ) -> ParameterSet:
-    facts = {
-        "data": Path(data.path).name,
-        "data_sha256": data.sha256,
-        "date": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+    facts = _provenance.of_table(data) | {
         "method": "least squares" + (", soft-L1 loss" if args.robust else "") + f", {args.starts} starts, seed {args.seed}",
     }
     if args.response_scale is not None:
         facts["response_scale"] = repr(args.response_scale)
     if parent is not None:
-        facts["parent"] = f"{Path(args.prior).name} sha256 {hashlib.sha256(Path(args.prior).read_bytes()).hexdigest()}"
+        facts["parent"] = f"{Path(args.prior).name} sha256 {digests.of_file(args.prior)}"
         facts["parent_version"] = str(parent.version)
     return replace(fitted, provenance=facts, version=1 if parent is None else parent.version + 1)
 
@@ -351,7 +354,7 @@ def _by_moisture(args: argparse.Namespace, machine: Machine, data: table.Table, 
     if args.out is not None and len(sets) > 1:
         moisture_file.save(fit_moisture_map(np.unique(moisture).tolist(), sets), Path(args.out) / "moisture-map.yaml")
     if args.json:
-        print(json.dumps(finite_document({"by_moisture": documents}), indent=1))
+        print_json({"by_moisture": documents}, indent=1)
     else:
         print("\n\n".join(f"moisture {d['moisture_pct']:g} %\n{text(d)}" for d in documents))
     return 0

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from typing import Any
 
+from yieldmon.cli._json import print_json
 from yieldmon.errors import InputError
 from yieldmon.resources import shipped
 from yieldmon.service import configuration
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
             "signals": seen,
             "configuration": loaded.document.model_dump() if loaded is not None else None,
         }
-        print(json.dumps(document, indent=2))
+        print_json(document)
     else:
         if seen is not None:
             _show(seen)

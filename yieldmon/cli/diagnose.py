@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,13 +11,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from yieldmon.cli import _outputs
+from yieldmon.cli._json import print_json
 from yieldmon.discrepancy import adoption, diagnosis, planning, report
 from yieldmon.discrepancy.diagnosis_document import to_document
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.files import machine_file, parameter_file, table
+from yieldmon.files import machine_file, parameter_file, table, whole_file
 from yieldmon.files.table import Table
-from yieldmon.files.whole_file import check_place, scratch_for
+from yieldmon.files.whole_file import check_place
 from yieldmon.physics.effects import registry
 from yieldmon.physics.machine import Machine
 from yieldmon.resources import shipped
@@ -93,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
     for note in data.notes:
         print(note, file=sys.stderr)
     if args.json:
-        print(json.dumps(to_document(found), indent=2))
+        print_json(to_document(found))
     else:
         print_text(found)
     if args.report is not None:
@@ -161,8 +161,7 @@ def _from_store(args: argparse.Namespace, machine: Machine) -> _Source:
     parameters = parameter_file.load(path) if path is not None else sweep_table.given_parameters(args.data)
     found = sweep_table.read(args.data, machine, parameters, args.sweeps)
     if args.table is not None:
-        with scratch_for(args.table) as scratch:
-            scratch.write_text(found.text, encoding="utf-8")
+        whole_file.write(args.table, found.text)
     return _Source(found.table, parameters, path, True, found.scale_sd)
 
 

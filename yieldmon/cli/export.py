@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from yieldmon.cli import _outputs
+from yieldmon.cli._limits import within
 from yieldmon.errors import InputError
 from yieldmon.export import agleader, columns, geojson, geopackage, taskdata
 from yieldmon.export.points import PointSettings, YieldPoint, yield_points
@@ -109,8 +109,7 @@ def _settings(args: argparse.Namespace) -> PointSettings:
         ("--end-delay", args.end_delay, 0.0, 600.0),
         ("--reference-moisture", args.reference_moisture, 0.0, 50.0),
     ):
-        if not (isfinite(value) and low <= value <= high):
-            raise InputError(name, f"is {value:g}", f"{low:g} to {high:g}")
+        within(name, value, low, high)
     return PointSettings(
         swath_m=args.swath,
         flow_delay_s=args.flow_delay,

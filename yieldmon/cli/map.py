@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Iterable
@@ -12,6 +11,8 @@ from datetime import date
 from math import isfinite
 from pathlib import Path
 
+from yieldmon.cli._json import print_json
+from yieldmon.cli._limits import within_if_given
 from yieldmon.cli._units import add_units
 from yieldmon.errors import InputError
 from yieldmon.field import harvest, loads, sources, summary
@@ -93,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
     document = summary.document(result) | {"files": [str(path) for path in written]}
     _tell(document, result)
     if args.json:
-        print(json.dumps(document, indent=1, allow_nan=False))
+        print_json(document, indent=1)
     return 0
 
 
@@ -150,12 +151,6 @@ def _formats(text: str) -> tuple[str, ...]:
     return chosen
 
 
-def _number(name: str, value: float | None, low: float, high: float) -> float | None:
-    if value is not None and not (isfinite(value) and low <= value <= high):
-        raise InputError(name, f"is {value:g}", f"{low:g} to {high:g}")
-    return value
-
-
 def _read_options(args: argparse.Namespace) -> ReadOptions:
     columns = {}
     for text in args.column:
@@ -170,20 +165,20 @@ def _read_options(args: argparse.Namespace) -> ReadOptions:
             first = date.fromisoformat(args.date)
         except ValueError:
             raise InputError("--date", f"is {args.date!r}", "YYYY-MM-DD") from None
-    return ReadOptions(columns, _number("--width", args.width, 0.1, 60.0), args.crop, args.field, first, args.crs)
+    return ReadOptions(columns, within_if_given("--width", args.width, 0.1, 60.0), args.crop, args.field, first, args.crs)
 
 
 def _map_options(args: argparse.Namespace) -> harvest.MapOptions:
     for name in args.without:
         if name not in NAMES or name in NEEDED:
             raise InputError("--without", f"names {name!r}", f"one of {', '.join(n for n in NAMES if n not in NEEDED)}")
-    _number("--grid", args.grid, 1.0, 1000.0)
+    within_if_given("--grid", args.grid, 1.0, 1000.0)
     return harvest.MapOptions(
-        _number("--flow-delay", args.flow_delay, -60.0, 120.0),
-        _number("--moisture-delay", args.moisture_delay, -60.0, 120.0),
+        within_if_given("--flow-delay", args.flow_delay, -60.0, 120.0),
+        within_if_given("--moisture-delay", args.moisture_delay, -60.0, 120.0),
         HeaderPlace(
-            _number("--header-ahead", args.header_ahead, -20.0, 20.0) or 0.0,
-            _number("--header-right", args.header_right, -20.0, 20.0) or 0.0,
+            within_if_given("--header-ahead", args.header_ahead, -20.0, 20.0) or 0.0,
+            within_if_given("--header-right", args.header_right, -20.0, 20.0) or 0.0,
         ),
         tuple(args.without),
         tuple(loads.read_tickets(Path(args.tickets))) if args.tickets else (),

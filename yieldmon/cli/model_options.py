@@ -202,6 +202,14 @@ def measurements(data: Table, machine: Machine, response_scale: float | None = N
     return Measurements(Conditions(**chosen), values[usable], sigma[usable] if np.all(known) else None, np.flatnonzero(usable))
 
 
+def at_plate_angle(rows: Measurements, angle_deg: float, data: Table) -> Measurements:
+    """Those of the rows at one plate angle. Raises InputError where there is none."""
+    chosen = np.isclose(rows.columns()[0], np.radians(angle_deg), atol=1e-6)
+    if not np.any(chosen):
+        raise InputError("--plate-angle", f"is {angle_deg:g}", f"an angle that {data.path} holds")
+    return rows.select(chosen)
+
+
 def check_force(data: Table, rows: Measurements, machine: Machine) -> None:
     """Raises InputError for readings in N or kg m/s that no grain can give, typically because of their unit.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,6 +12,7 @@ from yieldmon.bus.codec import Codec
 from yieldmon.bus.loading import iter_blocks
 from yieldmon.bus.logs import PACKED_SUFFIX, LogNotes, require_log
 from yieldmon.bus.packed import pack
+from yieldmon.cli._json import print_json
 from yieldmon.errors import InputError
 from yieldmon.files.whole_file import scratch_for
 
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
         "damages": [str(damage) for damage in notes.damages],
     }
     if args.json:
-        print(json.dumps(document, indent=2))
+        print_json(document)
     else:
         share = 100.0 * packed.size_bytes / logs_bytes
         print(f"{out}: {packed.frames} frames, {packed.size_bytes} bytes, {share:.1f} % of the logs' size", file=sys.stderr)

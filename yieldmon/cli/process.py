@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import multiprocessing
 import os
 import signal
@@ -16,6 +15,7 @@ from pathlib import Path
 
 from yieldmon.bus.logs import SUFFIXES, require_package
 from yieldmon.cli import _flow_curve, _outputs
+from yieldmon.cli._json import print_json
 from yieldmon.cli._units import add_units
 from yieldmon.documents.process import ProcessSummary, ReprocessSummary
 from yieldmon.errors import InputError
@@ -90,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
     with _progress(args.logs) as progress, _says_what_is_kept(args.out):
         document = _one_record(args.logs, args.out, args.format, loaded, args.jobs > 1, progress, args.zero_mv)
     if args.json:
-        print(json.dumps(document, indent=2))
+        print_json(document)
     else:
         print(_line(document, units), file=sys.stderr)
     return 0
@@ -135,11 +135,7 @@ def _store_again(args: argparse.Namespace, loaded: configuration.Configuration, 
     rows = recorded.read_seconds(args.logs[0])
     parameters = loaded.parameters
     if args.params is None and args.estimator is None:
-        with recorded.opened(Path(args.logs[0])) as store:
-            versions = store.parameter_versions()
-        if not versions:
-            raise InputError(args.logs[0], "holds no parameters", "--params")
-        parameters = parameter_file.from_document(versions[-1].document, args.logs[0])
+        parameters = recorded.last_parameters(Path(args.logs[0]))
     found = measured_again(rows, loaded.machine, parameters, loaded.engine, zero_mv=args.zero_mv, delay_s=args.delay)
     with open_table(args.out, f".{args.format}" if args.format else None) as table:
         for row in found.rows:
@@ -150,7 +146,7 @@ def _store_again(args: argparse.Namespace, loaded: configuration.Configuration, 
             "windows": len(rows), "before_mass_kg": found.before_kg, "total_mass_kg": found.after_kg, "loads": loads,
             "seconds_unusable": found.unusable,
         }  # fmt: skip
-        print(json.dumps(document, indent=2))
+        print_json(document)
         return 0
     before, after = units.mass_with_bushels(found.before_kg), units.mass_with_bushels(found.after_kg)
     print(f"{len(rows)} s, {after}; as measured {before}", file=sys.stderr)
@@ -197,7 +193,7 @@ def _separately(args: argparse.Namespace, config: str | Path, units: Units) -> i
             if not args.json:
                 print(f"{log}: {_line(document, units)}", file=sys.stderr)
     if args.json:
-        print(json.dumps(documents, indent=2))
+        print_json(documents)
     return 0
 
 

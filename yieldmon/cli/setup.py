@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from yieldmon.cli import _provenance
+from yieldmon.cli._json import print_json
 from yieldmon.cli._setup import derive, session
 from yieldmon.cli._setup.questions import QUESTIONS, bolted
 from yieldmon.errors import InputError
-from yieldmon.files import machine_file, parameter_file, strict_yaml
-from yieldmon.files.whole_file import READABLE, readable_folder, scratch_for
+from yieldmon.files import machine_file, parameter_file, strict_yaml, whole_file
+from yieldmon.files.whole_file import READABLE, readable_folder
 from yieldmon.service import configuration, plausible
 
 CONFIGURATION, MACHINE, RECORD = "yieldmon.yaml", "machine.yaml", "setup-record.yaml"
@@ -60,7 +60,10 @@ def run(args: argparse.Namespace) -> int:
         session.ask(answers, input, print, lambda now: session.keep(now, folder))
     document = write(answers, folder, force=args.force)
     session.keep(answers, folder)
-    print(json.dumps(document, indent=1) if args.json else text(document))
+    if args.json:
+        print_json(document, indent=1)
+    else:
+        print(text(document))
     return 0
 
 
@@ -75,7 +78,7 @@ def write(answers: dict[str, Any], folder: Path, *, force: bool) -> dict[str, An
     there = [name for name in names.values() if (folder / name).exists()]
     if there and not force:
         raise InputError(str(folder / there[0]), "exists already", "another folder for --out, or --force to replace it")
-    now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    now = _provenance.today()
     found = {
         "date": now,
         "cell": {
@@ -99,8 +102,7 @@ def write(answers: dict[str, Any], folder: Path, *, force: bool) -> dict[str, An
     angles = _sweep_angles(answers)
     config["sweep"] = {"angles_deg": angles} if angles else {"enabled": False}
     for name, content in ((MACHINE, machine_file.to_document(machine)), (CONFIGURATION, config), (RECORD, found)):
-        with scratch_for(folder / name, durable=True, mode=READABLE) as scratch:
-            scratch.write_text(strict_yaml.dump(content), encoding="utf-8")
+        whole_file.write(folder / name, strict_yaml.dump(content), durable=True, mode=READABLE)
     parameter_file.save(parameters, folder / names["parameters"])
     configuration.load(folder / CONFIGURATION)
     return {**found, "files": {key: str(folder / name) for key, name in names.items()}}

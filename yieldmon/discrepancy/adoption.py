@@ -6,10 +6,10 @@ import hashlib
 from datetime import datetime
 from pathlib import Path
 
-from yieldmon.errors import InputError
+from yieldmon import utc
+from yieldmon.errors import InputError, reading
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.files import parameter_file
-from yieldmon.files.whole_file import READABLE, scratch_for
+from yieldmon.files import parameter_file, whole_file
 
 from .diagnosis import Diagnosis, adopted
 
@@ -33,7 +33,7 @@ def adopt(
     copy = out.with_name(f"{out.stem}.v{parent.version}.parent{out.suffix}")
     provenance = {
         "method": "yieldmon diagnose",
-        "date": now.isoformat(timespec="seconds"),
+        "date": utc.text(now),
         "effects": ", ".join(diagnosis.choice.named),
         "equivalent": "; ".join(f"{s.added}: {', '.join(s.equivalent) or 'none'}" for s in diagnosis.choice.steps),
         "data": data[0],
@@ -67,10 +67,8 @@ def rollback(path: Path) -> int:
     if Path(name).name != name or name in ("", ".", "..") or "\0" in name:
         raise InputError(f"{path}: provenance.parent_copy", f"is {name[:80]!r}", "the name of a file in the same folder")
     copy = path.with_name(name)
-    try:
+    with reading(copy, "the parent's copy, beside the adopted file"):
         text = copy.read_bytes()
-    except OSError as error:
-        raise InputError(str(copy), error.strerror or str(error), "the parent's copy, beside the adopted file") from error
     if hashlib.sha256(text).hexdigest() != digest:
         raise InputError(str(copy), "is not the parent that was replaced", f"SHA-256 {digest}")
     parent = parameter_file.load(copy)
@@ -80,5 +78,4 @@ def rollback(path: Path) -> int:
 
 
 def _replace(path: Path, content: bytes) -> None:
-    with scratch_for(path, durable=True, mode=READABLE) as scratch:
-        scratch.write_bytes(content)
+    whole_file.write(path, content, durable=True, mode=whole_file.READABLE)

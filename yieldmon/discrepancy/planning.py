@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import degrees
 from pathlib import Path
 
-from yieldmon.files.whole_file import scratch_for
+from yieldmon.files import whole_file
 from yieldmon.physics.machine import RPM
 
 from .experiment import REPEATS, Plan
@@ -20,8 +20,7 @@ def write_plan(plan: Plan, path: Path) -> Path:
         )
     schedule = path.with_suffix(".sweep.yaml")
     for place, text in ((path, "\n".join(lines) + "\n"), (schedule, sweep_section(plan))):
-        with scratch_for(place) as scratch:
-            scratch.write_text(text, encoding="utf-8")
+        whole_file.write(place, text)
     return schedule
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from yieldmon.errors import InputError
-from yieldmon.files.whole_file import scratch_for
+from yieldmon.files import whole_file
 from yieldmon.physics.effects import get_effect, registry
 from yieldmon.physics.machine import RPM
 from yieldmon.physics.numerics import Array
@@ -61,8 +61,7 @@ def write_report(diagnosis: Diagnosis, folder: Path, title: str) -> Path:
     files = {folder / f"{name}.png": content for name, content in pictures.items()}
     files[page] = _page(diagnosis, title, pictures).encode()
     for path, content in files.items():
-        with scratch_for(path) as scratch:
-            scratch.write_bytes(content)
+        whole_file.write(path, content)
     return page
 
 

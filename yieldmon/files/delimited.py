@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from yieldmon.errors import InputError, brief
+from yieldmon.errors import InputError, brief, reading
 
 UNKNOWN = ("", "-", "nan", "na", "n/a", "null")
 """Cells that say "not known", in lower case."""
@@ -53,13 +53,16 @@ def is_unknown(cell: str) -> bool:
     return cell.lower() in UNKNOWN
 
 
+def plain_number(cell: str) -> float:
+    """A number as tables hold it, without the separator of digits that Python's own numbers may have. Raises ValueError."""
+    return float(cell if "_" not in cell else "")
+
+
 def read(path: str | Path) -> TextTable:
     """A table with a header line; empty lines and lines that begin with # are passed over. Raises InputError."""
     where = str(path)
-    try:
+    with reading(path, "a readable CSV file"):
         raw = Path(path).read_bytes()
-    except OSError as error:
-        raise InputError(where, error.strerror or str(error), "a readable CSV file") from error
     cells = _workbook(raw, where) if raw.startswith(_ZIP) else _separated(raw, where)
     if not cells:
         raise InputError(where, "is empty", "a header line and rows")

@@ -285,8 +285,7 @@ def _numbers(source: delimited.TextTable, name: str) -> Array:
             out[i] = np.nan
             continue
         try:
-            # Python's own digit separator is no part of a number in a table.
-            out[i] = float(cell if "_" not in cell else "")
+            out[i] = delimited.plain_number(cell)
         except ValueError:
             raise InputError(source.where(i, name), f"is {cell[:40]!r}", f"a number in {unit}") from None
         if not low <= out[i] <= high:

@@ -8,13 +8,14 @@ from math import isfinite
 from pathlib import Path
 
 from yieldmon.errors import InputError
+from yieldmon.units import KG_PER_LB, KG_PER_T
 
 from . import delimited
 
 RELATIVE_STD_DEV = 0.005
-"""Of a weighing that states none."""
+"""Standard deviation of a weighing that states none, as a share of the mass (a certified platform scale)."""
 _LOADS = ("load", "load_number", "loads", "log", "file")
-_KG: Mapping[str, float] = {"kg": 1.0, "t": 1000.0, "lb": 0.45359237}
+_KG: Mapping[str, float] = {"kg": 1.0, "t": KG_PER_T, "lb": KG_PER_LB}
 _MASSES = ("weighed", "mass", "weight", "weighed_mass", "net")
 _DEVIATIONS = ("std_dev", "sd", "sigma")
 _KNOWN = ("note", "date", "crop", "field", "ticket", "time", "truck")
@@ -88,7 +89,7 @@ def _with_unit(source: delimited.TextTable, kinds: tuple[str, ...], expected: st
 def _number(source: delimited.TextTable, row: int, column: str) -> float:
     cell = source.column(column)[row]
     try:
-        value = float(cell if "_" not in cell else "")
+        value = delimited.plain_number(cell)
     except ValueError:
         value = float("nan")
     if not isfinite(value):

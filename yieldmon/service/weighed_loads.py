@@ -19,7 +19,6 @@ from yieldmon.estimation.closed_loop_inputs import Sweep
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.load_inputs import WeighedLoad
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.files import parameter_file
 from yieldmon.files.ticket_file import WeighedTicket
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
@@ -27,7 +26,7 @@ from yieldmon.service.assembly import build_monitor
 from yieldmon.service.bulk_processing import process_in_bulk
 from yieldmon.service.configuration import Configuration
 from yieldmon.service.log_copies import refuse_copies
-from yieldmon.service.recorded import is_store, opened
+from yieldmon.service.recorded import is_store, opened, parameter_sets
 from yieldmon.service.rows import SecondRow
 
 _LEAST_SHARE = 0.9
@@ -67,7 +66,7 @@ def read(
 def _of_store(path: Path) -> tuple[MeasuredLoad, ...]:
     with opened(path) as store:
         rows = store.seconds()
-        versions = {v.version: parameter_file.from_document(v.document, str(path)) for v in store.parameter_versions()}
+        versions = parameter_sets(store)
     return loads_of(rows, versions)
 
 

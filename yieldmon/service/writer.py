@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from time import monotonic, time
 
+from yieldmon.errors import reason
 from yieldmon.service.batch import Batch
 from yieldmon.service.rescue import finish, mend
 from yieldmon.service.store import Store
@@ -208,7 +209,7 @@ class StoreWriter:
                 finish(path)
             return path.exists() and path.stat().st_size > 0
         except OSError as error:
-            raise StoreError(f"{path}: {error.strerror or error}") from error
+            raise StoreError(f"{path}: {reason(error)}") from error
 
     def _wait_for_work(self) -> bool:
         with self._changed:

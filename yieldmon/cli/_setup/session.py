@@ -10,9 +10,8 @@ from typing import Any
 
 from yieldmon.cli._setup.questions import QUESTIONS, Question
 from yieldmon.errors import InputError
-from yieldmon.files import strict_yaml
+from yieldmon.files import strict_yaml, whole_file
 from yieldmon.files.crops import crop
-from yieldmon.files.whole_file import scratch_for
 
 KEPT = "setup-answers.yaml"
 
@@ -32,8 +31,7 @@ def from_file(path: str | Path) -> dict[str, Any]:
 
 def keep(answers: Mapping[str, Any], folder: Path) -> None:
     """Write the answers beside what will be made of them."""
-    with scratch_for(folder / KEPT) as scratch:
-        scratch.write_text(strict_yaml.dump(dict(answers)), encoding="utf-8")
+    whole_file.write(folder / KEPT, strict_yaml.dump(dict(answers)))
 
 
 def checked(question: Question, value: Any, where: str) -> Any:
