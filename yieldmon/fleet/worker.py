@@ -78,8 +78,8 @@ def _measured(task: Task, dataset: Dataset) -> Outcome:
         logs = paths[: len(partition.logs)]
         tickets = paths[-1] if partition.tickets else ""
         names = dict(zip(logs, _names(partition.logs), strict=True))
-        digests = [(names[path], digests.of_file(path)) for path in logs]
-        inputs = inputs_sha256(digests, digests.of_file(tickets) if tickets else "", partition.crop)
+        hashes = [(names[path], digests.of_file(path)) for path in logs]
+        inputs = inputs_sha256(hashes, digests.of_file(tickets) if tickets else "", partition.crop)
         identity = Identity(task.software, task.parameters_sha256, inputs)
         there = dataset.commit_of(partition.name)
         if there is not None and there.key == identity.key:
