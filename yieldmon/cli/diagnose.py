@@ -106,13 +106,18 @@ def run(args: argparse.Namespace) -> int:
         if found.verdict != "effect":
             print(f"yieldmon: nothing to adopt: the verdict is {found.verdict}", file=sys.stderr)
             return 1
-        now = datetime.now(UTC)
         parent = source.parameter_path
         if parent is None:
             parent = Path(args.adopt).with_suffix(f".v{parameters.version}.store.yaml")
             parameter_file.save(parameters, parent)
         copy = adoption.adopt(
-            found, parameters, parent, Path(args.adopt), (args.data, data.sha256), now, scale_sd=source.scale_sd
+            found,
+            parameters,
+            parent_path=parent,
+            out=Path(args.adopt),
+            data=(args.data, data.sha256),
+            now=datetime.now(UTC),
+            scale_sd=source.scale_sd,
         )
         print(f"adopted: {args.adopt} (version {parameters.version + 1}); parent kept as {copy}", file=sys.stderr)
     return 0

@@ -88,7 +88,9 @@ def run(args: argparse.Namespace) -> int:
     if args.separate:
         return _separately(args, config, units)
     with _progress(args.logs) as progress, _says_what_is_kept(args.out):
-        document = _one_record(args.logs, args.out, args.format, loaded, args.jobs > 1, progress, args.zero_mv)
+        document = _one_record(
+            args.logs, args.out, args.format, loaded, reads_ahead=args.jobs > 1, progress=progress, zero_mv=args.zero_mv
+        )
     if args.json:
         print_json(document)
     else:
@@ -198,12 +200,14 @@ def _separately(args: argparse.Namespace, config: str | Path, units: Units) -> i
 
 
 def _separate_record(
-    log: str, folder: Path, kind: str, config: str | Path, params: str | None, estimator: str | None, zero_mv: float | None
+    log: str, *, folder: Path, kind: str, config: str | Path, params: str | None, estimator: str | None, zero_mv: float | None
 ) -> tuple[ProcessSummary | None, tuple[str, str, str] | None]:
     """The record's summary, or what InputError was raised with."""
     try:
         loaded = _configured(config, params, estimator)
-        return _one_record([log], str(folder / f"{_stem(log)}.{kind}"), kind, loaded, False, None, zero_mv), None
+        return _one_record(
+            [log], str(folder / f"{_stem(log)}.{kind}"), kind, loaded, reads_ahead=False, progress=None, zero_mv=zero_mv
+        ), None
     except InputError as error:
         return None, (error.where, error.problem, error.expected)
 
@@ -222,6 +226,7 @@ def _one_record(
     out: str,
     kind: str | None,
     loaded: configuration.Configuration,
+    *,
     reads_ahead: bool,
     progress: Progress | None,
     zero_mv: float | None,

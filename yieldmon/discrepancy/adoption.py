@@ -17,6 +17,7 @@ from .diagnosis import Diagnosis, adopted
 def adopt(
     diagnosis: Diagnosis,
     parent: ParameterSet,
+    *,
     parent_path: Path,
     out: Path,
     data: tuple[str, str],

@@ -388,11 +388,11 @@ class ClosedLoopCalibrator:
                     anchor.reference_kg,
                     anchor.std_dev_kg,
                     share * anchor.measured_kg,
-                    self._model,
-                    self._patterned(parameters),
-                    flow,
-                    machine.home_plate_angle_rad,
-                    machine.nominal_elevator_speed_rad_s,
+                    model=self._model,
+                    parameters=self._patterned(parameters),
+                    mass_flow_kg_s=flow,
+                    plate_angle_rad=machine.home_plate_angle_rad,
+                    elevator_speed_rad_s=machine.nominal_elevator_speed_rad_s,
                 )
             )
             begin = end

@@ -151,10 +151,10 @@ class Learning:
                 load_number,
                 mass_kg,
                 mass_kg / flow.rate_kg_s,
-                flow.force_n,
-                window.plate_angle_rad,
-                window.speed_rad_s,
-                reading.inputs.fresh["moisture"],
+                force_n=flow.force_n,
+                angle_rad=window.plate_angle_rad,
+                speed_rad_s=window.speed_rad_s,
+                moisture_pct=reading.inputs.fresh["moisture"],
             )
 
     def ticket(
@@ -186,10 +186,10 @@ class Learning:
                 load.number,
                 second.mass_kg,
                 second.duration_s,
-                second.force_n,
-                second.plate_angle_rad,
-                second.elevator_speed_rad_s,
-                second.moisture_pct,
+                force_n=second.force_n,
+                angle_rad=second.plate_angle_rad,
+                speed_rad_s=second.elevator_speed_rad_s,
+                moisture_pct=second.moisture_pct,
             )
         self._earlier[load.number] = load, sums.of(load.number)
 

@@ -94,7 +94,7 @@ def build_app(
         Mount("/static", StaticFiles(directory=STATIC)),
     ]
     app = Starlette(routes=routes, exception_handlers={404: _not_found})
-    return Guard(app, access, door, page.stop, clock, unix_clock, page.prepare)
+    return Guard(app, access, door, stop=page.stop, clock=clock, unix_clock=unix_clock, prepare=page.prepare)
 
 
 #: A page does not wait longer than this for the units of a daemon that does not answer.

@@ -29,7 +29,7 @@ def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
     everything = np.flatnonzero(np.isfinite(table["longitude_deg"]) & np.isfinite(table["time_s"]))
     down = steps.down[steps.step_of_row]
     raw, clean = folder / "agleader_raw.txt", folder / "agleader_clean.txt"
-    _write(raw, result, everything, table["flow_kg_s"], table["moisture_pct"], down)
+    _write(raw, result, everything, flow=table["flow_kg_s"], moisture=table["moisture_pct"], down=down)
     kept = np.flatnonzero(result.cleaned.kept)
     with np.errstate(invalid="ignore", divide="ignore"):
         flow = result.placed.mass_kg / table["interval_s"]
@@ -40,7 +40,7 @@ def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
     marks = np.empty(len(table), dtype=object)
     for machine in result.machines:
         marks[machine.rows] = f',"{taken_out(machine.flow.value_s)}"'
-    _write(clean, result, kept, flow, result.placed.moisture_pct, down, width, marks)
+    _write(clean, result, kept, flow=flow, moisture=result.placed.moisture_pct, down=down, width=width, marks=marks)
     return [raw, clean]
 
 
@@ -48,6 +48,7 @@ def _write(
     path: Path,
     result: HarvestMap,
     rows: Index,
+    *,
     flow: Array,
     moisture: Array,
     down: np.ndarray,

@@ -95,13 +95,13 @@ def _picture(result: HarvestMap) -> np.ndarray:
         )
         left = (WIDTH_PX - scale * (east - west)) / 2
         share = (result.yield_kg_m2[rows] * KG_M2_TO_T_HA - low) / (high - low)
-        _fill(image, corners, colours(share), west, north, scale, left)
+        _fill(image, corners, colours(share), west=west, north=north, scale=scale, left=left)
         _bar(image, scale, result.units)
     _legend(image, low, high, result.units)
     return image
 
 
-def _fill(image: np.ndarray, corners: Array, rgb: np.ndarray, west: float, north: float, scale: float, left: float) -> None:
+def _fill(image: np.ndarray, corners: Array, rgb: np.ndarray, *, west: float, north: float, scale: float, left: float) -> None:
     """Sample each swath on a lattice finer than the pixels."""
     length = np.hypot(*(corners[:, 3] - corners[:, 0]).T) * scale
     width = np.hypot(*(corners[:, 1] - corners[:, 0]).T) * scale
