@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from yieldmon.cli import _by_loads, _flow_curve, _outputs, _provenance, _pulse_shape, model_options
-from yieldmon.cli._json import print_json
+from yieldmon.cli._json import print_document, print_json
 from yieldmon.documents.calibrate import CalibrationDocument, ComparedModel
 from yieldmon.errors import InputError
 from yieldmon.estimation import empirical, identifiability
@@ -79,24 +79,15 @@ def run(args: argparse.Namespace) -> int:
     """Fit, report, write. Exit code 1 when weighed loads refuse the calibration."""
     if args.pulse_shape:
         shape = _pulse_shape.run(args)
-        if args.json:
-            print_json(shape, indent=1)
-        else:
-            print(_pulse_shape.text(shape))
+        print_document(shape, _pulse_shape.text, as_json=args.json, indent=1)
         return 1 if shape["refused"] else 0
     if args.estimator is not None:
         curve = _flow_curve.run(args)
-        if args.json:
-            print_json(curve, indent=1)
-        else:
-            print(_flow_curve.text(curve))
+        print_document(curve, _flow_curve.text, as_json=args.json, indent=1)
         return 0
     if args.loads is not None:
         document = _by_loads.run(args)
-        if args.json:
-            print_json(document, indent=1)
-        else:
-            print(_by_loads.text(document))
+        print_document(document, _by_loads.text, as_json=args.json, indent=1)
         return 1 if document["refused"] else 0
     if args.data is None:
         raise InputError("DATA", "is missing", "a table of a test facility, or --loads and --tickets")
@@ -126,10 +117,7 @@ def _of_table(args: argparse.Namespace) -> int:
     if args.out is not None:
         parameter_file.save(result.parameter_set, args.out)
         document["written"] = args.out
-    if args.json:
-        print_json(document, indent=1)
-    else:
-        print(text(document))
+    print_document(document, text, as_json=args.json, indent=1)
     return 0
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
-from yieldmon.cli._json import print_json
+from yieldmon.cli._json import print_document, print_json
 from yieldmon.cli._records import back, show, when
 from yieldmon.errors import InputError
 
@@ -40,10 +40,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("VERSION", f"is {args.version}", "a version as `yieldmon calibrations list` shows it")
     if args.action == "undo":
         answer = ask_daemon(args, {"command": "calibration-undo", "version": args.version})
-        if args.json:
-            print_json(answer)
-        else:
-            print(back(answer))
+        print_document(answer, back, as_json=args.json)
         return 0
     answer = ask_daemon(args, {"command": "calibrations"})
     if args.json:

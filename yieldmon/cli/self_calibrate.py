@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from yieldmon.cli import _outputs, _provenance, model_options
-from yieldmon.cli._json import print_json
+from yieldmon.cli._json import print_document
 from yieldmon.cli._limits import above_0
 from yieldmon.errors import InputError
 from yieldmon.estimation.closed_loop import self_calibrate
@@ -82,10 +82,7 @@ def run(args: argparse.Namespace) -> int:
         facts = {**prior.provenance, "method": "closed loop", **_provenance.of_table(data), "parent_version": str(prior.version)}
         parameter_file.save(replace(outcomes[0].parameter_set, provenance=facts), args.out)
         document["written"] = args.out
-    if args.json:
-        print_json(document, indent=1)
-    else:
-        print(_text(document))
+    print_document(document, _text, as_json=args.json, indent=1)
     return 0
 
 

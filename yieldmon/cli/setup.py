@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from yieldmon.cli import _provenance
-from yieldmon.cli._json import print_json
+from yieldmon.cli._json import print_document
 from yieldmon.cli._setup import derive, session
 from yieldmon.cli._setup.questions import QUESTIONS, bolted
 from yieldmon.errors import InputError
@@ -60,10 +60,7 @@ def run(args: argparse.Namespace) -> int:
         session.ask(answers, input, print, lambda now: session.keep(now, folder))
     document = write(answers, folder, force=args.force)
     session.keep(answers, folder)
-    if args.json:
-        print_json(document, indent=1)
-    else:
-        print(text(document))
+    print_document(document, text, as_json=args.json, indent=1)
     return 0
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from yieldmon.cli._json import print_json
+from yieldmon.cli._json import print_document
 from yieldmon.fleet.comparison import compare
 
 _SHOWN = 20
@@ -14,10 +14,7 @@ _SHOWN = 20
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 when they are equal, 1 when they are not."""
     found = compare(args.first, args.second)
-    if args.json:
-        print_json(found)
-    else:
-        print(_text(found))
+    print_document(found, _text, as_json=args.json)
     return 1 if found["different"] or found["only_in_first"] or found["only_in_second"] else 0
 
 

@@ -6,7 +6,7 @@ import argparse
 import sys
 from typing import Any
 
-from yieldmon.cli._json import print_json
+from yieldmon.cli._json import print_document
 from yieldmon.files import whole_file
 from yieldmon.files.plain_text import plain
 from yieldmon.fleet.html import page
@@ -18,10 +18,7 @@ def run(args: argparse.Namespace) -> int:
     summary = summarise(args.dataset)
     if args.html is not None:
         whole_file.write(args.html, page(summary))
-    if args.json:
-        print_json(summary)
-    else:
-        print(_text(summary))
+    print_document(summary, _text, as_json=args.json)
     for item in (*summary["failed"], *summary["poisoned"]):
         print(plain(f"not measured: {item['machine']} {item['day']}: {item['problem']}"), file=sys.stderr)
     return 0
