@@ -90,7 +90,7 @@ def _measured(task: Task, dataset: Dataset) -> Outcome:
             measured = measure(logs, tickets, partition.crop, task.configured, output, names)
         except InputError as error:
             raise InputError(by_name(error.where, names), by_name(error.problem, names), error.expected) from error
-        write_provenance(measured, identity, digests, task.configured, output)
+        write_provenance(measured, identity, hashes, task.configured, output)
         document = measured.document
         content = {
             "key": identity.key, "software": asdict(identity.software), "parameters_sha256": identity.parameters_sha256,
