@@ -154,7 +154,7 @@ class _Cab:
         """Take what the daemon has said since."""
         for news in self.daemon.news() if self.daemon is not None else ():
             if isinstance(news, str):
-                self.dialog.tell(news)
+                self.dialog.report(news)
             else:
                 self._status = news
 

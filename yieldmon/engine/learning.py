@@ -179,7 +179,7 @@ class Learning:
         return anchor
 
     def know_load(self, load: LoadSummary, seconds: Iterable[KeptSecond]) -> None:
-        """A closed load that an earlier run measured, so that a ticket for it teaches."""
+        """A closed load that an earlier run measured, so that a ticket for it updates the parameters."""
         sums = LoadForceSums()
         for second in seconds:
             sums.add(
@@ -216,7 +216,7 @@ class Learning:
         return tuple(TicketState(a.load_number, a.reference_kg, a.std_dev_kg, a in self._waiting) for a in newest)
 
     def remember_tickets(self, tickets: Sequence[ReferenceMass], waiting: Sequence[ReferenceMass]) -> None:
-        """After a restart or a reload: tickets entered before it; `waiting` are those among them that have not taught."""
+        """After a restart or a reload: tickets entered before it; `waiting` are those among them that have not been used."""
         self._tickets.extend(tickets)
         self._compared = frozenset(tickets)
         if self.calibrator is not None:
@@ -227,7 +227,7 @@ class Learning:
     def learn(self, at_s: float, record: WindowRecord, sweep: SweepMachine) -> tuple[ParametersChanged, ...]:
         """Collect a sweep's windows, and at its end hand them to the calibrator; between sweeps reference masses update.
 
-        Where sweeps teach nothing they are not begun by schedule: away from home such a model misses the most.
+        Where sweeps update nothing they are not begun by schedule: away from home such a model misses the most.
         """
         sweep.by_schedule = self.calibrator is None or not refusal(self.estimator.parameters)
         if not sweep.visiting and not sweep.completed:

@@ -24,7 +24,7 @@ Answer = Mapping[str, Any]
 _KERNEL_WEIGHTS_G = (1.0, 5000.0)
 _TICKETS_KG = (1e-3, 1e6)
 _MOST_LOADS = 63
-"""Between the first and the last of a ticket that teaches about loads of an earlier run."""
+"""Between the first and the last of a ticket that is a reference mass for loads of an earlier run."""
 
 
 QUERIES = frozenset({"status", "loads", "tickets", "calibrations"})
@@ -155,8 +155,8 @@ def _ticket(order: _Order) -> Answer:
     ticket = Ticket(order.now_s, first, last, weighed_kg, measured_kg, request.name("note") or "")
     why_not = _why_no_reference(monitor, journal, covered, order.stored)
     if not why_not:
-        _teach(monitor, covered, ticket, std_dev_kg)
-    number = journal.actions.ticket(ticket, request.who, teaches=not why_not)
+        _add_reference_masses(monitor, covered, ticket, std_dev_kg)
+    number = journal.actions.ticket(ticket, request.who, is_reference=not why_not)
     return {
         "crop": covered[-1].crop,
         "ticket": number,
@@ -223,7 +223,7 @@ def _why_no_reference(monitor: Monitor, journal: Journal, covered: list[Load], s
     return ""
 
 
-def _teach(monitor: Monitor, covered: list[Load], ticket: Ticket, std_dev_kg: float) -> None:
+def _add_reference_masses(monitor: Monitor, covered: list[Load], ticket: Ticket, std_dev_kg: float) -> None:
     """Hands the ticket to the calibration as a reference mass, shared out over its loads."""
     for load in covered:
         share = load.mass_kg / ticket.measured_mass_kg
@@ -268,7 +268,7 @@ def _sweep_start(order: _Order) -> Answer:
     monitor = order.monitor
     if not monitor.settings.sweep.enabled:
         if monitor.estimator.parameters.curve is not None:
-            raise InputError("sweep", "teaches the estimator in use (estimator_file) nothing", "the physical model")
+            raise InputError("sweep", "updates nothing: the flow comes from estimator_file", "the physical model")
         raise InputError("sweep", "switched off by sweep.enabled in the configuration")
     monitor.request_sweep()
     return {"sweep": "as soon as the conditions hold"}

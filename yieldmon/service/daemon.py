@@ -220,7 +220,7 @@ class Daemon:
         def write() -> None:
             if not self._writer.stop(self._stop_writing_s):
                 _log.error("the disk hangs; %d batches are not written", self._writer.health().pending)
-            elif self._tell_new_store_all():
+            elif self._fill_new_store():
                 # The last batches went into a new store, which lacks what an earlier one was given.
                 self._commit()
                 self._writer.work()
@@ -336,8 +336,8 @@ class Daemon:
 
     def _second_done(self) -> None:
         """A window has closed: the engine lives, its frames are out, and the second goes to the store."""
-        self._tell_new_store_all()
-        self._tell_network()
+        self._fill_new_store()
+        self._report_on_network()
         self._commit()
         if max(self._receiver.hangs_s(), self._transmitter.hangs_s()) < _HANGS_FOR_GOOD_S:
             # A daemon that hears or says nothing any more is one to start anew.
@@ -346,7 +346,7 @@ class Daemon:
         self._answer = self._snapshot()
         self._manager.status(commands.summary(self._answer))
 
-    def _tell_new_store_all(self) -> bool:
+    def _fill_new_store(self) -> bool:
         """Let the next batch bring all that is known where the store was replaced since the last look; whether it was."""
         replacements = self._writer.health().replacements
         replaced = replacements != self._replacements
@@ -355,13 +355,13 @@ class Daemon:
             self._journal.report_all()
         return replaced
 
-    def _tell_network(self) -> None:
+    def _report_on_network(self) -> None:
         """Trouble codes, and the second's values for a task controller."""
         now_s = self._network_clock()
         if self.configuration.document.diagnostics.dm1_enabled:
-            self._sender.send(self._link.tell_trouble(self._monitor.faults.active, now_s))
+            self._sender.send(self._link.report_trouble(self._monitor.faults.active, now_s))
         if self._record is not None:
-            self._sender.send(self._link.tell_second(self._record, self._monitor.totals, now_s))
+            self._sender.send(self._link.report_second(self._record, self._monitor.totals, now_s))
 
     def _commit(self) -> None:
         self._writer.submit(self._journal.batch(self._monitor, time.time(), self._traffic().counters()))

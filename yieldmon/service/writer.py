@@ -166,10 +166,10 @@ class StoreWriter:
         except (StoreError, OSError) as failure:
             _log.error("%s: %s", path, failure)
             return False
-        self._tell_replaced(path, note)
+        self._report_replaced(path, note)
         return True
 
-    def _tell_replaced(self, path: Path, note: str) -> None:
+    def _report_replaced(self, path: Path, note: str) -> None:
         _log.error("%s: %s", path, note)
         with self._changed:
             count = self._health.replacements + 1
@@ -192,12 +192,12 @@ class StoreWriter:
             except OSError as error:
                 raise StoreError(f"{store.path}: {error}") from error
             store, found = self._open_store(), 0
-            self._tell_replaced(store.path, f"replaced by another store while closed, which is {aside.name}; a new one begun")
+            self._report_replaced(store.path, f"replaced by another store while closed, which is {aside.name}; a new one begun")
         elif found < self._last_committed:
             missing = self._last_committed - found
-            self._tell_replaced(store.path, f"removed or replaced while closed; its last {missing} commits are missing")
+            self._report_replaced(store.path, f"removed or replaced while closed; its last {missing} commits are missing")
         elif removed:
-            self._tell_replaced(store.path, "removed while closed; a new one begun")
+            self._report_replaced(store.path, "removed while closed; a new one begun")
         self._last_committed, self._there = found, True
         return store
 
