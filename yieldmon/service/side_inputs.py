@@ -29,7 +29,7 @@ from yieldmon.network.navigation import (
     read,
 )
 from yieldmon.network.navigation import VEHICLE_POSITION as POSITION_GROUP
-from yieldmon.network.navigation_blocks import Column, BlockReadings, best_groups, read_block
+from yieldmon.network.navigation_blocks import BlockReadings, Column, best_groups, read_block
 from yieldmon.network.process_data import PROCESS_DATA, Command
 from yieldmon.network.process_data import read as read_process_data
 from yieldmon.network.reassembly import Reassembler
