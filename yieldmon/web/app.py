@@ -247,7 +247,7 @@ class _Page:
         if path is not None and path.is_file():
             found = configuration.load(path)
             return found.machine, found.machine_path.name
-        default = shipped(configuration.DEFAULT_MACHINE)
+        default = shipped(machine_file.DEFAULT)
         return machine_file.load(default), f"{default.name} (the shipped one)"
 
 
