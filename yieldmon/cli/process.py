@@ -274,7 +274,9 @@ def _line(document: ProcessSummary, units: Units) -> str:
     if document["faults"]:
         lines.append("faults: " + ", ".join(f"{code} {count} x" for code, count in document["faults"].items()))
     lines += record_lines(document)
-    if not document["zero_known"] and document.get("missing", {}).get("elevator speed", 0.0) > _MOSTLY:
+    if not document["windows"]:
+        lines.append("no mass: no whole second passes between the frames' times, as in a log of a recorder without a clock")
+    elif not document["zero_known"] and document.get("missing", {}).get("elevator speed", 0.0) > _MOSTLY:
         lines.append(
             "no mass: the elevator's speed does not come, and without it there is no zero; what comes is shown by "
             "`yieldmon check-config CONFIG --log LOG`"
