@@ -88,8 +88,8 @@ class RivalWatch:
         edges_s (w + 1,): the windows' edges.
         """
         limits = self._limits
-        step_s = np.diff(times_s, prepend=self._last_time_s)
-        change = np.diff(values, prepend=self._last_value)
+        step_s = segments.steps(self._last_time_s, times_s)
+        change = segments.steps(self._last_value, values)
         if times_s.size:
             self._last_time_s, self._last_value = float(times_s[-1]), float(values[-1])
         with np.errstate(invalid="ignore"):

@@ -139,7 +139,7 @@ class SampleBuffer:
 
     def _steps(self, times: Array, counters: Array) -> Array:
         """Frames from each frame to the one before by counter, the counter's turns known by time; 0 is a repeat."""
-        since = np.diff(times, prepend=self._last_s)
+        since = segments.steps(self._last_s, times)
         by_time = np.rint(since / self._interval_s)
         if not self._counted:
             # Without a counter only a gap indicates lost frames; frames that bunch up on a busy bus are no gap.
@@ -147,7 +147,7 @@ class SampleBuffer:
             with np.errstate(invalid="ignore"):
                 return np.where(since > gap_s, np.maximum(by_time, 1.0), 1.0)
         with np.errstate(invalid="ignore"):
-            difference = np.mod(np.diff(counters, prepend=self._last_counter), self._modulus)
+            difference = np.mod(segments.steps(self._last_counter, counters), self._modulus)
         by_counter = difference + self._modulus * np.rint((by_time - difference) / self._modulus)
         steps = np.where(np.isfinite(by_counter), by_counter, np.maximum(by_time, 1.0))
         return np.where(np.isfinite(steps), steps, 1.0)

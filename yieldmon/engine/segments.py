@@ -23,6 +23,15 @@ def bounds_at(times: Array, edges: Array) -> Counts:
     return np.array([0, *inner, times.size], dtype=np.intp)
 
 
+def steps(before: float, values: Array) -> Array:
+    """Each value less the one before it, the first less `before`; numpy.diff with `prepend` takes several times as long."""
+    found = np.empty(values.shape)
+    if values.size:
+        found[0] = values[0] - before
+        np.subtract(values[1:], values[:-1], out=found[1:])
+    return found
+
+
 def reduce(operation: np.ufunc, values: NDArray[Any], bounds: Counts, empty: float) -> NDArray[Any]:
     """The operation over each segment of values between bounds (w + 1,), `empty` for a segment without values."""
     some = bounds[1:] > bounds[:-1]

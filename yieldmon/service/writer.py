@@ -105,8 +105,9 @@ class StoreWriter:
     def health(self) -> StoreHealth:
         """How the store does."""
         with self._changed:
-            waiting_s = monotonic() - self._waiting_since_s if self._pending else 0.0
-            return replace(self._health, pending=len(self._pending), waiting_s=waiting_s)
+            if not self._pending:
+                return self._health
+            return replace(self._health, pending=len(self._pending), waiting_s=monotonic() - self._waiting_since_s)
 
     def wait_until_written(self, timeout_s: float) -> bool:
         """Wait until nothing is pending; False when that takes longer than timeout_s seconds."""
