@@ -41,7 +41,7 @@ class Column(NamedTuple):
     values: Array
 
 
-BlockReadings = dict[tuple[Quantity, int], Column]
+Told = dict[tuple[Quantity, int], Column]
 """What a block of frames says, by quantity and group."""
 
 
@@ -118,9 +118,7 @@ _READERS: Mapping[int, Callable[[NDArray[np.uint64]], dict[Quantity, Array]]] = 
 }
 
 
-def read_block(
-    group: int, rows: NDArray[np.intp], time_s: Array, payload: NDArray[np.uint64], length: NDArray[np.uint8]
-) -> BlockReadings:
+def read_block(group: int, rows: NDArray[np.intp], time_s: Array, payload: NDArray[np.uint64], length: NDArray[np.uint8]) -> Told:
     """What frames of a parameter group say of position, speed and course.
 
     Parameters
@@ -144,23 +142,21 @@ def read_block(
     if reader is None:
         return {}
     whole = length >= _FRAME_BYTES
-    readings = {}
+    told = {}
     for quantity, values in reader(payload).items():
         known = whole & ~np.isnan(values)
-        readings[quantity, group] = Column(rows[known], time_s[known], values[known])
-    return readings
+        told[quantity, group] = Column(rows[known], time_s[known], values[known])
+    return told
 
 
-def best_groups(
-    before: Navigation, readings: BlockReadings, quantity: Quantity, rows: NDArray[np.intp], time_s: Array
-) -> NDArray[np.intp]:
+def best_groups(before: Navigation, told: Told, quantity: Quantity, rows: NDArray[np.intp], time_s: Array) -> NDArray[np.intp]:
     """The group whose reading `Navigation.best` uses at each of some frames of a block.
 
     Parameters
     ----------
     before : Navigation
         As it was at the block's beginning.
-    readings : dict of (Quantity, int) to Column
+    told : dict of (Quantity, int) to Column
         What the block says.
     quantity : Quantity
     rows : intp array, shape (n,)
@@ -177,7 +173,7 @@ def best_groups(
     for group in reversed(ORDER[quantity]):
         earlier = before.latest(quantity, group)
         times = np.array([np.nan if earlier is None else earlier.time_s])
-        column = readings.get((quantity, group))
+        column = told.get((quantity, group))
         if column is not None:
             times = np.concatenate((times, column.time_s))[np.searchsorted(column.rows, rows, side="right")]
         with np.errstate(invalid="ignore"):

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from yieldmon.engine.faults import FaultCode
-from yieldmon.files import whole_file
+from yieldmon.files.whole_file import scratch_for
 
 _log = logging.getLogger(__name__)
 
@@ -63,7 +63,9 @@ def write(path: Path, status: Mapping[str, Any]) -> None:
     Raises InputError or OSError as `whole_file.scratch_for`.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    whole_file.write(path, "".join(f"{line}\n" for line in lines(status)), mode=whole_file.READABLE)
+    with scratch_for(path) as scratch:
+        scratch.write_text("".join(f"{line}\n" for line in lines(status)), encoding="utf-8")
+        scratch.chmod(0o644)
 
 
 def lines(status: Mapping[str, Any]) -> Iterator[str]:

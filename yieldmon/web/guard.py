@@ -98,7 +98,6 @@ class Guard:
         app: Any,
         access: Access,
         door: Door,
-        *,
         stop: Callable[[], None],
         clock: Callable[[], float] = monotonic,
         unix_clock: Callable[[], float] = time,

@@ -8,13 +8,11 @@ from datetime import UTC, date, datetime
 
 import numpy as np
 
-from yieldmon import utc
 from yieldmon.field.table import Array
-from yieldmon.units import S_PER_DAY
 
 _UNIX_S = (631_152_000.0, 4_102_444_800.0)
 """1990 and 2100."""
-_WEEK_S = 7.0 * S_PER_DAY
+DAY_S, WEEK_S = 86_400.0, 604_800.0
 
 
 def unwrapped(time_s: Array) -> tuple[Array, tuple[str, ...]]:
@@ -29,13 +27,13 @@ def unwrapped(time_s: Array) -> tuple[Array, tuple[str, ...]]:
     if known.sum() < 2 or time_s[known].min() < 0:
         return time_s, ()
     highest = float(time_s[known].max())
-    if highest >= _WEEK_S:
+    if highest >= WEEK_S:
         return time_s, ()
     out = time_s.copy()
     values = out[known]
     notes = []
     steps = np.diff(values)
-    for round_s, name in ((S_PER_DAY, "midnight"), (_WEEK_S, "the end of the GPS week")):
+    for round_s, name in ((DAY_S, "midnight"), (WEEK_S, "the end of the GPS week")):
         back = steps < -0.5 * round_s
         if highest >= round_s or not back.any():
             continue
@@ -66,7 +64,7 @@ def dated(time_s: Array, first: date) -> Array:
     if not len(known):
         return time_s
     midnight = datetime(first.year, first.month, first.day, tzinfo=UTC).timestamp()
-    unix: Array = time_s + midnight - np.floor(time_s[known[0]] / S_PER_DAY) * S_PER_DAY
+    unix: Array = time_s + midnight - np.floor(time_s[known[0]] / DAY_S) * DAY_S
     return unix
 
 
@@ -93,7 +91,7 @@ def parsed(texts: Sequence[str]) -> tuple[Array, str]:
         if text not in seen:
             moment, chosen = _moment(text, chosen)
             if moment is not None and moment.tzinfo is None:
-                zone_missing, moment = True, utc.in_utc(moment)
+                zone_missing, moment = True, moment.replace(tzinfo=UTC)
             try:
                 seen[text] = np.nan if moment is None else moment.timestamp()
             except (OverflowError, ValueError, OSError):
