@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class InputError(ValueError):
     """A file, key, row or argument that cannot be used.
@@ -42,3 +45,17 @@ def brief(what: object, most: int = 160) -> str:
     text = " ".join(str(what).split())
     half = (most - 3) // 2
     return text if len(text) <= most else f"{text[:half]}... {text[len(text) - half :]}"
+
+
+def reason(error: BaseException) -> str:
+    """What went wrong, without the name of the file that the text of an OSError begins or ends with."""
+    return getattr(error, "strerror", None) or str(error)
+
+
+@contextmanager
+def reading(path: object, expected: str) -> Iterator[None]:
+    """An OSError while a file is read becomes an InputError that names the file and what was expected of it."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(str(path), reason(error), expected) from error

@@ -1,7 +1,7 @@
 """Quantities as people read them: SI inside, metric or US customary on screens, in summaries and in pictures.
 
 Documents (JSON), tables and frames stay in SI whatever is chosen here. Sources of the factors: NIST Special Publication 811,
-appendix B (pound, foot, acre, mile).
+appendix B (pound, inch, foot, acre, mile, kilogram-force).
 """
 
 from __future__ import annotations
@@ -15,9 +15,14 @@ LB_PER_SHORT_TON = 2000.0
 KG_PER_T = 1000.0
 M2_PER_ACRE = 4046.8564224
 M2_PER_HA = 10_000.0
+M_PER_IN = 0.0254
+M_PER_FT = 0.3048
+M_PER_MI = 1609.344
+N_PER_KGF = 9.80665
 M_S_PER_KMH = 1.0 / 3.6
 M_S_PER_MPH = 0.44704
 S_PER_H = 3600.0
+S_PER_DAY = 86_400.0
 _TONNES_FROM_KG = 10_000.0
 UNKNOWN = "-"
 

@@ -109,7 +109,15 @@ class DaemonKeeper(Keeper):
         windows = np.arange(start, end)
         sums, records = LoadForceSums(), self._records(windows)
         for r in records:
-            sums.add(number + 1, r.mass_kg, 1.0, r.force_n, r.plate_angle_rad, r.elevator_speed_rad_s, r.moisture_pct)
+            sums.add(
+                number + 1,
+                r.mass_kg,
+                1.0,
+                force_n=r.force_n,
+                angle_rad=r.plate_angle_rad,
+                speed_rad_s=r.elevator_speed_rad_s,
+                moisture_pct=r.moisture_pct,
+            )
         measured = float(np.nansum(self.flow[windows]))
         self.anchors.append(
             ReferenceMass(

@@ -77,7 +77,9 @@ class _Machine:
         """As the daemon's engine hands it on."""
         number, mass, sums = len(self.anchors) + 1, self.measured(load), LoadForceSums()
         for kg, force, speed in zip(mass, load.force_n, load.speed_rad_s, strict=True):
-            sums.add(number, float(kg), 1.0, float(force), self.machine.home_plate_angle_rad, float(speed), float("nan"))
+            angle = self.machine.home_plate_angle_rad
+            values = {"force_n": float(force), "angle_rad": angle, "speed_rad_s": float(speed), "moisture_pct": float("nan")}
+            sums.add(number, float(kg), 1.0, **values)
         end_s, noise = self.now_s + mass.size, noise_sd(self.estimator, load.force_n, load.speed_rad_s)
         self.anchors.append(
             ReferenceMass(

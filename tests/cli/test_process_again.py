@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import itertools
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -114,6 +115,15 @@ def test_a_log_that_begins_in_grain_says_why_there_is_no_mass_and_takes_a_known_
     _, _, err = process(capsys, tmp_path, logs["grain"], "--zero-mv", ZERO_MV)
     assert "no mass" not in err
     assert sum(row.mass_kg for row in read_seconds(tmp_path / "out.csv")) > 10.0
+
+
+def test_a_log_without_times_says_why_there_is_no_mass(capsys, tmp_path, logs) -> None:
+    """As a recorder without a clock writes it."""
+    path = tmp_path / "still.log"
+    path.write_text(re.sub(r"^\(\S+\)", "(0.000000)", logs["whole"].read_text(), flags=re.MULTILINE))
+    code, _, err = process(capsys, tmp_path, path)
+    assert code == 0
+    assert "no mass: no whole second passes between the frames' times" in err
 
 
 def test_the_same_log_twice_is_refused_however_it_is_packed(capsys, tmp_path, logs) -> None:

@@ -34,6 +34,27 @@ def test_a_step(step_s, engine_step_s, now_step_s, jumps):
     assert clock.bus_time(clock.now_s) == pytest.approx(1001.0 + step_s + (-engine_step_s + now_step_s))
 
 
+def test_times_that_go_to_and_fro_make_no_silence():
+    """Two recorders' frames, line by line, their clocks half a minute apart: an hour of it was 25 hours."""
+    clock = clock_at()
+    for number in range(1, 501):
+        clock.engine_time(1000.0 + 0.01 * number + 30.0 * (number % 2))
+    assert clock.now_s < 1000.0 + 5.0 + 31.0
+    assert not clock.regular(np.array([1006.0]))
+
+
+def test_a_pause_long_after_a_step_is_a_pause():
+    clock = clock_at()
+    clock.engine_time(500.0)
+    for number in range(1, 41):
+        clock.engine_time(500.0 + 0.01 * number)
+    before_s = clock.now_s
+    assert clock.regular(np.array([530.0]))
+    clock.engine_time(530.4)
+    assert clock.now_s == pytest.approx(before_s + 30.0)
+    assert clock.jumps == 1
+
+
 @pytest.mark.parametrize("bus_s", [float("nan"), float("inf"), -1e12, 2e11])
 def test_a_time_that_is_none_is_counted_and_not_used(bus_s):
     clock = clock_at()

@@ -37,7 +37,7 @@ def test_round_trip(tmp_path):
         ("paddle_length_m", -0.1, "paddle_length_m: is -0.1; expected a number from 0.02 to 1 m"),
         ("paddle_length_m", "long", "paddle_length_m: is 'long'"),
         ("paddle_length_m", True, "paddle_length_m: is True"),
-        ("paddle_spacings_m", [], "paddle_spacings_m: is []; expected a list of distances"),
+        ("paddle_spacings_m", [], "paddle_spacings_m: is []; expected a list of numbers in m"),
         ("paddle_spacings_m", [0.1, 0], "paddle_spacings_m[1]: is 0"),
         ("home_plate_angle_deg", 95, "home plate angle lies outside"),
         ("sensor", {"gain_n_per_mv": 1}, "sensor: is"),

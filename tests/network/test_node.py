@@ -59,7 +59,7 @@ def test_nothing_but_claims_before_the_claim_stands() -> None:
     assert shown(node.start(0.0)) == ["18EAFFFE#00EE00"]
     assert node.send(65302, bytes(8), 0.1) == []
     assert shown(node.poll(0.25)) == [f"18EEFF83#{NAME.data.hex().upper()}"]
-    assert node.tell_trouble([TroubleCode(520192, 9)], 0.3) == []
+    assert node.report_trouble([TroubleCode(520192, 9)], 0.3) == []
     assert answers(node, "18EA8317#DAFE00", 0.3) == []
     assert node.poll(0.49) == []
     assert node.address is None
@@ -236,8 +236,8 @@ def run(node: Node, frames: list[RawFrame], now_s: float) -> list[RawFrame]:
 
 def test_several_codes_as_can_j1939_sees_them() -> None:
     node = node_at()
-    sent = run(node, node.tell_trouble(CODES, 1.0), 1.0)
-    sent += run(node, node.tell_trouble(CODES[:1], 3.0), 3.0)
+    sent = run(node, node.report_trouble(CODES, 1.0), 1.0)
+    sent += run(node, node.report_trouble(CODES[:1], 3.0), 3.0)
     found: list[list[tuple[int, int, int]]] = []
     ecu = j1939.ElectronicControlUnit(send_message=lambda *args, **kwargs: None)
     try:
@@ -253,8 +253,8 @@ def test_several_codes_as_can_j1939_sees_them() -> None:
 
 def test_cleared_codes_go_to_dm2_and_away() -> None:
     node, listener = node_at(), Reassembler()
-    run(node, node.tell_trouble(CODES, 1.0), 1.0)
-    run(node, node.tell_trouble([], 3.0), 3.0)
+    run(node, node.report_trouble(CODES, 1.0), 1.0)
+    run(node, node.report_trouble([], 3.0), 3.0)
     frames = run(node, node.feed(0x18EAFF17, bytes.fromhex("CBFE00"), 4.0).frames, 4.0)
     (previous,) = [p for f in frames for p in listener.feed(f.identifier, f.data, 4.0)]
     assert [c.spn for c in read(previous.data)] == [c.spn for c in CODES]

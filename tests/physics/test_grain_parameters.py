@@ -41,7 +41,7 @@ from yieldmon.files import parameter_file
 from yieldmon.physics.grain import fitted
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions, ForwardModel
-from yieldmon.service.configuration import document_text
+from yieldmon.service.document_text import commented_defaults
 
 model = ForwardModel(Machine())
 truth = {"friction": 0.3, "density": 1100.0, "shape_ratio": 2.0, "restitution": 0.5, "cushioning": 0.2}
@@ -56,7 +56,7 @@ print(json.dumps({
     "read": parameter_file.load(sys.argv[1]).values["cushioning"],
     "fitted": fitted("restitution"),
     "without": float(np.real(model.paddle_momentum(at, old))[0] / rows.momentum[0]),
-    "keys": document_text().count("cushioning:"),
+    "keys": commented_defaults().count("cushioning:"),
 }))
 """
 

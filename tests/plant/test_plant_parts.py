@@ -112,7 +112,7 @@ def test_speed_droops_with_load():
 def loaded(flow, slip=0.0, full_kg=5.0, seconds=60.0):
     harvest = steady_harvest(flow, seconds)
     run = elevator.run(QUIET, MACHINE, harvest, slip, np.random.default_rng(SEED))
-    return run, elevator.paddles(run, harvest, MACHINE, slip, 0.08, 0.3, full_kg)
+    return run, elevator.paddles(run, harvest, MACHINE, slip_share=slip, lag_s=0.08, first_gap=0.3, full_paddle_kg=full_kg)
 
 
 def test_paddles_come_at_the_pattern_of_the_chain_and_share_the_flow_by_their_gaps():
@@ -138,8 +138,10 @@ def test_what_a_paddle_cannot_hold_waits_and_is_not_lost(full_kg):
     harvest = steady_harvest(10.0)
     harvest.flow_kg_s[2000:] = 0.0
     run = elevator.run(QUIET, MACHINE, harvest, 0.0, np.random.default_rng(SEED))
-    held = elevator.paddles(run, harvest, MACHINE, 0.0, 0.08, 0.3, full_kg)
-    unlimited = elevator.paddles(run, harvest, MACHINE, 0.0, 0.08, 0.3, 99.0)
+    held, unlimited = (
+        elevator.paddles(run, harvest, MACHINE, slip_share=0.0, lag_s=0.08, first_gap=0.3, full_paddle_kg=kg)
+        for kg in (full_kg, 99.0)
+    )
     assert held.mass_kg.max() <= full_kg
     assert held.mass_kg.sum() == pytest.approx(unlimited.mass_kg.sum(), rel=1e-9)
     assert free.mass_kg.max() > 0.8

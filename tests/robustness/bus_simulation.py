@@ -340,7 +340,7 @@ def trouble_codes(rng: random.Random) -> None:
             if tenth % 50 == 20:
                 due = {(520192 + number, rng.randrange(31)) for number in range(rng.randint(2, 19))}
                 heard.clear()
-            sent = [*sent, *node.tell_trouble([TroubleCode(spn, fmi) for spn, fmi in sorted(due)], 0.1 * tenth)]
+            sent = [*sent, *node.report_trouble([TroubleCode(spn, fmi) for spn, fmi in sorted(due)], 0.1 * tenth)]
         for frame in sent:
             group = frame.identifier >> 8 & 0x1FFFF
             if group == _DM1:

@@ -175,7 +175,7 @@ def main(arguments: Sequence[str]) -> int:
                 out += link.hear(message, now_s)
             side_frames += len(side.frames(message, None))
             if number % 500 == 0:
-                out += link.tell_trouble(draw.sample(list(FaultCode), draw.randrange(6)), now_s)
+                out += link.report_trouble(draw.sample(list(FaultCode), draw.randrange(6)), now_s)
                 link.troubles(now_s)
                 json.dumps(link.status())
         except Exception as error:  # noqa: BLE001 - whatever it is, it escaped

@@ -9,7 +9,7 @@ from yieldmon.service.batch import Ticket
 def test_tickets_that_teach_wait_until_they_are_taken_or_taken_back() -> None:
     log = ActionLog((), (), 5.0)
     tickets = [Ticket(float(n), n, n, 100.0 + n, 99.0, "") for n in range(1, 4)]
-    assert [log.ticket(ticket, teaches=ticket.first_load != 2) for ticket in tickets] == [1, 2, 3]
+    assert [log.ticket(ticket, is_reference=ticket.first_load != 2) for ticket in tickets] == [1, 2, 3]
     assert log.waiting == [1, 3]
     assert log.undo_ticket(3, "somebody", 6.0)[0] == tickets[2]
     assert log.waiting == [1]

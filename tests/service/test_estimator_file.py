@@ -94,7 +94,7 @@ def test_what_a_curve_cannot_do_is_refused(folder: Path) -> None:
     answer = commands.execute({"command": "load-start", "crop": "wheat"}, monitor, journal, 1.7e9)
     assert not answer["crop_known"]
     assert monitor.estimator is before
-    with pytest.raises(InputError, match="sweep: teaches the estimator in use"):
+    with pytest.raises(InputError, match="sweep: updates nothing"):
         commands.execute({"command": "sweep-start"}, monitor, journal, 1.7e9)
     with pytest.raises(InputError, match="the flow comes from estimator_file"):
         commands.execute({"command": "calibration-undo", "version": 1}, monitor, journal, 1.7e9)

@@ -76,10 +76,10 @@ def test_a_fault_is_reported_once_and_again_to_another_monitor():
 
 
 def test_a_fault_that_lasts_is_told_to_the_monitor_of_a_reload(tmp_path: Path):
+    (tmp_path / "yieldmon.sqlite").write_bytes(b"SQLite format 3\x00" + b"\xaa" * 5000)
     with running(tmp_path) as bench:
         bench.play(3, 0.0)
         bench.played()
-        bench.daemon._store_note = "provoked"
         # Shown with the first window that closes after the daemon has looked at its store.
         while "StoreFailing" not in bench.faults:
             bench.play(1, 0.0)
@@ -89,7 +89,7 @@ def test_a_fault_that_lasts_is_told_to_the_monitor_of_a_reload(tmp_path: Path):
         wait_for(lambda: bench.status["configuration"]["reloads"] == 1, "the reload")
         bench.play(4, 0.0)
         bench.played()
-        assert bench.faults["StoreFailing"] == "provoked"
+        assert "set aside" in bench.faults["StoreFailing"]
 
 
 @pytest.mark.parametrize("capacity", [1, 2])

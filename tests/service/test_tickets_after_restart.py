@@ -113,7 +113,7 @@ def test_a_ticket_that_teaches_after_a_restart_is_taken_back_with_what_it_taught
 def test_loads_are_measured_again_though_the_daemon_was_killed_meanwhile() -> None:
     tickets = [Ticket(1.0, 1, 1, 100.0, 90.0, "")]
     log = ActionLog([], [], 0.0)
-    log.ticket(tickets[0], teaches=True)
+    log.ticket(tickets[0], is_reference=True)
     assert log.unfinished == (1,)
     assert log.take_waiting() == (1,)
     assert log.unfinished == (1,), "while they are measured"

@@ -16,7 +16,6 @@ from yieldmon.errors import InputError
 from yieldmon.files import machine_file, parameter_file
 from yieldmon.resources import shipped
 from yieldmon.service.batch import FaultEvent, Load, ParameterVersion, SweepRecord, Ticket
-from yieldmon.service.configuration import DEFAULT_MACHINE
 from yieldmon.web import history as history_module
 from yieldmon.web.history import History
 
@@ -147,7 +146,7 @@ def test_parameters_come_with_their_deviation(daemon: StandIn) -> None:
 def test_a_file_that_is_no_store_is_one_line(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "s.sqlite"
     path.write_bytes(content)
-    machine = machine_file.load(shipped(DEFAULT_MACHINE))
+    machine = machine_file.load(shipped(machine_file.DEFAULT))
     history = History(DELAY_S)
     for read in (history.document, history.points, lambda p: history.residuals(p, machine)):
         with pytest.raises(InputError) as caught:

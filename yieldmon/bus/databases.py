@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from yieldmon.bus.layout import largest_valid_raw, smallest_not_available_raw
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, reading
 from yieldmon.identifiers import group_of
 
 if TYPE_CHECKING:
@@ -111,10 +111,8 @@ def load_messages(path: Path | str) -> dict[str, MessageBits]:
     from cantools.database.errors import Error as DbcError
 
     where = str(path)
-    try:
+    with reading(path, "a readable DBC file"):
         data = Path(path).read_bytes()
-    except OSError as error:
-        raise InputError(where, error.strerror or str(error), "a readable DBC file") from error
     if b"\x00" in data:
         raise InputError(where, "is in UTF-16 or no text at all", "a DBC file in UTF-8 or Windows-1252")
     try:

@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, reading
 from yieldmon.identifiers import GROUP_MASK, IDENTITY_MASK
 from yieldmon.resources import shipped
 
@@ -123,9 +123,8 @@ def read_database(path: Path | str) -> Database:
     from cantools.database.errors import Error as DbcError
 
     try:
-        database = cantools.database.load_file(path, database_format="dbc")
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "a readable DBC file") from error
+        with reading(path, "a readable DBC file"):
+            database = cantools.database.load_file(path, database_format="dbc")
     except (DbcError, UnicodeDecodeError) as error:
         raise InputError(str(path), str(error), "a DBC file") from error
     assert isinstance(database, Database), "what the dbc format gives"

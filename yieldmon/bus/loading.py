@@ -23,11 +23,11 @@ from yieldmon.bus.logs import (
     log_format,
     open_bytes,
     read_log,
+    reading_log,
     refuse_unreadable,
     without_byte_order_mark,
 )
 from yieldmon.bus.packed import Wanted, read_blocks
-from yieldmon.errors import InputError
 
 _CHUNK_BYTES = 4 * 1024 * 1024
 _MESSAGES_PER_BLOCK = 100_000
@@ -73,7 +73,7 @@ def iter_blocks(
     if suffix == PACKED_SUFFIX:
 
         def count(can_id: int, frames: int) -> None:
-            notes.count(frames)
+            notes.frames += frames
             notes.error_frames += frames if can_id & ERROR_FLAG else 0
 
         yield from read_blocks(path, wanted, count)
@@ -90,16 +90,13 @@ def iter_blocks(
 def _candump_blocks(path: Path, notes: LogNotes, chunk_bytes: int, compiled: bool | None) -> Iterator[FrameBlock]:
     channels: list[str] = []
     line = 1
-    try:
-        with open_bytes(path, log_format(path)[1]) as stream:
-            for chunk in _whole_lines(stream, path, chunk_bytes):
-                parsed = _parse(chunk, path, notes, channels, line, compiled)
-                line += parsed.lines
-                columns = (parsed.time_s, parsed.can_id, parsed.length, parsed.payload, parsed.channel)
-                yield FrameBlock(*columns, tuple(channels), parsed.long)
-            early_end = early_end_of(stream)
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "a readable CAN log") from error
+    with reading_log(path), open_bytes(path, log_format(path)[1]) as stream:
+        for chunk in _whole_lines(stream, path, chunk_bytes):
+            parsed = _parse(chunk, path, notes, channels, line, compiled)
+            line += parsed.lines
+            columns = (parsed.time_s, parsed.can_id, parsed.length, parsed.payload, parsed.channel)
+            yield FrameBlock(*columns, tuple(channels), parsed.long)
+        early_end = early_end_of(stream)
     if early_end is not None:
         notes.damage(f"{path}:{line}", early_end)
     refuse_unreadable(notes)
@@ -135,6 +132,6 @@ def _parse(chunk: bytes, path: Path, notes: LogNotes, channels: list[str], first
         return candump_frame(raw.decode("utf-8", errors="replace"), notes, damage)
 
     parsed = parse_lines(chunk, channels, parse_slowly, compiled=compiled)
-    notes.count(len(parsed.time_s))
+    notes.frames += len(parsed.time_s)
     notes.error_frames += int(np.count_nonzero(parsed.can_id & np.uint32(ERROR_FLAG)))
     return parsed

@@ -14,7 +14,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -27,7 +27,7 @@ from yieldmon.bus.candump import dropped_frames, parse_line
 from yieldmon.bus.gunzip import Gunzip
 from yieldmon.bus.mf4_reading import Mf4Log
 from yieldmon.bus.sqlite_log import SqliteLog
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, reading
 from yieldmon.identifiers import LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID
 
 if TYPE_CHECKING:
@@ -53,8 +53,6 @@ _UNPACK_STEP_BYTES = 1024 * 1024
 
 #: What stands for a header when a reader goes on behind a damaged line: the line it may skip without loss.
 _RESUME_LINE = {".asc": "internal events logged", ".csv": "header", ".trc": ";"}
-_UNPACKED = re.compile(r"values to unpack \(expected (\d+)")
-"""How Python says that a line has more or fewer fields than its reader takes."""
 
 
 @dataclass(frozen=True)
@@ -85,34 +83,20 @@ class LogNotes:
     _KEPT = 20
 
     def damage(self, where: str, problem: str) -> None:
-        """Counts a damaged place and hands it to on_damage, or to the log while there are few.
-
-        Those before the first frame wait for it: a file without any is no log, which its error says in one line.
-        """
+        """Counts a damaged place and hands it to on_damage, or to the log while there are few."""
         damage = Damage(where, " ".join(problem.split())[:200])
         self.damaged_places += 1
         if len(self.damages) < self._KEPT:
             self.damages.append(damage)
-        if self.frames:
-            self._tell(damage)
-
-    def count(self, frames: int) -> None:
-        """Counts frames."""
-        if frames and not self.frames:
-            for damage in self.damages:
-                self._tell(damage)
-        self.frames += frames
-
-    def frame(self, message: can.Message) -> None:
-        """Counts a frame."""
-        self.error_frames += message.is_error_frame
-        self.count(1)
-
-    def _tell(self, damage: Damage) -> None:
         if self.on_damage is not None:
             self.on_damage(damage)
         elif self.damaged_places <= self._KEPT:
             _log.warning("%s", damage)
+
+    def frame(self, message: can.Message) -> None:
+        """Counts a frame."""
+        self.frames += 1
+        self.error_frames += message.is_error_frame
 
 
 def read_log(path: Path | str, notes: LogNotes | None = None) -> Iterator[can.Message]:
@@ -148,13 +132,16 @@ def read_log(path: Path | str, notes: LogNotes | None = None) -> Iterator[can.Me
     notes = notes if notes is not None else LogNotes()
     suffix, compressed = log_format(path)
     read = _read_text if suffix in TEXT_SUFFIXES else _read_packed if suffix == PACKED_SUFFIX else _read_binary
-    try:
+    with reading_log(path):
         for message in read(path, suffix, compressed, notes):
             notes.frame(message)
             yield message
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "a readable CAN log") from error
     refuse_unreadable(notes)
+
+
+def reading_log(path: Path | str) -> AbstractContextManager[None]:
+    """Raises InputError for a log that the system does not let be read."""
+    return reading(path, "a readable CAN log")
 
 
 def refuse_unreadable(notes: LogNotes) -> None:
@@ -167,10 +154,8 @@ def refuse_unreadable(notes: LogNotes) -> None:
 def require_log(path: Path | str) -> None:
     """Raises InputError unless there is a file with the name of a known format that can be opened."""
     log_format(Path(path))
-    try:
+    with reading_log(path):
         Path(path).open("rb").close()
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "a readable CAN log") from error
 
 
 def require_package(path: Path | str) -> None:
@@ -329,10 +314,7 @@ def _read_with_python_can(lines: _Lines, suffix: str) -> Iterator[can.Message]:
                 # No line has come since: it is the end of the file that the reader cannot do with.
                 return
             told = lines.number
-            counted = _UNPACKED.search(str(error))
-            lines.damage(
-                f"is not {counted[1]} fields, as a line of a {suffix} log is" if counted else f"not as {suffix} has it: {error}"
-            )
+            lines.damage(f"not as {suffix} has it: {error}")
             lines.resume_with = _RESUME_LINE[suffix]
 
 

@@ -16,7 +16,7 @@ from can.typechecking import CanFilter
 
 from yieldmon.bus.sockets import can_socket
 from yieldmon.bus.waiting import receive
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, reason
 
 _log = logging.getLogger(__name__)
 
@@ -68,7 +68,7 @@ def open_bus(
             **options,
         )
     except (can.CanError, OSError, ImportError) as error:
-        raise BusUnavailable(f"{where}: {getattr(error, 'strerror', None) or error}") from error
+        raise BusUnavailable(f"{where}: {reason(error)}") from error
     except (ValueError, TypeError) as error:
         raise InputError(where, str(error), "options that this python-can interface accepts") from error
     return prepared(bus, filters, receive_buffer_bytes)
@@ -115,7 +115,7 @@ def open_bus_from(
             ) from error
         where = f"{getattr(args, 'interface', 'bus')} channel {getattr(args, 'channel', None)}"
         if isinstance(cause, can.CanError | OSError | ImportError):
-            raise BusUnavailable(f"{where}: {getattr(cause, 'strerror', None) or cause}") from error
+            raise BusUnavailable(f"{where}: {reason(cause)}") from error
         raise InputError(where, str(cause), "options that this python-can interface accepts") from error
     return prepared(bus, filters)
 

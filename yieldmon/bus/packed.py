@@ -22,7 +22,7 @@ from yieldmon.bus.bulk import FrameBlock, concatenate
 from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG
 from yieldmon.bus.layout import MessageLayout
 from yieldmon.bus.packed_columns import CONSTANT, Coded, Column, decode, encode
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, brief, reason
 from yieldmon.identifiers import EXTENDED_FLAG
 
 if TYPE_CHECKING:
@@ -229,9 +229,9 @@ def read_blocks(
         # A ValueError too, which says all there is to say.
         raise
     except FileNotFoundError as error:
-        raise InputError(str(path), error.strerror or str(error), "a readable file of packed frames") from error
+        raise InputError(str(path), reason(error), "a readable file of packed frames") from error
     except (pa.ArrowException, OSError, ValueError, LookupError, OverflowError) as error:
-        raise InputError(str(path), f"damaged: {' '.join(str(error).split())[:120]}", _EXPECTED) from error
+        raise InputError(str(path), f"damaged: {brief(error)}", _EXPECTED) from error
 
 
 def _schema() -> pa.Schema:

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import hashlib
 import sys
-from datetime import UTC, datetime
 from math import isfinite
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from yieldmon.cli import _provenance
 from yieldmon.documents.calibrate import CalibratedParameter, LoadCalibrationDocument
 from yieldmon.errors import InputError
 from yieldmon.estimation.load_inputs import WeighedLoad
@@ -208,12 +206,7 @@ def text(document: LoadCalibrationDocument) -> str:
 
 
 def _with_provenance(found: LoadCalibration, args: argparse.Namespace, prior: ParameterSet) -> ParameterSet:
-    tickets = Path(args.tickets)
-    facts = {
-        "data": ", ".join(Path(source).name for source in args.loads),
-        "tickets": tickets.name,
-        "tickets_sha256": hashlib.sha256(tickets.read_bytes()).hexdigest(),
-        "date": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+    facts = _provenance.of_loads(args.loads, args.tickets) | {
         "method": f"{len(found.loads) - len(found.outliers)} weighed loads"
         + (f", {found.sweeps_used} sweeps" if found.sweeps_used else ""),
         "parent_version": str(prior.version),

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import argparse
 import sys
-from datetime import UTC, datetime
-from pathlib import Path
 
 import numpy as np
 
-from yieldmon.cli import _by_loads, model_options
+from yieldmon.cli import _by_loads, _provenance, model_options
 from yieldmon.documents.calibrate import CurveCalibrationDocument
 from yieldmon.errors import InputError
 from yieldmon.estimation.flow_curve import OFFSET_SHARE, AlphaBeta, FlowCurve, with_curve
@@ -66,15 +64,12 @@ def _of_table(args: argparse.Namespace) -> tuple[CurveFit, dict[str, str]]:
     rows = model_options.measurements(data, machine, args.response_scale)
     model_options.check_force(data, rows, machine)
     if args.plate_angle is not None:
-        chosen = np.isclose(rows.columns()[0], np.radians(args.plate_angle), atol=1e-6)
-        if not np.any(chosen):
-            raise InputError("--plate-angle", f"is {args.plate_angle:g}", f"an angle that {data.path} holds")
-        rows = rows.select(chosen)
+        rows = model_options.at_plate_angle(rows, args.plate_angle, data)
     try:
         found = fit_table(machine, rows, args.estimator)
     except ValueError as error:
         raise InputError(data.path, str(error)) from error
-    return found, {"data": Path(data.path).name, "data_sha256": data.sha256, **_facts("table of known loads")}
+    return found, _provenance.of_table(data) | {"method": "table of known loads"}
 
 
 def _of_loads(args: argparse.Namespace) -> tuple[CurveFit, dict[str, str]]:
@@ -85,14 +80,10 @@ def _of_loads(args: argparse.Namespace) -> tuple[CurveFit, dict[str, str]]:
         found = fit_loads(loads, configured.machine.home_plate_angle_rad)
     except ValueError as error:
         raise InputError(", ".join(args.loads), str(error)) from error
-    facts = _facts(f"{len(loads)} weighed loads")
+    facts = _provenance.of_loads(args.loads, args.tickets) | {"method": f"{len(loads)} weighed loads"}
     if "crop" in configured.parameters.provenance:
         facts["crop"] = configured.parameters.provenance["crop"]
-    return found, {"data": ", ".join(Path(source).name for source in args.loads), "tickets": Path(args.tickets).name, **facts}
-
-
-def _facts(method: str) -> dict[str, str]:
-    return {"date": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"), "method": method}
+    return found, facts
 
 
 def report(found: CurveFit, source: str) -> CurveCalibrationDocument:

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
-import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from yieldmon.cli import _by_loads, _flow_curve, _outputs, _pulse_shape, model_options
+from yieldmon.cli import _by_loads, _flow_curve, _outputs, _provenance, _pulse_shape, model_options
+from yieldmon.cli._json import print_document, print_json
 from yieldmon.documents.calibrate import CalibrationDocument, ComparedModel
 from yieldmon.errors import InputError
 from yieldmon.estimation import empirical, identifiability
@@ -25,8 +23,7 @@ from yieldmon.estimation.measurements import Measurements
 from yieldmon.estimation.moisture import fit as fit_moisture_map
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import EXCHANGED, Prior
-from yieldmon.files import moisture_file, parameter_file, table, whole_file
-from yieldmon.finite import finite_document
+from yieldmon.files import digests, moisture_file, parameter_file, table, whole_file
 from yieldmon.physics.effects import get_effect
 from yieldmon.physics.grain import fitted
 from yieldmon.physics.machine import Machine
@@ -34,8 +31,6 @@ from yieldmon.physics.model import EXCHANGE_FORM, RESTITUTION_FORM, ForwardModel
 
 PROGRESS_AFTER_S = 2.0
 STANDARD_GRAVITY_M_S2 = 9.81
-MAP_NAME = "moisture-map.yaml"
-"""Of `--by-moisture`, in the folder of its parameter files."""
 _CONSTANTS = ("gravity.acceleration_m_s2",)
 """Parameters of effects that no table is to move, unless --free names them."""
 
@@ -84,15 +79,15 @@ def run(args: argparse.Namespace) -> int:
     """Fit, report, write. Exit code 1 when weighed loads refuse the calibration."""
     if args.pulse_shape:
         shape = _pulse_shape.run(args)
-        print(json.dumps(finite_document(shape), indent=1) if args.json else _pulse_shape.text(shape))
+        print_document(shape, _pulse_shape.text, as_json=args.json, indent=1)
         return 1 if shape["refused"] else 0
     if args.estimator is not None:
         curve = _flow_curve.run(args)
-        print(json.dumps(finite_document(curve), indent=1) if args.json else _flow_curve.text(curve))
+        print_document(curve, _flow_curve.text, as_json=args.json, indent=1)
         return 0
     if args.loads is not None:
         document = _by_loads.run(args)
-        print(json.dumps(finite_document(document), indent=1) if args.json else _by_loads.text(document))
+        print_document(document, _by_loads.text, as_json=args.json, indent=1)
         return 1 if document["refused"] else 0
     if args.data is None:
         raise InputError("DATA", "is missing", "a table of a test facility, or --loads and --tickets")
@@ -122,7 +117,7 @@ def _of_table(args: argparse.Namespace) -> int:
     if args.out is not None:
         parameter_file.save(result.parameter_set, args.out)
         document["written"] = args.out
-    print(json.dumps(finite_document(document), indent=1) if args.json else text(document))
+    print_document(document, text, as_json=args.json, indent=1)
     return 0
 
 
@@ -130,8 +125,6 @@ def _check_options(args: argparse.Namespace) -> None:
     """What can be refused before anything is read."""
     if args.starts < 1:
         raise InputError("--starts", f"is {args.starts}", "1 or more")
-    if args.seed < 0:
-        raise InputError("--seed", f"is {args.seed}", "a whole number from 0")
     if args.out is not None and not args.by_moisture:
         whole_file.check_place(args.out)
     if args.profiles is not None:
@@ -154,10 +147,7 @@ def _read(args: argparse.Namespace, machine: Machine) -> tuple[table.Table, Meas
         print(f"yieldmon: {note}", file=sys.stderr)
     if args.plate_angle is None:
         return data, rows
-    chosen = np.isclose(rows.columns()[0], np.radians(args.plate_angle), atol=1e-6)
-    if not np.any(chosen):
-        raise InputError("--plate-angle", f"is {args.plate_angle:g}", f"an angle that {data.path} holds")
-    return data, rows.select(chosen)
+    return data, model_options.at_plate_angle(rows, args.plate_angle, data)
 
 
 def report(result: Calibration, data: table.Table, rows: Measurements) -> CalibrationDocument:
@@ -277,8 +267,6 @@ def _fit_form(
         start["gravity.acceleration_m_s2"] = STANDARD_GRAVITY_M_S2
     if args.free is not None:
         free = [name.strip() for name in args.free.split(",") if name.strip()]
-        if twice := [name for name in free if free.count(name) > 1]:
-            raise InputError("--free", f"names {twice[0]} twice", "each parameter once")
         wrong = [n for n in free if n not in start]
         if wrong or set(free) & set(fixed):
             raise InputError("--free", f"is {args.free!r}", f"some of {', '.join(n for n in start if n not in fixed)}")
@@ -307,16 +295,13 @@ def _fit_form(
 def _with_provenance(
     fitted: ParameterSet, args: argparse.Namespace, data: table.Table, parent: ParameterSet | None
 ) -> ParameterSet:
-    facts = {
-        "data": Path(data.path).name,
-        "data_sha256": data.sha256,
-        "date": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+    facts = _provenance.of_table(data) | {
         "method": "least squares" + (", soft-L1 loss" if args.robust else "") + f", {args.starts} starts, seed {args.seed}",
     }
     if args.response_scale is not None:
         facts["response_scale"] = repr(args.response_scale)
     if parent is not None:
-        facts["parent"] = f"{Path(args.prior).name} sha256 {hashlib.sha256(Path(args.prior).read_bytes()).hexdigest()}"
+        facts["parent"] = f"{Path(args.prior).name} sha256 {digests.of_file(args.prior)}"
         facts["parent_version"] = str(parent.version)
     return replace(fitted, provenance=facts, version=1 if parent is None else parent.version + 1)
 
@@ -342,25 +327,22 @@ def _by_moisture(args: argparse.Namespace, machine: Machine, data: table.Table, 
     if not np.all(np.isfinite(moisture)):
         raise InputError(data.path, "has rows without moisture_pct", "a moisture for each row")
     documents, sets = [], []
-    names = {value: f"{Path(data.path).stem}-{value:g}.yaml" for value in np.unique(moisture).tolist()}
-    if args.out is not None:
-        _outputs.check_folder(Path(args.out), (*names.values(), MAP_NAME), "--out", force=args.force)
-    for value, name in names.items():
+    for value in np.unique(moisture):
         part = rows.select(moisture == value)
         result = _fit(args, machine, data, part)
         document = report(result, data, part)
-        document["moisture_pct"] = value
+        document["moisture_pct"] = float(value)
         if args.out is not None:
             folder = Path(args.out)
             whole_file.readable_folder(folder)
-            document["written"] = str(folder / name)
+            document["written"] = str(folder / f"{Path(data.path).stem}-{value:g}.yaml")
             parameter_file.save(result.parameter_set, document["written"])
         documents.append(document)
         sets.append(result.parameter_set)
     if args.out is not None and len(sets) > 1:
-        moisture_file.save(fit_moisture_map(np.unique(moisture).tolist(), sets), Path(args.out) / MAP_NAME)
+        moisture_file.save(fit_moisture_map(np.unique(moisture).tolist(), sets), Path(args.out) / "moisture-map.yaml")
     if args.json:
-        print(json.dumps(finite_document({"by_moisture": documents}), indent=1))
+        print_json({"by_moisture": documents}, indent=1)
     else:
         print("\n\n".join(f"moisture {d['moisture_pct']:g} %\n{text(d)}" for d in documents))
     return 0

@@ -7,9 +7,9 @@ calibrations, with who and when.
 from __future__ import annotations
 
 import argparse
-import json
 
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
+from yieldmon.cli._json import print_document, print_json
 from yieldmon.cli._records import back, show, when
 from yieldmon.errors import InputError
 
@@ -40,11 +40,11 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("VERSION", f"is {args.version}", "a version as `yieldmon calibrations list` shows it")
     if args.action == "undo":
         answer = ask_daemon(args, {"command": "calibration-undo", "version": args.version})
-        print(json.dumps(answer, indent=2) if args.json else back(answer))
+        print_document(answer, back, as_json=args.json)
         return 0
     answer = ask_daemon(args, {"command": "calibrations"})
     if args.json:
-        print(json.dumps(answer, indent=2))
+        print_json(answer)
         return 0
     rows = (
         (

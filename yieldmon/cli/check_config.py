@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from typing import Any
 
+from yieldmon.cli._json import print_json
 from yieldmon.errors import InputError
 from yieldmon.resources import shipped
-from yieldmon.service import configuration
+from yieldmon.service import configuration, document_text
 from yieldmon.service.document import Document
 
 
@@ -30,7 +30,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 for a configuration that can run, 2 for one that cannot."""
     if args.defaults:
-        print(configuration.document_text(), end="")
+        print(document_text.commented_defaults(), end="")
         return 0
     path = args.file if args.file is not None else str(shipped("config/yieldmon.yaml"))
     problems: list[InputError] = []
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
             "signals": seen,
             "configuration": loaded.document.model_dump() if loaded is not None else None,
         }
-        print(json.dumps(document, indent=2))
+        print_json(document)
     else:
         if seen is not None:
             _show(seen)

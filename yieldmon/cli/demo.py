@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from math import isfinite
 from pathlib import Path
@@ -13,6 +12,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from yieldmon.bus.codec import Codec
 from yieldmon.cli import _outputs
+from yieldmon.cli._json import print_json
+from yieldmon.cli._limits import within
 from yieldmon.cli.simulate import scenario_path
 from yieldmon.errors import InputError
 from yieldmon.files import whole_file
@@ -48,12 +49,9 @@ def run(args: argparse.Namespace) -> int:
     if args.picture is not None:
         canvas.check_name(args.picture, "--picture")
         whole_file.check_place(args.picture)
-    if args.seed < 0:
-        raise InputError("--seed", f"is {args.seed}", "a whole number from 0")
     chosen = scenarios.load(scenario_path(args.scenario or "demo"))
     if args.duration is not None:
-        if not 10.0 <= args.duration <= 400_000.0:
-            raise InputError("--duration", f"is {args.duration:g}", "10 to 400000 s")
+        within("--duration", args.duration, 10.0, 400_000.0, "s")
         chosen = chosen.model_copy(update={"duration_s": args.duration})
     settings = configuration.load(args.config or shipped("config/yieldmon.yaml"))
     machine = settings.machine
@@ -71,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     delay_s = 0.5 * machine.pattern_length_m / machine.paddle_speed_m_s(chosen.elevator.speed_rpm * RPM)
     found = accuracy.assess(result.published, combine.delivered_kg, delay_s, chosen.duration_s)
     if args.json:
-        print(json.dumps(found.to_json(), indent=2))
+        print_json(found.to_json())
     else:
         _show(found, result.frames_on_bus, chosen.duration_s)
     if args.picture:

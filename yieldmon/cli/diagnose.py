@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,13 +11,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from yieldmon.cli import _outputs
+from yieldmon.cli._json import print_json
 from yieldmon.discrepancy import adoption, diagnosis, planning, report
 from yieldmon.discrepancy.diagnosis_document import to_document
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.files import machine_file, parameter_file, table
+from yieldmon.files import machine_file, parameter_file, table, whole_file
 from yieldmon.files.table import Table
-from yieldmon.files.whole_file import check_place, scratch_for
+from yieldmon.files.whole_file import check_place
 from yieldmon.physics.effects import registry
 from yieldmon.physics.machine import Machine
 from yieldmon.resources import shipped
@@ -78,7 +78,6 @@ def run(args: argparse.Namespace) -> int:
     _check(args)
     machine = machine_file.load(args.machine)
     source = _from_store(args, machine) if recorded.is_store(args.data) else _from_csv(args)
-    _check_adopt(args, source)
     data, parameters = source.data, source.parameters
     machine = data.at_one_position(machine)
     options = replace(
@@ -94,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
     for note in data.notes:
         print(note, file=sys.stderr)
     if args.json:
-        print(json.dumps(to_document(found), indent=2))
+        print_json(to_document(found))
     else:
         print_text(found)
     if args.report is not None:
@@ -107,13 +106,18 @@ def run(args: argparse.Namespace) -> int:
         if found.verdict != "effect":
             print(f"yieldmon: nothing to adopt: the verdict is {found.verdict}", file=sys.stderr)
             return 1
-        now = datetime.now(UTC)
         parent = source.parameter_path
         if parent is None:
             parent = Path(args.adopt).with_suffix(f".v{parameters.version}.store.yaml")
             parameter_file.save(parameters, parent)
         copy = adoption.adopt(
-            found, parameters, parent, Path(args.adopt), (args.data, data.sha256), now, scale_sd=source.scale_sd
+            found,
+            parameters,
+            parent_path=parent,
+            out=Path(args.adopt),
+            data=(args.data, data.sha256),
+            now=datetime.now(UTC),
+            scale_sd=source.scale_sd,
         )
         print(f"adopted: {args.adopt} (version {parameters.version + 1}); parent kept as {copy}", file=sys.stderr)
     return 0
@@ -130,28 +134,9 @@ def _check(args: argparse.Namespace) -> None:
         report.check_pictures()
         if Path(args.report).is_file():
             raise InputError(f"--report {args.report}", "is a file", "a folder")
-    if args.report is not None:
-        _outputs.check_folder(Path(args.report), report.FILES, "--report", force=args.force)
     for place in (args.table, args.plan, args.adopt):
         if place is not None:
             check_place(place)
-    if args.plan is not None:
-        _outputs.refuse(planning.schedule_path(Path(args.plan)), "--plan", force=args.force)
-    if args.seed < 0:
-        raise InputError("--seed", f"is {args.seed}", "a whole number from 0")
-
-
-def _check_adopt(args: argparse.Namespace, source: _Source) -> None:
-    """Raises InputError for a file that adopting would replace and nothing keeps: the parameters' own file has its copy."""
-    if args.adopt is None:
-        return
-    out = Path(args.adopt)
-    in_place = source.parameter_path is not None and out.resolve() == source.parameter_path.resolve()
-    if not in_place:
-        _outputs.refuse(out, "--adopt", force=args.force, inputs={Path(args.data).resolve()})
-    copy = adoption.parent_copy(out, source.parameters.version)
-    if copy.is_file() and (source.parameter_path is None or copy.read_bytes() != source.parameter_path.read_bytes()):
-        _outputs.refuse(copy, "--adopt", force=args.force)
 
 
 @dataclass(frozen=True)
@@ -181,8 +166,7 @@ def _from_store(args: argparse.Namespace, machine: Machine) -> _Source:
     parameters = parameter_file.load(path) if path is not None else sweep_table.given_parameters(args.data)
     found = sweep_table.read(args.data, machine, parameters, args.sweeps)
     if args.table is not None:
-        with scratch_for(args.table) as scratch:
-            scratch.write_text(found.text, encoding="utf-8")
+        whole_file.write(args.table, found.text)
     return _Source(found.table, parameters, path, True, found.scale_sd)
 
 

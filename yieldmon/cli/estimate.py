@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 import csv
-import json
 import sys
 from typing import Any
 
 import numpy as np
 
 from yieldmon.cli import _flow_curve, model_options
+from yieldmon.cli._json import print_json
+from yieldmon.cli._limits import within
 from yieldmon.errors import InputError
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.open_loop import FlowStatus
@@ -36,8 +37,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """A row of output for each row of the table; rows of bad input are errors, rows without a reading have a status."""
-    if not 0.0 <= args.sigma < np.inf:
-        raise InputError("--sigma", f"is {args.sigma:g}", "a number of at least 0")
+    within("--sigma", args.sigma, 0.0)
     machine, known = model_options.machine(args), _flow_curve.with_file(model_options.parameters(args), args.estimator)
     data = table.load(args.data, need_load=False)
     machine = data.at_one_position(machine)
@@ -72,8 +72,7 @@ def run(args: argparse.Namespace) -> int:
             row["error_pct"] = float(100.0 * (row["mass_flow_kg_s"] / true - 1.0)) if true > 0.0 else np.nan
         rows.append(row)
     if args.json:
-        rows = [{k: None if isinstance(v, float) and np.isnan(v) else v for k, v in row.items()} for row in rows]
-        print(json.dumps({"file": data.path, "rows": rows}, indent=1))
+        print_json({"file": data.path, "rows": rows}, indent=1)
     else:
         writer = csv.DictWriter(sys.stdout, list(rows[0]), lineterminator="\n")
         writer.writeheader()

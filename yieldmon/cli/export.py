@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from yieldmon.cli import _outputs
+from yieldmon.cli._limits import within
 from yieldmon.errors import InputError
 from yieldmon.export import agleader, columns, geojson, geopackage, taskdata
 from yieldmon.export.points import PointSettings, YieldPoint, yield_points
@@ -60,8 +60,6 @@ def run(args: argparse.Namespace) -> int:
     kind = args.format or ENDINGS.get(out.suffix.lower())
     if kind is None:
         raise InputError("--out", f"is {args.out}", f"a name that ends in one of {', '.join(ENDINGS)}, or --format")
-    if kind == "taskdata" and out.suffix.lower() != ".zip":
-        _outputs.check_folder(out / taskdata.FOLDER, taskdata.FILES, "--out", force=args.force)
     what = args.what or ("seconds" if kind in TABLES else "points")
     if what != "points" and kind not in TABLES:
         raise InputError("--what", f"{what} as {kind}", f"{what} as {' or '.join(TABLES)}")
@@ -111,8 +109,7 @@ def _settings(args: argparse.Namespace) -> PointSettings:
         ("--end-delay", args.end_delay, 0.0, 600.0),
         ("--reference-moisture", args.reference_moisture, 0.0, 50.0),
     ):
-        if not (isfinite(value) and low <= value <= high):
-            raise InputError(name, f"is {value:g}", f"{low:g} to {high:g}")
+        within(name, value, low, high)
     return PointSettings(
         swath_m=args.swath,
         flow_delay_s=args.flow_delay,

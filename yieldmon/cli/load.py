@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from typing import Any
 
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
+from yieldmon.cli._json import print_json
 from yieldmon.cli._records import show
 from yieldmon.cli._units import add_units
 from yieldmon.files.crops import crops
@@ -50,8 +50,7 @@ def run(args: argparse.Namespace) -> int:
             request["thousand_kernel_weight_g"] = args.thousand_kernel_weight
     answer = ask_daemon(args, request)
     if args.json:
-        json.dump(answer, sys.stdout, indent=2)
-        print()
+        print_json(answer)
     elif args.action == "list":
         show(*_rows(answer["loads"], args.units or answer.get("units", "metric")))
     elif args.action == "start":

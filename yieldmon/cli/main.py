@@ -109,7 +109,7 @@ def _operational_errors() -> tuple[type[BaseException], ...]:
     return (OSError, can.CanError) if can is not None else (OSError,)
 
 
-def _tell(error: object) -> None:
+def _print_error(error: object) -> None:
     text = str(error)
     if isinstance(error, OSError) and error.strerror:
         text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
@@ -182,13 +182,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return code
     except InputError as error:
-        _tell(error)
+        _print_error(error)
         return EXIT_USAGE
     except ModuleNotFoundError as error:
         line = _missing_package(error)
         if line is None:
             raise
-        _tell(line)
+        _print_error(line)
         return EXIT_FAILED
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
@@ -201,7 +201,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return EXIT_FAILED
     except _operational_errors() as error:
         _let_go_of_output()
-        _tell(error)
+        _print_error(error)
         return EXIT_USAGE if isinstance(error, FileNotFoundError | IsADirectoryError) else EXIT_FAILED
 
 

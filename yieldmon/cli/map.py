@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from datetime import date
 from math import isfinite
 from pathlib import Path
 
+from yieldmon.cli._json import print_json
+from yieldmon.cli._limits import within_if_given
 from yieldmon.cli._units import add_units
 from yieldmon.errors import InputError
 from yieldmon.field import harvest, loads, sources, summary
 from yieldmon.field.cleaning import NAMES, NEEDED
-from yieldmon.field.products import FILES, FORMATS, write_products
+from yieldmon.field.products import FORMATS, write_products
 from yieldmon.field.sources.options import ReadOptions
 from yieldmon.field.swath import HeaderPlace
 from yieldmon.field.table import HarvestTable, Skipped, joined
@@ -82,7 +83,6 @@ def run(args: argparse.Namespace) -> int:
     read_options, map_options = _read_options(args), _map_options(args)
     if out.exists() and not out.is_dir():
         raise InputError("--out", f"{out} is a file", "a folder")
-    _spare_sources([Path(name).resolve() for name in args.sources], out.resolve(), formats)
 
     def progress(text: str) -> None:
         print(f"{time.monotonic() - started:6.1f} s  {text}", file=sys.stderr, flush=True)
@@ -92,20 +92,10 @@ def run(args: argparse.Namespace) -> int:
     out.mkdir(parents=True, exist_ok=True)
     written = write_products(out, result, formats, args.grid, progress)
     document = summary.document(result) | {"files": [str(path) for path in written]}
-    _tell(document, result)
+    _print_summary(document, result)
     if args.json:
-        print(json.dumps(document, indent=1, allow_nan=False))
+        print_json(document, indent=1)
     return 0
-
-
-def _spare_sources(sources: Sequence[Path], out: Path, formats: Sequence[str]) -> None:
-    """Raises InputError where a harvest is named twice, or what is written would replace one."""
-    written = {out / name for kind in formats for name in FILES[kind]}
-    for number, source in enumerate(sources):
-        if source in sources[:number]:
-            raise InputError(str(source), "is named twice, which would double its mass", "each harvest once")
-        if source in written or (source == out and any(path.exists() for path in written)):
-            raise InputError(f"--out {out}", f"has files that would replace those of {source}, which is read", "another folder")
 
 
 def _read(paths: list[Path], options: ReadOptions, progress: sources.Progress) -> HarvestTable:
@@ -130,7 +120,7 @@ def _by_reason(skipped: Iterable[Skipped]) -> dict[str, list[str]]:
     return parts
 
 
-def _tell(document: dict[str, object], result: harvest.HarvestMap) -> None:
+def _print_summary(document: dict[str, object], result: harvest.HarvestMap) -> None:
     totals = result.totals
     lines = summary.delay_lines(result)
     if result.transport is not None:
@@ -161,12 +151,6 @@ def _formats(text: str) -> tuple[str, ...]:
     return chosen
 
 
-def _number(name: str, value: float | None, low: float, high: float) -> float | None:
-    if value is not None and not (isfinite(value) and low <= value <= high):
-        raise InputError(name, f"is {value:g}", f"{low:g} to {high:g}")
-    return value
-
-
 def _read_options(args: argparse.Namespace) -> ReadOptions:
     columns = {}
     for text in args.column:
@@ -181,20 +165,20 @@ def _read_options(args: argparse.Namespace) -> ReadOptions:
             first = date.fromisoformat(args.date)
         except ValueError:
             raise InputError("--date", f"is {args.date!r}", "YYYY-MM-DD") from None
-    return ReadOptions(columns, _number("--width", args.width, 0.1, 60.0), args.crop, args.field, first, args.crs)
+    return ReadOptions(columns, within_if_given("--width", args.width, 0.1, 60.0), args.crop, args.field, first, args.crs)
 
 
 def _map_options(args: argparse.Namespace) -> harvest.MapOptions:
     for name in args.without:
         if name not in NAMES or name in NEEDED:
             raise InputError("--without", f"names {name!r}", f"one of {', '.join(n for n in NAMES if n not in NEEDED)}")
-    _number("--grid", args.grid, 1.0, 1000.0)
+    within_if_given("--grid", args.grid, 1.0, 1000.0)
     return harvest.MapOptions(
-        _number("--flow-delay", args.flow_delay, -60.0, 120.0),
-        _number("--moisture-delay", args.moisture_delay, -60.0, 120.0),
+        within_if_given("--flow-delay", args.flow_delay, -60.0, 120.0),
+        within_if_given("--moisture-delay", args.moisture_delay, -60.0, 120.0),
         HeaderPlace(
-            _number("--header-ahead", args.header_ahead, -20.0, 20.0) or 0.0,
-            _number("--header-right", args.header_right, -20.0, 20.0) or 0.0,
+            within_if_given("--header-ahead", args.header_ahead, -20.0, 20.0) or 0.0,
+            within_if_given("--header-right", args.header_right, -20.0, 20.0) or 0.0,
         ),
         tuple(args.without),
         tuple(loads.read_tickets(Path(args.tickets))) if args.tickets else (),

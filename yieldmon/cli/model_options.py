@@ -67,8 +67,6 @@ def assignments(texts: Iterable[str], option: str) -> dict[str, float]:
         name, equals, value = text.partition("=")
         if not equals:
             raise InputError(option, f"is {text!r}", "NAME=VALUE")
-        if name.strip() in out:
-            raise InputError(option, f"names {name.strip()} twice", "each parameter once")
         out[name.strip()] = finite(value, f"{option} {name.strip()}")
     return out
 
@@ -130,8 +128,6 @@ def check_moisture(moisture_pct: float | None) -> None:
     """Raises InputError for a --moisture that is none."""
     if moisture_pct is not None and not 0.0 <= moisture_pct <= 100.0:
         raise InputError("--moisture", f"is {moisture_pct:g}", "0 to 100 %")
-    if moisture_pct is not None and 0.0 < moisture_pct < 1.0:
-        raise InputError("--moisture", f"is {moisture_pct:g}", f"per cent; this looks like a share: {100.0 * moisture_pct:g} %")
 
 
 def check_each(good: np.ndarray, values: np.ndarray, option: str, expected: str) -> None:
@@ -204,6 +200,14 @@ def measurements(data: Table, machine: Machine, response_scale: float | None = N
     given = {field.name: getattr(conditions, field.name) for field in fields(conditions)}
     chosen = {name: np.asarray(column)[usable] for name, column in given.items() if column is not None}
     return Measurements(Conditions(**chosen), values[usable], sigma[usable] if np.all(known) else None, np.flatnonzero(usable))
+
+
+def at_plate_angle(rows: Measurements, angle_deg: float, data: Table) -> Measurements:
+    """Those of the rows at one plate angle. Raises InputError where there is none."""
+    chosen = np.isclose(rows.columns()[0], np.radians(angle_deg), atol=1e-6)
+    if not np.any(chosen):
+        raise InputError("--plate-angle", f"is {angle_deg:g}", f"an angle that {data.path} holds")
+    return rows.select(chosen)
 
 
 def check_force(data: Table, rows: Measurements, machine: Machine) -> None:

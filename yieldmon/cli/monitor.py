@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
-from math import inf
 from pathlib import Path
 
 import can
@@ -24,6 +22,8 @@ from yieldmon.bus.waiting import receive
 from yieldmon.cli import _outputs
 from yieldmon.cli._cab import DaemonLink, Status
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon, daemon_socket, mass
+from yieldmon.cli._json import print_json
+from yieldmon.cli._limits import above_0, within
 from yieldmon.cli._units import add_units
 from yieldmon.errors import InputError
 from yieldmon.files.units import units_of
@@ -70,10 +70,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Watch until q, Ctrl-C or the end of the log."""
-    if not 0.0 <= args.speed < inf:
-        raise InputError("--speed", f"is {args.speed:g}", "a number of at least 0")
-    if not 0.0 < args.seconds < inf:
-        raise InputError("--seconds", f"is {args.seconds:g}", "a number above 0")
+    within("--speed", args.speed, 0.0)
+    above_0("--seconds", args.seconds)
     if not (args.once or args.json or args.record or sys.stdout.isatty()):
         raise InputError("standard output", "is no terminal", "a terminal, --once, --json or --record F")
     codec = Codec()
@@ -156,7 +154,7 @@ class _Cab:
         """Take what the daemon has said since."""
         for news in self.daemon.news() if self.daemon is not None else ():
             if isinstance(news, str):
-                self.dialog.tell(news)
+                self.dialog.report(news)
             else:
                 self._status = news
 
@@ -287,7 +285,8 @@ def _print_lines(source: Source, traffic: Traffic, codec: Codec, record: _Record
     def report() -> None:
         nonlocal reported_s, reported_frames
         reported_s, reported_frames = traffic.now_s, traffic.frames
-        print(json.dumps(_document(traffic, View())), flush=True)
+        print_json(_document(traffic, View()), indent=None)
+        sys.stdout.flush()
 
     def act() -> bool:
         if traffic.now_s - reported_s >= 1.0 - 0.5 * REFRESH_S:
@@ -302,7 +301,7 @@ def _print_lines(source: Source, traffic: Traffic, codec: Codec, record: _Record
 
 def _print_once(traffic: Traffic, codec: Codec, cab: _Cab, as_json: bool) -> None:
     if as_json:
-        print(json.dumps(_document(traffic, cab.view), indent=2))
+        print_json(_document(traffic, cab.view))
         return
     if cab.daemon is not None:
         with suppress(ControlError):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,9 +12,9 @@ from yieldmon.bus.codec import Codec
 from yieldmon.bus.loading import iter_blocks
 from yieldmon.bus.logs import PACKED_SUFFIX, LogNotes, require_log
 from yieldmon.bus.packed import pack
+from yieldmon.cli._json import print_json
 from yieldmon.errors import InputError
 from yieldmon.files.whole_file import scratch_for
-from yieldmon.service.log_copies import refuse_copies, refuse_named_twice
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -43,13 +42,12 @@ def run(args: argparse.Namespace) -> int:
         require_log(log)
         if out.exists() and out.samefile(log):
             raise InputError("--out", f"{out} is one of the logs", "another name")
-    refuse_named_twice(args.logs)
-    refuse_copies(args.logs)
     notes = LogNotes()
     with scratch_for(out) as scratch:
         packed = pack(_blocks(args.logs, notes), scratch, Codec().layouts)
-        if not packed.frames:
-            raise InputError(", ".join(args.logs), "no frame at all", "a log with CAN frames")
+    if not packed.frames:
+        out.unlink()
+        raise InputError(", ".join(args.logs), "no frame at all", "a log with CAN frames")
     logs_bytes = sum(Path(log).stat().st_size for log in args.logs)
     document = {
         "file": str(out),
@@ -59,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
         "damages": [str(damage) for damage in notes.damages],
     }
     if args.json:
-        print(json.dumps(document, indent=2))
+        print_json(document)
     else:
         share = 100.0 * packed.size_bytes / logs_bytes
         print(f"{out}: {packed.frames} frames, {packed.size_bytes} bytes, {share:.1f} % of the logs' size", file=sys.stderr)

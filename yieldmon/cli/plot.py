@@ -152,7 +152,7 @@ def _flow(args: argparse.Namespace) -> Figure:
     names = ("time_s", "mass_flow_kg_s", "std_dev_kg_s", "total_kg")
     time_s, rate, spread, total = (_column(rows, name) for name in names)
     factory = _column(rows, "factory_mass_flow_kg_s")
-    return flow.draw(time_s, rate, spread, total, truth, weighed, factory, _units(args))
+    return flow.draw(time_s, rate, spread, total, truth=truth, weighed=weighed, factory_kg_s=factory, units=_units(args))
 
 
 def _weighed(loads: list[Load], tickets: list[Ticket]) -> list[tuple[float, float, float]]:
@@ -184,10 +184,10 @@ def _sweeps(args: argparse.Namespace) -> Figure:
     if not any(row.sweep_id for row in rows):
         raise InputError(args.record, "holds no sweep", "a record with at least one")
     names = ("time_s", "plate_angle_deg", "force_n", "force_std_dev_n", "mass_flow_kg_s")
-    columns = [_column(rows, name) for name in names]
+    columns = {name: _column(rows, name) for name in names}
     sweep_id = np.array([row.sweep_id for row in rows])
     usable = np.array([bool(row.usable_for_calibration) for row in rows])
-    return sweeps.draw(sweep_id, usable, *columns, _units(args))  # type: ignore[call-arg,arg-type]
+    return sweeps.draw(sweep_id, usable, **columns, units=_units(args))
 
 
 def _parameters(args: argparse.Namespace) -> Figure:
@@ -220,7 +220,7 @@ def _curves(args: argparse.Namespace) -> Figure:
         angles = np.radians(np.arange(40.0, 91.0, 10.0)) if readings is None else curves.some(readings.plate_angle_rad)
     model_options.check_operating_points(flows, np.degrees(angles), np.array([speed / RPM]))
     try:
-        return curves.draw(model, known, flows, angles, speed, args.moisture, readings)
+        return curves.draw(model, known, flows, angles, elevator_speed_rad_s=speed, moisture_pct=args.moisture, readings=readings)
     except ValueError as error:
         raise InputError("plot curves", str(error)) from error
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import csv
-import json
 import sys
 
 import numpy as np
 
 from yieldmon.cli import model_options
+from yieldmon.cli._json import print_json
 from yieldmon.errors import InputError
 from yieldmon.physics.machine import RPM
 from yieldmon.physics.model import Conditions, ForwardModel
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     table = np.stack(values, axis=-1).tolist()
     if args.json:
         rows = [dict(zip(columns, row, strict=True)) for row in table]
-        print(json.dumps({"machine": machine.name, "parameters": dict(known.values), "rows": rows}, indent=1))
+        print_json({"machine": machine.name, "parameters": dict(known.values), "rows": rows}, indent=1)
     else:
         writer = csv.writer(sys.stdout, lineterminator="\n")
         writer.writerow(columns)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import multiprocessing
 import os
 import signal
@@ -16,6 +15,7 @@ from pathlib import Path
 
 from yieldmon.bus.logs import SUFFIXES, require_package
 from yieldmon.cli import _flow_curve, _outputs
+from yieldmon.cli._json import print_json
 from yieldmon.cli._units import add_units
 from yieldmon.documents.process import ProcessSummary, ReprocessSummary
 from yieldmon.errors import InputError
@@ -25,7 +25,7 @@ from yieldmon.resources import shipped
 from yieldmon.service import configuration, log_record, recorded
 from yieldmon.service.bulk_processing import EndOfLog, Stretch
 from yieldmon.service.factory_comparison import FactoryComparison
-from yieldmon.service.log_copies import refuse_copies, refuse_named_twice
+from yieldmon.service.log_copies import refuse_copies
 from yieldmon.service.log_record import Progress
 from yieldmon.service.record_check import RecordCheck, record_lines
 from yieldmon.service.recorded import is_store
@@ -88,9 +88,11 @@ def run(args: argparse.Namespace) -> int:
     if args.separate:
         return _separately(args, config, units)
     with _progress(args.logs) as progress, _says_what_is_kept(args.out):
-        document = _one_record(args.logs, args.out, args.format, loaded, args.jobs > 1, progress, args.zero_mv)
+        document = _one_record(
+            args.logs, args.out, args.format, loaded, reads_ahead=args.jobs > 1, progress=progress, zero_mv=args.zero_mv
+        )
     if args.json:
-        print(json.dumps(document, indent=2))
+        print_json(document)
     else:
         print(_line(document, units), file=sys.stderr)
     return 0
@@ -110,12 +112,15 @@ def _check(args: argparse.Namespace) -> None:
     """Raises InputError for arguments that do not go together, ModuleNotFoundError for a log that needs an extra."""
     if args.json and args.out == "-":
         raise InputError("--json", "standard output is taken by --out -", "a file for --out")
-    refuse_named_twice(args.logs)
+    resolved = [Path(log).resolve() for log in args.logs]
+    for index, path in enumerate(resolved):
+        if path in resolved[:index]:
+            raise InputError(args.logs[index], "is named twice, which would double its mass", "each log once")
     if args.zero_mv is not None and not 0.0 <= args.zero_mv <= 100_000.0:
         raise InputError("--zero-mv", f"is {args.zero_mv:g}", "0 to 100000 mV, as a table of an earlier log has it (zero_mv)")
-    for log in args.logs:
+    for path in resolved:
         # Here, where a package that is not installed costs one line: processes that read would print tracebacks.
-        require_package(Path(log).resolve())
+        require_package(path)
     if args.jobs < 1:
         raise InputError("--jobs", f"is {args.jobs}", "a whole number from 1")
 
@@ -132,11 +137,7 @@ def _store_again(args: argparse.Namespace, loaded: configuration.Configuration, 
     rows = recorded.read_seconds(args.logs[0])
     parameters = loaded.parameters
     if args.params is None and args.estimator is None:
-        with recorded.opened(Path(args.logs[0])) as store:
-            versions = store.parameter_versions()
-        if not versions:
-            raise InputError(args.logs[0], "holds no parameters", "--params")
-        parameters = parameter_file.from_document(versions[-1].document, args.logs[0])
+        parameters = recorded.last_parameters(Path(args.logs[0]))
     found = measured_again(rows, loaded.machine, parameters, loaded.engine, zero_mv=args.zero_mv, delay_s=args.delay)
     with open_table(args.out, f".{args.format}" if args.format else None) as table:
         for row in found.rows:
@@ -147,7 +148,7 @@ def _store_again(args: argparse.Namespace, loaded: configuration.Configuration, 
             "windows": len(rows), "before_mass_kg": found.before_kg, "total_mass_kg": found.after_kg, "loads": loads,
             "seconds_unusable": found.unusable,
         }  # fmt: skip
-        print(json.dumps(document, indent=2))
+        print_json(document)
         return 0
     before, after = units.mass_with_bushels(found.before_kg), units.mass_with_bushels(found.after_kg)
     print(f"{len(rows)} s, {after}; as measured {before}", file=sys.stderr)
@@ -167,8 +168,6 @@ def _separately(args: argparse.Namespace, config: str | Path, units: Units) -> i
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError("--separate", f"several logs are named {twice}", "logs whose names differ")
-    tables = [f"{name}.{kind}" for name in names]
-    _outputs.check_folder(folder, tables, "--out", force=args.force, inputs=args.logs)
     folder.mkdir(parents=True, exist_ok=True)
     work = partial(
         _separate_record,
@@ -196,17 +195,19 @@ def _separately(args: argparse.Namespace, config: str | Path, units: Units) -> i
             if not args.json:
                 print(f"{log}: {_line(document, units)}", file=sys.stderr)
     if args.json:
-        print(json.dumps(documents, indent=2))
+        print_json(documents)
     return 0
 
 
 def _separate_record(
-    log: str, folder: Path, kind: str, config: str | Path, params: str | None, estimator: str | None, zero_mv: float | None
+    log: str, *, folder: Path, kind: str, config: str | Path, params: str | None, estimator: str | None, zero_mv: float | None
 ) -> tuple[ProcessSummary | None, tuple[str, str, str] | None]:
     """The record's summary, or what InputError was raised with."""
     try:
         loaded = _configured(config, params, estimator)
-        return _one_record([log], str(folder / f"{_stem(log)}.{kind}"), kind, loaded, False, None, zero_mv), None
+        return _one_record(
+            [log], str(folder / f"{_stem(log)}.{kind}"), kind, loaded, reads_ahead=False, progress=None, zero_mv=zero_mv
+        ), None
     except InputError as error:
         return None, (error.where, error.problem, error.expected)
 
@@ -225,6 +226,7 @@ def _one_record(
     out: str,
     kind: str | None,
     loaded: configuration.Configuration,
+    *,
     reads_ahead: bool,
     progress: Progress | None,
     zero_mv: float | None,
@@ -272,7 +274,9 @@ def _line(document: ProcessSummary, units: Units) -> str:
     if document["faults"]:
         lines.append("faults: " + ", ".join(f"{code} {count} x" for code, count in document["faults"].items()))
     lines += record_lines(document)
-    if not document["zero_known"] and document.get("missing", {}).get("elevator speed", 0.0) > _MOSTLY:
+    if not document["windows"]:
+        lines.append("no mass: no whole second passes between the frames' times, as in a log of a recorder without a clock")
+    elif not document["zero_known"] and document.get("missing", {}).get("elevator speed", 0.0) > _MOSTLY:
         lines.append(
             "no mass: the elevator's speed does not come, and without it there is no zero; what comes is shown by "
             "`yieldmon check-config CONFIG --log LOG`"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
 from collections.abc import Callable, Iterator
@@ -19,6 +18,8 @@ from yieldmon.bus.codec import Codec
 from yieldmon.bus.logs import Damage, LogNotes, read_log, require_log
 from yieldmon.bus.opening import add_bus_arguments, open_bus_from
 from yieldmon.bus.replay import ON_TIME_S, Progress, Schedule, Selection, Sender, replay
+from yieldmon.cli._json import print_json
+from yieldmon.cli._limits import within
 from yieldmon.errors import InputError
 
 _EXIT_INTERRUPTED = 130
@@ -55,9 +56,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0, 130 when interrupted. Raises InputError, and can.CanError when a bus fails."""
     channels = _channel_map(args.map)
-    schedule = Schedule(_at_least_0("--speed", args.speed), _skip_gaps_s(args.skip_gaps))
+    schedule = Schedule(within("--speed", args.speed, 0.0), _skip_gaps_s(args.skip_gaps))
     selection = Selection(
-        from_s=_at_least_0("--from", args.from_s),
+        from_s=within("--from", args.from_s, 0.0),
         to_s=args.to_s,
         inputs_only=args.inputs_only,
         channels=frozenset(channels) if channels else None,
@@ -101,14 +102,8 @@ def _channel_map(pairs: list[str]) -> dict[str, str]:
     return channels
 
 
-def _at_least_0(option: str, value: float) -> float:
-    if not (value >= 0 and math.isfinite(value)):
-        raise InputError(option, f"is {value:g}", "a number of at least 0")
-    return value
-
-
 def _skip_gaps_s(value: float | None) -> float:
-    return math.inf if value is None else _at_least_0("--skip-gaps", value)
+    return math.inf if value is None else within("--skip-gaps", value, 0.0)
 
 
 def _open_buses(args: argparse.Namespace, channels: dict[str, str], stack: ExitStack) -> dict[str | None, can.BusABC]:
@@ -165,7 +160,7 @@ def _report(progress: Progress, notes: LogNotes, args: argparse.Namespace) -> No
         }
         if args.speed:
             summary |= {"late": progress.late, "worst_lateness_s": progress.worst_lateness_s}
-        print(json.dumps(summary))
+        print_json(summary, indent=None)
         return
     line = f"{progress.sent} frames in {progress.elapsed_s:.3f} s, {progress.frames_per_s:.0f} frames/s"
     if args.speed and progress.sent:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from dataclasses import replace
-from datetime import UTC, datetime
 from math import isfinite
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from yieldmon.cli import _outputs, model_options
+from yieldmon.cli import _outputs, _provenance, model_options
+from yieldmon.cli._json import print_document
+from yieldmon.cli._limits import above_0
 from yieldmon.errors import InputError
 from yieldmon.estimation.closed_loop import self_calibrate
 from yieldmon.estimation.closed_loop_inputs import DensityAnchor, Sweep
@@ -80,16 +79,10 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(data.path, str(error)) from error
     document = _document(data, machine, outcomes, names, true, sweeps)
     if args.out is not None:
-        facts = dict(prior.provenance) | {
-            "method": "closed loop",
-            "data": Path(data.path).name,
-            "data_sha256": data.sha256,
-            "date": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
-            "parent_version": str(prior.version),
-        }
+        facts = {**prior.provenance, "method": "closed loop", **_provenance.of_table(data), "parent_version": str(prior.version)}
         parameter_file.save(replace(outcomes[0].parameter_set, provenance=facts), args.out)
         document["written"] = args.out
-    print(json.dumps(document, indent=1) if args.json else _text(document))
+    print_document(document, _text, as_json=args.json, indent=1)
     return 0
 
 
@@ -145,8 +138,7 @@ def _sigma(args: argparse.Namespace, data: table.Table, labels: np.ndarray) -> A
     """Noise of each row in the reading's unit: given, in the table, or from replicates at one angle of one group."""
     column = data.columns.get("sigma", np.full(len(data), np.nan))
     if args.sigma is not None:
-        if not 0.0 < args.sigma < np.inf:
-            raise InputError("--sigma", f"is {args.sigma:g}", "a number above 0")
+        above_0("--sigma", args.sigma)
         return np.where(np.isfinite(column), column, args.sigma)
     if np.all(np.isfinite(column)) and np.all(column > 0.0):
         return column

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
 import time
@@ -22,8 +21,10 @@ from yieldmon.bus.logs import LogNotes, require_log
 from yieldmon.bus.opening import add_bus_arguments, open_bus_from
 from yieldmon.bus.waiting import receive
 from yieldmon.cli import _outputs
+from yieldmon.cli._json import print_json
+from yieldmon.cli._limits import above_0
 from yieldmon.errors import InputError
-from yieldmon.files.whole_file import READABLE, scratch_for
+from yieldmon.files import whole_file
 from yieldmon.finite import finite
 from yieldmon.network.name import Name
 from yieldmon.resources import shipped
@@ -52,8 +53,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 when there was a frame to look at."""
-    if not 0.0 < args.seconds < math.inf:
-        raise InputError("--seconds", f"is {args.seconds:g}", "a number above 0")
+    above_0("--seconds", args.seconds)
     if args.write is not None:
         _outputs.check(args)
     # Of two files with one name each is called by its path.
@@ -70,11 +70,10 @@ def run(args: argparse.Namespace) -> int:
     if survey.incomplete:
         print(f"yieldmon: {survey.incomplete} messages of several frames lack one and are not used", file=sys.stderr)
     if args.write is not None:
-        with scratch_for(args.write, mode=READABLE) as scratch:
-            scratch.write_text(mapping_text(survey, _as_written(paths, Path(args.write))), encoding="utf-8")
+        whole_file.write(args.write, mapping_text(survey, _as_written(paths, Path(args.write))), mode=whole_file.READABLE)
         print(f"written: {args.write}", file=sys.stderr)
     if args.json:
-        print(json.dumps(_document(survey), indent=2))
+        print_json(_document(survey))
     else:
         _show(survey)
     return 0

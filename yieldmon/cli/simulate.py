@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import signal
 import sys
 import threading
@@ -20,6 +19,8 @@ from yieldmon.bus.log_writing import writing
 from yieldmon.bus.opening import add_bus_arguments, open_bus_from
 from yieldmon.bus.waiting import receive
 from yieldmon.cli import _outputs
+from yieldmon.cli._json import print_json
+from yieldmon.cli._limits import within
 from yieldmon.errors import InputError
 from yieldmon.files import machine_file, whole_file
 from yieldmon.physics.machine import Machine
@@ -61,8 +62,7 @@ def run(args: argparse.Namespace) -> int:
         scenario = scenario.model_copy(update={"duration_s": _duration(args.duration)})
     if args.seed < 0:
         raise InputError("--seed", f"is {args.seed}", "a whole number from 0")
-    if not 0.0 <= args.start_time <= LATEST_S:
-        raise InputError("--start-time", f"is {args.start_time:g}", f"0 to {LATEST_S:.0f} s")
+    within("--start-time", args.start_time, 0.0, LATEST_S, "s")
     if args.truth is not None:
         whole_file.check_place(args.truth)
     machine = _machine(args.machine if args.machine is not None else scenario.machine)
@@ -180,7 +180,7 @@ def _report(combine: VirtualCombine, counts: Counter[str], args: argparse.Namesp
         "truth": args.truth,
     }
     if args.json:
-        print(json.dumps(summary))
+        print_json(summary, indent=None)
         return
     print(f"{combine.time_s:.1f} s simulated, {total:.1f} kg, {sum(counts.values())} frames")
     for name, count in sorted(counts.items()):

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -14,6 +12,7 @@ from rich.text import Text
 
 from yieldmon import units as read
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
+from yieldmon.cli._json import print_json
 from yieldmon.cli._units import add_units
 from yieldmon.files.units import units_of
 from yieldmon.units import Units
@@ -38,8 +37,7 @@ def run(args: argparse.Namespace) -> int:
     """Exit code 0 when a daemon answered."""
     status = ask_daemon(args, {"command": "status"})
     if args.json:
-        json.dump(status, sys.stdout, indent=2)
-        print()
+        print_json(status)
     else:
         units = units_of(args.units, status["units"], status["crop"]["name"])
         _show(status, units, Console(highlight=False, markup=False, emoji=False))

@@ -7,10 +7,10 @@ reference mass for its calibration, and the loads of the day are measured again 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon, mass
+from yieldmon.cli._json import print_json
 from yieldmon.cli._records import back, show, undone, when
 from yieldmon.cli._units import add_units
 from yieldmon.errors import InputError
@@ -57,8 +57,7 @@ def run(args: argparse.Namespace) -> int:
         doubt = f"{change_pct:+.0f} % is a lot; if it is a slip, enter the right mass as another ticket"
         print(f"yieldmon: {which}: {doubt}", file=sys.stderr)
     if args.json:
-        json.dump(answer, sys.stdout, indent=2)
-        print()
+        print_json(answer)
     else:
         why_not = f"no reference: {answer['why_no_anchor']}"
         use = "a reference for the calibration" if answer["anchor"] else why_not
@@ -83,7 +82,7 @@ def _listed(args: argparse.Namespace) -> int:
         raise InputError("ticket list", f"{args.mass!r} has no meaning here", "no further word")
     answer = ask_daemon(args, {"command": "tickets"})
     if args.json:
-        print(json.dumps(answer, indent=2))
+        print_json(answer)
         return 0
     units = units_of(args.units, answer.get("units", "metric"))
     rows = (
@@ -105,7 +104,7 @@ def _undone(args: argparse.Namespace) -> int:
         raise InputError("ticket undo", given, "the number of a ticket, as `yieldmon ticket list` shows it")
     answer = ask_daemon(args, {"command": "ticket-undo", "ticket": int(args.mass)})
     if args.json:
-        print(json.dumps(answer, indent=2))
+        print_json(answer)
         return 0
     print(f"ticket {answer['ticket']} undone" + (f"; {back(answer)}" if "undone" in answer else ""))
     return 0

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import json
 
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
+from yieldmon.cli._json import print_json
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
     """Exit code 0 when the daemon has begun, or has taken it back."""
     answer = ask_daemon(args, {"command": "zero-undo"} if args.undo else {"command": "zero", "force": args.force})
     if args.json:
-        print(json.dumps(answer, indent=2))
+        print_json(answer)
     elif args.undo:
         print(f"zero calibration undone; {answer['restored_kg']:+.1f} kg since then")
     else:

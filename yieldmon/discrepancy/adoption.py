@@ -6,10 +6,10 @@ import hashlib
 from datetime import datetime
 from pathlib import Path
 
-from yieldmon.errors import InputError
+from yieldmon import utc
+from yieldmon.errors import InputError, reading
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.files import parameter_file
-from yieldmon.files.whole_file import READABLE, scratch_for
+from yieldmon.files import parameter_file, whole_file
 
 from .diagnosis import Diagnosis, adopted
 
@@ -17,6 +17,7 @@ from .diagnosis import Diagnosis, adopted
 def adopt(
     diagnosis: Diagnosis,
     parent: ParameterSet,
+    *,
     parent_path: Path,
     out: Path,
     data: tuple[str, str],
@@ -30,10 +31,10 @@ def adopt(
     if diagnosis.verdict != "effect":
         raise InputError("--adopt", f"the verdict is {diagnosis.verdict!r}", "a named effect to adopt")
     text = parent_path.read_bytes()
-    copy = parent_copy(out, parent.version)
+    copy = out.with_name(f"{out.stem}.v{parent.version}.parent{out.suffix}")
     provenance = {
         "method": "yieldmon diagnose",
-        "date": now.isoformat(timespec="seconds"),
+        "date": utc.text(now),
         "effects": ", ".join(diagnosis.choice.named),
         "equivalent": "; ".join(f"{s.added}: {', '.join(s.equivalent) or 'none'}" for s in diagnosis.choice.steps),
         "data": data[0],
@@ -55,11 +56,6 @@ def adopt(
     return copy
 
 
-def parent_copy(out: Path, version: int) -> Path:
-    """Where `adopt` keeps the parent, of this version, of what it writes to `out`."""
-    return out.with_name(f"{out.stem}.v{version}.parent{out.suffix}")
-
-
 def rollback(path: Path) -> int:
     """Put the parent of an adopted parameter file back in its place, keeping what was adopted beside it; returns its version.
 
@@ -72,10 +68,8 @@ def rollback(path: Path) -> int:
     if Path(name).name != name or name in ("", ".", "..") or "\0" in name:
         raise InputError(f"{path}: provenance.parent_copy", f"is {name[:80]!r}", "the name of a file in the same folder")
     copy = path.with_name(name)
-    try:
+    with reading(copy, "the parent's copy, beside the adopted file"):
         text = copy.read_bytes()
-    except OSError as error:
-        raise InputError(str(copy), error.strerror or str(error), "the parent's copy, beside the adopted file") from error
     if hashlib.sha256(text).hexdigest() != digest:
         raise InputError(str(copy), "is not the parent that was replaced", f"SHA-256 {digest}")
     parent = parameter_file.load(copy)
@@ -85,5 +79,4 @@ def rollback(path: Path) -> int:
 
 
 def _replace(path: Path, content: bytes) -> None:
-    with scratch_for(path, durable=True, mode=READABLE) as scratch:
-        scratch.write_bytes(content)
+    whole_file.write(path, content, durable=True, mode=whole_file.READABLE)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import degrees
 from pathlib import Path
 
-from yieldmon.files.whole_file import scratch_for
+from yieldmon.files import whole_file
 from yieldmon.physics.machine import RPM
 
 from .experiment import REPEATS, Plan
@@ -18,16 +18,10 @@ def write_plan(plan: Plan, path: Path) -> Path:
         lines.append(
             f"{degrees(row.plate_angle_rad):.6g},{row.mass_flow_kg_s:.6g},{row.elevator_speed_rad_s / RPM:.6g},{REPEATS}"
         )
-    schedule = schedule_path(path)
+    schedule = path.with_suffix(".sweep.yaml")
     for place, text in ((path, "\n".join(lines) + "\n"), (schedule, sweep_section(plan))):
-        with scratch_for(place) as scratch:
-            scratch.write_text(text, encoding="utf-8")
+        whole_file.write(place, text)
     return schedule
-
-
-def schedule_path(path: Path) -> Path:
-    """Where `write_plan` puts the sweep section of the plan that it writes to `path`."""
-    return path.with_suffix(".sweep.yaml")
 
 
 def sweep_section(plan: Plan) -> str:

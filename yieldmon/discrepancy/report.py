@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from yieldmon.errors import InputError
-from yieldmon.files.whole_file import scratch_for
+from yieldmon.files import whole_file
 from yieldmon.physics.effects import get_effect, registry
 from yieldmon.physics.machine import RPM
 from yieldmon.physics.numerics import Array
@@ -31,11 +31,6 @@ _STYLE = (
     "td,th{padding:.2em .7em;border-bottom:1px solid #ccc;text-align:right}td:first-child,th:first-child{text-align:left}"
     "img{max-width:100%}.summary{background:#f2f5f7;padding:1em 1.3em;border-radius:6px}"
 )
-
-
-_PAGE_NAME = "index.html"
-FILES = (_PAGE_NAME, "where.png", "after.png", "profiles.png", "ranking.png")
-"""What `write_report` writes."""
 
 
 def check_pictures() -> None:
@@ -62,12 +57,11 @@ def write_report(diagnosis: Diagnosis, folder: Path, title: str) -> Path:
         "profiles": _profiles(diagnosis),
         "ranking": _ranking(diagnosis),
     }
-    page = folder / _PAGE_NAME
+    page = folder / "index.html"
     files = {folder / f"{name}.png": content for name, content in pictures.items()}
     files[page] = _page(diagnosis, title, pictures).encode()
     for path, content in files.items():
-        with scratch_for(path) as scratch:
-            scratch.write_bytes(content)
+        whole_file.write(path, content)
     return page
 
 

@@ -1,7 +1,8 @@
 """Bus time to engine time: the same while the bus's clock runs, and continuous when it is set.
 
 Engine time never runs back and never jumps. A step of the bus's clock changes the offset between the two and nothing else, so
-windows, time-outs and totals go on as if the clock had not been touched.
+windows, time-outs and totals go on as if the clock had not been touched. Right behind a step a pause is another step: time stamps
+that go to and fro (a log of two recorders, line by line) would otherwise make a minute of silence of each.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from yieldmon.engine.settings import ClockSettings
 
 _LARGEST_TIME_S = 1e11
 """Beyond this a double no longer resolves a sample interval well."""
+_FRAMES_TO_SETTLE, _LONGEST_PAUSE_S = 32, 1.0
+"""So many frames after a step of the clock show that it runs; until then a longer pause is a step as well."""
 
 
 class BusClock:
@@ -27,6 +30,7 @@ class BusClock:
         """Latest engine time; None before the first frame."""
         self.jumps = 0
         self.unusable = 0
+        self._to_settle = 0
 
     def engine_time(self, bus_time_s: float) -> float | None:
         """Engine time of a frame and advance to it; None when the time stamp is not a usable number.
@@ -42,8 +46,9 @@ class BusClock:
             self.now_s = time_s
             return time_s
         step = time_s - now
+        settling, self._to_settle = self._to_settle > 0, max(0, self._to_settle - 1)
         if step >= 0.0:
-            if step > self._settings.max_gap_s:
+            if step > (_LONGEST_PAUSE_S if settling else self._settings.max_gap_s):
                 self._absorb(bus_time_s, now)
                 return now
             self.now_s = time_s
@@ -55,7 +60,7 @@ class BusClock:
 
     def regular(self, bus_times_s: NDArray[np.float64]) -> bool:
         """Whether the times run on from now without a backward step or a jump, so that a block needs no frame-by-frame care."""
-        if self.now_s is None or bus_times_s.size == 0:
+        if self.now_s is None or self._to_settle or bus_times_s.size == 0:
             return False
         steps = np.diff(bus_times_s + self.offset_s, prepend=self.now_s)
         return bool(np.all((steps >= 0.0) & (steps <= self._settings.max_gap_s)))
@@ -67,3 +72,4 @@ class BusClock:
     def _absorb(self, bus_time_s: float, now_s: float) -> None:
         self.offset_s = now_s - bus_time_s
         self.jumps += 1
+        self._to_settle = _FRAMES_TO_SETTLE

@@ -280,14 +280,14 @@ class ClosedLoopCalibrator:
         joint[:, -len(rows) :] = rows.T
         self._drifting = replace(fresh, rates=np.array(state.rates), joint=joint)
 
-    def remember(self, taught: Sequence[ReferenceMass], estimator: FlowEstimator) -> None:
+    def remember(self, masses: Sequence[ReferenceMass], estimator: FlowEstimator) -> None:
         """See records.SelfCalibrator."""
-        self._used = self._checked = frozenset(taught)
+        self._used = self._checked = frozenset(masses)
         state, used = self._before, self._in_use(estimator)
         if state is None:
             return
         # Of two tickets for one load the newer counts.
-        known = {name_of(anchor): anchor for anchor in taught}
+        known = {name_of(anchor): anchor for anchor in masses}
         found = {
             name: _weighed(anchor, self._mass_anchor(anchor, used, anchor.end_s - anchor.start_s))
             for name, anchor in known.items()
@@ -388,11 +388,11 @@ class ClosedLoopCalibrator:
                     anchor.reference_kg,
                     anchor.std_dev_kg,
                     share * anchor.measured_kg,
-                    self._model,
-                    self._patterned(parameters),
-                    flow,
-                    machine.home_plate_angle_rad,
-                    machine.nominal_elevator_speed_rad_s,
+                    model=self._model,
+                    parameters=self._patterned(parameters),
+                    mass_flow_kg_s=flow,
+                    plate_angle_rad=machine.home_plate_angle_rad,
+                    elevator_speed_rad_s=machine.nominal_elevator_speed_rad_s,
                 )
             )
             begin = end

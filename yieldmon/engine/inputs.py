@@ -111,7 +111,7 @@ class Inputs:
         brought = []
         for name, value in values.items():
             quantity = QUANTITIES[name]
-            if quantity.usable(value) and self._pair_usable(name, values) and self._believed(name, values):
+            if quantity.usable(value) and self._pair_usable(name, values) and self._condition_holds(name, values):
                 self.held[name].set(now_s, value * quantity.factor)
                 if name in MOVING:
                     brought.append(name)
@@ -134,7 +134,7 @@ class Inputs:
             if pair is not None and pair[0] is part:
                 usable = usable & QUANTITIES[PAIRS[name]].usable(pair[1])
             if name in CONDITIONS:
-                usable = usable & self._believed_rows(name, part, found)
+                usable = usable & self._condition_holds_by_row(name, part, found)
             tracks[name] = _track(part.times_s + offset_s, values * quantity.factor, usable)
         return RunInputs(self, tracks)
 
@@ -193,7 +193,7 @@ class Inputs:
         other = PAIRS.get(name, "")
         return other not in values or bool(QUANTITIES[other].usable(values[other]))
 
-    def _believed(self, name: str, values: Mapping[str, float]) -> bool:
+    def _condition_holds(self, name: str, values: Mapping[str, float]) -> bool:
         """Whether the quantity on which this one depends lets it be used."""
         if name not in CONDITIONS:
             return True
@@ -202,7 +202,9 @@ class Inputs:
             return True
         return (values.get(other, self.held[other].value) == code) if must_be else self.held[other].value != code
 
-    def _believed_rows(self, name: str, part: SignalRun, found: Mapping[str, tuple[SignalRun, Array]]) -> NDArray[np.bool_]:
+    def _condition_holds_by_row(
+        self, name: str, part: SignalRun, found: Mapping[str, tuple[SignalRun, Array]]
+    ) -> NDArray[np.bool_]:
         """The same for each row of a run."""
         other, code, must_be = CONDITIONS[name]
         if other not in self._bound:

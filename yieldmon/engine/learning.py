@@ -151,10 +151,10 @@ class Learning:
                 load_number,
                 mass_kg,
                 mass_kg / flow.rate_kg_s,
-                flow.force_n,
-                window.plate_angle_rad,
-                window.speed_rad_s,
-                reading.inputs.fresh["moisture"],
+                force_n=flow.force_n,
+                angle_rad=window.plate_angle_rad,
+                speed_rad_s=window.speed_rad_s,
+                moisture_pct=reading.inputs.fresh["moisture"],
             )
 
     def ticket(
@@ -179,17 +179,17 @@ class Learning:
         return anchor
 
     def know_load(self, load: LoadSummary, seconds: Iterable[KeptSecond]) -> None:
-        """A closed load that an earlier run measured, so that a ticket for it teaches."""
+        """A closed load that an earlier run measured, so that a ticket for it updates the parameters."""
         sums = LoadForceSums()
         for second in seconds:
             sums.add(
                 load.number,
                 second.mass_kg,
                 second.duration_s,
-                second.force_n,
-                second.plate_angle_rad,
-                second.elevator_speed_rad_s,
-                second.moisture_pct,
+                force_n=second.force_n,
+                angle_rad=second.plate_angle_rad,
+                speed_rad_s=second.elevator_speed_rad_s,
+                moisture_pct=second.moisture_pct,
             )
         self._earlier[load.number] = load, sums.of(load.number)
 
@@ -216,7 +216,7 @@ class Learning:
         return tuple(TicketState(a.load_number, a.reference_kg, a.std_dev_kg, a in self._waiting) for a in newest)
 
     def remember_tickets(self, tickets: Sequence[ReferenceMass], waiting: Sequence[ReferenceMass]) -> None:
-        """After a restart or a reload: tickets entered before it; `waiting` are those among them that have not taught."""
+        """After a restart or a reload: tickets entered before it; `waiting` are those among them that have not been used."""
         self._tickets.extend(tickets)
         self._compared = frozenset(tickets)
         if self.calibrator is not None:
@@ -227,7 +227,7 @@ class Learning:
     def learn(self, at_s: float, record: WindowRecord, sweep: SweepMachine) -> tuple[ParametersChanged, ...]:
         """Collect a sweep's windows, and at its end hand them to the calibrator; between sweeps reference masses update.
 
-        Where sweeps teach nothing they are not begun by schedule: away from home such a model misses the most.
+        Where sweeps update nothing they are not begun by schedule: away from home such a model misses the most.
         """
         sweep.by_schedule = self.calibrator is None or not refusal(self.estimator.parameters)
         if not sweep.visiting and not sweep.completed:

@@ -40,6 +40,7 @@ class LoadForceSums:
         load_number: int,
         mass_kg: float,
         seconds: float,
+        *,
         force_n: float,
         angle_rad: float,
         speed_rad_s: float,

@@ -266,7 +266,7 @@ class Monitor:
         self._parts.since_zero.add(seconds)
 
     def know_load(self, load: LoadSummary, seconds: Sequence[KeptSecond]) -> None:
-        """A closed load that an earlier run measured: a ticket for it teaches like one for this run's.
+        """A closed load that an earlier run measured: a ticket for it updates the parameters like one for this run's.
 
         Parameters
         ----------

@@ -312,7 +312,7 @@ class SelfCalibrator(Protocol):
         """What reference masses change. record: the last window; anchors: all reference masses kept."""
 
     def forget(self, load_numbers: frozenset[int], again: Sequence[ReferenceMass]) -> None:
-        """The weighings of these loads were wrong; those in `again` have taught nothing that counts and may teach anew."""
+        """The weighings of these loads were wrong; those in `again` have changed nothing that counts and may be used anew."""
 
     def snapshot(self, now_s: float, total_kg: float) -> CalibratorState | None:
         """What is to outlive a restart beside the parameters; None: nothing."""
@@ -320,5 +320,5 @@ class SelfCalibrator(Protocol):
     def restore(self, state: CalibratorState, parameters: ParameterSet, total_kg: float) -> None:
         """Go on from a snapshot, with the parameters that were in use then."""
 
-    def remember(self, taught: Sequence[ReferenceMass], estimator: FlowEstimator) -> None:
+    def remember(self, masses: Sequence[ReferenceMass], estimator: FlowEstimator) -> None:
         """After `restore`: reference masses that were handed over before."""

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from math import erfc, hypot, isfinite, sqrt
 
+from yieldmon import utc
 from yieldmon.engine.anchors import ReferenceMass
 from yieldmon.engine.settings import FaultSettings
 
@@ -125,4 +125,4 @@ def _probability(p_value: float) -> str:
 def _moment(time_s: float) -> str:
     if not isfinite(time_s) or time_s < _UNIX_S:
         return f"bus time {time_s:.0f} s"
-    return datetime.fromtimestamp(time_s, UTC).strftime("%Y-%m-%d %H:%M UTC")
+    return utc.moment(time_s).strftime("%Y-%m-%d %H:%M UTC")

@@ -93,7 +93,7 @@ def calibrate(
     >>> {name: round(found.parameter_set.values[name], 3) for name in free}
     {'restitution': 0.6, 'friction': 0.2}
     """
-    problem = CalibrationProblem(model, data, start, tuple(free), prior, bounds, robust)
+    problem = CalibrationProblem(model, data, start, tuple(free), prior=prior, bounds=bounds, robust=robust)
     rng = np.random.default_rng(0) if rng is None else rng
     basins, theta = multistart.minimize(problem, starts, rng, progress)
     return _examined(problem, theta, basins, starts, response_unit, intervals)
@@ -113,7 +113,9 @@ def profile_curves(
 
     prior, bounds, robust: as in the call of `calibrate` that gave `fitted`.
     """
-    problem = CalibrationProblem(model, data, fitted.parameter_set.values, fitted.names, prior, bounds, robust)
+    problem = CalibrationProblem(
+        model, data, fitted.parameter_set.values, fitted.names, prior=prior, bounds=bounds, robust=robust
+    )
     return profile_likelihood.curves(problem, fitted.parameters, points)
 
 

@@ -64,6 +64,7 @@ class CalibrationProblem:
         data: Measurements,
         start: Mapping[str, float],
         names: tuple[str, ...],
+        *,
         prior: Prior | None,
         bounds: Bounds | None,
         robust: bool,

@@ -132,7 +132,9 @@ def _outcome(problem: ClosedLoopProblem, solution: Solution) -> Outcome:
         parameter_set,
         updated,
         consistent,
-        _reason(problem, updated, consistent, learning, p_value, residuals, scale),
+        _reason(
+            problem, updated=updated, consistent=consistent, learning=learning, p_value=p_value, residuals=residuals, scale=scale
+        ),
         _worst_angle(problem, residuals),
         _flows(problem, solution),
         learning,
@@ -242,6 +244,7 @@ def _flows(problem: ClosedLoopProblem, solution: Solution) -> tuple[FlowPosterio
 
 def _reason(
     problem: ClosedLoopProblem,
+    *,
     updated: bool,
     consistent: bool,
     learning: Sequence[Learning],

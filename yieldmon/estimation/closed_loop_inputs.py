@@ -141,6 +141,7 @@ class MassAnchor:
         reference_kg: float,
         std_dev_kg: float,
         measured_kg: float,
+        *,
         model: ForwardModel,
         parameters: ParameterSet,
         mass_flow_kg_s: float,

@@ -166,7 +166,7 @@ def report(
     nuisance = by_load * (loads[:, None] == free[None, :])
     together = np.hstack((nuisance, relative))
     unknown = share_flow(directions(together, flow_names(free.size, names)), free.size, names)
-    remedies = tuple(_remedies(model, conditions, values, names, noise_sd, relative, loads))
+    remedies = tuple(_remedies(model, conditions, values, names, noise_sd=noise_sd, relative=relative, loads=loads))
     return Report(known, unknown, remedies, tuple(_sentences(known, unknown, remedies)))
 
 
@@ -200,6 +200,7 @@ def _remedies(
     conditions: Conditions,
     values: Mapping[str, float],
     names: Sequence[str],
+    *,
     noise_sd: ArrayLike,
     relative: Array,
     loads: Array,

@@ -70,7 +70,10 @@ def levenberg_marquardt(
     progress
         Called with the share of starts that are done.
     """
-    search = _Search(residuals, start, lower, upper, held, scale, tolerance, least_gain, learns_curvature)
+    search = _Search(
+        residuals, start, lower, upper, held=held, scale=scale, tolerance=tolerance, least_gain=least_gain,
+        learns_curvature=learns_curvature,
+    )  # fmt: skip
     for _ in range(iterations):
         going = np.flatnonzero(~search.done)
         if progress is not None:
@@ -90,6 +93,7 @@ class _Search:
         start: Array,
         lower: Array,
         upper: Array,
+        *,
         held: NDArray[np.bool_] | None,
         scale: Array | None,
         tolerance: float,

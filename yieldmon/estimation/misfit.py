@@ -74,6 +74,7 @@ class ReducedSweep:
 def reduce_sweep(
     model: ForwardModel,
     parameters: ParameterSet,
+    *,
     time_s: Array,
     plate_angle_rad: Array,
     elevator_speed_rad_s: Array,

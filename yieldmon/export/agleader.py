@@ -13,13 +13,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from yieldmon.files.plain_text import plain
-from yieldmon.files.whole_file import scratch_for
+from yieldmon.files import whole_file
+from yieldmon.files.plain_text import quotable
+from yieldmon.units import KG_PER_LB, M_PER_IN
 
 from .points import YieldPoint
 
-LB_PER_KG = 1.0 / 0.45359237
-IN_PER_M = 1.0 / 0.0254
+LB_PER_KG = 1.0 / KG_PER_LB
+IN_PER_M = 1.0 / M_PER_IN
 HEADER_DOWN = 33
 _DIFFERENTIAL_FIX, _PDOP, _ALTITUDE_FT = 1, 0.0, 0.0
 
@@ -41,9 +42,9 @@ def line(point: YieldPoint, field: str, grain: str) -> str:
         f"{HEADER_DOWN}",
         f"{point.pass_number}",
         "0",
-        f'"F1:{_quotable(field)}"',
+        f'"F1:{quotable(field)}"',
         f'"L{point.load_number}:<1>"',
-        f'"{_quotable(grain)}"',
+        f'"{quotable(grain)}"',
         f"{_DIFFERENTIAL_FIX}",
         f"{_PDOP:.1f}",
         f"{_ALTITUDE_FT:.1f}",
@@ -51,12 +52,7 @@ def line(point: YieldPoint, field: str, grain: str) -> str:
     return ",".join(values)
 
 
-def _quotable(name: str) -> str:
-    return plain(" ".join(name.replace('"', "'").split()))
-
-
 def write(path: Path, points: Sequence[YieldPoint], field: str, grain: str) -> None:
     """One line a point."""
     text = "".join(line(point, field, grain) + "\r\n" for point in points)
-    with scratch_for(path) as scratch:
-        scratch.write_text(text, encoding="ascii", errors="replace", newline="")
+    whole_file.write(path, text.encode("ascii", "replace"))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 
+from yieldmon import utc
 from yieldmon.errors import InputError
 from yieldmon.files.whole_file import scratch_for
 
@@ -20,7 +20,7 @@ def properties(point: YieldPoint) -> dict[str, object]:
     longitude, latitude = values.pop("longitude_deg"), values.pop("latitude_deg")
     if not (-180.0 <= longitude <= 180.0 and -90.0 <= latitude <= 90.0):
         raise InputError("position", f"is {latitude:g}, {longitude:g} deg", "latitude -90 to 90, longitude -180 to 180")
-    return {"time_utc": datetime.fromtimestamp(point.time_s, UTC).isoformat(timespec="milliseconds"), **values}
+    return {"time_utc": utc.moment(point.time_s).isoformat(timespec="milliseconds"), **values}
 
 
 def write(path: Path, points: Sequence[YieldPoint]) -> None:

@@ -9,11 +9,11 @@ import struct
 import xml.etree.ElementTree as ET
 import zipfile
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 
+from yieldmon import utc
 from yieldmon.errors import InputError
-from yieldmon.files import task_data
+from yieldmon.files import task_data, whole_file
 from yieldmon.files.plain_text import plain
 from yieldmon.files.whole_file import scratch_for
 
@@ -21,8 +21,6 @@ from .points import YieldPoint
 
 LOG_NAME = "TLG00001"
 FOLDER = "TASKDATA"
-FILES = ("TASKDATA.XML", f"{LOG_NAME}.xml", f"{LOG_NAME}.bin")
-"""In it."""
 
 ENTRIES = (
     task_data.Entry(87, "Mass per time yield", "mg/s"),
@@ -70,7 +68,7 @@ def binary_log(points: Sequence[YieldPoint], reference_moisture_pct: float) -> t
         total_dry_kg += (point.dry_mass_flow_kg_s or 0.0) * point.duration_s
         values = raw_values(point, total_kg, total_dry_kg if dry_known else None, reference_moisture_pct)
         totals |= {ddi: values[ddi] for ddi in _TOTALS if ddi in values}
-        since = datetime.fromtimestamp(round(point.time_s, 3), UTC) - task_data.EPOCH
+        since = utc.moment(round(point.time_s, 3)) - task_data.EPOCH
         milliseconds = since.seconds * 1000 + round(since.microseconds / 1000)
         north, east = round(point.latitude_deg * 1e7), round(point.longitude_deg * 1e7)
         records.append(struct.pack("<IHiiBB", milliseconds, since.days, north, east, 1, len(values)))
@@ -91,9 +89,9 @@ def task_file(
     area_m2 = sum(point.distance_m * point.swath_m for point in points)
     ET.SubElement(root, "PFD", A="PFD1", C=field, D=str(round(area_m2)))
     task = ET.SubElement(root, "TSK", A="TSK1", B=f"Harvest {field}", E="PFD1", G="4")
-    first, last = (datetime.fromtimestamp(points[k].time_s, UTC) for k in (0, -1))
+    first, last = (utc.moment(points[k].time_s) for k in (0, -1))
     seconds = round((last - first).total_seconds())
-    time = ET.SubElement(task, "TIM", A=_iso(first), B=_iso(last), C=str(seconds), D="4")
+    time = ET.SubElement(task, "TIM", A=utc.text(first), B=utc.text(last), C=str(seconds), D="4")
     for ddi, value in totals.items():
         ET.SubElement(time, "DLV", A=f"{ddi:04X}", B=str(value), C=task_data.COMBINE)
     ET.SubElement(task, "DAN", A=device.attrib["D"], C=task_data.DEVICE)
@@ -101,17 +99,13 @@ def task_file(
     return root
 
 
-def _iso(moment: datetime) -> str:
-    return moment.strftime("%Y-%m-%dT%H:%M:%SZ")
-
-
 def files(points: Sequence[YieldPoint], field: str, reference_moisture_pct: float) -> dict[str, bytes]:
     """File name -> content of a TASKDATA folder."""
     log, totals = binary_log(points, reference_moisture_pct)
     return {
-        FILES[0]: task_data.as_file(task_file(points, totals, len(log), field, reference_moisture_pct)),
-        FILES[1]: task_data.as_file(task_data.log_header(ENTRIES)),
-        FILES[2]: log,
+        "TASKDATA.XML": task_data.as_file(task_file(points, totals, len(log), field, reference_moisture_pct)),
+        f"{LOG_NAME}.xml": task_data.as_file(task_data.log_header(ENTRIES)),
+        f"{LOG_NAME}.bin": log,
     }
 
 
@@ -130,5 +124,4 @@ def write(path: Path, points: Sequence[YieldPoint], field: str, reference_moistu
     folder = path / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     for name, data in content.items():
-        with scratch_for(folder / name) as scratch:
-            scratch.write_bytes(data)
+        whole_file.write(folder / name, data)

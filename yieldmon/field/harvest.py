@@ -175,7 +175,10 @@ def make_map(table: HarvestTable, options: MapOptions, progress: Callable[[str],
         raw = np.where(ground.gross_m2 > 0, np.nan_to_num(table["flow_kg_s"] * table["interval_s"]) / ground.gross_m2, np.nan)
     name = _crop_name(table)
     facts = crop(name)
-    totals = _totals(table, steps, placed, ground, cleaned, loads, bool(options.tickets), np.random.default_rng(options.seed))
+    totals = _totals(
+        table, steps, placed, ground, cleaned,
+        loads=loads, weighed=bool(options.tickets), generator=np.random.default_rng(options.seed),
+    )  # fmt: skip
     return HarvestMap(
         table,
         steps,
@@ -258,6 +261,7 @@ def _totals(
     placed: Placed,
     ground: Swaths,
     cleaned: Cleaned,
+    *,
     loads: Sequence[LoadResult],
     weighed: bool,
     generator: np.random.Generator,

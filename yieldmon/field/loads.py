@@ -10,13 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from yieldmon.errors import InputError
+from yieldmon.files import ticket_file
 
 from .placed import measured_mass_kg
 from .sources.delimited import delimiter_of
 from .table import Array, HarvestTable
 
-SCALE_SD = 0.005
-"""Relative standard deviation of a weigh bridge with tare, where a ticket has none of its own."""
 UNKNOWN_SCALE_SD = 0.03
 """Relative standard deviation of a single load's factor about the field's, where fewer than three loads are weighed."""
 
@@ -78,7 +77,7 @@ def read_tickets(path: Path) -> list[Ticket]:
         try:
             weighed = _mass(row[names["weighed_kg"]])
             sd_text = row.get(names.get("sd_kg", ""))
-            sd = _mass(sd_text) if sd_text and sd_text.strip() else SCALE_SD * weighed
+            sd = _mass(sd_text) if sd_text and sd_text.strip() else ticket_file.RELATIVE_STD_DEV * weighed
         except (TypeError, ValueError):
             raise InputError(f"{path}: row {number}", "has no mass in kg", "columns load,weighed_kg[,sd_kg]") from None
         load = (row.get(names["load"]) or "").strip()

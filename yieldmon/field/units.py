@@ -15,10 +15,7 @@ from types import MappingProxyType
 
 from yieldmon.errors import InputError
 from yieldmon.files.crops import crops, shipped_name
-from yieldmon.units import KG_PER_LB, M2_PER_ACRE, M2_PER_HA, M_S_PER_KMH, M_S_PER_MPH
-
-M_PER_IN = 0.0254
-M_PER_FT = 0.3048
+from yieldmon.units import KG_PER_LB, M2_PER_ACRE, M2_PER_HA, M_PER_FT, M_PER_IN, M_PER_MI, M_S_PER_KMH, M_S_PER_MPH
 
 
 @dataclass(frozen=True)
@@ -76,7 +73,7 @@ def crop(name: str) -> Crop | None:
 
 
 _MASS = {"kg": 1.0, "g": 1e-3, "t": 1e3, "lb": KG_PER_LB, "lbs": KG_PER_LB, "mg": 1e-6, "ton": 2000 * KG_PER_LB, "tonne": 1e3}
-_LENGTH = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "ft": M_PER_FT, "in": M_PER_IN, "km": 1e3, "mi": 1609.344, "inch": M_PER_IN}
+_LENGTH = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "ft": M_PER_FT, "in": M_PER_IN, "km": 1e3, "mi": M_PER_MI, "inch": M_PER_IN}
 _TIME = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0, "hr": 3600.0}
 _AREA = {"m2": 1.0, "ha": M2_PER_HA, "ac": M2_PER_ACRE, "acre": M2_PER_ACRE}
 _PERCENT = {"%": 1.0, "pct": 1.0, "prcnt": 1.0, "percent": 1.0, "ppm": 1e-4, "fraction": 100.0}

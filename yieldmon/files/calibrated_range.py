@@ -9,7 +9,7 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import CalibratedRange
 from yieldmon.physics.machine import RPM
 
-from .checked import number
+from .checked import known_keys, span
 
 _RANGES = {
     "mass_flow_kg_s": ("mass_flow_kg_s", "kg/s", 1.0),
@@ -23,16 +23,11 @@ def calibrated_range(document: Any, where: str) -> CalibratedRange:
     """The range in the mapping `calibrated_range`. Raises InputError naming key, value and unit."""
     if not isinstance(document, dict):
         raise InputError(f"{where}: calibrated_range", f"is {document!r}", "a mapping of ranges")
+    known_keys(document, f"{where}: calibrated_range.", _RANGES)
     limits: dict[str, tuple[float, float]] = {}
     for key, value in document.items():
-        if key not in _RANGES:
-            raise InputError(f"{where}: calibrated_range.{key}", "unknown key", f"one of {', '.join(_RANGES)}")
         attribute, unit, scale = _RANGES[key]
-        if not isinstance(value, list) or len(value) != 2:
-            raise InputError(f"{where}: calibrated_range.{key}", f"is {value!r}", f"[lowest, highest] in {unit}")
-        low, high = (number(v, f"{where}: calibrated_range.{key}", unit, -1e6, 1e6) for v in value)
-        if low > high:
-            raise InputError(f"{where}: calibrated_range.{key}", f"is {value!r}", "the lowest first")
+        low, high = span(value, f"{where}: calibrated_range.{key}", unit, -1e6, 1e6)
         limits[attribute] = (low * scale, high * scale)
     return CalibratedRange(**limits)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -33,3 +34,39 @@ def number(value: Any, where: str, unit: str, low: float, high: float) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
         raise InputError(where, f"is {value!r}", f"a number from {low:g} to {high:g} {unit}".rstrip())
     return float(value)
+
+
+def numbers(
+    value: Any, where: str, unit: str, low: float, high: float, *, least: int = 1, most: int | None = None
+) -> tuple[float, ...]:
+    """A list of `least` to `most` finite numbers (None: any more), each within [low, high]. Raises InputError as `number`."""
+    if not isinstance(value, list) or not least <= len(value) <= (len(value) if most is None else most):
+        count = "" if most is None else f"{most} " if least == most else f"{least} to {most} "
+        raise InputError(where, f"is {value!r}", f"a list of {count}numbers" + (f" in {unit}" if unit else ""))
+    return tuple(number(item, f"{where}[{i}]", unit, low, high) for i, item in enumerate(value))
+
+
+def span(value: Any, where: str, unit: str, low: float, high: float) -> tuple[float, float]:
+    """The two ends of a range, each within [low, high]. Raises InputError."""
+    if not isinstance(value, list) or len(value) != 2:
+        raise InputError(where, f"is {value!r}", f"[lowest, highest] in {unit}")
+    lowest, highest = (number(item, where, unit, low, high) for item in value)
+    if lowest > highest:
+        raise InputError(where, f"is {value!r}", "the lowest first")
+    return lowest, highest
+
+
+def known_keys(document: Mapping[str, Any], before: str, known: Collection[str]) -> None:
+    """Raises InputError for a key that is none of these. before: what stands before the key in the place that it names."""
+    for key in document:
+        if key not in known:
+            raise InputError(f"{before}{key}", "unknown key", f"one of {', '.join(known)}")
+
+
+def texts(value: Any, where: str) -> dict[str, str]:
+    """A mapping of texts, numbers and the like as texts; nothing is an empty one. Raises InputError."""
+    if not value:
+        return {}
+    if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
+        raise InputError(where, f"is {value!r}", "a mapping of texts")
+    return {key: str(item) for key, item in value.items()}

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from yieldmon.errors import InputError, brief
+from yieldmon.errors import InputError, brief, reading
 
 UNKNOWN = ("", "-", "nan", "na", "n/a", "null")
 """Cells that say "not known", in lower case."""
@@ -53,24 +53,24 @@ def is_unknown(cell: str) -> bool:
     return cell.lower() in UNKNOWN
 
 
+def plain_number(cell: str) -> float:
+    """A number as tables hold it, without the separator of digits that Python's own numbers may have. Raises ValueError."""
+    return float(cell if "_" not in cell else "")
+
+
 def read(path: str | Path) -> TextTable:
     """A table with a header line; empty lines and lines that begin with # are passed over. Raises InputError."""
     where = str(path)
-    try:
+    with reading(path, "a readable CSV file"):
         raw = Path(path).read_bytes()
-    except OSError as error:
-        raise InputError(where, error.strerror or str(error), "a readable CSV file") from error
     cells = _workbook(raw, where) if raw.startswith(_ZIP) else _separated(raw, where)
     if not cells:
         raise InputError(where, "is empty", "a header line and rows")
     names = tuple(name.strip() for name in cells[0][1])
     header = tuple(name.lower() for name in names)
     if len(set(header)) != len(header):
-        twice = sorted({name for name in header if name and header.count(name) > 1})
-        if not twice:
-            title = f"line {cells[0][0]} lacks {header.count('')} of {len(header)} columns' names"
-            raise InputError(f"{where}: header", title, "a name for each column; a title above them goes, and so do merged cells")
-        raise InputError(f"{where}: header", f"has {', '.join(twice)} more than once", "each column once")
+        twice = sorted({name for name in header if header.count(name) > 1})
+        raise InputError(f"{where}: header", f"has {', '.join(twice) or 'an empty name'} more than once", "each column once")
     body = cells[1:]
     if not body:
         raise InputError(where, "has a header and no rows", "at least one row")
@@ -91,8 +91,6 @@ def read(path: str | Path) -> TextTable:
 
 
 def _comma_hint(row: list[str], wanted: int) -> str:
-    if wanted == 1:
-        return " (a title above the columns' names goes)"
     return " (decimal commas? then separate the columns by semicolons)" if len(row) > wanted else ""
 
 

@@ -11,9 +11,8 @@ from yieldmon.estimation.flow_curve import AlphaBeta, FlowCurve, LookUpTable, Ta
 from yieldmon.files.calibrated_range import calibrated_document, calibrated_range
 from yieldmon.physics.machine import RPM
 
-from . import strict_yaml
-from .checked import load_mapping, number
-from .whole_file import READABLE, scratch_for
+from . import strict_yaml, whole_file
+from .checked import known_keys, load_mapping, number, numbers, texts
 
 FORMAT = 1
 _LAWS = {
@@ -42,21 +41,16 @@ def from_document(document: Any, where: str) -> FlowCurve:
     kind = document.get("estimator")
     if kind not in _LAWS:
         raise InputError(f"{where}: estimator", f"is {kind!r}", f"one of {', '.join(_LAWS)}")
-    known = (*_KEYS, *_LAWS[kind])
-    for key in document:
-        if key not in known:
-            raise InputError(f"{where}: {key}", f"unknown key of {kind}", f"one of {', '.join(known)}")
+    known_keys(document, f"{where}: ", (*_KEYS, *_LAWS[kind]))
     if document.get("format", FORMAT) != FORMAT:
         raise InputError(f"{where}: format", f"is {document['format']!r}", f"{FORMAT}")
-    provenance = document.get("provenance") or {}
-    if not isinstance(provenance, dict) or not all(isinstance(k, str) for k in provenance):
-        raise InputError(f"{where}: provenance", f"is {provenance!r}", "a mapping of texts")
+    provenance = texts(document.get("provenance"), f"{where}: provenance")
     law = _alpha_beta(document, where) if kind == AlphaBeta.kind else _table(document, where)
     return FlowCurve(
         law,
         number(document.get("relative_std_dev"), f"{where}: relative_std_dev", "", 0.0, 10.0),
         calibrated_range(document.get("calibrated_range") or {}, where),
-        {k: str(v) for k, v in provenance.items()},
+        provenance,
     )
 
 
@@ -85,8 +79,7 @@ def to_document(curve: FlowCurve) -> dict[str, Any]:
 def save(curve: FlowCurve, path: str | Path) -> None:
     """Write the file whole or not at all. Raises InputError or OSError as `whole_file.scratch_for`."""
     text = _HEAD[curve.law.kind] + strict_yaml.dump(to_document(curve))
-    with scratch_for(path, durable=True, mode=READABLE) as scratch:
-        scratch.write_text(text, encoding="utf-8")
+    whole_file.write(path, text, durable=True, mode=whole_file.READABLE)
 
 
 def _round(value: float) -> float:
@@ -109,8 +102,8 @@ def _table(document: dict[str, Any], where: str) -> LookUpTable:
         place = f"{where}: columns[{i}]"
         if not isinstance(entry, dict) or set(entry) != {"plate_angle_deg", "force_n", "mass_flow_kg_s"}:
             raise InputError(place, f"is {str(entry)[:60]}", "a mapping of plate_angle_deg, force_n and mass_flow_kg_s")
-        force_n = _numbers(entry["force_n"], f"{place}.force_n", "N")
-        flow_kg_s = _numbers(entry["mass_flow_kg_s"], f"{place}.mass_flow_kg_s", "kg/s")
+        force_n = numbers(entry["force_n"], f"{place}.force_n", "N", 0.0, 1e6)
+        flow_kg_s = numbers(entry["mass_flow_kg_s"], f"{place}.mass_flow_kg_s", "kg/s", 0.0, 1e6)
         angle_rad = _angle(entry, place)
         try:
             columns.append(TableColumn(angle_rad, force_n, flow_kg_s))
@@ -124,9 +117,3 @@ def _table(document: dict[str, Any], where: str) -> LookUpTable:
 
 def _angle(document: dict[str, Any], where: str) -> float:
     return radians(number(document.get("plate_angle_deg"), f"{where}: plate_angle_deg", "deg", 1.0, 179.0))
-
-
-def _numbers(value: Any, where: str, unit: str) -> tuple[float, ...]:
-    if not isinstance(value, list):
-        raise InputError(where, f"is {value!r}", "a list of numbers")
-    return tuple(number(v, f"{where}[{i}]", unit, 0.0, 1e6) for i, v in enumerate(value))

@@ -11,7 +11,7 @@ from yieldmon.errors import InputError
 from yieldmon.physics.machine import RPM, ImpactSensor, Implement, Machine
 from yieldmon.resources import shipped
 
-from .checked import load_mapping, number
+from .checked import known_keys, load_mapping, number, numbers
 
 DEFAULT = "config/machines/sprocket-8.yaml"
 
@@ -70,9 +70,7 @@ def load(path: str | Path | None = None) -> Machine:
 def from_document(document: Mapping[str, Any], path: str | Path) -> Machine:
     """Machine from the mapping of a file; path: for errors. Raises InputError as `load`."""
     known = {"name", "paddle_spacings_m", "sensor", *_LENGTHS, *_ANGLES, *_SPEEDS}
-    for key in document:
-        if key not in known | _OPTIONAL:
-            raise InputError(f"{path}: {key}", "unknown key", f"one of {', '.join(sorted(known | _OPTIONAL))}")
+    known_keys(document, f"{path}: ", sorted(known | _OPTIONAL))
     for key in sorted(known):
         if key not in document:
             raise InputError(f"{path}: {key}", "missing")
@@ -81,12 +79,7 @@ def from_document(document: Mapping[str, Any], path: str | Path) -> Machine:
         values[key.replace("_deg", "_rad")] = radians(number(document[key], f"{path}: {key}", "deg", 5.0, 120.0))
     for key in _SPEEDS:
         values[key.replace("_rpm", "_rad_s")] = number(document[key], f"{path}: {key}", "rpm", 1.0, 5000.0) * RPM
-    spacings = document["paddle_spacings_m"]
-    if not isinstance(spacings, list) or not spacings:
-        raise InputError(f"{path}: paddle_spacings_m", f"is {spacings!r}", "a list of distances in m")
-    values["paddle_spacings_m"] = tuple(
-        number(d, f"{path}: paddle_spacings_m[{i}]", "m", 0.01, 2.0) for i, d in enumerate(spacings)
-    )
+    values["paddle_spacings_m"] = numbers(document["paddle_spacings_m"], f"{path}: paddle_spacings_m", "m", 0.01, 2.0)
     values["plate_travel_m"] = _travel(document.get("plate_travel_m", [0.0, 0.0]), f"{path}: plate_travel_m")
     values["sensor"] = _sensor(document["sensor"], path)
     values["implement"] = _implement(document.get("implement", {}), path)
@@ -126,11 +119,8 @@ def _implement(document: Any, path: str | Path) -> Implement:
     where = f"{path}: implement"
     if not isinstance(document, dict):
         raise InputError(where, f"is {document!r}", f"a mapping with any of {', '.join(_IMPLEMENT)}")
-    values: dict[str, Any] = {}
-    for key, value in document.items():
-        if key not in _IMPLEMENT:
-            raise InputError(f"{where}.{key}", "unknown key", f"one of {', '.join(_IMPLEMENT)}")
-        values[key] = number(value, f"{where}.{key}", *_IMPLEMENT[key])
+    known_keys(document, f"{where}.", _IMPLEMENT)
+    values: dict[str, Any] = {key: number(value, f"{where}.{key}", *_IMPLEMENT[key]) for key, value in document.items()}
     if values.get("connector_type", 0) % 1:
         raise InputError(f"{where}.connector_type", f"is {values['connector_type']:g}", "a whole number from 0 to 10")
     return Implement(**{**values, "connector_type": int(values.get("connector_type", 0))})

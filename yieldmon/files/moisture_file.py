@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from yieldmon.errors import InputError
 from yieldmon.estimation.moisture import MoistureMap
 from yieldmon.files.parameter_file import GRAIN_LIMITS
 from yieldmon.resources import shipped
 
-from . import strict_yaml
-from .checked import load_mapping, number
-from .whole_file import READABLE, scratch_for
+from . import strict_yaml, whole_file
+from .checked import known_keys, load_mapping, number, numbers
 
 PUBLISHED = "config/moisture/corn-published.yaml"
 
@@ -21,10 +19,8 @@ def load(path: str | Path | None = None) -> MoistureMap:
     """The map in a YAML file, or the shipped published one. Raises InputError naming file, key, value and range."""
     path = shipped(PUBLISHED) if path is None else path
     document = load_mapping(path)
-    for key in document:
-        if key not in ("moisture_pct", "values", "doubt"):
-            raise InputError(f"{path}: {key}", "unknown key", "one of moisture_pct, values, doubt")
-    moistures = _row(document.get("moisture_pct"), f"{path}: moisture_pct", "%", 0.0, 100.0)
+    known_keys(document, f"{path}: ", ("moisture_pct", "values", "doubt"))
+    moistures = numbers(document.get("moisture_pct"), f"{path}: moisture_pct", "%", 0.0, 100.0)
     values = document.get("values")
     if not isinstance(values, dict) or not values:
         raise InputError(f"{path}: values", f"is {values!r}", "a mapping of parameter names to lists")
@@ -32,7 +28,7 @@ def load(path: str | Path | None = None) -> MoistureMap:
     for name, row in values.items():
         if name not in GRAIN_LIMITS:
             raise InputError(f"{path}: values.{name}", "unknown parameter", f"one of {', '.join(GRAIN_LIMITS)}")
-        rows[name] = _row(row, f"{path}: values.{name}", *GRAIN_LIMITS[name])
+        rows[name] = numbers(row, f"{path}: values.{name}", *GRAIN_LIMITS[name])
     doubt = number(document.get("doubt", 0.5), f"{path}: doubt", "", 0.0, 10.0)
     try:
         return MoistureMap(moistures, rows, doubt)
@@ -47,11 +43,4 @@ def save(known: MoistureMap, path: str | Path) -> None:
         "values": {name: list(row) for name, row in known.values.items()},
         "doubt": known.doubt,
     }
-    with scratch_for(path, durable=True, mode=READABLE) as scratch:
-        scratch.write_text(strict_yaml.dump(document), encoding="utf-8")
-
-
-def _row(value: Any, where: str, unit: str, low: float, high: float) -> tuple[float, ...]:
-    if not isinstance(value, list) or not value:
-        raise InputError(where, f"is {value!r}", "a list of numbers")
-    return tuple(number(v, f"{where}[{i}]", unit, low, high) for i, v in enumerate(value))
+    whole_file.write(path, strict_yaml.dump(document), durable=True, mode=whole_file.READABLE)

@@ -20,10 +20,9 @@ from yieldmon.physics.effects import effect_parameter
 from yieldmon.physics.grain import GRAIN
 from yieldmon.resources import shipped
 
-from . import flow_curve_file, strict_yaml
+from . import flow_curve_file, strict_yaml, whole_file
 from .calibrated_range import calibrated_document, calibrated_range
-from .checked import load_mapping, number
-from .whole_file import READABLE, scratch_for
+from .checked import known_keys, load_mapping, number, texts
 
 DEFAULT = "config/parameters/corn.yaml"
 FORMAT = 1
@@ -78,17 +77,13 @@ def from_document(document: Mapping[str, Any], where: str) -> ParameterSet:
     if "estimator" in document:
         expected = "a parameter file; the configuration takes a curve as estimator_file, `estimate` and `process` as --estimator"
         raise InputError(where, f"is a curve ({document['estimator']})", expected)
-    for key in document:
-        if key not in GRAIN_LIMITS and key not in _KEYS:
-            raise InputError(f"{where}: {key}", "unknown key", f"one of {', '.join([*GRAIN_LIMITS, *_KEYS])}")
+    known_keys(document, f"{where}: ", (*GRAIN_LIMITS, *_KEYS))
     if document.get("format", FORMAT) != FORMAT:
         raise InputError(f"{where}: format", f"is {document['format']!r}", f"{FORMAT}")
     values = {k: number(document[k], f"{where}: {k}", *GRAIN_LIMITS[k]) for k in GRAIN_LIMITS if k in document}
     values |= _effect_values(document.get("effects") or {}, where)
     names, covariance = _covariance(document.get("covariance"), where)
-    provenance = document.get("provenance") or {}
-    if not isinstance(provenance, dict) or not all(isinstance(k, str) for k in provenance):
-        raise InputError(f"{where}: provenance", f"is {provenance!r}", "a mapping of texts")
+    provenance = texts(document.get("provenance"), f"{where}: provenance")
     unit = document.get("response_unit", "N")
     version = document.get("version", 1)
     if not isinstance(unit, str):
@@ -106,7 +101,7 @@ def from_document(document: Mapping[str, Any], where: str) -> ParameterSet:
             calibrated=calibrated,
             response_unit=unit,
             version=version,
-            provenance={k: str(v) for k, v in provenance.items()},
+            provenance=provenance,
             model_error=model_error,
             curve=curve,
         )
@@ -164,8 +159,7 @@ def save(parameters: ParameterSet, path: str | Path) -> None:
     True
     """
     text = strict_yaml.dump(to_document(parameters))
-    with scratch_for(path, durable=True, mode=READABLE) as scratch:
-        scratch.write_text(text, encoding="utf-8")
+    whole_file.write(path, text, durable=True, mode=whole_file.READABLE)
 
 
 def _effect_values(effects: Any, where: str) -> dict[str, float]:

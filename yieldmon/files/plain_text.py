@@ -14,6 +14,11 @@ def plain(text: str) -> str:
     return "".join("\ufffd" if unicodedata.category(c) in _UNFIT or c in _BIDI else c for c in text)
 
 
+def quotable(text: str) -> str:
+    """The text as it stands between double quotes in a file that knows no escape for them."""
+    return plain(" ".join(text.replace('"', "'").split()))
+
+
 def cell(text: str) -> str:
     """The text as a spreadsheet shows it: what would be a formula begins with an apostrophe (OWASP, "CSV Injection")."""
     fit = plain(text)

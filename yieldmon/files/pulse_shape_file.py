@@ -14,9 +14,8 @@ from yieldmon.estimation.arrival_law import BEYOND_ANGLE_RAD, BEYOND_FILL, BEYON
 from yieldmon.physics.machine import RPM
 from yieldmon.resources import shipped
 
-from . import strict_yaml
-from .checked import load_mapping, number
-from .whole_file import READABLE, scratch_for
+from . import strict_yaml, whole_file
+from .checked import known_keys, load_mapping, number, numbers, span
 
 SHIPPED = "config/pulse-shape.yaml"
 
@@ -40,9 +39,7 @@ def load(path: str | Path | None = None) -> ArrivalLaw:
     """The law in a YAML file, or the shipped one. Raises InputError naming file, key, value and range."""
     path = shipped(SHIPPED) if path is None else path
     document = load_mapping(path)
-    for key in document:
-        if key not in _KEYS:
-            raise InputError(f"{path}: {key}", "unknown key", f"one of {', '.join(_KEYS)}")
+    known_keys(document, f"{path}: ", _KEYS)
     for key in _KEYS[1:]:
         if key not in document:
             raise InputError(f"{path}: {key}", "missing")
@@ -74,8 +71,7 @@ def save(law: ArrivalLaw, path: str | Path, *, source: str) -> None:
     document["log_stretch"] = [_rounded(v) for v in law.stretch]
     document["log_tail"] = [_rounded(v) for v in law.tail or ()]
     document["covariance"] = [_rounded(v) for v in law.covariance]
-    with scratch_for(path, durable=True, mode=READABLE) as scratch:
-        scratch.write_text(_HEAD + strict_yaml.dump(document), encoding="utf-8")
+    whole_file.write(path, _HEAD + strict_yaml.dump(document), durable=True, mode=whole_file.READABLE)
 
 
 def _ranges(document: Any, where: str) -> dict[str, Any]:
@@ -83,21 +79,13 @@ def _ranges(document: Any, where: str) -> dict[str, Any]:
         raise InputError(where, f"is {document!r}", f"a mapping with {', '.join(_RANGES)}")
     found = {}
     for key, (attribute, unit, scale, least, largest) in _RANGES.items():
-        value = document[key]
-        if not isinstance(value, list) or len(value) != 2:
-            raise InputError(f"{where}.{key}", f"is {value!r}", f"[lowest, highest] in {unit}")
-        low, high = (number(v, f"{where}.{key}", unit, least, largest) for v in value)
-        if low > high:
-            raise InputError(f"{where}.{key}", f"is {value!r}", "the lowest first")
+        low, high = span(document[key], f"{where}.{key}", unit, least, largest)
         found[attribute] = (low * scale, high * scale)
     return found
 
 
 def _row(value: Any, where: str, least: int, most: int) -> tuple[float, ...]:
-    if not isinstance(value, list) or not least <= len(value) <= most:
-        count = f"{least} to {most}" if least < most else f"{most}"
-        raise InputError(where, f"is {value!r}", f"a list of {count} numbers")
-    return tuple(number(v, f"{where}[{i}]", "", -100.0, 100.0) for i, v in enumerate(value))
+    return numbers(value, where, "", -100.0, 100.0, least=least, most=most)
 
 
 def _rounded(value: float) -> float:

@@ -21,7 +21,7 @@ from yaml.composer import Composer
 from yaml.constructor import SafeConstructor
 from yaml.resolver import Resolver
 
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, reason
 
 MAX_BYTES = 100_000
 MAX_DEPTH = 20
@@ -204,6 +204,6 @@ def read(path: Path | str) -> str:
             # A read's error does not name its file.
             error.filename = str(path)
             raise
-        raise InputError(str(path), error.strerror or str(error), "a readable YAML file") from error
+        raise InputError(str(path), reason(error), "a readable YAML file") from error
     except UnicodeDecodeError as error:
         raise InputError(str(path), f"byte {error.start} is not UTF-8", "a YAML file in UTF-8") from error

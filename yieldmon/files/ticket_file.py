@@ -8,19 +8,18 @@ from math import isfinite
 from pathlib import Path
 
 from yieldmon.errors import InputError
+from yieldmon.units import KG_PER_LB, KG_PER_T
 
 from . import delimited
 
 RELATIVE_STD_DEV = 0.005
-"""Of a weighing that states none."""
+"""Standard deviation of a weighing that states none, as a share of the mass (a certified platform scale)."""
 _LOADS = ("load", "load_number", "loads", "log", "file")
-_KG: Mapping[str, float] = {"kg": 1.0, "t": 1000.0, "lb": 0.45359237}
+_KG: Mapping[str, float] = {"kg": 1.0, "t": KG_PER_T, "lb": KG_PER_LB}
 _MASSES = ("weighed", "mass", "weight", "weighed_mass", "net")
 _DEVIATIONS = ("std_dev", "sd", "sigma")
 _KNOWN = ("note", "date", "crop", "field", "ticket", "time", "truck")
 _MIN_KG, _MAX_KG = 1.0, 1e6
-_UNIT_FACTOR = 5.0
-"""Between a weighed and a measured mass: machines that nobody calibrated are off by half (studies/setup)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,13 +62,6 @@ def load(path: str | Path) -> tuple[WeighedTicket, ...]:
     return tuple(tickets)
 
 
-def unit_slip(weighed_kg: float, measured_kg: float) -> str:
-    """What is said of a weighed mass so far from the measured one that it is of another unit or load; "" where it is not."""
-    if not measured_kg > 0.0 or 1.0 / _UNIT_FACTOR <= weighed_kg / measured_kg <= _UNIT_FACTOR:
-        return ""
-    return f"weighs {weighed_kg:.5g} kg, where {measured_kg:.5g} kg were measured"
-
-
 def _named(column: str, kinds: tuple[str, ...]) -> bool:
     return any(column == f"{kind}_{unit}" for kind in kinds for unit in _KG)
 
@@ -97,7 +89,7 @@ def _with_unit(source: delimited.TextTable, kinds: tuple[str, ...], expected: st
 def _number(source: delimited.TextTable, row: int, column: str) -> float:
     cell = source.column(column)[row]
     try:
-        value = float(cell if "_" not in cell else "")
+        value = delimited.plain_number(cell)
     except ValueError:
         value = float("nan")
     if not isfinite(value):

@@ -39,6 +39,12 @@ def readable_folder(path: str | Path) -> None:
         folder.chmod(0o755)
 
 
+def write(path: str | Path, content: str | bytes, *, durable: bool = False, mode: int | None = None) -> None:
+    """A whole file of its own, as `scratch_for`; a text in UTF-8."""
+    with scratch_for(path, durable=durable, mode=mode) as scratch:
+        scratch.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
 @contextmanager
 def scratch_for(path: str | Path, *, durable: bool = False, mode: int | None = None) -> Iterator[Path]:
     """A path to write to, in a folder beside `path`; it takes that name at the end, and goes when something fails.

@@ -14,7 +14,6 @@ whole, the mark is the last object. Nothing of a time or a host is written: the 
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
 import tempfile
@@ -27,6 +26,7 @@ from typing import Any
 from urllib.parse import unquote
 
 from yieldmon.errors import InputError
+from yieldmon.files import digests
 from yieldmon.fleet.filesystem import filesystem_of, is_remote
 from yieldmon.fleet.manifest import name_of
 
@@ -139,7 +139,7 @@ class Dataset:
         Raises Superseded where the token is not that of the run under way.
         """
         paths = sorted(path for path in folder.iterdir() if path.is_file())
-        listed = {path.name: {"bytes": path.stat().st_size, "sha256": _sha256(path)} for path in paths}
+        listed = {path.name: {"bytes": path.stat().st_size, "sha256": digests.of_file(path)} for path in paths}
         mark = json.dumps({**content, "files": listed}, indent=1, sort_keys=True).encode() + b"\n"
         if self._owner() != token:
             raise Superseded
@@ -289,7 +289,3 @@ def _checked(where: str, content: bytes, fields: Mapping[str, type]) -> dict[str
 
 def _damaged(where: str) -> InputError:
     return InputError(where, "is damaged", "what `fleet run` wrote; it measures the day again")
-
-
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()

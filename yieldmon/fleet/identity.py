@@ -11,11 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import yieldmon
-from yieldmon.errors import InputError
-from yieldmon.files import machine_file, parameter_file
+from yieldmon.files import digests, machine_file, parameter_file
 from yieldmon.service.configuration import Configuration
 
-_CHUNK_BYTES = 1 << 20
 _LIBRARIES = ("numpy", "scipy", "pyarrow")
 """Packages besides ours that make the bits of a result."""
 
@@ -61,7 +59,7 @@ def parameters_sha256(configured: Configuration) -> str:
         "document": configured.document.model_dump(mode="json"),
         "machine": machine_file.to_document(configured.machine),
         "parameters": parameter_file.to_document(configured.parameters),
-        "databases": [file_sha256(path) for path in configured.database_paths],
+        "databases": [digests.of_file(path) for path in configured.database_paths],
         "moisture_map": repr(learning.moisture_map) if learning is not None else "",
     })  # fmt: skip
 
@@ -69,18 +67,6 @@ def parameters_sha256(configured: Configuration) -> str:
 def inputs_sha256(logs: list[tuple[str, str]], tickets_sha256: str, crop: str) -> str:
     """Of the logs (name, SHA-256 of the content), in their order, the tickets and the crop."""
     return _digest({"logs": logs, "tickets": tickets_sha256, "crop": crop})
-
-
-def file_sha256(path: str | Path) -> str:
-    """Of a file's content. Raises InputError where it cannot be read."""
-    digest = hashlib.sha256()
-    try:
-        with Path(path).open("rb") as stream:
-            while chunk := stream.read(_CHUNK_BYTES):
-                digest.update(chunk)
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "a readable file") from error
-    return digest.hexdigest()
 
 
 def _digest(content: Any) -> str:

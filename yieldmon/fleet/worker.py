@@ -7,9 +7,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from yieldmon.errors import InputError
+from yieldmon.files import digests
 from yieldmon.fleet.dataset import Dataset
 from yieldmon.fleet.filesystem import local_copies
-from yieldmon.fleet.identity import Identity, Software, file_sha256, inputs_sha256, software
+from yieldmon.fleet.identity import Identity, Software, inputs_sha256, software
 from yieldmon.fleet.manifest import Partition
 from yieldmon.fleet.measuring import Poisoned, by_name, measure, write_provenance
 from yieldmon.service.configuration import Configuration
@@ -77,8 +78,8 @@ def _measured(task: Task, dataset: Dataset) -> Outcome:
         logs = paths[: len(partition.logs)]
         tickets = paths[-1] if partition.tickets else ""
         names = dict(zip(logs, _names(partition.logs), strict=True))
-        digests = [(names[path], file_sha256(path)) for path in logs]
-        inputs = inputs_sha256(digests, file_sha256(tickets) if tickets else "", partition.crop)
+        hashes = [(names[path], digests.of_file(path)) for path in logs]
+        inputs = inputs_sha256(hashes, digests.of_file(tickets) if tickets else "", partition.crop)
         identity = Identity(task.software, task.parameters_sha256, inputs)
         there = dataset.commit_of(partition.name)
         if there is not None and there.key == identity.key:
@@ -89,7 +90,7 @@ def _measured(task: Task, dataset: Dataset) -> Outcome:
             measured = measure(logs, tickets, partition.crop, task.configured, output, names)
         except InputError as error:
             raise InputError(by_name(error.where, names), by_name(error.problem, names), error.expected) from error
-        write_provenance(measured, identity, digests, task.configured, output)
+        write_provenance(measured, identity, hashes, task.configured, output)
         document = measured.document
         content = {
             "key": identity.key, "software": asdict(identity.software), "parameters_sha256": identity.parameters_sha256,

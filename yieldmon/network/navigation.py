@@ -12,6 +12,8 @@ from datetime import UTC, datetime
 from enum import StrEnum
 from typing import NamedTuple
 
+from yieldmon.units import S_PER_DAY
+
 from .identifier import Payload
 
 
@@ -53,7 +55,6 @@ ORDER: Mapping[Quantity, tuple[int, ...]] = {
 #: Longer than this without a message, and the next source is used.
 TIMEOUT_S = 2.0
 
-_DAY_S = 86400.0
 _KMH = 1 / 3.6
 Values = dict[Quantity, float]
 
@@ -142,9 +143,9 @@ def _system_time(data: bytes) -> Values:
 
 def _date_time(days: int, time: int) -> Values:
     date, since_midnight_s = _nmea(days, 16, 1.0, signed=False), _nmea(time, 32, 1e-4, signed=False)
-    if date is None or since_midnight_s is None or since_midnight_s > _DAY_S + 1.0:
+    if date is None or since_midnight_s is None or since_midnight_s > S_PER_DAY + 1.0:
         return {}
-    return {Quantity.TIME: date * _DAY_S + since_midnight_s}
+    return {Quantity.TIME: date * S_PER_DAY + since_midnight_s}
 
 
 _READERS: Mapping[int, tuple[int, Callable[[bytes], Values]]] = {

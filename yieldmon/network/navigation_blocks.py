@@ -41,7 +41,7 @@ class Column(NamedTuple):
     values: Array
 
 
-Told = dict[tuple[Quantity, int], Column]
+BlockReadings = dict[tuple[Quantity, int], Column]
 """What a block of frames says, by quantity and group."""
 
 
@@ -118,7 +118,9 @@ _READERS: Mapping[int, Callable[[NDArray[np.uint64]], dict[Quantity, Array]]] = 
 }
 
 
-def read_block(group: int, rows: NDArray[np.intp], time_s: Array, payload: NDArray[np.uint64], length: NDArray[np.uint8]) -> Told:
+def read_block(
+    group: int, rows: NDArray[np.intp], time_s: Array, payload: NDArray[np.uint64], length: NDArray[np.uint8]
+) -> BlockReadings:
     """What frames of a parameter group say of position, speed and course.
 
     Parameters
@@ -142,21 +144,23 @@ def read_block(group: int, rows: NDArray[np.intp], time_s: Array, payload: NDArr
     if reader is None:
         return {}
     whole = length >= _FRAME_BYTES
-    told = {}
+    readings = {}
     for quantity, values in reader(payload).items():
         known = whole & ~np.isnan(values)
-        told[quantity, group] = Column(rows[known], time_s[known], values[known])
-    return told
+        readings[quantity, group] = Column(rows[known], time_s[known], values[known])
+    return readings
 
 
-def best_groups(before: Navigation, told: Told, quantity: Quantity, rows: NDArray[np.intp], time_s: Array) -> NDArray[np.intp]:
+def best_groups(
+    before: Navigation, readings: BlockReadings, quantity: Quantity, rows: NDArray[np.intp], time_s: Array
+) -> NDArray[np.intp]:
     """The group whose reading `Navigation.best` uses at each of some frames of a block.
 
     Parameters
     ----------
     before : Navigation
         As it was at the block's beginning.
-    told : dict of (Quantity, int) to Column
+    readings : dict of (Quantity, int) to Column
         What the block says.
     quantity : Quantity
     rows : intp array, shape (n,)
@@ -173,7 +177,7 @@ def best_groups(before: Navigation, told: Told, quantity: Quantity, rows: NDArra
     for group in reversed(ORDER[quantity]):
         earlier = before.latest(quantity, group)
         times = np.array([np.nan if earlier is None else earlier.time_s])
-        column = told.get((quantity, group))
+        column = readings.get((quantity, group))
         if column is not None:
             times = np.concatenate((times, column.time_s))[np.searchsorted(column.rows, rows, side="right")]
         with np.errstate(invalid="ignore"):

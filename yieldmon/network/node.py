@@ -203,7 +203,7 @@ class Node:
         """Contents of parameter groups that are asked for: what we last sent of each."""
         self._answers.update(answers)
 
-    def tell_trouble(self, codes: Iterable[TroubleCode], now_s: float) -> list[RawFrame]:
+    def report_trouble(self, codes: Iterable[TroubleCode], now_s: float) -> list[RawFrame]:
         """The conditions that hold now; the DM1 that says so, unless the last one is still on its way."""
         self._memory.update(codes)
         if self._sender.busy_with(diagnostics.DM1):

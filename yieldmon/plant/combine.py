@@ -140,7 +140,13 @@ class VirtualCombine:
         self._run = elevator.run(scenario.elevator, self.machine, self._harvest, slip, speed_rng)
         lag = self._mean_lag_s()
         self._paddles = elevator.paddles(
-            self._run, self._harvest, self.machine, slip, lag, float(flow_rng.random()), self._table.largest_mass_kg
+            self._run,
+            self._harvest,
+            self.machine,
+            slip_share=slip,
+            lag_s=lag,
+            first_gap=float(flow_rng.random()),
+            full_paddle_kg=self._table.largest_mass_kg,
         )
         self._delivered = np.cumsum(self._paddles.mass_kg)
         scatter = scenario.paddle_scatter_pct / 100.0 * scatter_rng.standard_normal(len(self._paddles.mass_kg))

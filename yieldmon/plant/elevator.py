@@ -66,7 +66,14 @@ def run(settings: ElevatorSettings, machine: Machine, harvest: Harvest, slip_sha
 
 
 def paddles(
-    elevator: Run, harvest: Harvest, machine: Machine, slip_share: float, lag_s: float, first_gap: float, full_paddle_kg: float
+    elevator: Run,
+    harvest: Harvest,
+    machine: Machine,
+    *,
+    slip_share: float,
+    lag_s: float,
+    first_gap: float,
+    full_paddle_kg: float,
 ) -> Paddles:
     """Paddles that pass the top, each with the grain that flowed while its own gap of chain went by.
 

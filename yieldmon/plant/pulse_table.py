@@ -138,7 +138,7 @@ def _nodes(
     machine: Machine, condition: Condition, masses: Array, angles: Array, speed: float, detail: Detail
 ) -> tuple[Array, Array, Array]:
     """Impulse per kg and tip speed, landed share and arrival turns (rad of sprocket) of shape (masses, angles, ...)."""
-    result = throw(machine, condition.grain, condition.effects, masses, angles, speed, detail.cells, detail.layers)
+    result = throw(machine, condition.grain, condition.effects, masses, angles, speed, cells=detail.cells, layers=detail.layers)
     impulse = result.impulse_n_s.sum(axis=(2, 3)).T
     landed = result.landed_kg.sum(axis=(2, 3)).T / masses[:, None]
     gain = impulse / (masses[:, None] * speed * machine.paddle_length_m)

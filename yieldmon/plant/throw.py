@@ -62,6 +62,7 @@ def throw(
     paddle_mass_kg: Array | float,
     plate_angle_rad: Array | float,
     speed_rad_s: float,
+    *,
     cells: int = 400,
     layers: int = LAYERS,
 ) -> Throw:

@@ -34,6 +34,7 @@ def draw(
     parameters: ParameterSet,
     flows_kg_s: Array,
     angles_rad: Array,
+    *,
     elevator_speed_rad_s: float,
     moisture_pct: float,
     readings: Readings | None = None,

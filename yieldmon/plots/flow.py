@@ -24,6 +24,7 @@ def draw(
     mass_flow_kg_s: Array,
     std_dev_kg_s: Array,
     total_kg: Array,
+    *,
     truth: tuple[Array, Array, Array] | None = None,
     weighed: list[tuple[float, float, float]] | None = None,
     factory_kg_s: Array | None = None,

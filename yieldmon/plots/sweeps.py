@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 def draw(
     sweep_id: NDArray[np.int64],
     usable: NDArray[np.bool_],
+    *,
     time_s: Array,
     plate_angle_deg: Array,
     force_n: Array,

@@ -42,7 +42,7 @@ class Dialog:
         """What to show."""
         return self.question + (f"{self.typed}_" if self.typed is not None else "")
 
-    def tell(self, text: str) -> None:
+    def report(self, text: str) -> None:
         """Show what became of a request, unless a question stands."""
         if not self.open:
             self.question = text

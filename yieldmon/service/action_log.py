@@ -39,13 +39,13 @@ class ActionLog:
         self._new_actions.append(action)
         return action
 
-    def ticket(self, ticket: Ticket, who: str = "", *, teaches: bool = False) -> int:
-        """A ticket; returns its number. teaches: it was handed to the calibration."""
+    def ticket(self, ticket: Ticket, who: str = "", *, is_reference: bool = False) -> int:
+        """A ticket; returns its number. is_reference: it was handed to the calibration."""
         self._tickets.append(ticket)
         self._new_tickets.append(ticket)
         number = len(self._tickets)
         self.add(ledgers.TICKET, who, {"ticket": number}, ticket.time_s)
-        if teaches:
+        if is_reference:
             self.waiting.append(number)
         return number
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
-
+from yieldmon import utc
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.monitor import Monitor
@@ -82,8 +81,8 @@ def calibration_age_s(parameters: ParameterSet, now_s: float) -> float | None:
     None where there is no such date or it lies in the future.
     """
     try:
-        date = datetime.fromisoformat(parameters.provenance["date"])
+        date = utc.read(parameters.provenance["date"])
     except (KeyError, ValueError):
         return None
-    age_s = now_s - (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
+    age_s = now_s - date.timestamp()
     return age_s if age_s >= 0.0 else None

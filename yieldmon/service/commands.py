@@ -4,32 +4,42 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from yieldmon.engine.monitor import Monitor
 from yieldmon.errors import InputError
 from yieldmon.estimation.estimators import estimator_of
+from yieldmon.files import ticket_file
 from yieldmon.files.crops import crops, find_crop, shipped_name
-from yieldmon.files.ticket_file import unit_slip
 from yieldmon.service import ledger
 from yieldmon.service.assembly import calibration_age_s
 from yieldmon.service.batch import Load, Ticket
 from yieldmon.service.journal import Journal
 from yieldmon.service.reference_loads import StoredLoad, reference
+from yieldmon.service.requests import Request
 
 Answer = Mapping[str, Any]
 
-#: Standard deviation of a scale ticket where the operator names none, as a share of the mass (a certified platform scale).
-TICKET_RELATIVE_STD_DEV = 0.005
 _KERNEL_WEIGHTS_G = (1.0, 5000.0)
-_MIN_TICKET_KG, _MAX_TICKET_KG = 1e-3, 1e6
-_MAX_NAME = 80
+_TICKETS_KG = (1e-3, 1e6)
 _MOST_LOADS = 63
-"""Between the first and the last of a ticket that teaches about loads of an earlier run."""
+"""Between the first and the last of a ticket that is a reference mass for loads of an earlier run."""
 
 
 QUERIES = frozenset({"status", "loads", "tickets", "calibrations"})
 """Commands that change nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Order:
+    """A request and what it is carried out on; stored: loads that a ticket names, as the store has them."""
+
+    request: Request
+    monitor: Monitor
+    journal: Journal
+    now_s: float
+    stored: Sequence[StoredLoad]
 
 
 def execute(
@@ -39,9 +49,7 @@ def execute(
     command = _COMMANDS.get(request["command"])
     if command is None:
         raise InputError("command", repr(request["command"]), f"one of status, {', '.join(_COMMANDS)}")
-    if command is _ticket:
-        return _ticket(request, monitor, journal, now_s, stored)
-    return command(request, monitor, journal, now_s)
+    return command(_Order(Request(request), monitor, journal, now_s, stored))
 
 
 def ticketed_loads(request: Mapping[str, Any]) -> range:
@@ -64,20 +72,23 @@ def summary(status: Mapping[str, Any]) -> str:
     )
 
 
-def _load_start(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
-    weight_g = _kernel_weight_g(request)
+def _load_start(order: _Order) -> Answer:
+    monitor, journal = order.monitor, order.journal
+    request = order.request
+    weight_g = request.mass_or_none("thousand_kernel_weight_g", *_KERNEL_WEIGHTS_G, "g")
     if weight_g is not None and monitor.waveform is None:
         raise InputError("thousand_kernel_weight_g", "is of no use", "waveform.enabled: true in the configuration")
-    crop = _crop(request)
+    name = request.name("crop")
+    crop = name and (shipped_name(name) or name.strip())
     if weight_g is not None or (crop is not None and crop != journal.crop):
         # What was told of one crop's kernels does not hold for another's.
         journal.kernel_weight_g = weight_g
     in_use = monitor.estimator.parameters
     # A curve is one grain's: another crop's parameters would not give the flow.
-    chosen = journal.parameters.change_crop(crop, in_use, journal.crop, _who(request)) if crop and in_use.curve is None else None
+    chosen = journal.parameters.change_crop(crop, in_use, journal.crop, request.who) if crop and in_use.curve is None else None
     if chosen is not None:
-        monitor.set_estimator(estimator_of(monitor.machine, chosen), calibration_age_s(chosen, now_s))
-    journal.name_load(_name(request, "field"), crop)
+        monitor.set_estimator(estimator_of(monitor.machine, chosen), calibration_age_s(chosen, order.now_s))
+    journal.name_load(request.name("field"), crop)
     journal.happened(monitor.start_load())
     set_crop(monitor, journal)
     parameters = monitor.estimator.parameters
@@ -101,16 +112,18 @@ def set_crop(monitor: Monitor, journal: Journal) -> None:
     monitor.set_kernel_weight(configured_g if journal.kernel_weight_g is None else journal.kernel_weight_g)
 
 
-def _totals_reset(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
+def _totals_reset(order: _Order) -> Answer:
+    monitor, journal = order.monitor, order.journal
     before_kg = monitor.totals.total_kg
-    if request.get("total_kg") != round(before_kg):
+    if order.request.values.get("total_kg") != round(before_kg):
         raise InputError("totals reset", f"the total is {before_kg:.0f} kg", "that figure, so that nothing is reset by mistake")
-    journal.actions.add(ledger.TOTALS_RESET, _who(request), {"total_kg": before_kg}, now_s)
+    journal.actions.add(ledger.TOTALS_RESET, order.request.who, {"total_kg": before_kg}, order.now_s)
     journal.happened(monitor.reset_totals())
     return {"total_kg": before_kg, "load": monitor.totals.load_number}
 
 
-def _load_stop(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
+def _load_stop(order: _Order) -> Answer:
+    monitor, journal = order.monitor, order.journal
     if not monitor.totals.load_open:
         raise InputError("load stop", "no load is open")
     journal.happened(monitor.stop_load())
@@ -118,18 +131,18 @@ def _load_stop(request: Mapping[str, Any], monitor: Monitor, journal: Journal, n
     return {"load": monitor.totals.load_number, "mass_kg": monitor.totals.load_kg, "crop": crop}
 
 
-def _loads(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
-    return {"loads": journal.load_table()}
+def _loads(order: _Order) -> Answer:
+    return {"loads": order.journal.load_table()}
 
 
-def _ticket(
-    request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float, stored: Sequence[StoredLoad] = ()
-) -> Answer:
-    first = _whole(request, "first_load")
-    last = _whole(request, "last_load") if request.get("last_load") is not None else first
-    weighed_kg = _mass_kg(request, "mass_kg")
-    given = request.get("std_dev_kg")
-    std_dev_kg = TICKET_RELATIVE_STD_DEV * weighed_kg if given is None else _mass_kg(request, "std_dev_kg")
+def _ticket(order: _Order) -> Answer:
+    request, monitor, journal = order.request, order.monitor, order.journal
+    first = request.number_of("first_load", "load")
+    last = request.number_of("last_load", "load") if request.given("last_load") else first
+    weighed_kg = request.mass("mass_kg", *_TICKETS_KG, "kg")
+    std_dev_kg = request.mass_or_none("std_dev_kg", *_TICKETS_KG, "kg")
+    if std_dev_kg is None:
+        std_dev_kg = ticket_file.RELATIVE_STD_DEV * weighed_kg
     if monitor.totals.load_open and first <= monitor.totals.load_number <= last:
         number = monitor.totals.load_number
         raise InputError(
@@ -139,11 +152,11 @@ def _ticket(
     measured_kg = sum(load.mass_kg for load in covered)
     if not measured_kg > 0.0:
         raise InputError(f"ticket for load {first}", "nothing was measured for it", "a load with a measured mass")
-    ticket = Ticket(now_s, first, last, weighed_kg, measured_kg, _name(request, "note") or "")
-    why_not = unit_slip(weighed_kg, measured_kg) or _why_no_reference(monitor, journal, covered, stored)
+    ticket = Ticket(order.now_s, first, last, weighed_kg, measured_kg, request.name("note") or "")
+    why_not = _why_no_reference(monitor, journal, covered, order.stored)
     if not why_not:
-        _teach(monitor, covered, ticket, std_dev_kg)
-    number = journal.actions.ticket(ticket, _who(request), teaches=not why_not)
+        _add_reference_masses(monitor, covered, ticket, std_dev_kg)
+    number = journal.actions.ticket(ticket, request.who, is_reference=not why_not)
     return {
         "crop": covered[-1].crop,
         "ticket": number,
@@ -157,37 +170,36 @@ def _ticket(
     }
 
 
-def _tickets(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
-    return {"tickets": journal.actions.ticket_table()}
+def _tickets(order: _Order) -> Answer:
+    return {"tickets": order.journal.actions.ticket_table()}
 
 
-def _ticket_undo(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
-    number = _whole(request, "ticket")
-    ticket, version = journal.actions.undo_ticket(number, _who(request), now_s)
-    monitor.forget_ticket(range(ticket.first_load, ticket.last_load + 1))
-    given_up = None
-    if version is not None:
-        given_up = _back_before(version, request, monitor, journal, now_s)
-    return {"ticket": number, "first_load": ticket.first_load, "last_load": ticket.last_load, **(given_up or {})}
+def _ticket_undo(order: _Order) -> Answer:
+    number = order.request.number_of("ticket", "ticket")
+    ticket, version = order.journal.actions.undo_ticket(number, order.request.who, order.now_s)
+    order.monitor.forget_ticket(range(ticket.first_load, ticket.last_load + 1))
+    given_up = _back_before(version, order) if version is not None else {}
+    return {"ticket": number, "first_load": ticket.first_load, "last_load": ticket.last_load, **given_up}
 
 
-def _calibrations(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
-    return {"calibrations": journal.parameters.table()}
+def _calibrations(order: _Order) -> Answer:
+    return {"calibrations": order.journal.parameters.table()}
 
 
-def _calibration_undo(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
-    return _back_before(_whole(request, "version"), request, monitor, journal, now_s)
+def _calibration_undo(order: _Order) -> Answer:
+    return _back_before(order.request.number_of("version", "version"), order)
 
 
-def _back_before(version: int, request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> dict[str, Any]:
+def _back_before(version: int, order: _Order) -> dict[str, Any]:
     """The parameters before a version again, as a new version."""
+    monitor = order.monitor
     last = monitor.estimator.parameters.version
     if monitor.estimator.parameters.curve is not None:
         raise InputError(
             f"version {version}", "the flow comes from estimator_file, which learns nothing", "another estimator_file"
         )
-    chosen = journal.parameters.undo(version, _who(request), now_s)
-    monitor.set_estimator(estimator_of(monitor.machine, chosen), calibration_age_s(chosen, now_s))
+    chosen = order.journal.parameters.undo(version, order.request.who, order.now_s)
+    monitor.set_estimator(estimator_of(monitor.machine, chosen), calibration_age_s(chosen, order.now_s))
     return {"undone": version, "until": last, "version": chosen.version, "effects": list(chosen.effects)}
 
 
@@ -211,7 +223,7 @@ def _why_no_reference(monitor: Monitor, journal: Journal, covered: list[Load], s
     return ""
 
 
-def _teach(monitor: Monitor, covered: list[Load], ticket: Ticket, std_dev_kg: float) -> None:
+def _add_reference_masses(monitor: Monitor, covered: list[Load], ticket: Ticket, std_dev_kg: float) -> None:
     """Hands the ticket to the calibration as a reference mass, shared out over its loads."""
     for load in covered:
         share = load.mass_kg / ticket.measured_mass_kg
@@ -230,41 +242,44 @@ def _covered(journal: Journal, first: int, last: int) -> list[Load]:
     return [loads[number] for number in sorted(loads) if first <= number <= last]
 
 
-def _zero(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
+def _zero(order: _Order) -> Answer:
+    monitor = order.monitor
     signs = monitor.signs_of_grain
-    if signs and request.get("force") is not True:
+    if signs and not order.request.flag("force"):
         raise InputError("zero", f"there is grain: {signs}", "the elevator running empty; --force if it does")
-    journal.zero(_who(request), signs, now_s)
+    order.journal.zero(order.request.who, signs, order.now_s)
     monitor.calibrate_zero()
     return {"zero": "started; keep the elevator running empty"}
 
 
-def _zero_undo(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
+def _zero_undo(order: _Order) -> Answer:
+    monitor, journal = order.monitor, order.journal
     try:
         restored, events = monitor.undo_zero()
     except ValueError as error:
         raise InputError("zero --undo", str(error), "an undo after `yieldmon zero`") from error
     journal.happened(events)
     told = {event.load.number for event in events} | ({monitor.totals.load_number} if monitor.totals.load_open else set())
-    journal.zero_undone(_who(request), restored, told, now_s)
+    journal.zero_undone(order.request.who, restored, told, order.now_s)
     return {"zero": "undone", "restored_kg": sum(restored.values())}
 
 
-def _sweep_start(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
+def _sweep_start(order: _Order) -> Answer:
+    monitor = order.monitor
     if not monitor.settings.sweep.enabled:
         if monitor.estimator.parameters.curve is not None:
-            raise InputError("sweep", "teaches the estimator in use (estimator_file) nothing", "the physical model")
+            raise InputError("sweep", "updates nothing: the flow comes from estimator_file", "the physical model")
         raise InputError("sweep", "switched off by sweep.enabled in the configuration")
     monitor.request_sweep()
     return {"sweep": "as soon as the conditions hold"}
 
 
-def _sweep_abort(request: Mapping[str, Any], monitor: Monitor, journal: Journal, now_s: float) -> Answer:
-    monitor.abort_sweep()
+def _sweep_abort(order: _Order) -> Answer:
+    order.monitor.abort_sweep()
     return {"sweep": "ended"}
 
 
-_COMMANDS: Mapping[str, Callable[[Mapping[str, Any], Monitor, Journal, float], Answer]] = {
+_COMMANDS: Mapping[str, Callable[[_Order], Answer]] = {
     "load-start": _load_start,
     "load-stop": _load_stop,
     "totals-reset": _totals_reset,
@@ -279,49 +294,3 @@ _COMMANDS: Mapping[str, Callable[[Mapping[str, Any], Monitor, Journal, float], A
     "sweep-start": _sweep_start,
     "sweep-abort": _sweep_abort,
 }
-
-
-def _who(request: Mapping[str, Any]) -> str:
-    """The user at the other end of the control socket."""
-    return str(request.get("who", ""))
-
-
-def _name(request: Mapping[str, Any], key: str) -> str | None:
-    value = request.get(key)
-    if value is None:
-        return None
-    if not isinstance(value, str) or len(value) > _MAX_NAME or not value.isprintable():
-        raise InputError(key, repr(value)[:100], f"a name of at most {_MAX_NAME} printable characters")
-    return value
-
-
-def _crop(request: Mapping[str, Any]) -> str | None:
-    """A crop's name as it is kept: a shipped crop's own, however it was written."""
-    name = _name(request, "crop")
-    if name is None:
-        return None
-    return shipped_name(name) or name.strip()
-
-
-def _kernel_weight_g(request: Mapping[str, Any]) -> float | None:
-    value = request.get("thousand_kernel_weight_g")
-    if value is None:
-        return None
-    low, high = _KERNEL_WEIGHTS_G
-    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        raise InputError("thousand_kernel_weight_g", repr(value)[:100], f"a mass from {low:g} to {high:g} g")
-    return float(value)
-
-
-def _whole(request: Mapping[str, Any], key: str) -> int:
-    value = request.get(key)
-    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-        raise InputError(key, repr(value)[:100], "the number of a load")
-    return value
-
-
-def _mass_kg(request: Mapping[str, Any], key: str) -> float:
-    value = request.get(key)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not _MIN_TICKET_KG <= value <= _MAX_TICKET_KG:
-        raise InputError(key, repr(value)[:100], f"a mass from {_MIN_TICKET_KG:g} to {_MAX_TICKET_KG:g} kg")
-    return float(value)

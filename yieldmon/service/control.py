@@ -23,7 +23,7 @@ from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
 
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, reason
 from yieldmon.service.ownership import OccupiedError
 
 _log = logging.getLogger(__name__)
@@ -143,7 +143,7 @@ def _listen(path: Path, group: str | None) -> _Listening:
     except OSError as error:
         # Without a number: a path that is too long for a socket's address.
         if error.errno is None or error.errno in _WRONG_PATH:
-            problem = f"{path}: {error.strerror or error}"
+            problem = f"{path}: {reason(error)}"
             raise InputError("status.socket", problem, "a path that can be bound") from error
         if error.filename is None:
             # bind() does not say what it was asked to bind.
@@ -352,7 +352,7 @@ def ask(path: Path, request: Mapping[str, Any], timeout_s: float = 10.0) -> dict
     except (FileNotFoundError, ConnectionRefusedError) as error:
         raise ControlError(f"{path}: no daemon answers there; is the service running?") from error
     except OSError as error:
-        raise ControlError(f"{path}: {error.strerror or error}") from error
+        raise ControlError(f"{path}: {reason(error)}") from error
     if not received:
         raise ControlError(f"{path}: the daemon closed the connection without an answer")
     try:

@@ -114,7 +114,6 @@ class Daemon:
         self._store_note = ""
         self._origin = "file"
         self._answer: Answer = {}
-        self._window_closed = False
         settings = configuration.document.bus
         self._time = BusTime(silence_s, settings.idle_after_s, self._started_s)
         self._receiver = Receiver(bus_factory or self._open_bus, capacity=settings.receive_queue_frames)
@@ -221,7 +220,7 @@ class Daemon:
         def write() -> None:
             if not self._writer.stop(self._stop_writing_s):
                 _log.error("the disk hangs; %d batches are not written", self._writer.health().pending)
-            elif self._tell_new_store_all():
+            elif self._fill_new_store():
                 # The last batches went into a new store, which lacks what an earlier one was given.
                 self._commit()
                 self._writer.work()
@@ -262,14 +261,14 @@ class Daemon:
     def _round(self) -> None:
         # Read before the queue: what came by then is in there.
         empty_until_s = self._receiver.empty_until_s
-        self._window_closed = False
         items = self._receiver.get_many(_BATCH_FRAMES, _WAIT_S)
+        windows = 0
         for item in items:
             if isinstance(item, BusEvent):
                 self._take_event(item)
             else:
-                self._take_message(item)
-        self._tick_if_silent(empty_until_s if not items else float("-inf"))
+                windows += self._take_message(item)
+        windows += self._tick_if_silent(empty_until_s if not items else float("-inf"))
         self._receiver.due_s = self._monitor.due_s
         self._sender.send(self._link.poll(self._network_clock()))
         self._sender.send_mapped(self._outputs.poll(self._network_clock()))
@@ -278,10 +277,10 @@ class Daemon:
             self._answer = self._snapshot()
         self._report_faults()
         self._do_commands()
-        if self._window_closed:
+        if windows:
             self._post()
         # Between two windows, where a new monitor has least to miss; a quiet bus has none.
-        if self._reload_wanted and (self._window_closed or not items):
+        if self._reload_wanted and (windows or not items):
             self._reload_wanted = False
             self._do_reload()
         alive = {"receive": self._receiver.alive, "transmit": self._transmitter.alive, "store": self._writer.alive}
@@ -289,7 +288,8 @@ class Daemon:
             if not is_alive:
                 raise RuntimeError(f"the {name} thread has died")
 
-    def _take_message(self, message: can.Message) -> None:
+    def _take_message(self, message: can.Message) -> int:
+        """One message; returns how many windows it closed."""
         self._time.heard(message.timestamp, monotonic())
         try:
             heard = self._inputs.heard(message)
@@ -303,26 +303,27 @@ class Daemon:
         published = [frame.message for frame in heard if frame.message in frames.OUTPUTS]
         mapped = self._outputs.name_of(message, self._link.address)
         if (concerned or published or mapped) and self._transmitter.is_echo(message):
-            return
+            return 0
         if concerned:
             self._sender.send(self._link.hear(message, self._network_clock()))
+        windows = 0
         for frame in heard:
             if frame.message not in frames.OUTPUTS:
                 self._time.ours(frame.time_s)
-                self._happened(self._monitor.feed(frame))
+                windows += self._happened(self._monitor.feed(frame))
         for name in (*(published if self.configuration.outputs.shipped else ()), *([mapped] if mapped else ())):
             self._faults.conflict(name, monotonic())
+        return windows
 
-    def _tick_if_silent(self, empty_until_s: float) -> None:
-        """Lets the engine's time go on where no frame of ours does."""
+    def _tick_if_silent(self, empty_until_s: float) -> int:
+        """Lets the engine's time go on where no frame of ours does; returns how many windows that closed."""
         bus_s = self._time.without_ours(empty_until_s, monotonic(), time.time())
-        if bus_s is not None:
-            self._happened(self._monitor.tick(bus_s))
+        return self._happened(self._monitor.tick(bus_s)) if bus_s is not None else 0
 
-    def _happened(self, results: Sequence[Result]) -> None:
-        """Frames go out, records and events to the journal; with a window the second is done."""
+    def _happened(self, results: Sequence[Result]) -> int:
+        """Frames go out, records and events to the journal; with a window the second is done. Returns the windows closed."""
         if not results:
-            return
+            return 0
         if self.configuration.outputs.shipped:
             self._sender.send_frames(frames_in(results))
         self._sender.send_mapped(self._outputs.take(results, self._monitor.totals, self._network_clock()))
@@ -331,12 +332,12 @@ class Daemon:
             self._rows.extend(rows)
             self._record = records_in(results)[-1]
             self._second_done()
+        return len(rows)
 
     def _second_done(self) -> None:
         """A window has closed: the engine lives, its frames are out, and the second goes to the store."""
-        self._window_closed = True
-        self._tell_new_store_all()
-        self._tell_network()
+        self._fill_new_store()
+        self._report_on_network()
         self._commit()
         if max(self._receiver.hangs_s(), self._transmitter.hangs_s()) < _HANGS_FOR_GOOD_S:
             # A daemon that hears or says nothing any more is one to start anew.
@@ -345,7 +346,7 @@ class Daemon:
         self._answer = self._snapshot()
         self._manager.status(commands.summary(self._answer))
 
-    def _tell_new_store_all(self) -> bool:
+    def _fill_new_store(self) -> bool:
         """Let the next batch bring all that is known where the store was replaced since the last look; whether it was."""
         replacements = self._writer.health().replacements
         replaced = replacements != self._replacements
@@ -354,13 +355,13 @@ class Daemon:
             self._journal.report_all()
         return replaced
 
-    def _tell_network(self) -> None:
+    def _report_on_network(self) -> None:
         """Trouble codes, and the second's values for a task controller."""
         now_s = self._network_clock()
         if self.configuration.document.diagnostics.dm1_enabled:
-            self._sender.send(self._link.tell_trouble(self._monitor.faults.active, now_s))
+            self._sender.send(self._link.report_trouble(self._monitor.faults.active, now_s))
         if self._record is not None:
-            self._sender.send(self._link.tell_second(self._record, self._monitor.totals, now_s))
+            self._sender.send(self._link.report_second(self._record, self._monitor.totals, now_s))
 
     def _commit(self) -> None:
         self._writer.submit(self._journal.batch(self._monitor, time.time(), self._traffic().counters()))

@@ -116,10 +116,10 @@ class Link(Protocol):
         """One of our frames from our address; None while we have none. waits_from_s: it is of the newest second, this old, and
         comes out of poll() where a claim comes to stand soon; None: it is of no use later."""
 
-    def tell_trouble(self, active: Iterable[FaultCode], now_s: float) -> list[can.Message]:
+    def report_trouble(self, active: Iterable[FaultCode], now_s: float) -> list[can.Message]:
         """DM1 with the faults that are shown now."""
 
-    def tell_second(self, record: WindowRecord, totals: Totals, now_s: float) -> list[can.Message]:
+    def report_second(self, record: WindowRecord, totals: Totals, now_s: float) -> list[can.Message]:
         """A second's values, for a task controller."""
 
     def troubles(self, now_s: float) -> tuple[str, ...]:
@@ -180,7 +180,7 @@ class FixedLink:
         """See Link."""
         return message
 
-    def tell_trouble(self, active: Iterable[FaultCode], now_s: float) -> list[can.Message]:
+    def report_trouble(self, active: Iterable[FaultCode], now_s: float) -> list[can.Message]:
         """See Link."""
         self._memory.update([trouble_code(code) for code in active])
         data = diagnostics.message(self._memory.active)
@@ -190,7 +190,7 @@ class FixedLink:
             return []
         return _messages(self._sender.submit(diagnostics.DM1, data, self._address, GLOBAL_ADDRESS, now_s))
 
-    def tell_second(self, record: WindowRecord, totals: Totals, now_s: float) -> list[can.Message]:
+    def report_second(self, record: WindowRecord, totals: Totals, now_s: float) -> list[can.Message]:
         """See Link."""
         return []
 
@@ -303,11 +303,11 @@ class NetworkLink:
         message.arbitration_id = message.arbitration_id & ~SOURCE_MASK | address
         return message
 
-    def tell_trouble(self, active: Iterable[FaultCode], now_s: float) -> list[can.Message]:
+    def report_trouble(self, active: Iterable[FaultCode], now_s: float) -> list[can.Message]:
         """See Link."""
-        return _messages(self._node.tell_trouble([trouble_code(code) for code in active], now_s))
+        return _messages(self._node.report_trouble([trouble_code(code) for code in active], now_s))
 
-    def tell_second(self, record: WindowRecord, totals: Totals, now_s: float) -> list[can.Message]:
+    def report_second(self, record: WindowRecord, totals: Totals, now_s: float) -> list[can.Message]:
         """See Link."""
         if self._client is None:
             return []

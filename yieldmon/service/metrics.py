@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from yieldmon.engine.faults import FaultCode
-from yieldmon.files.whole_file import scratch_for
+from yieldmon.files import whole_file
 
 _log = logging.getLogger(__name__)
 
@@ -63,9 +63,7 @@ def write(path: Path, status: Mapping[str, Any]) -> None:
     Raises InputError or OSError as `whole_file.scratch_for`.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    with scratch_for(path) as scratch:
-        scratch.write_text("".join(f"{line}\n" for line in lines(status)), encoding="utf-8")
-        scratch.chmod(0o644)
+    whole_file.write(path, "".join(f"{line}\n" for line in lines(status)), mode=whole_file.READABLE)
 
 
 def lines(status: Mapping[str, Any]) -> Iterator[str]:

@@ -21,22 +21,21 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.steady_drift import Advance, DriftingParameters, smoothed
-from yieldmon.files import parameter_file
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 from yieldmon.service.batch import Step
-from yieldmon.service.recorded import opened
+from yieldmon.service.recorded import opened, parameter_sets
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store
 from yieldmon.service.update_steps import step_from_document
 from yieldmon.service.weighed_loads import MeasuredLoad, force_columns, loads_of
+from yieldmon.units import S_PER_DAY
 
 _log = logging.getLogger(__name__)
 
 SPAN_S = 72.0 * 3600.0
 """Loads that began at most so long before an update are measured again after it."""
-_DAY_S = 24.0 * 3600.0
 _CONTRADICTION = 10.83
 """Squared standard deviations that a lesson moves the parameters by, which chance reaches once in a thousand."""
 _MOST_ROWS = 270_000
@@ -130,7 +129,7 @@ def of_store(path: Path, machine: Machine, version: int, open_load: int | None, 
     """The factors of a store's loads of the last days, by the parameters of `version`. now_s: bus time. Raises InputError."""
     out: dict[int, float] = {}
     with opened(path) as store:
-        sets = {v.version: parameter_file.from_document(v.document, str(path)) for v in store.parameter_versions()}
+        sets = parameter_sets(store)
         if version not in sets:
             raise InputError(str(path), f"has no parameters of version {version}", "a store that is being written")
         known = timeline(store.steps(), sets[version])
@@ -141,7 +140,7 @@ def of_store(path: Path, machine: Machine, version: int, open_load: int | None, 
 
 def begins(known: Timeline, now_s: float) -> float:
     """Bus time from which on loads are measured again: three days, but one where a lesson since then contradicts the drift."""
-    return max(now_s - SPAN_S, min(now_s - _DAY_S, known.holds_from_s))
+    return max(now_s - SPAN_S, min(now_s - S_PER_DAY, known.holds_from_s))
 
 
 def _newest_loads(store: Store, begin_s: float, open_load: int | None) -> Iterator[list[SecondRow]]:

@@ -13,11 +13,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, brief
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.files import parameter_file
 from yieldmon.service.ledger import LoadRecord
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store
-from yieldmon.service.store_errors import StoreError
+from yieldmon.service.store_errors import StoreDamagedError, StoreError
 
 _log = logging.getLogger(__name__)
 
@@ -127,7 +129,26 @@ def opened(path: Path) -> Iterator[Store]:
         with Store.reading(path) as store:
             yield store
     except StoreError as error:
-        raise InputError(str(path), str(error).removeprefix(f"{path}: "), "a daemon's store") from error
+        sound = "a sound store: a daemon puts it right when it starts"
+        expected = sound if isinstance(error, StoreDamagedError) else "a daemon's store"
+        raise InputError(str(path), str(error).removeprefix(f"{path}: "), expected) from error
+
+
+def parameter_sets(store: Store) -> dict[int, ParameterSet]:
+    """The parameters that a store has, by version, the oldest first."""
+    return {
+        known.version: parameter_file.from_document(known.document, f"{store.path}: version {known.version}")
+        for known in store.parameter_versions()
+    }
+
+
+def last_parameters(path: Path) -> ParameterSet:
+    """The parameters that a store's daemon used last. Raises InputError, also where it holds none."""
+    with opened(path) as store:
+        versions = store.parameter_versions()
+    if not versions:
+        raise InputError(str(path), "holds no parameters", "the store of a daemon that has run")
+    return parameter_file.from_document(versions[-1].document, str(path))
 
 
 def _tables(path: Path, suffix: str) -> Iterable[Mapping[str, Any]]:
@@ -139,7 +160,7 @@ def _tables(path: Path, suffix: str) -> Iterable[Mapping[str, Any]]:
             try:
                 rows: list[Mapping[str, Any]] = pyarrow.parquet.read_table(path).to_pylist()
             except (pyarrow.ArrowException, OSError) as error:
-                raise InputError(str(path), " ".join(str(error).split())[:200], "a Parquet file") from error
+                raise InputError(str(path), brief(error), "a Parquet file") from error
             return rows
         with path.open(encoding="utf-8", newline="") as stream:
             if suffix == ".csv":

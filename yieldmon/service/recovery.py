@@ -10,6 +10,7 @@ from pathlib import Path
 
 from yieldmon.engine.state import EngineState
 from yieldmon.engine.totals import Totals
+from yieldmon.errors import reason
 from yieldmon.service import rescue
 from yieldmon.service.memory import Memory, recall
 from yieldmon.service.retention import Retention
@@ -86,7 +87,7 @@ def _rescued(path: Path, error: StoreDamagedError, without: tuple[str, ...]) -> 
     try:
         rescued = rescue.rescue(path, f"damaged-{int(time.time())}", without=without)
     except (OSError, StoreError) as failure:
-        raise StoreError(f"{error}, and cannot be set aside: {getattr(failure, 'strerror', None) or failure}") from failure
+        raise StoreError(f"{error}, and cannot be set aside: {reason(failure)}") from failure
     if rescued.saved.get("state"):
         return f"damaged, {rescued}"
     origin = "the last second saved" if rescued.saved.get("second") else "a new store"

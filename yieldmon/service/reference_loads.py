@@ -1,4 +1,4 @@
-"""Loads that an earlier run of the daemon measured, as the store holds them, so that a ticket for one still teaches.
+"""Loads that an earlier run of the daemon measured, as the store holds them, so that a ticket for one still counts.
 
 The run itself knows whether every second of a load was measured and keeps the forces over it; after a restart both follow from
 the load's seconds.

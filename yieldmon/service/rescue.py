@@ -266,7 +266,7 @@ def _rows(
     without_dry = old and "ticket" not in _tables(damaged)
     later = _later_columns(damaged) if table == "second" else {}
     for order in ("DESC", "ASC"):
-        query, count = _query(table, names, key, order, old, without_dry, later), 0
+        query, count = _query(table, names, key, order, old=old, without_dry=without_dry, later=later), 0
         try:
             # One by one: rows fetched together are lost together when the last of them cannot be reached.
             for row in damaged.execute(query):
@@ -295,7 +295,7 @@ def _later_columns(damaged: sqlite3.Connection) -> dict[str, str]:
 
 
 def _query(
-    table: str, names: tuple[str, ...], key: str, order: str, old: bool, without_dry: bool, later: Mapping[str, str]
+    table: str, names: tuple[str, ...], key: str, order: str, *, old: bool, without_dry: bool, later: Mapping[str, str]
 ) -> str:
     """The columns of `names` in any version of the schema."""
     instead = dict(later)

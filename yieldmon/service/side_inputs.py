@@ -29,7 +29,7 @@ from yieldmon.network.navigation import (
     read,
 )
 from yieldmon.network.navigation import VEHICLE_POSITION as POSITION_GROUP
-from yieldmon.network.navigation_blocks import Column, Told, best_groups, read_block
+from yieldmon.network.navigation_blocks import BlockReadings, Column, best_groups, read_block
 from yieldmon.network.process_data import PROCESS_DATA, Command
 from yieldmon.network.process_data import read as read_process_data
 from yieldmon.network.reassembly import Reassembler
@@ -94,23 +94,23 @@ class SideInputs:
         """The same for a whole block of a log, the blocks in order."""
         others, native = self._rows(block)
         silent = not others.size and (not len(block) or abs(float(block.time_s[0]) - self._other_s) > TIMEOUT_S)
-        told = self._told(block, others, native)
+        heard = self._readings_of(block, others, native)
         if silent:
-            self._remember(told, block)
+            self._remember(heard, block)
             return decoded
         parts: dict[str, list[MessageColumns]] = {VEHICLE_POSITION: [], VEHICLE_DIRECTION_SPEED: []}
         for name, group in zip(parts, _IN_THE_DBC, strict=True):
             if name in decoded.messages:
-                parts[name].append(self._unless_superseded_block(decoded.messages[name], group, told))
+                parts[name].append(self._unless_superseded_block(decoded.messages[name], group, heard))
         known = np.concatenate([decoded.messages[name].rows for name in parts if name in decoded.messages] or [others[:0]])
-        for columns in self._navigation_columns(told, known):
+        for columns in self._navigation_columns(heard, known):
             parts[columns.name].append(columns)
         factory = [
             (row, frame)
             for row in self._factory_rows(block, others).tolist()
             for frame in self._frames(int(block.can_id[row]) & ~EXTENDED_FLAG, _data(block, row), float(block.time_s[row]), None)
         ]
-        self._remember(told, block)
+        self._remember(heard, block)
         found = {name: merged(columns) for name, columns in parts.items() if any(part.rows.size for part in columns)}
         if factory:
             found[FACTORY_MONITOR] = _columns(FACTORY_MONITOR, factory)
@@ -136,27 +136,27 @@ class SideInputs:
         other |= np.isin(exact, self._factory_identities[broadcast]) | np.isin(addressed, self._factory_identities[~broadcast])
         return rows[other & ~native], rows[native]
 
-    def _told(self, block: FrameBlock, others: NDArray[np.intp], native: NDArray[np.intp]) -> Told:
+    def _readings_of(self, block: FrameBlock, others: NDArray[np.intp], native: NDArray[np.intp]) -> BlockReadings:
         """What a block says of position, speed and course."""
         rows = np.sort(np.concatenate((others, native)))
         groups = block.can_id[rows] >> np.uint32(8) & np.uint32(_MOST_GROUPS - 1)
-        told: Told = {}
+        heard: BlockReadings = {}
         latest = -1
         for group in np.unique(groups).tolist():
             here = rows[groups == group]
             if group not in GROUPS:
                 continue
             if group in FAST_PACKET_GROUPS:
-                here = self._fast_packets(block, here, told)
+                here = self._fast_packets(block, here, heard)
             else:
-                told |= read_block(group, here, block.time_s[here], block.payload[here], block.length[here])
+                heard |= read_block(group, here, block.time_s[here], block.payload[here], block.length[here])
             if group not in _IN_THE_DBC and here.size:
                 latest = max(latest, int(here[-1]))
         if latest >= 0:
             self._other_s = float(block.time_s[latest])
-        return told
+        return heard
 
-    def _fast_packets(self, block: FrameBlock, rows: NDArray[np.intp], told: Told) -> NDArray[np.intp]:
+    def _fast_packets(self, block: FrameBlock, rows: NDArray[np.intp], heard: BlockReadings) -> NDArray[np.intp]:
         """Adds what fast packets in these rows say; returns the rows with which one was whole."""
         whole = []
         found: dict[tuple[Quantity, int], list[tuple[int, float]]] = {}
@@ -168,18 +168,18 @@ class SideInputs:
                     found.setdefault((reading.quantity, reading.group), []).append((row, reading.value))
         for key, readings in found.items():
             at = np.array([row for row, _ in readings], np.intp)
-            told[key] = Column(at, block.time_s[at], np.array([value for _, value in readings]))
+            heard[key] = Column(at, block.time_s[at], np.array([value for _, value in readings]))
         return np.array(whole, np.intp)
 
-    def _remember(self, told: Told, block: FrameBlock) -> None:
+    def _remember(self, heard: BlockReadings, block: FrameBlock) -> None:
         """The block is over: its last readings are what the next one begins with."""
-        for (quantity, group), column in told.items():
+        for (quantity, group), column in heard.items():
             if column.rows.size:
                 row = int(column.rows[-1])
                 source = int(block.can_id[row]) & 0xFF
                 self._navigation.take(Reading(float(column.time_s[-1]), quantity, float(column.values[-1]), group, source))
 
-    def _unless_superseded_block(self, columns: MessageColumns, group: int, told: Told) -> MessageColumns:
+    def _unless_superseded_block(self, columns: MessageColumns, group: int, heard: BlockReadings) -> MessageColumns:
         """The DBC's frames without the signals for which a better source speaks, and without those of which nothing is left."""
         signals: dict[str, SignalColumn] = {}
         left = np.zeros(columns.rows.shape, bool)
@@ -188,7 +188,7 @@ class SideInputs:
             if quantity is None:
                 signals[name], left = column, np.ones_like(left)
                 continue
-            best = best_groups(self._navigation, told, quantity, columns.rows, columns.time_s)
+            best = best_groups(self._navigation, heard, quantity, columns.rows, columns.time_s)
             kept = (best == 0) | (best == group)
             left |= kept
             if kept.any():
@@ -196,11 +196,11 @@ class SideInputs:
                 signals[name] = SignalColumn(np.where(kept, column.values, np.nan), status)
         return taken(MessageColumns(columns.name, columns.rows, columns.time_s, signals), left)
 
-    def _navigation_columns(self, told: Told, decoded: NDArray[np.intp]) -> Iterator[MessageColumns]:
+    def _navigation_columns(self, heard: BlockReadings, decoded: NDArray[np.intp]) -> Iterator[MessageColumns]:
         """Frames for the readings of the best sources, those of decoded frames apart."""
         best = {
-            key: taken_column(column, best_groups(self._navigation, told, key[0], column.rows, column.time_s) == key[1])
-            for key, column in told.items()
+            key: taken_column(column, best_groups(self._navigation, heard, key[0], column.rows, column.time_s) == key[1])
+            for key, column in heard.items()
             if key[0] in _USED
         }
         for group in dict.fromkeys(group for _, group in best):

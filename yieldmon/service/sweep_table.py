@@ -13,8 +13,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -34,9 +33,8 @@ from yieldmon.files.table import Table
 from yieldmon.physics.machine import RPM, SAME_ANGLE_RAD, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
+from yieldmon.service.recorded import opened
 from yieldmon.service.rows import SecondRow
-from yieldmon.service.store import Store
-from yieldmon.service.store_errors import StoreError
 
 LEAST_ANGLES = 4
 _SPEED_STEP = np.log(1.02)
@@ -88,7 +86,7 @@ def given_parameters(path: Path | str) -> ParameterSet:
 
     Raises InputError when the store holds none.
     """
-    with _opened(path) as store:
+    with opened(Path(path)) as store:
         given = [version.document for version in store.parameter_versions() if version.origin == "file"]
     if not given:
         raise InputError(str(path), "holds no parameters that came from a file", "such parameters, or --params P.yaml")
@@ -100,7 +98,7 @@ def read(path: Path | str, machine: Machine, parameters: ParameterSet, last: int
 
     Raises InputError when it is no store of this version or an older one, or its sweeps do not say enough.
     """
-    with _opened(path) as store:
+    with opened(Path(path)) as store:
         rows = store.seconds_of_sweeps()
     return of_seconds([rows], str(path), machine, parameters, last)
 
@@ -186,16 +184,6 @@ def _away(sweep: _Sweep, found: WindowFlows, wander: float, machine: Machine) ->
         mean(w.plate_angle_rad), mean(w.elevator_speed_rad_s), np.exp(mean(found.log_flow)), mean(w.force_n), w.moisture_pct,
         noise, covariance(found.visits, mean(w.time_s), wander),
     )  # fmt: skip
-
-
-@contextmanager
-def _opened(path: Path | str) -> Iterator[Store]:
-    try:
-        with Store.reading(Path(path)) as store:
-            yield store
-    except StoreError as error:
-        found = str(error).removeprefix(f"{path}: ")
-        raise InputError(str(path), found, "a sound store: a daemon puts it right when it starts") from error
 
 
 def _usable(row: SecondRow) -> bool:

@@ -19,15 +19,14 @@ from yieldmon.estimation.closed_loop_inputs import Sweep
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.load_inputs import WeighedLoad
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.files import parameter_file
-from yieldmon.files.ticket_file import WeighedTicket, unit_slip
+from yieldmon.files.ticket_file import WeighedTicket
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.service.assembly import build_monitor
 from yieldmon.service.bulk_processing import process_in_bulk
 from yieldmon.service.configuration import Configuration
 from yieldmon.service.log_copies import refuse_copies
-from yieldmon.service.recorded import is_store, opened
+from yieldmon.service.recorded import is_store, opened, parameter_sets
 from yieldmon.service.rows import SecondRow
 
 _LEAST_SHARE = 0.9
@@ -67,7 +66,7 @@ def read(
 def _of_store(path: Path) -> tuple[MeasuredLoad, ...]:
     with opened(path) as store:
         rows = store.seconds()
-        versions = {v.version: parameter_file.from_document(v.document, str(path)) for v in store.parameter_versions()}
+        versions = parameter_sets(store)
     return loads_of(rows, versions)
 
 
@@ -159,8 +158,6 @@ def _stem(log: str) -> str:
 
 def _weighed(name: str, ticket: WeighedTicket, covered: Sequence[MeasuredLoad], machine: Machine) -> WeighedLoad:
     parts, total_kg = [], sum(load.mass_kg for load in covered)
-    if slip := unit_slip(ticket.mass_kg, total_kg):
-        raise InputError(ticket.where, f"load {name} {slip}", "the masses in the unit of their column: weighed_kg, _t or _lb")
     for load in covered:
         for version in sorted({row.parameter_version for row in load.seconds}):
             rows = [row for row in load.seconds if row.parameter_version == version]

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from time import monotonic, time
 
+from yieldmon.errors import reason
 from yieldmon.service.batch import Batch
 from yieldmon.service.rescue import finish, mend
 from yieldmon.service.store import Store
@@ -166,10 +167,10 @@ class StoreWriter:
         except (StoreError, OSError) as failure:
             _log.error("%s: %s", path, failure)
             return False
-        self._tell_replaced(path, note)
+        self._report_replaced(path, note)
         return True
 
-    def _tell_replaced(self, path: Path, note: str) -> None:
+    def _report_replaced(self, path: Path, note: str) -> None:
         _log.error("%s: %s", path, note)
         with self._changed:
             count = self._health.replacements + 1
@@ -192,12 +193,12 @@ class StoreWriter:
             except OSError as error:
                 raise StoreError(f"{store.path}: {error}") from error
             store, found = self._open_store(), 0
-            self._tell_replaced(store.path, f"replaced by another store while closed, which is {aside.name}; a new one begun")
+            self._report_replaced(store.path, f"replaced by another store while closed, which is {aside.name}; a new one begun")
         elif found < self._last_committed:
             missing = self._last_committed - found
-            self._tell_replaced(store.path, f"removed or replaced while closed; its last {missing} commits are missing")
+            self._report_replaced(store.path, f"removed or replaced while closed; its last {missing} commits are missing")
         elif removed:
-            self._tell_replaced(store.path, "removed while closed; a new one begun")
+            self._report_replaced(store.path, "removed while closed; a new one begun")
         self._last_committed, self._there = found, True
         return store
 
@@ -209,7 +210,7 @@ class StoreWriter:
                 finish(path)
             return path.exists() and path.stat().st_size > 0
         except OSError as error:
-            raise StoreError(f"{path}: {error.strerror or error}") from error
+            raise StoreError(f"{path}: {reason(error)}") from error
 
     def _wait_for_work(self) -> bool:
         with self._changed:

@@ -94,7 +94,7 @@ def build_app(
         Mount("/static", StaticFiles(directory=STATIC)),
     ]
     app = Starlette(routes=routes, exception_handlers={404: _not_found})
-    return Guard(app, access, door, page.stop, clock, unix_clock, page.prepare)
+    return Guard(app, access, door, stop=page.stop, clock=clock, unix_clock=unix_clock, prepare=page.prepare)
 
 
 #: A page does not wait longer than this for the units of a daemon that does not answer.
@@ -247,7 +247,7 @@ class _Page:
         if path is not None and path.is_file():
             found = configuration.load(path)
             return found.machine, found.machine_path.name
-        default = shipped(configuration.DEFAULT_MACHINE)
+        default = shipped(machine_file.DEFAULT)
         return machine_file.load(default), f"{default.name} (the shipped one)"
 
 

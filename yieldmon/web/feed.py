@@ -17,8 +17,7 @@ from typing import Any
 
 from yieldmon.errors import InputError
 from yieldmon.service.control import ControlError, ask
-from yieldmon.service.store import Store
-from yieldmon.service.store_errors import StoreError
+from yieldmon.service.recorded import opened
 from yieldmon.web.units import page_units
 
 #: Columns of a row as pages get it, with the decimals that they are worth on a screen.
@@ -190,9 +189,9 @@ class Feed:
         if self.store is None:
             return []
         try:
-            with Store.reading(self.store) as store:
+            with opened(self.store) as store:
                 return [_row({name: getattr(row, name) for name in COLUMNS}) for row in store.seconds(first, lambda _: None)]
-        except (InputError, StoreError):
+        except InputError:
             # The trend begins with what the daemon shows, and the history page says what is wrong with the store.
             return []
 

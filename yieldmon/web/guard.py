@@ -98,6 +98,7 @@ class Guard:
         app: Any,
         access: Access,
         door: Door,
+        *,
         stop: Callable[[], None],
         clock: Callable[[], float] = monotonic,
         unix_clock: Callable[[], float] = time,

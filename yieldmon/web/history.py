@@ -17,15 +17,15 @@ from typing import Any
 
 import numpy as np
 
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, reason
 from yieldmon.files import parameter_file
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
 from yieldmon.service import sweep_table
 from yieldmon.service.ledger import ticket_rows
+from yieldmon.service.recorded import last_parameters, opened
 from yieldmon.service.store import Store
-from yieldmon.service.store_errors import StoreError
 from yieldmon.service.store_file import read_only
 
 MOST_POINTS = 500_000
@@ -108,7 +108,7 @@ class History:
         """
         with self._lock, _problems(path):
             self._sum_up(path)
-            with Store.reading(path) as store:
+            with opened(path) as store:
                 loads = store.corrected_loads()
                 return {
                     "days": [day.document(name) for name, day in sorted(self._sums.days.items(), reverse=True)],
@@ -266,11 +266,7 @@ class History:
             When the store cannot be read, or its sweeps do not say enough.
         """
         with self._lock, _problems(path):
-            with Store.reading(path) as store:
-                versions = store.parameter_versions()
-            if not versions:
-                raise InputError(str(path), "holds no parameters", "the store of a daemon that has run")
-            parameters = parameter_file.from_document(versions[-1].document, str(path))
+            parameters = last_parameters(path)
             found = sweep_table.read(path, machine, parameters, _RESIDUAL_SWEEPS)
         columns = found.table.columns
         angle, flow, force, sigma, moisture = (
@@ -319,7 +315,7 @@ def _problems(path: Path) -> Iterator[None]:
     """Whatever is wrong with the store becomes one line."""
     try:
         yield
-    except StoreError as error:
-        raise InputError(str(path), str(error).removeprefix(f"{path}: "), "a daemon's store") from error
+    except InputError:
+        raise
     except (sqlite3.Error, OSError, ValueError) as error:
-        raise InputError(str(path), getattr(error, "strerror", None) or str(error), "a daemon's store") from error
+        raise InputError(str(path), reason(error), "a daemon's store") from error

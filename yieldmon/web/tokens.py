@@ -10,7 +10,7 @@ import hashlib
 import hmac
 from pathlib import Path
 
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, reading
 
 LEAST_CHARACTERS = 16
 COOKIE_LIFE_S = 30 * 86400
@@ -36,13 +36,11 @@ def read_token(path: Path) -> str:
     InputError
         For a file that is missing, that others may read, or that holds no such token.
     """
-    try:
+    with reading(path, f"a token, {_MAKE}"):
         if path.stat().st_mode & 0o007:
             raise InputError(str(path), "everybody on this machine may read it", f"`chmod o-rwx {path}`")
         with path.open("rb") as file:
             content = file.read(_MOST_BYTES)
-    except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), f"a token, {_MAKE}") from error
     token = content.decode("ascii", "replace").strip()
     if len(token) < LEAST_CHARACTERS or not token.isascii() or not token.isprintable() or " " in token:
         raise InputError(str(path), "holds no token", f"one line of at least {LEAST_CHARACTERS} ASCII characters, {_MAKE}")

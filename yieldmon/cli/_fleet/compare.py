@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import json
 from typing import Any
 
+from yieldmon.cli._json import print_document
 from yieldmon.fleet.comparison import compare
 
 _SHOWN = 20
@@ -14,7 +14,7 @@ _SHOWN = 20
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 when they are equal, 1 when they are not."""
     found = compare(args.first, args.second)
-    print(json.dumps(found, indent=2) if args.json else _text(found))
+    print_document(found, _text, as_json=args.json)
     return 1 if found["different"] or found["only_in_first"] or found["only_in_second"] else 0
 
 

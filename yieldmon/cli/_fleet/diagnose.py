@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import json
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
+from yieldmon.cli._json import print_document
 from yieldmon.errors import InputError
 from yieldmon.fleet.diagnosis import FleetDiagnosis, MachineVerdict, Named, diagnose, sweeps_of
 
@@ -18,7 +18,7 @@ def run(args: argparse.Namespace) -> int:
     with ProcessPoolExecutor(args.workers) as pool:
         found = diagnose(sweeps_of(args.dataset), each=pool.map)
     document = _document(found)
-    print(json.dumps(document, indent=2) if args.json else _text(document))
+    print_document(document, _text, as_json=args.json)
     return 0 if all(verdict.judged for verdict in found.machines) else 1
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import json
 from typing import Any
 
 import numpy as np
 
+from yieldmon.cli._json import print_document
 from yieldmon.files import parameter_file
 from yieldmon.fleet.prior import CropPrior, crop_prior
 
@@ -18,7 +18,7 @@ def run(args: argparse.Namespace) -> int:
     if args.out is not None:
         parameter_file.save(found.prior.parameter_set, args.out)
     document = _document(found)
-    print(json.dumps(document, indent=2) if args.json else _text(document))
+    print_document(document, _text, as_json=args.json)
     return 0
 
 

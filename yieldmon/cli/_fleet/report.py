@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from typing import Any
 
+from yieldmon.cli._json import print_document
+from yieldmon.files import whole_file
 from yieldmon.files.plain_text import plain
-from yieldmon.files.whole_file import scratch_for
 from yieldmon.fleet.html import page
 from yieldmon.fleet.summary import summarise
 
@@ -17,9 +17,8 @@ def run(args: argparse.Namespace) -> int:
     """Exit code 0."""
     summary = summarise(args.dataset)
     if args.html is not None:
-        with scratch_for(args.html) as scratch:
-            scratch.write_text(page(summary), encoding="utf-8")
-    print(json.dumps(summary, indent=2) if args.json else _text(summary))
+        whole_file.write(args.html, page(summary))
+    print_document(summary, _text, as_json=args.json)
     for item in (*summary["failed"], *summary["poisoned"]):
         print(plain(f"not measured: {item['machine']} {item['day']}: {item['problem']}"), file=sys.stderr)
     return 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -13,6 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from yieldmon.cli._json import print_json
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.files.plain_text import plain
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     dataset.end(token)
     document = _document(args.out, outcomes)
     if args.json:
-        print(json.dumps(document, indent=2))
+        print_json(document)
     else:
         print("\n".join(map(plain, _lines_of(document))), file=sys.stderr)
     return 1 if document["poisoned"] else 0

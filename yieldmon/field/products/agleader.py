@@ -15,9 +15,9 @@ from yieldmon.field.harvest import HarvestMap
 from yieldmon.field.sources.agleader import taken_out
 from yieldmon.field.table import Array
 from yieldmon.field.tracks import Index
-from yieldmon.field.units import M_PER_FT, M_PER_IN
+from yieldmon.files.plain_text import quotable
 from yieldmon.files.whole_file import scratch_for
-from yieldmon.units import KG_PER_LB
+from yieldmon.units import KG_PER_LB, M_PER_FT, M_PER_IN
 
 CHUNK = 50_000
 DOWN, UP = 33, 32
@@ -29,7 +29,7 @@ def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
     everything = np.flatnonzero(np.isfinite(table["longitude_deg"]) & np.isfinite(table["time_s"]))
     down = steps.down[steps.step_of_row]
     raw, clean = folder / "agleader_raw.txt", folder / "agleader_clean.txt"
-    _write(raw, result, everything, table["flow_kg_s"], table["moisture_pct"], down)
+    _write(raw, result, everything, flow=table["flow_kg_s"], moisture=table["moisture_pct"], down=down)
     kept = np.flatnonzero(result.cleaned.kept)
     with np.errstate(invalid="ignore", divide="ignore"):
         flow = result.placed.mass_kg / table["interval_s"]
@@ -40,7 +40,7 @@ def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
     marks = np.empty(len(table), dtype=object)
     for machine in result.machines:
         marks[machine.rows] = f',"{taken_out(machine.flow.value_s)}"'
-    _write(clean, result, kept, flow, result.placed.moisture_pct, down, width, marks)
+    _write(clean, result, kept, flow=flow, moisture=result.placed.moisture_pct, down=down, width=width, marks=marks)
     return [raw, clean]
 
 
@@ -48,6 +48,7 @@ def _write(
     path: Path,
     result: HarvestMap,
     rows: Index,
+    *,
     flow: Array,
     moisture: Array,
     down: np.ndarray,
@@ -56,7 +57,7 @@ def _write(
 ) -> None:
     table = result.table
     swath = table["width_m"] if width is None else width
-    names = {name: [_quotable(text) for text in table.labels[name].names] for name in ("field", "load", "crop", "product")}
+    names = {name: [_name(text) for text in table.labels[name].names] for name in ("field", "load", "crop", "product")}
     serial = [_serial(text) for text in table.labels["machine"].names]
     passes = result.steps.pass_number[result.steps.step_of_row]
     # With the header up a row belongs to the pass before it.
@@ -94,6 +95,6 @@ def _serial(text: str) -> str:
     return text if text.isascii() and text.isdigit() else "0"
 
 
-def _quotable(name: str) -> str:
-    plain = name.split(":", 1)[1] if name[:1] in "FL" and name[1:2].isdigit() and ":" in name else name
-    return " ".join(plain.replace('"', "'").split())
+def _name(text: str) -> str:
+    """A field's or load's name without the number that this format puts before it."""
+    return quotable(text.split(":", 1)[1] if text[:1] in "FL" and text[1:2].isdigit() and ":" in text else text)

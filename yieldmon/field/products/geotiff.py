@@ -13,7 +13,7 @@ import numpy as np
 
 from yieldmon.field.grid import Grid, block_means
 from yieldmon.field.harvest import KG_M2_TO_T_HA, HarvestMap
-from yieldmon.files.whole_file import scratch_for
+from yieldmon.files import whole_file
 
 _SHORT, _LONG, _DOUBLE, _ASCII = 3, 4, 12, 2
 _FORMATS = {_SHORT: "H", _LONG: "I", _DOUBLE: "d"}
@@ -37,8 +37,7 @@ def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
             2.0 * grid.size_m,
         )
     bands = np.stack([grid.raster(grid.yield_kg_m2), grid.raster(grid.standard_error_kg_m2)], axis=-1) * KG_M2_TO_T_HA
-    with scratch_for(path) as scratch:
-        scratch.write_bytes(tiff(bands.astype("<f4"), grid))
+    whole_file.write(path, tiff(bands.astype("<f4"), grid))
     return [path]
 
 

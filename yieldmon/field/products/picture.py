@@ -14,8 +14,8 @@ import numpy as np
 from yieldmon.field.grid import Grid
 from yieldmon.field.harvest import KG_M2_TO_T_HA, HarvestMap
 from yieldmon.field.table import Array
-from yieldmon.files.whole_file import scratch_for
-from yieldmon.units import Units, UnitSystem, rounded
+from yieldmon.files import whole_file
+from yieldmon.units import M_PER_FT, M_PER_MI, Units, UnitSystem, rounded
 
 from .report import colour_scale
 
@@ -55,14 +55,12 @@ _FONT = {
 LETTERS = frozenset(_FONT)
 """That can be written."""
 _BAR_PX = 240.0
-_M_PER_FT, _M_PER_MI = 0.3048, 1609.344
 
 
 def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
     """`map.png`."""
     path = folder / "map.png"
-    with scratch_for(path) as scratch:
-        scratch.write_bytes(png(_picture(result)))
+    whole_file.write(path, png(_picture(result)))
     return [path]
 
 
@@ -97,13 +95,13 @@ def _picture(result: HarvestMap) -> np.ndarray:
         )
         left = (WIDTH_PX - scale * (east - west)) / 2
         share = (result.yield_kg_m2[rows] * KG_M2_TO_T_HA - low) / (high - low)
-        _fill(image, corners, colours(share), west, north, scale, left)
+        _fill(image, corners, colours(share), west=west, north=north, scale=scale, left=left)
         _bar(image, scale, result.units)
     _legend(image, low, high, result.units)
     return image
 
 
-def _fill(image: np.ndarray, corners: Array, rgb: np.ndarray, west: float, north: float, scale: float, left: float) -> None:
+def _fill(image: np.ndarray, corners: Array, rgb: np.ndarray, *, west: float, north: float, scale: float, left: float) -> None:
     """Sample each swath on a lattice finer than the pixels."""
     length = np.hypot(*(corners[:, 3] - corners[:, 0]).T) * scale
     width = np.hypot(*(corners[:, 1] - corners[:, 0]).T) * scale
@@ -138,7 +136,7 @@ def scale_words(low_t_ha: float, high_t_ha: float, units: Units) -> tuple[str, s
 def bar(longest_m: float, units: Units) -> tuple[float, str]:
     """Length, m, of the longest bar of 1, 2 or 5 times a power of ten of its unit up to longest_m, and what stands beside it."""
     us = units.system is UnitSystem.US
-    small, large, from_m = (("ft", _M_PER_FT), ("mi", _M_PER_MI), _M_PER_MI) if us else (("m", 1.0), ("km", 1000.0), 1000.0)
+    small, large, from_m = (("ft", M_PER_FT), ("mi", M_PER_MI), M_PER_MI) if us else (("m", 1.0), ("km", 1000.0), 1000.0)
     name, worth_m = large if longest_m >= from_m else small
     power = 10.0 ** np.floor(np.log10(longest_m / worth_m))
     count = max(step * power for step in (1, 2, 5) if step * power <= longest_m / worth_m * (1.0 + 1e-9))

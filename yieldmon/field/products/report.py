@@ -15,7 +15,7 @@ from yieldmon.field.harvest import KG_M2_TO_T_HA, HarvestMap
 from yieldmon.field.plane import astray
 from yieldmon.field.summary import delay_lines, transport_line
 from yieldmon.field.table import Array
-from yieldmon.files.whole_file import scratch_for
+from yieldmon.files import whole_file
 from yieldmon.units import KG_PER_T, Units, UnitSystem
 
 TEMPLATE = Path(__file__).with_name("report.html")
@@ -39,8 +39,7 @@ def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
     text = json.dumps(content(result), allow_nan=False, separators=(",", ":"))
     # Names come from files: nothing of them may end the element that holds the data.
     safe = text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
-    with scratch_for(path) as scratch:
-        scratch.write_text(TEMPLATE.read_text(encoding="utf-8").replace("@DATA@", safe), encoding="utf-8")
+    whole_file.write(path, TEMPLATE.read_text(encoding="utf-8").replace("@DATA@", safe))
     return [path]
 
 

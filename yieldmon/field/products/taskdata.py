@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
+from yieldmon import utc
 from yieldmon.field.grid import Grid
 from yieldmon.field.harvest import HarvestMap
 from yieldmon.field.table import Array
 from yieldmon.files import task_data
 from yieldmon.files.whole_file import scratch_for
-
-DAY_S = 86_400.0
+from yieldmon.units import S_PER_DAY
 
 ENTRIES = (
     task_data.Entry(67, "Actual working width", "mm"),
@@ -109,8 +109,8 @@ def _log(result: HarvestMap, stream: int, number: int) -> _Log | None:
 
 def _since_epoch(time_s: Array, unix: bool) -> Array:
     """Seconds since 1980; a clock without a date keeps its time of the day, from the first day on."""
-    seconds = time_s - task_data.EPOCH.timestamp() if unix else time_s - np.floor(time_s.min() / DAY_S) * DAY_S
-    return np.asarray(np.clip(np.round(seconds, 3), 0.0, 65_535 * DAY_S))
+    seconds = time_s - task_data.EPOCH.timestamp() if unix else time_s - np.floor(time_s.min() / S_PER_DAY) * S_PER_DAY
+    return np.asarray(np.clip(np.round(seconds, 3), 0.0, 65_535 * S_PER_DAY))
 
 
 def _records(time: Array, longitude: Array, latitude: Array, raw: dict[int, np.ndarray]) -> bytes:
@@ -159,4 +159,4 @@ def _clean(name: str) -> str:
 
 
 def _iso(since_s: float) -> str:
-    return (task_data.EPOCH + timedelta(seconds=since_s)).strftime("%Y-%m-%dT%H:%M:%SZ")
+    return utc.text(task_data.EPOCH + timedelta(seconds=since_s))

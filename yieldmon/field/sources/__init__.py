@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 from types import ModuleType
 
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, reason
 from yieldmon.field.table import HarvestTable
 
 from .options import ReadOptions
@@ -53,7 +53,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
                 table: HarvestTable = module.read(path, options)
                 return table
     except OSError as error:
-        raise InputError(str(path), error.strerror or str(error), "a harvest that can be read") from error
+        raise InputError(str(path), reason(error), "a harvest that can be read") from error
     except MemoryError as error:
         raise InputError(str(path), "needs more memory than there is", "a harvest") from error
     kinds = ", ".join(module.KIND for module in modules())

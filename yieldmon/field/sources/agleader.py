@@ -19,8 +19,7 @@ import numpy as np
 from yieldmon.errors import InputError
 from yieldmon.field.plane import Sites
 from yieldmon.field.table import DEFAULT_FLOW_S, HarvestTable, Label, Source, build
-from yieldmon.field.units import M_PER_IN
-from yieldmon.units import KG_PER_LB
+from yieldmon.units import KG_PER_LB, M_PER_FT, M_PER_IN
 
 from . import clocks, csv_table
 from .delimited import Rows, delimiter_of, encoding_of, has_decimal_comma, number, read_rows, rows_of
@@ -190,7 +189,7 @@ def _table(
     if options.width_m is not None:
         columns["width_m"] = np.full(rows.count, options.width_m)
     if layout["elevation"]:
-        columns["elevation_m"] = values[layout["elevation"][0]] * 0.3048
+        columns["elevation_m"] = values[layout["elevation"][0]] * M_PER_FT
     labels = {name: rows.texts[layout[name][0]] for name in ("field", "load", "crop", "product") if layout[name]}
     if options.crop:
         labels["crop"] = Label.constant(options.crop, rows.count)

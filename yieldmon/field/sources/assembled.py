@@ -12,6 +12,7 @@ from yieldmon.field.plane import Sites
 from yieldmon.field.table import Array, HarvestTable, Label, Skipped, Source, build
 from yieldmon.field.units import crop as known_crop
 from yieldmon.field.units import factor
+from yieldmon.units import S_PER_DAY
 
 from . import clocks
 from .delimited import number
@@ -179,7 +180,7 @@ def _dated_column(raw: Raw) -> Column | None:
     if day is None or day.name not in raw.texts:
         return None
     times, _ = clocks.parsed(raw.texts[day.name].names[:_LOOKED_AT])
-    return day if (times[np.isfinite(times)] % clocks.DAY_S != 0).any() else None
+    return day if (times[np.isfinite(times)] % S_PER_DAY != 0).any() else None
 
 
 def _states(label: Label, name: str) -> tuple[Array, tuple[str, ...]]:

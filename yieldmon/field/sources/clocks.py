@@ -8,11 +8,13 @@ from datetime import UTC, date, datetime
 
 import numpy as np
 
+from yieldmon import utc
 from yieldmon.field.table import Array
+from yieldmon.units import S_PER_DAY
 
 _UNIX_S = (631_152_000.0, 4_102_444_800.0)
 """1990 and 2100."""
-DAY_S, WEEK_S = 86_400.0, 604_800.0
+_WEEK_S = 7.0 * S_PER_DAY
 
 
 def unwrapped(time_s: Array) -> tuple[Array, tuple[str, ...]]:
@@ -27,13 +29,13 @@ def unwrapped(time_s: Array) -> tuple[Array, tuple[str, ...]]:
     if known.sum() < 2 or time_s[known].min() < 0:
         return time_s, ()
     highest = float(time_s[known].max())
-    if highest >= WEEK_S:
+    if highest >= _WEEK_S:
         return time_s, ()
     out = time_s.copy()
     values = out[known]
     notes = []
     steps = np.diff(values)
-    for round_s, name in ((DAY_S, "midnight"), (WEEK_S, "the end of the GPS week")):
+    for round_s, name in ((S_PER_DAY, "midnight"), (_WEEK_S, "the end of the GPS week")):
         back = steps < -0.5 * round_s
         if highest >= round_s or not back.any():
             continue
@@ -64,7 +66,7 @@ def dated(time_s: Array, first: date) -> Array:
     if not len(known):
         return time_s
     midnight = datetime(first.year, first.month, first.day, tzinfo=UTC).timestamp()
-    unix: Array = time_s + midnight - np.floor(time_s[known[0]] / DAY_S) * DAY_S
+    unix: Array = time_s + midnight - np.floor(time_s[known[0]] / S_PER_DAY) * S_PER_DAY
     return unix
 
 
@@ -91,7 +93,7 @@ def parsed(texts: Sequence[str]) -> tuple[Array, str]:
         if text not in seen:
             moment, chosen = _moment(text, chosen)
             if moment is not None and moment.tzinfo is None:
-                zone_missing, moment = True, moment.replace(tzinfo=UTC)
+                zone_missing, moment = True, utc.in_utc(moment)
             try:
                 seen[text] = np.nan if moment is None else moment.timestamp()
             except (OverflowError, ValueError, OSError):

@@ -14,6 +14,7 @@ import numpy as np
 
 from yieldmon.errors import InputError
 from yieldmon.field.table import Array, Label, Skipped
+from yieldmon.files.delimited import plain_number
 
 BLOCK_ROWS = 50_000
 _UNKNOWN = frozenset({"", "-", "na", "n/a", "nan", "null", "none", "?"})
@@ -99,11 +100,7 @@ def rows_of(path: Path, encoding: str, delimiter: str) -> Iterator[tuple[int, li
 def number(text: str) -> float:
     """A number, NaN for unknown. Raises ValueError."""
     plain = text.strip()
-    if plain.lower() in _UNKNOWN:
-        return float("nan")
-    if "_" in plain:
-        raise ValueError(plain)
-    return float(plain)
+    return float("nan") if plain.lower() in _UNKNOWN else plain_number(plain)
 
 
 def read_rows(

@@ -13,8 +13,9 @@ import numpy as np
 
 from yieldmon.errors import InputError
 from yieldmon.field.table import Array
+from yieldmon.files import task_data
+from yieldmon.units import S_PER_DAY
 
-EPOCH_1980_S = 315_532_800.0
 POSITION_DEG = 1e-7
 _DAY_MS = 86_400_000
 #: Attribute of PTN -> numpy type in a record, in the order of a record.
@@ -123,7 +124,7 @@ def read(data: bytes, head: Header) -> TimeLog:
         return records[name] * scale if name in names else np.full(count, np.nan)
 
     return TimeLog(
-        EPOCH_1980_S + records["day"] * 86_400.0 + records["ms"] * 1e-3,
+        task_data.EPOCH.timestamp() + records["day"] * S_PER_DAY + records["ms"] * 1e-3,
         field("east", POSITION_DEG),
         field("north", POSITION_DEG),
         field("up_mm", 1e-3),

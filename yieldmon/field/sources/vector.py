@@ -150,7 +150,7 @@ def _read_layer(address: str, where: str) -> _Layer:
         UnicodeError,
         OverflowError,
     ) as error:
-        raise InputError(where, f"cannot be read: {str(error)[:120]}", "a vector file that GDAL reads") from error
+        raise InputError(where, f"cannot be read: {brief(error)}", "a vector file that GDAL reads") from error
     if geometry is None or not len(geometry):
         raise InputError(where, "has no points", "a layer of points")
     x, y = _points(geometry)

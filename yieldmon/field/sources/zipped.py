@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from yieldmon.errors import InputError, brief
+from yieldmon.errors import InputError, brief, reason
 from yieldmon.field.table import HarvestTable, Skipped, joined
 
 from . import isoxml, vector
@@ -116,7 +116,7 @@ class _Found:
         try:
             self.look(folder, name, depth + 1)
         except OSError as error:
-            self.skipped.append(Skipped(brief(name), error.strerror or str(error)))
+            self.skipped.append(Skipped(brief(name), reason(error)))
 
     def _file(self, path: Path, name: str, depth: int) -> None:
         try:

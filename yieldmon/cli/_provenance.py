@@ -1,0 +1,31 @@
+"""Where parameters come from, as the verbs that calibrate note it in what they write."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from yieldmon import utc
+from yieldmon.files import digests
+from yieldmon.files.table import Table
+
+
+def today() -> str:
+    """Date and time by this machine's clock, in UTC."""
+    return utc.text(datetime.now(UTC))
+
+
+def of_table(data: Table) -> dict[str, str]:
+    """Of a measurement table."""
+    return {"data": Path(data.path).name, "data_sha256": data.sha256, "date": today()}
+
+
+def of_loads(sources: Sequence[str], tickets: str | Path) -> dict[str, str]:
+    """Of logs or stores of weighed loads and a table of their tickets."""
+    return {
+        "data": ", ".join(Path(source).name for source in sources),
+        "tickets": Path(tickets).name,
+        "tickets_sha256": digests.of_file(tickets),
+        "date": today(),
+    }

@@ -1,0 +1,59 @@
+"""An operator's request, read key by key and checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from yieldmon.errors import InputError
+
+_MAX_NAME = 80
+_SHOWN = 100
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What came over the control socket. Each method raises InputError, which names the key, for a value that is none."""
+
+    values: Mapping[str, Any]
+
+    @property
+    def who(self) -> str:
+        """The user at the other end of the control socket."""
+        return str(self.values.get("who", ""))
+
+    def given(self, key: str) -> bool:
+        """Whether there is a value."""
+        return self.values.get(key) is not None
+
+    def flag(self, key: str) -> bool:
+        """Whether the value is true."""
+        return self.values.get(key) is True
+
+    def name(self, key: str) -> str | None:
+        """A printable text on one line, None where there is none."""
+        value = self.values.get(key)
+        if value is None:
+            return None
+        if not isinstance(value, str) or len(value) > _MAX_NAME or not value.isprintable():
+            raise InputError(key, repr(value)[:_SHOWN], f"a name of at most {_MAX_NAME} printable characters")
+        return value
+
+    def number_of(self, key: str, what: str) -> int:
+        """The number by which a load, a ticket or a version goes."""
+        value = self.values.get(key)
+        if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+            raise InputError(key, repr(value)[:_SHOWN], f"the number of a {what}")
+        return value
+
+    def mass_or_none(self, key: str, low: float, high: float, unit: str) -> float | None:
+        """A mass from low to high, None where there is none."""
+        return self.mass(key, low, high, unit) if self.given(key) else None
+
+    def mass(self, key: str, low: float, high: float, unit: str) -> float:
+        """A mass from low to high, which must be there."""
+        value = self.values.get(key)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+            raise InputError(key, repr(value)[:_SHOWN], f"a mass from {low:g} to {high:g} {unit}")
+        return float(value)
