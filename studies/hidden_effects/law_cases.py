@@ -248,6 +248,8 @@ def record(kind: str, name: str, number: int, salt: int) -> dict[str, Any]:
         "visible_sd": float(np.sqrt(max(choice.base.chi2 - choice.base.dof, 0.0))),
         "verdict": choice.verdict,
         "classes": classes,
+        "against": choice.against,
+        "undone": choice.best.undone,
         "laws": [s.law for s in choice.steps],
         "features": confidence.features(choice),
         "f": [choice.base_gap.f, choice.best_gap.f],

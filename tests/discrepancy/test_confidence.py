@@ -49,7 +49,7 @@ def test_a_map_survives_its_file() -> None:
 def test_what_ships_never_says_certain() -> None:
     best = {
         "stability": 1.0, "margin": np.log1p(60.0), "misfit": 0.0, "left_share": 0.0, "strength": 4.0, "ties": 0.0,
-        "further": 0.0, "effects": 1.0,
+        "further": 0.0, "effects": 1.0, "against": 0.0,
     }  # fmt: skip
     assert 0.5 < confidence.shipped().within(confidence.as_rows([best]))[0] < 0.995
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -14,6 +14,8 @@ from yieldmon.cli import _outputs
 from yieldmon.cli._json import print_json
 from yieldmon.discrepancy import adoption, diagnosis, planning, report
 from yieldmon.discrepancy.diagnosis_document import to_document
+from yieldmon.discrepancy.fit import Fit
+from yieldmon.discrepancy.selection import Step
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file, table, whole_file
@@ -184,21 +186,32 @@ def _progress() -> Iterator[Callable[[str, float], None]]:
 def print_text(found: diagnosis.Diagnosis) -> None:
     print(report.summary(found))
     print(f"\nverdict: {found.verdict}")
-    for step in found.choice.steps if found.verdict == "effect" else ():
-        ties = f"; not distinguishable from {', '.join(step.equivalent)}" if step.equivalent else ""
-        print(f"  {step.added} (confidence {step.confidence:.2f}{ties})")
-        for p, sd in zip(found.best.parameters, found.best.covariance().diagonal() ** 0.5, strict=True):
-            if p.name.startswith(f"{step.law}."):
-                print(f"    {p.name.partition('.')[2]} = {found.best.values[p.name]:.4g} +- {sd:.2g} {p.unit}")
-    for name, measure in (("before", found.before), ("after", found.after)):
+    if found.verdict == "effect":
+        _print_steps(found.choice.steps, found.best)
+    elif found.leading is not None:
+        print("leading candidates, not certain enough to be named:")
+        _print_steps(found.choice.steps, found.leading)
+    measures = [("before", found.before), ("after", found.after)]
+    if found.with_leading is not None:
+        measures[1] = ("with these", found.with_leading)
+    for name, measure in measures:
         print(
             f"  {name}: rms {measure.rms:.4g} ({measure.rms_over_max_pct:.2f} % of largest), "
             f"lack of fit F = {measure.lack_of_fit_f:.2f}, p = {measure.p_value:.2g}"
         )
-    if found.held_out is not None:
+    if found.held_out is not None and found.verdict != "unknown":
         held = found.held_out
         print(f"  {report.unseen(held)} (rms {held.before.rms:.4g} -> {held.after.rms:.4g}, noise {held.noise_floor_rms:.4g})")
     for line in (*report.region_lines(found.regions), *report.plan_lines(found.plan)):
         print(line)
     for note in found.notes:
         print(f"  note: {note}")
+
+
+def _print_steps(steps: Sequence[Step], fitted: Fit) -> None:
+    for step in steps:
+        ties = f"; not distinguishable from {', '.join(step.equivalent)}" if step.equivalent else ""
+        print(f"  {step.added} (confidence {step.confidence:.2f}{ties})")
+        for p, sd in zip(fitted.parameters, fitted.covariance().diagonal() ** 0.5, strict=True):
+            if p.name.startswith(f"{step.law}."):
+                print(f"    {p.name.partition('.')[2]} = {fitted.values[p.name]:.4g} +- {sd:.2g} {p.unit}")

@@ -18,7 +18,7 @@ from yieldmon.physics.numerics import Array
 
 from .selection import Choice, Policy
 
-FEATURES = ("stability", "margin", "misfit", "strength", "further", "effects")
+FEATURES = ("stability", "margin", "misfit", "strength", "further", "effects", "against")
 """What the map goes by, see `features`."""
 _REACH = 2.0
 _FAR = 60.0
@@ -64,6 +64,7 @@ def features(choice: Choice) -> list[dict[str, float]]:
             "ties": float(len(step.equivalent)),
             "further": float(number > 0),
             "effects": float(len(choice.steps)),
+            "against": float(bool(choice.against)),
         }
         for number, step in enumerate(choice.steps)
     ]
@@ -74,7 +75,7 @@ def as_rows(found: Sequence[Mapping[str, float]]) -> Array:
     return np.array([[f[name] for name in FEATURES] for f in found], dtype=float).reshape(len(found), len(FEATURES))
 
 
-def learnt(rows: Array, right: Array, ridge: float = 8.0) -> Logistic:
+def learnt(rows: Array, right: Array, ridge: float = 2.0) -> Logistic:
     """The map by penalised likelihood.
 
     Parameters

@@ -111,11 +111,15 @@ class Diagnosis:
         Steps, candidates and confidence; fitted to the unsealed rows alone.
     base, best : Fit
         Without and with the effects that are named; fitted to every row but outliers.
+    leading : Fit, optional
+        The same with the leading candidates, where the verdict is "unknown" in spite of them.
     rows : Rows
     sealed : ndarray of bool
         (n,) rows that were held out.
     before, after : Measure
         Gap between model and rows without and with the effects.
+    with_leading : Measure, optional
+        The same with the leading candidates.
     held_out : HeldOut, optional
         The same on the sealed rows; None where there are none.
     noise_floor_rms : float
@@ -157,6 +161,8 @@ class Diagnosis:
     undetectable: tuple[str, ...]
     correction: Correction | None
     notes: tuple[str, ...] = field(default=())
+    leading: Fit | None = None
+    with_leading: Measure | None = None
 
     @property
     def verdict(self) -> Verdict:
@@ -229,6 +235,8 @@ def conclude(
     whole = base.frame.with_cells(grouped, noise.of_cells(grouped))
     base_all = _refit(whole, (), base, name)
     best_all = _refit(whole, found.effects, found, name) if found.effects else base_all
+    partial = chosen.best if chosen.verdict == "unknown" and chosen.steps else None
+    leading = _refit(whole, partial.effects, partial, name) if partial is not None else None
     report("where", 0.9)
     regions = where(base_all, noise, rng)
     remaining = where(best_all, noise, rng) if found.effects else regions
@@ -262,6 +270,8 @@ def conclude(
         undetectable=undetectable,
         correction=correction(base_all) if chosen.verdict == "unknown" else None,
         notes=(*seen.notes, *_undetectable_note(undetectable)),
+        leading=leading,
+        with_leading=_measure(leading, every, noise) if leading is not None else None,
     )
 
 
@@ -300,6 +310,8 @@ def examine(
     held_out, outlying_sealed = _open(rows, sealed, chosen.base, chosen.best, noise)
     outlier |= outlying_sealed
     notes = [*_noise_notes(noise, int(outlier.sum())), *why, *_overfull_note(sealed & ~outlier, held_out)]
+    if chosen.against:
+        notes.append(_against(chosen))
     proof = None
     if chosen.verdict == "effect":
         proof = prove(chosen.base, chosen.best, held_out.share if held_out is not None else None, rng)
@@ -452,6 +464,10 @@ def _refuted(names: tuple[str, ...], proof: Proof) -> str:
         f"{' + '.join(names)} is not named: unseen rows lie {low:.0f} to {high:.0f} % of the way to it, where more than 50 % "
         f"is needed{where}"
     )
+
+
+def _against(choice: Choice) -> str:
+    return f"{' + '.join(step.added for step in choice.steps)} is not named: {choice.against}"
 
 
 def _doubted(choice: Choice) -> str:

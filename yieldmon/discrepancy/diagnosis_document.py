@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import degrees, isnan
 
 import numpy as np
@@ -13,6 +14,7 @@ from yieldmon.physics.machine import RPM
 from .diagnosis import Diagnosis, Measure
 from .fit import Fit
 from .gap import Region, fills
+from .selection import Step
 from .stopgap import Correction
 
 
@@ -21,7 +23,7 @@ def to_document(diagnosis: Diagnosis) -> DiagnosisDocument:
     choice = diagnosis.choice
     document: DiagnosisDocument = {
         "verdict": diagnosis.verdict,
-        "effects": _named_effects(diagnosis),
+        "effects": _effects(diagnosis.best, choice.steps) if choice.named else [],
         "where": [_region(r) for r in diagnosis.regions],
         "gap": _gap(diagnosis),
         "next_experiment": {
@@ -55,6 +57,9 @@ def to_document(diagnosis: Diagnosis) -> DiagnosisDocument:
     }
     if diagnosis.verdict == "unknown":
         document["partial"] = [s.added for s in choice.steps]
+        if diagnosis.leading is not None and diagnosis.with_leading is not None:
+            document["leading"] = _effects(diagnosis.leading, choice.steps)
+            document["gap"]["with_leading"] = _measure_document(diagnosis.with_leading)
         document["remaining"] = [_region(r) for r in diagnosis.remaining]
         assert diagnosis.correction is not None
         document["stop_gap"] = {
@@ -66,28 +71,25 @@ def to_document(diagnosis: Diagnosis) -> DiagnosisDocument:
     return document
 
 
-def _named_effects(diagnosis: Diagnosis) -> list[NamedEffect]:
-    choice = diagnosis.choice
-    confidence = {s.added: s for s in choice.steps}
-    sds = dict(zip((p.name for p in diagnosis.best.parameters), np.sqrt(np.diag(diagnosis.best.covariance())), strict=True))
-    effects: list[NamedEffect] = []
-    for name in choice.named:
-        effects.append(
-            {
-                "name": name,
-                "law": get_effect(confidence[name].law).law,
-                "stage": registry()[name].stage,
-                "parameters": {
-                    p.name.partition(".")[2]: {"value": diagnosis.best.values[p.name], "sd": float(sds[p.name]), "unit": p.unit}
-                    for p in diagnosis.best.parameters
-                    if p.name.startswith(f"{confidence[name].law}.")
-                },
-                "confidence": confidence[name].confidence,
-                "name_confidence": confidence[name].name_confidence,
-                "equivalent": list(confidence[name].equivalent),
-            }
-        )
-    return effects
+def _effects(fitted: Fit, steps: Sequence[Step]) -> list[NamedEffect]:
+    """Effects with their sizes in a fit to every row."""
+    sds = dict(zip((p.name for p in fitted.parameters), np.sqrt(np.diag(fitted.covariance())), strict=True))
+    return [
+        {
+            "name": step.added,
+            "law": get_effect(step.law).law,
+            "stage": registry()[step.added].stage,
+            "parameters": {
+                p.name.partition(".")[2]: {"value": fitted.values[p.name], "sd": float(sds[p.name]), "unit": p.unit}
+                for p in fitted.parameters
+                if p.name.startswith(f"{step.law}.")
+            },
+            "confidence": step.confidence,
+            "name_confidence": step.name_confidence,
+            "equivalent": list(step.equivalent),
+        }
+        for step in steps
+    ]
 
 
 def _gap(diagnosis: Diagnosis) -> Gap:

@@ -181,21 +181,40 @@ class Fit:
         An effect's law may rise faster or slower with angle, load and speed than written: its change of the prediction times a
         smooth factor about 1 (`LAW_SD`).
         """
-        frame, cells = self.frame, self.frame.cells
+        cells = self.frame.cells
         smooth = model_error.basis(cells.plate_angle_rad, cells.load, cells.elevator_speed_rad_s, most=LAW_DEGREE)
-        known = len(frame.base)
-        calibrating = model_error.orthonormal(self.jacobian[:, :known] * np.array([p.scale for p in self.parameters[:known]]))
-        whole = real(predictions(frame, self.effects, self.values)) if self.effects else cells.mean
         columns = []
-        for effect in self.effects:
-            null = {p.name: p.start for p in effect_parameters(effect, frame.unit)}
-            change = (whole - real(predictions(frame, self.effects, self.values | null))) / frame.sd
-            change = np.where(np.isfinite(change), change, 0.0)
+        for change in self.changes:
             # What recalibration hides of a large change must not excuse everything that shows.
-            seen = float(np.linalg.norm(model_error.off(change, calibrating)))
+            seen = float(np.linalg.norm(model_error.off(change, self.calibrating)))
             share = min(1.0, MOST_SEEN * seen / max(float(np.linalg.norm(change)), 1e-300))
             columns.append(LAW_SD * share * smooth * change[:, None])
         return np.concatenate(columns, axis=1) if columns else np.zeros((len(self.residual), 0))
+
+    @cached_property
+    def changes(self) -> Array:
+        """Whitened change of the prediction by each effect beside the others, shape (effects, cells)."""
+        frame = self.frame
+        whole = real(predictions(frame, self.effects, self.values)) if self.effects else frame.cells.mean
+        out = np.zeros((len(self.effects), len(self.residual)))
+        for number, effect in enumerate(self.effects):
+            null = {p.name: p.start for p in effect_parameters(effect, frame.unit)}
+            change = (whole - real(predictions(frame, self.effects, self.values | null))) / frame.sd
+            out[number] = np.where(np.isfinite(change), change, 0.0)
+        return out
+
+    @cached_property
+    def calibrating(self) -> Array:
+        """Orthonormal basis of what small changes of the base parameters can do to the whitened prediction, shape (cells, rank)."""
+        known = len(self.frame.base)
+        return model_error.orthonormal(self.jacobian[:, :known] * np.array([p.scale for p in self.parameters[:known]]))
+
+    @property
+    def undone(self) -> float:
+        """Share, in squares and beyond recalibration, of what the effects change that they undo among themselves; 0 for one."""
+        beyond = model_error.off(self.changes.T, self.calibrating)
+        each, together = float(np.sum(beyond**2)), float(np.sum(np.sum(beyond, axis=1) ** 2))
+        return max(1.0 - together / each, 0.0) if each > 0.0 else 0.0
 
     @cached_property
     def own_error(self) -> Array:

@@ -44,6 +44,8 @@ _SCATTER_SWEEPS = 3
 _UNLIKELY = 2.0 * float(np.log(20.0))
 """-2 log of the odds that one machine has an effect `of_grain` for itself."""
 _STATE_STEPS = 3
+_POWER_80 = 0.84
+"""Standard deviations beyond a limit at which 80 of 100 exceed it."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,20 @@ class Own:
 
 
 @dataclass(frozen=True)
+class Visible:
+    """The least distance from its null value at which an effect of one machine's own is found in 80 of 100 fleets; inf: at no
+    physical size.
+
+    parameter: the one that the effect is known by.
+    """
+
+    effect: str
+    parameter: str
+    size: float
+    unit: str
+
+
+@dataclass(frozen=True)
 class Found:
     """shared: the search for what the model lacks for all; own: by machine; grain_sd: how friction and density differ between
     machines that have no effect of their own; misfit: variance of the visits over what is stated."""
@@ -86,6 +102,7 @@ class Found:
     deviating: tuple[str, ...]
     grain_sd: Mapping[str, float]
     misfit: float
+    visible_from: tuple[Visible, ...] = ()
 
 
 def examine(lattice: Lattice, rng: np.random.Generator, policy: Policy) -> Found:
@@ -109,7 +126,7 @@ def examine(lattice: Lattice, rng: np.random.Generator, policy: Policy) -> Found
     names = tuple(placed.name for placed, keep in zip(lattice.machines, kept, strict=True) if not keep)
     scatter = np.sqrt(np.median(state.grain, axis=0))
     grain = {p.name: float(sd) * p.scale for p, sd in zip(shared.best.frame.base, scatter, strict=True)}
-    return Found(shared, own, names, grain, state.misfit)
+    return Found(shared, own, names, grain, state.misfit, comparison.visible_from(state, tail))
 
 
 def _shared(lattice: Lattice, kept: NDArray[np.bool_], misfit: float, rng: np.random.Generator, policy: Policy) -> Choice:
@@ -280,6 +297,24 @@ class _Comparison:
         draws = (axes[:, large] * np.sqrt(kept[large])) @ self.rng.standard_normal((int(large.sum()), _DRAWS))
         return _Tail(np.sort(np.max(np.maximum(draws, 0.0), axis=0) ** 2))
 
+    def visible_from(self, state: _State, tail: _Tail) -> tuple[Visible, ...]:
+        """From what size each effect shows at a machine of median sweeps."""
+        needed = np.sqrt(tail.limit(self.policy.next_p / len(self.machines))) + _POWER_80
+        lengths = []
+        for i in np.flatnonzero(state.kept):
+            judge, drawn = self._judge(i, state), self._drawn[i] / np.sqrt(state.misfit)
+            inside = judge.columns.T @ drawn
+            square = np.sum(drawn**2, axis=0) - np.sum(inside * (judge.inner @ inside), axis=0)
+            lengths.append(np.sqrt(np.maximum(square, 0.0)))
+        length, first, found = np.median(lengths, axis=0), 0, dict[str, Visible]()
+        for s in self.signatures:
+            one = _visible(s, length[first : first + len(s.points)], needed)
+            first += len(s.points)
+            # The effect's own law where that shows at all: sizes of different laws do not compare.
+            if not np.isfinite(found.get(one.effect, one).size) or one.effect not in found:
+                found[one.effect] = one
+        return tuple(sorted(found.values(), key=lambda v: v.effect))
+
     def own(self, i: int, state: _State, tail: _Tail) -> Own:
         """What a machine shows beside the others."""
         gains, share = self._gains(i, state)
@@ -384,6 +419,20 @@ class _Tail:
         return float(stats.chi2.isf(p_value / 0.05 * stats.chi2.sf(joint, 1), 1))
 
 
+def _visible(drawn: Signature, length: Array, needed: float) -> Visible:
+    """length: of the signature at each of its points, in standard deviations, shape (points,)."""
+    leading, rest = drawn.parameters[0], np.array([p.start for p in drawn.parameters[1:]])
+    alone = np.all(drawn.points[:, 1:] == rest, axis=1) & (length > 1e-6)
+    step = np.abs(drawn.points[alone, 0] - leading.start)
+    size = float("inf")
+    if step.size:
+        # A signature bends with size: the point nearest to its own answer speaks.
+        answers = step * needed / length[alone]
+        size = float(answers[np.argmin(np.abs(np.log(answers / step)))])
+    physical = size <= max(leading.upper - leading.start, leading.start - leading.lower)
+    return Visible(family_of(drawn.law), leading.name.partition(".")[2], size if physical else float("inf"), leading.unit)
+
+
 def _scatter(information: Array, score: Array) -> Array:
     """Variances of grain between machines, (parameters,): posterior means, one parameter after the other.
 
@@ -448,4 +497,4 @@ def _signature(known: Fit, law: str) -> Signature | None:
     return Signature(law, parameters, drawn[usable], change[usable])
 
 
-__all__ = ["Explanation", "Found", "Own", "examine"]
+__all__ = ["Explanation", "Found", "Own", "Visible", "examine"]

@@ -75,8 +75,8 @@ def summary(diagnosis: Diagnosis) -> str:
         )
     if diagnosis.verdict == "unknown":
         return (
-            f"The model misses these measurements by {before:.1f} % of the largest reading, more than they scatter, and no known "
-            "cause explains it. Check the machine in the regions below, or measure the rows proposed."
+            f"The model misses these measurements by {before:.1f} % of the largest reading, more than they scatter, and "
+            f"{_not_named(diagnosis)} Check the machine in the regions below, or measure the rows proposed."
         )
     text = (
         f"The model misses these measurements by {before:.1f} % of the largest reading. "
@@ -85,6 +85,20 @@ def summary(diagnosis: Diagnosis) -> str:
     if diagnosis.held_out is not None:
         text += f"; {unseen(diagnosis.held_out)}"
     return text + "."
+
+
+def _not_named(diagnosis: Diagnosis) -> str:
+    """Why there is no name, and what comes nearest to one."""
+    found = diagnosis.with_leading
+    if found is None:
+        return "no known cause explains it."
+    names = " together with ".join(" or ".join((s.added, *s.equivalent)) for s in diagnosis.choice.steps)
+    confidence = diagnosis.choice.steps[0].confidence
+    return (
+        f"the cause is not certain enough to be named. What fits best is {names}: the error would be "
+        f"{found.rms_over_max_pct:.1f} %, but the first of these is right in {100.0 * confidence:.0f} of 100 cases that look like "
+        "this one; the note below says what speaks against it."
+    )
 
 
 def _named(diagnosis: Diagnosis) -> tuple[Step, ...]:
@@ -293,7 +307,7 @@ def _where_table(diagnosis: Diagnosis) -> str:
 
 def _step(step: Step, diagnosis: Diagnosis) -> str:
     effect = registry()[step.added]
-    fitted = diagnosis.best if diagnosis.choice.named else diagnosis.choice.best
+    fitted = diagnosis.best if diagnosis.choice.named else diagnosis.leading or diagnosis.choice.best
     values = ", ".join(
         f"{p.name.partition('.')[2]} = {fitted.values[p.name]:.4g} ± {sd:.2g} {html.escape(p.unit)}".rstrip()
         for p, sd in zip(fitted.parameters, np.sqrt(np.diag(fitted.covariance())), strict=True)

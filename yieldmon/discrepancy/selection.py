@@ -59,7 +59,9 @@ class Policy:
     unexplained_of_f: float = 0.01
     """this share of the published model's: a cause whose law is off by so little is named all the same."""
     unexplained_share: float = 0.15
-    """Share of the original excess chi-square that may remain, significant, under a named verdict."""
+    """Share of the original excess chi-square that may remain under a named verdict, significant or not."""
+    most_undone: float = 0.5
+    """Share of what several effects change that they may undo among themselves: beyond, they are terms of a series, no causes."""
     tie: float = 6.0
     """Chi-square distance (over the best one's misfit, where above 1) within which the data cannot tell two effects apart."""
     near: float = 30.0
@@ -135,6 +137,8 @@ class Choice:
     p_any: float
     """Global p value of the strongest candidate."""
     rivals: tuple[Fit, ...] = field(default=())
+    against: str = ""
+    """Why the steps are candidates and no names, where the verdict is "unknown" in spite of them."""
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -219,9 +223,25 @@ class Search:
             verdict: Verdict = "unknown" if base_gap.p_value < self.policy.gap_p else "none"
             return Choice(verdict, self.base, self.base, base_gap, base_gap, (), looked_at, p_any)
         current, steps, rivals = self.prune_ambiguous(current, order, places, p_any)
-        undecided = 1 + len(steps[0].equivalent) > self.policy.largest_class
-        verdict = "unknown" if self._unexplained(current) or undecided else "effect"
-        return Choice(verdict, self.base, current, base_gap, lack_of_fit(current, self.noise), steps, looked_at, p_any, rivals)
+        against = self.against(current, steps)
+        verdict = "unknown" if against else "effect"
+        gap = lack_of_fit(current, self.noise)
+        return Choice(verdict, self.base, current, base_gap, gap, steps, looked_at, p_any, rivals, against)
+
+    def against(self, current: Fit, steps: Sequence[Step]) -> str:
+        """What speaks against calling the steps of a fit the cause; "" where nothing does."""
+        tied = 1 + len(steps[0].equivalent)
+        if tied > self.policy.largest_class:
+            return f"{tied} effects explain these rows alike"
+        gap = lack_of_fit(current, self.noise)
+        left = (current.chi2 - current.dof) / self.excess
+        if gap.p_value < self.policy.gap_p or self._unexplained(current):
+            return f"F = {gap.f:.2f} is left with it (p = {gap.p_value:.1g}): something else is missing, or stands in its place"
+        if left > self.policy.unexplained_share:
+            return f"{100.0 * left:.0f} % of the excess is left with it, more than {100.0 * self.policy.unexplained_share:.0f} %"
+        if current.undone > self.policy.most_undone:
+            return f"{100.0 * current.undone:.0f} % of what these effects change they undo among themselves, as terms of a series do"
+        return ""
 
     def candidates(
         self,

@@ -59,13 +59,14 @@ class HeldOutDocument(TypedDict):
 
 
 class Gap(TypedDict):
-    """How far the model was off and is now. closed_pct: share of the gap that the effects close."""
+    """How far the model was off and is now. closed_pct: share of the gap that the effects close; with_leading: with `leading`."""
 
     before: MeasureDocument
     after: MeasureDocument
     held_out: HeldOutDocument | None
     noise_floor_rms: float
     closed_pct: Number
+    with_leading: NotRequired[MeasureDocument]
 
 
 class ExperimentRow(TypedDict):
@@ -114,7 +115,7 @@ class StopGap(TypedDict):
 
 
 class DiagnosisDocument(TypedDict):
-    """`yieldmon diagnose --json`. partial, remaining and stop_gap are there with the verdict `unknown`."""
+    """`yieldmon diagnose --json`. partial, remaining and stop_gap are there with the verdict `unknown`, leading where it has candidates."""
 
     verdict: Verdict
     effects: list[NamedEffect]
@@ -127,5 +128,6 @@ class DiagnosisDocument(TypedDict):
     candidates: list[CandidateDocument]
     notes: list[str]
     partial: NotRequired[list[str]]
+    leading: NotRequired[list[NamedEffect]]
     remaining: NotRequired[list[RegionDocument]]
     stop_gap: NotRequired[StopGap]

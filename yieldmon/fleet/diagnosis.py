@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from yieldmon.discrepancy.fleet import LEAST_MACHINES, Own, examine
+from yieldmon.discrepancy.fleet import LEAST_MACHINES, Own, Visible, examine
 from yieldmon.discrepancy.lattice import Lattice, lay, reference_force_n, with_force
 from yieldmon.discrepancy.selection import Choice, Policy
 from yieldmon.errors import InputError
@@ -78,10 +78,12 @@ class MachineVerdict:
 
 @dataclass(frozen=True)
 class FleetDiagnosis:
-    """model: effects that all machines show; machines: what is each one's own, alike ones with the verdict none."""
+    """model: effects that all machines show; machines: what is each one's own, alike ones with the verdict none; visible_from:
+    what an effect of one machine's own has to be to show, of the geometry with most machines."""
 
     model: tuple[Named, ...]
     machines: tuple[MachineVerdict, ...]
+    visible_from: tuple[Visible, ...] = ()
 
 
 Map = Callable[[Callable[["_Group"], "_Answer"], Iterable["_Group"]], Iterable["_Answer"]]
@@ -108,11 +110,13 @@ def diagnose(machines: Sequence[MachineSweeps], policy: Policy = POLICY, each: M
     groups = [_Group(tuple(group), policy) for group in sorted(_alike(machines), key=len, reverse=True)]
     verdicts: dict[str, MachineVerdict] = {}
     model: dict[str, Named] = {}
-    for shared, own in each(_of_geometry, groups):
+    visible_from: tuple[Visible, ...] = ()
+    for shared, own, visible in each(_of_geometry, groups):
         verdicts |= {verdict.name: verdict for verdict in own}
+        visible_from = visible_from or visible
         for item in shared:
             model.setdefault(item.effect, item)
-    return FleetDiagnosis(tuple(model.values()), tuple(verdicts[m.name] for m in machines))
+    return FleetDiagnosis(tuple(model.values()), tuple(verdicts[m.name] for m in machines), visible_from)
 
 
 @dataclass(frozen=True)
@@ -123,23 +127,23 @@ class _Group:
     policy: Policy
 
 
-_Answer = tuple[tuple[Named, ...], tuple[MachineVerdict, ...]]
+_Answer = tuple[tuple[Named, ...], tuple[MachineVerdict, ...], tuple[Visible, ...]]
 
 
 def _of_geometry(group: _Group) -> _Answer:
     if "restitution" not in group.machines[0].parameters.values:
-        return (), tuple(MachineVerdict(m.name, "parameters without restitution") for m in group.machines)
+        return (), tuple(MachineVerdict(m.name, "parameters without restitution") for m in group.machines), ()
     sweeps = {m.name: away_of_seconds(m.days, m.machine, m.parameters) for m in group.machines}
     usable = [m for m in group.machines if _says_enough(sweeps[m.name])]
     why = f"needs {_LEAST_VISITS} visits away from home at {_LEAST_ANGLES} angles"
     own = {m.name: MachineVerdict(m.name, why) for m in group.machines}
     if len(usable) < LEAST_MACHINES:
         own |= {m.name: MachineVerdict(m.name, f"fewer than {LEAST_MACHINES} machines of its geometry") for m in usable}
-        return (), tuple(own.values())
+        return (), tuple(own.values()), ()
     found = examine(_lattice(usable, sweeps), np.random.default_rng(_SEED), group.policy)
     for name, one in found.own.items():
         own[name] = _verdict(name, one, group.policy, differs=name in found.deviating)
-    return _named(found.shared), tuple(own.values())
+    return _named(found.shared), tuple(own.values()), found.visible_from
 
 
 def _alike(machines: Sequence[MachineSweeps]) -> list[list[MachineSweeps]]:
