@@ -10,7 +10,7 @@ import pytest
 from yieldmon.discrepancy import candidates, diagnosis
 from yieldmon.discrepancy.candidates import Score
 from yieldmon.discrepancy.fit import Fit, fit
-from yieldmon.discrepancy.selection import Candidate, Policy, Search
+from yieldmon.discrepancy.selection import Candidate, Policy, Search, Step
 
 USUAL = Policy()
 NAMED_NOTHING = diagnosis.Options(policy=Policy(most_effects=0), hold_out="none")
@@ -175,6 +175,31 @@ def test_a_pair_whose_first_step_misleads_is_found_by_screening(make_rows, start
     options = diagnosis.Options(policy=Policy(refits=12, beam=3, pairs=6), hold_out="none")
     choice = diagnosis.examine(rows, start, options).choice
     classes = [{s.added, *s.equivalent} for s in choice.steps]
-    assert choice.verdict == "effect"
     assert any("residual_radial_speed" in c for c in classes)
     assert any("secondary_impact" in c for c in classes)
+    # The two turn the force against each other, as terms of a series for a third effect would.
+    assert choice.best.undone > 0.9
+    assert choice.verdict == "unknown"
+    assert "undo among themselves" in choice.against
+
+
+@pytest.mark.parametrize(
+    ("left_f", "excess", "says"),
+    [(1.0, 1e4, ""), (4.0, 1e4, "something else is missing"), (1.2, 40.0, "of the excess is left"), (1.2, 1e4, "")],
+)
+def test_a_cause_leaves_no_gap_and_a_small_share(published, left_f, excess, says) -> None:
+    base, noise = published({"zero_offset": 4.0})
+    current = _scaled(fit(base.frame, ("zero_offset",), base.values), left_f)
+    steps = (Step("zero_offset", (), (), 1.0, "zero_offset"),)
+    found = search(base, noise, excess=excess).against(current, steps)
+    assert says in found
+    assert bool(found) == bool(says)
+
+
+@pytest.mark.parametrize(("sizes", "undone"), [((1.0,), 0.0), ((1.0, 1.0), 0.0), ((1.0, -0.9), 1.0 - 0.01 / 1.81)])
+def test_what_effects_undo_among_themselves(published, monkeypatch, sizes, undone) -> None:
+    """Multiples of one change, in the place of what effects do."""
+    base, _ = published({"zero_offset": 4.0})
+    change = np.outer(sizes, fit(base.frame, ("zero_offset",), base.values).changes[0])
+    monkeypatch.setattr(Fit, "changes", change)
+    assert replace(base).undone == pytest.approx(undone, abs=1e-9)

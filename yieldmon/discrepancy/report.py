@@ -75,7 +75,7 @@ def summary(diagnosis: Diagnosis) -> str:
         )
     if diagnosis.verdict == "unknown":
         return (
-            f"The model misses these measurements by {before:.1f} % of the largest reading, more than they scatter, and "
+            f"The model misses these measurements by {before:.1f} % of the largest reading, more than they scatter. "
             f"{_not_named(diagnosis)} Check the machine in the regions below, or measure the rows proposed."
         )
     text = (
@@ -91,14 +91,18 @@ def _not_named(diagnosis: Diagnosis) -> str:
     """Why there is no name, and what comes nearest to one."""
     found = diagnosis.with_leading
     if found is None:
-        return "no known cause explains it."
-    names = " together with ".join(" or ".join((s.added, *s.equivalent)) for s in diagnosis.choice.steps)
-    confidence = diagnosis.choice.steps[0].confidence
+        return "No known cause explains it."
+    names = ", with ".join(_with_ties(step) for step in diagnosis.choice.steps)
+    confidence = 100.0 * diagnosis.choice.steps[0].confidence
     return (
-        f"the cause is not certain enough to be named. What fits best is {names}: the error would be "
-        f"{found.rms_over_max_pct:.1f} %, but the first of these is right in {100.0 * confidence:.0f} of 100 cases that look like "
-        "this one; the note below says what speaks against it."
+        "Something is missing, but what it is is not certain enough to be named. The best candidates: "
+        f"{names}; they would leave {found.rms_over_max_pct:.1f} %, and of 100 cases that look like this one the first "
+        f"is right in {confidence:.0f}."
     )
+
+
+def _with_ties(step: Step) -> str:
+    return f"{step.added} (or {', '.join(step.equivalent)})" if step.equivalent else step.added
 
 
 def _named(diagnosis: Diagnosis) -> tuple[Step, ...]:

@@ -115,7 +115,8 @@ class StopGap(TypedDict):
 
 
 class DiagnosisDocument(TypedDict):
-    """`yieldmon diagnose --json`. partial, remaining and stop_gap are there with the verdict `unknown`, leading where it has candidates."""
+    """`yieldmon diagnose --json`. partial, remaining and stop_gap are there with the verdict `unknown`, leading too if it has
+    candidates."""
 
     verdict: Verdict
     effects: list[NamedEffect]
