@@ -21,9 +21,7 @@ FORCE_VARIANCE, FLOW_VARIANCE = 1e-4, 3e-4
 SEARCH_NOTHING = Policy(most_effects=0)
 
 
-def alike(
-    correlation: float, rng: np.random.Generator, machines: int = 5, sweeps: int = 24, offset_rad: float = 0.0
-) -> Lattice:
+def alike(correlation: float, rng: np.random.Generator, machines: int = 5, sweeps: int = 24, offset_rad: float = 0.0) -> Lattice:
     """Machines that are the model's own but for noise, of which visits of one sweep share a part of that in their flow.
 
     offset_rad: by how much the plate of the first is turned from what it says.

@@ -240,7 +240,8 @@ class Search:
         if left > self.policy.unexplained_share:
             return f"{100.0 * left:.0f} % of the excess is left with it, more than {100.0 * self.policy.unexplained_share:.0f} %"
         if current.undone > self.policy.most_undone:
-            return f"{100.0 * current.undone:.0f} % of what these effects change they undo among themselves, as terms of a series do"
+            undone = f"{100.0 * current.undone:.0f} %"
+            return f"{undone} of what these effects change they undo among themselves, as terms of a series do"
         return ""
 
     def candidates(
