@@ -2,9 +2,9 @@
 
     python -m studies.hidden_effects.law_report RESULTS.jsonl... [--page STUDY.md] [--ship]
 
-A confidence is only judged on causes that it was not learnt on: names in a case get theirs from the cases, of all generators, that
-hide none of its effects (leave-law-out); beside it, from the cases of the other generators alone. A map is learnt on candidates that
-were not named too, so that it speaks of them as well.
+A confidence is only judged on causes that it was not learnt on: names in a case get theirs from the cases, of all
+generators, that hide none of its effects (leave-law-out); beside it, from the cases of the other generators alone. A map is
+learnt on candidates that were not named too, so that it speaks of them as well.
 --page rewrites the part of a page between `<!-- laws -->` and `<!-- /laws -->`. --ship writes the map learnt on all generators.
 """
 
@@ -192,12 +192,15 @@ def reliability(records: Sequence[Record], stated: dict[str, list[tuple[float, f
             means = f"{ours[inside].mean():.2f} | {within[inside].mean():.2f}"
             lines.append(f"| {low:.1f} to {low + 0.1:.1f} | {inside.sum()} | {means} |")
     error = confidence.expected_calibration_error
+    by_effect, by_name, by_others, by_share = (
+        f"{error(p, truth):.3f}" for p, truth in ((ours, within), (names, name), (elsewhere, within), (raw, within))
+    )
     return [
         *lines,
         "",
-        f"Expected calibration error over {len(steps)} names, 10 bins: {error(ours, within):.3f} (effect or one tied with it), "
-        f"{error(names, name):.3f} (the effect itself), {error(elsewhere, within):.3f} by the other generators' maps; of the bootstrap's",
-        f"share that it replaces {error(raw, within):.3f}. So many names show {_chance(ours):.3f} if each is right with its stated probability.",
+        f"Expected calibration error over {len(steps)} names, 10 bins: {by_effect} (effect or one tied with it), {by_name} (the effect",
+        f"itself), {by_others} by the other generators' maps; of the bootstrap's share that it replaces {by_share}. If each name is right",
+        f"with its stated probability, so many show {_chance(ours):.3f}.",
         f"A name's highest confidence that was wrong: {max(ours[within < 0.5], default=0.0):.2f}.",
     ]
 

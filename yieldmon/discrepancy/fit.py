@@ -205,7 +205,7 @@ class Fit:
 
     @cached_property
     def calibrating(self) -> Array:
-        """Orthonormal basis of what small changes of the base parameters can do to the whitened prediction, shape (cells, rank)."""
+        """Orthonormal basis of what the base parameters can do to the whitened prediction, shape (cells, rank)."""
         known = len(self.frame.base)
         return model_error.orthonormal(self.jacobian[:, :known] * np.array([p.scale for p in self.parameters[:known]]))
 
