@@ -199,7 +199,7 @@ def reliability(records: Sequence[Record], stated: dict[str, list[tuple[float, f
         *lines,
         "",
         f"Expected calibration error over {len(steps)} names, 10 bins: {by_effect} (effect or one tied with it), {by_name} (the",
-        f"effect itself), {by_others} by the other generators' maps; of the bootstrap's share that it replaces {by_share}. If each",
+        f"effect itself), {by_others} by the other generators' maps; of the bootstrap's share {by_share}. If each",
         f"name is right with its stated probability, so many show {_chance(ours):.3f}.",
         f"A name's highest confidence that was wrong: {max(ours[within < 0.5], default=0.0):.2f}.",
     ]
