@@ -75,7 +75,7 @@ def live_through(case: Case, folder: Path, args: argparse.Namespace, tell: Calla
     adopted = None
     with SteppedDaemon(combine, folder / "yieldmon.yaml", folder) as stepped:
         stepped.run_until(3600.0 * hours[0], lambda t: tell(t / total_s))
-        command = ["diagnose", str(store), "--seed", str(seed), "--json", "--table", str(folder / "sweeps.csv")]
+        command = ["diagnose", str(store), "--seed", str(seed), "--json", "--table", str(folder / "sweeps.csv"), "--force"]
         begin_s = time.monotonic()
         found = yieldmon([*command, "--plan", str(folder / "plan.csv"), "--report", str(folder / "report")])
         diagnosis = json.loads(found.stdout)

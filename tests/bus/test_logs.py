@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import importlib.util
 import itertools
@@ -14,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from yieldmon.bus.candump import parse_line
+from yieldmon.bus.loading import iter_blocks
 from yieldmon.bus.log_writing import writing
 from yieldmon.bus.logs import LogNotes, read_log
 from yieldmon.errors import InputError
@@ -284,6 +286,20 @@ def test_ends_of_gzip(tmp_path: Path, content: bytes, problem: str | None) -> No
     refusal(path, [], notes)
     assert notes.damaged_places == (problem is not None)
     assert problem is None or problem in notes.damages[0].problem
+
+
+@pytest.mark.parametrize(
+    ("lines", "told"), [("rain\nhail\n", 0), ("rain\nhail\n(1.0) can0 123#11\n", 2), ("(1.0) can0 123#11\nrain\n", 1)]
+)
+def test_damage_of_a_file_that_is_no_log_is_told_in_its_error_alone(tmp_path: Path, lines: str, told: int) -> None:
+    path, seen = tmp_path / "drive.log", []
+    path.write_text(lines)
+    for read_frames in (read_log, iter_blocks):
+        seen.clear()
+        notes = LogNotes(on_damage=seen.append)
+        with contextlib.suppress(InputError):
+            list(read_frames(path, notes))
+        assert [len(seen), notes.damaged_places] == [told, lines.count("\n") - notes.frames]
 
 
 def damaged(content: bytes, how: str) -> bytes:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -16,10 +17,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli import more_mistakes
+from tests.cli import file_mistakes, more_mistakes
 from yieldmon.cli.main import main
 from yieldmon.files import parameter_file
 
+STORE = Path(__file__).parents[1] / "golden" / "store-0.1.0.sqlite"
 HEAD = "plate_angle_deg,mass_flow_kg_s,force_n\n"
 TABLE = HEAD + "".join(f"{a},{m},{4.0 * m * (1.0 + 0.01 * (a - 70))}\n" for a in (45, 60, 70, 85) for m in (3, 8, 14, 20))
 FILES = {
@@ -150,8 +152,10 @@ MISTAKES = {
 
 def fill(folder: Path) -> None:
     (folder / "folder").mkdir()
-    for name, content in (FILES | more_mistakes.FILES).items():
-        (folder / name).write_text(content)
+    shutil.copy(STORE, folder / "day.sqlite")
+    for name, content in (FILES | more_mistakes.FILES | file_mistakes.FILES).items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
     with sqlite3.connect(folder / "other.db") as database:
         database.execute("CREATE TABLE cows (name TEXT)")
     database.close()
@@ -199,7 +203,7 @@ def stamps(folder: Path) -> dict[str, tuple[int, ...]]:
 
 
 ROWS = [(name, *row) for name, row in MISTAKES.items()]
-ROWS += [(words, words, told) for words, told in more_mistakes.MISTAKES.items()]
+ROWS += [(words, words, told) for words, told in (more_mistakes.MISTAKES | file_mistakes.MISTAKES).items()]
 
 
 @pytest.mark.parametrize(("words", "told"), [row[1:] for row in ROWS], ids=[row[0] for row in ROWS])

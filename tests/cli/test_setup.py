@@ -230,3 +230,59 @@ def test_the_recorded_session_of_the_docs_is_what_its_command_records():
     header, *events = (json.loads(line) for line in session.TARGET.read_text(encoding="utf-8").splitlines())
     assert (header["width"], header["height"]) == (80, 24)
     assert max(len(line) for _, _, text in events for line in text.split("\r\n")) <= 80
+
+
+def in_a_terminal(monkeypatch: pytest.MonkeyPatch, given: list[str]) -> list[str]:
+    """Standard input as a terminal in which these lines are typed, then Ctrl-D; returns the prompts."""
+    prompts: list[str] = []
+
+    def typed(prompt: str) -> str:
+        prompts.append(prompt)
+        if len(prompts) > len(given):
+            raise EOFError
+        return given[len(prompts) - 1]
+
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
+    monkeypatch.setattr("builtins.input", typed)
+    return prompts
+
+
+@pytest.mark.parametrize(
+    ("changes", "given", "told"),
+    [
+        ({"plate_pivot_x_m": 0.15}, ["0.4"], "beyond the paddles' tips"),
+        ({"cell_readings_mv": [500, 402, 305]}, ["500 597.6 695.1"], "falls as weight is added"),
+        ({"cell_readings_mv": None}, ["500 597 650", "500 597.6 695.1"], "departs by 9.8 % from a straight line"),
+        ({"plate_reported_deg": None}, ["45 80", "45 85"], "the same error within 1 deg at both"),
+    ],
+    ids=["with others", "by itself, from a file", "by itself, at once", "of the actuator, at once"],
+)
+def test_in_a_terminal_an_answer_that_does_not_fit_is_asked_again(tmp_path, capsys, monkeypatch, changes, given, told):
+    prompts = in_a_terminal(monkeypatch, given)
+    assert main(["setup", "--answers", answers(tmp_path, **changes), "--out", str(tmp_path / "new")]) == 0
+    assert len(prompts) == len(given)
+    shown = capsys.readouterr().out
+    assert told in " ".join(shown.split())
+    assert max(map(len, shown.partition("force cell:")[0].splitlines())) < 80
+    known = configuration.load(tmp_path / "new" / "yieldmon.yaml")
+    assert known.machine.plate_pivot_x_m == 0.4
+    assert known.machine.sensor.gain_n_per_mv == pytest.approx(9.80665 * 10.0 / 195.1, rel=1e-3)
+
+
+def test_ctrl_d_keeps_the_answers_as_ctrl_c_does(tmp_path, capsys, monkeypatch):
+    prompts = in_a_terminal(monkeypatch, ["blue", "virtual"])
+    assert main(["setup", "--out", str(tmp_path / "new")]) == 130
+    assert len(prompts) == 3
+    assert yaml.safe_load((tmp_path / "new" / "setup-answers.yaml").read_text()) == {
+        "machine_name": "blue",
+        "bus_interface": "virtual",
+    }
+
+
+def test_a_set_up_that_is_done_says_how_a_question_is_asked_again(tmp_path, capsys):
+    words = ["setup", "--answers", answers(tmp_path), "--out", str(tmp_path / "new")]
+    assert main(words) == 0
+    capsys.readouterr()
+    assert main(words) == 2
+    assert "what is taken out of setup-answers.yaml is asked again" in capsys.readouterr().err

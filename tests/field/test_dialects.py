@@ -197,3 +197,16 @@ def test_positions_of_a_text_in_a_plane(tmp_path: Path) -> None:
     assert table["latitude_deg"] == pytest.approx([39.0] * 3, abs=1e-3)
     with pytest.raises(InputError, match="not known"):
         sources.read(path, ReadOptions(crs="EPSG:99999"))
+
+
+@pytest.mark.parametrize(
+    ("mass", "names"), [("load_kg", ()), ("Load (kg)", ()), ("load_kg,load_number", ("7",)), ("Load", ("512.5",))]
+)
+def test_a_mass_of_a_load_is_no_loads_name(tmp_path: Path, mass: str, names: tuple[str, ...]) -> None:
+    path = tmp_path / "record.csv"
+    cells = ",".join({"load_number": "7"}.get(name, "512.5") for name in mass.split(","))
+    rows = [f"-92.1,{39.0 + 2e-5 * k},{1.7e9 + k},2.0,5.0,9.1,{cells}" for k in range(3)]
+    head = f"longitude_deg,latitude_deg,time_s,ground_speed_m_s,mass_flow_kg_s,width_m,{mass}"
+    path.write_text("\n".join([head, *rows]) + "\n")
+    found = sources.read(path, ReadOptions())
+    assert tuple(name for name in found.labels["load"].names if name) == names

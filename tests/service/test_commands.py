@@ -66,6 +66,17 @@ def test_a_ticket_that_cannot_teach_says_so(complete: dict[int, bool]) -> None:
     assert monitor.tickets == []
 
 
+@pytest.mark.parametrize(
+    ("mass_kg", "teaches"), [(3.0, False), (599.0, False), (601.0, True), (14_990.0, True), (15_010.0, False)]
+)
+def test_a_ticket_in_another_unit_is_kept_and_teaches_nothing(mass_kg: float, teaches: bool) -> None:
+    monitor = Told({1: True})
+    answer = ask(monitor, first_load=1, mass_kg=mass_kg)
+    assert answer["factor"] == pytest.approx(mass_kg / 3000.0)
+    assert (answer["anchor"], len(monitor.tickets)) == (teaches, int(teaches))
+    assert teaches or answer["why_no_anchor"] == f"weighs {mass_kg:.5g} kg, where 3000 kg were measured"
+
+
 def test_a_ticket_for_another_crop_than_the_one_in_use_teaches_nothing() -> None:
     monitor = Told({1: True, 2: True})
     known = journal()

@@ -73,7 +73,7 @@ def iter_blocks(
     if suffix == PACKED_SUFFIX:
 
         def count(can_id: int, frames: int) -> None:
-            notes.frames += frames
+            notes.count(frames)
             notes.error_frames += frames if can_id & ERROR_FLAG else 0
 
         yield from read_blocks(path, wanted, count)
@@ -132,6 +132,6 @@ def _parse(chunk: bytes, path: Path, notes: LogNotes, channels: list[str], first
         return candump_frame(raw.decode("utf-8", errors="replace"), notes, damage)
 
     parsed = parse_lines(chunk, channels, parse_slowly, compiled=compiled)
-    notes.frames += len(parsed.time_s)
+    notes.count(len(parsed.time_s))
     notes.error_frames += int(np.count_nonzero(parsed.can_id & np.uint32(ERROR_FLAG)))
     return parsed

@@ -53,6 +53,8 @@ _UNPACK_STEP_BYTES = 1024 * 1024
 
 #: What stands for a header when a reader goes on behind a damaged line: the line it may skip without loss.
 _RESUME_LINE = {".asc": "internal events logged", ".csv": "header", ".trc": ";"}
+_UNPACKED = re.compile(r"values to unpack \(expected (\d+)")
+"""How Python says that a line has more or fewer fields than its reader takes."""
 
 
 @dataclass(frozen=True)
@@ -83,20 +85,34 @@ class LogNotes:
     _KEPT = 20
 
     def damage(self, where: str, problem: str) -> None:
-        """Counts a damaged place and hands it to on_damage, or to the log while there are few."""
+        """Counts a damaged place and hands it to on_damage, or to the log while there are few.
+
+        Those before the first frame wait for it: a file without any is no log, which its error says in one line.
+        """
         damage = Damage(where, " ".join(problem.split())[:200])
         self.damaged_places += 1
         if len(self.damages) < self._KEPT:
             self.damages.append(damage)
+        if self.frames:
+            self._tell(damage)
+
+    def count(self, frames: int) -> None:
+        """Counts frames."""
+        if frames and not self.frames:
+            for damage in self.damages:
+                self._tell(damage)
+        self.frames += frames
+
+    def frame(self, message: can.Message) -> None:
+        """Counts a frame."""
+        self.error_frames += message.is_error_frame
+        self.count(1)
+
+    def _tell(self, damage: Damage) -> None:
         if self.on_damage is not None:
             self.on_damage(damage)
         elif self.damaged_places <= self._KEPT:
             _log.warning("%s", damage)
-
-    def frame(self, message: can.Message) -> None:
-        """Counts a frame."""
-        self.frames += 1
-        self.error_frames += message.is_error_frame
 
 
 def read_log(path: Path | str, notes: LogNotes | None = None) -> Iterator[can.Message]:
@@ -314,7 +330,10 @@ def _read_with_python_can(lines: _Lines, suffix: str) -> Iterator[can.Message]:
                 # No line has come since: it is the end of the file that the reader cannot do with.
                 return
             told = lines.number
-            lines.damage(f"not as {suffix} has it: {error}")
+            counted = _UNPACKED.search(str(error))
+            lines.damage(
+                f"is not {counted[1]} fields, as a line of a {suffix} log is" if counted else f"not as {suffix} has it: {error}"
+            )
             lines.resume_with = _RESUME_LINE[suffix]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from yieldmon.errors import InputError
@@ -20,10 +20,22 @@ def check(args: argparse.Namespace) -> None:
     """To be asked before the work: raises InputError for an output that is an input, exists, or has no folder."""
     names: tuple[str, ...] = getattr(args, "output_arguments", ())
     inputs = {path.resolve() for key, value in vars(args).items() if key not in names for path in _files(value)}
+    written: dict[Path, str] = {}
     for name in names:
         value = getattr(args, name)
         if isinstance(value, str | Path) and str(value) != "-":
-            refuse(Path(value), f"--{name.replace('_', '-')}", force=args.force, inputs=inputs)
+            path, option = Path(value), f"--{name.replace('_', '-')}"
+            refuse(path, option, force=args.force, inputs=inputs)
+            # Standard output and the like take what several write.
+            if (other := written.setdefault(path.resolve(), option)) != option and (path.is_file() or not path.exists()):
+                raise InputError(f"{option} {value}", f"is the file of {other} as well", "another name")
+
+
+def check_folder(folder: Path, names: Iterable[str], option: str, *, force: bool, inputs: Iterable[str | Path] = ()) -> None:
+    """As `check`, for files of these names in a folder, which need not be there."""
+    read = {Path(path).resolve() for path in inputs}
+    for name in names if folder.is_dir() else ():
+        refuse(folder / name, option, force=force, inputs=read)
 
 
 def refuse(path: Path, option: str, *, force: bool, inputs: set[Path] = frozenset()) -> None:  # type: ignore[assignment]

@@ -31,6 +31,8 @@ from yieldmon.physics.model import EXCHANGE_FORM, RESTITUTION_FORM, ForwardModel
 
 PROGRESS_AFTER_S = 2.0
 STANDARD_GRAVITY_M_S2 = 9.81
+MAP_NAME = "moisture-map.yaml"
+"""Of `--by-moisture`, in the folder of its parameter files."""
 _CONSTANTS = ("gravity.acceleration_m_s2",)
 """Parameters of effects that no table is to move, unless --free names them."""
 
@@ -125,6 +127,8 @@ def _check_options(args: argparse.Namespace) -> None:
     """What can be refused before anything is read."""
     if args.starts < 1:
         raise InputError("--starts", f"is {args.starts}", "1 or more")
+    if args.seed < 0:
+        raise InputError("--seed", f"is {args.seed}", "a whole number from 0")
     if args.out is not None and not args.by_moisture:
         whole_file.check_place(args.out)
     if args.profiles is not None:
@@ -267,6 +271,8 @@ def _fit_form(
         start["gravity.acceleration_m_s2"] = STANDARD_GRAVITY_M_S2
     if args.free is not None:
         free = [name.strip() for name in args.free.split(",") if name.strip()]
+        if twice := [name for name in free if free.count(name) > 1]:
+            raise InputError("--free", f"names {twice[0]} twice", "each parameter once")
         wrong = [n for n in free if n not in start]
         if wrong or set(free) & set(fixed):
             raise InputError("--free", f"is {args.free!r}", f"some of {', '.join(n for n in start if n not in fixed)}")
@@ -327,20 +333,23 @@ def _by_moisture(args: argparse.Namespace, machine: Machine, data: table.Table, 
     if not np.all(np.isfinite(moisture)):
         raise InputError(data.path, "has rows without moisture_pct", "a moisture for each row")
     documents, sets = [], []
-    for value in np.unique(moisture):
+    names = {value: f"{Path(data.path).stem}-{value:g}.yaml" for value in np.unique(moisture).tolist()}
+    if args.out is not None:
+        _outputs.check_folder(Path(args.out), (*names.values(), MAP_NAME), "--out", force=args.force)
+    for value, name in names.items():
         part = rows.select(moisture == value)
         result = _fit(args, machine, data, part)
         document = report(result, data, part)
-        document["moisture_pct"] = float(value)
+        document["moisture_pct"] = value
         if args.out is not None:
             folder = Path(args.out)
             whole_file.readable_folder(folder)
-            document["written"] = str(folder / f"{Path(data.path).stem}-{value:g}.yaml")
+            document["written"] = str(folder / name)
             parameter_file.save(result.parameter_set, document["written"])
         documents.append(document)
         sets.append(result.parameter_set)
     if args.out is not None and len(sets) > 1:
-        moisture_file.save(fit_moisture_map(np.unique(moisture).tolist(), sets), Path(args.out) / "moisture-map.yaml")
+        moisture_file.save(fit_moisture_map(np.unique(moisture).tolist(), sets), Path(args.out) / MAP_NAME)
     if args.json:
         print_json({"by_moisture": documents}, indent=1)
     else:

@@ -49,6 +49,8 @@ def run(args: argparse.Namespace) -> int:
     if args.picture is not None:
         canvas.check_name(args.picture, "--picture")
         whole_file.check_place(args.picture)
+    if args.seed < 0:
+        raise InputError("--seed", f"is {args.seed}", "a whole number from 0")
     chosen = scenarios.load(scenario_path(args.scenario or "demo"))
     if args.duration is not None:
         within("--duration", args.duration, 10.0, 400_000.0, "s")

@@ -80,6 +80,7 @@ def run(args: argparse.Namespace) -> int:
     _check(args)
     machine = machine_file.load(args.machine)
     source = _from_store(args, machine) if recorded.is_store(args.data) else _from_csv(args)
+    _check_adopt(args, source)
     data, parameters = source.data, source.parameters
     machine = data.at_one_position(machine)
     options = replace(
@@ -136,9 +137,28 @@ def _check(args: argparse.Namespace) -> None:
         report.check_pictures()
         if Path(args.report).is_file():
             raise InputError(f"--report {args.report}", "is a file", "a folder")
+    if args.report is not None:
+        _outputs.check_folder(Path(args.report), report.FILES, "--report", force=args.force)
     for place in (args.table, args.plan, args.adopt):
         if place is not None:
             check_place(place)
+    if args.plan is not None:
+        _outputs.refuse(planning.schedule_path(Path(args.plan)), "--plan", force=args.force)
+    if args.seed < 0:
+        raise InputError("--seed", f"is {args.seed}", "a whole number from 0")
+
+
+def _check_adopt(args: argparse.Namespace, source: _Source) -> None:
+    """Raises InputError for a file that adopting would replace and nothing keeps: the parameters' own file has its copy."""
+    if args.adopt is None:
+        return
+    out = Path(args.adopt)
+    in_place = source.parameter_path is not None and out.resolve() == source.parameter_path.resolve()
+    if not in_place:
+        _outputs.refuse(out, "--adopt", force=args.force, inputs={Path(args.data).resolve()})
+    copy = adoption.parent_copy(out, source.parameters.version)
+    if copy.is_file() and (source.parameter_path is None or copy.read_bytes() != source.parameter_path.read_bytes()):
+        _outputs.refuse(copy, "--adopt", force=args.force)
 
 
 @dataclass(frozen=True)

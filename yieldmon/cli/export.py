@@ -60,6 +60,8 @@ def run(args: argparse.Namespace) -> int:
     kind = args.format or ENDINGS.get(out.suffix.lower())
     if kind is None:
         raise InputError("--out", f"is {args.out}", f"a name that ends in one of {', '.join(ENDINGS)}, or --format")
+    if kind == "taskdata" and out.suffix.lower() != ".zip":
+        _outputs.check_folder(out / taskdata.FOLDER, taskdata.FILES, "--out", force=args.force)
     what = args.what or ("seconds" if kind in TABLES else "points")
     if what != "points" and kind not in TABLES:
         raise InputError("--what", f"{what} as {kind}", f"{what} as {' or '.join(TABLES)}")

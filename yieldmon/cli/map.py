@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from datetime import date
 from math import isfinite
@@ -17,7 +17,7 @@ from yieldmon.cli._units import add_units
 from yieldmon.errors import InputError
 from yieldmon.field import harvest, loads, sources, summary
 from yieldmon.field.cleaning import NAMES, NEEDED
-from yieldmon.field.products import FORMATS, write_products
+from yieldmon.field.products import FILES, FORMATS, write_products
 from yieldmon.field.sources.options import ReadOptions
 from yieldmon.field.swath import HeaderPlace
 from yieldmon.field.table import HarvestTable, Skipped, joined
@@ -83,6 +83,7 @@ def run(args: argparse.Namespace) -> int:
     read_options, map_options = _read_options(args), _map_options(args)
     if out.exists() and not out.is_dir():
         raise InputError("--out", f"{out} is a file", "a folder")
+    _spare_sources([Path(name).resolve() for name in args.sources], out.resolve(), formats)
 
     def progress(text: str) -> None:
         print(f"{time.monotonic() - started:6.1f} s  {text}", file=sys.stderr, flush=True)
@@ -96,6 +97,16 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json(document, indent=1)
     return 0
+
+
+def _spare_sources(sources: Sequence[Path], out: Path, formats: Sequence[str]) -> None:
+    """Raises InputError where a harvest is named twice, or what is written would replace one."""
+    written = {out / name for kind in formats for name in FILES[kind]}
+    for number, source in enumerate(sources):
+        if source in sources[:number]:
+            raise InputError(str(source), "is named twice, which would double its mass", "each harvest once")
+        if source in written or (source == out and any(path.exists() for path in written)):
+            raise InputError(f"--out {out}", f"has files that would replace those of {source}, which is read", "another folder")
 
 
 def _read(paths: list[Path], options: ReadOptions, progress: sources.Progress) -> HarvestTable:

@@ -67,6 +67,8 @@ def assignments(texts: Iterable[str], option: str) -> dict[str, float]:
         name, equals, value = text.partition("=")
         if not equals:
             raise InputError(option, f"is {text!r}", "NAME=VALUE")
+        if name.strip() in out:
+            raise InputError(option, f"names {name.strip()} twice", "each parameter once")
         out[name.strip()] = finite(value, f"{option} {name.strip()}")
     return out
 
@@ -128,6 +130,8 @@ def check_moisture(moisture_pct: float | None) -> None:
     """Raises InputError for a --moisture that is none."""
     if moisture_pct is not None and not 0.0 <= moisture_pct <= 100.0:
         raise InputError("--moisture", f"is {moisture_pct:g}", "0 to 100 %")
+    if moisture_pct is not None and 0.0 < moisture_pct < 1.0:
+        raise InputError("--moisture", f"is {moisture_pct:g}", f"per cent; this looks like a share: {100.0 * moisture_pct:g} %")
 
 
 def check_each(good: np.ndarray, values: np.ndarray, option: str, expected: str) -> None:

@@ -15,6 +15,7 @@ from yieldmon.bus.packed import pack
 from yieldmon.cli._json import print_json
 from yieldmon.errors import InputError
 from yieldmon.files.whole_file import scratch_for
+from yieldmon.service.log_copies import refuse_copies, refuse_named_twice
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -42,12 +43,13 @@ def run(args: argparse.Namespace) -> int:
         require_log(log)
         if out.exists() and out.samefile(log):
             raise InputError("--out", f"{out} is one of the logs", "another name")
+    refuse_named_twice(args.logs)
+    refuse_copies(args.logs)
     notes = LogNotes()
     with scratch_for(out) as scratch:
         packed = pack(_blocks(args.logs, notes), scratch, Codec().layouts)
-    if not packed.frames:
-        out.unlink()
-        raise InputError(", ".join(args.logs), "no frame at all", "a log with CAN frames")
+        if not packed.frames:
+            raise InputError(", ".join(args.logs), "no frame at all", "a log with CAN frames")
     logs_bytes = sum(Path(log).stat().st_size for log in args.logs)
     document = {
         "file": str(out),

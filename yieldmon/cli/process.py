@@ -25,7 +25,7 @@ from yieldmon.resources import shipped
 from yieldmon.service import configuration, log_record, recorded
 from yieldmon.service.bulk_processing import EndOfLog, Stretch
 from yieldmon.service.factory_comparison import FactoryComparison
-from yieldmon.service.log_copies import refuse_copies
+from yieldmon.service.log_copies import refuse_copies, refuse_named_twice
 from yieldmon.service.log_record import Progress
 from yieldmon.service.record_check import RecordCheck, record_lines
 from yieldmon.service.recorded import is_store
@@ -112,15 +112,12 @@ def _check(args: argparse.Namespace) -> None:
     """Raises InputError for arguments that do not go together, ModuleNotFoundError for a log that needs an extra."""
     if args.json and args.out == "-":
         raise InputError("--json", "standard output is taken by --out -", "a file for --out")
-    resolved = [Path(log).resolve() for log in args.logs]
-    for index, path in enumerate(resolved):
-        if path in resolved[:index]:
-            raise InputError(args.logs[index], "is named twice, which would double its mass", "each log once")
+    refuse_named_twice(args.logs)
     if args.zero_mv is not None and not 0.0 <= args.zero_mv <= 100_000.0:
         raise InputError("--zero-mv", f"is {args.zero_mv:g}", "0 to 100000 mV, as a table of an earlier log has it (zero_mv)")
-    for path in resolved:
+    for log in args.logs:
         # Here, where a package that is not installed costs one line: processes that read would print tracebacks.
-        require_package(path)
+        require_package(Path(log).resolve())
     if args.jobs < 1:
         raise InputError("--jobs", f"is {args.jobs}", "a whole number from 1")
 
@@ -168,6 +165,8 @@ def _separately(args: argparse.Namespace, config: str | Path, units: Units) -> i
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError("--separate", f"several logs are named {twice}", "logs whose names differ")
+    tables = [f"{name}.{kind}" for name in names]
+    _outputs.check_folder(folder, tables, "--out", force=args.force, inputs=args.logs)
     folder.mkdir(parents=True, exist_ok=True)
     work = partial(
         _separate_record,

@@ -45,23 +45,60 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 when the files are written."""
     folder = Path(args.out)
-    if folder.exists() and not folder.is_dir():
-        raise InputError("--out", f"{folder} is no folder", "a folder, or a name that does not exist yet")
+    nearest = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if not nearest.is_dir():
+        raise InputError("--out", f"{nearest} is no folder", "a folder, or a name that does not exist yet")
     answers = session.from_file(args.answers) if args.answers else {}
     kept = folder / session.KEPT
     if kept.is_file():
-        answers = {**session.from_file(kept), **answers}
-        print(f"yieldmon: going on with {kept}", file=sys.stderr)
+        answers = _going_on(kept, answers, args.answers)
     missing = [q.key for q in QUESTIONS if q.key not in answers and q.applies(answers)]
-    if missing and (args.json or not sys.stdin.isatty()):
+    asks = sys.stdin.isatty() and not args.json
+    if missing and not asks:
         raise InputError(args.answers or "setup", f"has no {missing[0]}", "an answer to each question, or a terminal to ask in")
     readable_folder(folder)
     if missing:
-        session.ask(answers, input, print, lambda now: session.keep(now, folder))
-    document = write(answers, folder, force=args.force)
+        _ask(answers, folder)
+    document = _written(answers, folder, force=args.force, asks=asks)
     session.keep(answers, folder)
     print_document(document, text, as_json=args.json, indent=1)
     return 0
+
+
+def _going_on(kept: Path, answers: dict[str, Any], named: str | None) -> dict[str, Any]:
+    """The answers kept of an earlier time under those of a file. Raises InputError where they are of two machines."""
+    earlier = session.from_file(kept)
+    machines = [known["machine_name"] for known in (answers, earlier) if "machine_name" in known]
+    if len(set(machines)) > 1:
+        raise InputError(
+            f"{named}: machine_name",
+            f"is {machines[0]}, but {kept} has answers of {machines[1]}",
+            "another folder for --out, or that file moved away",
+        )
+    print(f"yieldmon: going on with {kept}", file=sys.stderr)
+    return {**earlier, **answers}
+
+
+def _ask(answers: dict[str, Any], folder: Path) -> None:
+    try:
+        session.ask(answers, input, print, lambda now: session.keep(now, folder), derive.check_at_once)
+    except EOFError:
+        # Ctrl-D ends it as Ctrl-C does.
+        print()
+        raise KeyboardInterrupt from None
+
+
+def _written(answers: dict[str, Any], folder: Path, *, force: bool, asks: bool) -> dict[str, Any]:
+    """As `write`; in a terminal an answer that does not go with the others is asked again."""
+    while True:
+        try:
+            return write(answers, folder, force=force)
+        except InputError as error:
+            if not asks or error.where not in answers:
+                raise
+            print(session.wrapped(f"{error}; `back` leads to the answers before it"))
+            del answers[error.where]
+        _ask(answers, folder)
 
 
 def write(answers: dict[str, Any], folder: Path, *, force: bool) -> dict[str, Any]:
@@ -74,7 +111,10 @@ def write(answers: dict[str, Any], folder: Path, *, force: bool) -> dict[str, An
     names = {"configuration": CONFIGURATION, "machine": MACHINE, "parameters": f"{answers['crop']}.yaml", "record": RECORD}
     there = [name for name in names.values() if (folder / name).exists()]
     if there and not force:
-        raise InputError(str(folder / there[0]), "exists already", "another folder for --out, or --force to replace it")
+        expected = "another folder for --out, or --force to replace it"
+        if (folder / session.KEPT).is_file():
+            expected += f"; what is taken out of {session.KEPT} is asked again"
+        raise InputError(str(folder / there[0]), "exists already", expected)
     now = _provenance.today()
     found = {
         "date": now,

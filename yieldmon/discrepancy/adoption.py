@@ -31,7 +31,7 @@ def adopt(
     if diagnosis.verdict != "effect":
         raise InputError("--adopt", f"the verdict is {diagnosis.verdict!r}", "a named effect to adopt")
     text = parent_path.read_bytes()
-    copy = out.with_name(f"{out.stem}.v{parent.version}.parent{out.suffix}")
+    copy = parent_copy(out, parent.version)
     provenance = {
         "method": "yieldmon diagnose",
         "date": utc.text(now),
@@ -54,6 +54,11 @@ def adopt(
     _replace(copy, text)
     parameter_file.save(adopted(diagnosis, parent, provenance, scale_sd), out)
     return copy
+
+
+def parent_copy(out: Path, version: int) -> Path:
+    """Where `adopt` keeps the parent, of this version, of what it writes to `out`."""
+    return out.with_name(f"{out.stem}.v{version}.parent{out.suffix}")
 
 
 def rollback(path: Path) -> int:

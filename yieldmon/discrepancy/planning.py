@@ -18,10 +18,15 @@ def write_plan(plan: Plan, path: Path) -> Path:
         lines.append(
             f"{degrees(row.plate_angle_rad):.6g},{row.mass_flow_kg_s:.6g},{row.elevator_speed_rad_s / RPM:.6g},{REPEATS}"
         )
-    schedule = path.with_suffix(".sweep.yaml")
+    schedule = schedule_path(path)
     for place, text in ((path, "\n".join(lines) + "\n"), (schedule, sweep_section(plan))):
         whole_file.write(place, text)
     return schedule
+
+
+def schedule_path(path: Path) -> Path:
+    """Where `write_plan` puts the sweep section of the plan that it writes to `path`."""
+    return path.with_suffix(".sweep.yaml")
 
 
 def sweep_section(plan: Plan) -> str:

@@ -33,6 +33,11 @@ _STYLE = (
 )
 
 
+_PAGE_NAME = "index.html"
+FILES = (_PAGE_NAME, "where.png", "after.png", "profiles.png", "ranking.png")
+"""What `write_report` writes."""
+
+
 def check_pictures() -> None:
     """Raises InputError when matplotlib, which draws a report's pictures, is not installed."""
     try:
@@ -57,7 +62,7 @@ def write_report(diagnosis: Diagnosis, folder: Path, title: str) -> Path:
         "profiles": _profiles(diagnosis),
         "ranking": _ranking(diagnosis),
     }
-    page = folder / "index.html"
+    page = folder / _PAGE_NAME
     files = {folder / f"{name}.png": content for name, content in pictures.items()}
     files[page] = _page(diagnosis, title, pictures).encode()
     for path, content in files.items():

@@ -21,6 +21,8 @@ from .points import YieldPoint
 
 LOG_NAME = "TLG00001"
 FOLDER = "TASKDATA"
+FILES = ("TASKDATA.XML", f"{LOG_NAME}.xml", f"{LOG_NAME}.bin")
+"""In it."""
 
 ENTRIES = (
     task_data.Entry(87, "Mass per time yield", "mg/s"),
@@ -103,9 +105,9 @@ def files(points: Sequence[YieldPoint], field: str, reference_moisture_pct: floa
     """File name -> content of a TASKDATA folder."""
     log, totals = binary_log(points, reference_moisture_pct)
     return {
-        "TASKDATA.XML": task_data.as_file(task_file(points, totals, len(log), field, reference_moisture_pct)),
-        f"{LOG_NAME}.xml": task_data.as_file(task_data.log_header(ENTRIES)),
-        f"{LOG_NAME}.bin": log,
+        FILES[0]: task_data.as_file(task_file(points, totals, len(log), field, reference_moisture_pct)),
+        FILES[1]: task_data.as_file(task_data.log_header(ENTRIES)),
+        FILES[2]: log,
     }
 
 

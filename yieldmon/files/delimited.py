@@ -69,8 +69,11 @@ def read(path: str | Path) -> TextTable:
     names = tuple(name.strip() for name in cells[0][1])
     header = tuple(name.lower() for name in names)
     if len(set(header)) != len(header):
-        twice = sorted({name for name in header if header.count(name) > 1})
-        raise InputError(f"{where}: header", f"has {', '.join(twice) or 'an empty name'} more than once", "each column once")
+        twice = sorted({name for name in header if name and header.count(name) > 1})
+        if not twice:
+            title = f"line {cells[0][0]} lacks {header.count('')} of {len(header)} columns' names"
+            raise InputError(f"{where}: header", title, "a name for each column; a title above them goes, and so do merged cells")
+        raise InputError(f"{where}: header", f"has {', '.join(twice)} more than once", "each column once")
     body = cells[1:]
     if not body:
         raise InputError(where, "has a header and no rows", "at least one row")
@@ -91,6 +94,8 @@ def read(path: str | Path) -> TextTable:
 
 
 def _comma_hint(row: list[str], wanted: int) -> str:
+    if wanted == 1:
+        return " (a title above the columns' names goes)"
     return " (decimal commas? then separate the columns by semicolons)" if len(row) > wanted else ""
 
 

@@ -23,6 +23,8 @@ _AGREE = 0.01
 """Relative difference of two columns that say the same."""
 LEAST_SPEED_RPM = 150.0
 """Of the upper sprocket's shaft: slower, no paddle throws grain; rad/s and the speed of another shaft are below it."""
+_SHOWN_COLUMNS = 5
+"""Of those that are not known."""
 _LIMITS = {
     "plate_angle_deg": (0.0, 180.0, "deg"),
     "mass_flow_kg_s": (0.0, 1000.0, "kg/s"),
@@ -240,6 +242,7 @@ def load(path: str | Path, *, need_load: bool = True) -> Table:
     columns: dict[str, Array] = {}
     texts: dict[str, tuple[str, ...]] = {}
     notes = list(source.notes)
+    unknown: list[str] = []
     for name, role in names.items():
         if name in ("trial", "group"):
             texts[name] = source.column(name)
@@ -247,7 +250,13 @@ def load(path: str | Path, *, need_load: bool = True) -> Table:
             columns[role] = _numbers(source, name)
         else:
             texts[name] = source.column(name)
-            notes.append(f"{where}: column {name!r} is not known and is ignored")
+            unknown.append(name)
+    if unknown:
+        shown = ", ".join(map(repr, unknown[:_SHOWN_COLUMNS])) + (", ..." if len(unknown) > _SHOWN_COLUMNS else "")
+        one = len(unknown) == 1
+        notes.append(
+            f"{where}: column{'' if one else 's'} {shown} {'is' if one else 'are'} not known and {'is' if one else 'are'} ignored"
+        )
     missing = np.flatnonzero(np.isnan(columns["plate_angle_deg"]))
     if missing.size:
         raise InputError(source.where(int(missing[0]), "plate_angle_deg"), "is unknown", "an angle in degrees")
@@ -257,6 +266,11 @@ def load(path: str | Path, *, need_load: bool = True) -> Table:
     angles = columns["plate_angle_deg"]
     if len(angles) > 1 and float(angles.max()) <= np.pi:
         raise InputError(f"{where}: plate_angle_deg", f"has nothing above {angles.max():g}", "degrees; these look like radians")
+    moisture = columns.get("moisture_pct", np.full(1, np.nan))
+    if np.any(moisture > 0.0) and float(np.nanmax(moisture)) < 1.0:
+        raise InputError(
+            f"{where}: moisture_pct", f"has nothing above {np.nanmax(moisture):g}", "per cent; these look like shares"
+        )
     speeds = columns.get("elevator_speed_rpm", np.full(1, np.nan))
     if np.any(speeds < LEAST_SPEED_RPM):
         slowest = f"is {float(np.nanmin(speeds)):g}"

@@ -153,7 +153,7 @@ def _ticket(order: _Order) -> Answer:
     if not measured_kg > 0.0:
         raise InputError(f"ticket for load {first}", "nothing was measured for it", "a load with a measured mass")
     ticket = Ticket(order.now_s, first, last, weighed_kg, measured_kg, request.name("note") or "")
-    why_not = _why_no_reference(monitor, journal, covered, order.stored)
+    why_not = ticket_file.unit_slip(weighed_kg, measured_kg) or _why_no_reference(monitor, journal, covered, order.stored)
     if not why_not:
         _add_reference_masses(monitor, covered, ticket, std_dev_kg)
     number = journal.actions.ticket(ticket, request.who, is_reference=not why_not)

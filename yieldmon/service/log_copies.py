@@ -12,6 +12,14 @@ from yieldmon.errors import InputError
 _BEGINNING_BYTES = 1 << 16
 
 
+def refuse_named_twice(logs: Sequence[str]) -> None:
+    """Raises InputError for a log that is named twice, by whatever path."""
+    resolved = [Path(log).resolve() for log in logs]
+    for index, path in enumerate(resolved):
+        if path in resolved[:index]:
+            raise InputError(logs[index], "is named twice, which would double its mass", "each log once")
+
+
 def refuse_copies(logs: Sequence[str]) -> None:
     """Raises InputError for logs of the same content, gzipped or not. Only logs that begin alike are read to their end."""
     alike: dict[str, list[str]] = {}

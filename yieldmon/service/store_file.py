@@ -170,7 +170,7 @@ def read_only(path: Path) -> sqlite3.Connection:
     if strange:
         problem = f"has a {strange[0][0]} {strange[0][1]!r} where a store has a plain table"
     elif application != schema.APPLICATION_ID:
-        problem = "is an SQLite file of another program"
+        problem = "is empty" if not path.stat().st_size else "is an SQLite file of another program"
     elif not 0 <= version <= schema.VERSION:
         problem = f"is a store of schema version {version}; this yieldmon knows {schema.VERSION}"
     if problem:

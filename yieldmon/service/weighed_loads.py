@@ -19,7 +19,7 @@ from yieldmon.estimation.closed_loop_inputs import Sweep
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.load_inputs import WeighedLoad
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.files.ticket_file import WeighedTicket
+from yieldmon.files.ticket_file import WeighedTicket, unit_slip
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.service.assembly import build_monitor
@@ -158,6 +158,8 @@ def _stem(log: str) -> str:
 
 def _weighed(name: str, ticket: WeighedTicket, covered: Sequence[MeasuredLoad], machine: Machine) -> WeighedLoad:
     parts, total_kg = [], sum(load.mass_kg for load in covered)
+    if slip := unit_slip(ticket.mass_kg, total_kg):
+        raise InputError(ticket.where, f"load {name} {slip}", "the masses in the unit of their column: weighed_kg, _t or _lb")
     for load in covered:
         for version in sorted({row.parameter_version for row in load.seconds}):
             rows = [row for row in load.seconds if row.parameter_version == version]

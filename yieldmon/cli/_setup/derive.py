@@ -74,6 +74,14 @@ def plate_offset_deg(measured: Sequence[float], reported: Sequence[float]) -> fl
     return float(error.mean())
 
 
+def check_at_once(answers: Mapping[str, Any], key: str) -> None:
+    """Raises InputError for readings that are wrong by themselves, while whoever took them is still at the machine."""
+    if key == "cell_readings_mv" and "cell_weights_kg" in answers:
+        cell_gain(answers["cell_weights_kg"], answers[key])
+    elif key == "plate_reported_deg" and "plate_measured_deg" in answers:
+        plate_offset_deg(answers["plate_measured_deg"], answers[key])
+
+
 def offset_deg(answers: Mapping[str, Any]) -> float:
     """`plate_offset_deg` of the answers; 0 for a bolted plate, whose angle is the measured one."""
     if bolted_deg(answers) is not None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import difflib
+import shutil
+import textwrap
 from collections.abc import Callable, Mapping
 from math import isfinite
 from pathlib import Path
@@ -22,6 +24,8 @@ def from_file(path: str | Path) -> dict[str, Any]:
     if not isinstance(content, Mapping):
         raise InputError(str(path), "is not a mapping of answers", f"keys such as {QUESTIONS[3].key}: 0.0541")
     known = {question.key: question for question in QUESTIONS}
+    if isinstance(content.get("answers"), Mapping):
+        raise InputError(str(path), "is the record of a set-up", f"its answers alone, as in the {KEPT} beside it")
     for key in content:
         if key not in known:
             near = difflib.get_close_matches(str(key), known, n=1)
@@ -60,10 +64,23 @@ def _number(question: Question, value: Any, where: str) -> float:
     return number
 
 
+def wrapped(text: str) -> str:
+    """For a terminal, without a word cut in two."""
+    width = shutil.get_terminal_size().columns - 1
+    return textwrap.fill(text, width, initial_indent="   ", subsequent_indent="   ", break_on_hyphens=False)
+
+
 def ask(
-    answers: dict[str, Any], read: Callable[[str], str], say: Callable[[str], None], kept: Callable[[Mapping[str, Any]], None]
+    answers: dict[str, Any],
+    read: Callable[[str], str],
+    say: Callable[[str], None],
+    kept: Callable[[Mapping[str, Any]], None],
+    check: Callable[[Mapping[str, Any], str], None] = lambda answers, key: None,
 ) -> dict[str, Any]:
-    """Ask for what is missing. `back` returns to the question before; answers are handed to `kept` after each."""
+    """Ask for what is missing. `back` returns to the question before; answers are handed to `kept` after each.
+
+    check: raises InputError for an answer, by its key, that does not go with those before it.
+    """
     place = 0
     while place < len(QUESTIONS):
         question = QUESTIONS[place]
@@ -95,8 +112,10 @@ def ask(
             continue
         try:
             answers[question.key] = checked(question, value, question.key)
+            check(answers, question.key)
         except InputError as error:
-            say(f"   {error}")
+            say(wrapped(str(error)))
+            answers.pop(question.key, None)
             continue
         kept(answers)
         place += 1

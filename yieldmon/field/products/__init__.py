@@ -21,6 +21,18 @@ FORMATS = {
     "report": "one HTML file",
 }
 
+#: Name -> the files that it writes into its folder.
+FILES = {
+    "csv": ("points.csv",),
+    "geopackage": ("harvest.gpkg",),
+    "shapefile": ("points_shp.zip",),
+    "agleader": ("agleader_raw.txt", "agleader_clean.txt"),
+    "taskdata": ("taskdata.zip",),
+    "geotiff": ("yield.tif",),
+    "picture": ("map.png",),
+    "report": ("report.html",),
+}
+
 
 def write_products(
     folder: Path, result: HarvestMap, formats: Sequence[str], grid_m: float, progress: Callable[[str], None]

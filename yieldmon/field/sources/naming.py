@@ -169,7 +169,9 @@ def columns_of(
         if quantity in out:
             continue
         for wanted in facts.names:
-            named = next(((name, unit) for name, bare, unit in found if wanted in _spellings(name, bare)), None)
+            # What has a unit is no text: load_kg is a mass, not a load's name.
+            fits = [row for row in found if not (facts.kind == "text" and row[2])]
+            named = next(((name, unit) for name, bare, unit in fits if wanted in _spellings(name, bare)), None)
             if named is None:
                 continue
             unit = units.get(named[0], "") or named[1]
