@@ -18,6 +18,9 @@ from yieldmon.engine.settings import EngineSettings, SweepSettings
 from yieldmon.engine.sweep import SweepAbort
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.frames import EstimateQuality, Frame, SweepState
+from yieldmon.resources import shipped
+from yieldmon.service import configuration
+from yieldmon.service.resumption import successor
 
 SETTINGS = EngineSettings(sweep=SweepSettings(first_after_s=18.0, angles_deg=(40.0, 55.0, 85.0, 90.0)))
 BENCH = Bench(flow=lambda t: 10.0 if t > 1004 else 0.0, scatter=0.05)
@@ -85,6 +88,14 @@ def test_a_whole_sweep_teaches_and_measuring_goes_on() -> None:
     assert records[-1].parameter_version == 7
     assert actuator.angle_deg == pytest.approx(HOME_DEG, abs=0.1)
     assert actuator.modes[-1] == bus.CommandMode.RELEASE
+
+
+def test_a_sweep_that_a_reload_ends_is_begun_anew() -> None:
+    target = monitor(SETTINGS)
+    loaded = configuration.load(shipped("config/yieldmon.yaml"), {})
+    run_with_actuator(target, BENCH, Actuator(), 24.0)
+    assert target.sweep.visiting
+    assert successor(target, loaded, None, 1.7e9).sweep.requested
 
 
 def test_commands_come_ten_times_a_second_with_a_counter_and_within_the_rate() -> None:

@@ -25,6 +25,13 @@ def test_goes_from_the_prior_to_what_is_seen(scatter: float) -> None:
     assert learnt.square**0.5 == pytest.approx(scatter, rel=0.12)
 
 
+def test_without_a_prior_it_is_the_expected_one_until_something_is_seen() -> None:
+    learnt = PaddleScatter(WindowSettings(scatter_prior_patterns=0.0))
+    assert learnt.square == SETTINGS.paddle_scatter**2
+    learnt.see(0.01, 5.0)
+    assert learnt.square == pytest.approx(0.01)
+
+
 def test_follows_another_crop() -> None:
     learnt = PaddleScatter(SETTINGS)
     for scatter in (0.05, 0.12):

@@ -44,7 +44,7 @@ def successor(before: Monitor, configuration: Configuration, fresh: ParameterSet
     monitor = monitor_of(configuration, fresh or before.estimator.parameters)
     monitor.restore(state)
     monitor.take_zero_of(before)
-    if before.sweep.requested:
+    if before.sweep.requested or before.sweep.visiting:
         monitor.request_sweep()
     if fresh is None:
         monitor.take_tickets_of(before)
