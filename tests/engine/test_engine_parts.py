@@ -52,6 +52,11 @@ GATE = [
     (5.0, True, False, True, True, 21.0, False, False),
     (50.0, True, False, True, True, 21.0, True, True),
     (NAN, False, False, False, True, 0.0, False, False),
+    # At a limit: forces have to be above it, and the time is up.
+    (10.0, False, False, False, True, 0.0, False, True),
+    (1.0, True, False, False, True, 0.0, False, True),
+    (0.5, True, False, True, True, 0.0, False, False),
+    (10.0, True, False, True, True, 20.0, False, False),
 ]
 
 
