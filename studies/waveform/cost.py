@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -67,7 +67,7 @@ def _live(messages: list[can.Message], monitor: Monitor) -> None:
             monitor.feed(frame)
 
 
-def _cpu_ms_per_s(ways: dict[str, Callable[[], object]]) -> dict[str, float]:
+def _cpu_ms_per_s(ways: Mapping[str, Callable[[], object]]) -> dict[str, float]:
     """Least of five rounds after a first, milliseconds of one core for a second of traffic; each round has all ways in turn."""
     spent: dict[str, list[float]] = {name: [] for name in ways}
     for _ in range(1 + ROUNDS):
