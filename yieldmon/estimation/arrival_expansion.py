@@ -81,9 +81,8 @@ class ArrivalExpansions:
         rows: dict[tuple[int, ...], list[int]] = {}
         for row, key in enumerate(places.astype(np.intp).tolist()):
             rows.setdefault(tuple(key), []).append(row)
-        known, parts = np.zeros(len(points), dtype=bool), []
-        for key, chosen in rows.items():
-            cell = self._cell(key)
+        known, parts, cells = np.zeros(len(points), dtype=bool), [], self._cells_at(list(rows))
+        for (_, chosen), cell in zip(rows.items(), cells, strict=True):
             if cell is not None:
                 known[chosen] = True
                 value, slopes = cell.at((scaled - places)[chosen])
@@ -94,26 +93,32 @@ class ArrivalExpansions:
         impulse, middle, half = found[known].transpose(2, 1, 0, *range(3, found.ndim))
         return Expanded(impulse, middle, half), known
 
-    def _cell(self, key: tuple[int, ...]) -> _Cell | None:
-        if key not in self._cells:
-            if len(self._cells) >= _CELLS_KEPT:
-                self._cells.pop(next(iter(self._cells)))
-            self._cells[key] = self._expansion(np.array(key) * CELL)
-        return self._cells[key]
+    def _cells_at(self, keys: list[tuple[int, ...]]) -> list[_Cell | None]:
+        new = [key for key in keys if key not in self._cells]
+        if new:
+            self._cells.update(zip(new, self._expansions(np.array(new) * CELL), strict=True))
+        found = [self._cells[key] for key in keys]
+        while len(self._cells) > _CELLS_KEPT:
+            self._cells.pop(next(iter(self._cells)))
+        return found
 
-    def _expansion(self, centre: Array) -> _Cell | None:
-        """Of impulse, middle and half width of all nodes, in widths of the cell from its centre."""
+    def _expansions(self, centres: Array) -> list[_Cell | None]:
+        """About centres (m, 5), whose throws are worked out together."""
         half = 0.5
         unit = half * np.eye(_SIZE)
         both = unit[_FIRST] + unit[_SECOND]
         corners = half * np.array([np.ones(_SIZE), [1, -1, 1, -1, 1]])
         moves = np.concatenate((np.zeros((1, _SIZE)), unit, -unit, both, -both, corners))
-        parts = self._exact(centre + moves * CELL)
+        parts = self._exact((centres[:, None] + moves * CELL).reshape(-1, _SIZE))
         self._shape = parts.impulse_n_s.shape[1:]
-        values = np.stack((parts.impulse_n_s, parts.middle_s, parts.half_width_s), axis=1).reshape(len(moves), -1)
+        values = np.stack((parts.impulse_n_s, parts.middle_s, parts.half_width_s), axis=1).reshape(len(centres), len(moves), -1)
+        return [self._expansion(of_cell, moves) for of_cell in values]
+
+    def _expansion(self, values: Array, moves: Array) -> _Cell | None:
+        """Of impulse, middle and half width of all nodes, in widths of the cell from its centre."""
         if not np.all(np.isfinite(values)):
             return None
-        n, m = _SIZE, len(_PAIRS)
+        half, n, m = 0.5, _SIZE, len(_PAIRS)
         middle, up, down = values[0], values[1 : 1 + n], values[1 + n : 1 + 2 * n]
         mixed = values[1 + 2 * n : 1 + 2 * n + m] + values[1 + 2 * n + m : 1 + 2 * n + 2 * m]
         mixed = (mixed - (up + down)[_FIRST] - (up + down)[_SECOND] + 2.0 * middle) / (2.0 * half * half)

@@ -21,7 +21,7 @@ from .pulse_model import FLOW, GAIN, SHAPE_NAMES, SHIFT, PulseModel
 _SCAN = np.geomspace(0.06, 0.9, 16)
 """Fills (load over a full paddle) at which a start is looked for."""
 _SHIFTS = 256
-_SIDE_BY_SIDE = 32
+_SIDE_BY_SIDE = 64
 """Windows fitted at once: enough to share the cost of array operations, few enough for the cache."""
 _INDEX_REACH_S = 0.015
 _SHAPES = len(SHAPE_NAMES)
