@@ -139,16 +139,21 @@ def test_signals_in_bursts_are_taken_between_any_two_instructions(tmp_path: Path
         assert bench.status["configuration"]["reloads"] <= 2000
 
 
-def test_a_store_that_is_removed_is_told_and_written_anew_from_memory(tmp_path: Path):
-    path = tmp_path / "yieldmon.sqlite"
-    with running(tmp_path) as bench:
+@pytest.mark.parametrize("folder", [False, True], ids=["its files", "its folder"])
+def test_a_store_that_is_removed_is_told_and_written_anew_from_memory(tmp_path: Path, folder: bool):
+    state = tmp_path / "state"
+    state.mkdir()
+    path = state / "yieldmon.sqlite"
+    with running(tmp_path, state=state) as bench:
         bench.play(14, 0.0)
         bench.play(6, 60.0)
         bench.played()
         assert bench.daemon.writer.wait_until_written(PATIENCE_S)
-        for file in tmp_path.glob("yieldmon.sqlite*"):
-            if not file.name.endswith(".lock"):
+        for file in state.glob("yieldmon.sqlite*"):
+            if folder or not file.name.endswith(".lock"):
                 file.unlink()
+        if folder:
+            state.rmdir()
         bench.play(3, 60.0)
         bench.played()
         wait_for(lambda: bench.daemon.writer.health().replacements == 1, "the replacement")

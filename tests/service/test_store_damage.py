@@ -483,3 +483,23 @@ def test_a_schema_that_is_no_text_is_refused_by_readers(path: Path) -> None:
     path.write_bytes(content.replace(b"INTEGER PRIMARY KEY", b"INTEGER PRIMARY \xb0\x9c\xab"))
     with pytest.raises(InputError):
         read_only(path).close()
+
+
+def test_removed_files_that_cannot_be_written_anew_yet_stay_open(path: Path, tmp_path: Path) -> None:
+    """What the connection sees is nowhere else: it is kept until there is a place for it."""
+    writer = StoreWriter(lambda: Store(path), 100, path=path)
+    writer.submit(batch(41))
+    assert writer.work()
+    for part in parts(path):
+        part.unlink(missing_ok=True)
+    in_the_way = tmp_path / "s.sqlite.being-made"
+    in_the_way.mkdir()
+    writer.submit(batch(42))
+    assert not writer.work()
+    assert "removed while in use" in (writer.health().failing or "")
+    in_the_way.rmdir()
+    assert writer.work()
+    assert writer.work()
+    writer.close()
+    with Store(path) as store:
+        assert [row.number for row in store.seconds()] == list(range(1, 43))

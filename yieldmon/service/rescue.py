@@ -85,6 +85,7 @@ def reattach(store: Store, label: str) -> Path | None:
     For files that were removed or replaced while in use. The store is closed. Raises StoreError or OSError.
     """
     fresh = _fresh(store.path)
+    fresh.parent.mkdir(parents=True, exist_ok=True)
     for part in parts(fresh):
         part.unlink(missing_ok=True)
     store.copy_to(fresh)

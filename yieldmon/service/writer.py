@@ -144,7 +144,9 @@ class StoreWriter:
                 self._store, self._last_committed = None, 0
                 return True
             self._failed(str(error))
-            self.close()
+            if not isinstance(error, StoreDetachedError):
+                self.close()
+            # Else what it sees has no other place yet.
             return False
         return True
 
@@ -166,6 +168,8 @@ class StoreWriter:
             note = mend(store, path, error)
         except (StoreError, OSError) as failure:
             _log.error("%s: %s", path, failure)
+            if isinstance(error, StoreDetachedError):
+                self._mended_s = float("-inf")
             return False
         self._report_replaced(path, note)
         return True
