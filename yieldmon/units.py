@@ -138,12 +138,6 @@ class Units:
         unit = self.speed_unit
         return UNKNOWN if m_s is None or not isfinite(m_s) else f"{unit.of(m_s):.1f} {unit.name}"
 
-    def temperature(self, degc: float | None) -> str:
-        """A temperature, to the degree."""
-        if degc is None or not isfinite(degc):
-            return UNKNOWN
-        return f"{1.8 * degc + 32.0:.0f} °F" if self._us else f"{degc:.0f} °C"
-
 
 def moisture(pct: float | None) -> str:
     """A moisture, to a tenth of a percent."""

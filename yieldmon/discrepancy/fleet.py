@@ -94,13 +94,11 @@ class Visible:
 
 @dataclass(frozen=True)
 class Found:
-    """shared: the search for what the model lacks for all; own: by machine; grain_sd: how friction and density differ between
-    machines that have no effect of their own; misfit: variance of the visits over what is stated."""
+    """shared: what the model lacks for all; own: by machine; misfit: variance of the visits over what is stated."""
 
     shared: Choice
     own: Mapping[str, Own]
     deviating: tuple[str, ...]
-    grain_sd: Mapping[str, float]
     misfit: float
     visible_from: tuple[Visible, ...] = ()
 
@@ -124,9 +122,7 @@ def examine(lattice: Lattice, rng: np.random.Generator, policy: Policy) -> Found
     tail = comparison.tail(state)
     own = {placed.name: comparison.own(i, state, tail) for i, placed in enumerate(lattice.machines)}
     names = tuple(placed.name for placed, keep in zip(lattice.machines, kept, strict=True) if not keep)
-    scatter = np.sqrt(np.median(state.grain, axis=0))
-    grain = {p.name: float(sd) * p.scale for p, sd in zip(shared.best.frame.base, scatter, strict=True)}
-    return Found(shared, own, names, grain, state.misfit, comparison.visible_from(state, tail))
+    return Found(shared, own, names, state.misfit, comparison.visible_from(state, tail))
 
 
 def _shared(lattice: Lattice, kept: NDArray[np.bool_], misfit: float, rng: np.random.Generator, policy: Policy) -> Choice:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -58,11 +57,6 @@ class FoldedPattern:
     def complete(self) -> bool:
         """Whether every bin has a sample and at least two patterns were covered."""
         return bool((self.counts > 0).all() and self.patterns >= 2.0)
-
-    def pulses_n(self, spacings_m: Array) -> list[Array]:
-        """The mean pattern cut into one stretch for each paddle of the pattern, in bins of the same width."""
-        edges = np.rint(np.cumsum(np.concatenate(([0.0], spacings_m))) / np.sum(spacings_m) * self.mean_n.size).astype(int)
-        return [self.mean_n[a:b] for a, b in pairwise(edges)]
 
 
 def fold(samples_n: Array, phase: Array, *, bins: int = 64) -> FoldedPattern:

@@ -291,10 +291,9 @@ NEEDED = ("no position", "no flow", "header up")
 
 @dataclass(frozen=True)
 class Cleaned:
-    """reason: index into `names` of each row's first reason, 0 for kept. all_reasons: bit k for NAMES[k]."""
+    """reason: index into `names` of each row's first reason, 0 for kept."""
 
     reason: NDArray[np.int8]
-    all_reasons: NDArray[np.int32]
     names: tuple[str, ...]
 
     @property
@@ -319,7 +318,6 @@ def clean(at: Context, without: Collection[str] = ()) -> Cleaned:
         Names of rules that are off.
     """
     reason = np.zeros(len(at.table), np.int8)
-    bits = np.zeros(len(at.table), np.int32)
     parts = _parts(at)
     contexts = [at] if len(parts) == 1 else [at.of_rows(rows) for rows in parts]
     for k, rule in enumerate(RULES):
@@ -331,16 +329,14 @@ def clean(at: Context, without: Collection[str] = ()) -> Cleaned:
             flags = np.zeros(len(at.table), bool)
             for rows, context in zip(parts, contexts, strict=True):
                 flags[rows] = rule.flags(context)
-        bits |= np.where(flags, 1 << k, 0).astype(np.int32)
         reason = np.where((reason == 0) & flags, k + 1, reason).astype(np.int8)
     if LOCAL not in without:
         flags = np.zeros(len(at.table), bool)
         for rows, context in zip(parts, contexts, strict=True):
             steps = context.steps
             flags[rows] = local_outliers(steps.row_x_m, steps.row_y_m, context.yield_kg_m2, reason[rows] == 0)
-        bits |= np.where(flags, 1 << len(RULES), 0).astype(np.int32)
         reason = np.where((reason == 0) & flags, len(RULES) + 1, reason).astype(np.int8)
-    return Cleaned(reason, bits, (KEPT, *NAMES))
+    return Cleaned(reason, (KEPT, *NAMES))
 
 
 def _parts(at: Context) -> list[Index]:

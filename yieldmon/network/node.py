@@ -137,11 +137,6 @@ class Node:
         """Sessions and messages in memory, in both directions; bounded."""
         return len(self._receiver) + len(self._sender) + len(self._fast)
 
-    @property
-    def trouble_codes(self) -> tuple[TroubleCode, ...]:
-        """Active codes as DM1 carries them."""
-        return self._memory.active
-
     def start(self, now_s: float) -> list[RawFrame]:
         """Begin to claim an address, anew where we had one."""
         self.addresses.clear()

@@ -151,7 +151,6 @@ class VirtualCombine:
         self._delivered = np.cumsum(self._paddles.mass_kg)
         scatter = scenario.paddle_scatter_pct / 100.0 * scatter_rng.standard_normal(len(self._paddles.mass_kg))
         self._scatter = np.maximum(1.0 + scatter, 0.0)
-        self._slip = slip
         self._speed_low, self._speed_high = self._table.speed_range_rad_s
         self._steps = _KERNEL_STEPS if scenario.kernels else 1
         share = effects.cell_nonlinearity.share if effects.cell_nonlinearity else 0.0
