@@ -28,7 +28,8 @@ from yieldmon.files import whole_file
 from yieldmon.finite import finite
 from yieldmon.network.name import Name
 from yieldmon.resources import shipped
-from yieldmon.signals.survey import TELLING, Candidate, MessageSeen, Survey, mapping_text
+from yieldmon.signals.mapping_draft import TELLING, mapping_text
+from yieldmon.signals.survey import Candidate, MessageSeen, Survey
 
 _SHIPPED = ("dbc/yieldmon.dbc", "dbc/j1939.dbc")
 _BLOCK_S = 0.5

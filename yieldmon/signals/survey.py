@@ -53,11 +53,10 @@ _BY_UNIT = frozenset({"elevator_speed", "plate_angle", "test_weight", "tank_mass
 """Quantities whose unit says enough for a guess where no name does."""
 _WEAK = 0.25
 """Score of such a guess; every other one is higher."""
-_CHANNELS = re.compile(r"(input|chan(nel)?|ch|ain|port)_?\d+", re.IGNORECASE)
-"""Numbered signals of one frame that are sensors of their own, not samples of one."""
 _NO_VALUE = re.compile(r"not.?av|unavail|\bn/?a\b|\bsna\b|error|invalid|fault|nicht.?verf|fehler|ung.ltig", re.IGNORECASE)
 """Names in a DBC's value tables of raw values that are none."""
-_OF_SHAFTS_ELSEWHERE = re.compile(r"engine|pto|front|rear|feeder", re.IGNORECASE)
+SHAFTS_ELSEWHERE = re.compile(r"engine|pto|front|rear|feeder", re.IGNORECASE)
+"""Names of shafts that are not the elevator's."""
 
 
 @dataclass(frozen=True)
@@ -369,84 +368,5 @@ def _slow_score(quantity: str, rate_hz: float, signal: SignalSeen, named: bool, 
     if not (named or message_named):
         elsewhere = any(re.search(_HINTS[other], signal.bits.name, re.IGNORECASE) for other in _HINTS if other != quantity)
         return _WEAK if quantity in _BY_UNIT and not elsewhere else 0.0
-    shaft = quantity == "elevator_speed" and _OF_SHAFTS_ELSEWHERE.search(signal.bits.name) is not None
+    shaft = quantity == "elevator_speed" and SHAFTS_ELSEWHERE.search(signal.bits.name) is not None
     return 1.0 + named - 0.5 * shaft + min(rate_hz, 100.0) * 1e-6
-
-
-_GUESS = "ratio: 0.2"
-TELLING = ("manufacturer_code", "function", "function_instance", "ecu_instance", "identity_number")
-"""Fields of a NAME that tell a node from all others, as `source` of a mapping takes them."""
-
-
-def mapping_text(survey: Survey, paths: Mapping[str, str]) -> str:
-    """A configuration to start from: the likeliest signal of each quantity, the others as comments. paths: of the DBC files."""
-    lines = [
-        "# A mapping to start from, made by `yieldmon signals`. Check every line against the machine, then run",
-        "# `yieldmon check-config THIS --log RECORDING`. Quantities that are left out keep the shipped DBC's messages.",
-        "signals:",
-    ]
-    candidates = survey.candidates
-    impact = sorted((name for name in IMPACT if name in candidates), key=lambda name: -candidates[name][0].score)
-    wanted = [*impact[:1], *(name for name in QUANTITIES if name in candidates)]
-    if not impact:
-        lines.append("  # impact_voltage: nothing on this bus looks like an impact sensor; see docs/guide/wiring.md")
-    used: set[tuple[str, str]] = set()
-    for quantity in wanted:
-        free = [c for c in candidates[quantity] if (c.message, c.signal) not in used]
-        if not free:
-            continue
-        entries = list(dict.fromkeys(entry for one in free for entry in _entries(one, paths, candidates)))[:4]
-        if any(_GUESS in entry for entry in entries):
-            lines.append("  # The ratio is a guess: turns of the elevator's upper shaft per turn of the measured one.")
-        if free[0].weak:
-            lines.append(f"  # Nothing here is named like {quantity}; by their units it could be:")
-        else:
-            used.update((free[0].message, signal) for signal in _samples(free[0], candidates))
-            lines.append(f"  {quantity}: {entries.pop(0)}")
-        lines += [f"  # or {quantity}: {entry}" for entry in entries]
-    return "\n".join(lines if any(line[2:3] != "#" for line in lines[3:]) else [*lines[:2], "signals: {}", *lines[3:]]) + "\n"
-
-
-def _samples(found: Candidate, candidates: Mapping[str, Sequence[Candidate]]) -> list[str]:
-    """The signals that are one impact sensor's samples in one frame, oldest first; for anything else the one signal."""
-    numbered = re.fullmatch(r"(.*?)(\d+)", found.signal)
-    if found.quantity not in IMPACT or numbered is None or _CHANNELS.fullmatch(found.signal):
-        return [found.signal]
-    frame = (found.dbc, found.message, found.mux, found.source, found.unit)
-    alike = {}
-    for other in candidates[found.quantity]:
-        parts = re.fullmatch(r"(.*?)(\d+)", other.signal)
-        same = (other.dbc, other.message, other.mux, other.source, other.unit) == frame
-        if parts is not None and same and parts[1] == numbered[1] and _overlap(found.span, other.span):
-            alike[int(parts[2])] = other.signal
-    return [alike[number] for number in sorted(alike)]
-
-
-def _overlap(one: tuple[float, float], other: tuple[float, float]) -> bool:
-    """Whether two ranges are alike, as those of one sensor's samples are."""
-    both = min(one[1], other[1]) - max(one[0], other[0])
-    return both >= 0.5 * (max(one[1], other[1]) - min(one[0], other[0]))
-
-
-def _entries(found: Candidate, paths: Mapping[str, str], candidates: Mapping[str, Sequence[Candidate]]) -> list[str]:
-    """What a mapping says of a candidate: its sender by address, by NAME, or both, the better one first."""
-    keys = [f"dbc: {paths[found.dbc]}", f"message: {found.message}"]
-    samples = _samples(found, candidates)
-    if len(samples) > 1:
-        keys += [f"signals: [{', '.join(samples)}]", f"rate_hz: {found.rate_hz * len(samples):.4g}"]
-    else:
-        keys.append(f"signal: {found.signal}")
-        if found.quantity in IMPACT:
-            keys.append(f"rate_hz: {found.rate_hz:.4g}")
-    if found.quantity in IMPACT and not found.unit:
-        keys += ["unit: counts", "scale: 0.1"]
-    if found.not_available:
-        keys.append(f"not_available: {list(found.not_available)}")
-    if found.mux is not None:
-        keys.append(f"mux: {found.mux}")
-    if found.quantity == "elevator_speed" and _OF_SHAFTS_ELSEWHERE.search(found.signal):
-        keys.append(_GUESS)
-    sources = [] if found.source is None or found.moved else [f"source: {found.source}"]
-    if found.node is not None:
-        sources.append(f"source: {{{', '.join(f'{key}: {getattr(found.node, key)}' for key in TELLING)}}}")
-    return ["{" + ", ".join([*keys, source]) + "}" for source in sources] or ["{" + ", ".join(keys) + "}"]
