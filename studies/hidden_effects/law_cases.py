@@ -30,7 +30,7 @@ from studies.hidden_effects import cases, study
 from studies.hidden_effects import generator as g
 from yieldmon.discrepancy import confidence, diagnosis
 from yieldmon.discrepancy.observations import Rows, with_cells
-from yieldmon.discrepancy.selection import Policy
+from yieldmon.discrepancy.policy import Policy
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.plant.scenario import Scenario

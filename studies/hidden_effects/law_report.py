@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from studies.hidden_effects import law_cases, study
 from yieldmon.discrepancy import confidence
 from yieldmon.discrepancy.confidence import Calibration
-from yieldmon.discrepancy.selection import Policy
+from yieldmon.discrepancy.policy import Policy
 
 SHIPPED = Path(confidence.__file__).with_name("confidence.json")
 LARGEST_CLASS = 4

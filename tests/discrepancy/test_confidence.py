@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from yieldmon.discrepancy import confidence, diagnosis
-from yieldmon.discrepancy.selection import Policy
+from yieldmon.discrepancy.policy import Policy
 
 
 def _cases(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:

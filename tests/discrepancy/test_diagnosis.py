@@ -12,13 +12,13 @@ import pytest
 from scipy import stats
 
 from yieldmon.cli.diagnose import print_text
-from yieldmon.discrepancy import diagnosis, experiment, report
+from yieldmon.discrepancy import adoption, detectability, diagnosis, experiment, report
 from yieldmon.discrepancy.candidates import Signature
 from yieldmon.discrepancy.diagnosis_document import to_document
 from yieldmon.discrepancy.fit import LAW_SD, Fit, Parameter
 from yieldmon.discrepancy.noise import Noise
 from yieldmon.discrepancy.observations import with_cells
-from yieldmon.discrepancy.selection import Policy
+from yieldmon.discrepancy.policy import Policy
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.effects import family_of
@@ -265,7 +265,7 @@ def test_a_plan_has_the_power_that_it_states_and_the_best_row(make_rows, start) 
 
 def test_adopted_parameters_predict_what_was_fitted(offset_found, start) -> None:
     found = offset_found
-    adopted = diagnosis.adopted(found, start, {"parent": "x"})
+    adopted = adoption.adopted(found, start, {"parent": "x"})
     assert adopted.version == start.version + 1
     assert adopted.effects == ("zero_offset",)
     model = ForwardModel(Machine(), adopted.effects)
@@ -281,12 +281,12 @@ def test_what_is_adopted_is_as_uncertain_as_what_is_said(offset_found, start) ->
     found = offset_found
     found = replace(found, best=replace(found.best, chi2=3.0 * found.best.dof))
     said = to_document(found)["effects"][0]["parameters"]["force_n"]["sd"]
-    assert diagnosis.adopted(found, start, {}).standard_deviation("zero_offset.force_n") == pytest.approx(said, rel=1e-12)
+    assert adoption.adopted(found, start, {}).standard_deviation("zero_offset.force_n") == pytest.approx(said, rel=1e-12)
 
 
 def test_loads_that_share_an_error_leave_the_scale_uncertain(offset_found, start) -> None:
     found = offset_found
-    exact, shared = (diagnosis.adopted(found, start, {}, scale_sd=sd) for sd in (0.0, 0.05))
+    exact, shared = (adoption.adopted(found, start, {}, scale_sd=sd) for sd in (0.0, 0.05))
     values = found.best.values
     along = {"friction": 0.0, "density": values["density"], "restitution": -(1.0 + values["restitution"])}
     direction = np.array([along.get(name, 0.0) for name in shared.covariance_names])
@@ -338,7 +338,7 @@ def test_what_was_known_before_stays_as_uncertain(make_rows, start) -> None:
     rows = make_rows({"zero_offset": 4.0, "plate_friction": 0.3})
     found = diagnosis.diagnose_rows(rows, before, replace(QUICK, keep_effects=True))
     assert found.choice.named == ("plate_friction",)
-    adopted = diagnosis.adopted(found, before, {})
+    adopted = adoption.adopted(found, before, {})
     assert adopted.values["zero_offset.force_n"] == 4.0
     np.testing.assert_array_equal(adopted.covariance_of(names[:2]), before.covariance_of(names[:2]))
     assert adopted.standard_deviation("plate_friction.coefficient") > 0.0
@@ -351,12 +351,12 @@ def test_the_unit_is_that_of_the_table_whatever_the_parents(make_rows, start, si
     parent = ParameterSet(values, response_unit="response" if si else "N")
     rows = make_rows({"plate_angle_offset": 0.06}, **ONE_SPEED)
     found = diagnosis.diagnose_rows(replace(rows, si=si), parent, replace(QUICK, form="exchange"))
-    assert diagnosis.adopted(found, parent, {}).response_unit == unit
+    assert adoption.adopted(found, parent, {}).response_unit == unit
 
 
 def test_nothing_is_adopted_without_a_name(clean_found, start) -> None:
     with pytest.raises(ValueError, match="only a named effect"):
-        diagnosis.adopted(clean_found, start, {})
+        adoption.adopted(clean_found, start, {})
 
 
 def test_what_no_size_would_show_is_said(make_rows, start) -> None:
@@ -382,8 +382,8 @@ def test_the_least_size_shown_is_of_the_leading_parameter() -> None:
     """Two parameters of which the second alone changes anything."""
     first, second = (Parameter(f"one.{n}", -1.0, 1.0, 0.0, 0.1, typical=0.1) for n in "ab")
     points, seen = np.array([[0.1, 0.0], [0.0, 0.1]]), np.array([[0.0, 0.0], [3.0, 4.0]])
-    assert diagnosis.minimum_detectable([Signature("one", (first, second), points, seen, np.ones(2))]) == {}
-    found = diagnosis.minimum_detectable([Signature("one", (second, first), points[:, ::-1], seen, np.ones(2))])
+    assert detectability.minimum_detectable([Signature("one", (first, second), points, seen, np.ones(2))]) == {}
+    found = detectability.minimum_detectable([Signature("one", (second, first), points[:, ::-1], seen, np.ones(2))])
     assert found == {"one": pytest.approx(0.1 * 4.04 / 5.0)}
 
 

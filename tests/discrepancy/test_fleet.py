@@ -7,7 +7,7 @@ import pytest
 
 from yieldmon.discrepancy.fleet import Visible, examine
 from yieldmon.discrepancy.lattice import Lattice, lay
-from yieldmon.discrepancy.selection import Policy
+from yieldmon.discrepancy.policy import Policy
 from yieldmon.estimation.home_flow import AwayVisits
 from yieldmon.files import parameter_file
 from yieldmon.physics.machine import RPM, Machine

@@ -10,7 +10,7 @@ from scipy.optimize import lsq_linear
 
 from yieldmon.discrepancy import diagnosis, pairs
 from yieldmon.discrepancy.candidates import score, signature
-from yieldmon.discrepancy.selection import Policy
+from yieldmon.discrepancy.policy import Policy
 
 NAMED_NOTHING = diagnosis.Options(policy=Policy(most_effects=0), hold_out="none")
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from yieldmon.discrepancy import diagnosis
+from yieldmon.discrepancy.policy import Policy
 from yieldmon.discrepancy.proof import mean_square_interval, pooled, share
-from yieldmon.discrepancy.selection import Policy
 from yieldmon.estimation import model_error
 from yieldmon.estimation.parameters import ParameterSet
 

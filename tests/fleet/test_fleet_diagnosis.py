@@ -13,7 +13,7 @@ import pytest
 
 from tests.plant_sweeps import MACHINE, NONE, STRONG, Effects, shown_force, sweep_windows
 from yieldmon.cli.main import main
-from yieldmon.discrepancy.selection import Policy
+from yieldmon.discrepancy.policy import Policy
 from yieldmon.errors import InputError
 from yieldmon.files import machine_file, parameter_file
 from yieldmon.fleet import tables

@@ -6,12 +6,54 @@ import hashlib
 from datetime import datetime
 from pathlib import Path
 
+import numpy as np
+from scipy.linalg import block_diag
+
 from yieldmon import utc
 from yieldmon.errors import InputError, reading
-from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation import model_error
+from yieldmon.estimation.identifiability import scale_tangent
+from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
 from yieldmon.files import parameter_file, whole_file
+from yieldmon.physics.numerics import span
 
-from .diagnosis import Diagnosis, adopted
+from .diagnosis import Diagnosis
+
+
+def adopted(diagnosis: Diagnosis, parent: ParameterSet, provenance: dict[str, str], scale_sd: float = 0.0) -> ParameterSet:
+    """Parameters with the named effects, fitted to every row, as the next version of `parent`.
+
+    scale_sd: relative standard deviation common to all loads of the table, which the fit takes as exact; it widens the covariance
+    along (load, density, impact gain) -> (a, a, 1/a). What the fit held (shape ratio, effects known before) is as uncertain as it
+    was. Raises ValueError unless the verdict names an effect.
+    """
+    if diagnosis.verdict != "effect":
+        raise ValueError(f"the verdict is {diagnosis.verdict!r}; only a named effect can be adopted")
+    best = diagnosis.best
+    names = tuple(p.name for p in best.parameters)
+    covariance = best.covariance()
+    along = np.array([scale_tangent(name, best.values[name]) for name in names])
+    covariance = covariance + scale_sd**2 * np.outer(along, along)
+    kept = tuple(name for name in parent.covariance_names if name in best.frame.fixed)
+    cells = best.frame.cells
+    passes = cells.rows.machine.passes_per_s(cells.elevator_speed_rad_s)
+    flow = cells.load if cells.rows.load_name == "mass_flow_kg_s" else cells.load * passes
+    moist = cells.moisture_pct[np.isfinite(cells.moisture_pct)]
+    return ParameterSet(
+        values=best.values,
+        covariance_names=(*names, *kept),
+        covariance=block_diag(covariance, parent.covariance_of(kept)) if kept else covariance,
+        calibrated=CalibratedRange(
+            mass_flow_kg_s=span(flow),
+            plate_angle_rad=span(cells.plate_angle_rad),
+            elevator_speed_rad_s=span(cells.elevator_speed_rad_s),
+            moisture_pct=span(moist) if moist.size else None,
+        ),
+        response_unit="N" if cells.rows.si else "response",
+        version=parent.version + 1,
+        provenance=provenance,
+        model_error=best.learnt_error if best.learnt_error > model_error.FLOOR else 0.0,
+    )
 
 
 def adopt(
@@ -26,7 +68,7 @@ def adopt(
 ) -> Path:
     """Write the next version of the parameters to `out` and a copy of the parent beside it; returns the copy's path.
 
-    data: path and SHA-256 of the table. scale_sd: see `diagnosis.adopted`. Raises InputError when the verdict names no effect.
+    data: path and SHA-256 of the table. scale_sd: see `adopted`. Raises InputError when the verdict names no effect.
     """
     if diagnosis.verdict != "effect":
         raise InputError("--adopt", f"the verdict is {diagnosis.verdict!r}", "a named effect to adopt")

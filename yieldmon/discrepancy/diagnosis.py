@@ -8,28 +8,28 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
-from scipy.linalg import block_diag
 
 from yieldmon.documents.diagnose import Verdict
 from yieldmon.errors import InputError
 from yieldmon.estimation import model_error
-from yieldmon.estimation.identifiability import scale_tangent
-from yieldmon.estimation.parameters import CalibratedRange, ParameterSet
+from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import EXCHANGED, at_bound_sentence
 from yieldmon.files.table import Table
 from yieldmon.physics.effects import family_of
 from yieldmon.physics.machine import Machine
-from yieldmon.physics.numerics import span
 
+from . import diagnosis_notes
 from . import observations as obs
-from .candidates import Signature, library, signature
+from .candidates import library, signature
 from .confidence import calibrated, doubted, shipped
+from .detectability import minimum_detectable, size_seen
 from .experiment import Plan, plan
 from .fit import Fit, Frame, base_frame, fit, fit_base
 from .gap import LackOfFit, Region, lack_of_fit, noise_floor, row_rms, where
 from .noise import Noise, estimate
+from .policy import Policy
 from .proof import Proof, Share, mean_square_interval, prove, share
-from .selection import Choice, Policy, choose, withdrawn
+from .selection import Choice, choose, withdrawn
 from .stopgap import Correction, correction
 
 Progress = Callable[[str, float], None]
@@ -247,7 +247,7 @@ def conclude(
     undetectable = tuple(
         s.effect
         for s in signatures
-        if s.effect not in spoken_of and all(np.isinf(_size_seen(s, i)) for i in range(len(s.parameters)))
+        if s.effect not in spoken_of and all(np.isinf(size_seen(s, i)) for i in range(len(s.parameters)))
     )
     return Diagnosis(
         options=options,
@@ -269,7 +269,7 @@ def conclude(
         minimum_detectable=detectable,
         undetectable=undetectable,
         correction=correction(base_all) if chosen.verdict == "unknown" else None,
-        notes=(*seen.notes, *_undetectable_note(undetectable)),
+        notes=(*seen.notes, *diagnosis_notes.of_undetectable(undetectable)),
         leading=leading,
         with_leading=_measure(leading, every, noise) if leading is not None else None,
     )
@@ -309,84 +309,27 @@ def examine(
     report("sealed rows", 0.85)
     held_out, outlying_sealed = _open(rows, sealed, chosen.base, chosen.best, noise)
     outlier |= outlying_sealed
-    notes = [*_noise_notes(noise, int(outlier.sum())), *why, *_overfull_note(sealed & ~outlier, held_out)]
+    proven_rows = held_out.rows if held_out is not None else 0
+    notes = [
+        *diagnosis_notes.of_noise(noise, int(outlier.sum())),
+        *why,
+        *diagnosis_notes.of_overfull(sealed & ~outlier, proven_rows),
+    ]
     if chosen.against:
-        notes.append(_against(chosen))
+        notes.append(diagnosis_notes.against(chosen))
     proof = None
     if chosen.verdict == "effect":
         proof = prove(chosen.base, chosen.best, held_out.share if held_out is not None else None, rng)
         if not proof.agrees:
-            notes.append(_refuted(chosen.named, proof))
+            notes.append(diagnosis_notes.refuted(chosen.named, proof))
             chosen = withdrawn(chosen, options.policy)
     chosen = calibrated(chosen, shipped())
     if doubted(chosen, options.policy):
-        notes.append(_doubted(chosen))
+        notes.append(diagnosis_notes.not_trusted(chosen))
         chosen = withdrawn(chosen, options.policy)
     if chosen.verdict != "effect" and held_out is not None:
         held_out, _ = _open(rows, sealed, chosen.base, chosen.base, noise)
     return Examination(form, noise, chosen, held_out, sealed, outlier, tuple(notes), proof)
-
-
-def adopted(diagnosis: Diagnosis, parent: ParameterSet, provenance: dict[str, str], scale_sd: float = 0.0) -> ParameterSet:
-    """Parameters with the named effects, fitted to every row, as the next version of `parent`.
-
-    scale_sd: relative standard deviation common to all loads of the table, which the fit takes as exact; it widens the covariance
-    along (load, density, impact gain) -> (a, a, 1/a). What the fit held (shape ratio, effects known before) is as uncertain as it
-    was. Raises ValueError unless the verdict names an effect.
-    """
-    if diagnosis.verdict != "effect":
-        raise ValueError(f"the verdict is {diagnosis.verdict!r}; only a named effect can be adopted")
-    best = diagnosis.best
-    names = tuple(p.name for p in best.parameters)
-    covariance = best.covariance()
-    along = np.array([scale_tangent(name, best.values[name]) for name in names])
-    covariance = covariance + scale_sd**2 * np.outer(along, along)
-    kept = tuple(name for name in parent.covariance_names if name in best.frame.fixed)
-    cells = best.frame.cells
-    passes = cells.rows.machine.passes_per_s(cells.elevator_speed_rad_s)
-    flow = cells.load if cells.rows.load_name == "mass_flow_kg_s" else cells.load * passes
-    moist = cells.moisture_pct[np.isfinite(cells.moisture_pct)]
-    return ParameterSet(
-        values=best.values,
-        covariance_names=(*names, *kept),
-        covariance=block_diag(covariance, parent.covariance_of(kept)) if kept else covariance,
-        calibrated=CalibratedRange(
-            mass_flow_kg_s=span(flow),
-            plate_angle_rad=span(cells.plate_angle_rad),
-            elevator_speed_rad_s=span(cells.elevator_speed_rad_s),
-            moisture_pct=span(moist) if moist.size else None,
-        ),
-        response_unit="N" if cells.rows.si else "response",
-        version=parent.version + 1,
-        provenance=provenance,
-        model_error=best.learnt_error if best.learnt_error > model_error.FLOOR else 0.0,
-    )
-
-
-def minimum_detectable(signatures: list[Signature]) -> dict[str, float]:
-    """Size of each effect's leading parameter that this design would show with 80 % power at its global level.
-
-    Linear in size from a signature drawn, the one whose answer is nearest the typical size; absent where that lies beyond the
-    parameter's bounds.
-    """
-    sizes = {s.effect: _size_seen(s, 0) for s in signatures}
-    return {effect: size for effect, size in sizes.items() if np.isfinite(size)}
-
-
-def _size_seen(drawn: Signature, number: int) -> float:
-    """The least distance from its null at which one of an effect's parameters shows; inf beyond its bounds."""
-    # 3.2 sd: two-sided 0.15 %, about 2 % over the library; 0.84 sd more for 80 % power.
-    needed = 3.2 + 0.84
-    p = drawn.parameters[number]
-    step = np.abs(drawn.points[:, number] - p.start)
-    norm = np.linalg.norm(drawn.change, axis=1)
-    seen = (step > 0.0) & (norm > 1e-6)
-    if not np.any(seen):
-        return float("inf")
-    sizes = step[seen] * needed / norm[seen]
-    typical = max(abs(p.typical - p.start), 1e-300)
-    size = float(sizes[np.argmin(np.abs(np.log(sizes / typical)))])
-    return size if size <= max(abs(p.upper - p.start), abs(p.lower - p.start)) else float("inf")
 
 
 def _published(
@@ -457,25 +400,6 @@ def _open(
     return HeldOut(count, measures[0], measures[1], floor, closed, interval, intervals, found), outlying
 
 
-def _refuted(names: tuple[str, ...], proof: Proof) -> str:
-    where = f"; {', '.join(proof.worse)} worse than before" if proof.worse else ""
-    low, high = (100.0 * (proof.crossed.value + s * proof.crossed.sd) for s in (-1.96, 1.96))
-    return (
-        f"{' + '.join(names)} is not named: unseen rows lie {low:.0f} to {high:.0f} % of the way to it, where more than 50 % "
-        f"is needed{where}"
-    )
-
-
-def _against(choice: Choice) -> str:
-    return f"{' + '.join(step.added for step in choice.steps)} is not named: {choice.against}"
-
-
-def _doubted(choice: Choice) -> str:
-    first = choice.steps[0]
-    names = " or ".join((first.added, *first.equivalent))
-    return f"{names}: not named, right in {100.0 * first.confidence:.0f} of 100 cases that look like this one"
-
-
 def share_closed_pct(before: float, after: float, floor: float) -> float | None:
     """Share of a gap (rms before and after, of noise alone) that is closed, %; None where there is none above the noise."""
     return 100.0 * (before - after) / (before - floor) if before > floor else None
@@ -512,25 +436,4 @@ def _to_separate(choice: Choice) -> tuple[Fit, list[Fit]]:
     return choice.best, []
 
 
-def _noise_notes(noise: Noise, outliers: int) -> list[str]:
-    how = {
-        "replicates": f"noise from replicates ({noise.dof:.0f} degrees of freedom)",
-        "smooth": "no replicates: noise from the scatter about a smooth surface through the rows",
-        "stated": "noise as stated, not measured in this table",
-    }[noise.how]
-    form = f"sd = {noise.constant:.4g}" + (
-        f" + {100.0 * noise.proportional:.2g} % of reading (in quadrature)" if noise.proportional else ""
-    )
-    return [f"{how}: {form}"] + ([f"{outliers} outlying rows left out"] if outliers else [])
-
-
-def _overfull_note(opened: NDArray[np.bool_], held_out: HeldOut | None) -> list[str]:
-    lost = int(np.count_nonzero(opened)) - (held_out.rows if held_out is not None else 0)
-    return [f"{lost} held-out rows prove nothing: they overfill the paddles of the model fitted without them"] if lost else []
-
-
-def _undetectable_note(effects: tuple[str, ...]) -> list[str]:
-    return [f"at no physical size would these rows show: {', '.join(effects)}"] if effects else []
-
-
-__all__ = ["Diagnosis", "Examination", "Options", "adopted", "conclude", "diagnose", "diagnose_rows", "examine"]
+__all__ = ["Diagnosis", "Examination", "Options", "conclude", "diagnose", "diagnose_rows", "examine"]

@@ -26,7 +26,8 @@ from .fit import LAW_DEGREE, LAW_SD, Fit, Frame, Parameter, effect_parameters, f
 from .lattice import Lattice
 from .noise import Noise
 from .observations import cells
-from .selection import Choice, Policy, choose
+from .policy import Policy
+from .selection import Choice, choose
 
 LEAST_MACHINES = 3
 SIZES = (0.1, 0.2, 0.35, 0.6, 1.0, 1.7, 3.0)

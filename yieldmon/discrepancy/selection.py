@@ -33,63 +33,7 @@ from .fit import Fit, fit
 from .gap import LackOfFit, lack_of_fit
 from .noise import Noise
 from .pairs import screen
-
-
-@dataclass(frozen=True)
-class Policy:
-    """Thresholds of the decision; defaults checked by studies/hidden_effects on cases with a known answer."""
-
-    most_effects: int = 3
-    first_p: float = 0.02
-    """Global false-alarm rate of naming anything at all."""
-    next_p: float = 0.002
-    """The same for each further effect, where the model so far may be complete."""
-    least_confidence: float = 0.5
-    """Probability of being right below which the first effect is a partial candidate and no name."""
-    complete_f: float = 2.0
-    """Lack of fit up to which it may be: above, p below `gap_p`, that is refuted, and `first_p` holds for a further effect."""
-    gap_p: float = 0.01
-    """Lack of fit below this is a gap."""
-    least_share: float = 0.02
-    """Share of the original excess chi-square that a further effect must explain, or else"""
-    least_of_rest: float = 0.5
-    """this share of what is left, where the data refute that nothing is missing any more."""
-    unexplained_f: float = 3.5
-    """Lack of fit above which a gap is not called explained, unless it is less than"""
-    unexplained_of_f: float = 0.01
-    """this share of the published model's: a cause whose law is off by so little is named all the same."""
-    unexplained_share: float = 0.15
-    """Share of the original excess chi-square that may remain under a named verdict, significant or not."""
-    most_undone: float = 0.5
-    """Share of what several effects change that they may undo among themselves: beyond, they are terms of a series, no causes."""
-    tie: float = 6.0
-    """Chi-square distance (over the best one's misfit, where above 1) within which the data cannot tell two effects apart."""
-    near: float = 30.0
-    """Chi-square (over the misfit) beyond a tie within which a rival is fitted from other starts before it is ruled out."""
-    nearest: int = 6
-    """At most so many of them, the best first."""
-    largest_class: int = 5
-    """Effects that a class may hold and still count as a name (see `Search.prune_ambiguous` for a further effect's)."""
-    per_parameter: float = 3.0
-    """Chi-square that each further parameter must earn."""
-    refits: int = 24
-    """Candidates refitted at a step, the best by signature."""
-    bound_allowance: float = 4.0
-    """Chi-square (over the misfit) that leaving a bound may cost an effect that is not refused for it."""
-    beam: int = 6
-    """First-step candidates, refused ones too, beside which a second is screened where the first leaves a gap; pairs tried."""
-    pairs: int = 12
-    """Pairs refitted, the best by screening."""
-    exchanges: int = 8
-    """Candidates refitted at each exchange."""
-    starts: int = 1
-    """Starts of each refit."""
-    law_share: float = 0.5
-    """Share of an effect's best screened gain that another of its laws must promise to be fitted."""
-    short_search: int = 6
-    """Steps after which a candidate's refit is judged for the first time."""
-    hopeless: float = 60.0
-    """Chi-square (over the misfit), beside a quarter of the best one's gain, behind the best from which it is not taken on."""
+from .policy import DEFAULT, Policy
 
 
 @dataclass(frozen=True)
@@ -156,7 +100,7 @@ def choose(
     noise: Noise,
     effects: tuple[str, ...],
     rng: np.random.Generator,
-    policy: Policy = Policy(),
+    policy: Policy = DEFAULT,
     progress: Progress | None = None,
 ) -> Choice:
     """Forward selection from the fitted published model, exchange of each effect after each step, then the verdict."""
@@ -185,7 +129,7 @@ class Search:
     noise: Noise
     effects: tuple[str, ...]
     rng: np.random.Generator
-    policy: Policy = Policy()
+    policy: Policy = DEFAULT
 
     @property
     def excess(self) -> float:

@@ -15,7 +15,8 @@ import numpy as np
 
 from yieldmon.discrepancy.fleet import LEAST_MACHINES, Own, Visible, examine
 from yieldmon.discrepancy.lattice import Lattice, lay, reference_force_n, with_force
-from yieldmon.discrepancy.selection import Choice, Policy
+from yieldmon.discrepancy.policy import Policy
+from yieldmon.discrepancy.selection import Choice
 from yieldmon.errors import InputError
 from yieldmon.estimation.home_flow import AwayVisits
 from yieldmon.estimation.parameters import ParameterSet
