@@ -298,7 +298,7 @@ class _Comparison:
         """From what size each effect shows at a machine of median sweeps."""
         needed = np.sqrt(tail.limit(self.policy.next_p / len(self.machines))) + _POWER_80
         lengths = []
-        for i in np.flatnonzero(state.kept):
+        for i in np.flatnonzero(state.kept).tolist():
             judge, drawn = self._judge(i, state), self._drawn[i] / np.sqrt(state.misfit)
             inside = judge.columns.T @ drawn
             square = np.sum(drawn**2, axis=0) - np.sum(inside * (judge.inner @ inside), axis=0)

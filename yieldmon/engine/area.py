@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 from yieldmon.engine.inputs import InputSnapshot
 from yieldmon.engine.settings import GateSettings
+from yieldmon.frames import HeaderDown, WorkState
 from yieldmon.physics.machine import Implement
 
 
@@ -56,9 +57,9 @@ class AreaCounter:
         return cut.rate_m2_s * duration_s if cut.by_header or grain_comes or not isfinite(cut.rate_m2_s) else 0.0
 
     def _cut(self, end_s: float, fresh: Mapping[str, float]) -> _Cut:
-        told = [fresh[name] for name in ("header_down", "work_state")]
-        speed_m_s = fresh["ground_speed"]
-        if 0.0 in told or speed_m_s < self._min_speed_m_s:
+        header, work, speed_m_s = fresh["header_down"], fresh["work_state"], fresh["ground_speed"]
+        idle = header == HeaderDown.UP or work == WorkState.NOT_WORKING
+        if idle or speed_m_s < self._min_speed_m_s:
             return _Cut(end_s, 0.0 if self._width_m is not None else nan, True)
         width_m = nan if self._width_m is None else self._width_m
-        return _Cut(end_s, width_m * speed_m_s, 1.0 in told)
+        return _Cut(end_s, width_m * speed_m_s, header == HeaderDown.DOWN or work == WorkState.WORKING)

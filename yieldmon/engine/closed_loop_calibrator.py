@@ -118,7 +118,7 @@ class ClosedLoopCalibrator:
             return CalibrationOutcome(None, "no weighed mass that was measured whole; the parameters stay")
         self._given = None
         try:
-            outcome, drifting = self._believe(drifting, masses)
+            outcome, drifting = self._updated_by(drifting, masses)
         except ValueError as error:
             return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False, checks=checks)
         self._used = frozenset(anchors)
@@ -135,7 +135,7 @@ class ClosedLoopCalibrator:
     def _patterned(self, parameters: ParameterSet) -> ParameterSet:
         return with_pattern(parameters, self._settings.pattern_sd) if self._settings.pattern_sd > 0.0 else parameters
 
-    def _believe(self, drifting: DriftingParameters, masses: Sequence[MassAnchor]) -> tuple[Outcome, DriftingParameters]:
+    def _updated_by(self, drifting: DriftingParameters, masses: Sequence[MassAnchor]) -> tuple[Outcome, DriftingParameters]:
         """What weighed masses say, and what was known before as they leave it: less certain where they contradict it."""
         prior = drifting.parameters
         outcome = update_from_tickets(self._model, prior, masses, settings=self._settings.closed_loop)

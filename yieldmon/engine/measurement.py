@@ -17,7 +17,7 @@ from yieldmon.engine.settings import EngineSettings, WindowSettings
 from yieldmon.engine.sources import Sources
 from yieldmon.engine.windows import Window
 from yieldmon.engine.zero import ZeroRefusal, ZeroState, ZeroTracker
-from yieldmon.frames import EstimateQuality
+from yieldmon.frames import EstimateQuality, HeaderDown, WorkState
 from yieldmon.physics.machine import RPM, Machine
 
 _NAN = float("nan")
@@ -226,8 +226,8 @@ class Measurement:
         """How long header, work state or ground speed have said that no crop is taken in, s."""
         fresh = inputs.fresh
         idle = (
-            fresh["header_down"] == 0.0
-            or fresh["work_state"] == 0.0
+            fresh["header_down"] == HeaderDown.UP
+            or fresh["work_state"] == WorkState.NOT_WORKING
             or fresh["ground_speed"] < self._settings.gate.min_ground_speed_m_s
         )
         if not idle:
@@ -240,7 +240,7 @@ class Measurement:
     def _follow_zero(self, window: Window, inputs: InputSnapshot, elevator_runs: bool, plate_rests_at_home: bool) -> bool:
         """Show the window to the zero; returns whether a zero was learnt from it."""
         whole = window.coverage >= self._settings.windows.full_coverage and not window.contested
-        if inputs.fresh["header_down"] == 1.0 and inputs.fresh["work_state"] != 0.0:
+        if inputs.fresh["header_down"] == HeaderDown.DOWN and inputs.fresh["work_state"] != WorkState.NOT_WORKING:
             self._cutting_s = window.end_s
         self._obstacle = self._zero_obstacle(window, inputs, elevator_runs, whole, plate_rests_at_home)
         if self._obstacle:

@@ -9,6 +9,7 @@ from math import isfinite
 
 from yieldmon.engine.inputs import InputSnapshot
 from yieldmon.engine.settings import EngineSettings
+from yieldmon.frames import Unloading as Auger
 
 _SHARE_OF_TANK = 0.5
 """The tank has been emptied when at least this much of what was in it is gone."""
@@ -33,10 +34,10 @@ class Unloading:
 
     def _by_switch(self, inputs: InputSnapshot, duration_s: float) -> bool:
         on = inputs.fresh["unloading"]
-        if on == 1.0:
+        if on == Auger.ON:
             self._on_s += duration_s
             self._over_s = 0.0
-        elif on == 0.0 and self._on_s:
+        elif on == Auger.OFF and self._on_s:
             self._over_s += duration_s
         if self._over_s < self._least_s or not self._on_s:
             return False
