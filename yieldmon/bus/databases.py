@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from yieldmon.bus import dbc_file
 from yieldmon.bus.layout import largest_valid_raw, smallest_not_available_raw
-from yieldmon.errors import InputError, reading
+from yieldmon.errors import InputError
 from yieldmon.identifiers import group_of
 
 if TYPE_CHECKING:
@@ -105,33 +105,7 @@ def load_messages(path: Path | str) -> dict[str, MessageBits]:
     Raises InputError, one line, for a file that cannot be read, is no DBC, is in an encoding other than UTF-8 or Windows-1252, or
     contradicts itself (signals that overlap).
     """
-    # Half a second of import, for those who read a DBC only.
-    import cantools
-    from cantools.database.can import Database
-    from cantools.database.errors import Error as DbcError
-
-    where = str(path)
-    with reading(path, "a readable DBC file"):
-        data = Path(path).read_bytes()
-    if b"\x00" in data:
-        raise InputError(where, "is in UTF-16 or no text at all", "a DBC file in UTF-8 or Windows-1252")
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        try:
-            text = data.decode("cp1252")
-        except UnicodeDecodeError as error:
-            problem = f"byte {error.start} is neither UTF-8 nor Windows-1252"
-            raise InputError(where, problem, "a DBC file in UTF-8 or Windows-1252") from error
-    # What it warns of, messages with one name or identifier, is refused in a line here or where it matters.
-    logging.getLogger("cantools.database.can.database").setLevel(logging.ERROR)
-    try:
-        database = cantools.database.load_string(text, database_format="dbc")
-    except DbcError as error:
-        raise InputError(where, " ".join(str(error).split()), "a DBC file without contradictions") from error
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
-        raise InputError(where, f"cannot be read: {error!r}", "a DBC file") from error
-    assert isinstance(database, Database), "what the dbc format gives"
+    where, database = str(path), dbc_file.read(path)
     names = [message.name for message in database.messages]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:

@@ -14,7 +14,8 @@ from pathlib import Path
 from cantools.database.can import Message as DbcMessage
 from cantools.database.can import Signal as DbcSignal
 
-from yieldmon.bus.layout import largest_valid_raw, read_database
+from yieldmon.bus import dbc_file
+from yieldmon.bus.layout import largest_valid_raw
 from yieldmon.errors import InputError
 from yieldmon.identifiers import DESTINATION_MASK, IDENTITY_MASK, is_broadcast
 from yieldmon.resources import shipped
@@ -102,7 +103,7 @@ def _shipped_layouts() -> _Layouts:
 def _layouts(paths: Sequence[Path | str]) -> _Layouts:
     found = {}
     for path in paths:
-        for message in read_database(path).messages:
+        for message in dbc_file.read(path).messages:
             fields = tuple(field for signal in message.signals if (field := _field(message, signal, str(path))))
             if fields:
                 found[identity_of(message.frame_id)] = (message.name, message.length, fields)

@@ -11,12 +11,12 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from yieldmon.errors import InputError, reading
+from yieldmon.bus import dbc_file
+from yieldmon.errors import InputError
 from yieldmon.identifiers import GROUP_MASK, IDENTITY_MASK
 from yieldmon.resources import shipped
 
 if TYPE_CHECKING:
-    from cantools.database.can import Database
     from cantools.database.can import Message as DbcMessage
     from cantools.database.can import Signal as DbcSignal
 
@@ -112,23 +112,7 @@ def _shipped() -> dict[str, MessageLayout]:
 
 
 def _read(path: Path) -> dict[str, MessageLayout]:
-    return {message.name: _message_layout(message, str(path)) for message in read_database(path).messages}
-
-
-def read_database(path: Path | str) -> Database:
-    """A DBC file as cantools reads it. Raises InputError for a file that is missing or no DBC."""
-    # Half a second of import, for those who read a DBC only.
-    import cantools
-    from cantools.database.can import Database
-    from cantools.database.errors import Error as DbcError
-
-    try:
-        with reading(path, "a readable DBC file"):
-            database = cantools.database.load_file(path, database_format="dbc")
-    except (DbcError, UnicodeDecodeError) as error:
-        raise InputError(str(path), str(error), "a DBC file") from error
-    assert isinstance(database, Database), "what the dbc format gives"
-    return database
+    return {message.name: _message_layout(message, str(path)) for message in dbc_file.read(path).messages}
 
 
 def _message_layout(message: DbcMessage, path: str) -> MessageLayout:
