@@ -147,7 +147,7 @@ def _frames(combine: VirtualCombine, until_s: float, later_s: float) -> Iterator
 
 
 def _calibrate(known: ParameterSet, told_g: float, rng: np.random.Generator, slope: float) -> WaveformSettings:
-    """Stretch and bias as `status` gives them over one weighed load, whose mass the mean force has been brought to."""
+    """Stretch as `status` gives it over one load, and the bias with which kernel noise gives that load's weighed mass."""
     waveform = replace(WaveformSettings(), shape=pulse_shape_file.load(), enabled=True, kernel_bias_sd=0.02, response_error=0.02,
                        kernel_mass_sd=WEIGHT_SD, kernel_windows=300, **CALIBRATED_SHAPE)  # type: ignore[arg-type]  # fmt: skip
     monitor = _monitor(known, waveform, drives=False, test_weight=False, sweeps=False)
@@ -161,7 +161,8 @@ def _calibrate(known: ParameterSet, told_g: float, rng: np.random.Generator, slo
             stretches.append(window.waveform.stretch)
             biases.append(window.waveform.bias)
     weighed = float(combine.truth.columns["mass_flow_kg_s"].sum()) * (1.0 + TICKET_SD * rng.standard_normal())
-    bias = float(np.nanmedian(biases[-100:])) * measured / weighed
+    # `status` gives the bias that agrees with the mean force, whose own mass of the load is another.
+    bias = float(np.nanmedian(biases[-100:])) * weighed / measured
     return replace(waveform, combine=True, stretch=float(np.nanmedian(stretches)), kernel_bias=bias)
 
 
