@@ -44,6 +44,10 @@ def test_zero_in_grain_is_refused_then_a_fault_and_an_undo_restores_the_mass() -
     assert lost_kg > 300.0
     answer = ask(target, "zero-undo")
     assert answer["restored_kg"] == pytest.approx(lost_kg, abs=25.0)
+    # As if nobody had pressed it, the second in which the zero changed included.
+    untouched = monitor()
+    feed(untouched, run_of([f for f in frames if f.time_s < 1100.0]))
+    assert target.totals.total_kg == pytest.approx(untouched.totals.total_kg, rel=2e-4)
     assert target.totals.total_kg == pytest.approx(14.0 * 79.0, rel=0.03)
     assert target.totals.load_kg == pytest.approx(target.totals.total_kg)
     feed(target, run_of([f for f in frames if f.time_s >= 1100.0]))

@@ -46,8 +46,11 @@ class Conclusion:
         shown = parts.faults.observe_all(conditions(self._observation(reading, flow, seen)), bus_s)
         published = parts.flow_meter.published(flow, plate_rests_at_home=reading.still and reading.at_home)
         record = self._record(bus_s, reading, published, (mass_kg, area_m2), step, seen)
-        if parts.measurement.zero.before is not None:
-            parts.since_zero.add((KeptSecond.of(record),))
+        before = parts.measurement.zero.before
+        if before is not None:
+            kept = KeptSecond.of(record)
+            # The second in which a zero is taken was measured with the one before it.
+            parts.since_zero.add((replace(kept, zero_mv=before.zero_mv) if reading.zero_taken else kept,))
         learnt = learning.learn(window.end_s, record, sweep)
         ended = parts.plate.ended(learning.last_update, learning.estimator.parameters.version)
         zero: tuple[Event, ...] = (ZeroTaken(bus_s, record.zero_mv),) if reading.zero_taken else ()
