@@ -73,12 +73,12 @@ def starts(name: str, rows: observations.Rows, count: int) -> Iterator[tuple[str
 
 
 def diagnosed(rows: observations.Rows, known: ParameterSet) -> dict[str, Any]:
-    """What one run says."""
+    """What one run says; names: of leading candidates too."""
     begin = time.process_time()
     found = diagnosis.examine(rows, known).choice
     return {
         "verdict": found.verdict,
-        "names": sorted(found.named),
+        "names": sorted(step.added for step in found.steps),
         "f_before": found.base.chi2 / found.base.dof,
         "f_after": found.best.chi2 / found.best.dof,
         "cpu_s": round(time.process_time() - begin, 2),
