@@ -33,8 +33,9 @@ Record = dict[str, Any]
 
 
 def read(path: Path) -> list[Record]:
-    """Records of a results file; of older ones, what speaks against a name by today's rules, as far as they kept it."""
-    return [_judged(r) for r in study.read(path)]
+    """Records of a results file, each case by its salt too; of older ones, what speaks against a name by today's rules, as far as
+    they kept it."""
+    return [_judged({**r, "case": f"{r['salt']}/{r['case']}"}) for r in study.read(path)]
 
 
 def _judged(record: Record) -> Record:
