@@ -179,10 +179,12 @@ class Search:
             return f"{tied} effects explain these rows alike"
         gap = lack_of_fit(current, self.noise)
         left = (current.chi2 - current.dof) / self.excess
-        if gap.p_value < self.policy.gap_p or self._unexplained(current):
+        if gap.p_value < self.policy.gap_p:
             return f"F = {gap.f:.2f} is left with it (p = {gap.p_value:.1g}): something else is missing, or stands in its place"
         if left > self.policy.unexplained_share:
             return f"{100.0 * left:.0f} % of the excess is left with it, more than {100.0 * self.policy.unexplained_share:.0f} %"
+        if self._unexplained(current):
+            return f"F = {gap.f:.2f} is left with it, more than what its law may be off explains"
         if current.undone > self.policy.most_undone:
             undone = f"{100.0 * current.undone:.0f} %"
             return f"{undone} of what these effects change they undo among themselves, as terms of a series do"
