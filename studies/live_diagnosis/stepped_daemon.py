@@ -132,17 +132,18 @@ class _CountingDaemon(Daemon):
         """Whether all records are in the store within timeout_s."""
         return self._writer.wait_until_written(timeout_s)
 
-    def _take_message(self, message: can.Message) -> None:
-        super()._take_message(message)
+    def _take_message(self, message: can.Message) -> int:
+        windows = super()._take_message(message)
         self.taken += 1
-        self._tell()
+        self._report()
+        return windows
 
     def _do_reload(self) -> None:
         super()._do_reload()
         self.reloads += 1
-        self._tell()
+        self._report()
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         if self.stepped is not None:
             with self.stepped:
                 self.stepped.notify_all()
