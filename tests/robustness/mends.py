@@ -52,7 +52,7 @@ class Share:
 
 
 SHARES = (
-    Share("simulation", simulation.SIMULATION, 100, 25, 7),
+    Share("simulation", simulation.SIMULATION, 100, 50, 7),
     Share("bus-simulation", bus_simulation.SIMULATION, 9, 8, 2),
     Share("process-simulation", process_simulation.SIMULATION, 10, 4, 1),
     Share("files-simulation", files_simulation.SIMULATION, 24, 4, 1),
