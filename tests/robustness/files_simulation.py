@@ -451,7 +451,7 @@ class _AnyName:
 
 
 MENDS = {
-    "modes of what is saved": mend((5,), saves, lambda: mock.patch.object(parameter_file, "READABLE", None)),
+    "modes of what is saved": mend((5,), saves, lambda: mock.patch.object(whole_file, "READABLE", None)),
     "modes of what is installed": mend((5,), installs, lambda: mock.patch.object(os, "umask", lambda mask: mask)),
     "patterns without backtracking": mend((7,), hostile_lines, lambda: mock.patch.object(candump, "_SCREEN_LINE", _BACKTRACKING)),
     "packages of the lock": mend((11,), installs, _without_lock),
