@@ -16,7 +16,7 @@ MACHINE = Machine()
 
 
 def direct(mass, angle, speed, grain=None, effects=None, cells=800):
-    return throw(MACHINE, grain or Grain(), effects or Effects(), mass, angle, speed, cells)
+    return throw(MACHINE, grain or Grain(), effects or Effects(), mass, angle, speed, cells=cells)
 
 
 def places(count, largest_kg, rpm=(250.0, 600.0)):

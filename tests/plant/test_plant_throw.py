@@ -25,7 +25,7 @@ PUBLISHED = yaml.safe_load((Path(__file__).parents[1] / "data" / "published_tabl
 
 
 def impulse(effects: Effects = NO_EFFECTS, grain: Grain | None = None, mass=0.8, angle_deg=70.0, speed=SPEED, cells=200) -> float:
-    result = throw(MACHINE, grain or Grain(), effects, mass, np.deg2rad(angle_deg), speed, cells)
+    result = throw(MACHINE, grain or Grain(), effects, mass, np.deg2rad(angle_deg), speed, cells=cells)
     return float(result.impulse_n_s.sum())
 
 
@@ -111,7 +111,7 @@ def test_heap_has_the_area_of_its_polygon_and_keeps_it_when_cut(fill, shape_rati
 @settings(max_examples=25, deadline=None)
 def test_no_mass_is_made_or_lost_and_no_more_lands_than_was_thrown(mass, angle_deg, rpm):
     effects = Effects(stream_spread={}, residual_radial_speed={}, miss_capture={"captured_share": 0.3})
-    result = throw(MACHINE, Grain(), effects, mass, np.deg2rad(angle_deg), rpm * RPM, 80)
+    result = throw(MACHINE, Grain(), effects, mass, np.deg2rad(angle_deg), rpm * RPM, cells=80)
     assert result.mass_kg.sum() == pytest.approx(mass, rel=1e-12)
     assert (result.landed_kg >= 0.0).all()
     assert (result.landed_kg <= result.mass_kg * (1 + 1e-12)).all()
@@ -120,7 +120,7 @@ def test_no_mass_is_made_or_lost_and_no_more_lands_than_was_thrown(mass, angle_d
 def test_what_leaks_is_not_thrown():
     leak = Effects(paddle_leakage={"share_at_full": 0.3, "fill_exponent": 1.0})
     fill = 2.0 / full_paddle_kg(MACHINE, Grain(), leak, SPEED)
-    thrown = throw(MACHINE, Grain(), leak, 2.0, 1.2, SPEED, 50).mass_kg.sum()
+    thrown = throw(MACHINE, Grain(), leak, 2.0, 1.2, SPEED, cells=50).mass_kg.sum()
     assert thrown == pytest.approx(2.0 * (1.0 - 0.3 * fill), rel=1e-12)
 
 

@@ -80,7 +80,8 @@ def test_facility_rows_are_throws_per_second_with_the_stated_scatter(default_tab
         speed = rows["elevator_speed_rpm"][i] * RPM
         chain = speed * MACHINE.sprocket_pitch_radius_m
         loads = rows["mass_flow_kg_s"][i] * np.array(MACHINE.paddle_spacings_m) / chain
-        pulses = throw(MACHINE, scenario.crop.grain, scenario.effects, loads, np.deg2rad(rows["plate_angle_deg"][i]), speed, 400)
+        angle_rad = np.deg2rad(rows["plate_angle_deg"][i])
+        pulses = throw(MACHINE, scenario.crop.grain, scenario.effects, loads, angle_rad, speed, cells=400)
         mean = pulses.impulse_n_s.sum() * chain / MACHINE.pattern_length_m
         assert rows["force_n"][i] == pytest.approx(mean, rel=1e-3, abs=4.0 * rows["sigma"][i])
     normal = (rows["force_n"].reshape(-1, 20) - rows["force_n"].reshape(-1, 20).mean(axis=1, keepdims=True)) / rows[
