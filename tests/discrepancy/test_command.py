@@ -53,18 +53,17 @@ def test_the_same_seed_says_the_same_in_any_process(offset_table: Path, capsys) 
 
 @pytest.mark.parametrize(("name", "f_before", "f_after"), [("dem", 12.0, 1.6), ("bench", 12.0, 3.0)])
 def test_published_tables(name: str, f_before: float, f_after: float) -> None:
-    """Two effects close the published model's gap, and are not certain enough to be named: the reader is told what and why."""
+    """Two effects close the published model's gap; how sure their names are is told."""
     # The command's output, as tests/golden holds it.
     found = json.loads(kept.load(f"diagnose-{name}"))
-    assert (found["verdict"], found["effects"]) == ("unknown", [])
-    assert [effect["name"] for effect in found["leading"]] == found["partial"]
-    assert len(found["partial"]) == 2
+    assert found["verdict"] == "effect"
+    assert len(found["effects"]) == 2
     assert found["gap"]["before"]["lack_of_fit_f"] > f_before
-    assert found["gap"]["with_leading"]["lack_of_fit_f"] <= f_after
+    assert found["gap"]["after"]["lack_of_fit_f"] <= f_after
     assert set(found["gap"]["before"]) >= {"rms", "rms_over_max_pct", "lack_of_fit_f", "p_value"}
-    assert set(found["leading"][0]) >= {"name", "stage", "parameters", "confidence", "equivalent"}
-    assert 0.0 < found["leading"][0]["confidence"] < 0.5
-    assert any("not named" in note for note in found["notes"])
+    assert set(found["effects"][0]) >= {"name", "stage", "parameters", "confidence", "equivalent"}
+    assert 0.2 < found["effects"][0]["confidence"] < 0.5
+    assert any("rests on one cell, plate 50 deg and 0.3 kg" in note for note in found["notes"]) == (name == "bench")
     assert found["next_experiment"]["rows"]
     assert set(found["next_experiment"]["rows"][0]) == {"plate_angle_deg", "mass_flow_kg_s", "elevator_speed_rpm"}
 

@@ -197,6 +197,19 @@ def test_a_cause_leaves_no_gap_and_a_small_share(published, left_f, excess, says
     assert bool(found) == bool(says)
 
 
+@pytest.mark.parametrize(("cells", "says"), [((5,), ""), ((5, 20), "something else is missing")])
+def test_one_bad_cell_does_not_speak_against_a_cause(published, cells, says) -> None:
+    base, noise = published({"zero_offset": 4.0})
+    sound = _scaled(fit(base.frame, ("zero_offset",), base.values), 1.0)
+    residual = sound.residual.copy()
+    residual[list(cells)] = 12.0
+    current = replace(sound, residual=residual, chi2=float(residual @ residual))
+    steps = (Step("zero_offset", (), (), 1.0, "zero_offset"),)
+    found = search(base, noise, excess=1e5).against(current, steps)
+    assert says in found
+    assert bool(found) == bool(says)
+
+
 @pytest.mark.parametrize(("sizes", "undone"), [((1.0,), 0.0), ((1.0, 1.0), 0.0), ((1.0, -0.9), 1.0 - 0.01 / 1.81)])
 def test_what_effects_undo_among_themselves(published, monkeypatch, sizes, undone) -> None:
     """Multiples of one change, in the place of what effects do."""

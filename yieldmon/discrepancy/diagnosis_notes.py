@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .gap import lack_of_fit_but_one
 from .noise import Noise
+from .policy import DEFAULT
 from .proof import Proof
 from .selection import Choice
 
@@ -23,6 +25,19 @@ def refuted(names: tuple[str, ...], proof: Proof) -> str:
 def against(choice: Choice) -> str:
     """Why the effects that were found are only leading candidates."""
     return f"{' + '.join(step.added for step in choice.steps)} is not named: {choice.against}"
+
+
+def of_one_cell(choice: Choice, noise: Noise) -> list[str]:
+    """The one cell that a named verdict leaves unexplained, where the gap that is left rests on it."""
+    if choice.verdict != "effect":
+        return []
+    (without, worst), with_it = lack_of_fit_but_one(choice.best, noise), choice.best_gap
+    if with_it.p_value >= DEFAULT.gap_p or without.p_value < DEFAULT.gap_p:
+        return []
+    cells = choice.best.frame.cells
+    load = "kg on a paddle" if cells.rows.load_name == "paddle_mass_kg" else "kg/s"
+    cell = f"plate {np.degrees(cells.plate_angle_rad[worst]):.0f} deg and {cells.load[worst]:.3g} {load}"
+    return [f"what is left rests on one cell, {cell}: without it F = {without.f:.2f} (p = {without.p_value:.1g}); measured well?"]
 
 
 def not_trusted(choice: Choice) -> str:

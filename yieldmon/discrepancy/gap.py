@@ -53,10 +53,26 @@ def lack_of_fit(fit: Fit, noise: Noise, *, laws: bool = True) -> LackOfFit:
     F is against the noise alone, with what the laws of the fit's effects may be off integrated out (not without `laws`). p allows
     for the model's own error as well: its and the noise's mean square together, by their first two moments (Satterthwaite).
     """
-    dof = fit.dof
+    if fit.dof <= 0:
+        return LackOfFit(float("nan"), 1.0)
+    return _tested(fit, noise, fit.marginal(fit.shape_error)[0] if laws else fit.chi2, fit.dof)
+
+
+def lack_of_fit_but_one(fit: Fit, noise: Noise) -> tuple[LackOfFit, int]:
+    """The test without the one cell that lies furthest from the fit, and that cell: one bad reading is no missing effect.
+
+    The fit without it is worked out in the tangent plane (externally studentised residuals, Cook and Weisberg 1982); what
+    the laws of the effects may be off is not allowed for.
+    """
+    leverage = np.sum(np.square(fit.tangent()), axis=1)
+    gain = np.square(fit.residual) / np.maximum(1.0 - leverage, 1e-9)
+    worst = int(np.argmax(gain))
+    return _tested(fit, noise, max(fit.chi2 - float(gain[worst]), 0.0), fit.dof - 1), worst
+
+
+def _tested(fit: Fit, noise: Noise, chi2: float, dof: int) -> LackOfFit:
     if dof <= 0:
         return LackOfFit(float("nan"), 1.0)
-    chi2 = fit.marginal(fit.shape_error)[0] if laws else fit.chi2
     error = model_error.off(fit.own_error, fit.tangent())
     small = error.T @ error
     extra, square = float(np.trace(small)), float(np.sum(small**2))

@@ -85,7 +85,8 @@ def summary(diagnosis: Diagnosis) -> str:
         )
     text = (
         f"The model misses these measurements by {before:.1f} % of the largest reading. "
-        f"{' '.join(_cause(s) for s in _named(diagnosis))} With this the error is {diagnosis.after.rms_over_max_pct:.1f} %"
+        f"{' '.join(_cause(s) for s in _named(diagnosis))}{_doubt(diagnosis)} "
+        f"With this the error is {diagnosis.after.rms_over_max_pct:.1f} %"
     )
     if diagnosis.held_out is not None:
         text += f"; {unseen(diagnosis.held_out)}"
@@ -121,6 +122,14 @@ def _cause(step: Step) -> str:
     names = ", ".join((step.added, *step.equivalent))
     count = 1 + len(step.equivalent)
     return f"Cause, one of {count} that these rows cannot tell apart ({step.confidence:.2f} together): {names}."
+
+
+def _doubt(diagnosis: Diagnosis) -> str:
+    """A sentence on a first name that is likelier wrong than right; "" for one that is not."""
+    confidence = diagnosis.choice.steps[0].confidence
+    if confidence >= 0.5:
+        return ""
+    return f" The names are uncertain: of 100 cases that look like this one the first is right in {100.0 * confidence:.0f}."
 
 
 def unseen(held: HeldOut) -> str:

@@ -30,7 +30,7 @@ from .candidates import (
 )
 from .crossvalidation import grouped_error
 from .fit import Fit, fit
-from .gap import LackOfFit, lack_of_fit
+from .gap import LackOfFit, lack_of_fit, lack_of_fit_but_one
 from .noise import Noise
 from .pairs import screen
 from .policy import DEFAULT, Policy
@@ -179,7 +179,7 @@ class Search:
             return f"{tied} effects explain these rows alike"
         gap = lack_of_fit(current, self.noise)
         left = (current.chi2 - current.dof) / self.excess
-        if gap.p_value < self.policy.gap_p:
+        if gap.p_value < self.policy.gap_p and lack_of_fit_but_one(current, self.noise)[0].p_value < self.policy.gap_p:
             return f"F = {gap.f:.2f} is left with it (p = {gap.p_value:.1g}): something else is missing, or stands in its place"
         if left > self.policy.unexplained_share:
             return f"{100.0 * left:.0f} % of the excess is left with it, more than {100.0 * self.policy.unexplained_share:.0f} %"
