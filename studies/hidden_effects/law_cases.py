@@ -65,8 +65,8 @@ COMBINE: dict[str, tuple[str, float, float]] = {
 }
 
 
-def combine_rows(effects: dict[str, Any], averaging_s: float, rng: np.random.Generator) -> Rows:
-    """270 rows of the virtual combine: 6 angles, 5 flows, 3 speeds, 3 trials.
+def combine_rows(effects: dict[str, Any], averaging_s: float, rng: np.random.Generator) -> tuple[Rows, Grain]:
+    """270 rows of the virtual combine, 6 angles, 5 flows, 3 speeds, 3 trials, and its grain.
 
     With an angle offset the angles are 1 deg less: its table of pulses ends at 94 deg.
     """
@@ -82,13 +82,14 @@ def combine_rows(effects: dict[str, Any], averaging_s: float, rng: np.random.Gen
         averaging_s=averaging_s, trials=3, seed=int(rng.integers(2**31)),
     )  # fmt: skip
     nothing = np.full(len(columns["force_n"]), np.nan)
-    return with_cells(
+    rows = with_cells(
         Rows(
             Machine(), "mass_flow_kg_s", "force", True, np.radians(columns["plate_angle_deg"]),
             columns["elevator_speed_rpm"] * RPM, columns["mass_flow_kg_s"], nothing, columns["force_n"], nothing,
             tuple(f"{t:g}" for t in columns["trial"]), np.zeros(len(nothing), dtype=np.int64),
         )
     )  # fmt: skip
+    return rows, {k: grain[k] for k in ("friction", "restitution")} | {"density": grain["bulk_density_kg_m3"]}
 
 
 #: The discrete-element campaign's hidden effects, from small to large, by how they are put into its recorded impulses.
@@ -111,6 +112,8 @@ TOLD = {
 }
 EXACT = ("gravity", "zero_offset", "plate_angle_offset", "plate_buildup", "heap_shape", "chain_slip", "paddle_wear")
 THIRD = (*g.THIRD_LAWS, *EXACT)
+Grain = dict[str, float]
+"""friction, restitution and density."""
 PAIRED = tuple(name for name in THIRD if name not in ("chain_slip", "paddle_wear"))
 
 
@@ -181,8 +184,9 @@ def engine_rows(name: str, rng: np.random.Generator) -> tuple[Rows, dict[str, fl
     return with_cells(rows), told, size
 
 
-def own_rows(hidden: tuple[str, ...], rng: np.random.Generator, third: bool, shape: float = 2.0) -> Rows:
-    """Rows of the study's own generator by its second or third laws, 1 % noise, each effect scaled to 5 to 20 % of full scale."""
+def own_rows(hidden: tuple[str, ...], rng: np.random.Generator, third: bool, shape: float = 2.0) -> tuple[Rows, Grain]:
+    """Rows of the study's own generator by its second or third laws, and its grain: 1 % noise, each effect scaled to 5 to 20 %
+    of full scale."""
     case = cases.Case("hidden", hidden, int(rng.integers(2**20)), 1.0, "many")
     angle, flow, speed, moisture, trial = cases._design(case, rng)
     grain = g.Grain(float(rng.uniform(0.1, 0.6)), float(rng.uniform(0.3, 0.75)), float(rng.uniform(900.0, 1500.0)), shape)
@@ -205,29 +209,33 @@ def own_rows(hidden: tuple[str, ...], rng: np.random.Generator, third: bool, sha
         Machine(), "mass_flow_kg_s", "force", True, angle, speed, flow, moisture, reading, nothing, trial,
         np.zeros(len(angle), dtype=np.int64),
     ).take(np.isfinite(reading))  # fmt: skip
-    return with_cells(rows)
+    return with_cells(rows), {"friction": grain.friction, "restitution": grain.restitution, "density": grain.density}
 
 
-def rows_of(kind: str, name: str, rng: np.random.Generator) -> tuple[Rows, dict[str, float]]:
-    """Rows of a case and the parameters that are known beforehand."""
+def rows_of(kind: str, name: str, rng: np.random.Generator) -> tuple[Rows, dict[str, float], Grain]:
+    """Rows of a case, the parameters that are known beforehand, and the true ones of its grain, as far as there are any."""
+    gravity = {"gravity.acceleration_m_s2": 9.81}
     if kind == "clean":
-        return combine_rows({}, float(name), rng), {"gravity.acceleration_m_s2": 9.81}
+        rows, grain = combine_rows({}, float(name), rng)
+        return rows, gravity, grain
     if kind == "combine":
         key, small, large = COMBINE[name]
         size = small + (large - small) * float(rng.random())
         average = float(rng.choice(AVERAGES_S[1:4]))
-        return combine_rows({name: {key: size}}, average, rng), {"gravity.acceleration_m_s2": 9.81}
+        rows, grain = combine_rows({name: {key: size}}, average, rng)
+        return rows, gravity, grain
     if kind.startswith("engine"):
         rows, told, _ = engine_rows(name, rng)
-        return rows, told
-    return own_rows(tuple(name.split("+")) if name else (), rng, kind.startswith("third")), {}
+        return rows, told, {}
+    rows, grain = own_rows(tuple(name.split("+")) if name else (), rng, kind.startswith("third"))
+    return rows, {}, grain
 
 
 def record(kind: str, name: str, number: int, salt: int) -> dict[str, Any]:
     """Make and diagnose one case, whatever the confidence in what is named."""
     key = f"{kind}/{name}/{number}"
     rng = np.random.default_rng([zlib.crc32(key.encode()), salt])
-    rows, known = rows_of(kind, name, rng)
+    rows, known, grain = rows_of(kind, name, rng)
     began = time.process_time()
     truth = tuple(name.split("+")) if "clean" not in kind else ()
     options = diagnosis.Options(
@@ -257,6 +265,9 @@ def record(kind: str, name: str, number: int, salt: int) -> dict[str, Any]:
         "share": None if seen.proof is None else [seen.proof.crossed.value, seen.proof.crossed.sd],
         "sealed": None if seen.proof is None or seen.proof.sealed is None else [seen.proof.sealed.value, seen.proof.sealed.sd],
         "worse": [] if seen.proof is None else list(seen.proof.worse),
+        # The grain's parameters: true ones, as the published model fits them, and as the model with the effects does.
+        "grain": {"true": grain}
+        | {what: {k: f.values.get(k) for k in grain} for what, f in (("published", choice.base), ("fitted", choice.best))},
         "cpu_s": time.process_time() - began,
     }
 

@@ -1,10 +1,11 @@
 """Tables from the cases of `law_cases`, and the map of confidence that ships.
 
-    python -m studies.hidden_effects.law_report RESULTS.jsonl... [--page STUDY.md] [--ship]
+    python -m studies.hidden_effects.law_report RESULTS.jsonl... [--shipped] [--page STUDY.md] [--ship]
 
 A confidence is only judged on causes that it was not learnt on: names in a case get theirs from the cases, of all
 generators, that hide none of its effects (leave-law-out); beside it, from the cases of the other generators alone. A map is
 learnt on candidates that were not named too, so that it speaks of them as well.
+--shipped: confidences by the map that ships, for cases that it was not learnt on.
 --page rewrites the part of a page between `<!-- laws -->` and `<!-- /laws -->`. --ship writes the map learnt on all generators.
 """
 
@@ -111,18 +112,31 @@ def crossed(records: Sequence[Record], of: Callable[[Record], frozenset[str]] = 
     return out
 
 
+def by_shipped(records: Sequence[Record]) -> dict[str, list[tuple[float, float]]]:
+    """For each case its steps' confidences (within, name) by the map that ships."""
+    by, out = confidence.shipped(), {}
+    for r in records:
+        if r["classes"]:
+            rows = confidence.as_rows(r["features"])
+            within = by.within(rows)
+            names = within * np.where([len(c) > 1 for c in r["classes"]], by.name(rows), 1.0)
+            out[r["case"]] = [(float(w), float(n)) for w, n in zip(within, names, strict=True)]
+    return out
+
+
 def named(record: Record, stated: dict[str, list[tuple[float, float]]]) -> bool:
     """Whether a case's verdict names an effect, doubtful ones left out."""
     return record["verdict"] == "effect" and stated[record["case"]][0][0] >= Policy().least_confidence
 
 
-def table(records: Sequence[Record]) -> list[str]:
+def table(records: Sequence[Record], *, by_map_that_ships: bool = False) -> list[str]:
     """The page's part, as Markdown."""
-    stated = crossed(records)
+    stated = by_shipped(records) if by_map_that_ships else crossed(records)
+    how = "by the map that ships" if by_map_that_ships else "from the cases of other causes"
     commits = ", ".join(sorted({r["commit"] for r in records}))
     salts = ", ".join(sorted({str(r["salt"]) for r in records}))
     lines = [
-        f"{len(records)} cases, salt {salts}, commit {commits}; each name's confidence from the cases of other causes.",
+        f"{len(records)} cases, salt {salts}, commit {commits}; each name's confidence {how}.",
         f"Visible: the published model leaves {law_cases.VISIBLE:g} sd or more. Within: in the first class, of at most",
         f"{LARGEST_CLASS}.",
         "",
@@ -228,11 +242,12 @@ def provenance(records: Sequence[Record]) -> dict[str, Any]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("results", type=Path, nargs="+")
+    parser.add_argument("--shipped", action="store_true", help="confidences by the map that ships")
     parser.add_argument("--page", type=Path, help="page to rewrite")
     parser.add_argument("--ship", action="store_true", help="write the map that yieldmon uses")
     args = parser.parse_args()
     records = [r for path in args.results for r in read(path)]
-    text = "\n".join(table(records))
+    text = "\n".join(table(records, by_map_that_ships=args.shipped))
     print(text)
     if args.page is not None:
         before, _, rest = args.page.read_text(encoding="utf-8").partition("<!-- laws -->")

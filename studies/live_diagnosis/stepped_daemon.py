@@ -112,9 +112,9 @@ class _CountingDaemon(Daemon):
         self.stepped: threading.Condition | None = None
         submit = self.transmitter.submit
 
-        def counted(message: can.Message) -> None:
-            self.submitted += 1
-            submit(message)
+        def counted(*messages: can.Message) -> None:
+            self.submitted += len(messages)
+            submit(*messages)
 
         self.transmitter.submit = counted  # type: ignore[method-assign]
 

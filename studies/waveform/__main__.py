@@ -3,6 +3,7 @@
     python -m studies.waveform information --draws 1000   # Fisher information, and the estimator's scatter
     python -m studies.waveform fill                       # volume flow from discrete-element pulses, loads and angles left out
     python -m studies.waveform attempts                   # what limits that
+    python -m studies.waveform edges                      # the same with pulses of loads and angles around those judged
     python -m studies.waveform kernels                    # kernel noise in discrete-element forces
     python -m studies.waveform verdicts                   # what the daemon says of kernel noise, by cell
     python -m studies.waveform hidden                     # effects that the model does not know, through the monitor
@@ -44,6 +45,12 @@ def _attempts(args: argparse.Namespace) -> Any:
     from studies.waveform import attempts
 
     return attempts.report()
+
+
+def _edges(args: argparse.Namespace) -> Any:
+    from studies.waveform import edges
+
+    return edges.report()
 
 
 def _kernels(args: argparse.Namespace) -> Any:
@@ -114,7 +121,7 @@ def _pack(args: argparse.Namespace) -> Any:
 _PARTS = {
     "information": _information, "fill": _fill, "attempts": _attempts, "kernels": _kernels, "hidden": _hidden, "cost": _cost,
     "pictures": _pictures, "season": _season, "daemon-season": _daemon_season, "verdicts": _verdicts, "shape": _shape,
-    "pack": _pack,
+    "pack": _pack, "edges": _edges,
 }  # fmt: skip
 
 

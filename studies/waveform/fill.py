@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import gzip
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,11 +25,13 @@ from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
 
 Array = NDArray[np.float64]
+Edges = Callable[[tuple[float, float, float, float]], bool]
 DATA = Path(__file__).resolve().parents[2] / "tests" / "data" / "dem_campaign_forces.csv.gz"
 LOADS_KG = (0.2, 0.5, 0.9, 1.3, 1.8)
 FRICTIONS = (0.3, 0.15)
 TABLES = tuple((rpm, friction) for rpm in (400.0, 500.0) for friction in FRICTIONS)
 FOLDER = Path(__file__).resolve().parent
+EDGES = FOLDER / "edge_forces.csv.gz"
 FORCES = FOLDER / "kernel_forces.npz"
 OTHER_RPM = 400.0
 ANGLES_DEG = (40.0, 55.0, 70.0, 80.0, 90.0)
@@ -39,11 +42,14 @@ CELL_S = 0.008
 MACHINE = replace(Machine(), paddle_spacings_m=(Machine().paddle_spacing_m,))
 
 
-def histories() -> dict[tuple[float, float, float, float], Array]:
-    """Force over time (n, 2) of the first seed by (rpm, friction, load, plate angle); time from the paddle's pointing up."""
+def histories(file: Path = DATA) -> dict[tuple[float, float, float, float], Array]:
+    """Force over time (n, 2) of the first seed by (rpm, friction, load, plate angle); time from the paddle's pointing up.
+
+    file: a campaign's forces at 1 kHz: the reference campaign, or `EDGES`, loads and plate angles around it.
+    """
     rows: dict[tuple[float, float, float, float], list[tuple[float, float]]] = defaultdict(list)
     lead = TOP_RAD - start_angle_rad(Throw(paddle_mass_kg=1.0))
-    with gzip.open(DATA, "rt", encoding="utf-8") as stream:
+    with gzip.open(file, "rt", encoding="utf-8") as stream:
         for row in csv.DictReader(stream):
             if row["trial"] == "1":
                 rpm = float(row["elevator_speed_rpm"])
@@ -85,13 +91,17 @@ class Judge:
     """Estimates by arrival laws that have not seen what is judged.
 
     pooled: one law over speeds and frictions; else one for each of them, of five terms. left_out: the judged load, the judged
-    plate angle, or all pulses that have either.
+    plate angle, or all pulses that have either. edges: which pulses of `EDGES` it is
+    calibrated on as well, by (rpm, friction, load, plate angle); they are not judged.
     """
 
-    def __init__(self, model_error: float, indexed: bool, pooled: bool, left_out: str = "both") -> None:
+    def __init__(
+        self, model_error: float, indexed: bool, pooled: bool, left_out: str = "both", edges: Edges | None = None
+    ) -> None:
         self._pooled, self._left_out, self._indexed = pooled, left_out, indexed
         self._models = {f: pulse_model(f, model_error, indexed) for f in FRICTIONS}
-        self.waves = {key: wave(history, key[0], key[3]) for key, history in histories().items() if key[2] in LOADS_KG}
+        known = histories() | ({k: v for k, v in histories(EDGES).items() if edges(k)} if edges else {})
+        self.waves = {key: wave(history, key[0], key[3]) for key, history in known.items()}
         self._points = {
             key: arrival_point(self._models[key[1]], shown, volume_flow_m3_s(key[2], key[0])) for key, shown in self.waves.items()
         }

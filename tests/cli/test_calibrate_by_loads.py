@@ -82,12 +82,23 @@ def test_three_loads_calibrate_and_a_fourth_of_another_truck_is_named(loads, tmp
     assert code == 0 or out.read_bytes() == stamp
 
 
+def test_two_loads_that_contradict_each_other_are_refused_with_what_to_do(loads, tmp_path, capsys):
+    logs, masses = loads
+    rows = [("load1", masses[0]), ("load3", masses[2])]
+    assert main(["calibrate", "--loads", logs[0], logs[2], "--tickets", tickets(tmp_path, rows)]) == 1
+    shown = capsys.readouterr().out
+    assert "refused" in shown
+    assert "weigh a third, at another flow" in shown
+
+
 @pytest.mark.parametrize(
     ("header", "row", "problem"),
     [
         ("load,weighed_kg", "9,1000", "line 2, load: is 9, no load that was measured; expected 1 to 2"),
         ("load,weighed", "1,1000", "header: weighed has no unit; expected weighed_kg, weighed_t or weighed_lb"),
         ("load,weighed_kg", "1,tons", "line 2, weighed_kg: is 'tons'; expected a number"),
+        ("load,weighed_kg", '1,"1,076.1"', "weighed_kg: is '1,076.1'; expected a number, without unit or thousands separator"),
+        ("load,weighed_kg", "1,306 kg", "weighed_kg: is '306 kg'; expected a number, without unit or thousands separator"),
         ("load,weighed_t", "1,9000", "line 2, weighed_t: is 9e+06 kg"),
         ("weighed_kg", "700", "header: has no column load"),
         ("load,weighed_kg,std_dev_kg", "1,700,0", "std_dev_kg: is 0 kg; expected above 0"),

@@ -184,3 +184,18 @@ def test_a_log_whose_plate_stays_at_home_has_no_fault_about_commands_that_nobody
     assert json.loads(out)["faults"] == {}
     states = {row.operating_state for row in read_seconds(tmp_path / "out.csv") if row.mass_kg > 0.0}
     assert states == {OperatingState.HARVESTING}
+
+
+def test_a_bus_log_in_a_database_is_no_store(capsys, tmp_path) -> None:
+    (tmp_path / "s.yaml").write_text(
+        json.dumps({"duration_s": 12, "flow": {"pieces": [{"kind": "steady", "duration_s": 12, "flow_kg_s": 9}]}})
+    )
+    found = {}
+    for suffix in (".log", ".db"):
+        log = str(tmp_path / f"day{suffix}")
+        assert main(["simulate", "--scenario", str(tmp_path / "s.yaml"), "--seed", "1", "--log", log]) == 0
+        capsys.readouterr()
+        assert main(["process", log, "--out", str(tmp_path / f"{suffix[1:]}.csv"), "--zero-mv", "500", "--json"]) == 0
+        found[suffix] = json.loads(capsys.readouterr().out)
+    assert found[".db"]["total_mass_kg"] == pytest.approx(found[".log"]["total_mass_kg"], rel=1e-5)
+    assert found[".db"]["total_mass_kg"] > 50.0

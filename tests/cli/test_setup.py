@@ -110,6 +110,10 @@ def test_what_is_written_passes_check_config(tmp_path, capsys, changes):
             "cell_full_scale_mv: gain_n_per_mv 0.502647 times full_scale_mv 10000 is 5026 N",
         ),
         ({"crop": "oats"}, "expected one of corn"),
+        ({"bus_interface": "socket-can"}, "bus_interface: is 'socket-can'; expected socketcan"),
+        ({"bus_interface": "carrier pigeon"}, "bus_interface: is 'carrier pigeon'; expected one of canalystii"),
+        ({"machine_name": ["old", "green"]}, "machine_name: is ['old', 'green']; expected a word"),
+        ({"cell_full_scale_mv": 600}, "cell_full_scale_mv: is 600, but a weight reads 695.1 mV; expected at least 695.1 mV"),
     ],
 )
 def test_a_wrong_number_is_named_in_one_line_and_nothing_is_written(tmp_path, capsys, monkeypatch, changes, problem):
@@ -121,6 +125,37 @@ def test_a_wrong_number_is_named_in_one_line_and_nothing_is_written(tmp_path, ca
     assert err.count("\n") == 1
     assert problem in err
     assert not list(out.glob("*")) if out.exists() else True
+
+
+@pytest.mark.parametrize(
+    ("changes", "key", "meant"),
+    [
+        ({"bus_interface": "SocketCAN"}, "bus_interface", "socketcan"),
+        ({"cell_readings_mv": "500,597.6,695.1"}, "cell_readings_mv", [500.0, 597.6, 695.1]),
+        ({"cell_weights_kg": "0,5,10"}, "cell_weights_kg", [0.0, 5.0, 10.0]),
+        ({"cell_readings_mv": "500; 597,6; 695,1"}, "cell_readings_mv", [500.0, 597.6, 695.1]),
+        ({"paddle_spacings_m": "0,19"}, "paddle_spacings_m", [0.19]),
+    ],
+)
+def test_answers_are_taken_as_people_write_them(tmp_path, capsys, changes, key, meant):
+    assert main(["setup", "--answers", answers(tmp_path, **changes), "--out", str(tmp_path / "new"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["answers"][key] == meant
+
+
+def test_a_word_without_a_value_is_no_word(tmp_path, capsys):
+    path = Path(answers(tmp_path, bus_channel=None))
+    path.write_text(path.read_text() + "bus_channel:\n")
+    assert main(["setup", "--answers", str(path), "--out", str(tmp_path / "new")]) == 2
+    assert "bus_channel: is None; expected a word" in capsys.readouterr().err
+
+
+def test_a_folder_in_the_place_of_one_file_keeps_the_others(tmp_path, capsys):
+    new = tmp_path / "new"
+    (new / "wheat.yaml").mkdir(parents=True)
+    (new / "machine.yaml").write_text("mine")
+    assert main(["setup", "--answers", answers(tmp_path), "--out", str(new), "--force"]) == 2
+    assert "wheat.yaml: is a folder" in capsys.readouterr().err
+    assert (new / "machine.yaml").read_text() == "mine"
 
 
 def test_files_are_for_the_services_user_whatever_the_umask(tmp_path, capsys):

@@ -13,6 +13,7 @@ from yieldmon.engine.inputs import Inputs
 from yieldmon.engine.loads import Loads
 from yieldmon.engine.runs import run_of
 from yieldmon.engine.settings import EngineSettings, InputSettings, TotalsSettings
+from yieldmon.engine.since_zero import MissedMass
 from yieldmon.engine.sources import DEFAULT_SOURCES
 from yieldmon.frames import Frame
 from yieldmon.physics.machine import RPM
@@ -61,13 +62,16 @@ def test_dry_mass_is_counted_at_the_market_moisture_that_was_set(given: float | 
 
 
 def test_missed_mass_joins_its_own_load_and_no_other() -> None:
+    def missed(kg: float) -> MissedMass:
+        return MissedMass().plus(kg, None, area_known=True)
+
     loads = Loads(EngineSettings())
     loads.begin(0.0)
-    assert loads.correct({1: 100.0}) == ()
+    assert loads.correct({1: missed(100.0)}) == ()
     loads.start(10.0)
-    loads.correct({2: 50.0})
+    loads.correct({2: missed(50.0)})
     loads.start(20.0)
-    corrected = [event.load for event in loads.correct({1: 5.0, 2: -60.0, 3: 7.0})]
+    corrected = [event.load for event in loads.correct({1: missed(5.0), 2: missed(-60.0), 3: missed(7.0)})]
     assert [(load.number, load.measured_kg, load.unknown_moisture_kg) for load in corrected] == [(1, 105.0, 105.0), (2, 0.0, 0.0)]
     assert [(load.number, load.measured_kg) for load in loads.all] == [(1, 105.0), (2, 0.0), (3, 7.0)]
     assert (loads.totals.total_kg, loads.totals.total_unknown_moisture_kg) == (102.0, 102.0)

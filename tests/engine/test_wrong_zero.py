@@ -81,6 +81,55 @@ def test_a_sweep_that_was_asked_for_is_still_wanted_after_a_reload() -> None:
     assert not successor(monitor(), configuration.load(shipped("config/yieldmon.yaml"), {}), None, 1.7e9).sweep.requested
 
 
+def test_a_wrong_zero_that_is_taken_again_is_still_undone_to_the_good_one() -> None:
+    frames, target, untouched = BENCH.frames(90), monitor(), monitor()
+    feed(untouched, run_of(frames))
+    feed(target, run_of([f for f in frames if f.time_s < 1041.0]))
+    ask(target, "zero", force=True)
+    feed(target, run_of([f for f in frames if 1041.0 <= f.time_s < 1060.0]))
+    ask(target, "zero", force=True)
+    feed(target, run_of([f for f in frames if f.time_s >= 1060.0]))
+    assert FaultCode.ZERO_DRIFTED in target.faults.active
+    assert target.totals.total_kg < 0.7 * untouched.totals.total_kg
+    ask(target, "zero-undo")
+    assert target.totals.total_kg == pytest.approx(untouched.totals.total_kg, rel=2e-3)
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_a_zero_asked_for_at_rest_is_not_taken_in_the_grain_that_comes(force: bool) -> None:
+    bench = Bench(
+        flow=lambda t: 14.0 if 1020.0 <= t < 1060.0 else 0.0,
+        rpm=lambda t: 0.0 if 1022.0 <= t < 1030.0 else 400.0,
+        scatter=0.05,
+        noise_mv=2.0,
+    )
+    frames, target, untouched = bench.frames(80), monitor(), monitor()
+    feed(untouched, run_of(frames))
+    feed(target, run_of([f for f in frames if f.time_s < 1028.0]))
+    assert ask(target, "zero", force=force)["zero"].startswith("started")
+    feed(target, run_of([f for f in frames if 1028.0 <= f.time_s < 1055.0]))
+    # Forced it is taken, and a fault says that it is wrong; else it waits, and the mass goes on being counted.
+    assert (FaultCode.ZERO_DRIFTED in target.faults.active) is force
+    assert ("the paddles throw pulses" in target.zero_waits_for) is not force
+    if force:
+        return
+    feed(target, run_of([f for f in frames if f.time_s >= 1055.0]))
+    assert target.zero_waits_for == ""
+    assert target.totals.total_kg == pytest.approx(untouched.totals.total_kg, rel=1e-3)
+
+
+def test_zero_just_after_the_grain_says_so() -> None:
+    bench, target = Bench(flow=lambda t: 14.0 if 1020.0 <= t < 1030.0 else 0.0, noise_mv=2.0), monitor()
+    refusals = []
+    for frame in bench.frames(60):
+        target.feed(frame)
+        if frame.time_s > 1030.0 and target.signs_of_grain:
+            refusals.append(target.signs_of_grain)
+    assert "there was some in the last seconds" in refusals
+    assert not [signs for signs in refusals if "pulses of 0 mV" in signs]
+    assert target.signs_of_grain == ""
+
+
 def test_zero_with_the_elevator_empty_is_taken() -> None:
     target = monitor()
     frames = Bench(noise_mv=2.0).frames(60)

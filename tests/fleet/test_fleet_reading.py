@@ -71,6 +71,25 @@ def test_report(season: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "2026-10-02" in text
 
 
+def test_report_names_damaged_logs_and_those_counted_twice(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source, out = tmp_path / "tree", str(tmp_path / "out")
+    whole = logs.text(60.0)
+    for name, text in (("m0/d1/a.log", whole), ("m0/d2/b c.log", whole), ("m1/d1/a.log", whole.replace("\n", "\ngarbage\n", 1))):
+        path = source / name
+        path.parent.mkdir(parents=True)
+        path.write_text(text)
+    assert measure(source, out) == 0
+    capsys.readouterr()
+    assert main(["fleet", "report", out, "--html", str(tmp_path / "r.html")]) == 0
+    said = capsys.readouterr().err.splitlines()
+    assert said == [
+        "doubtful: m0 d2: b c.log holds the same as m0 d1 a.log, and is counted again",
+        "doubtful: m1 d1: damaged: a.log:2: 'garbage' is no candump line",
+    ]
+    text = (tmp_path / "r.html").read_text()
+    assert all(line.partition(" ")[2].replace("'", "&#x27;") in text for line in said)
+
+
 def test_report_counts_faults(season: Path) -> None:
     days = summarise(str(season / "first"))["days"]
     machines = summarise(str(season / "first"))["machines"]

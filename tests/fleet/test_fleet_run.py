@@ -180,6 +180,19 @@ def test_loads_and_tickets(tmp_path: Path) -> None:
     assert [name for name, _ in json.loads(known["logs"])] == ["a.log", "b.log.gz", "c.log"]
 
 
+def test_logs_outside_the_folders_of_days_are_named(tmp_path: Path) -> None:
+    inside = {"m 0/d1/a.log"}
+    left_out = {"a.log", "m 0/b.log.gz", "m 0/d1/notes.txt"}
+    for name in (*inside, *left_out, "m 0/config.yaml", "readme.txt"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("")
+    for name in ("m 0/d2", "m1"):
+        (tmp_path / name).mkdir()
+    found = manifest.load(str(tmp_path))
+    assert [partition.logs for partition in found.partitions] == [(str(tmp_path / name),) for name in inside]
+    assert {Path(path).relative_to(tmp_path).as_posix() for path in found.left_out} == {*left_out, "m 0/d2", "m1"}
+
+
 def test_a_manifest_is_a_tree_in_a_table(tree: Path, tmp_path: Path) -> None:
     table = tmp_path / "fleet.csv"
     rows = [f"{m},{d},{tree / m / d / 'a.log'}" for m in ("m0", "m1") for d in ("2026-10-01", "2026-10-02")]

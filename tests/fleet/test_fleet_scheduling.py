@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
@@ -106,3 +107,17 @@ def test_what_the_client_has_no_word_for_is_raised(at_once: None, monkeypatch: p
 
 def _ignore(_: Any) -> None:
     """Of no interest."""
+
+
+def test_workers_are_begun_without_the_terminals_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:
+    held = []
+
+    def started(**_: object) -> None:
+        held.append(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ()))
+        raise RuntimeError("no processes")
+
+    monkeypatch.setattr(distributed, "LocalCluster", started)
+    with pytest.raises(OSError, match="no processes"):
+        run_all(tasks(1), Cluster(workers=2), lambda outcome: None, lambda line: None)
+    assert held == [True]
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())

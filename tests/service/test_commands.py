@@ -84,7 +84,10 @@ def test_a_ticket_for_another_crop_than_the_one_in_use_teaches_nothing() -> None
     request = {"command": "ticket", "first_load": 1, "mass_kg": 3100.0}
     answer = commands.execute(request, monitor, known, 1.7e9)
     assert (answer["anchor"], monitor.tickets) == (False, [])
-    assert answer["why_no_anchor"] == "a load of corn; the parameters in use are those of wheat"
+    assert (
+        answer["why_no_anchor"]
+        == "a load of corn; the parameters in use are those of wheat; `yieldmon calibrate --loads` learns from it"
+    )
 
 
 def test_the_newest_ticket_of_a_load_counts() -> None:

@@ -108,6 +108,14 @@ def test_an_unknown_group_is_told(tmp_path):
         ControlServer(tmp_path / "s.sock", "no-such-group", answer)
 
 
+def test_a_file_is_no_socket_and_stays(tmp_path):
+    path = tmp_path / "harvest.csv"
+    path.write_text("kept")
+    with pytest.raises(InputError, match=r"status\.socket: .*harvest\.csv: is a file; it is left as it is"):
+        ControlServer(path, None, lambda request: {})
+    assert path.read_text() == "kept"
+
+
 def test_a_socket_left_by_an_earlier_run_is_replaced(tmp_path):
     path = tmp_path / "s.sock"
     with socket.socket(socket.AF_UNIX) as left:

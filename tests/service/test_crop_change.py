@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.files.crops import crop
 from yieldmon.resources import shipped
@@ -44,6 +45,36 @@ def test_a_crop_is_measured_with_its_own_parameters_and_comes_back_to_what_was_l
         remembered = recall(store)
     assert remembered.of_crop["wheat"].values["friction"] == 0.3
     assert {"wheat", "barley"} <= set(remembered.of_crop)
+
+
+def test_a_calibration_undone_under_another_crop_is_undone_for_its_own(tmp_path):
+    monitor, journal = started()
+    load(monitor, journal, "wheat")
+    shipped_wheat, before = monitor.estimator.parameters.values, monitor.estimator.parameters
+    learnt = replace(before, values={**before.values, "friction": 0.3}, version=before.version + 1)
+    monitor.set_estimator(type(monitor.estimator)(monitor.estimator.model, learnt), 0.0)
+    journal.parameters.use(learnt, "ticket", tickets=(1,))
+    load(monitor, journal, "barley")
+    barley = monitor.estimator.parameters
+
+    def undo(version):
+        return commands.execute({"command": "calibration-undo", "version": version}, monitor, journal, 1.7e9)
+
+    with pytest.raises(InputError, match=r"is a change of crop; expected a calibration, or `yieldmon load start --crop NAME`"):
+        undo(barley.version)
+    answer = undo(learnt.version)
+    assert (answer["undone"], answer["crop"]) == (learnt.version, "wheat")
+    assert monitor.estimator.parameters.values == barley.values == crop("barley").parameters().values
+    assert monitor.estimator.parameters.version == answer["version"]
+    with Store(tmp_path / "s.sqlite") as store:
+        store.commit([journal.batch(monitor, 1.7e9, {})])
+        remembered = recall(store)
+    assert remembered.parameters.values == barley.values
+    assert remembered.of_crop["wheat"].values == shipped_wheat
+    load(monitor, journal, "wheat")
+    assert monitor.estimator.parameters.values == shipped_wheat
+    with pytest.raises(InputError, match="is undone already"):
+        undo(learnt.version)
 
 
 def test_a_calibration_of_ones_own_is_only_named():

@@ -14,7 +14,7 @@ from yieldmon import frames
 from yieldmon.errors import InputError
 from yieldmon.service import configuration
 from yieldmon.service.daemon import Daemon
-from yieldmon.service.ownership import owned
+from yieldmon.service.ownership import Ownership
 from yieldmon.service.recovery import recover
 from yieldmon.service.retention import DEFAULT_RETENTION
 from yieldmon.service.store import Store
@@ -69,7 +69,7 @@ def test_a_second_daemon_on_the_same_store_is_refused(tmp_path):
         bench.play(3, GRAIN_MV)
         bench.played()
         assert bench.faults == {}
-    with owned(tmp_path / "yieldmon.sqlite"):
+    with Ownership(tmp_path / "yieldmon.sqlite"):
         pass
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import shutil
 import sqlite3
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -398,6 +399,32 @@ def test_damaged_seconds_are_left_out_of_an_export_and_told(path, tmp_path):
     assert bad == [7, 9]
 
 
+@pytest.mark.parametrize("length", [100, 512])
+def test_zeroed_cells_bring_no_other_seconds_unsaid(path: Path, length: int) -> None:
+    """Where its cells begin SQLite takes zeros for rows of number 0 with every column's default, checksum included."""
+    content, said = path.read_bytes(), 0
+    for page in range(4096, len(content), 4096):
+        at = page + int.from_bytes(content[page + 5 : page + 7], "big")
+        path.write_bytes(content[:at] + bytes(length) + content[at + length :])
+        try:
+            with Store.reading(path) as store:
+                numbers = [row.number for row in store.seconds()]
+        except (StoreDamagedError, InputError):
+            said += 1
+        else:
+            assert numbers == list(range(1, 41)), f"page at {page}"
+    assert said > 2
+
+
+def test_a_store_that_was_never_committed_to_is_mended_like_any_other(tmp_path: Path) -> None:
+    """Without a commit nothing but the note of its beginning says that the bytes were ours."""
+    path = tmp_path / "new.sqlite"
+    recover(path, Retention(), lambda: Store(path))
+    path.write_bytes(random.Random(1).randbytes(4096) + path.read_bytes()[4096:])
+    found = recover(path, Retention(), lambda: Store(path))
+    assert (found.memory.last_second, "set aside as new.sqlite.damaged" in found.note) == (0, True)
+
+
 @pytest.mark.parametrize("value", [10**20, -(10**30)])
 def test_numbers_too_large_for_the_store_are_refused_and_block_nothing(path, value):
     writer = StoreWriter(lambda: Store(path), 100, path=path)
@@ -485,19 +512,23 @@ def test_a_schema_that_is_no_text_is_refused_by_readers(path: Path) -> None:
         read_only(path).close()
 
 
-def test_removed_files_that_cannot_be_written_anew_yet_stay_open(path: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("put_there", [lambda place: place.write_bytes(b""), lambda place: place.symlink_to(place)])
+def test_removed_files_that_cannot_be_written_anew_yet_stay_open(
+    path: Path, tmp_path: Path, put_there: Callable[[Path], object]
+) -> None:
     """What the connection sees is nowhere else: it is kept until there is a place for it."""
+    place = tmp_path / "place"
+    place.mkdir()
+    path = path.rename(place / path.name)
     writer = StoreWriter(lambda: Store(path), 100, path=path)
     writer.submit(batch(41))
     assert writer.work()
-    for part in parts(path):
-        part.unlink(missing_ok=True)
-    in_the_way = tmp_path / "s.sqlite.being-made"
-    in_the_way.mkdir()
+    shutil.rmtree(place)
+    put_there(place)
     writer.submit(batch(42))
     assert not writer.work()
     assert "removed while in use" in (writer.health().failing or "")
-    in_the_way.rmdir()
+    place.unlink()
     assert writer.work()
     assert writer.work()
     writer.close()

@@ -52,20 +52,21 @@ def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
         start(tmp_path / "yieldmon.sqlite")
 
 
-def test_a_pipe_where_commits_are_noted_is_not_waited_for(tmp_path):
+def test_a_pipe_where_commits_are_noted_makes_way(tmp_path):
     path = tmp_path / "yieldmon.sqlite"
     os.mkfifo(tmp_path / "yieldmon.sqlite.last")
     start(path)
     with Store(path) as store:
         store.commit([Batch(1, 1.0, {})])
-    assert witnessed(path) == 0
+    assert witnessed(path) == 1
 
 
 def test_a_folder_in_the_place_of_the_journal_stops_no_measuring(tmp_path):
     path = tmp_path / "yieldmon.sqlite"
     (tmp_path / "yieldmon.sqlite-wal").mkdir()
     found = recover(path, Retention(), lambda: Store(path))
-    assert (found.made, found.memory.engine) == (False, None)
+    assert (found.made, found.memory.engine) == (True, None)
+    assert (tmp_path / "yieldmon.sqlite-wal.in-the-way").is_dir()
 
 
 @pytest.mark.parametrize("content", [None, b"", b"\0" * 4096])

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.service.test_posting import MACHINE, known, rows
+from yieldmon.cli.main import main
+from yieldmon.files import parameter_file
 from yieldmon.files.ticket_file import WeighedTicket
 from yieldmon.physics.model import ForwardModel
+from yieldmon.service.batch import Batch, Load, ParameterVersion
+from yieldmon.service.store import Store
 from yieldmon.service.weighed_loads import force_columns, loads_of, match
 
 OF_MOISTURE = ForwardModel(MACHINE, ("moisture_dependence",)).effect_parameters
@@ -43,3 +48,45 @@ def test_the_scatter_of_a_loads_seconds_is_its_own(scatter_kg_s: tuple[float | N
     seconds = [replace(r, noise_std_dev_kg_s=kg_s) for r, kg_s in zip(rows(1, 0.0, seconds=2), scatter_kg_s, strict=True)]
     (load,) = match(loads_of(seconds, {1: known()}), [WeighedTicket("1", "1", 20.0, 0.1, "line 2")], MACHINE)
     assert load.noise_sd == pytest.approx(noise_sd)
+
+
+def stored(folder: Path) -> Path:
+    """Loads 1 and 2 of corn, 3 of wheat, 4 of corn and open; another load of wheat, 5, is the newest."""
+    crops = {1: "corn", 2: "corn", 3: "wheat", 4: "corn", 5: "wheat"}
+    found = [row for n, crop in crops.items() for row in rows(n, 10.0 * n, version=1 + (crop == "wheat"), flow=6.0 + n)]
+    wheat = replace(known(2, 900.0), provenance={"crop": "wheat"})
+    with Store(folder / "s.sqlite") as store:
+        batch = Batch(
+            1,
+            100.0,
+            {},
+            tuple(replace(row, number=i) for i, row in enumerate(found, 1)),
+            tuple(Load(n, "", crop, 10.0 * n, None if n == 4 else 10.0 * n + 5.0, 50.0, None) for n, crop in crops.items()),
+            parameter_versions=tuple(
+                ParameterVersion(p.version, 0.0, "file", parameter_file.to_document(p)) for p in (known(), wheat)
+            ),
+        )
+        store.commit([batch])
+    return folder / "s.sqlite"
+
+
+@pytest.mark.parametrize(
+    ("tickets", "said"),
+    [
+        ("1,36\n3,50", "line 3, load: load 3 is of wheat, load 1 of corn; expected the tickets of one crop in a file"),
+        ("2-3,90", "line 2, load: load 3 is of wheat, load 2 of corn; expected the tickets of one crop in a file"),
+        ("1,36\n4,50", "line 3, load: load 4 is still open, so more grain may come; expected `yieldmon load stop` first"),
+    ],
+)
+def test_tickets_of_two_crops_or_of_the_open_load_are_refused(tmp_path, capsys, tickets: str, said: str) -> None:
+    (tmp_path / "t.csv").write_text(f"load,weighed_kg\n{tickets}\n")
+    assert main(["calibrate", "--loads", str(stored(tmp_path)), "--tickets", str(tmp_path / "t.csv")]) == 2
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("load", "density"), [(1, 800.0), (3, 900.0)])
+def test_a_crops_tickets_move_that_crops_parameters(tmp_path, capsys, load: int, density: float) -> None:
+    (tmp_path / "t.csv").write_text(f"load,weighed_kg\n{load},{5.0 * (6.0 + load)}\n")
+    words = ["--tickets", str(tmp_path / "t.csv"), "--out", str(tmp_path / "new.yaml")]
+    assert main(["calibrate", "--loads", str(stored(tmp_path)), *words]) == 0
+    assert parameter_file.load(tmp_path / "new.yaml").values["density"] == pytest.approx(density, rel=1e-3)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 from pathlib import Path
 
 import can
@@ -80,18 +80,20 @@ class Codec:
         entry = self._entry(arbitration_id)
         return entry[0] if entry is not None else None
 
-    def decode(self, message: can.Message) -> Frame | None:
+    def decode(self, message: can.Message, wanted: Container[str] | None = None) -> Frame | None:
         """A message as a frame.
 
         Parameters
         ----------
         message : can.Message
+        wanted : container of str, optional
+            Names of the messages to decode; all by default.
 
         Returns
         -------
         Frame or None
-            With the message's timestamp, s. None for an identifier that the DBC does not name, an 11-bit identifier, a remote
-            frame or an error frame (the receiver reports those).
+            With the message's timestamp, s. None for an identifier that the DBC does not name or that is not wanted, an 11-bit
+            identifier, a remote frame or an error frame (the receiver reports those).
 
         Raises
         ------
@@ -104,6 +106,8 @@ class Codec:
         if entry is None:
             return None
         layout, unpack = entry
+        if wanted is not None and layout.name not in wanted:
+            return None
         data = message.data
         if len(data) != layout.length:
             raise FrameError(

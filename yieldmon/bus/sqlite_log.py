@@ -48,3 +48,14 @@ class SqliteLog:
     def stop(self) -> None:
         """Close the file."""
         self._database.close()
+
+
+def is_log(path: str | Path) -> bool:
+    """Whether a file is such a log; False also for one that is missing or damaged."""
+    if not Path(path).is_file():
+        return False
+    try:
+        SqliteLog(str(path)).stop()
+    except (sqlite3.Error, ValueError, OSError):
+        return False
+    return True

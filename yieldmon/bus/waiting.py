@@ -7,6 +7,7 @@ bus is silent holds them for an hour.
 from __future__ import annotations
 
 import select
+from collections.abc import Callable, Iterator
 from time import monotonic
 
 import can
@@ -14,22 +15,43 @@ import can
 from yieldmon.bus.sockets import can_socket
 
 
-def receive(bus: can.BusABC, timeout_s: float) -> can.Message | None:
+def receive(bus: can.BusABC, timeout_s: float, passes: Callable[[can.Message], bool] | None = None) -> can.Message | None:
     """The next frame that passes the bus's filters, None when none came within timeout_s seconds of monotonic time.
 
-    Raises what the bus's `recv` raises.
+    passes: the bus's filters, where the caller has a faster way to ask them. Raises what the bus's `recv` raises.
     """
-    if type(bus).recv is not can.BusABC.recv:
-        return bus.recv(timeout_s)
+    passes = passes or bus._matches_filters
     end_s = monotonic() + timeout_s
     left_s = timeout_s
     while True:
-        message, filtered = bus._recv_internal(timeout=max(0.0, left_s))
-        if message is not None and (filtered or bus._matches_filters(message)):
+        message, filtered = _read(bus, max(0.0, left_s))
+        if message is not None and (filtered or passes(message)):
             return message
         left_s = end_s - monotonic()
         if left_s <= 0.0:
             return None
+
+
+def receive_kept(bus: can.BusABC, limit: int, passes: Callable[[can.Message], bool]) -> Iterator[can.Message]:
+    """Frames that the kernel has kept for a bus until now and that pass its filters, after `limit` reads at most.
+
+    Raises what the bus's `recv` raises.
+    """
+    for _ in range(limit):
+        message, filtered = _read(bus, 0.0)
+        if message is not None:
+            if filtered or passes(message):
+                yield message
+        elif not select.select([bus.fileno()], [], [], 0)[0]:
+            # Else it was one that the bus leaves out by itself.
+            return
+
+
+def _read(bus: can.BusABC, timeout_s: float) -> tuple[can.Message | None, bool]:
+    """What one read brings, and whether it is filtered already."""
+    if type(bus).recv is not can.BusABC.recv:
+        return bus.recv(timeout_s), True
+    return bus._recv_internal(timeout=timeout_s)
 
 
 def send(bus: can.BusABC, message: can.Message, timeout_s: float | None) -> None:

@@ -101,7 +101,8 @@ def _measured(args: argparse.Namespace) -> tuple[Configuration, tuple[MeasuredLo
     configured = configuration_of(args)
     tickets = ticket_file.load(args.tickets)
     measured = weighed_loads.read(args.loads, configured)
-    return configured, measured, weighed_loads.match(measured, tickets, configured.machine)
+    of_crop = weighed_loads.alike(measured, tickets)
+    return configured, of_crop, weighed_loads.match(measured, tickets, configured.machine)
 
 
 def configuration_of(args: argparse.Namespace) -> Configuration:
@@ -117,7 +118,7 @@ def configuration_of(args: argparse.Namespace) -> Configuration:
 
 
 def _prior(args: argparse.Namespace, measured: tuple[MeasuredLoad, ...], configured: Configuration) -> ParameterSet:
-    """The physics of what --prior names, else of what measured the newest load."""
+    """The physics of what --prior names, else of what measured the newest load of the crop."""
     known = configured.parameters
     if args.prior is None and measured:
         newest = measured[-1]

@@ -24,6 +24,8 @@ def undone(time_s: float | None, who: str | None) -> str:
 
 def back(answer: Mapping[str, Any]) -> str:
     """What an undo of a calibration did."""
+    if answer.get("crop"):
+        return f"calibration {answer['undone']} undone for {answer['crop']}; the parameters in use now stay"
     undone_ = str(answer["undone"]) if answer["undone"] == answer["until"] else f"{answer['undone']} to {answer['until']}"
     return f"calibration {undone_} undone, what was in use before is version {answer['version']}"
 

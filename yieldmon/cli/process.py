@@ -28,7 +28,7 @@ from yieldmon.service.factory_comparison import FactoryComparison
 from yieldmon.service.log_copies import refuse_copies, refuse_named_twice
 from yieldmon.service.log_record import Progress
 from yieldmon.service.record_check import RecordCheck, record_lines
-from yieldmon.service.recorded import is_store
+from yieldmon.service.recorded import is_store_not_log
 from yieldmon.service.reprocessing import loads_of_rows, measured_again
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.tables import FORMATS, open_table
@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
     for note in loaded.notes:
         print(f"note: {note}", file=sys.stderr)
     units = units_of(args.units, loaded.document.units, loaded.parameters.provenance.get("crop", ""))
-    if any(is_store(log) for log in args.logs):
+    if any(is_store_not_log(log) for log in args.logs):
         return _store_again(args, loaded, units)
     if args.delay:
         raise InputError("--delay", "is of no use with a log", "a store; with the table of a log `yieldmon export --flow-delay`")

@@ -106,6 +106,11 @@ def write(answers: dict[str, Any], folder: Path, *, force: bool) -> dict[str, An
     machine, parameters = derive.machine(answers), derive.parameters(answers)
     if (problem := plausible.cell_problem(machine, parameters)) is not None:
         raise InputError("cell_full_scale_mv", *problem)
+    full_mv, largest_mv = answers["cell_full_scale_mv"], max(answers["cell_readings_mv"])
+    if largest_mv > full_mv:
+        raise InputError(
+            "cell_full_scale_mv", f"is {full_mv:g}, but a weight reads {largest_mv:g} mV", f"at least {largest_mv:g} mV"
+        )
     gain = derive.cell_gain(answers["cell_weights_kg"], answers["cell_readings_mv"])
     offset, fixed_deg = derive.offset_deg(answers), derive.bolted_deg(answers)
     names = {"configuration": CONFIGURATION, "machine": MACHINE, "parameters": f"{answers['crop']}.yaml", "record": RECORD}
@@ -115,6 +120,8 @@ def write(answers: dict[str, Any], folder: Path, *, force: bool) -> dict[str, An
         if (folder / session.KEPT).is_file():
             expected += f"; what is taken out of {session.KEPT} is asked again"
         raise InputError(str(folder / there[0]), "exists already", expected)
+    for name in names.values():
+        whole_file.check_place(folder / name)
     now = _provenance.today()
     found = {
         "date": now,
@@ -138,9 +145,10 @@ def write(answers: dict[str, Any], folder: Path, *, force: bool) -> dict[str, An
         config["plate"] = {"fixed_angle_deg": fixed_deg}
     angles = _sweep_angles(answers)
     config["sweep"] = {"angles_deg": angles} if angles else {"enabled": False}
-    for name, content in ((MACHINE, machine_file.to_document(machine)), (CONFIGURATION, config), (RECORD, found)):
-        whole_file.write(folder / name, strict_yaml.dump(content), durable=True, mode=READABLE)
     parameter_file.save(parameters, folder / names["parameters"])
+    # The configuration last: it never names a file that is not there yet.
+    for name, content in ((MACHINE, machine_file.to_document(machine)), (RECORD, found), (CONFIGURATION, config)):
+        whole_file.write(folder / name, strict_yaml.dump(content), durable=True, mode=READABLE)
     configuration.load(folder / CONFIGURATION)
     return {**found, "files": {key: str(folder / name) for key, name in names.items()}}
 

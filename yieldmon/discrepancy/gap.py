@@ -25,6 +25,10 @@ from .noise import Noise
 from .observations import SAME_LOAD, SAME_SPEED, Rows
 
 DRAWS = 2000
+_LEAST_BEYOND = 0.3
+"""Share of a window's change that recalibration, and the windows before it, must leave of it."""
+_LEAST_LEVEL = 0.1
+"""Level, as a share of the largest, that a reading counts for at least: an error near zero is no relative one."""
 
 
 @dataclass(frozen=True)
@@ -103,48 +107,59 @@ def fills(fit: Fit) -> Array:
 
 
 def where(fit: Fit, noise: Noise, rng: np.random.Generator, *, level: float = 0.05, most: int = 6) -> tuple[Region, ...]:
-    """Windows in which the residuals sum to more than chance anywhere allows, strongest first, none overlapping."""
+    """Windows in which one relative error explains more than chance anywhere allows, strongest first, none overlapping.
+
+    Each is judged beside recalibration and those before it, so that what recalibration spreads of one window's error over the
+    others is not shown as theirs. A window holds at most half of the cells: recalibration follows most of them, the rest is off.
+    """
     cells = fit.frame.cells
     fill = fills(fit)
-    windows = _windows(
-        [
-            _steps(cells.plate_angle_rad, SAME_ANGLE_RAD, 11),
-            _steps(np.log(np.maximum(fill, 1e-9)), SAME_LOAD, 6),
-            _steps(np.log(cells.elevator_speed_rad_s), SAME_SPEED, 5),
-        ]
-    )
+    angles = _steps(cells.plate_angle_rad, SAME_ANGLE_RAD, 11)
+    speeds = _steps(np.log(cells.elevator_speed_rad_s), SAME_SPEED, 5)
+    # What happens on the paddles goes by fill, what happens behind them by flow.
+    loads = [_steps(np.log(np.maximum(load, 1e-9)), SAME_LOAD, 6) for load in (fill, cells.load)]
+    windows = np.unique(np.concatenate([_windows([angles, steps, speeds]) for steps in loads]), axis=0)
     tangent = fit.tangent()
-    projected = windows - (windows @ tangent) @ tangent.T
-    norm = np.linalg.norm(projected, axis=1)
+    level_sd = np.abs(cells.mean) / fit.frame.sd
+    changes = windows * np.maximum(level_sd, _LEAST_LEVEL * float(np.max(level_sd)))
+    length = np.linalg.norm(changes, axis=1)
+    changes = changes - (changes @ tangent) @ tangent.T
+    norm = np.linalg.norm(changes, axis=1)
     # A window that recalibration can all but absorb says nothing.
-    keep = norm > 0.3 * np.linalg.norm(windows, axis=1)
-    windows, directions = windows[keep], projected[keep] / norm[keep, None]
-    score = directions @ fit.residual
+    keep = norm > _LEAST_BEYOND * length
+    inside, changes, norm, least = windows[keep] > 0.0, changes[keep], norm[keep], _LEAST_BEYOND * length[keep]
+    directions = changes / norm[:, None]
     largest = np.concatenate([np.max(np.abs(directions @ errors(fit, noise, rng, DRAWS // 4)), axis=0) for _ in range(4)])
     out: list[Region] = []
-    taken = np.zeros(len(cells), dtype=bool)
-    largest_ratio = float(np.max(np.abs(cells.mean / fit.frame.sd)))
-    for i in np.argsort(-np.abs(score)):
-        inside = windows[i] > 0.0
-        p = float((1 + np.count_nonzero(largest >= abs(score[i]))) / (1 + len(largest)))
-        if p > level or len(out) == most:
+    while len(out) < most and len(inside):
+        score = (changes @ fit.residual) / norm
+        best = int(np.argmax(np.abs(score)))
+        # The draws are of the first window; those of a later one, with less room, are no larger.
+        p = float((1 + np.count_nonzero(largest >= abs(score[best]))) / (1 + len(largest)))
+        if p > level:
             break
-        if np.any(taken & inside):
-            continue
-        taken |= inside
-        error = float(np.mean(fit.residual[inside]))
-        mean = float(np.mean(cells.mean[inside] / fit.frame.sd[inside]))
-        out.append(
-            Region(
-                span(cells.plate_angle_rad[inside]),
-                span(fill[inside]),
-                span(cells.elevator_speed_rad_s[inside]),
-                100.0 * error / (mean if abs(mean) > 1.0 else largest_ratio),
-                p,
-                tuple(int(j) for j in np.flatnonzero(inside)),
-            )
-        )
+        out.append(_region(fit, inside[best], fill, p))
+        found = changes[best] / norm[best]
+        changes = changes - np.outer(changes @ found, found)
+        norm = np.linalg.norm(changes, axis=1)
+        keep = (norm > least) & ~np.any(inside & inside[best], axis=1)
+        inside, changes, norm, least = inside[keep], changes[keep], norm[keep], least[keep]
     return tuple(out)
+
+
+def _region(fit: Fit, inside: NDArray[np.bool_], fill: Array, p_value: float) -> Region:
+    cells = fit.frame.cells
+    error = float(np.mean(fit.residual[inside]))
+    mean = float(np.mean(cells.mean[inside] / fit.frame.sd[inside]))
+    largest_ratio = float(np.max(np.abs(cells.mean / fit.frame.sd)))
+    return Region(
+        span(cells.plate_angle_rad[inside]),
+        span(fill[inside]),
+        span(cells.elevator_speed_rad_s[inside]),
+        100.0 * error / (mean if abs(mean) > 1.0 else largest_ratio),
+        p_value,
+        tuple(int(j) for j in np.flatnonzero(inside)),
+    )
 
 
 def _steps(values: Array, width: float, most: int) -> NDArray[np.int64]:
@@ -156,7 +171,7 @@ def _steps(values: Array, width: float, most: int) -> NDArray[np.int64]:
 
 
 def _windows(axes: list[NDArray[np.int64]]) -> Array:
-    """Indicator of each distinct window with at least 2 and less than all cells, shape (windows, cells)."""
+    """Indicator of each distinct window with at least 2 and at most half of the cells, shape (windows, cells)."""
     spans = []
     for numbers in axes:
         count = int(numbers.max()) + 1
@@ -165,5 +180,5 @@ def _windows(axes: list[NDArray[np.int64]]) -> Array:
     inside = spans[0][:, None, None, :] & spans[1][None, :, None, :] & spans[2][None, None, :, :]
     flat = inside.reshape(-1, inside.shape[-1])
     total = flat.sum(axis=1)
-    flat = flat[(total >= 2) & (total < flat.shape[1])]
+    flat = flat[(total >= 2) & (2 * total <= flat.shape[1])]
     return np.unique(flat, axis=0).astype(float)

@@ -82,6 +82,15 @@ class MassBudget:
             moisture_kg=max(self.moisture_kg - before.moisture_kg, 0.0),
         )
 
+    def of_mass(self, before_kg: float, after_kg: float) -> MassBudget:
+        """Of a mass that was corrected from before_kg to after_kg: relatively the same; unknown where there was none before."""
+        if before_kg == after_kg:
+            return self
+        if not before_kg > 0.0:
+            return MassBudget.unknown()
+        factor = after_kg / before_kg
+        return MassBudget(self.noise_kg2 * factor, self.parameters_kg * factor, self.zero_kg * factor, self.moisture_kg * factor)
+
     @property
     def std_dev_kg(self) -> float:
         """All causes together."""

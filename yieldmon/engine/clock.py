@@ -46,7 +46,9 @@ class BusClock:
             self.now_s = time_s
             return time_s
         step = time_s - now
-        settling, self._to_settle = self._to_settle > 0, max(0, self._to_settle - 1)
+        settling = self._to_settle > 0
+        if settling:
+            self._to_settle -= 1
         if step >= 0.0:
             if step > (_LONGEST_PAUSE_S if settling else self._settings.max_gap_s):
                 self._absorb(bus_time_s, now)

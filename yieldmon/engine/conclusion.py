@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import isfinite, nan
 
 from yieldmon.engine.faults import FAULTS, FaultCode, Observation, Severity
 from yieldmon.engine.flow import Circumstances, Estimate, Flow
@@ -14,7 +15,7 @@ from yieldmon.engine.publishing import Published
 from yieldmon.engine.quick import maker_of
 from yieldmon.engine.records import Second, WindowRecord, record_of
 from yieldmon.engine.results import Event, WindowResult, ZeroTaken
-from yieldmon.engine.since_zero import KeptSecond
+from yieldmon.engine.since_zero import KeptSecond, MissedMass
 from yieldmon.engine.sweep import SweepWindow, support_start_s
 from yieldmon.engine.waveform import NOTHING, WaveformReading
 from yieldmon.frames import OperatingState
@@ -29,6 +30,8 @@ class Conclusion:
         self._parts = parts
         self.windows = 0
         self.publishing = True
+        self._zero_mv = nan
+        """With which the next window is measured; nan where that is not known yet."""
         self.begun_with: LoadEvents = ()
         """Loads that began before the first window; they come with it."""
 
@@ -46,11 +49,10 @@ class Conclusion:
         shown = parts.faults.observe_all(conditions(self._observation(reading, flow, seen)), bus_s)
         published = parts.flow_meter.published(flow, plate_rests_at_home=reading.still and reading.at_home)
         record = self._record(bus_s, reading, published, (mass_kg, area_m2), step, seen)
-        before = parts.measurement.zero.before
-        if before is not None:
+        if parts.measurement.zero.before is not None:
             kept = KeptSecond.of(record)
-            # The second in which a zero is taken was measured with the one before it.
-            parts.since_zero.add((replace(kept, zero_mv=before.zero_mv) if reading.zero_taken else kept,))
+            parts.since_zero.add((replace(kept, zero_mv=self._zero_mv) if isfinite(self._zero_mv) else kept,))
+        self._zero_mv = record.zero_mv
         learnt = learning.learn(window.end_s, record, sweep)
         ended = parts.plate.ended(learning.last_update, learning.estimator.parameters.version)
         zero: tuple[Event, ...] = (ZeroTaken(bus_s, record.zero_mv),) if reading.zero_taken else ()
@@ -91,7 +93,7 @@ class Conclusion:
             learning.empty_since(self._parts.measurement.zero.taken_from_s)
         if missed_kg > 0.0:
             self._parts.since_zero.add_scale(totals.load_number, missed_kg)
-            loads.correct({totals.load_number: missed_kg})
+            loads.correct({totals.load_number: MissedMass().plus(missed_kg, None, area_known=True)})
         if totals.load_open:
             learning.measured(totals.load_number, reading, flow, mass_kg)
 

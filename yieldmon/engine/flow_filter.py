@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import exp, isfinite, log, sqrt
-from typing import NamedTuple
 
 _LARGEST_FLOW_KG_S = 1e6
 """Beyond any machine; what is above is handed on as it came."""
@@ -45,10 +44,9 @@ class _Model:
     trend_noise: float
 
 
-class _State(NamedTuple):
-    mean: _Vector
-    spread: _Matrix
-    weight: float
+_State = tuple[_Vector, _Matrix, float]
+"""Mean and spread by one description, and its weight."""
+_States = tuple[_State, _State, _State]
 
 
 class FlowFilter:
@@ -61,11 +59,11 @@ class FlowFilter:
             _Model(1.0, settings.steady_walk**2, settings.trend_change**2),
             _Model(0.5, settings.jump**2, settings.jump**2 / 4.0),
         )
-        self._states: tuple[_State, ...] = ()
+        self._states: _States | None = None
 
     def reset(self) -> None:
         """Begin anew with the next window."""
-        self._states = ()
+        self._states = None
 
     def update(self, flow_kg_s: float, noise_std_dev_kg_s: float, lead_windows: float = 0.0) -> tuple[float, float]:
         """Take a window's flow and the standard deviation of its noise, kg/s; returns both as the filter sees them.
@@ -80,32 +78,34 @@ class FlowFilter:
             return flow_kg_s, noise_std_dev_kg_s
         seen = log(flow_kg_s)
         noise = (noise_std_dev_kg_s / flow_kg_s) ** 2
-        if not self._states:
-            share = 1.0 / len(self._models)
-            self._states = tuple(_State((seen, 0.0), (noise, 0.0, 0.15**2), share) for _ in self._models)
+        if self._states is None:
+            first = (seen, 0.0), (noise, 0.0, 0.15**2), 1.0 / 3.0
+            self._states = first, first, first
             return flow_kg_s, noise_std_dev_kg_s
         self._states = _step(self._states, self._models, self._settings.stay, seen, noise)
-        levels = [s.mean[0] + lead_windows * s.mean[1] for s in self._states]
-        level = _sum([s.weight * each for s, each in zip(self._states, levels, strict=True)])
-        variance = _sum(
-            [
-                s.weight * (s.spread[0] + lead_windows * (2.0 * s.spread[1] + lead_windows * s.spread[2]) + (each - level) ** 2)
-                for s, each in zip(self._states, levels, strict=True)
-            ]
-        )
+        levels = [mean[0] + lead_windows * mean[1] for mean, _, _ in self._states]
+        level = variance = 0.0
+        for (_, _, weight), each in zip(self._states, levels, strict=True):
+            level += weight * each
+        for (_, (a, b, c), weight), each in zip(self._states, levels, strict=True):
+            variance += weight * (a + lead_windows * (2.0 * b + lead_windows * c) + (each - level) ** 2)
         flow = exp(level)
         return flow, flow * sqrt(variance)
 
 
-def _step(states: tuple[_State, ...], models: tuple[_Model, ...], stay: float, seen: float, noise: float) -> tuple[_State, ...]:
-    count = len(states)
-    move = (1.0 - stay) / (count - 1)
-    updated, weights = [], []
-    for j, model in enumerate(models):
-        reach = [(stay if i == j else move) * state.weight for i, state in enumerate(states)]
-        total = _sum(reach)
-        mean, spread = _mixture(states, [r / total for r in reach])
-        (level, trend), (a, b, c) = _predict(mean, spread, model)
+def _step(states: _States, models: tuple[_Model, _Model, _Model], stay: float, seen: float, noise: float) -> _States:
+    move = 0.5 * (1.0 - stay)
+    (_, _, w0), (_, _, w1), (_, _, w2) = states
+    reaches = (
+        (stay * w0, move * w1, move * w2),
+        (move * w0, stay * w1, move * w2),
+        (move * w0, move * w1, stay * w2),
+    )
+    updated: list[tuple[_Vector, _Matrix]] = []
+    weights: list[float] = []
+    for model, (r0, r1, r2) in zip(models, reaches, strict=True):
+        total = r0 + r1 + r2
+        (level, trend), (a, b, c) = _predict(*_mixture(states, r0 / total, r1 / total, r2 / total), model)
         innovation, variance = seen - level, a + noise
         gain, trend_gain = a / variance, b / variance
         updated.append(
@@ -114,22 +114,23 @@ def _step(states: tuple[_State, ...], models: tuple[_Model, ...], stay: float, s
         weights.append(log(total) - 0.5 * innovation * innovation / variance - 0.5 * log(variance))
     top = max(weights)
     # Kept above zero so that a description that has long been wrong can come back.
-    shares = [max(exp(w - top), 1e-12) for w in weights]
-    whole = _sum(shares)
-    return tuple([_State(mean, spread, share / whole) for (mean, spread), share in zip(updated, shares, strict=True)])
+    s0, s1, s2 = [max(exp(w - top), 1e-12) for w in weights]
+    whole = s0 + s1 + s2
+    first, second, third = updated
+    return (*first, s0 / whole), (*second, s1 / whole), (*third, s2 / whole)
 
 
-def _mixture(states: tuple[_State, ...], shares: list[float]) -> tuple[_Vector, _Matrix]:
-    level = trend = a = b = c = 0.0
-    for w, (mean, _, _) in zip(shares, states, strict=True):
-        level += w * mean[0]
-        trend += w * mean[1]
-    for w, (mean, spread, _) in zip(shares, states, strict=True):
-        dl, dt = mean[0] - level, mean[1] - trend
-        a += w * (spread[0] + dl * dl)
-        b += w * (spread[1] + dl * dt)
-        c += w * (spread[2] + dt * dt)
-    return (level, trend), (a, b, c)
+def _mixture(states: _States, w0: float, w1: float, w2: float) -> tuple[_Vector, _Matrix]:
+    ((l0, t0), (a0, b0, c0), _), ((l1, t1), (a1, b1, c1), _), ((l2, t2), (a2, b2, c2), _) = states
+    level = w0 * l0 + w1 * l1 + w2 * l2
+    trend = w0 * t0 + w1 * t1 + w2 * t2
+    dl0, dl1, dl2 = l0 - level, l1 - level, l2 - level
+    dt0, dt1, dt2 = t0 - trend, t1 - trend, t2 - trend
+    return (level, trend), (
+        w0 * (a0 + dl0 * dl0) + w1 * (a1 + dl1 * dl1) + w2 * (a2 + dl2 * dl2),
+        w0 * (b0 + dl0 * dt0) + w1 * (b1 + dl1 * dt1) + w2 * (b2 + dl2 * dt2),
+        w0 * (c0 + dt0 * dt0) + w1 * (c1 + dt1 * dt1) + w2 * (c2 + dt2 * dt2),
+    )
 
 
 def _predict(mean: _Vector, spread: _Matrix, model: _Model) -> tuple[_Vector, _Matrix]:
@@ -141,11 +142,3 @@ def _predict(mean: _Vector, spread: _Matrix, model: _Model) -> tuple[_Vector, _M
         a = spread[0] + 2.0 * spread[1] + spread[2]
         b = spread[1] + spread[2]
     return (level, f * mean[1]), (a + model.level_noise, b, f * f * spread[2] + model.trend_noise)
-
-
-def _sum(values: list[float]) -> float:
-    """From left to right: the built-in one rounds otherwise from Python 3.12 on."""
-    total = 0.0
-    for value in values:
-        total += value
-    return total

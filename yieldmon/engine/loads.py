@@ -16,6 +16,7 @@ from math import isfinite
 from yieldmon.engine.budget import EMPTY, MassBudget
 from yieldmon.engine.flow import Flow
 from yieldmon.engine.settings import EngineSettings
+from yieldmon.engine.since_zero import MissedMass
 from yieldmon.engine.totals import Totals, dry_mass
 from yieldmon.engine.windows import Window
 from yieldmon.frames import EstimateQuality
@@ -131,7 +132,7 @@ class Loads:
             self._complete = False
             self.totals = self.totals.with_contested(mass_kg)
             return 0.0
-        dry_kg = dry_mass(mass_kg, moisture_pct, self._settings.totals, self.totals.market_moisture_pct)
+        dry_kg = self.dry_kg(mass_kg, moisture_pct)
         self.totals = self.totals.with_mass(mass_kg, dry_kg, flow.budget, seconds)
         return mass_kg
 
@@ -144,30 +145,23 @@ class Loads:
         self.totals = self._at_market(totals)
         self._complete = not (totals.load_open and totals.load_kg > 0.0)
 
-    def correct(self, missed: Mapping[int, float]) -> LoadEvents:
-        """Mass that was missed, kg by load, joins its loads and the totals, of unknown moisture; closed loads are returned."""
+    def correct(self, missed: Mapping[int, MissedMass]) -> LoadEvents:
+        """Mass that was missed, by load, joins its loads and the totals; closed loads are returned."""
         events: list[LoadClosed | LoadOpened] = []
-        for number, kg in missed.items():
+        for number, found in missed.items():
             totals = self.totals
             here = totals.load_open and number == totals.load_number
-            taken = max(kg, -totals.load_kg) if here else kg
-            share = taken if here else 0.0
-            self.totals = replace(
-                totals,
-                total_kg=max(totals.total_kg + taken, 0.0),
-                total_unknown_moisture_kg=max(totals.total_unknown_moisture_kg + taken, 0.0),
-                load_kg=totals.load_kg + share,
-                load_unknown_moisture_kg=max(totals.load_unknown_moisture_kg + share, 0.0),
-            )
+            taken = max(found.kg, -totals.load_kg) if here else found.kg
+            self.totals = totals.with_missed(replace(found, kg=taken), in_load=here)
             for place, load in enumerate(self._closed):
                 if load.number == number and not here:
-                    self._closed[place] = replace(
-                        load,
-                        measured_kg=max(load.measured_kg + kg, 0.0),
-                        unknown_moisture_kg=max(load.unknown_moisture_kg + kg, 0.0),
-                    )
+                    self._closed[place] = _with_missed(load, found)
                     events.append(LoadClosed(self._closed[place]))
         return tuple(events)
+
+    def dry_kg(self, wet_kg: float, moisture_pct: float) -> float | None:
+        """At market moisture; None where the moisture is not known."""
+        return dry_mass(wet_kg, moisture_pct, self._settings.totals, self.totals.market_moisture_pct)
 
     def set_market_moisture(self, moisture_pct: float) -> None:
         """Of the dry masses that are counted from now on; what the settings say goes before it."""
@@ -198,3 +192,17 @@ class Loads:
             return ()
         self._closed.append(self._summary(now_s))
         return (LoadClosed(self._closed[-1]),)
+
+
+def _with_missed(load: LoadSummary, missed: MissedMass) -> LoadSummary:
+    measured_kg = max(load.measured_kg + missed.kg, 0.0)
+    budget = load.budget.of_mass(load.measured_kg, measured_kg)
+    return replace(
+        load,
+        measured_kg=measured_kg,
+        dry_kg=max(load.dry_kg + missed.dry_kg, 0.0),
+        unknown_moisture_kg=max(load.unknown_moisture_kg + missed.unknown_moisture_kg, 0.0),
+        std_dev_kg=budget.std_dev_kg,
+        budget=budget,
+        unknown_area_kg=max(load.unknown_area_kg + missed.unknown_area_kg, 0.0),
+    )

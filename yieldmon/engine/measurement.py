@@ -138,8 +138,10 @@ class Measurement:
         signs = []
         if self._last is not None:
             window, force_n = self._last
-            if self._gate.harvesting or self.zero.looks_loaded or self.zero.pulses(window):
+            if self.zero.pulses(window):
                 signs.append(f"the paddles throw pulses of {window.pulse_mv:.0f} mV")
+            elif self._gate.harvesting or self.zero.looks_loaded:
+                signs.append("there was some in the last seconds")
             if isfinite(force_n) and force_n > self._settings.gate.grain_on_n:
                 signs.append(f"the plate feels {force_n:.1f} N")
         if len(self._tank) > 1:
@@ -243,6 +245,8 @@ class Measurement:
         if inputs.fresh["header_down"] == HeaderDown.DOWN and inputs.fresh["work_state"] != WorkState.NOT_WORKING:
             self._cutting_s = window.end_s
         self._obstacle = self._zero_obstacle(window, inputs, elevator_runs, whole, plate_rests_at_home)
+        if not self._obstacle and self.zero.calibrating and self.zero.waits_for_grain_to_pass(signs := self.signs_of_grain):
+            self._obstacle = f"an elevator that runs empty: {signs}; stop taking in crop"
         if self._obstacle:
             self.zero.interrupt()
             return False

@@ -23,7 +23,7 @@ from yieldmon.engine.restart import restore, snapshot
 from yieldmon.engine.results import Result
 from yieldmon.engine.runs import FrameRun
 from yieldmon.engine.settings import EngineSettings
-from yieldmon.engine.since_zero import KeptSecond
+from yieldmon.engine.since_zero import KeptSecond, MissedMass
 from yieldmon.engine.sources import DEFAULT_SOURCES, Sources
 from yieldmon.engine.state import EngineState, TicketState
 from yieldmon.engine.sweep import SweepMachine
@@ -225,18 +225,32 @@ class Monitor:
         """What the last window's samples say beside their mean; None where they are not looked at."""
         return self._parts.waveform.last if self._parts.waveform is not None else None
 
-    def calibrate_zero(self) -> None:
-        """Zero-flow calibration: the operator vouches that the elevator runs empty for the next seconds."""
-        self._parts.since_zero.clear()
-        self._parts.measurement.zero.calibrate(against_signs=bool(self.signs_of_grain))
+    def calibrate_zero(self, *, despite_signs: bool = True) -> bool:
+        """Zero-flow calibration: the operator vouches that the elevator runs empty for the next seconds.
 
-    def undo_zero(self) -> tuple[dict[int, float], LoadEvents]:
+        Parameters
+        ----------
+        despite_signs : bool
+            Take it also where those seconds speak of grain; False: wait until they do not.
+
+        Returns
+        -------
+        bool
+            Whether an undo still brings back the zero before an earlier calibration, that one being suspect.
+        """
+        zero, against = self._parts.measurement.zero, bool(self.signs_of_grain)
+        goes_on = zero.calibrate(against_signs=against, despite_signs=despite_signs)
+        if not goes_on:
+            self._parts.since_zero.clear()
+        return goes_on
+
+    def undo_zero(self) -> tuple[dict[int, MissedMass], LoadEvents]:
         """The zero before the operator's last calibration again.
 
         Returns
         -------
-        missed_kg : dict of int to float
-            Mass that was missed since, kg, by load number.
+        missed : dict of int to MissedMass
+            What was missed since, by load number.
         events : list of LoadOpened or LoadClosed
             The loads that changed.
 
@@ -250,7 +264,7 @@ class Monitor:
         if known is None:
             raise ValueError("there is no zero calibration by an operator that could be undone")
         gain, on_n = self.machine.sensor.gain_n_per_mv, self.settings.gate.grain_on_n
-        found = parts.since_zero.missed(known.zero_mv, self.estimator, gain, on_n)
+        found = parts.since_zero.missed(known.zero_mv, self.estimator, gain, on_n, parts.loads.dry_kg)
         parts.since_zero.clear()
         zero.undo()
         parts.learning.forces.forget()

@@ -45,7 +45,7 @@ class Publisher:
             bus.YIELD_MONITOR_STATUS: _status(record),
         }
         for column, message, signal in _PUBLISHED:
-            value = column.convert(getattr(record, column.attribute))
+            (value,) = column.convert((getattr(record, column.attribute),))
             known = NOT_AVAILABLE if value is None else self._fitting(message, signal, value)
             signals.setdefault(message, {})[signal] = known
         return tuple(Frame(record.time_s, message, values) for message, values in signals.items())

@@ -14,7 +14,7 @@ def maker_of(kind: type[T]) -> Callable[..., T]:
     """What makes an instance from the values of all fields, in order.
 
     A frozen dataclass sets each field by a call of `object.__setattr__`. Here a class with the same slots, which is not frozen,
-    takes the values, and the instance becomes one of `kind`.
+    takes the values, and its instance becomes one of `kind`.
 
     Parameters
     ----------
@@ -25,14 +25,13 @@ def maker_of(kind: type[T]) -> Callable[..., T]:
     -------
     callable
     """
-    unfrozen: Callable[..., Any] = make_dataclass(f"_{kind.__name__}", [field.name for field in fields(kind)], slots=True)  # type: ignore[arg-type]
 
-    def make(*values: Any) -> T:
-        made = unfrozen(*values)
+    def become(made: Any) -> None:
         made.__class__ = kind
-        return made  # type: ignore[no-any-return]
 
-    return make
+    names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+    unfrozen: Callable[..., T] = make_dataclass(f"_{kind.__name__}", names, slots=True, namespace={"__post_init__": become})
+    return unfrozen
 
 
 def changer_of(kind: type[T]) -> Callable[..., T]:

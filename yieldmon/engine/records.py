@@ -6,10 +6,10 @@ name and unit a row carries it, and which signal publishes it. Store, tables, ex
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, fields
 from enum import IntEnum
-from math import degrees
+from math import degrees, isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from numpy.typing import ArrayLike
@@ -23,7 +23,6 @@ from yieldmon.estimation.open_loop import FlowEstimate
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.shape_verdict import ShapeVerdict
 from yieldmon.estimation.steady_drift import Advance
-from yieldmon.finite import finite
 from yieldmon.frames import EstimateQuality, OperatingState
 from yieldmon.physics.machine import RPM
 
@@ -58,15 +57,15 @@ class Column:
     """A column of a second's row.
 
     name, kind (float, int, str), optional (None for "not available"): as rows have them. attribute: of the WindowRecord. convert:
-    from the record's value to the row's. since: schema version of the store that brought it. published: message and signal that
-    carry it, None for none.
+    from values as records have them, of one or several such columns, to the rows' values. since: schema version of the store that
+    brought it. published: message and signal that carry it, None for none.
     """
 
     name: str
     kind: type
     optional: bool
     attribute: str
-    convert: Callable[[Any], Any]
+    convert: Callable[[Iterable[Any]], list[Any]]
     since: int
     published: tuple[str, str] | None
 
@@ -76,28 +75,32 @@ class _Declared(NamedTuple):
     row: str | None
     kind: type
     optional: bool
-    convert: Callable[[Any], Any]
+    convert: Callable[[Iterable[Any]], list[Any]]
     since: int
     published: tuple[str, str] | None
 
 
-def _codes(value: tuple[FaultCode, ...]) -> str:
-    return " ".join(code.value for code in value)
+def _known(values: Iterable[float]) -> list[float | None]:
+    return [value if isfinite(value) else None for value in map(float, values)]
 
 
-def _name(value: IntEnum) -> str | None:
-    return value.name.lower() if value else None
+def _codes(values: Iterable[tuple[FaultCode, ...]]) -> list[str]:
+    return [" ".join([code.value for code in value]) for value in values]
+
+
+def _names(values: Iterable[IntEnum]) -> list[str | None]:
+    return [value.name.lower() if value else None for value in values]
 
 
 _SAME = ""
-_CONVERSIONS: dict[str, tuple[type, bool, Callable[[Any], Any]]] = {
-    "number": (float, False, float),
-    "known": (float, True, lambda value: finite(float(value))),
-    "deg": (float, True, lambda value: finite(degrees(value))),
-    "rpm": (float, True, lambda value: finite(float(value / RPM))),
-    "whole": (int, False, int),
+_CONVERSIONS: dict[str, tuple[type, bool, Callable[[Iterable[Any]], list[Any]]]] = {
+    "number": (float, False, lambda values: list(map(float, values))),
+    "known": (float, True, _known),
+    "deg": (float, True, lambda values: _known(map(degrees, values))),
+    "rpm": (float, True, lambda values: _known([value / RPM for value in values])),
+    "whole": (int, False, lambda values: list(map(int, values))),
     "codes": (str, False, _codes),
-    "verdict": (str, True, _name),
+    "verdict": (str, True, _names),
 }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from math import isfinite
 
@@ -17,7 +17,8 @@ KEPT_S = 7200
 
 @dataclass(frozen=True, slots=True)
 class KeptSecond:
-    """What of a second it takes to measure it again; nan where not known."""
+    """What of a second it takes to measure it again; nan where not known. zero_mv: with which it was measured, which is the zero
+    after the second before it."""
 
     load_number: int
     duration_s: float
@@ -29,11 +30,32 @@ class KeptSecond:
     plate_angle_rad: float
     elevator_speed_rad_s: float
     moisture_pct: float
+    area_m2: float
 
     @classmethod
     def of(cls, record: WindowRecord) -> KeptSecond:
         """Of a window's record."""
         return cls(*(getattr(record, name) for name in cls.__dataclass_fields__))
+
+
+@dataclass(frozen=True, slots=True)
+class MissedMass:
+    """Mass of one load that was missed, kg; below 0 what it had too much. dry_kg: of what had a known moisture;
+    unknown_moisture_kg, unknown_area_kg: of kg what has no known moisture, no known area."""
+
+    kg: float = 0.0
+    dry_kg: float = 0.0
+    unknown_moisture_kg: float = 0.0
+    unknown_area_kg: float = 0.0
+
+    def plus(self, kg: float, dry_kg: float | None, *, area_known: bool) -> MissedMass:
+        """With kg more. dry_kg: None where it is not known."""
+        return MissedMass(
+            self.kg + kg,
+            self.dry_kg + (0.0 if dry_kg is None else dry_kg),
+            self.unknown_moisture_kg + (kg if dry_kg is None else 0.0),
+            self.unknown_area_kg + (0.0 if area_known else kg),
+        )
 
 
 class SinceZero:
@@ -66,18 +88,30 @@ class SinceZero:
         """Load number -> kg, for a restart."""
         return dict(self._by_scale)
 
-    def missed(self, zero_mv: float, estimator: FlowEstimator, gain_n_per_mv: float, grain_on_n: float) -> dict[int, float]:
-        """Load number -> kg that the seconds miss where zero_mv is the zero; forces up to grain_on_n are no grain."""
+    def missed(
+        self,
+        zero_mv: float,
+        estimator: FlowEstimator,
+        gain_n_per_mv: float,
+        grain_on_n: float,
+        dry_kg: Callable[[float, float], float | None],
+    ) -> dict[int, MissedMass]:
+        """Load number -> what its seconds miss where zero_mv is the zero; forces up to grain_on_n are no grain.
+
+        dry_kg: of a wet mass, kg, at a moisture, %.
+        """
         rows = [s for s in self._seconds if isfinite(s.zero_mv) and isfinite(s.force_n) and s.coverage > 0.0]
         force = np.array([s.force_n + (s.zero_mv - zero_mv) * gain_n_per_mv for s in rows])
         loaded = force > grain_on_n
         rows, force = [s for s, ok in zip(rows, loaded, strict=True) if ok], force[loaded]
-        missed = {number: -kg for number, kg in self._by_scale.items()}
+        missed = {number: MissedMass().plus(-kg, None, area_known=True) for number, kg in self._by_scale.items()}
         if not rows:
             return missed
         columns = np.array([(s.plate_angle_rad, s.elevator_speed_rad_s, s.force_std_dev_n, s.moisture_pct) for s in rows]).T
         flow = np.nan_to_num(estimator.estimate(force, *columns).mass_flow_kg_s)
         for second, rate in zip(rows, flow.tolist(), strict=True):
             kg = rate * second.duration_s - second.mass_kg
-            missed[second.load_number] = missed.get(second.load_number, 0.0) + kg
+            # Where the bus tells nothing of the header, a second without grain has no area.
+            known = missed.get(second.load_number, MissedMass())
+            missed[second.load_number] = known.plus(kg, dry_kg(kg, second.moisture_pct), area_known=second.area_m2 > 0.0)
         return missed

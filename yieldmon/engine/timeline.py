@@ -50,9 +50,9 @@ class Timeline:
         return [] if now is None else self.advance(now)
 
     def _take_inputs(self, frame: Frame, now: float) -> None:
-        inputs, sensors = self._parts.inputs, self._parts.sensors
+        inputs = self._parts.inputs
         for quantity in inputs.take(frame.message, now, frame.signals):
-            sensors.add(quantity, now, inputs.held[quantity].value)
+            self._parts.sensors.add(quantity, now, inputs.held[quantity].value)
 
     def take_run(self, run: FrameRun, *, publishing: bool) -> list[Result]:
         """A run of frames; see `Monitor.feed_run`."""

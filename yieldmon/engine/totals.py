@@ -9,6 +9,7 @@ from operator import attrgetter
 from yieldmon.engine.budget import EMPTY, NO_BUDGET, FlowBudget, MassBudget
 from yieldmon.engine.quick import maker_of
 from yieldmon.engine.settings import TotalsSettings
+from yieldmon.engine.since_zero import MissedMass
 
 CORN_MARKET_MOISTURE_PCT = 15.5
 """Where neither the configuration nor a crop says another."""
@@ -116,6 +117,23 @@ class Totals:
             self.load_area_m2 + area_m2 if known else self.load_area_m2,
             self.load_unknown_area_kg if known else self.load_unknown_area_kg + mass_kg,
             self.market_moisture_pct,
+        )
+
+    def with_missed(self, missed: MissedMass, *, in_load: bool) -> Totals:
+        """Totals after a correction. in_load: it is the load's as well. Nothing falls below 0."""
+        share = 1.0 if in_load else 0.0
+        total_kg, load_kg = max(self.total_kg + missed.kg, 0.0), max(self.load_kg + share * missed.kg, 0.0)
+        return replace(
+            self,
+            total_kg=total_kg,
+            total_dry_kg=max(self.total_dry_kg + missed.dry_kg, 0.0),
+            total_unknown_moisture_kg=max(self.total_unknown_moisture_kg + missed.unknown_moisture_kg, 0.0),
+            load_kg=load_kg,
+            load_dry_kg=max(self.load_dry_kg + share * missed.dry_kg, 0.0),
+            load_unknown_moisture_kg=max(self.load_unknown_moisture_kg + share * missed.unknown_moisture_kg, 0.0),
+            total_budget=self.total_budget.of_mass(self.total_kg, total_kg),
+            load_budget=self.load_budget.of_mass(self.load_kg, load_kg),
+            load_unknown_area_kg=max(self.load_unknown_area_kg + share * missed.unknown_area_kg, 0.0),
         )
 
     def start_load(self) -> Totals:

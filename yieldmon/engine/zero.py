@@ -64,8 +64,12 @@ class ZeroTracker:
         self.state: ZeroState | None = None
         self._recent: deque[Window] = deque(maxlen=settings.settle_windows)
         self._pattern: tuple[tuple[float, ...], float] | None = None
+        """Amplitudes of the last windows' harmonics, and their speed."""
+        self._compared: tuple[tuple[float, ...], float, bool, bool] | None = None
+        """Vibration and its speed that this pattern was held against; whether it is above it; whether it is above or below."""
         self._calibrating = False
         self._against_signs = False
+        self._despite_signs = False
         self._before: ZeroState | None = None
         self.suspect = False
         """Whether the zero in use was taken against the signs of grain, and is another than the one before it."""
@@ -75,15 +79,20 @@ class ZeroTracker:
         self.taken_from_s = float("inf")
         """Engine time from which on the windows were that the zero was last taken from."""
 
-    def calibrate(self, *, against_signs: bool = False) -> None:
+    def calibrate(self, *, against_signs: bool = False, despite_signs: bool = True) -> bool:
         """Operator's zero calibration: the next windows are empty by the operator's word; learn zero and vibration from them.
 
-        against_signs: what is measured speaks of grain all the same.
+        against_signs: what is measured speaks of grain all the same. despite_signs: so may the windows to come. Returns whether
+        an undo still brings back the zero before an earlier calibration: that one is suspect.
         """
+        goes_on = self.suspect and self._before is not None
         self._calibrating = True
-        self._against_signs = against_signs
-        self._before = self.state
+        self._despite_signs = despite_signs
+        # What looks empty under a suspect zero need not be.
+        self._against_signs = against_signs or goes_on
+        self._before = self._before if goes_on else self.state
         self.interrupt()
+        return goes_on
 
     @property
     def before(self) -> ZeroState | None:
@@ -108,7 +117,17 @@ class ZeroTracker:
     def go_on_with(self, before: ZeroTracker) -> None:
         """A calibration by the operator that another tracker has under way is this one's, from its first window."""
         if before._calibrating:
-            self.calibrate(against_signs=before._against_signs)
+            self.calibrate(against_signs=before._against_signs, despite_signs=before._despite_signs)
+
+    def waits_for_grain_to_pass(self, signs: str) -> bool:
+        """Whether a zero calibration is to leave out the windows now, which show such signs of grain ("" for none).
+
+        Where it takes them all the same, its zero counts as taken against them.
+        """
+        if not (self._calibrating and signs):
+            return False
+        self._against_signs = self._against_signs or self._despite_signs
+        return not self._despite_signs
 
     @property
     def refusal(self) -> ZeroRefusal | None:
@@ -163,7 +182,7 @@ class ZeroTracker:
     def interrupt(self) -> None:
         """The windows to come do not follow on those seen (sensor lost, plate moved, elevator out of its range)."""
         self._recent.clear()
-        self._pattern = None
+        self._pattern = self._compared = None
 
     def see(self, window: Window, may_be_empty: bool) -> None:
         """A whole window with the elevator turning in its range and the plate at home.
@@ -174,7 +193,7 @@ class ZeroTracker:
             self.interrupt()
             return
         self._recent.append(window)
-        self._pattern = None
+        self._pattern = self._compared = None
         if self._calibrating:
             if len(self._recent) == self._settings.settle_windows:
                 self.state = self._learnt(list(self._recent))
@@ -244,16 +263,25 @@ class ZeroTracker:
         state = self.state
         if state is None or not state.vibration_mv:
             return None
+        compared = self._compared
+        if compared is None or compared[0] is not state.vibration_mv or compared[1] != state.speed_rad_s:
+            compared = self._compared = (state.vibration_mv, state.speed_rad_s, *self._departure(state))
+        return compared[3] if below else compared[2]
+
+    def _departure(self, state: ZeroState) -> tuple[bool, bool]:
+        """Whether any harmonic is above what vibration makes, and whether any is above or below it."""
         if self._pattern is None:
             self._pattern = coherent_amplitudes(self._recent), _mean_speed(self._recent)
         amplitudes, speed_rad_s = self._pattern
         factor = _speed_factor(speed_rad_s, state.speed_rad_s)
+        lower = False
         for amplitude, learnt in zip(amplitudes, state.vibration_mv, strict=False):
             usual = learnt * factor
             margin = max(self._settings.pulse_margin_mv, self._settings.pulse_margin * usual)
-            if amplitude - usual > margin or (below and usual - amplitude > margin):
-                return True
-        return False
+            if amplitude - usual > margin:
+                return True, True
+            lower = lower or usual - amplitude > margin
+        return False, lower
 
 
 def _pulse_mv(windows: Sequence[Window]) -> float:

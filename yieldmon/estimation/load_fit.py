@@ -66,6 +66,10 @@ class LoadProblem:
         self.of_load = np.repeat(np.arange(len(loads)), [load.force_n.size for load in loads])
         self.weighed = np.array([load.weighed_kg for load in loads])
         self.held, self.prior = self._coordinates()
+        self._flow: tuple[ParameterSet, Array, Array] | None = None
+        """What `flow` gave last, and for which parameters."""
+        self._fits: dict[tuple[bytes, int], LoadFit] = {}
+        """Fits from the start, by active loads and directions."""
 
     def _coordinates(self) -> tuple[tuple[str, ...], Array]:
         """Names of what is held, and the covariance of (held..., ln density, ln gain)."""
@@ -79,9 +83,11 @@ class LoadProblem:
 
     def flow(self, known: ParameterSet) -> tuple[Array, Array]:
         """Mass flow of every window with these parameters, nan above a full paddle, and d(force)/d(flow) there."""
-        moisture = None if self.moisture is None else self.moisture[:, None]
-        throw = self.model.throw(self.angle[:, None], self.speed[:, None], known.values, moisture)
-        return invert_force(throw, self.force)
+        if self._flow is None or self._flow[0] is not known:
+            moisture = None if self.moisture is None else self.moisture[:, None]
+            throw = self.model.throw(self.angle[:, None], self.speed[:, None], known.values, moisture)
+            self._flow = known, *invert_force(throw, self.force)
+        return self._flow[1:]
 
     def total(self, flow: Array) -> Array:
         """(n,) kg of each load."""
@@ -105,6 +111,14 @@ class LoadProblem:
 
     def fit(self, active: NDArray[np.bool_], directions: int, near: LoadFit | None = None) -> LoadFit:
         """Most likely step from the active loads, along the best determined `directions` (0, 1 or 2). near: where to begin."""
+        if near is not None:
+            return self._fit(active, directions, near)
+        key = active.tobytes(), directions
+        if key not in self._fits:
+            self._fits[key] = self._fit(active, directions, None)
+        return self._fits[key]
+
+    def _fit(self, active: NDArray[np.bool_], directions: int, near: LoadFit | None) -> LoadFit:
         step = np.zeros(2) if near is None else near.step
         error, slope = self._slopes(step) if near is None else (near.error, near.by_step)
         weight = active.astype(float)

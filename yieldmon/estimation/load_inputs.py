@@ -20,7 +20,7 @@ class LoadSettings:
     outlier_sds: departure from the other loads that is no scatter. huber_sds: departure from which a load loses weight.
     """
 
-    load_error: float = 0.0016
+    load_error: float = 0.002
     density_sd: float = 0.2
     gain_sd: float = 0.2
     least_information: float = 1.0

@@ -6,6 +6,9 @@ from dataclasses import dataclass, field
 
 from .parameters import ParameterSet
 
+_ENOUGH_LOADS = 3
+"""That can be checked against each other at different flows."""
+
 
 @dataclass(frozen=True, slots=True)
 class LoadResult:
@@ -65,6 +68,8 @@ def sentences(found: LoadCalibration, sweeps: int) -> list[str]:
             f"refused: on loads left out the new calibration errs by {100.0 * found.rms_left_out:.2f} %, the present one by "
             f"{100.0 * found.rms_before:.2f} %; the parameters stay."
         )
+        if len(found.loads) - len(found.outliers) < _ENOUGH_LOADS:
+            out.append("two loads cannot be checked against each other; weigh a third, at another flow, and give all three.")
         return out
     out.append(f"the loads weigh {100.0 * (found.scale - 1.0):+.2f} % against what was measured.")
     if found.load_dependence:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.model import ForwardModel, Throw
-from yieldmon.physics.numerics import Array, chebyshev_points
+from yieldmon.physics.numerics import AnyArray, Array, chebyshev_points
 
 from .load_curves import LoadCurves
 from .parameters import ParameterSet
@@ -266,7 +266,8 @@ class OpenLoop:
         """
         moisture = np.nan if moisture_pct is None else moisture_pct
         inputs = (force_n, plate_angle_rad, elevator_speed_rad_s, moisture)
-        return self._inverted(*np.broadcast_arrays(*(np.asarray(v, dtype=float) for v in inputs)))[0]
+        force, angle, speed, moist = np.broadcast_arrays(*(np.asarray(v, dtype=float) for v in inputs))
+        return self._inverted(force, angle, speed, moist)[0]
 
     def estimate(
         self,
@@ -299,17 +300,21 @@ class OpenLoop:
         force = np.where(usable, force, 0.0)
         angle = np.where(usable, angle, machine.home_plate_angle_rad)
         speed = np.where(usable, speed, machine.nominal_elevator_speed_rad_s)
-        flow, gain = self._inverted(force, angle, speed, moist)
+        varied = self.model.throw(angle[..., None], speed[..., None], self._rows, moist[..., None]) if len(self._steps) else None
+        flow, gain = self._inverted(force, angle, speed, moist, varied)
         noise = np.where(usable, noise, 0.0)
-        spread = np.hypot(noise, self._parameter_force_sd(flow, angle, speed, moist))
+        spread = np.hypot(noise, self._parameter_force_sd(flow, varied))
         spread = np.hypot(spread, self.parameters.model_error * np.abs(force))
         with np.errstate(divide="ignore", invalid="ignore"):
             sd, noise_sd = spread / np.abs(gain), noise / np.abs(gain)
         outside = self._outside(flow, angle, speed, moist)
         return with_status(flow, sd, noise_sd, outside=outside, empty=flow <= 0.0, usable=usable)
 
-    def _inverted(self, force: Array, angle: Array, speed: Array, moisture: Array) -> tuple[Array, Array]:
-        """`invert_force`, begun near its end where that is known."""
+    def _inverted(
+        self, force: Array, angle: Array, speed: Array, moisture: Array, varied: Throw | None = None
+    ) -> tuple[Array, Array]:
+        """`invert_force`, begun near its end where that is known. varied: a throw at these settings, the first of whose sets of
+        parameters are ours."""
         if self.model.needs_moisture:
             return invert_force(self._throw(angle, speed, moisture), force)
         shape = force.shape
@@ -317,28 +322,36 @@ class OpenLoop:
         near = self._curves.near(*rows[1:])
         sure = decided_by(near, rows[0], self.model.machine.passes_per_s(rows[2]))
         flow, gain = np.empty(sure.shape), np.empty(sure.shape)
+        missed = None
+        if varied is not None:
+            missed = np.broadcast_to(varied.miss_rotation_rad[..., :1, :], (*shape, 1, 1)).reshape(-1, 1, 1)
         for part, curve in ((sure, near[sure]), (~sure, None)):
             if part.any():
                 force, angle, speed = (column[part] for column in rows)
-                flow[part], gain[part] = invert_force(self._throw(angle, speed, None), force, near=curve)
+                throw = self._throw(angle, speed, None, None if missed is None else missed[part])
+                flow[part], gain[part] = invert_force(throw, force, near=curve)
         return flow.reshape(shape), gain.reshape(shape)
 
     def _curve(self, angle: Array, speed: Array) -> Array:
         return np.asarray(np.broadcast_to(self._throw(angle, speed, None).load_curve(_GRID)[1], (angle.size, _GRID.size)))
 
-    def _throw(self, angle: ArrayLike, speed: ArrayLike, moisture: ArrayLike | None) -> Throw:
-        return self.model.throw(
+    def _throw(
+        self, angle: ArrayLike, speed: ArrayLike, moisture: ArrayLike | None, miss_rotation_rad: AnyArray | None = None
+    ) -> Throw:
+        return Throw(
+            self.model,
             np.asarray(angle)[..., None],
             np.asarray(speed)[..., None],
             self._base,
             None if moisture is None else np.asarray(moisture)[..., None],
+            miss_rotation_rad=miss_rotation_rad,
         )
 
-    def _parameter_force_sd(self, flow: Array, angle: Array, speed: Array, moisture: Array) -> Array:
-        """Standard deviation of the predicted force from the parameters' covariance, N."""
-        if not len(self._steps):
+    def _parameter_force_sd(self, flow: Array, throw: Throw | None) -> Array:
+        """Standard deviation of the predicted force from the parameters' covariance, N. throw: with a set of parameters as they
+        are and one for each step."""
+        if throw is None:
             return np.zeros(flow.shape)
-        throw = self.model.throw(angle[..., None], speed[..., None], self._rows, moisture[..., None])
         force = throw.momentum(np.nan_to_num(flow)[..., None] / throw.passes_per_s) * throw.passes_per_s
         with np.errstate(divide="ignore", invalid="ignore"):
             jacobian = np.where(self._steps > 0.0, (force[..., 1:] - force[..., :1]) / self._steps, 0.0)

@@ -102,5 +102,5 @@ def _number(source: delimited.TextTable, row: int, column: str) -> float:
     except ValueError:
         value = float("nan")
     if not isfinite(value):
-        raise InputError(source.where(row, column), f"is {cell[:40]!r}", "a number")
+        raise InputError(source.where(row, column), f"is {cell[:40]!r}", "a number, without unit or thousands separator")
     return value

@@ -42,10 +42,13 @@ def page(summary: dict[str, Any]) -> str:
 
 
 def _problems(summary: dict[str, Any]) -> str:
-    lines = [f"{item['machine']} {item['day']}: {item['problem']}" for item in (*summary["failed"], *summary["poisoned"])]
-    if not lines:
-        return ""
-    return '<h2>Not measured</h2><ul class="bad">' + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
+    parts = ("Not measured", (*summary["failed"], *summary["poisoned"])), ("Doubtful", summary["doubtful"])
+    return "".join(_listed(title, items) for title, items in parts if items)
+
+
+def _listed(title: str, items: Sequence[dict[str, Any]]) -> str:
+    lines = [f"{item['machine']} {item['day']}: {item['problem']}" for item in items]
+    return f'<h2>{title}</h2><ul class="bad">' + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
 
 
 def _machines(machines: Sequence[dict[str, Any]]) -> str:

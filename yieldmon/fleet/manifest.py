@@ -64,7 +64,7 @@ class Partition:
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """partitions by name; left_out: files of a tree that are no logs."""
+    """partitions by name; left_out: what of a tree is no log of a day, and logs that lie outside the folders of days."""
 
     partitions: tuple[Partition, ...]
     left_out: tuple[str, ...] = ()
@@ -136,10 +136,14 @@ def _beside(source: str, name: str) -> str:
 
 
 def _of_tree(files: Any, root: str, source: str) -> Manifest:
-    found, left_out = [], []
+    found, left_out = [], _astray(files, root)
     for machine in _folders(files, root):
         config = _present(files, f"{machine}/{CONFIG}")
-        for day in _folders(files, machine):
+        left_out += _astray(files, machine)
+        days = list(_folders(files, machine))
+        if not days:
+            left_out.append(machine)
+        for day in days:
             logs = []
             for path in sorted(entry["name"] for entry in files.ls(day, detail=True) if entry["type"] == "file"):
                 name = path.rpartition("/")[2]
@@ -165,6 +169,12 @@ def _of_tree(files: Any, root: str, source: str) -> Manifest:
     if not found:
         raise InputError(source, "holds no logs", "folders MACHINE/DAY with logs in them")
     return Manifest(tuple(found), tuple(left_out))
+
+
+def _astray(files: Any, path: str) -> list[str]:
+    """Logs that lie beside the folders of machines or days."""
+    entries = files.ls(path, detail=True)
+    return sorted(entry["name"] for entry in entries if entry["type"] == "file" and _is_log(entry["name"]))
 
 
 def _folders(files: Any, path: str) -> Iterator[str]:

@@ -7,12 +7,14 @@ lost: partitions are independent and committed by the workers, so what is not an
 from __future__ import annotations
 
 import logging
+import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import islice
+from multiprocessing import resource_tracker
 from typing import Any
 
 from yieldmon.errors import InputError
@@ -129,7 +131,8 @@ def _client(cluster: Cluster) -> Iterator[Any]:
             return
         here = {"processes": False, "n_workers": 1} if cluster.workers == 0 else {"n_workers": cluster.workers}
         try:
-            started = untyped.LocalCluster(threads_per_worker=1, dashboard_address="127.0.0.1:0", **here)
+            with _interrupts_are_ours():
+                started = untyped.LocalCluster(threads_per_worker=1, dashboard_address="127.0.0.1:0", **here)
         except (RuntimeError, OSError) as error:
             cause: BaseException = error
             while before := cause.__cause__ or cause.__context__:
@@ -141,6 +144,18 @@ def _client(cluster: Cluster) -> Iterator[Any]:
                 local.adapt(minimum=1, maximum=max(1, cluster.workers))
             with untyped.Client(local) as client:
                 yield client
+
+
+@contextmanager
+def _interrupts_are_ours() -> Iterator[None]:
+    """Processes and threads begun meanwhile take no Ctrl-C, which a terminal sends to all: this one stops them in order."""
+    # Begun later, it would let the signal through again.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _answers(client: Any, tasks: Sequence[Task]) -> Iterator[Outcome]:

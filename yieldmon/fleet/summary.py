@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from math import sqrt
 from typing import Any
 
 from yieldmon.engine.faults import FaultCode
+from yieldmon.errors import InputError
 from yieldmon.fleet import tables
 from yieldmon.fleet.querying import Query, opened
 
@@ -15,7 +17,7 @@ _TABLES = (tables.PROVENANCE, tables.FAULTS, tables.SWEEPS, tables.PARAMETERS, t
 
 _DAYS = """
 SELECT machine, day, seconds, frames, total_mass_kg, crop, software_version, source_sha256, parameters_sha256, zero_known,
-  poisoned FROM provenance ORDER BY machine, day
+  logs, damages FROM provenance ORDER BY machine, day
 """
 _FAULTS = """
 SELECT machine, day, code, count(*) AS count, sum(coalesce(end_s, begin_s) - begin_s) AS seconds FROM faults
@@ -43,7 +45,8 @@ def summarise(address: str) -> dict[str, Any]:
     Returns
     -------
     dict
-        totals; machines, by name; days, by machine and day; tickets; failed and poisoned.
+        totals; machines, by name; days, by machine and day; tickets; failed and poisoned; doubtful: damaged logs, and logs that
+        are there twice.
 
     Raises
     ------
@@ -80,7 +83,30 @@ def summarise(address: str) -> dict[str, Any]:
         "tickets": tickets,
         "failed": failed,
         "poisoned": poisoned,
+        "doubtful": _doubtful(days, address),
     }  # fmt: skip
+
+
+def _doubtful(days: Rows, address: str) -> Rows:
+    """Days whose mass may be too small, for places of a log that cannot be read, or too large, for a log counted before."""
+    found: Rows = []
+    first: dict[str, str] = {}
+    for row in days:
+        where = {"machine": row["machine"], "day": row["day"]}
+        try:
+            damages = [str(text) for text in json.loads(row["damages"] or "[]")]
+            logs = [(str(name), str(digest)) for name, digest in json.loads(row["logs"] or "[]")]
+        except (TypeError, ValueError, RecursionError) as error:
+            problem = f"provenance of {row['machine']} {row['day']} is damaged"
+            raise InputError(address, problem, "a dataset that `yieldmon fleet run` wrote") from error
+        if damages:
+            more = f" (and {len(damages) - 1} more)" if len(damages) > 1 else ""
+            found.append({**where, "problem": f"damaged: {damages[0]}{more}"})
+        for name, digest in logs:
+            if digest in first:
+                found.append({**where, "problem": f"{name} holds the same as {first[digest]}, and is counted again"})
+            first.setdefault(digest, f"{row['machine']} {row['day']} {name}")
+    return found
 
 
 def _by_machine(rows: Iterable[dict[str, Any]]) -> dict[str, Rows]:

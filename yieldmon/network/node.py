@@ -207,20 +207,23 @@ class Node:
 
     def troubles(self, now_s: float) -> tuple[str, ...]:
         """What is wrong with the network at now_s, a sentence each."""
-        counters = self._claim.counters()
         twice = self._moves.claimed_twice(now_s)
-        found = {
-            f"two nodes claim the NAME {twice}": twice is not None,
-            "no address: every one that could be ours is held by a lower NAME": self._claim.state is ClaimState.CANNOT_CLAIM,
-            f"our address is contested without end ({counters.contested} claims)": self._claims.exceeded(now_s),
-            f"another node sends from our address ({counters.violations} frames)": self._violations.exceeded(now_s),
-            f"another node uses our NAME {self.settings.name}": now_s - self._duplicate_s < 3.0,
-            f"more requests than we answer ({self._requests.refused} left)": self._requests.exceeded(now_s),
-            f"transport sessions that never end ({self._receiver.abandoned + self._receiver.refused})": self._sessions.exceeded(
-                now_s
-            ),
-        }
-        return tuple(sentence for sentence, holds in found.items() if holds)
+        found: list[str] = []
+        if twice is not None:
+            found.append(f"two nodes claim the NAME {twice}")
+        if self._claim.state is ClaimState.CANNOT_CLAIM:
+            found.append("no address: every one that could be ours is held by a lower NAME")
+        if self._claims.exceeded(now_s):
+            found.append(f"our address is contested without end ({self._claim.counters().contested} claims)")
+        if self._violations.exceeded(now_s):
+            found.append(f"another node sends from our address ({self._claim.counters().violations} frames)")
+        if now_s - self._duplicate_s < 3.0:
+            found.append(f"another node uses our NAME {self.settings.name}")
+        if self._requests.exceeded(now_s):
+            found.append(f"more requests than we answer ({self._requests.refused} left)")
+        if self._sessions.exceeded(now_s):
+            found.append(f"transport sessions that never end ({self._receiver.abandoned + self._receiver.refused})")
+        return tuple(found)
 
     def _hear_claim(self, identifier: int, data: bytes, now_s: float, heard: Heard) -> None:
         if len(data) != 8:

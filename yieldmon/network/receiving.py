@@ -80,7 +80,7 @@ class TransportReceiver:
     @property
     def due_s(self) -> float:
         """When poll() has something to do, infinite while it has not."""
-        return min((session.due_s for session in self._sessions.values()), default=_NEVER_S)
+        return min(session.due_s for session in self._sessions.values()) if self._sessions else _NEVER_S
 
     def feed(self, parts: Identifier, data: bytes, now_s: float, our_address: int | None = None) -> Received:
         """Takes a frame of the transport protocol; any other is passed over."""

@@ -54,7 +54,7 @@ class TransportSender:
     @property
     def due_s(self) -> float:
         """When poll() has something to do, infinite while it has not."""
-        return min((queue[0].due_s for queue in self._queues.values()), default=_NEVER_S)
+        return min(queue[0].due_s for queue in self._queues.values()) if self._queues else _NEVER_S
 
     def busy_with(self, group: int, destination: int = GLOBAL_ADDRESS) -> bool:
         """Whether a message of a group waits or is under way to a destination."""

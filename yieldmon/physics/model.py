@@ -318,7 +318,10 @@ class Throw:
         parameters: Parameters,
         moisture_pct: ArrayLike | None = None,
         plate_position_m: ArrayLike | None = None,
+        *,
+        miss_rotation_rad: AnyArray | None = None,
     ) -> None:
+        """miss_rotation_rad: that of these settings, where another throw has found it."""
         self._model = model
         self._values = _effect_values(model._effects, parameters)
         machine = model.machine
@@ -349,7 +352,8 @@ class Throw:
         self.setting = setting
         self._heap_scale_kg = setting.density * machine.paddle_width_m * setting.paddle_length_m**2
         self._slides = release.slides_of(setting)
-        self._miss_rotation = self._find_miss_rotation()
+        self.miss_rotation_rad = self._find_miss_rotation() if miss_rotation_rad is None else miss_rotation_rad
+        """At which grain starts to miss the plate, with the node axis."""
 
     @property
     def passes_per_s(self) -> AnyArray:
@@ -423,10 +427,10 @@ class Throw:
     def _jet(self, load: Load, inner: AnyArray) -> Jet:
         setting = self.setting
         # Grain released after LATEST leaves the tip heading back; where misses do not count, nothing after them does.
-        limit = np.full(1, LATEST_ROTATION_RAD) if self._model._misses else self._miss_rotation
+        limit = np.full(1, LATEST_ROTATION_RAD) if self._model._misses else self.miss_rotation_rad
         emptied = release.rotation_to_empty(inner, setting, limit, self._slides)
         points, weights = gauss_legendre(self._model.nodes)
-        hit_end = minimum(emptied, self._miss_rotation)
+        hit_end = minimum(emptied, self.miss_rotation_rad)
         tau, width = hit_end * points, hit_end * weights
         if self._model._misses:
             rest = emptied - hit_end
@@ -478,10 +482,13 @@ def _frictions_once(setting: Setting) -> tuple[Setting, NDArray[np.intp] | None]
         setting.plate_angle_rad, setting.elevator_speed_rad_s, setting.paddle_length_m, setting.plate_pivot_x_m,
         setting.plate_pivot_y_m, setting.gravity_m_s2, setting.release_angle_rad, setting.radial_speed,
     )  # fmt: skip
-    once, place = np.unique(friction[:, 0], return_inverse=True)
-    if once.size == len(friction) or any(value is not None and value.ndim > 1 and value.shape[-2] > 1 for value in others):
+    # Not numpy.unique, which costs more than the few values that there usually are.
+    frictions = friction[:, 0].tolist()
+    once = sorted(set(frictions))
+    if len(once) == len(frictions) or any(value is not None and value.ndim > 1 and value.shape[-2] > 1 for value in others):
         return setting, None
-    return replace(setting, friction=once[:, None]), place.ravel()
+    place = {value: index for index, value in enumerate(once)}
+    return replace(setting, friction=np.array(once)[:, None]), np.array([place[value] for value in frictions])
 
 
 def _miss_rotation(setting: Setting, slides: tuple[release.Slide, Setting, release.Slide]) -> AnyArray:

@@ -17,7 +17,8 @@ class BusTime:
         self._silence_s = silence_s
         self._idle_from_s = now_s + idle_after_s
         self._last: tuple[float, float] | None = None
-        self._ours_s = float("-inf")
+        self.ours_s = float("-inf")
+        """Bus time of the last frame that was one for the engine."""
 
     @property
     def last_s(self) -> float | None:
@@ -27,10 +28,6 @@ class BusTime:
     def heard(self, bus_s: float, now_s: float) -> None:
         """A frame with this time stamp has come, at this monotonic time."""
         self._last = (bus_s, now_s)
-
-    def ours(self, bus_s: float) -> None:
-        """It was one for the engine."""
-        self._ours_s = bus_s
 
     def without_ours(self, empty_until_s: float, now_s: float, system_s: float) -> float | None:
         """Bus time up to which the engine's goes on without frames of ours: as far as others' frames say, or the bus is known to
@@ -47,4 +44,4 @@ class BusTime:
         bus_s, heard_s = self._last
         if empty_until_s - heard_s > self._silence_s:
             return bus_s + (empty_until_s - heard_s) - _DELAY_S
-        return bus_s if abs(bus_s - self._ours_s) > self._silence_s else None
+        return bus_s if abs(bus_s - self.ours_s) > self._silence_s else None

@@ -191,16 +191,17 @@ def _calibration_undo(order: _Order) -> Answer:
 
 
 def _back_before(version: int, order: _Order) -> dict[str, Any]:
-    """The parameters before a version again, as a new version."""
+    """The parameters before a version again, as a new version; for another crop than the present one, once it is harvested."""
     monitor = order.monitor
     last = monitor.estimator.parameters.version
     if monitor.estimator.parameters.curve is not None:
         raise InputError(
             f"version {version}", "the flow comes from estimator_file, which learns nothing", "another estimator_file"
         )
-    chosen = order.journal.parameters.undo(version, order.request.who, order.now_s)
+    journal, in_use = order.journal, monitor.estimator.parameters
+    chosen, crop = journal.parameters.undo(version, in_use, journal.crop, order.request.who, order.now_s)
     monitor.set_estimator(estimator_of(monitor.machine, chosen), calibration_age_s(chosen, order.now_s))
-    return {"undone": version, "until": last, "version": chosen.version, "effects": list(chosen.effects)}
+    return {"undone": version, "until": last, "version": chosen.version, "effects": list(chosen.effects), "crop": crop}
 
 
 def _why_no_reference(monitor: Monitor, journal: Journal, covered: list[Load], stored: Sequence[StoredLoad]) -> str:
@@ -209,7 +210,7 @@ def _why_no_reference(monitor: Monitor, journal: Journal, covered: list[Load], s
     in_use = journal.crop_in_use(monitor.estimator.parameters)
     other = next((load.crop for load in covered if load.crop and in_use and load.crop.lower() != in_use.lower()), None)
     if other is not None:
-        return f"a load of {other}; the parameters in use are those of {in_use}"
+        return f"a load of {other}; the parameters in use are those of {in_use}; `yieldmon calibrate --loads` learns from it"
     whole = {load.number: load.complete for load in monitor.loads}
     earlier = {load.load.number: load for load in stored if load.load.number not in whole}
     for number, load in earlier.items():
@@ -245,10 +246,11 @@ def _covered(journal: Journal, first: int, last: int) -> list[Load]:
 def _zero(order: _Order) -> Answer:
     monitor = order.monitor
     signs = monitor.signs_of_grain
-    if signs and not order.request.flag("force"):
+    force = order.request.flag("force")
+    if signs and not force:
         raise InputError("zero", f"there is grain: {signs}", "the elevator running empty; --force if it does")
-    order.journal.zero(order.request.who, signs, order.now_s)
-    monitor.calibrate_zero()
+    goes_on = monitor.calibrate_zero(despite_signs=force)
+    order.journal.zero(order.request.who, signs, order.now_s, goes_on=goes_on)
     return {"zero": "started; keep the elevator running empty"}
 
 
@@ -261,7 +263,7 @@ def _zero_undo(order: _Order) -> Answer:
     journal.happened(events)
     told = {event.load.number for event in events} | ({monitor.totals.load_number} if monitor.totals.load_open else set())
     journal.zero_undone(order.request.who, restored, told, order.now_s)
-    return {"zero": "undone", "restored_kg": sum(restored.values())}
+    return {"zero": "undone", "restored_kg": sum(missed.kg for missed in restored.values())}
 
 
 def _sweep_start(order: _Order) -> Answer:

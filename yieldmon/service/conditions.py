@@ -27,6 +27,8 @@ class Conditions:
 
     def details(self, now_s: float, names: tuple[str, ...]) -> list[str]:
         """What is said of those of the named conditions that still hold; those that do not are forgotten."""
+        if not self._conditions:
+            return []
         for name in names:
             condition = self._conditions.get(name)
             if condition is not None and condition.until_s <= now_s:

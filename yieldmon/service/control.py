@@ -123,6 +123,8 @@ def _listen(path: Path, group: str | None) -> _Listening:
         path.parent.mkdir(parents=True, exist_ok=True)
         if _answers(path):
             raise OccupiedError("status.socket", f"{path}: a daemon is running there", "a socket for each daemon")
+        if path.is_file() and not path.is_symlink():
+            raise InputError("status.socket", f"{path}: is a file; it is left as it is", "a path that can be bound")
         path.unlink(missing_ok=True)
         listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:

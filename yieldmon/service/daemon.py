@@ -41,7 +41,7 @@ from yieldmon.service.mapped_outputs import MappedOutputs
 from yieldmon.service.memory import choose_parameters
 from yieldmon.service.metrics import MetricsFile
 from yieldmon.service.notify import ServiceManager
-from yieldmon.service.ownership import owned
+from yieldmon.service.ownership import Ownership
 from yieldmon.service.posting import Poster
 from yieldmon.service.recovery import recover
 from yieldmon.service.reference_loads import StoredLoad, of_path
@@ -122,7 +122,11 @@ class Daemon:
             echo_s=ASKED_ECHO_S if bus_factory is None and settings.interface == "socketcan" else ECHO_S,
         )  # fmt: skip
         self._sender = FrameSender(self._codec, self._link, self._transmitter, network_clock)
-        self._writer = StoreWriter(self._open_store, configuration.document.store.pending_seconds, path=configuration.store_path)
+        self._ownership = Ownership(configuration.store_path)
+        self._writer = StoreWriter(
+            self._open_store, configuration.document.store.pending_seconds, path=configuration.store_path,
+            keep=self._ownership.keep,
+        )  # fmt: skip
         self._poster = Poster(configuration.store_path, self._writer.wait_until_written)
         self._rate = FrameRate()
         self._answered_s = monotonic()
@@ -172,7 +176,7 @@ class Daemon:
         Raises can.CanError or InputError when the bus cannot be opened at the start, StoreError when there is a store that
         cannot be read, OccupiedError when another daemon uses it or the control socket, InputError when that cannot be made.
         """
-        with owned(self.configuration.store_path):
+        with self._ownership:
             return self._run()
 
     def _run(self) -> int:
@@ -263,11 +267,15 @@ class Daemon:
         empty_until_s = self._receiver.empty_until_s
         items = self._receiver.get_many(_BATCH_FRAMES, _WAIT_S)
         windows = 0
+        heard_bus_s: float | None = None
         for item in items:
             if isinstance(item, BusEvent):
                 self._take_event(item)
             else:
                 windows += self._take_message(item)
+                heard_bus_s = item.timestamp
+        if heard_bus_s is not None:
+            self._time.heard(heard_bus_s, monotonic())
         windows += self._tick_if_silent(empty_until_s if not items else float("-inf"))
         self._receiver.due_s = self._monitor.due_s
         self._sender.send(self._link.poll(self._network_clock()))
@@ -290,29 +298,32 @@ class Daemon:
 
     def _take_message(self, message: can.Message) -> int:
         """One message; returns how many windows it closed."""
-        self._time.heard(message.timestamp, monotonic())
+        heard: Sequence[frames.Frame] = ()
+        published: Sequence[str] = ()
         try:
-            heard = self._inputs.heard(message)
+            heard, published = self._inputs.heard(message)
         except FrameError as error:
             # To the network it may still be a frame, the last one of a message that is too short for the mapping.
-            heard = []
             self._malformed += 1
             if self._malformed == 1:
                 _log.warning("%s", error)
         concerned = self._link.concerns(message)
-        published = [frame.message for frame in heard if frame.message in frames.OUTPUTS]
-        mapped = self._outputs.name_of(message, self._link.address)
+        mapped = self._outputs.name_of(message, self._link.address) if self._outputs.sends else None
         if (concerned or published or mapped) and self._transmitter.is_echo(message):
             return 0
         if concerned:
             self._sender.send(self._link.hear(message, self._network_clock()))
         windows = 0
         for frame in heard:
-            if frame.message not in frames.OUTPUTS:
-                self._time.ours(frame.time_s)
-                windows += self._happened(self._monitor.feed(frame))
-        for name in (*(published if self.configuration.outputs.shipped else ()), *([mapped] if mapped else ())):
-            self._faults.conflict(name, monotonic())
+            self._time.ours_s = frame.time_s
+            results = self._monitor.feed(frame)
+            if results:
+                windows += self._happened(results)
+        if published and self.configuration.outputs.shipped:
+            for name in published:
+                self._faults.conflict(name, monotonic())
+        if mapped:
+            self._faults.conflict(mapped, monotonic())
         return windows
 
     def _tick_if_silent(self, empty_until_s: float) -> int:

@@ -30,11 +30,11 @@ class FrameSender:
 
     def send(self, messages: Iterable[can.Message]) -> None:
         """Messages as they are to go."""
-        for message in messages:
-            self._transmitter.submit(message)
+        self._transmitter.submit(*messages)
 
     def send_frames(self, out: Iterable[Frame]) -> None:
         """The engine's frames; the first that cannot be encoded is said in the log."""
+        messages = []
         for frame in out:
             try:
                 # A late command is worse than none.
@@ -46,7 +46,8 @@ class FrameSender:
                     _log.error("%s", error)
                 continue
             if message is not None:
-                self._transmitter.submit(message)
+                messages.append(message)
+        self._transmitter.submit(*messages)
 
     def send_mapped(self, out: Iterable[OutputMessage]) -> None:
         """Frames of the configuration's `outputs`."""

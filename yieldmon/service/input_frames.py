@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import can
 
 from yieldmon.bus.codec import Codec, FrameError
@@ -22,19 +24,28 @@ class InputFrames:
         self._side = SideInputs()
         self._own = signals.own_messages & codec.layouts.keys() | frozenset(OUTPUTS)
         self._wanted = frozenset(signals.sources.messages) | frozenset(OUTPUTS)
+        self._plain = frozenset(
+            name
+            for name in self._own & self._wanted - frozenset(OUTPUTS)
+            if not self._side.supersedes(codec.layouts[name].identity)
+        )
+        """Messages whose frames go on as they are: most of what comes."""
 
     def frames(self, message: can.Message) -> list[Frame]:
         """The frames for the engine that a message brings, usually none or one. Raises FrameError for one of the wrong length."""
-        return [frame for frame in self.heard(message) if frame.message not in OUTPUTS]
+        return self.heard(message)[0]
 
-    def heard(self, message: can.Message) -> list[Frame]:
-        """The same, and frames that only a yield monitor sends."""
+    def heard(self, message: can.Message) -> tuple[list[Frame], Sequence[str]]:
+        """The same, and the names of frames in it that only a yield monitor sends."""
         if message.is_error_frame or message.is_remote_frame:
-            return []
+            return [], ()
         found = self._mapped_frames(message) if self._mapped else []
-        layout = self._codec.layout_of(message.arbitration_id) if message.is_extended_id else None
-        own = self._codec.decode(message) if layout is not None and layout.name in self._own else None
-        return found + [frame for frame in self._side.frames(message, own) if frame.message in self._wanted]
+        own = self._codec.decode(message, self._own)
+        if own is not None and own.message in self._plain and not found:
+            return [own], ()
+        found += [frame for frame in self._side.frames(message, own) if frame.message in self._wanted]
+        published = [frame.message for frame in found if frame.message in OUTPUTS]
+        return [frame for frame in found if frame.message not in OUTPUTS] if published else found, published
 
     @property
     def incomplete(self) -> int:

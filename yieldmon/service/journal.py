@@ -12,6 +12,7 @@ from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.plate import SweepEnded
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import Event, Result, WindowResult
+from yieldmon.engine.since_zero import MissedMass
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.service import batch as rows_of
 from yieldmon.service import ledger as ledgers
@@ -57,14 +58,17 @@ class Journal:
         """The crop that is harvested: as named, else that of the parameters in use; "" where neither says."""
         return self.crop or self.parameters.crop_of(in_use, self.crop)
 
-    def zero(self, who: str, signs: str, now_s: float) -> None:
-        """An operator's zero calibration; signs: what spoke of grain."""
-        self.actions.add(ledgers.ZERO, who, {"second": self._second, "signs": signs}, now_s)
+    def zero(self, who: str, signs: str, now_s: float, *, goes_on: bool) -> None:
+        """An operator's zero calibration; signs: what spoke of grain. goes_on: an undo reaches back before the one before it."""
+        earlier = [action for action in self.actions if action.kind == ledgers.ZERO] if goes_on else []
+        second = int(earlier[-1].document["second"]) if earlier else self._second
+        self.actions.add(ledgers.ZERO, who, {"second": second, "signs": signs}, now_s)
 
-    def zero_undone(self, who: str, restored: Mapping[int, float], told: Iterable[int], now_s: float) -> None:
-        """It was taken back. restored: load number -> kg; told: loads whose new mass the monitor has told itself."""
+    def zero_undone(self, who: str, restored: Mapping[int, MissedMass], told: Iterable[int], now_s: float) -> None:
+        """It was taken back. restored: by load number, what it had missed; told: loads whose new mass the monitor told itself."""
         last = max((action.number for action in self.actions if action.kind == ledgers.ZERO), default=0)
-        self.actions.add(ledgers.ZERO_UNDO, who, {"action": last, "restored_kg": sum(restored.values())}, now_s)
+        restored_kg = sum(missed.kg for missed in restored.values())
+        self.actions.add(ledgers.ZERO_UNDO, who, {"action": last, "restored_kg": restored_kg}, now_s)
         for number in set(restored) - set(told):
             self.loads.corrected(number, restored[number])
 

@@ -114,7 +114,9 @@ def calibration_rows(actions: Iterable[Action], in_use: int) -> list[dict[str, A
     """Each change of parameters and each operator's zero, with who and when, and whether it stands."""
     known = list(actions)
     undone = {int(a.document["version"]) for a in known if a.kind == PARAMETERS_UNDO}
-    back = {int(a.document["action"]) for a in known if a.kind == ZERO_UNDO}
+    undone_zeros = {int(a.document["action"]) for a in known if a.kind == ZERO_UNDO}
+    # With one goes what was taken before it from the same second on.
+    back = {a.document.get("second") for a in known if a.kind == ZERO and a.number in undone_zeros}
     rows = []
     for action in known:
         document = action.document
@@ -128,7 +130,7 @@ def calibration_rows(actions: Iterable[Action], in_use: int) -> list[dict[str, A
             })  # fmt: skip
         elif action.kind == ZERO:
             what = "zero calibration" + (f", forced although {document['signs']}" if document.get("signs") else "")
-            state = "undone" if action.number in back else ""
+            state = "undone" if document.get("second") in back else ""
             rows.append({
                 "kind": "zero", "version": None, "time_s": action.time_s, "who": action.who, "origin": "operator", "what": what,
                 "effects": [], "state": state,

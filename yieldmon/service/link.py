@@ -239,6 +239,8 @@ class NetworkLink:
             )
             self._client = TaskControllerClient(device, machine.implement.working_width_m)
         self._client_at: int | None = None
+        self._address: int | None = None
+        """The node's, as of the last that it did: it is asked for with every frame."""
         self._waiting: deque[tuple[float, can.Message]] = deque(maxlen=_MOST_WAITING)
         """Frames of the newest second that wait for the claim, with the time of each."""
 
@@ -250,14 +252,14 @@ class NetworkLink:
     @property
     def address(self) -> int | None:
         """See Link."""
-        return self._node.address
+        return self._address
 
     def concerns(self, message: can.Message) -> bool:
         """See Link."""
         identifier = message.arbitration_id
-        if not message.is_extended_id or message.is_error_frame or message.is_remote_frame:
+        if identifier >> 16 & 0x3FF not in _HEARD_FORMATS and identifier & SOURCE_MASK != self._address:
             return False
-        return identifier >> 16 & 0x3FF in _HEARD_FORMATS or identifier & SOURCE_MASK == self._node.address
+        return message.is_extended_id and not message.is_error_frame and not message.is_remote_frame
 
     def start(self, now_s: float) -> list[can.Message]:
         """See Link."""
@@ -274,14 +276,14 @@ class NetworkLink:
             if parts.group in (PROCESS_DATA, ACKNOWLEDGEMENT):
                 received.append((parts.group, parts.source, parts.destination, data))
             for group, source, destination, content in received:
-                if destination in (GLOBAL_ADDRESS, self._node.address) and source != self._node.address:
+                if destination in (GLOBAL_ADDRESS, self._address) and source != self._address:
                     out += self._deliver(self._client.feed(group, source, content, now_s), now_s)
         return out
 
     def poll(self, now_s: float) -> list[can.Message]:
         """See Link."""
-        out = self._followed(self._node.poll(now_s) if now_s >= self._node.due_s else [], now_s)
-        if self._node.address is not None:
+        out = self._followed(self._node.poll(now_s), now_s) if now_s >= self._node.due_s else []
+        if self._waiting and self._address is not None:
             fresh = [message for since_s, message in self._waiting if now_s - since_s <= WAITS_S]
             self._waiting.clear()
             out += filter(None, map(self.addressed, fresh))
@@ -291,7 +293,7 @@ class NetworkLink:
 
     def addressed(self, message: can.Message, waits_from_s: float | None = None) -> can.Message | None:
         """See Link."""
-        address = self._node.address
+        address = self._address
         if waits_from_s is not None and self._waiting and waits_from_s - self._waiting[-1][0] > _ONE_WINDOW_S:
             self._waiting.clear()
         if address is None:
@@ -322,7 +324,7 @@ class NetworkLink:
         client = self._client
         return {
             "name": str(self._node.settings.name),
-            "address": self._node.address,
+            "address": self._address,
             "claim": self._node.claim_state.value,
             "partners": [{"address": address, "name": str(name)} for address, name in self._node.addresses.items()],
             "task_controller": None
@@ -337,8 +339,9 @@ class NetworkLink:
 
     def _followed(self, frames: list[RawFrame], now_s: float) -> list[can.Message]:
         """The frames as messages; the client begins and ends with our address."""
-        if self._client is not None and self._node.address != self._client_at:
-            self._client_at = self._node.address
+        self._address = self._node.address
+        if self._client is not None and self._address != self._client_at:
+            self._client_at = self._address
             if self._client_at is None:
                 self._client.stop()
             else:

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from yieldmon.engine.loads import LoadSummary
+from yieldmon.engine.since_zero import MissedMass
 from yieldmon.finite import finite
 from yieldmon.service.batch import Load
 
@@ -45,11 +46,20 @@ class LoadBook:
         if load != known:
             self._loads[load.number] = self._new[load.number] = load
 
-    def corrected(self, number: int, change_kg: float) -> None:
-        """The mass of a load of this or an earlier run changed by so much; one that is not known stays so."""
+    def corrected(self, number: int, missed: MissedMass) -> None:
+        """A load of this or an earlier run had missed so much; one that is not known stays so."""
         known = self._loads.get(number)
-        if known is not None:
-            self._loads[number] = self._new[number] = replace(known, mass_kg=max(0.0, known.mass_kg + change_kg))
+        if known is None:
+            return
+        mass_kg = max(0.0, known.mass_kg + missed.kg)
+        dry_known = known.dry_mass_kg is not None and missed.unknown_moisture_kg <= _UNKNOWN_MOISTURE_KG
+        area_known = missed.unknown_area_kg <= _UNKNOWN_AREA_SHARE * mass_kg
+        self._loads[number] = self._new[number] = replace(
+            known,
+            mass_kg=mass_kg,
+            dry_mass_kg=max(0.0, (known.dry_mass_kg or 0.0) + missed.dry_kg) if dry_known else None,
+            area_m2=known.area_m2 if area_known else None,
+        )
 
     def take(self) -> tuple[Load, ...]:
         """Those that no batch has brought yet; they count as brought."""

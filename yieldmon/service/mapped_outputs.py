@@ -45,6 +45,11 @@ class MappedOutputs:
         self._due_s = [float("-inf")] * len(outputs.groups)
         self._said = [False] * len(outputs.groups)
 
+    @property
+    def sends(self) -> bool:
+        """Whether there is any group."""
+        return bool(self._groups)
+
     def filters(self) -> list[CanFilter]:
         """python-can filters that let through frames of others under our identifiers."""
         return [

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from dataclasses import field as field_of
 
-from yieldmon.engine.since_zero import KEPT_S
+from yieldmon.engine.since_zero import KEPT_S, KeptSecond
 from yieldmon.engine.state import EngineState
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
@@ -15,7 +15,7 @@ from yieldmon.files import parameter_file
 from yieldmon.service import ledger as ledgers
 from yieldmon.service.batch import Action, Load, ParameterVersion, Ticket
 from yieldmon.service.reference_loads import StoredLoad, of_store
-from yieldmon.service.rows import SecondRow
+from yieldmon.service.rows import kept_second
 from yieldmon.service.store import Store
 from yieldmon.service.store_errors import StoreDamagedError
 
@@ -53,7 +53,7 @@ class Memory:
     actions: tuple[Action, ...] = ()
     unfinished_tickets: tuple[int, ...] = ()
     """Numbers of those that are still to update the parameters, or whose loads are still to be measured again."""
-    since_zero: tuple[SecondRow, ...] = ()
+    since_zero: tuple[KeptSecond, ...] = ()
     """Seconds since the operator's last zero calibration, where that can be undone."""
     ticketed: tuple[StoredLoad, ...] = ()
     """Loads of the newest tickets."""
@@ -95,13 +95,19 @@ def recall(store: Store) -> Memory:
         raise StoreDamagedError(f"{store.path}: the state cannot be used: {error!r}") from error
 
 
-def _since_zero(store: Store, actions: Sequence[Action]) -> tuple[SecondRow, ...]:
+def _since_zero(store: Store, actions: Sequence[Action]) -> tuple[KeptSecond, ...]:
     last = next((a for a in reversed(actions) if a.kind == ledgers.ZERO), None)
     if last is None:
         return ()
-    newest = store.last_second()
-    first = max(int(last.document["second"]) + 1, (newest.number if newest is not None else 0) - KEPT_S)
-    return tuple(store.seconds(first, on_damage=lambda number: None))
+    newest, told = store.last_second(), int(last.document["second"])
+    first = max(told + 1, (newest.number if newest is not None else 0) - KEPT_S)
+    kept, zero_mv = [], None
+    for row in store.seconds(first - 1, on_damage=lambda number: None):
+        if row.number >= first:
+            second = kept_second(row)
+            kept.append(second if zero_mv is None else replace(second, zero_mv=zero_mv))
+        zero_mv = row.zero_mv
+    return tuple(kept)
 
 
 def _ticketed(store: Store, engine: EngineState) -> tuple[StoredLoad, ...]:

@@ -38,8 +38,11 @@ class MetricsFile:
         if self._path is not None:
             self._thread.join(_STOP_S)
             try:
-                self._path.unlink(missing_ok=True)
-            except OSError as error:
+                # A link is followed, as in writing; a pipe or a device is not ours to take away.
+                target = self._path.resolve()
+                if target.is_file():
+                    target.unlink()
+            except (OSError, RuntimeError) as error:
                 _log.warning("metrics: %s", error)
 
     def _run(self) -> None:

@@ -5,39 +5,97 @@ from __future__ import annotations
 import fcntl
 import logging
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
+from types import TracebackType
 
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, reason
+from yieldmon.service.in_the_way import make_way
+from yieldmon.service.store_errors import StoreError
 
 _log = logging.getLogger(__name__)
 
 
 class OccupiedError(InputError):
-    """Another daemon has what this one is configured to use: wrong for as long as that one runs."""
+    """Another daemon has what this one is configured to use, or may have it: wrong for as long as that is so."""
 
 
-@contextmanager
-def owned(store: Path) -> Iterator[None]:
-    """Keeps other daemons off the store at this path for as long as the context lasts; a process that dies lets go of it.
+class Ownership:
+    """Keeps other daemons off the store at a path for as long as the context lasts; a process that dies lets go of it.
 
-    Raises OccupiedError when another daemon has it. Where the lock's file cannot be made, on a medium that takes no writing,
-    there is nothing to keep apart either.
+    Where the lock's file cannot be made, on a medium that takes no writing, there is nothing to keep apart either.
     """
-    path = store.with_name(f"{store.name}.lock")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-    except OSError as error:
-        _log.warning("%s: %s; another daemon on this store would not be noticed", path, error.strerror)
-        yield
-        return
-    try:
+
+    def __init__(self, store: Path) -> None:
+        self._store = store
+        self._path = store.with_name(f"{store.name}.lock")
+        self._lock: int | None = None
+
+    def __enter__(self) -> Ownership:
+        """Raises OccupiedError when another daemon has the store, or could have it by another name of the same file."""
+        self._one_name_only()
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            make_way([self._path])
+            taken = self._take()
+        except OSError as error:
+            _log.warning("%s: %s; another daemon on this store would not be noticed", self._path, reason(error))
+            return self
+        if not taken:
+            raise OccupiedError("store.path", f"{self._store}: another daemon is using it", "a store for each daemon")
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+    def keep(self) -> None:
+        """To be asked before each commit: a lock whose file was removed keeps nobody off, and is taken anew.
+
+        Raises StoreError when another daemon has taken it meanwhile.
+        """
+        if self._lock is None:
+            return
+        try:
+            if os.path.samestat(os.fstat(self._lock), os.lstat(self._path)):
+                return
+        except FileNotFoundError:
+            pass
+        except OSError:
+            return  # a medium that fails is reported by the commit
+        try:
+            make_way([self._path])
+            taken = self._take()
+        except OSError:
+            return
+        if not taken:
+            raise StoreError(f"{self._store}: another daemon is using it, since {self._path.name} was removed")
+        _log.warning("%s: removed while in use, and made anew", self._path)
+
+    def _take(self) -> bool:
+        """Whether the lock is ours now; another one that was is let go. Raises OSError."""
+        lock = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise OccupiedError("store.path", f"{store}: another daemon is using it", "a store for each daemon") from None
-        yield
-    finally:
-        os.close(lock)
+            os.close(lock)
+            return False
+        except OSError:
+            os.close(lock)
+            raise
+        if self._lock is not None:
+            os.close(self._lock)
+        self._lock = lock
+        return True
+
+    def _one_name_only(self) -> None:
+        # By each name SQLite would keep a journal of its own for the one file.
+        try:
+            names = os.stat(self._store).st_nlink
+        except OSError:
+            return
+        if self._store.is_file() and names > 1:
+            raise OccupiedError(
+                "store.path", f"{self._store}: is one file under {names} names (hard links)",
+                f"a file of its own (cp {self._store} {self._store}.own && mv {self._store}.own {self._store})",
+            )  # fmt: skip

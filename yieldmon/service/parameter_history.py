@@ -17,6 +17,8 @@ from yieldmon.service.batch import ParameterVersion, Step
 from yieldmon.service.memory import KEPT_VERSIONS, Memory
 from yieldmon.service.update_steps import step_document
 
+_CROP = "crop"
+"""Origin of versions that a change of crop made."""
 _SHIPPED_CROP = "corn"
 """Of the shipped parameter file."""
 
@@ -58,9 +60,9 @@ class ParameterHistory:
             return None
         kept = replace(in_use, version=self.version + 1, provenance={**in_use.provenance, "crop": before})
         self._of_crop[before] = kept
-        self.use(kept, "crop", who, f"what is known of {before} is kept")
+        self.use(kept, _CROP, who, f"what is known of {before} is kept")
         chosen = replace(known, version=self.version + 1)
-        self.use(chosen, "crop", who, f"what is known of {crop}")
+        self.use(chosen, _CROP, who, f"what is known of {crop}")
         return chosen
 
     def unlike(self, configured: ParameterSet) -> ParameterSet | None:
@@ -71,20 +73,38 @@ class ParameterHistory:
         """This file's parameters are those to begin with from now on."""
         self.digest = parameter_file.digest(configured)
 
-    def undo(self, version: int, who: str, now_s: float) -> ParameterSet:
-        """The parameters before a version, as a new version in use. Raises InputError."""
+    def undo(self, version: int, in_use: ParameterSet, named: str, who: str, now_s: float) -> tuple[ParameterSet, str]:
+        """The parameters before a version, as a new version in use; the crop, where that is another than is harvested now: then
+        those in use stay, and its own are kept for it. Raises InputError.
+
+        named: the crop that an operator named last.
+        """
         changes = self._actions.updates
         if version not in changes:
             raise InputError(f"version {version}", "no such calibration", "a version that `yieldmon calibrations list` shows")
         before = int(changes[version].document.get("from_version", 0))
         if version in self._actions.undone_versions:
             raise InputError(f"version {version}", "is undone already", "one that stands")
+        if changes[version].document.get("origin") == _CROP:
+            raise InputError(f"version {version}", "is a change of crop", "a calibration, or `yieldmon load start --crop NAME`")
         if before not in self._versions:
             raise InputError(f"version {version}", "the parameters before it are not known", "a later version")
         self._actions.add(ledgers.PARAMETERS_UNDO, who, {"version": version}, now_s)
-        chosen = replace(self._versions[before], version=self.version + 1)
-        self.use(chosen, "undo", who, f"version {version} undone: as version {before}")
-        return chosen
+        now, crop = self.crop_of(in_use, named), self._crop_at(version)
+        earlier = replace(self._versions[before], version=self.version + 1)
+        if not crop or not now or crop == now:
+            self.use(earlier, "undo", who, f"version {version} undone: as version {before}")
+            return earlier, ""
+        kept = self._of_crop[crop] = replace(earlier, provenance={**earlier.provenance, "crop": crop})
+        self.use(kept, "undo", who, f"version {version} of {crop} undone: as version {before}")
+        chosen = replace(in_use, version=self.version + 1, provenance={**in_use.provenance, "crop": now})
+        self.use(chosen, _CROP, who, f"what is known of {now}")
+        return chosen, crop
+
+    def _crop_at(self, version: int) -> str:
+        """Whose crop a version is: it says so, or the one that a change of crop kept first since; "" where none does."""
+        since = (self._versions[known].provenance for known in sorted(self._versions) if known >= version)
+        return next((provenance["crop"] for provenance in since if "crop" in provenance), "")
 
     def use(
         self,

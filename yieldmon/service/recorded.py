@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from yieldmon.bus.sqlite_log import is_log
 from yieldmon.errors import InputError, brief
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
@@ -45,6 +46,11 @@ _LIMITS: dict[str, tuple[float, float]] = {
 def is_store(path: str | Path) -> bool:
     """Whether a name is a store's."""
     return Path(path).suffix.lower() in STORE_SUFFIXES
+
+
+def is_store_not_log(path: str | Path) -> bool:
+    """`is_store` where bus logs stand beside stores: python-can names a log in a database .db as well."""
+    return is_store(path) and not is_log(path)
 
 
 def read_seconds(path: Path | str) -> list[SecondRow]:

@@ -12,12 +12,14 @@ from yieldmon.engine.state import EngineState
 from yieldmon.engine.totals import Totals
 from yieldmon.errors import reason
 from yieldmon.service import rescue
+from yieldmon.service.identity import NONE, are_two, part_from_strange_journal
+from yieldmon.service.in_the_way import make_way
 from yieldmon.service.memory import Memory, recall
 from yieldmon.service.retention import Retention
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store
 from yieldmon.service.store_errors import StoreDamagedError, StoreError
-from yieldmon.service.store_file import parts, refuse_stranger, witnessed
+from yieldmon.service.store_file import beside, note_beginning, parts, refuse_stranger, witnessed, witnessed_store
 
 _log = logging.getLogger(__name__)
 
@@ -47,12 +49,15 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store]) -
     notes: list[str] = []
     made = True
     try:
+        make_way(beside(path))
         rescue.finish(path)
+        if strange := part_from_strange_journal(path):
+            notes.append(strange)
     except OSError as error:
         _log.error("%s: %s", path, error)
     for without in rescue.GIVEN_UP:
         try:
-            memory = _read(path, retention, open_store)
+            memory, identity = _read(path, retention, open_store)
         except StoreDamagedError as error:
             _log.error("%s", error)
             notes.append(_rescued(path, error, without))
@@ -60,7 +65,7 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store]) -
         except StoreError:
             if not _nothing_at(path):
                 raise
-            memory, made = Memory(), False
+            memory, identity, made = Memory(), NONE, False
         last_batch = memory.last_batch
         missing = witnessed(path) - last_batch
         if missing > 0:
@@ -69,8 +74,11 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store]) -
             memory = replace(memory, last_batch=memory.last_batch + missing)
         elif 0 < last_batch + missing < last_batch - _UNNOTED_AT_MOST:
             notes.append(f"it has {-missing} commits more than were made here: the totals may be another machine's")
+        if are_two(identity, witnessed_store(path)):
+            notes.append("it is another store than was written here: the totals may be another machine's")
         for note in notes:
             _log.error("%s: %s", path, note)
+        note_beginning(path)
         return Recovery(memory, "; ".join(notes), last_batch, made)
     raise StoreError(f"{path}: cannot be used, nor can a new one in its place")
 
@@ -94,7 +102,8 @@ def _rescued(path: Path, error: StoreDamagedError, without: tuple[str, ...]) -> 
     return f"damaged, {rescued}; totals are those of {origin}"
 
 
-def _read(path: Path, retention: Retention, open_store: Callable[[], Store]) -> Memory:
+def _read(path: Path, retention: Retention, open_store: Callable[[], Store]) -> tuple[Memory, int]:
+    """What the store remembers, and its identity."""
     ways: tuple[Callable[[], Store], ...] = (
         open_store,
         lambda: Store(path, retention, exclusive=True),
@@ -105,7 +114,8 @@ def _read(path: Path, retention: Retention, open_store: Callable[[], Store]) -> 
     for way in ways:
         try:
             with way() as store:
-                return remembered(store)
+                identity = store.identity()
+                return remembered(store), identity
         except StoreDamagedError:
             raise
         except StoreError as error:

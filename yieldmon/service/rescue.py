@@ -19,6 +19,7 @@ from yieldmon.engine.records import COLUMNS
 from yieldmon.files.whole_file import sync
 from yieldmon.service import schema
 from yieldmon.service.checksums import UNCHECKED, row_checksum
+from yieldmon.service.in_the_way import make_way
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store
 from yieldmon.service.store_errors import StoreDetachedError, StoreError
@@ -66,8 +67,7 @@ def rescue(path: Path, label: str, *, without: Sequence[str] = (), seconds_budge
     file cannot be made or renamed.
     """
     fresh = _fresh(path)
-    for part in parts(fresh):
-        part.unlink(missing_ok=True)
+    _remove(fresh)
     rescued = Rescued(path)
     # Opened and closed once: its first page shows what the first page of a store looks like.
     Store(fresh).close()
@@ -86,8 +86,7 @@ def reattach(store: Store, label: str) -> Path | None:
     """
     fresh = _fresh(store.path)
     fresh.parent.mkdir(parents=True, exist_ok=True)
-    for part in parts(fresh):
-        part.unlink(missing_ok=True)
+    _remove(fresh)
     store.copy_to(fresh)
     store.close()
     there = any(part.exists() for part in parts(store.path))
@@ -115,6 +114,13 @@ def finish(path: Path) -> None:
         _put_in_place(path, "interrupted")
 
 
+def _remove(scratch: Path) -> None:
+    """The files of a store of our own that was never finished. What has their names and is no file is nobody's to remove."""
+    make_way(parts(scratch))
+    for part in parts(scratch):
+        part.unlink(missing_ok=True)
+
+
 def _fresh(path: Path) -> Path:
     return path.with_name(f"{path.name}.being-made")
 
@@ -125,6 +131,7 @@ def _ready(path: Path) -> Path:
 
 def _replace(path: Path, fresh: Path, label: str) -> Path:
     sync(fresh)
+    make_way([_ready(path)])
     fresh.rename(_ready(path))
     sync(path.parent)
     return _put_in_place(path, label)
@@ -152,8 +159,7 @@ def _opened(path: Path, model: Path) -> Iterator[sqlite3.Connection | None]:
             # Under a journal without its file lies an empty store: tables begin at the same pages.
             content = model.read_bytes() if orphaned else path.read_bytes()
             for candidate in (content, _with_the_schema_of(model.read_bytes(), content)):
-                for part in parts(mended):
-                    part.unlink(missing_ok=True)
+                _remove(mended)
                 _write_new(mended, _with_a_sound_header(candidate))
                 journal = parts(path)[1]
                 if journal.exists():
@@ -165,8 +171,7 @@ def _opened(path: Path, model: Path) -> Iterator[sqlite3.Connection | None]:
             if database is not None:
                 database.close()
     finally:
-        for part in parts(mended):
-            part.unlink(missing_ok=True)
+        _remove(mended)
 
 
 def _write_new(path: Path, content: bytes) -> None:

@@ -10,7 +10,6 @@ from yieldmon.service.assembly import calibration_age_s, monitor_of
 from yieldmon.service.configuration import Configuration
 from yieldmon.service.memory import Memory
 from yieldmon.service.reference_loads import reference
-from yieldmon.service.rows import kept_second
 
 
 def resume(monitor: Monitor, memory: Memory, origin: str, configured: ParameterSet, now_s: float) -> None:
@@ -28,7 +27,7 @@ def resume(monitor: Monitor, memory: Memory, origin: str, configured: ParameterS
     elif age_s is not None:
         age_s += max(0.0, now_s - memory.saved_s)
     monitor.restore(replace(memory.engine, calibration_age_s=age_s))
-    monitor.remember_since_zero([kept_second(row) for row in memory.since_zero])
+    monitor.remember_since_zero(memory.since_zero)
     for stored in memory.ticketed if origin == "store" else ():
         found = reference(stored, monitor.machine, monitor.settings.windows.min_coverage)
         monitor.know_load(found.summary, found.seconds)

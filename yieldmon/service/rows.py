@@ -5,9 +5,10 @@ The columns are those that `engine.records.WindowRecord` declares, after the row
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import field, make_dataclass
 from math import nan, radians
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from yieldmon.engine.quick import maker_of
@@ -49,14 +50,29 @@ Examples
 See `process_logs`.
 """
 
-_values = attrgetter(*(column.attribute for column in COLUMNS))
-_CONVERSIONS = tuple(column.convert for column in COLUMNS)
+
+def _attributes(names: Sequence[str]) -> Callable[[object], tuple[Any, ...]]:
+    taken = attrgetter(*names)
+    return taken if len(names) > 1 else lambda record: (taken(record),)
+
+
+# Columns that are converted alike are converted together.
+_ALIKE = {
+    convert: [place for place, column in enumerate(COLUMNS) if column.convert is convert]
+    for convert in dict.fromkeys(column.convert for column in COLUMNS)
+}
+_CONVERTED = [(convert, _attributes([COLUMNS[place].attribute for place in places])) for convert, places in _ALIKE.items()]
+_TOGETHER = [place for places in _ALIKE.values() for place in places]
+_in_order = itemgetter(*(_TOGETHER.index(place) for place in range(len(COLUMNS))))
 _made = maker_of(SecondRow)
 
 
 def second_row(number: int, record: WindowRecord) -> SecondRow:
     """The row of a window record."""
-    return _made(number, *[convert(value) for convert, value in zip(_CONVERSIONS, _values(record), strict=True)])
+    values: list[Any] = []
+    for convert, taken in _CONVERTED:
+        values += convert(taken(record))
+    return _made(number, *_in_order(values))
 
 
 def kept_second(row: SecondRow) -> KeptSecond:
@@ -76,4 +92,5 @@ def kept_second(row: SecondRow) -> KeptSecond:
         plate_angle_rad=radians(known(row.plate_angle_deg)),
         elevator_speed_rad_s=known(row.elevator_speed_rpm) * RPM,
         moisture_pct=known(row.moisture_pct),
+        area_m2=known(row.area_m2),
     )

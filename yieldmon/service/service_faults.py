@@ -17,7 +17,12 @@ _FOREVER = float("inf")
 _HANGS_S = 2.0
 #: From this wait on a disk that is slow rather than broken is a fault.
 _SLOW_STORE_S = 10.0
-_BUS = ("interface", "bus-off", "errors", "transmit", "late", "receive-thread", "transmit-thread")
+#: Faults and the conditions that are behind each.
+_NAMES = {
+    FaultCode.BUS_ERROR: ("interface", "bus-off", "errors", "transmit", "late", "receive-thread", "transmit-thread"),
+    FaultCode.FRAMES_LOST: ("dropped",),
+    FaultCode.OUTPUT_CONFLICT: ("conflict",),
+}
 
 
 class ServiceFaults:
@@ -71,23 +76,18 @@ class ServiceFaults:
         for name, silent_s in hangs_s.items():
             if silent_s > _HANGS_S:
                 self._conditions.present(f"{name}-thread", now_s + _HOLD_S, f"the {name} thread hangs")
-        found = {
-            FaultCode.BUS_ERROR: self._details(now_s, *_BUS),
-            FaultCode.FRAMES_LOST: self._details(now_s, "dropped"),
-            FaultCode.OUTPUT_CONFLICT: self._details(now_s, "conflict"),
-            FaultCode.NETWORK_FAULT: "; ".join(network),
-            FaultCode.STORE_FAILING: store_trouble(store, store_note),
-        }
+        found = {code: "; ".join(self._conditions.details(now_s, names)) for code, names in _NAMES.items()}
+        found[FaultCode.NETWORK_FAULT] = "; ".join(network)
+        found[FaultCode.STORE_FAILING] = store_trouble(store, store_note)
+        if found == self._reported:
+            return {}
         changed = {code: detail for code, detail in found.items() if self._reported.get(code, "") != detail}
-        self._reported |= changed
+        self._reported = found
         return changed
 
     def report_all_anew(self) -> None:
         """The next `changes` has every fault that holds: a new monitor knows of none."""
         self._reported.clear()
-
-    def _details(self, now_s: float, *names: str) -> str:
-        return "; ".join(self._conditions.details(now_s, names))
 
 
 def store_trouble(health: StoreHealth, note: str) -> str:

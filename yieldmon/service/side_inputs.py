@@ -90,6 +90,11 @@ class SideInputs:
             return [] if decoded is None else [decoded]
         return self._frames(message.arbitration_id, bytes(message.data), message.timestamp, decoded)
 
+    @staticmethod
+    def supersedes(identifier: int) -> bool:
+        """Whether frames of the DBC under an identifier are left out, or parts of them, while a better source speaks."""
+        return identifier >> 8 & 0x3FFFF in GROUPS
+
     def extend(self, decoded: DecodedBlock, block: FrameBlock) -> DecodedBlock:
         """The same for a whole block of a log, the blocks in order."""
         others, native = self._rows(block)

@@ -13,6 +13,7 @@ One `Store` belongs to one thread.
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import sqlite3
@@ -25,6 +26,7 @@ from yieldmon.errors import InputError
 from yieldmon.service import schema
 from yieldmon.service.batch import Action, Batch, FaultEvent, Load, ParameterVersion, Step, SweepRecord, Ticket
 from yieldmon.service.checksums import row_checksum
+from yieldmon.service.identity import KEY, MARK, NONE, are_two, drawn, marked, of_state
 from yieldmon.service.ledger import ledger
 from yieldmon.service.retention import DEFAULT_RETENTION, Retention
 from yieldmon.service.rows import SecondRow
@@ -48,6 +50,8 @@ _NEEDED = ("mark", "state", "counter", "load", "parameter_set", "ticket", "actio
 _EVENTS = ("sweep", "fault", "step")
 #: Schema version that brought the loads' areas.
 _AREAS_FROM = 7
+#: No file has the name; where its folder was may be another thing by now.
+_GONE = frozenset({errno.ENOENT, errno.ENOTDIR, errno.ELOOP})
 #: Rows taken away at a time, so that making room never holds up a second's commit for long.
 _PRUNE_ROWS = 2000
 #: Lessons that a posting may reach back over.
@@ -218,12 +222,24 @@ class Store:
         """
         self._require_writable()
         with failures_of(self.path), refusals(self.path), self._transaction():
-            last = self.last_batch()
+            last, identity = self.last_batch(), marked(self._database)
+            if identity == NONE:
+                identity = drawn(self._database)
+                write_mark(self._database, MARK, identity)
             for batch in batches:
                 if batch.number > last:
-                    write(self._database, batch)
+                    write(self._database, batch, identity)
                     last = batch.number
-        witness(self.path, last)
+        witness(self.path, last, identity)
+
+    def identity(self) -> int:
+        """The store's own number, drawn at its first commit; `identity.NONE` before. Raises StoreDamagedError where the state was
+        committed to another store."""
+        with failures_of(self.path):
+            ours, of_last = marked(self._database), of_state(self._database)
+        if are_two(ours, of_last):
+            raise StoreDamagedError(f"{self.path}: its file and its journal are of two stores")
+        return ours
 
     def _require_writable(self) -> None:
         # On a file system that Linux has remounted read-only, writes into a journal that has room succeed and so does fsync
@@ -241,12 +257,10 @@ class Store:
         for part in parts(self.path):
             try:
                 found = os.stat(part)
-            except FileNotFoundError:
-                if part in self._identities or part == self.path:
-                    raise StoreDetachedError(f"{part}: removed while in use") from None
-                continue
-            except OSError:
+            except OSError as error:
                 # A medium that fails is reported by the commit.
+                if error.errno in _GONE and (part in self._identities or part == self.path):
+                    raise StoreDetachedError(f"{part}: removed while in use") from None
                 continue
             identity = (found.st_dev, found.st_ino)
             if self._identities.setdefault(part, identity) != identity or not found.st_nlink:
@@ -297,7 +311,8 @@ class Store:
                 rows = self._database.execute("SELECT batch, document FROM state").fetchall()
         else:
             rows = [(batch, document) for _, batch, _, document in self._checked("state")]
-        return self._document(max(rows)[1]) if rows else None
+        document = self._document(max(rows)[1]) if rows else None
+        return {name: value for name, value in document.items() if name != KEY} if isinstance(document, dict) else document
 
     def _document(self, text: Any) -> Any:
         try:
@@ -311,6 +326,9 @@ class Store:
         on_damage: called with the number of each row that is not as it was written, which is then left out; without it such a
         row raises StoreDamagedError.
         """
+        if first_number <= 1:
+            # From end to end: a search is led astray by a damaged row, and what it passes over would be missed unsaid.
+            return self._seconds("ORDER BY number", (), on_damage)
         return self._seconds("WHERE number >= ? ORDER BY number", (first_number,), on_damage)
 
     def seconds_of_load(self, load_number: int, on_damage: Callable[[int], None] | None = None) -> list[SecondRow]:

@@ -105,10 +105,10 @@ def header_problem(path: Path) -> str | None:
     return None
 
 
-def witness(path: Path, batch: int) -> None:
-    """Note beside the store that a batch was committed. A journal that is cut short, or a store put back from a copy, looks like
-    a sound one: this says how far it had come. What cannot be noted is not."""
-    line = f"{batch} {row_checksum('witness', batch)}\n".encode()
+def witness(path: Path, batch: int, identity: int = 0) -> None:
+    """Note beside the store that a batch was committed, and to which store. A journal that is cut short, or a store put back from
+    a copy, looks like a sound one: this says how far it had come. What cannot be noted is not."""
+    line = f"{batch} {row_checksum('witness', batch)} {identity} {row_checksum('witness', batch, identity)}\n".encode()
     with suppress(OSError):
         descriptor = os.open(_witness(path), os.O_WRONLY | os.O_CREAT | _NOT_WAITING, 0o600)
         try:
@@ -117,22 +117,45 @@ def witness(path: Path, batch: int) -> None:
             os.close(descriptor)
 
 
+def note_beginning(path: Path) -> None:
+    """Note that a store is kept here, before its first commit: whatever becomes of its file, it is ours to mend."""
+    if not os.path.lexists(_witness(path)):
+        witness(path, 0)
+
+
 def witnessed(path: Path) -> int:
     """The last batch that `witness` noted, 0 where there is no such note or it is damaged."""
+    return _noted(path)[0]
+
+
+def witnessed_store(path: Path) -> int:
+    """The identity of the store that `witness` noted the last batch of, 0 where it is not known."""
+    return _noted(path)[1]
+
+
+def _noted(path: Path) -> tuple[int, int]:
     try:
         descriptor = os.open(_witness(path), os.O_RDONLY | _NOT_WAITING)
         try:
             words = os.read(descriptor, _WITNESS_BYTES).split()
         finally:
             os.close(descriptor)
-        batch, checksum = (int(word) for word in words)
+        # A note of an earlier version has no identity.
+        batch, checksum, *more = (int(word) for word in words)
+        identity, both = more or (0, row_checksum("witness", batch, 0))
     except (OSError, ValueError):
-        return 0
-    return batch if row_checksum("witness", batch) == checksum else 0
+        return 0, 0
+    sound = (row_checksum("witness", batch), row_checksum("witness", batch, identity)) == (checksum, both)
+    return (batch, identity) if sound else (0, 0)
 
 
 def _witness(path: Path) -> Path:
     return path.with_name(f"{path.name}.last")
+
+
+def beside(path: Path) -> tuple[Path, ...]:
+    """The files that are made beside a store while it is in use."""
+    return (*parts(path)[1:], _witness(path))
 
 
 def looks_like_a_store(database: sqlite3.Connection, version: int | None = None) -> bool:
@@ -202,6 +225,8 @@ def _copied(path: Path, folder: Path, why: InputError) -> Path:
         before = [_state(part) for part in parts(path)[:2]]
         try:
             for part in parts(path)[:2]:
+                if not part.is_file() or (part != path and part.is_symlink()):
+                    raise why
                 shutil.copyfile(part, folder / part.name)
         except OSError as error:
             raise why from error
@@ -243,7 +268,7 @@ def set_aside(path: Path, label: str) -> Path:
         count += 1
         aside = path.with_name(f"{path.name}.{label}-{count}")
     for part, target in zip(parts(path), parts(aside), strict=True):
-        if part.exists():
+        if os.path.lexists(part):
             part.rename(target)
     return aside
 
@@ -265,7 +290,7 @@ def refuse_stranger(path: Path, fstab: Path = Path("/etc/fstab")) -> None:
             begin = file.read(64)
     except OSError:
         return
-    a_store_was_here = begin.startswith(b"SQLite format 3\0") or not begin.strip(b"\0") or _witness(path).exists()
+    a_store_was_here = begin.startswith(b"SQLite format 3\0") or not begin.strip(b"\0") or os.path.lexists(_witness(path))
     if not a_store_was_here:
         raise InputError(str(path), "is no store; it is left as it is", "a store, or the name of a file that does not exist yet")
 

@@ -11,6 +11,7 @@ from typing import Any
 from yieldmon.service import schema
 from yieldmon.service.batch import Batch
 from yieldmon.service.checksums import UNCHECKED, row_checksum
+from yieldmon.service.identity import KEY
 from yieldmon.service.rows import SecondRow
 
 COLUMNS: Mapping[str, tuple[str, ...]] = {**schema.COLUMNS, "second": tuple(f.name for f in fields(SecondRow))}
@@ -33,8 +34,8 @@ _INSERT_TICKET = (
 )
 
 
-def write(database: sqlite3.Connection, batch: Batch) -> None:
-    """Put all of a batch into its tables."""
+def write(database: sqlite3.Connection, batch: Batch, identity: int) -> None:
+    """Put all of a batch into its tables. identity: of the store, which the state carries."""
     execute, executemany = database.execute, database.executemany
     executemany(_INSERT_SECOND, (_summed("second", astuple(row)) for row in batch.seconds))
     executemany(_UPSERT_LOAD, (_summed("load", astuple(load)[:-1]) for load in batch.loads))
@@ -52,7 +53,9 @@ def write(database: sqlite3.Connection, batch: Batch) -> None:
     )
     executemany(_UPSERT_STEP, (_summed("step", (s.version, s.time_s, _json(s.document))) for s in batch.steps))
     executemany(_UPSERT_COUNTER, (_summed("counter", item) for item in batch.counters.items()))
-    execute(_UPSERT_STATE, _summed("state", (batch.number % 2, batch.number, batch.time_s, _json(batch.state))))
+    execute(
+        _UPSERT_STATE, _summed("state", (batch.number % 2, batch.number, batch.time_s, _json({**batch.state, KEY: identity})))
+    )
 
 
 def write_mark(database: sqlite3.Connection, name: str, value: int) -> None:
@@ -61,9 +64,10 @@ def write_mark(database: sqlite3.Connection, name: str, value: int) -> None:
 
 
 def second_is_sound(row: Sequence[Any], checksum: Any, unchecked_to: int) -> bool:
-    """Whether a row of `second` is as it was written; rows up to number `unchecked_to` may have no checksum."""
+    """Whether a row of `second` is as it was written; rows from number 1 up to `unchecked_to` may have no checksum. In a zeroed
+    sector SQLite sees rows of number 0 that have every column's default."""
     if checksum == UNCHECKED:
-        return isinstance(row[0], int) and row[0] <= unchecked_to
+        return isinstance(row[0], int) and 1 <= row[0] <= unchecked_to
     return any(row_checksum("second", *(row[place] for place in places)) == checksum for places in schema.SECOND_CHECKED)
 
 

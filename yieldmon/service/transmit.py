@@ -78,13 +78,16 @@ class Transmitter:
         """Start the thread."""
         self._thread.start()
 
-    def submit(self, message: can.Message) -> None:
-        """Queue a frame; returns at once."""
+    def submit(self, *messages: can.Message) -> None:
+        """Queue frames, in their order; returns at once."""
+        if not messages:
+            return
         with self._changed:
-            if len(self._queue) >= self._capacity:
-                self._queue.popleft()
-                self._counters = replace(self._counters, late=self._counters.late + 1, last_late_at_s=self._clock())
-            self._queue.append((self._clock(), message))
+            for message in messages:
+                if len(self._queue) >= self._capacity:
+                    self._queue.popleft()
+                    self._counters = replace(self._counters, late=self._counters.late + 1, last_late_at_s=self._clock())
+                self._queue.append((self._clock(), message))
             self._changed.notify()
 
     def stop(self, patience_s: float = _STOP_S) -> bool:
@@ -128,8 +131,7 @@ class Transmitter:
 
     def counters(self) -> TransmitCounters:
         """A consistent copy of the counters."""
-        with self._changed:
-            return self._counters
+        return self._counters
 
     def _run(self) -> None:
         while True:

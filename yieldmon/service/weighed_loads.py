@@ -8,7 +8,7 @@ Each second of a load counts with the time for which its flow, by the parameters
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +26,7 @@ from yieldmon.service.assembly import build_monitor
 from yieldmon.service.bulk_processing import process_in_bulk
 from yieldmon.service.configuration import Configuration
 from yieldmon.service.log_copies import refuse_copies
-from yieldmon.service.recorded import is_store, opened, parameter_sets
+from yieldmon.service.recorded import is_store_not_log, opened, parameter_sets
 from yieldmon.service.rows import SecondRow
 
 _LEAST_SHARE = 0.9
@@ -36,12 +36,15 @@ _KEPT_SWEEPS = 20
 
 @dataclass(frozen=True)
 class MeasuredLoad:
-    """Seconds of one load, with the parameters that measured each version's."""
+    """Seconds of one load, with the parameters that measured each version's. crop: "" where nobody said. is_open: more grain may
+    come."""
 
     name: str
     log: str
     seconds: tuple[SecondRow, ...]
     parameters: Mapping[int, ParameterSet]
+    crop: str = ""
+    is_open: bool = False
 
     @property
     def mass_kg(self) -> float:
@@ -53,7 +56,7 @@ def read(
     sources: Sequence[str], configured: Configuration, progress: Callable[[object], None] | None = None
 ) -> tuple[MeasuredLoad, ...]:
     """The loads of one store or of several logs. Raises InputError."""
-    stores = [source for source in sources if is_store(source)]
+    stores = [source for source in sources if is_store_not_log(source)]
     if stores and len(sources) > 1:
         raise InputError("--loads", f"names {stores[0]} beside others", "one store, or one or more logs")
     if len(set(sources)) < len(sources):
@@ -67,7 +70,30 @@ def _of_store(path: Path) -> tuple[MeasuredLoad, ...]:
     with opened(path) as store:
         rows = store.seconds()
         versions = parameter_sets(store)
-    return loads_of(rows, versions)
+        known = {str(load.number): load for load in store.loads()}
+    found = []
+    for load in loads_of(rows, versions):
+        of_parameters = versions.get(load.seconds[-1].parameter_version)
+        crop = known[load.name].crop if load.name in known else ""
+        crop = crop or (of_parameters.provenance.get("crop", "") if of_parameters is not None else "")
+        found.append(replace(load, crop=crop, is_open=load.name in known and known[load.name].ended_s is None))
+    return tuple(found)
+
+
+def alike(loads: Sequence[MeasuredLoad], tickets: Sequence[WeighedTicket]) -> tuple[MeasuredLoad, ...]:
+    """The loads of the crop that the tickets are for, all others left out. Raises InputError where those are of two crops."""
+    first: MeasuredLoad | None = None
+    for ticket in tickets:
+        for load in loads_on(ticket, loads):
+            if first is None or not first.crop:
+                first = load
+            elif load.crop and load.crop != first.crop:
+                raise InputError(
+                    ticket.where,
+                    f"load {load.name} is of {load.crop}, load {first.name} of {first.crop}",
+                    "the tickets of one crop in a file",
+                )
+    return tuple(load for load in loads if first is None or load.crop == first.crop)
 
 
 def _of_logs(
@@ -127,6 +153,9 @@ def match(loads: Sequence[MeasuredLoad], tickets: Sequence[WeighedTicket], machi
         for load in covered:
             if load.name in taken:
                 raise InputError(ticket.where, f"load {load.name} has a ticket already", "each load on one ticket")
+            if load.is_open:
+                problem = f"load {load.name} is still open, so more grain may come"
+                raise InputError(ticket.where, problem, "`yieldmon load stop` first")
             taken[load.name] = ticket.where
         name = ticket.first if ticket.first == ticket.last else f"{ticket.first}-{ticket.last}"
         out.append(_weighed(name, ticket, covered, machine))

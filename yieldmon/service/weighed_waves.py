@@ -19,7 +19,7 @@ from yieldmon.service.assembly import build_monitor
 from yieldmon.service.bulk_processing import process_in_bulk
 from yieldmon.service.configuration import Configuration
 from yieldmon.service.log_copies import refuse_copies
-from yieldmon.service.recorded import is_store
+from yieldmon.service.recorded import is_store_not_log
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.weighed_loads import MeasuredLoad, loads_in_log, loads_on
 
@@ -44,7 +44,7 @@ def looking(configured: Configuration) -> Configuration:
 def read(sources: Sequence[str], configured: Configuration) -> tuple[WavedLoad, ...]:
     """The loads of logs. Raises InputError, also for a store, which holds no samples."""
     for source in sources:
-        if is_store(source):
+        if is_store_not_log(source):
             raise InputError(source, "is a store, which holds no samples", "logs of weighed loads")
         if sources.count(source) > 1:
             raise InputError("--loads", f"names {source} twice", "each log once")

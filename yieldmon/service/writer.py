@@ -6,16 +6,18 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import monotonic, time
 
 from yieldmon.errors import reason
 from yieldmon.service.batch import Batch
+from yieldmon.service.in_the_way import make_way
 from yieldmon.service.rescue import finish, mend
 from yieldmon.service.store import Store
 from yieldmon.service.store_errors import BatchRefusedError, StoreDamagedError, StoreDetachedError, StoreError
-from yieldmon.service.store_file import set_aside
+from yieldmon.service.store_file import beside, set_aside
 
 _log = logging.getLogger(__name__)
 
@@ -49,11 +51,12 @@ class StoreWriter:
     """Writes batches in order on its own thread; a batch is written once, whatever fails in between."""
 
     def __init__(
-        self, open_store: Callable[[], Store], capacity: int, retry_s: float = _RETRY_S, path: Path | None = None
-    ) -> None:
+        self, open_store: Callable[[], Store], capacity: int, retry_s: float = _RETRY_S, path: Path | None = None,
+        keep: Callable[[], None] = lambda: None,
+    ) -> None:  # fmt: skip
         """open_store: opens the store anew each time it is called. capacity: batches that may wait with their records;
         beyond it the oldest gives up its record and hands its totals and events to the next. path: where the store is, for one
-        that cannot be opened to be set aside."""
+        that cannot be opened to be set aside. keep: called before each write; raises StoreError when the store is another's."""
         self._open_store = open_store
         self._capacity = capacity
         self._retry_s = retry_s
@@ -64,6 +67,7 @@ class StoreWriter:
         self._waiting_since_s = 0.0
         self._in_flight = 0
         self._path = path
+        self._keep = keep
         self._store: Store | None = None
         self._last_committed = 0
         self._last_submitted = 0
@@ -137,6 +141,7 @@ class StoreWriter:
         """Write what is pending, on the caller's thread; False when the disk failed and another try needs a pause."""
         store = self._store
         try:
+            self._keep()
             store = self._store = store or self._opened()
             self._write(store)
         except StoreError as error:
@@ -183,6 +188,9 @@ class StoreWriter:
     def _opened(self) -> Store:
         """The store, opened; whether it is still the one that was written is told. Raises StoreError."""
         removed = self._there and self._path is not None and not self._found(self._path)
+        if self._path is not None:
+            with suppress(OSError):
+                make_way(beside(self._path))
         store = self._open_store()
         try:
             found = store.last_batch()

@@ -21,6 +21,8 @@ def run(args: argparse.Namespace) -> int:
     print_document(summary, _text, as_json=args.json)
     for item in (*summary["failed"], *summary["poisoned"]):
         print(plain(f"not measured: {item['machine']} {item['day']}: {item['problem']}"), file=sys.stderr)
+    for item in summary["doubtful"]:
+        print(plain(f"doubtful: {item['machine']} {item['day']}: {item['problem']}"), file=sys.stderr)
     return 0
 
 

@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--adaptive", "is given beside --scheduler", "one of them; a cluster elsewhere has its own adaptation")
     found = manifest.load(args.source)
     for path in found.left_out:
-        print(plain(f"yieldmon: {path}: holds no log, left out"), file=sys.stderr)
+        print(plain(f"yieldmon: {path}: left out, holds no log of a day (MACHINE/DAY/LOGS)"), file=sys.stderr)
     dataset = Dataset(args.out)
     configured = _configurations(found.partitions, args)
     token = dataset.begin()

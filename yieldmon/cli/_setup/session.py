@@ -10,6 +10,8 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+import can
+
 from yieldmon.cli._setup.questions import QUESTIONS, Question
 from yieldmon.errors import InputError
 from yieldmon.files import strict_yaml, whole_file
@@ -42,15 +44,31 @@ def checked(question: Question, value: Any, where: str) -> Any:
     """The value as the set-up uses it. Raises InputError."""
     if question.kind == "word":
         text = str(value).strip()
-        if not text or not text.isprintable():
+        if not text or not text.isprintable() or isinstance(value, list | Mapping | None):
             raise InputError(where, f"is {value!r}", "a word")
-        return crop(text).name if question.key == "crop" else text
+        return interface(text, where) if question.key == "bus_interface" else crop(text).name if question.key == "crop" else text
     if question.kind == "number":
         return _number(question, value, where)
-    values = value if isinstance(value, list) else str(value).replace(";", " ").replace(", ", " ").split()
+    values = value if isinstance(value, list) else _several(str(value))
     if not values:
         raise InputError(where, "is empty", f"numbers in {question.unit}")
     return [_number(question, v, where) for v in values]
+
+
+def interface(name: str, where: str) -> str:
+    """As python-can writes it. Raises InputError."""
+    found = name.lower()
+    if found not in can.VALID_INTERFACES:
+        near = difflib.get_close_matches(found, can.VALID_INTERFACES, n=1, cutoff=0.5)
+        raise InputError(where, f"is {name!r}", near[0] if near else f"one of {', '.join(sorted(can.VALID_INTERFACES))}")
+    return found
+
+
+def _several(text: str) -> list[str]:
+    """Numbers with spaces or semicolons between them, or commas that cannot be decimal ones."""
+    apart = text.replace(";", " ").replace(", ", " ").split()
+    listed = len(apart) == 1 and "," in text and (text.count(",") > 1 or "." in text)
+    return text.strip().split(",") if listed else apart
 
 
 def _number(question: Question, value: Any, where: str) -> float:

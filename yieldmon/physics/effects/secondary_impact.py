@@ -33,6 +33,17 @@ def _by_cosine(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
     return replace(impulse, normal_gain=scale_restitution(impulse, factor, setting))
 
 
+def _within_stream(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
+    arrival = impulse.arrival
+    normal, tangential = arrival.normal_speed_m_s, arrival.tangential_speed_m_s
+    towards = real(normal) > 0.0
+    drift = np.where(towards, tangential, 0.0) / np.where(towards, normal, 1.0)
+    drift = np.where(real(drift) < 0.0, -drift, drift)
+    stays = np.where(towards & (real(drift) < 1.0), 1.0 - drift, 0.0)
+    factor = 1.0 + values["share"] * stays * (1.0 - restitution(impulse, setting))
+    return replace(impulse, normal_gain=scale_restitution(impulse, factor, setting))
+
+
 EFFECT = Effect(
     name="secondary_impact",
     stage="impact",
@@ -51,5 +62,12 @@ LAWS = (
         law="by the cosine of incidence",
         source="what rebounds straight, in proportion to its normal momentum",
         impulse=_by_cosine,
+    ),
+    replace(
+        EFFECT,
+        name="secondary_impact-within_stream",
+        law="what drifts along the plate by less than it goes out",
+        source="geometry: out by a stream's width, grain drifts along by tan(alpha) of it; 1 - tan(alpha) meets the stream",
+        impulse=_within_stream,
     ),
 )

@@ -1,0 +1,78 @@
+"""Which store a file, a journal and a note of commits belong to. SQLite takes any journal that lies beside a file for its own.
+
+A store has a random number for as long as it lives: in its marks, in each state that is committed, and in the note beside it.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+from time import time
+from urllib.parse import quote
+
+from yieldmon.service.checksums import row_checksum
+from yieldmon.service.store_file import has_journal, parts, prepared, unwritten, witnessed_store
+
+MARK = "identity"
+KEY = "store"
+"""Of the state's document."""
+NONE = 0
+_BITS = 31
+
+
+def drawn(database: sqlite3.Connection) -> int:
+    """A new identity."""
+    return int(database.execute(f"SELECT 1 + (random() & {2**_BITS - 1})").fetchone()[0])
+
+
+def marked(database: sqlite3.Connection) -> int:
+    """The identity that a store's marks have, NONE where there is none or it is damaged."""
+    for name, value, checksum in database.execute("SELECT name, value, checksum FROM mark WHERE name = ?", (MARK,)):
+        if row_checksum("mark", name, value) == checksum:
+            return int(value)
+    return NONE
+
+
+def of_state(database: sqlite3.Connection) -> int:
+    """The identity that a store's last state was committed with, NONE where there is none or it is damaged."""
+    rows = database.execute("SELECT slot, batch, time_s, document, checksum FROM state ORDER BY batch DESC LIMIT 1")
+    for *row, checksum in rows:
+        if row_checksum("state", *row) == checksum:
+            found = json.loads(row[-1])
+            return int(found.get(KEY, NONE)) if isinstance(found, dict) else NONE
+    return NONE
+
+
+def are_two(one: int, other: int) -> bool:
+    """Whether two identities that are known differ."""
+    return NONE not in (one, other) and one != other
+
+
+def part_from_strange_journal(path: Path) -> str:
+    """Rename a journal that is another store's than the file out of the way, before SQLite writes it into the file; returns what
+    is to be said, empty where nothing was done. Raises OSError."""
+    if not has_journal(path) or not path.exists() or not path.stat().st_size:
+        return ""
+    noted = witnessed_store(path)
+    alone, together = _identities(path, journal=False), _identities(path, journal=True)
+    strange = are_two(*together) or are_two(noted, together[0])
+    if not strange or alone[0] == NONE or are_two(*alone) or are_two(noted, alone[0]):
+        return ""
+    _, journal, index = parts(path)
+    aside = journal.with_name(f"{journal.name}.replaced-{int(time())}")
+    journal.rename(aside)
+    index.unlink(missing_ok=True)
+    return f"its journal was another store's, set aside as {aside.name}"
+
+
+def _identities(path: Path, *, journal: bool) -> tuple[int, int]:
+    """Of the marks and of the state, with the journal or without. Nothing is written into the file."""
+    try:
+        how = f"file:{quote(str(path.absolute()))}?mode=ro"
+        database = sqlite3.connect(how, uri=True, isolation_level=None) if journal else unwritten(path, 0.0)
+        with closing(prepared(database)):
+            return marked(database), of_state(database)
+    except (sqlite3.Error, ValueError, TypeError, UnicodeDecodeError, MemoryError, RecursionError):
+        return NONE, NONE
