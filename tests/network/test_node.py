@@ -251,6 +251,20 @@ def test_several_codes_as_can_j1939_sees_them() -> None:
     assert found == [[(c.spn, c.fmi, 1) for c in CODES], [(520192, 9, 1)]]
 
 
+def test_a_code_that_comes_and_goes_while_a_message_is_under_way_is_told() -> None:
+    node, listener = node_at(), Reassembler()
+    short = TroubleCode(520200, 31)
+    sent = node.report_trouble(CODES, 1.0)
+    assert node.report_trouble([*CODES, short], 1.01) == []
+    assert node.report_trouble(CODES, 1.02) == []
+    sent += run(node, [], 1.03)
+    told = [[c.spn for c in read(p.data)] for f in sent for p in listener.feed(f.identifier, f.data, 1.0)]
+    assert told == [[c.spn for c in CODES], [*[c.spn for c in CODES], short.spn]]
+    last = run(node, node.report_trouble(CODES, 5.0), 5.0)
+    told = [[c.spn for c in read(p.data)] for f in last for p in listener.feed(f.identifier, f.data, 5.0)]
+    assert told == [[c.spn for c in CODES]]
+
+
 def test_cleared_codes_go_to_dm2_and_away() -> None:
     node, listener = node_at(), Reassembler()
     run(node, node.report_trouble(CODES, 1.0), 1.0)

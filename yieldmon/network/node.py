@@ -13,7 +13,7 @@ from yieldmon.identifiers import GLOBAL_ADDRESS, NULL_ADDRESS, is_broadcast
 from . import diagnostics, identification
 from .addresses import AddressTable
 from .claim import AddressClaim, ClaimState
-from .diagnostics import TroubleCode, TroubleMemory
+from .diagnostics import TroubleCode
 from .fast_packet import FAST_PACKET_GROUPS, FastPacketReceiver
 from .identifier import (
     ADDRESS_CLAIMED,
@@ -33,6 +33,7 @@ from .rates import Budget
 from .receiving import TransportReceiver
 from .requests import NEGATIVE, POSITIVE, Request, acknowledgement, request_frame, request_in
 from .sending import TransportSender
+from .trouble_reports import TroubleReports
 
 _REQUESTS_PER_S, _REQUESTS_AT_ONCE = 50.0, 50.0
 _CLAIMS_PER_S, _CLAIMS_AT_ONCE = 5.0, 20.0
@@ -102,7 +103,7 @@ class Node:
         self._receiver = TransportReceiver()
         self._sender = TransportSender()
         self._fast = FastPacketReceiver()
-        self._memory = TroubleMemory()
+        self._trouble = TroubleReports(self._sender)
         self._answers: dict[int, bytes] = {
             identification.SOFTWARE_IDENTIFICATION: identification.software_identification(settings.software),
             identification.COMPONENT_IDENTIFICATION: identification.component_identification(
@@ -155,7 +156,7 @@ class Node:
         address = self.address
         if address is None:
             return out
-        return out + aborts + self._sender.poll(address, now_s)
+        return out + aborts + self._sender.poll(address, now_s) + self._trouble.due(address, now_s)
 
     def feed(self, identifier: int, data: bytes, now_s: float) -> Heard:
         """Take a frame of another node."""
@@ -199,11 +200,9 @@ class Node:
         self._answers.update(answers)
 
     def report_trouble(self, codes: Iterable[TroubleCode], now_s: float) -> list[RawFrame]:
-        """The conditions that hold now; the DM1 that says so, unless the last one is still on its way."""
-        self._memory.update(codes)
-        if self._sender.busy_with(diagnostics.DM1):
-            return []
-        return self.send(diagnostics.DM1, diagnostics.message(self._memory.active), now_s)
+        """The conditions that hold now; the DM1 that says so, which comes out of poll() while the last one is on its way."""
+        self._trouble.update(codes)
+        return self._trouble.due(self.address, now_s)
 
     def troubles(self, now_s: float) -> tuple[str, ...]:
         """What is wrong with the network at now_s, a sentence each."""
@@ -276,9 +275,9 @@ class Node:
     def _answer(self, request: Request, address: int, now_s: float) -> list[RawFrame]:
         if request.group in _NOT_WANTED:
             if request.group == diagnostics.DM3:
-                self._memory.clear_previous()
+                self._trouble.memory.clear_previous()
             else:
-                self._memory.clear_active()
+                self._trouble.memory.clear_active()
             return [acknowledgement(request, POSITIVE, address)] if request.directed else []
         data = self._content(request.group)
         if data is None:
@@ -291,9 +290,9 @@ class Node:
 
     def _content(self, group: int) -> bytes | None:
         if group == diagnostics.DM1:
-            return diagnostics.message(self._memory.active)
+            return diagnostics.message(self._trouble.memory.active)
         if group == diagnostics.DM2:
-            return diagnostics.message(self._memory.previous)
+            return diagnostics.message(self._trouble.memory.previous)
         return self._answers.get(group)
 
     def _hear_transport(self, parts: Identifier, data: bytes, now_s: float, heard: Heard) -> None:

@@ -23,8 +23,7 @@ from yieldmon.engine.totals import Totals, dry_mass
 from yieldmon.finite import finite
 from yieldmon.frames import OperatingState
 from yieldmon.identifiers import FORMAT_MASK, GLOBAL_ADDRESS, SOURCE_MASK
-from yieldmon.network import diagnostics
-from yieldmon.network.diagnostics import Lamp, TroubleCode, TroubleMemory
+from yieldmon.network.diagnostics import Lamp, TroubleCode
 from yieldmon.network.identifier import (
     ACKNOWLEDGEMENT,
     ADDRESS_CLAIMED,
@@ -33,7 +32,6 @@ from yieldmon.network.identifier import (
     TRANSPORT_DATA,
     Identifier,
     RawFrame,
-    frame,
 )
 from yieldmon.network.name import Name
 from yieldmon.network.node import Node, NodeSettings
@@ -41,6 +39,7 @@ from yieldmon.network.process_data import PROCESS_DATA
 from yieldmon.network.sending import TransportSender
 from yieldmon.network.task_controller.client import Outgoing, TaskControllerClient
 from yieldmon.network.task_controller.combine import Second, combine
+from yieldmon.network.trouble_reports import TroubleReports
 from yieldmon.physics.machine import Machine
 from yieldmon.service.configuration import Configuration
 from yieldmon.service.service_sections import Network
@@ -149,7 +148,7 @@ class FixedLink:
     def __init__(self, address: int) -> None:
         self._address = address
         self._sender = TransportSender()
-        self._memory = TroubleMemory()
+        self._trouble = TroubleReports(self._sender)
 
     @property
     def address(self) -> int | None:
@@ -174,7 +173,9 @@ class FixedLink:
 
     def poll(self, now_s: float) -> list[can.Message]:
         """See Link."""
-        return _messages(self._sender.poll(self._address, now_s)) if now_s >= self._sender.due_s else []
+        if now_s < self._sender.due_s:
+            return []
+        return _messages(self._sender.poll(self._address, now_s) + self._trouble.due(self._address, now_s))
 
     def addressed(self, message: can.Message, waits_from_s: float | None = None) -> can.Message | None:
         """See Link."""
@@ -182,13 +183,8 @@ class FixedLink:
 
     def report_trouble(self, active: Iterable[FaultCode], now_s: float) -> list[can.Message]:
         """See Link."""
-        self._memory.update([trouble_code(code) for code in active])
-        data = diagnostics.message(self._memory.active)
-        if len(data) <= 8:
-            return _messages([frame(diagnostics.DM1, data, self._address)])
-        if self._sender.busy_with(diagnostics.DM1):
-            return []
-        return _messages(self._sender.submit(diagnostics.DM1, data, self._address, GLOBAL_ADDRESS, now_s))
+        self._trouble.update(trouble_code(code) for code in active)
+        return _messages(self._trouble.due(self._address, now_s))
 
     def report_second(self, record: WindowRecord, totals: Totals, now_s: float) -> list[can.Message]:
         """See Link."""
