@@ -13,7 +13,7 @@ import pytest
 from yieldmon.bus.receiver import Receiver
 from yieldmon.bus.waiting import receive, send
 
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
 
 
 class ObedientBus(can.BusABC):

@@ -37,7 +37,7 @@ def path(tmp_path: Path) -> Iterator[Path]:
 
 def raw(path: Path, request: bytes) -> bytes:
     with socket.socket(socket.AF_UNIX) as connection:
-        connection.settimeout(10.0)
+        connection.settimeout(60.0)
         connection.connect(str(path))
         connection.sendall(request)
         connection.shutdown(socket.SHUT_WR)
@@ -177,7 +177,7 @@ def test_peers_that_are_cut_off_while_they_speak_end_nothing(path):
     try:
         for number in range(400):
             peers.append(socket.socket(socket.AF_UNIX))
-            peers[-1].settimeout(10.0)
+            peers[-1].settimeout(60.0)
             with suppress(BlockingIOError):
                 peers[-1].connect(str(path))
             for peer in peers[-60:]:

@@ -574,7 +574,7 @@ def test_an_error_in_the_journal_ends_the_process(tmp_path, monkeypatch, part):
         bench.play(2, 0.0)
         wait_for(lambda: bench.failure, "the daemon's end")
         assert bench.thread is not None
-        bench.thread.join(10.0)
+        bench.thread.join(60.0)
         assert not bench.thread.is_alive()
         left = {thread.name for thread in threading.enumerate()}
         assert left.isdisjoint({"can-receiver", "can-transmitter", "store-writer", "control"})

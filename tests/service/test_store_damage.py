@@ -26,7 +26,7 @@ from yieldmon.service.store_errors import StoreDamagedError, StoreDetachedError
 from yieldmon.service.store_file import parts, read_only, witness
 from yieldmon.service.writer import StoreWriter
 
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
 
 
 def state(n: int) -> dict[str, object]:

@@ -9,7 +9,7 @@ import pytest
 
 from yieldmon.service.transmit import Transmitter
 
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
 
 
 class FakeBus:

@@ -17,7 +17,7 @@ from yieldmon.service.store import Store
 from yieldmon.service.store_errors import StoreError
 from yieldmon.service.writer import StoreWriter
 
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
 
 
 class Disk:

@@ -35,7 +35,7 @@ def kernel_socket(channel: str, group: int = socket.J1939_NO_PGN) -> Iterator[so
     with opened:
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         opened.bind((channel, socket.J1939_NO_NAME, group, PEER))
-        opened.settimeout(5.0)
+        opened.settimeout(60.0)
         yield opened
 
 
@@ -45,7 +45,7 @@ def ask(peer: socket.socket, channel: str, group: int, destination: int) -> None
 
 def received(peer: socket.socket, group: int) -> bytes:
     """The next message of a group from the daemon."""
-    deadline = time.monotonic() + 10.0
+    deadline = time.monotonic() + 60.0
     while time.monotonic() < deadline:
         data, (_, _, pgn, address) = peer.recvfrom(2000)
         if (pgn, address) == (group, US):

@@ -48,7 +48,7 @@ class Watched:
         self.page.on("console", lambda message: self.complaints.append(message.text) if message.type == "error" else None)
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
 
-    def wait(self, condition: str, patience_s: float = 20.0) -> None:
+    def wait(self, condition: str, patience_s: float = 60.0) -> None:
         """Until an expression holds; playwright's own waiting evaluates text, which the page's policy forbids."""
         end_s, rest_ms = time.monotonic() + patience_s, 25.0
         while not self._holds(condition):
