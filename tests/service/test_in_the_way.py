@@ -1,5 +1,5 @@
-"""Folders, pipes and links under the names of a store's files stop no start, and are kept; one file under two names, or a lock
-whose file is removed, lets no second daemon onto a store."""
+"""Folders, pipes and links under the names of a store's files stop no start, and are kept; a lock whose file is removed lets no
+second daemon onto a store."""
 
 from __future__ import annotations
 
@@ -82,21 +82,6 @@ def test_a_journal_that_leads_elsewhere_is_not_read_by_readers(path: Path) -> No
     path.with_name("s.sqlite-wal").symlink_to("/dev/zero")
     with pytest.raises(InputError):
         read_only(path)
-
-
-def test_one_file_under_two_names_is_refused(path: Path, tmp_path: Path) -> None:
-    """By each name SQLite would keep a journal of its own."""
-    other = tmp_path / "other.sqlite"
-    os.link(path, other)
-    for name in (path, other):
-        with (
-            pytest.raises(OccupiedError, match=r"is one file under 2 names \(hard links\); expected a file of its own"),
-            Ownership(name),
-        ):
-            pass
-    other.unlink()
-    with Ownership(path):
-        pass
 
 
 def test_a_store_reached_by_two_paths_has_one_daemon(path: Path, tmp_path: Path) -> None:

@@ -31,8 +31,7 @@ class Ownership:
         self._lock: int | None = None
 
     def __enter__(self) -> Ownership:
-        """Raises OccupiedError when another daemon has the store, or could have it by another name of the same file."""
-        self._one_name_only()
+        """Raises OccupiedError when another daemon has the store."""
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             make_way([self._path])
@@ -87,15 +86,3 @@ class Ownership:
             os.close(self._lock)
         self._lock = lock
         return True
-
-    def _one_name_only(self) -> None:
-        # By each name SQLite would keep a journal of its own for the one file.
-        try:
-            names = os.stat(self._store).st_nlink
-        except OSError:
-            return
-        if self._store.is_file() and names > 1:
-            raise OccupiedError(
-                "store.path", f"{self._store}: is one file under {names} names (hard links)",
-                f"a file of its own (cp {self._store} {self._store}.own && mv {self._store}.own {self._store})",
-            )  # fmt: skip

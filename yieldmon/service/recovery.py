@@ -15,6 +15,7 @@ from yieldmon.service import rescue
 from yieldmon.service.identity import NONE, are_two, part_from_strange_journal
 from yieldmon.service.in_the_way import make_way
 from yieldmon.service.memory import Memory, recall
+from yieldmon.service.other_names import part_from_other_names
 from yieldmon.service.retention import Retention
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store
@@ -43,7 +44,7 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store]) -
 
     A medium that is full, or takes no writing, need not stop the measuring: what it holds can be read all the same, and where it
     holds nothing the store can be made later. Raises StoreError when there is a store that cannot be read, InputError as
-    `store_file.refuse_stranger`.
+    `store_file.refuse_stranger`, OccupiedError as `part_from_other_names`.
     """
     refuse_stranger(path)
     notes: list[str] = []
@@ -51,6 +52,8 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store]) -
     try:
         make_way(beside(path))
         rescue.finish(path)
+        if shared := part_from_other_names(path):
+            notes.append(shared)
         if strange := part_from_strange_journal(path):
             notes.append(strange)
     except OSError as error:

@@ -158,6 +158,11 @@ def beside(path: Path) -> tuple[Path, ...]:
     return (*parts(path)[1:], _witness(path))
 
 
+def kept(path: Path) -> tuple[Path, ...]:
+    """The files of a store that cannot be made from others."""
+    return (*parts(path)[:2], _witness(path))
+
+
 def looks_like_a_store(database: sqlite3.Connection, version: int | None = None) -> bool:
     """Whether the tables are those of a store; with `version`, whether of that version or an older one, whatever
     the header says."""
