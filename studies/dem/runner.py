@@ -6,6 +6,7 @@ import json
 import math
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,6 +18,8 @@ from numpy.typing import NDArray
 from studies.dem.job import Throw, to_dict
 
 Arrays = dict[str, NDArray[Any]]
+#: numpy reads an array's header with ast, which CPython 3.11 does not build in two threads at once (its issue 106905).
+_LOADING = threading.Lock()
 
 
 class EngineError(RuntimeError):
@@ -91,8 +94,8 @@ def run_stream(
 
 
 def load(path: Path) -> Arrays:
-    """All arrays of an .npz, read whole."""
-    with np.load(path) as kept:
+    """All arrays of an .npz, read whole; threads of a campaign read one after the other."""
+    with _LOADING, np.load(path) as kept:
         return {name: kept[name] for name in kept.files}
 
 
