@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import gzip
-import importlib.util
 import itertools
 import shutil
+import sys
+from importlib.machinery import PathFinder
 from pathlib import Path
 
 import can
@@ -14,16 +15,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.extras import MF4
 from yieldmon.bus.candump import parse_line
 from yieldmon.bus.loading import iter_blocks
 from yieldmon.bus.log_writing import writing
 from yieldmon.bus.logs import LogNotes, read_log
 from yieldmon.errors import InputError
 
-HAS_MF4 = importlib.util.find_spec("asammdf") is not None
 FORMATS = [
     *(".log", ".asc", ".csv", ".trc", ".blf", ".db"),
-    pytest.param(".mf4", marks=[pytest.mark.mf4, pytest.mark.skipif(not HAS_MF4, reason="needs the mf4 extra")]),
+    pytest.param(".mf4", marks=MF4),
 ]
 TEXT_FORMATS = [".log", ".csv", ".trc", ".asc"]
 START_S = 1_700_000_000.0
@@ -107,15 +108,16 @@ def test_a_database_that_cannot_be_written_ends_with_an_error(tmp_path: Path) ->
 
 
 def test_mf4_without_its_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "asammdf", None)
+    monkeypatch.setitem(sys.modules, "asammdf", None)
+    monkeypatch.setattr(PathFinder, "find_spec", lambda name, path=None, target=None: None)
     (tmp_path / "drive.mf4").write_bytes(b"MDF     4.10    ")
     with pytest.raises(ModuleNotFoundError) as caught:
         list(read_log(tmp_path / "drive.mf4"))
     assert caught.value.name == "asammdf"
 
 
-@pytest.mark.mf4
-@pytest.mark.skipif(not HAS_MF4, reason="needs the mf4 extra")
+@MF4[0]
+@MF4[1]
 def test_a_damaged_mf4_on_which_its_reader_goes_in_circles_comes_to_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("yieldmon.bus.mf4_reading._READING_S", 3)
     with pytest.raises(InputError, match=r"takes more than 3 s of processor time"):

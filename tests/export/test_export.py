@@ -13,7 +13,6 @@ import xml.etree.ElementTree as ET
 import zipfile
 from pathlib import Path
 
-import geopandas
 import numpy as np
 import pyarrow.parquet
 import pytest
@@ -158,6 +157,8 @@ def test_loads_as_csv_and_parquet(exported):
 
 @pytest.mark.parametrize("name", ["p.geojson", "p.gpkg"])
 def test_maps_open_in_gdal(exported, name):
+    import geopandas
+
     frame = geopandas.read_file(exported(name, *WORDS))
     points = yield_points(ROWS, SETTINGS)
     assert frame.crs.to_epsg() == 4326

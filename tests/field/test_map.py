@@ -11,11 +11,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import geopandas
 import numpy as np
-import pyogrio
 import pytest
-import rasterio
 
 from tests.seconds import measured_second
 from yieldmon.cli import main as cli
@@ -63,6 +60,9 @@ def test_mass_is_accounted_for_to_the_kilogram(corn: Path, corn_map: tuple[Path,
 
 
 def test_vector_products_hold_the_same_masses(corn_map: tuple[Path, dict[str, Any]]) -> None:
+    import geopandas
+    import pyogrio
+
     out, document = corn_map
     points = geopandas.read_file(out / "harvest.gpkg", layer="points")
     assert len(points) == 6000
@@ -88,6 +88,9 @@ def test_bushels_and_tonnes_agree(corn_map: tuple[Path, dict[str, Any]]) -> None
 
 
 def test_grid_by_rasterio(corn_map: tuple[Path, dict[str, Any]]) -> None:
+    import geopandas
+    import rasterio
+
     out, document = corn_map
     blocks = geopandas.read_file(out / "harvest.gpkg", layer="grid")
     with rasterio.open(out / "yield.tif") as raster:
@@ -181,6 +184,8 @@ def test_report_needs_no_network_and_keeps_names_harmless(tmp_path: Path, capsys
 
 
 def test_picture_is_a_png(corn_map: tuple[Path, dict[str, Any]]) -> None:
+    import rasterio
+
     with rasterio.open(corn_map[0] / "map.png") as image:
         pixels = image.read()
     assert pixels.shape == (3, 1000, 1400)
@@ -299,6 +304,8 @@ def store_of(path: Path) -> None:
 
 
 def test_a_daemons_store(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import geopandas
+
     store_of(tmp_path / "today.sqlite")
     document = mapped(capsys, tmp_path / "out", tmp_path / "today.sqlite", "--width", "9", "--products", "geopackage")
     assert document["mass_kg"]["integrated"] == pytest.approx(5400.0)

@@ -11,7 +11,6 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import dask
 import pyarrow.parquet as pq
 import pytest
 
@@ -66,6 +65,8 @@ def test_command_measures_and_skips(tree: Path, measured: Path, tmp_path: Path, 
 
 def test_workers_that_do_not_start_are_one_line(tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").touch()
+    import dask
+
     with dask.config.set({"temporary_directory": str(tmp_path / "file" / "folder")}):
         assert main(["fleet", "run", str(tree), "--out", str(tmp_path / "out"), "--workers", "0"]) == 1
     said = capsys.readouterr().err

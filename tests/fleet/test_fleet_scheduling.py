@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
-import distributed
 import pytest
-from distributed.client import FutureCancelledError
-from distributed.comm.core import CommClosedError
 
 from yieldmon.errors import InputError
 from yieldmon.fleet import scheduling
@@ -70,11 +68,23 @@ def tasks(count: int) -> list[Any]:
     return [SimpleNamespace(partition=Partition("m", f"d{n}", ()), token="t", dataset="season") for n in range(count)]
 
 
+def cancelled(key: str, why: str) -> Exception:
+    from distributed.client import FutureCancelledError
+
+    return FutureCancelledError(key, why)
+
+
+def closed(text: str) -> Exception:
+    from distributed.comm.core import CommClosedError
+
+    return CommClosedError(text)
+
+
 @pytest.fixture
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """No scheduler and no waiting."""
-    monkeypatch.setattr(distributed, "Client", Client)
-    monkeypatch.setattr(distributed, "as_completed", Completed)
+    monkeypatch.setattr("distributed.Client", Client)
+    monkeypatch.setattr("distributed.as_completed", Completed)
     monkeypatch.setattr(scheduling.time, "sleep", lambda _: None)
     monkeypatch.setattr(Client, "submitted", [])
 
@@ -82,21 +92,22 @@ def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     "harms",
     [
-        [FutureCancelledError("machine=m/day=d1-t", "scheduler-connection-lost")],
-        [CommClosedError("in <TCP>: Stream is closed"), FutureCancelledError("k", "scheduler-restart"), OSError("gone")],
+        lambda: [cancelled("machine=m/day=d1-t", "scheduler-connection-lost")],
+        lambda: [closed("in <TCP>: Stream is closed"), cancelled("k", "scheduler-restart"), OSError("gone")],
     ],
 )
 def test_a_scheduler_that_goes_while_a_result_is_fetched_is_waited_for(
-    harms: list[Exception], at_once: None, monkeypatch: pytest.MonkeyPatch
+    harms: Callable[[], list[Exception]], at_once: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Client, "harms", list(harms))
+    happened = harms()
+    monkeypatch.setattr(Client, "harms", list(happened))
     taken: list[str] = []
     said: list[str] = []
-    run_all(tasks(4 + len(harms)), Cluster("tcp://127.0.0.1:1"), lambda outcome: taken.append(outcome.name), said.append)
-    assert taken == [f"machine=m/day=d{n}" for n in range(4 + len(harms))]
+    run_all(tasks(4 + len(happened)), Cluster("tcp://127.0.0.1:1"), lambda outcome: taken.append(outcome.name), said.append)
+    assert taken == [f"machine=m/day=d{n}" for n in range(4 + len(happened))]
     assert Client.submitted.count("machine=m/day=d0") == 1
     assert Client.submitted.count("machine=m/day=d1") == 2
-    assert sum("is gone; waiting for it" in line for line in said) == len(harms)
+    assert sum("is gone; waiting for it" in line for line in said) == len(happened)
 
 
 def test_what_the_client_has_no_word_for_is_raised(at_once: None, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -116,7 +127,7 @@ def test_workers_are_begun_without_the_terminals_interrupt(monkeypatch: pytest.M
         held.append(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ()))
         raise RuntimeError("no processes")
 
-    monkeypatch.setattr(distributed, "LocalCluster", started)
+    monkeypatch.setattr("distributed.LocalCluster", started)
     with pytest.raises(OSError, match="no processes"):
         run_all(tasks(1), Cluster(workers=2), lambda outcome: None, lambda line: None)
     assert held == [True]

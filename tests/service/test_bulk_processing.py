@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import importlib.util
 import json
 import random
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 import can
 import pytest
 
+from tests.extras import MF4
 from tests.service.bench import CODEC, START_S, ZERO_MV, running, traffic
 from yieldmon import frames
 from yieldmon.bus.codec import Codec
@@ -122,10 +122,9 @@ def test_trouble_changes_nothing_of_that(kind, tmp_path):
     assert rows_of(process_in_bulk, [path]) == rows_of(process_logs, [path])
 
 
-HAS_MF4 = importlib.util.find_spec("asammdf") is not None
 FORMATS = [
     *(".asc", ".blf", ".csv", ".db", ".trc", ".log.gz"),
-    pytest.param(".mf4", marks=[pytest.mark.mf4, pytest.mark.skipif(not HAS_MF4, reason="needs the mf4 extra")]),
+    pytest.param(".mf4", marks=MF4),
 ]
 
 

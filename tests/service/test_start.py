@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.extras import MF4
 from yieldmon.bus import log_writing, logs
 
 HEAVY = {
@@ -49,10 +50,10 @@ def test_no_more_than_it_needs(line: str, allowed: set[str], log: Path) -> None:
     assert imported(*line.replace("LOG", str(log)).split()) <= allowed
 
 
-@pytest.mark.mf4
+@MF4[0]
+@MF4[1]
 def test_mf4_logs_work_although_their_reader_waits(tmp_path: Path) -> None:
     """Written and read by a process in which the import was held back."""
-    pytest.importorskip("asammdf")
     program = f"""
 import sys
 from yieldmon.bus import mf4
