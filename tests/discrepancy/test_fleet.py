@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yieldmon.discrepancy.fleet import Visible, examine
+from yieldmon.discrepancy.fleet import examine
+from yieldmon.discrepancy.force_change import Visible
 from yieldmon.discrepancy.lattice import Lattice, lay
 from yieldmon.discrepancy.policy import Policy
 from yieldmon.estimation.home_flow import AwayVisits

@@ -6,6 +6,11 @@ import numpy as np
 
 from .candidates import Signature
 
+POWER_80 = 0.84
+"""Standard deviations beyond a limit at which 80 of 100 exceed it."""
+_LIMIT_SDS = 3.2
+"""Two-sided 0.15 %, about 2 % over the library."""
+
 
 def minimum_detectable(signatures: list[Signature]) -> dict[str, float]:
     """Size of each effect's leading parameter that this design would show with 80 % power at its global level.
@@ -19,8 +24,7 @@ def minimum_detectable(signatures: list[Signature]) -> dict[str, float]:
 
 def size_seen(drawn: Signature, number: int) -> float:
     """The least distance from its null at which one of an effect's parameters shows; inf beyond its bounds."""
-    # 3.2 sd: two-sided 0.15 %, about 2 % over the library; 0.84 sd more for 80 % power.
-    needed = 3.2 + 0.84
+    needed = _LIMIT_SDS + POWER_80
     p = drawn.parameters[number]
     step = np.abs(drawn.points[:, number] - p.start)
     norm = np.linalg.norm(drawn.change, axis=1)
