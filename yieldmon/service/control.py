@@ -66,11 +66,33 @@ class ControlServer:
         now, OccupiedError for one at which a daemon is running.
         """
         self.path = path
-        self._server = _Server(path, group, answer)
+        self._group = group
+        self._answer = answer
+        self._server = _Server(path, group, answer, _listen(path, group))
         self._thread = threading.Thread(target=self._server.run, name="control", daemon=True)
 
     def start(self) -> None:
         """Start answering."""
+        self._thread.start()
+
+    @property
+    def alive(self) -> bool:
+        """Whether the thread runs."""
+        return self._thread.is_alive()
+
+    @property
+    def busy_since_s(self) -> float | None:
+        """When the thread began its last round, monotonic seconds; it begins several a second."""
+        return self._server.round_s
+
+    def begin_anew(self) -> None:
+        """Leave thread and socket to themselves and answer at a new one. Raises RuntimeError."""
+        old = self._server
+        old.stopping = True
+        if old.listening is not None:
+            old.listening.socket.close()
+        self._server = _Server(self.path, self._group, self._answer, None)
+        self._thread = threading.Thread(target=self._server.run, name="control", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
@@ -79,7 +101,7 @@ class ControlServer:
         self._thread.join(_STOP_S)
         # Left there it is replaced at the next start; what remains to be written at this stop is worth more.
         with suppress(OSError):
-            if self._server.listening.there():
+            if self._server.listening is not None and self._server.listening.there():
                 self.path.unlink()
 
 
@@ -167,12 +189,17 @@ class _Server:
 
     A request has to be whole within _PATIENCE_S of the connection, whatever comes meanwhile, and so has the taking of the answer.
     Beyond _CONNECTIONS the one that has waited longest is cut off, so idle peers keep no other out. A socket whose file has been
-    removed is made anew.
+    removed, or that fails, is made anew.
     """
 
-    def __init__(self, path: Path, group: str | None, answer: Callable[[Mapping[str, Any]], Answer]) -> None:
+    def __init__(
+        self, path: Path, group: str | None, answer: Callable[[Mapping[str, Any]], Answer], listening: _Listening | None
+    ) -> None:
+        """listening: None for one that `run` is to make."""
         self.stopping = False
-        self.listening = _listen(path, group)
+        self.listening = listening
+        self.round_s = monotonic()
+        self._path = path
         self._group = group
         self._looks_at_s = monotonic() + _LOOK_EVERY_S
         self._trouble = ""
@@ -185,30 +212,40 @@ class _Server:
         try:
             while not self.stopping:
                 try:
-                    self._serve()
+                    self.listening = self.listening or _listen(self._path, self._group)
+                    self._serve(self.listening)
                 except Exception:  # noqa: BLE001 - without this thread nobody learns how the daemon does
                     _log.exception("control")
+                    self._shut()
                     sleep(_POLL_S)
         finally:
-            self.listening.socket.close()
+            self._shut()
 
-    def _serve(self) -> None:
+    def _shut(self) -> None:
+        """The socket; the file that stood for it is taken away by the one that comes after it, or at the stop."""
+        if self.listening is not None:
+            self.listening.socket.close()
+            if not self.stopping:
+                self.listening = None
+
+    def _serve(self, listening: _Listening) -> None:
         """Until `stopping`, or an error that was not foreseen; connections under way end with it."""
         with selectors.DefaultSelector() as selector:
-            self.listening.socket.setblocking(False)
-            selector.register(self.listening.socket, selectors.EVENT_READ)
+            listening.socket.setblocking(False)
+            selector.register(listening.socket, selectors.EVENT_READ)
             try:
                 while not self.stopping:
+                    self.round_s = monotonic()
                     for key, _ in selector.select(_POLL_S):
-                        if key.fileobj is self.listening.socket:
-                            self._accept(selector)
+                        if key.fileobj is listening.socket:
+                            self._accept(selector, listening.socket)
                         elif (asking := self._asking.get(key.fd)) is not None and asking is key.data:
                             self._read(selector, asking)
                         # Else cut off since the selection, for another's place.
                     now_s = monotonic()
                     if now_s >= self._looks_at_s:
                         self._looks_at_s = now_s + _LOOK_EVERY_S
-                        self._listen_again(selector)
+                        listening = self.listening = self._listen_again(selector, listening)
                     for asking in [a for a in self._asking.values() if a.until_s <= now_s]:
                         self._drop(selector, asking)
                     if len(self._asking) >= _CROWDED:
@@ -218,29 +255,28 @@ class _Server:
                 for asking in list(self._asking.values()):
                     self._drop(selector, asking)
 
-    def _listen_again(self, selector: selectors.BaseSelector) -> None:
-        """Where the socket's file is no longer there."""
-        old = self.listening
+    def _listen_again(self, selector: selectors.BaseSelector, old: _Listening) -> _Listening:
+        """Another one where the socket's file is no longer there and can be made."""
         if old.there():
-            return
+            return old
         try:
             new = _listen(old.path, self._group)
         except (InputError, OSError) as error:
             if self._trouble != str(error):
                 self._trouble = str(error)
                 _log.error("%s has been removed, and cannot be made anew: %s", old.path, error)
-            return
+            return old
         self._trouble = ""
         _log.error("%s has been removed; made anew", old.path)
         selector.unregister(old.socket)
         old.socket.close()
         new.socket.setblocking(False)
         selector.register(new.socket, selectors.EVENT_READ)
-        self.listening = new
+        return new
 
-    def _accept(self, selector: selectors.BaseSelector) -> None:
+    def _accept(self, selector: selectors.BaseSelector, listening: socket.socket) -> None:
         try:
-            connection, _ = self.listening.socket.accept()
+            connection, _ = listening.accept()
         except OSError as error:
             _log.warning("control: %s", error)
             # Out of descriptors the listening socket stays readable.

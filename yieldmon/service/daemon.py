@@ -32,7 +32,7 @@ from yieldmon.service.bus_time import SILENCE_S, BusTime
 from yieldmon.service.bus_traffic import BusTraffic, FrameRate
 from yieldmon.service.command_queue import CommandQueue, Job
 from yieldmon.service.configuration import Configuration
-from yieldmon.service.control import Answer, ControlServer
+from yieldmon.service.control import Answer, ControlError, ControlServer
 from yieldmon.service.frame_sender import FrameSender
 from yieldmon.service.input_frames import InputFrames
 from yieldmon.service.journal import Journal
@@ -51,6 +51,7 @@ from yieldmon.service.rows import SecondRow
 from yieldmon.service.service_faults import ServiceFaults
 from yieldmon.service.snapshot import snapshot
 from yieldmon.service.store import Store
+from yieldmon.service.tending import Tender
 from yieldmon.service.transmit import ASKED_ECHO_S, ECHO_S, Transmitter
 from yieldmon.service.writer import StoreWriter
 
@@ -63,6 +64,8 @@ _LAST_ROWS = 10
 _STALE_S = 5.0
 #: A thread that gives no sign of life for so long is a reason to have the daemon started anew.
 _HANGS_FOR_GOOD_S = 8.0
+#: Requests that may read the store at the same time.
+_READ_AT_ONCE = 2
 #: How long an answer waits for the disk to have what was told.
 TELLING_S = 2.0
 #: How long a stop waits for the disk; with the other steps it is over within 5 s.
@@ -131,6 +134,8 @@ class Daemon:
         self._rate = FrameRate()
         self._answered_s = monotonic()
         self._replacements = 0
+        self._tenders: list[Tender] = []
+        self._reading = threading.BoundedSemaphore(_READ_AT_ONCE)
 
     @property
     def monitor(self) -> Monitor:
@@ -199,6 +204,7 @@ class Daemon:
             self._receiver.stop()
             raise
         metrics = MetricsFile(self.configuration.prometheus_path, status.prometheus_interval_s, self._status)
+        self._tenders = [Tender("control", control), Tender("metrics", metrics)]
         helpers = (self._transmitter, self._writer, control, metrics)
         for helper in helpers:
             helper.start()
@@ -353,6 +359,8 @@ class Daemon:
         if max(self._receiver.hangs_s(), self._transmitter.hangs_s()) < _HANGS_FOR_GOOD_S:
             # A daemon that hears or says nothing any more is one to start anew.
             self._manager.alive()
+        for tender in self._tenders:
+            tender.look(monotonic())
         self._rate.second(monotonic(), self._receiver.counters().received)
         self._answer = self._snapshot()
         self._manager.status(commands.summary(self._answer))
@@ -430,11 +438,16 @@ class Daemon:
         numbers = commands.ticketed_loads(request)
         if not numbers:
             return ()
+        if not self._reading.acquire(timeout=TELLING_S):
+            # Requests that a hanging disk holds up must not take the place of all others.
+            raise ControlError("the disk does not answer; nothing was done")
         try:
             return of_path(self.configuration.store_path, numbers)
         except InputError as error:
             _log.warning("loads of an earlier run cannot be read: %s", error)
             return ()
+        finally:
+            self._reading.release()
 
     def _do_commands(self) -> None:
         done: list[tuple[Job, Answer]] = []

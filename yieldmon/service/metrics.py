@@ -25,12 +25,33 @@ class MetricsFile:
         self._interval_s = interval_s
         self._status = status
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="metrics", daemon=True)
+        self._busy_since_s: float | None = None
+        self._thread = self._new_thread()
 
     def start(self) -> None:
         """Start writing."""
         if self._path is not None:
             self._thread.start()
+
+    @property
+    def alive(self) -> bool:
+        """Whether the thread runs; without a path there is none."""
+        return self._path is None or self._thread.is_alive()
+
+    @property
+    def busy_since_s(self) -> float | None:
+        """Since when the thread has been writing one file, monotonic seconds; None while it waits for the next."""
+        return self._busy_since_s
+
+    def begin_anew(self) -> None:
+        """Leave the thread to itself and write on another one. Raises RuntimeError."""
+        self._stop.set()
+        self._stop = threading.Event()
+        self._thread = self._new_thread()
+        self._thread.start()
+
+    def _new_thread(self) -> threading.Thread:
+        return threading.Thread(target=self._run, args=(self._stop,), name="metrics", daemon=True)
 
     def stop(self) -> None:
         """Stop writing and take the file away, so that nothing stale is collected."""
@@ -45,10 +66,11 @@ class MetricsFile:
             except (OSError, RuntimeError) as error:
                 _log.warning("metrics: %s", error)
 
-    def _run(self) -> None:
+    def _run(self, stop: threading.Event) -> None:
         assert self._path is not None
         failed = False
         while True:
+            self._busy_since_s = time.monotonic()
             try:
                 write(self._path, self._status())
                 failed = False
@@ -56,7 +78,9 @@ class MetricsFile:
                 if not failed:
                     _log.warning("metrics: %s", error)
                 failed = True
-            if self._stop.wait(self._interval_s):
+            if not stop.is_set():
+                self._busy_since_s = None
+            if stop.wait(self._interval_s):
                 return
 
 

@@ -187,11 +187,16 @@ class Poster:
         return self._thread is not None
 
     def start(self, machine: Machine, tickets: tuple[int, ...], version: int, open_load: int | None, now_s: float) -> None:
-        """Begin a job; not while busy."""
-        self._thread = threading.Thread(
+        """Begin a job; not while busy. Without room for a thread there is none, which is said."""
+        thread = threading.Thread(
             target=self._work, args=(machine, tickets, version, open_load, now_s), name="posting", daemon=True
         )
-        self._thread.start()
+        try:
+            thread.start()
+        except RuntimeError as error:
+            _log.error("the loads cannot be measured again: %s", error)
+            return
+        self._thread = thread
 
     def take(self) -> Posted | None:
         """What came of the job, once."""
