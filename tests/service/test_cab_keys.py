@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 
 from tests.service.bench import Bench, running, wait_for
-from yieldmon.cli._cab import DaemonLink
+from yieldmon.cli._cab import DaemonLink, aged
 from yieldmon.cli._daemon import mass
 from yieldmon.screen.dialog import Dialog
+from yieldmon.service.control import ControlServer
 from yieldmon.units import Units
 
 
@@ -73,3 +74,30 @@ def test_a_ticket_that_makes_no_sense_is_not_sent(typed: str, problem: str) -> N
     status = {"load": {"number": 7, "mass_kg": 100.0, "open": True}, "sweep": {"state": "idle"}}
     assert [dialog.press(key, status, Units()) for key in ("t", *typed, "\r", "y")] == [None] * (len(typed) + 3)
     assert problem in dialog.prompt
+
+
+def test_an_answer_that_makes_no_sense_ends_no_screen(tmp_path) -> None:
+    """Of a daemon of another version: the screen would go on with the last status."""
+    path = tmp_path / "s.sock"
+    server = ControlServer(path, None, lambda request: {"age_s": 0.0} if request["command"] == "status" else {"factor": "much"})
+    server.start()
+    news: list[object] = []
+
+    def heard(count: int) -> bool:
+        news.extend(link.news())
+        return len(news) >= count
+
+    with DaemonLink(path) as link:
+        wait_for(lambda: heard(1), "a status")
+        link.request({"command": "ticket"})
+        wait_for(lambda: any(isinstance(item, str) for item in news) or heard(99), "what came of the ticket")
+        assert "ticket: done; the daemon is of another version than this screen" in news
+        news.clear()
+        wait_for(lambda: heard(1), "another status")
+    server.stop()
+
+
+def test_a_status_that_is_not_renewed_is_stale() -> None:
+    status = {"age_s": 0.4, "stale": False}
+    assert aged(status, 1.2) == status
+    assert aged(status, 30.0) == {"age_s": 30.4, "stale": True}

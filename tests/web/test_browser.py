@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import signal
 import sqlite3
 import struct
 import threading
@@ -362,6 +364,25 @@ def test_a_daemon_that_ends_and_comes_back(browser: Browser, tmp_path: Path) -> 
             daemon.stop()
             watched.wait(f"{TEXT}.includes('no daemon answers') && document.body.classList.contains('stale')")
             daemon.start()
+            watched.wait(f"{TEXT}.includes('harvesting') && !document.body.classList.contains('stale')")
+
+
+def test_a_server_that_hangs_is_no_harvest(browser: Browser, tmp_path: Path) -> None:
+    """Its connections stay open, and what it said last would pass for what is."""
+    with standing_in(tmp_path) as daemon:
+        daemon.seconds(20)
+        with page(daemon.socket) as site, Watched(browser) as watched:
+            watched.page.goto(site)
+            watched.wait(f"{TEXT}.includes('harvesting')")
+            words = str(daemon.socket).encode()
+            server = next(
+                int(p.parent.name) for p in Path("/proc").glob("[0-9]*/cmdline") if words in p.read_bytes().split(b"\0")
+            )
+            os.kill(server, signal.SIGSTOP)
+            try:
+                watched.wait(f"{TEXT}.includes('no news for') && document.body.classList.contains('stale')")
+            finally:
+                os.kill(server, signal.SIGCONT)
             watched.wait(f"{TEXT}.includes('harvesting') && !document.body.classList.contains('stale')")
 
 

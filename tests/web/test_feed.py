@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import json
+import threading
+import time
 from collections.abc import AsyncIterator, Iterator
 from contextlib import aclosing
 from pathlib import Path
 
 import pytest
 
-from tests.web.standin import StandIn, fault, row, standing_in
+from tests.web.standin import StandIn, fault, standing_in
+from yieldmon.web import feed
 from yieldmon.web.feed import HOUR, WATCHERS, Feed
 
 
@@ -23,10 +26,10 @@ def daemon(tmp_path: Path) -> Iterator[StandIn]:
 async def next_event(events: AsyncIterator[str]) -> dict:
     """The next event that is more than a sign of life."""
     async for text in events:
-        if not text.startswith(":"):
-            lines = dict(line.split(": ", 1) for line in text.strip().splitlines())
+        lines = dict(line.split(": ", 1) for line in text.strip().splitlines())
+        if lines["event"] != "alive":
             assert lines["event"] == "live"
-            return {"id": int(lines["id"]), **json.loads(lines["data"])}
+            return {"id": int(lines.get("id", 0)), **json.loads(lines["data"])}
     raise AssertionError("the stream ended")
 
 
@@ -176,7 +179,7 @@ def test_a_daemon_of_another_version_is_named_as_the_problem(daemon: StandIn, mo
 
 
 def test_an_unexpected_failure_cuts_one_page_off_and_the_others_go_on(daemon: StandIn) -> None:
-    failures = [RuntimeError("unforeseen")]
+    failures: list[RuntimeError] = []
 
     def clock() -> float:
         if failures:
@@ -188,13 +191,35 @@ def test_an_unexpected_failure_cuts_one_page_off_and_the_others_go_on(daemon: St
         daemon.seconds(3)
         async with aclosing(feed.watch()) as cut_off, aclosing(feed.watch()) as other:
             assert numbers(await next_event(cut_off)) == numbers(await next_event(other)) == [1, 2, 3]
-            # Seconds that the store does not have yet make the feed look at its clock.
-            daemon.windows = [row(number, daemon.start_s) for number in (20, 21)]
+            failures.append(RuntimeError("unforeseen"))
             with pytest.raises(RuntimeError, match="unforeseen"):
                 await next_event(cut_off)
-            daemon.number = 3
-            daemon.windows = []
             daemon.seconds(2)
             return numbers(await next_event(other))
 
     assert asyncio.run(drive()) in ([], [4, 5])
+
+
+def test_a_look_that_hangs_is_told_to_those_who_watch(daemon: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a disk that does not answer, say; the daemon's last answer would pass for what is."""
+    daemon.seconds(5)
+    gate, ahead_s, ask = threading.Event(), [0.0], feed.ask
+
+    def hanging(*given: object) -> object:
+        if ahead_s[0]:
+            gate.wait(60.0)
+        return ask(*given)
+
+    monkeypatch.setattr(feed, "ask", hanging)
+
+    async def drive() -> None:
+        async with aclosing(Feed(daemon.socket, clock=lambda: time.monotonic() + ahead_s[0]).watch()) as events:
+            assert (await next_event(events))["problem"] is None
+            assert "event: alive" in await anext(events)
+            ahead_s[0] = 60.0
+            told = await next_event(events)
+            assert told["problem"].startswith("this page's look at the daemon and its store has been taking 6")
+            gate.set()
+            assert (await next_event(events))["problem"] is None
+
+    asyncio.run(drive())

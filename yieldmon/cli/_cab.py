@@ -12,6 +12,8 @@ from yieldmon.service.control import ControlError, ask
 
 Status = Mapping[str, Any]
 _INTERVAL_S = 1.0
+SILENT_S = 5.0
+"""A status is asked for once a second; after so long without one the last is no longer fresh."""
 
 
 class DaemonLink:
@@ -56,11 +58,26 @@ class DaemonLink:
             except ControlError as error:
                 self._news.put(None if asked_status else str(error))
             else:
-                self._news.put(answer if asked_status else said(request, answer))
+                self._news.put(answer if asked_status else _told(request, answer))
             try:
                 request = self._requests.get(timeout=_INTERVAL_S) if asked_status else {"command": "status"}
             except queue.Empty:
                 request = {"command": "status"}
+
+
+def aged(status: Status, silent_s: float) -> Status:
+    """A status as it is to be shown when nothing has been heard of the daemon since, for silent_s seconds."""
+    if silent_s < SILENT_S:
+        return status
+    return {**status, "stale": True, "age_s": status["age_s"] + silent_s}
+
+
+def _told(request: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
+    try:
+        return said(request, answer)
+    except (KeyError, TypeError, ValueError):
+        # The thread must not end of it: the last status would pass for what is.
+        return f"{request['command']}: done; the daemon is of another version than this screen"
 
 
 def said(request: Mapping[str, Any], answer: Mapping[str, Any]) -> str:

@@ -20,7 +20,7 @@ from yieldmon.bus.opening import add_bus_arguments, open_bus_from
 from yieldmon.bus.replay import Schedule
 from yieldmon.bus.waiting import receive
 from yieldmon.cli import _outputs
-from yieldmon.cli._cab import DaemonLink, Status
+from yieldmon.cli._cab import DaemonLink, Status, aged
 from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon, daemon_socket, mass
 from yieldmon.cli._json import print_json
 from yieldmon.cli._limits import above_0, within
@@ -149,6 +149,7 @@ class _Cab:
         self.dialog = Dialog(mass)
         self._system: str | None = args.units
         self._status: Status | None = None
+        self._heard_s = time.monotonic()
 
     def look(self) -> None:
         """Take what the daemon has said since."""
@@ -156,11 +157,11 @@ class _Cab:
             if isinstance(news, str):
                 self.dialog.report(news)
             else:
-                self._status = news
+                self._status, self._heard_s = news, time.monotonic()
 
     def know(self, status: Status) -> None:
         """A status that was asked for."""
-        self._status = status
+        self._status, self._heard_s = status, time.monotonic()
 
     def screen(self, traffic: Traffic, codec: Codec) -> RenderableType:
         """What to draw now."""
@@ -169,7 +170,8 @@ class _Cab:
         self.view.units = units_of(self._system, status["units"] if status is not None else "metric", crop)
         if not self.view.cab:
             return Screen(traffic, codec, self.view)
-        return Cab(status if status is not None else from_frames(traffic), self.view.units, self.dialog.prompt, self.view)
+        shown = from_frames(traffic) if status is None else aged(status, time.monotonic() - self._heard_s)
+        return Cab(shown, self.view.units, self.dialog.prompt, self.view)
 
     def press(self, key: str) -> str | None:
         """Apply a key; what the caller has to do."""

@@ -31,7 +31,10 @@ WATCHERS = 24
 _ASK_S = 3.0
 #: The daemon makes its answer anew each second, and after a command; it is asked so long after, and at least so often.
 _PERIOD_S, _AFTER_S, _LEAST_S, _MOST_S = 1.0, 0.1, 0.25, 0.5
-_HEARTBEAT_S = 10.0
+#: A page that hears nothing for longer than a few of these says so itself.
+_HEARTBEAT_S = 2.0
+#: A look at daemon and store that takes longer is told; the daemon's answer is awaited for less.
+_HANGS_S = 8.0
 #: How long seconds that the daemon has shown to be missing are awaited from its store.
 _STORE_PATIENCE_S = 5.0
 _SHOWN = ("version", "uptime_s", "age_s", "stale", "state", "load", "total", "sweep", "parameters", "faults", "zero_mv")
@@ -54,6 +57,8 @@ class Feed:
         """Rises when the rows begin anew, with another store."""
         self._watchers: set[asyncio.Event] = set()
         self._looking: asyncio.Task[None] | None = None
+        self._looked_s = clock()
+        self._told_hanging = False
         self._missing_since_s: float | None = None
         self._stopping = False
         self.store = store
@@ -80,7 +85,7 @@ class Feed:
         Yields
         ------
         str
-            Events ``live`` with the state and the seconds since the one before, or a comment where nothing is new.
+            Events ``live`` with the state and the seconds since the one before, ``alive`` where nothing is new.
         """
         news = asyncio.Event()
         self._watchers.add(news)
@@ -93,7 +98,7 @@ class Feed:
                 try:
                     await asyncio.wait_for(news.wait(), _HEARTBEAT_S)
                 except TimeoutError:
-                    yield ": still here\n\n"
+                    yield self._without_news()
                     continue
                 news.clear()
                 if self._stopping:
@@ -107,6 +112,14 @@ class Feed:
         finally:
             self._watchers.discard(news)
 
+    def _without_news(self) -> str:
+        since_s = self._clock() - self._looked_s
+        if self._looking is None or since_s < _HANGS_S:
+            return "event: alive\ndata: 1\n\n"
+        self._told_hanging = True
+        problem = f"this page's look at the daemon and its store has been taking {since_s:.0f} s"
+        return f"event: live\ndata: {json.dumps({'problem': problem})}\n\n"
+
     async def ask(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """The daemon's answer to a request of a page. Raises ControlError."""
         return await asyncio.to_thread(ask, self._daemon, request)
@@ -119,6 +132,7 @@ class Feed:
         """Raises what ended the last look unexpectedly: one page is cut off and comes back, the others go on."""
         ended = self._looking if self._looking is not None and self._looking.done() else None
         if ended is not None or self._looking is None:
+            self._looked_s = self._clock()
             self._looking = asyncio.create_task(self._look())
             self._looking.add_done_callback(lambda _: self._wake())
         if ended is not None:
@@ -128,9 +142,11 @@ class Feed:
         before = None
         while self._watchers:
             status = await asyncio.to_thread(self._take)
+            self._looked_s = self._clock()
             told = self._told()
-            if told != before:
+            if told != before or self._told_hanging:
                 self._wake()
+            self._told_hanging = False
             before = told
             age_s = float(status["age_s"]) if status is not None else 0.0
             await asyncio.sleep(min(_MOST_S, max(_LEAST_S, _PERIOD_S + _AFTER_S - age_s)))

@@ -7,6 +7,8 @@ import { command, getJson, getPoints, inUnit, make, number, set, time, words } f
 const HOUR = 3600;
 const RETRY_MS = 3000;
 const SAME_SECOND_S = 0.5;
+// The server gives a sign of life every two seconds.
+const SILENT_MS = 8000;
 // Beyond this a correction is more likely a wrong unit or load.
 const UNLIKELY_PCT = 30;
 
@@ -148,10 +150,31 @@ function describe() {
   document.getElementById("trend").setAttribute("aria-label", text);
 }
 
+// A server that hangs keeps the connection open: what it said last would pass for what is.
+let heard = performance.now();
+let said = ["", true];
+
+function say(text, bad) {
+  said = [text, bad];
+  showState(text, bad);
+}
+
+function watchSilence() {
+  const silent = performance.now() - heard;
+  if (silent > SILENT_MS) showState(`no news for ${number(silent / 1000)} s`, true);
+}
+
+function alive() {
+  const silent = performance.now() - heard > SILENT_MS;
+  heard = performance.now();
+  if (silent) showState(...said);
+}
+
 function live(event) {
+  heard = performance.now();
   const news = JSON.parse(event.data);
   if (news.problem) {
-    showState(news.problem, true);
+    say(news.problem, true);
     return;
   }
   const first = state === null;
@@ -167,13 +190,14 @@ function live(event) {
     news.rows.forEach(mapRow);
     map.show();
   }
-  showState(news.stale ? `stale for ${number(news.age_s)} s` : words(news.state), news.stale);
+  say(news.stale ? `stale for ${number(news.age_s)} s` : words(news.state), news.stale);
   show();
 }
 
 function connect() {
   const stream = new EventSource("/api/live");
   stream.addEventListener("live", live);
+  stream.addEventListener("alive", alive);
   stream.addEventListener("error", () => {
     showState("no connection", true);
     // The browser tries again by itself, but for answers that are an error.
@@ -316,3 +340,4 @@ function prepareButtons() {
 prepareButtons();
 connect();
 setInterval(describe, 60_000);
+setInterval(watchSilence, 1000);
