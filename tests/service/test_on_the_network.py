@@ -14,6 +14,7 @@ import pytest
 from tests.network.task_server import TaskServer
 from tests.service.bench import Bench, encoded, running, traffic, wait_for
 from yieldmon.bus.logs import read_log
+from yieldmon.cli import main as cli
 from yieldmon.network.identifier import (
     ACKNOWLEDGEMENT,
     ADDRESS_CLAIMED,
@@ -94,7 +95,9 @@ def test_requests_for_others_are_not(tmp_path: Path) -> None:
         assert [data[5:8].hex() for parts, data in sent(bench) if parts.group in answers] == ["e5fe00"]
 
 
-def test_a_lower_name_takes_the_address_and_frames_follow(tmp_path: Path) -> None:
+def test_a_lower_name_takes_the_address_and_frames_follow(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
+) -> None:
     with running(tmp_path, TEXT) as bench:
         claimed(bench)
         say(bench, 0x18EEFF00 | US, Name(identity_number=0, arbitrary_address_capable=False).data.hex())
@@ -105,6 +108,17 @@ def test_a_lower_name_takes_the_address_and_frames_follow(tmp_path: Path) -> Non
         bench.played()
         wait_for(lambda: bool(sent(bench)), "frames")
         assert {parts.source for parts, _ in sent(bench)} == {taken}
+        assert f"our address is {taken}, the preferred {US} is another node's" in caplog.text
+        assert bench.status["network"]["preferred_address"] == US
+        assert cli.main(["status", "--socket", str(tmp_path / "yieldmon.sock")]) == 0
+        assert f"address {taken}: the preferred {US} is another node's" in capsys.readouterr().out
+
+        def told() -> bool:
+            bench.play(1, 0.0)
+            bench.played()
+            return f"took our address {US}; ours is {taken}" in bench.faults.get("NetworkFault", "")
+
+        wait_for(told, "the fault")
 
 
 def hostile_second(bench: Bench, name: str) -> None:

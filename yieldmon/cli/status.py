@@ -80,6 +80,7 @@ def _facts(status: Mapping[str, Any], units: Units) -> Iterator[tuple[str, str]]
         f"{bus['error_frames']} error frames; {bus['sent']} sent, {bus['late'] + bus['refused']} not sent; "
         f"time stamps: {bus['time_stamps']}",
     )
+    yield from _network(status["network"])
     for note in status["signals"]["notes"]:
         yield "signals", note
     waiting = f", {store['pending']} s of records not written yet" if store["pending"] else ""
@@ -146,6 +147,15 @@ def _sweep(sweep: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "", f"the last one was aborted: {sweep['aborted_because']}"
     if sweep["last_update"] is not None:
         yield "", f"last update: {sweep['last_update']}"
+
+
+def _network(network: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Our address, where it is not the one that was asked for."""
+    address, preferred = network["address"], network.get("preferred_address", network["address"])
+    if address is None:
+        yield "network", f"no address ({network['claim']}): nothing is published"
+    elif address != preferred:
+        yield "network", f"address {address}: the preferred {preferred} is another node's"
 
 
 def _parameters(parameters: Mapping[str, Any]) -> str:

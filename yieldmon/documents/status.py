@@ -176,10 +176,11 @@ class StatusTaskController(TypedDict):
 
 
 class StatusNetwork(TypedDict):
-    """Our NAME and address, and the other nodes."""
+    """Our NAME and address, and the other nodes. preferred_address: what the configuration asks for."""
 
     name: str | None
     address: int | None
+    preferred_address: int
     claim: str
     partners: list[NetworkPartner]
     task_controller: StatusTaskController | None

@@ -40,6 +40,8 @@ _CLAIMS_PER_S, _CLAIMS_AT_ONCE = 5.0, 20.0
 _SESSIONS_PER_S, _SESSIONS_AT_ONCE = 1.0, 5.0
 _VIOLATIONS_PER_S, _VIOLATIONS_AT_ONCE = 0.1, 1.0
 _COMMAND_BYTES = 9
+#: How long a lost address is told: long enough for somebody to look.
+_LOST_SHOWN_S = 60.0
 _NOT_WANTED = frozenset({diagnostics.DM3, diagnostics.DM11})
 
 
@@ -115,6 +117,8 @@ class Node:
         self._sessions = Budget(_SESSIONS_PER_S, _SESSIONS_AT_ONCE)
         self._violations = Budget(_VIOLATIONS_PER_S, _VIOLATIONS_AT_ONCE)
         self._duplicate_s = float("-inf")
+        self._lost: tuple[float, int, Name] | None = None
+        """When a lower NAME took which address of ours."""
         self._address_before: int | None = None
         self._moves = Moves()
 
@@ -212,6 +216,12 @@ class Node:
             found.append(f"two nodes claim the NAME {twice}")
         if self._claim.state is ClaimState.CANNOT_CLAIM:
             found.append("no address: every one that could be ours is held by a lower NAME")
+        if self._lost is not None and now_s - self._lost[0] < _LOST_SHOWN_S:
+            _, taken, by = self._lost
+            now = "none yet" if self.address is None else str(self.address)
+            found.append(
+                f"the lower NAME {by} took our address {taken}; ours is {now} ({self._claim.counters().lost} lost so far)"
+            )
         if self._claims.exceeded(now_s):
             found.append(f"our address is contested without end ({self._claim.counters().contested} claims)")
         if self._violations.exceeded(now_s):
@@ -237,6 +247,8 @@ class Node:
         after = self._claim.counters()
         if after.contested > before.contested:
             self._claims.take(now_s)
+        if after.lost > before.lost:
+            self._lost = now_s, address, name
         if after.duplicates > before.duplicates:
             self._duplicate_s = now_s
         self._follow_address()

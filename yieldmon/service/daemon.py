@@ -289,6 +289,13 @@ class Daemon:
         if self._link.address != self._address:
             self._address = self._link.address
             self._answer = self._snapshot()
+            preferred = self.configuration.document.network.preferred_address
+            if self._address is None:
+                _log.warning("network: our address was taken, another one is claimed")
+            elif self._address != preferred:
+                _log.warning("network: our address is %d, the preferred %d is another node's", self._address, preferred)
+            else:
+                _log.info("network: our address is %d", self._address)
         self._report_faults()
         self._do_commands()
         if windows:

@@ -196,7 +196,10 @@ class FixedLink:
 
     def status(self) -> StatusNetwork:
         """See Link."""
-        return {"name": None, "address": self._address, "claim": "off", "partners": [], "task_controller": None}
+        return {
+            "name": None, "address": self._address, "preferred_address": self._address, "claim": "off", "partners": [],
+            "task_controller": None,
+        }  # fmt: skip
 
 
 class NetworkLink:
@@ -321,6 +324,7 @@ class NetworkLink:
         return {
             "name": str(self._node.settings.name),
             "address": self._address,
+            "preferred_address": self._preferred,
             "claim": self._node.claim_state.value,
             "partners": [{"address": address, "name": str(name)} for address, name in self._node.addresses.items()],
             "task_controller": None
