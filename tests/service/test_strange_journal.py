@@ -12,6 +12,7 @@ from tests.service.test_store import batch
 from tests.service.test_store_damage import state
 from yieldmon.files import parameter_file
 from yieldmon.service.batch import ParameterVersion
+from yieldmon.service.identity import NONE, this_computer
 from yieldmon.service.recovery import Recovery, recover
 from yieldmon.service.retention import Retention
 from yieldmon.service.store import Store
@@ -118,3 +119,36 @@ def test_a_note_with_a_changed_digit_is_none(tmp_path: Path, at: int) -> None:
     content[at] = ord("3") if content[at] != ord("3") else ord("4")
     note.write_bytes(content)
     assert (witnessed(path), witnessed_store(path)) == (0, 0)
+
+
+def test_all_files_of_another_computers_store_are_told_once(tmp_path: Path) -> None:
+    """Card and files of one machine in another one: each file fits the others."""
+    path = tmp_path / "s.sqlite"
+
+    def started(computer: int, number: int) -> Recovery:
+        found = recover(path, Retention(), lambda: Store(path, computer=computer), computer)
+        with Store(path, computer=computer) as store:
+            commit(store, range(number, number + 1))
+        return found
+
+    assert started(NONE, 1).note == ""
+    assert started(7, 2).note == "", "of an earlier version, or of no computer that is known"
+    assert started(7, 3).note == ""
+    assert started(8, 4).note == "it was last written on another computer: the totals may be another machine's"
+    assert started(8, 5).note == ""
+    assert started(NONE, 6).note == ""
+    assert started(7, 7).note != ""
+    with Store.reading(path) as store:
+        assert store.computer() == 7
+
+
+def test_a_computer_is_known_by_what_outlasts_a_boot(tmp_path: Path) -> None:
+    numbers = []
+    for content in ("0123456789abcdef" * 2, "f" * 32, "", "uninitialized\n", "\0" * 32):
+        (tmp_path / "machine-id").write_text(content)
+        numbers.append(this_computer(tmp_path / "machine-id"))
+    assert numbers[0] not in (numbers[1], NONE)
+    assert numbers[1] != NONE
+    assert numbers[2:] == [NONE] * 3
+    assert this_computer(tmp_path / "none") == NONE
+    assert this_computer(Path("/proc/self/attr/../../version")) == NONE

@@ -34,6 +34,7 @@ from yieldmon.service.command_queue import CommandQueue, Job
 from yieldmon.service.configuration import Configuration
 from yieldmon.service.control import Answer, ControlError, ControlServer
 from yieldmon.service.frame_sender import FrameSender
+from yieldmon.service.identity import this_computer
 from yieldmon.service.input_frames import InputFrames
 from yieldmon.service.journal import Journal
 from yieldmon.service.link import link_for
@@ -134,6 +135,7 @@ class Daemon:
         self._rate = FrameRate()
         self._answered_s = monotonic()
         self._replacements = 0
+        self._computer = this_computer()
         self._tenders: list[Tender] = []
         self._reading = threading.BoundedSemaphore(_READ_AT_ONCE)
 
@@ -185,7 +187,7 @@ class Daemon:
             return self._run()
 
     def _run(self) -> int:
-        recovery = recover(self.configuration.store_path, self.configuration.retention, self._open_store)
+        recovery = recover(self.configuration.store_path, self.configuration.retention, self._open_store, self._computer)
         memory, self._store_note = recovery.memory, recovery.note
         if recovery.made:
             self._writer.expect(recovery.last_batch)
@@ -264,7 +266,7 @@ class Daemon:
         )
 
     def _open_store(self) -> Store:
-        return Store(self.configuration.store_path, self.configuration.retention)
+        return Store(self.configuration.store_path, self.configuration.retention, computer=self._computer)
 
     # The engine's thread
 

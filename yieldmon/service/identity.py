@@ -1,10 +1,12 @@
 """Which store a file, a journal and a note of commits belong to. SQLite takes any journal that lies beside a file for its own.
 
-A store has a random number for as long as it lives: in its marks, in each state that is committed, and in the note beside it.
+A store has a random number for as long as it lives: in its marks, in each state that is committed, and in the note beside it. The
+marks also have a number of the computer that writes it, for where all three are another machine's.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import sqlite3
 from contextlib import closing
@@ -18,6 +20,8 @@ from yieldmon.service.store_file import has_journal, parts, prepared, unwritten,
 MARK = "identity"
 KEY = "store"
 """Of the state's document."""
+COMPUTER = "computer"
+"""Of the marks."""
 NONE = 0
 _BITS = 31
 
@@ -27,9 +31,23 @@ def drawn(database: sqlite3.Connection) -> int:
     return int(database.execute(f"SELECT 1 + (random() & {2**_BITS - 1})").fetchone()[0])
 
 
-def marked(database: sqlite3.Connection) -> int:
+def this_computer(machine_id: Path = Path("/etc/machine-id")) -> int:
+    """A number of this computer, NONE where it has none that outlasts a boot: systemd mounts one over a file that cannot be
+    written."""
+    try:
+        seed = machine_id.read_bytes().strip()
+        lasts = machine_id.stat().st_dev == machine_id.parent.stat().st_dev
+    except OSError:
+        return NONE
+    if not (seed.isalnum() and seed != b"uninitialized" and lasts):
+        return NONE
+    number = int.from_bytes(hashlib.sha256(b"yieldmon store" + seed).digest()[:4], "big")
+    return 1 + number % int(2**_BITS - 1)
+
+
+def marked(database: sqlite3.Connection, mark: str = MARK) -> int:
     """The identity that a store's marks have, NONE where there is none or it is damaged."""
-    for name, value, checksum in database.execute("SELECT name, value, checksum FROM mark WHERE name = ?", (MARK,)):
+    for name, value, checksum in database.execute("SELECT name, value, checksum FROM mark WHERE name = ?", (mark,)):
         if row_checksum("mark", name, value) == checksum:
             return int(value)
     return NONE

@@ -39,7 +39,7 @@ class Recovery:
     made: bool = True
 
 
-def recover(path: Path, retention: Retention, open_store: Callable[[], Store]) -> Recovery:
+def recover(path: Path, retention: Retention, open_store: Callable[[], Store], computer: int = NONE) -> Recovery:
     """What the store at `path` remembers. A damaged one is set aside and a new one made of what is left of it.
 
     A medium that is full, or takes no writing, need not stop the measuring: what it holds can be read all the same, and where it
@@ -60,7 +60,7 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store]) -
         _log.error("%s: %s", path, error)
     for without in rescue.GIVEN_UP:
         try:
-            memory, identity = _read(path, retention, open_store)
+            memory, identity, written_on = _read(path, retention, open_store)
         except StoreDamagedError as error:
             _log.error("%s", error)
             notes.append(_rescued(path, error, without))
@@ -68,7 +68,7 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store]) -
         except StoreError:
             if not _nothing_at(path):
                 raise
-            memory, identity, made = Memory(), NONE, False
+            memory, identity, written_on, made = Memory(), NONE, NONE, False
         last_batch = memory.last_batch
         missing = witnessed(path) - last_batch
         if missing > 0:
@@ -79,6 +79,8 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store]) -
             notes.append(f"it has {-missing} commits more than were made here: the totals may be another machine's")
         if are_two(identity, witnessed_store(path)):
             notes.append("it is another store than was written here: the totals may be another machine's")
+        if are_two(computer, written_on):
+            notes.append("it was last written on another computer: the totals may be another machine's")
         for note in notes:
             _log.error("%s: %s", path, note)
         note_beginning(path)
@@ -105,8 +107,8 @@ def _rescued(path: Path, error: StoreDamagedError, without: tuple[str, ...]) -> 
     return f"damaged, {rescued}; totals are those of {origin}"
 
 
-def _read(path: Path, retention: Retention, open_store: Callable[[], Store]) -> tuple[Memory, int]:
-    """What the store remembers, and its identity."""
+def _read(path: Path, retention: Retention, open_store: Callable[[], Store]) -> tuple[Memory, int, int]:
+    """What the store remembers, its identity, and the computer that wrote it last."""
     ways: tuple[Callable[[], Store], ...] = (
         open_store,
         lambda: Store(path, retention, exclusive=True),
@@ -117,8 +119,8 @@ def _read(path: Path, retention: Retention, open_store: Callable[[], Store]) -> 
     for way in ways:
         try:
             with way() as store:
-                identity = store.identity()
-                return remembered(store), identity
+                identity, computer = store.identity(), store.computer()
+                return remembered(store), identity, computer
         except StoreDamagedError:
             raise
         except StoreError as error:

@@ -26,7 +26,7 @@ from yieldmon.errors import InputError
 from yieldmon.service import schema
 from yieldmon.service.batch import Action, Batch, FaultEvent, Load, ParameterVersion, Step, SweepRecord, Ticket
 from yieldmon.service.checksums import row_checksum
-from yieldmon.service.identity import KEY, MARK, NONE, are_two, drawn, marked, of_state
+from yieldmon.service.identity import COMPUTER, KEY, MARK, NONE, are_two, drawn, marked, of_state
 from yieldmon.service.ledger import ledger
 from yieldmon.service.retention import DEFAULT_RETENTION, Retention
 from yieldmon.service.rows import SecondRow
@@ -72,6 +72,7 @@ class Store:
         exclusive: bool = False,
         immutable: bool = False,
         copied: bool = False,
+        computer: int = NONE,
     ) -> None:
         """Open the store at `path`, making or migrating it when needed.
 
@@ -79,7 +80,7 @@ class Store:
         meanwhile, which takes no room on the medium: a store on a full one can be opened and read this way. immutable: only
         read, from a medium that takes no writing at all; not a store with a journal, whose last seconds would be missed. copied:
         only read, from a copy in memory, which is what is migrated: for one of an older version, or one that was never made to
-        its end, on a medium without room for that.
+        its end, on a medium without room for that. computer: that writes, `identity.this_computer`.
 
         Raises StoreError when it cannot be opened, StoreDamagedError when it is damaged, InputError when it is another
         program's or of a newer version.
@@ -98,6 +99,7 @@ class Store:
                 if is_orphaned(path):
                     raise StoreDamagedError(f"{path}: is empty or missing, and its journal is there")
                 self._database = sqlite3.connect(path, timeout=timeout_s, isolation_level=None)
+        self._computer = computer
         self._identities: dict[Path, tuple[int, int]] = {}
         self._unchecked_to: int | None = 0
         """Seconds up to this number may lack a checksum; None: the store is of a version without any."""
@@ -226,6 +228,8 @@ class Store:
             if identity == NONE:
                 identity = drawn(self._database)
                 write_mark(self._database, MARK, identity)
+            if self._computer not in (NONE, marked(self._database, COMPUTER)):
+                write_mark(self._database, COMPUTER, self._computer)
             for batch in batches:
                 if batch.number > last:
                     write(self._database, batch, identity)
@@ -240,6 +244,11 @@ class Store:
         if are_two(ours, of_last):
             raise StoreDamagedError(f"{self.path}: its file and its journal are of two stores")
         return ours
+
+    def computer(self) -> int:
+        """The computer that made the last commit, `identity.NONE` where it is not known."""
+        with failures_of(self.path):
+            return marked(self._database, COMPUTER)
 
     def _require_writable(self) -> None:
         # On a file system that Linux has remounted read-only, writes into a journal that has room succeed and so does fsync
