@@ -31,6 +31,7 @@ from studies.hidden_effects import generator as g
 from yieldmon.discrepancy import confidence, diagnosis
 from yieldmon.discrepancy.observations import Rows, with_cells
 from yieldmon.discrepancy.policy import Policy
+from yieldmon.estimation import model_error
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.plant.scenario import Scenario
@@ -43,6 +44,8 @@ START = {"friction": 0.2, "density": 1100.0, "shape_ratio": 2.0, "restitution": 
 AVERAGES_S = (5.0, 20.0, 60.0, 200.0, 600.0)
 VISIBLE = 6.0
 """Length, in standard deviations of the cell means, of what recalibration cannot follow, from which an effect is visible."""
+LAW_TIMES = (0.0, 1.0, 2.0, 4.0)
+"""Multiples of the error of an effect's law for which records keep what is left."""
 
 #: Sizes of the virtual combine's effects, from small to large.
 COMBINE: dict[str, tuple[str, float, float]] = {
@@ -262,6 +265,12 @@ def record(kind: str, name: str, number: int, salt: int) -> dict[str, Any]:
         "features": confidence.features(choice),
         "f": [choice.base_gap.f, choice.best_gap.f],
         "p": [choice.base_gap.p_value, choice.best_gap.p_value],
+        "chi2": [choice.base.chi2, choice.best.chi2],
+        "dof": [choice.base.dof, choice.best.dof],
+        # Chi-square that the model's own error makes in the mean, and what is left where laws may be off by so many times more.
+        "own": [float(np.sum(model_error.off(f.own_error, f.tangent()) ** 2)) for f in (choice.base, choice.best)],
+        "left_by_law": [choice.best.marginal(times * choice.best.shape_error)[0] for times in LAW_TIMES],
+        "agrees": None if seen.proof is None else seen.proof.agrees,
         "share": None if seen.proof is None else [seen.proof.crossed.value, seen.proof.crossed.sd],
         "sealed": None if seen.proof is None or seen.proof.sealed is None else [seen.proof.sealed.value, seen.proof.sealed.sd],
         "worse": [] if seen.proof is None else list(seen.proof.worse),

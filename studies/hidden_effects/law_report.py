@@ -1,11 +1,13 @@
 """Tables from the cases of `law_cases`, and the map of confidence that ships.
 
-    python -m studies.hidden_effects.law_report RESULTS.jsonl... [--shipped] [--page STUDY.md] [--ship]
+    python -m studies.hidden_effects.law_report RESULTS.jsonl... [--shipped] [--page STUDY.md] [--ship] [--judge OTHERS.jsonl...]
 
 A confidence is only judged on causes that it was not learnt on: names in a case get theirs from the cases, of all
 generators, that hide none of its effects (leave-law-out); beside it, from the cases of the other generators alone. A map is
 learnt on candidates that were not named too, so that it speaks of them as well.
 --shipped: confidences by the map that ships, for cases that it was not learnt on.
+--judge: what a limit on confidence alone would name on other cases, in place of the rules, by the map learnt on RESULTS, and the
+log loss of that map and of the one that ships on their names.
 --page rewrites the part of a page between `<!-- laws -->` and `<!-- /laws -->`. --ship writes the map learnt on all generators.
 """
 
@@ -21,6 +23,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import optimize, stats
 
 from studies.hidden_effects import law_cases, study
 from yieldmon.discrepancy import confidence
@@ -30,6 +33,8 @@ from yieldmon.discrepancy.policy import Policy
 SHIPPED = Path(confidence.__file__).with_name("confidence.json")
 LARGEST_CLASS = 4
 LEAST_NAMES = 5
+SURE = 0.7
+"""Confidence that might outweigh what speaks against a name."""
 Record = dict[str, Any]
 
 
@@ -207,6 +212,8 @@ def reliability(records: Sequence[Record], stated: dict[str, list[tuple[float, f
             means = f"{ours[inside].mean():.2f} | {within[inside].mean():.2f}"
             lines.append(f"| {low:.1f} to {low + 0.1:.1f} | {inside.sum()} | {means} |")
     error = confidence.expected_calibration_error
+    chance = by_chance(ours)
+    slope, intercept, p_line = calibration_line(ours, within)
     by_effect, by_name, by_others, by_share = (
         f"{error(p, truth):.3f}" for p, truth in ((ours, within), (names, name), (elsewhere, within), (raw, within))
     )
@@ -215,16 +222,77 @@ def reliability(records: Sequence[Record], stated: dict[str, list[tuple[float, f
         "",
         f"Expected calibration error over {len(steps)} names, 10 bins: {by_effect} (effect or one tied with it), {by_name} (the",
         f"effect itself), {by_others} by the other generators' maps; of the bootstrap's share {by_share}. If each",
-        f"name is right with its stated probability, so many show {_chance(ours):.3f}.",
+        f"name is right with its stated probability, so many show {chance.mean():.3f}, and at most",
+        f"{np.quantile(chance, 0.95):.3f} in 95 % of draws: p = {np.mean(chance >= error(ours, within)):.2f}. Log odds of right",
+        f"names over those stated: slope {slope:.2f}, intercept {intercept:+.2f}, p = {p_line:.2f} for 1 and 0.",
         f"A name's highest confidence that was wrong: {max(ours[within < 0.5], default=0.0):.2f}.",
     ]
 
 
-def _chance(stated: NDArray[np.float64], draws: int = 200) -> float:
-    """Mean expected calibration error of names that are right with exactly their stated probabilities."""
+def by_chance(stated: NDArray[np.float64], draws: int = 2000) -> NDArray[np.float64]:
+    """Expected calibration errors of names that are right with exactly their stated probabilities, (draws,)."""
     rng = np.random.default_rng(1)
     right = (rng.random((draws, len(stated))) < stated).astype(float)
-    return float(np.mean([confidence.expected_calibration_error(stated, r) for r in right]))
+    return np.array([confidence.expected_calibration_error(stated, r) for r in right])
+
+
+def calibration_line(stated: NDArray[np.float64], right: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Slope and intercept of the right names' log odds over the stated ones, and p for 1 and 0 (likelihood ratio; Cox 1958)."""
+    odds = np.log(stated) - np.log1p(-stated)
+    columns = np.column_stack((odds, np.ones(len(odds))))
+
+    def loss(line: NDArray[np.float64]) -> float:
+        at = columns @ line
+        return float(np.sum(np.logaddexp(0.0, at) - right * at))
+
+    found = optimize.minimize(loss, np.array([1.0, 0.0]), bounds=((-20.0, 20.0), (-20.0, 20.0)))
+    ratio = 2.0 * (loss(np.array([1.0, 0.0])) - float(found.fun))
+    return float(found.x[0]), float(found.x[1]), float(stats.chi2.sf(ratio, 2))
+
+
+def judged(records: Sequence[Record], others: Sequence[Record]) -> list[str]:
+    """What a limit on the first class's confidence names on `others`, by the map of `records`, beside the rules; Markdown."""
+    by = learn(records, {})
+    lines = [
+        "| named where | within class, visible | a wrong name | removed effects, visible | nothing hidden | pairs, one or both |",
+        "|---|---|---|---|---|---|",
+    ]
+    shipped = by_shipped(others)
+    lines.append("| the rules say so | " + " | ".join(_named_so(others, [r for r in others if named(r, shipped)])) + " |")
+    first = {r["case"]: float(by.within(confidence.as_rows(r["features"][:1]))[0]) for r in others if r["classes"]}
+    for limit in (0.4, 0.5, 0.6, 0.7):
+        given = [r for r in others if r["verdict"] != "none" and first.get(r["case"], 0.0) >= limit]
+        lines.append(f"| confidence is {limit} or more | " + " | ".join(_named_so(others, given)) + " |")
+    sure = [r for r in others if r["verdict"] != "none" and first.get(r["case"], 0.0) >= SURE]
+    either = [r for r in others if r in sure or named(r, shipped)]
+    lines.append(f"| the rules say so, or confidence is {SURE} or more | " + " | ".join(_named_so(others, either)) + " |")
+    steps = [(r, i) for r, i in steps_of(others) if r["verdict"] == "effect"]
+    rows, (within, _) = confidence.as_rows([r["features"][i] for r, i in steps]), right(steps)
+    ours, theirs = (np.log(np.where(within > 0.5, p, 1.0 - p)) for p in (by.within(rows), confidence.shipped().within(rows)))
+    gain, sd = float(np.mean(ours - theirs)), float(np.std(ours - theirs)) / len(steps) ** 0.5
+    return [
+        *lines,
+        "",
+        f"Log loss over {len(steps)} names: {-theirs.mean():.3f} by the map that ships, {-ours.mean():.3f} by this one (better",
+        f"by {gain:+.3f} +- {sd:.3f} a name).",
+    ]
+
+
+def _named_so(records: Sequence[Record], given: Sequence[Record]) -> list[str]:
+    """Counts of `given`, which are named, among the kinds of `records`."""
+
+    def part(chosen: Sequence[Record], good: Callable[[Record], bool]) -> str:
+        return f"{sum(r in given and good(r) for r in chosen)} of {len(chosen)}"
+
+    seen = [r for r in records if r["visible_sd"] >= law_cases.VISIBLE]
+    singles = [r for r in seen if r["generator"] in ("third", "combine", "engine")]
+    return [
+        part(singles, lambda r: r["hidden"][0] in r["classes"][0] and len(r["classes"][0]) <= LARGEST_CLASS),
+        part(singles, lambda r: all(r["hidden"][0] not in c for c in r["classes"])),
+        part([r for r in seen if r["generator"] == "third-removed"], lambda r: True),
+        part([r for r in records if "clean" in r["generator"]], lambda r: True),
+        part([r for r in records if r["generator"] == "third-pair"], lambda r: _pair_hits(r) >= 1),
+    ]
 
 
 def provenance(records: Sequence[Record]) -> dict[str, Any]:
@@ -244,9 +312,13 @@ def main() -> int:
     parser.add_argument("results", type=Path, nargs="+")
     parser.add_argument("--shipped", action="store_true", help="confidences by the map that ships")
     parser.add_argument("--page", type=Path, help="page to rewrite")
+    parser.add_argument("--judge", type=Path, nargs="+", default=[], help="other cases, named by confidence alone")
     parser.add_argument("--ship", action="store_true", help="write the map that yieldmon uses")
     args = parser.parse_args()
     records = [r for path in args.results for r in read(path)]
+    if args.judge:
+        print("\n".join(judged(records, [r for path in args.judge for r in read(path)])))
+        return 0
     text = "\n".join(table(records, by_map_that_ships=args.shipped))
     print(text)
     if args.page is not None:

@@ -12,7 +12,7 @@ import pytest
 from scipy import stats
 
 from yieldmon.cli.diagnose import print_text
-from yieldmon.discrepancy import adoption, detectability, diagnosis, experiment, report
+from yieldmon.discrepancy import adoption, detectability, diagnosis, experiment, gap, report
 from yieldmon.discrepancy.candidates import Signature
 from yieldmon.discrepancy.diagnosis_document import to_document
 from yieldmon.discrepancy.fit import LAW_SD, Fit, Parameter
@@ -116,6 +116,23 @@ def test_the_report_of_a_gap_explained_in_part_has_the_parts_size(make_rows, sta
         assert f"{parameter.name.partition('.')[2]} = {found.leading.values[parameter.name]:.4g} ± " in page
 
 
+def test_every_lack_of_fit_says_which_rows_it_is_over(make_rows, start, outside, tmp_path, capsys) -> None:
+    found = outside(make_rows, start, "bracket that yields in one range of angle")
+    every, searched = len(found.rows) - found.outliers, len(found.choice.base.frame.cells.rows)
+    assert searched < every
+    print_text(found)
+    text = capsys.readouterr().out
+    for name, measure in (("before", found.before), ("with these", found.with_leading)):
+        assert f"{name}, all {every} rows: rms {measure.rms:.4g}" in text
+    assert f" is left with it on the {searched} rows searched" in text
+    page = report.write_report(found, tmp_path, "rows").read_text(encoding="utf-8")
+    row = page.partition(f"<tr><td>all {every} rows, fitted to them; after: with the leading candidates</td>")[2].partition(
+        "</tr>"
+    )[0]
+    assert f"<td>{found.before.lack_of_fit_f:.2f}</td><td>{found.with_leading.lack_of_fit_f:.2f}</td>" in row
+    assert f"{found.held_out.rows} rows kept aside, fitted to the others" in page
+
+
 def test_the_stop_gap_takes_up_what_it_says_on_cells_left_out(make_rows, start, outside) -> None:
     found = outside(make_rows, start, "resonance in speed")
     base, surface = found.base, found.correction
@@ -149,6 +166,77 @@ def test_where_nothing_is_named_the_best_candidates_are_told_apart(make_rows, st
     table = told[told.index(next(line for line in told if "power at the 5 % level" in line)) + 1 :]
     assert [tuple(line.split()[:2]) for line in table] == list(found.plan.separates)
     assert [float(line.split()[2]) for line in table] == pytest.approx(found.plan.powers, abs=0.005)
+
+
+def test_nothing_is_named_where_the_scatter_is_only_assumed(make_rows, start) -> None:
+    rows = make_rows({"zero_offset": 4.0}, repeats=1, speeds_rpm=(400.0,), noise=1e-4)
+    few = rows.take((np.abs(np.degrees(rows.plate_angle_rad) - 65.0) > 10.0) & (rows.load > 2.0))
+    few = few.take(np.arange(len(few)) % 3 > 0)
+    seen = diagnosis.examine(few, start, replace(QUICK, hold_out="none"))
+    assert (len(few), seen.noise.how) == (8, "assumed")
+    assert seen.choice.steps[0].added == "zero_offset"
+    assert seen.choice.verdict == "unknown"
+    assert any("is not named: how much these rows scatter is not known" in note for note in seen.notes)
+
+
+def test_readings_that_do_not_change_with_load_are_refused(make_rows, start) -> None:
+    rows = make_rows()
+    anything = np.random.default_rng(7).uniform(0.0, rows.value.max(), len(rows))
+    with pytest.raises(
+        InputError, match=r"has readings that do not change with load beyond their scatter \(F = .*the right columns"
+    ):
+        diagnosis.examine(replace(rows, value=anything), start, QUICK)
+
+
+def test_loads_that_hardly_differ_are_no_wrong_column(make_rows, start) -> None:
+    rows = make_rows(speeds_rpm=(400.0,), noise=0.05)
+    alike = rows.take(rows.load > 15.0)
+    rows = replace(alike, load=alike.load * np.repeat([1.0, 1.04, 1.08], len(alike) // 3), value=alike.value)
+    base = diagnosis.examine(with_cells(rows), start, QUICK).choice.base
+    change, power = gap.change_with_load(base, Noise(1.0, 0.05, 20.0, "stated"))
+    assert change.p_value > 0.01
+    assert power < 0.999
+
+
+def test_trials_that_differ_as_a_whole_are_told(make_rows, start) -> None:
+    rows = make_rows()
+    drifted = replace(rows, value=rows.value * (0.98 + 0.02 * np.array([float(t) for t in rows.trial])))
+    notes = diagnosis.examine(drifted, start, QUICK).notes
+    assert any("trials that differ as a whole" in note for note in notes)
+
+
+def test_a_clean_table_has_no_note_on_its_repetitions(clean_found) -> None:
+    assert not any("repetitions" in note for note in clean_found.notes)
+
+
+def test_a_gap_that_only_all_rows_together_show_is_told(make_rows, offset_seen) -> None:
+    """The search saw none: its rows do not show what the sealed ones have."""
+    rows = make_rows({"zero_offset": 4.0})
+    assert offset_seen.choice.best_gap.p_value > 0.01
+    bent = replace(rows, value=rows.value * np.where(offset_seen.sealed, 1.05, 1.0))
+    told = [diagnosis.conclude(offset_seen, of, QUICK).notes for of in (rows, bent)]
+    assert [any("all rows together leave F = " in note for note in notes) for notes in told] == [False, True]
+
+
+SHARED = "repetitions share an error"
+
+
+@pytest.mark.parametrize("wrong", ["shared error", "sigma too small"])
+def test_conditions_that_scatter_more_than_repetitions_are_told(make_rows, start, wrong: str) -> None:
+    rows = make_rows()
+    if wrong == "shared error":
+        shared = np.random.default_rng(11).standard_normal(72)
+        rows = replace(rows, value=rows.value * (1.0 + 0.03 * shared[rows.cell]))
+    else:
+        rows = replace(rows, sigma=0.003 * np.hypot(rows.value, 0.1 * rows.value.max()))
+    seen = diagnosis.examine(rows, start, QUICK)
+    assert seen.choice.verdict == "unknown"
+    assert any(SHARED in note for note in seen.notes)
+
+
+@pytest.mark.parametrize("kind", OUTSIDE)
+def test_a_gap_of_the_model_is_no_scatter_of_conditions(make_rows, start, outside, kind: str) -> None:
+    assert not any(SHARED in note for note in outside(make_rows, start, kind).notes)
 
 
 def test_two_effects_are_both_named(make_rows, start) -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from yieldmon.discrepancy import noise, observations
+from yieldmon.discrepancy import diagnosis_notes, noise, observations
 
 
 def test_replicates_give_both_parts_of_the_noise(make_rows) -> None:
@@ -74,6 +74,17 @@ def test_without_replicates_a_smooth_surface_tells_the_noise(make_rows) -> None:
     assert found.how == "smooth"
     level = 0.5 * rows.value.max()
     assert found.sd(level) == pytest.approx(0.02 * level, rel=0.4)
+
+
+def test_too_few_rows_for_a_surface_repeat_or_leave_the_noise_assumed(make_rows) -> None:
+    rows = make_rows(repeats=2, speeds_rpm=(400.0,), noise=0.05)
+    few = rows.take((rows.plate_angle_rad < np.radians(65.0)) & (rows.load < 7.0))
+    assert len(few) == 12
+    found, _ = noise.estimate(few)
+    assert (found.how, found.dof) == ("replicates", 6)
+    single, _ = noise.estimate(few.take(np.array([t == "0" for t in few.trial])))
+    assert single.how == "assumed"
+    assert "noise assumed" in diagnosis_notes.of_noise(single, 0)[0]
 
 
 def test_stated_sigma_is_taken_at_its_word(make_rows) -> None:

@@ -216,7 +216,7 @@ def print_text(found: diagnosis.Diagnosis) -> None:
         measures[1] = ("with these", found.with_leading)
     for name, measure in measures:
         print(
-            f"  {name}: rms {measure.rms:.4g} ({measure.rms_over_max_pct:.2f} % of largest), "
+            f"  {name}, {found.fitted_rows}: rms {measure.rms:.4g} ({measure.rms_over_max_pct:.2f} % of largest), "
             f"lack of fit F = {measure.lack_of_fit_f:.2f}, p = {measure.p_value:.2g}"
         )
     if found.held_out is not None and found.verdict != "unknown":

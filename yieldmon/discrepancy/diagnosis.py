@@ -25,7 +25,7 @@ from .confidence import calibrated, doubted, shipped
 from .detectability import minimum_detectable, size_seen
 from .experiment import Plan, plan
 from .fit import Fit, Frame, base_frame, fit, fit_base
-from .gap import LackOfFit, Region, lack_of_fit, noise_floor, row_rms, where
+from .gap import LackOfFit, Region, change_with_load, lack_of_fit, noise_floor, row_rms, where
 from .noise import Noise, estimate
 from .policy import Policy
 from .proof import Proof, Share, mean_square_interval, prove, share
@@ -33,6 +33,10 @@ from .selection import Choice, choose, withdrawn
 from .stopgap import Correction, correction
 
 Progress = Callable[[str, float], None]
+_SAME = 0.01
+"""p value from which readings at one angle and speed are the same at every load."""
+_SURE = 0.999
+"""Power from which a change with load would have shown."""
 
 
 @dataclass(frozen=True)
@@ -170,6 +174,11 @@ class Diagnosis:
         return self.choice.verdict
 
     @property
+    def fitted_rows(self) -> str:
+        """The rows that `before`, `after` and `with_leading` are fitted to and judged on."""
+        return f"all {len(self.rows) - self.outliers} rows"
+
+    @property
     def closed_pct(self) -> float | None:
         """Share of the gap closed on held-out rows; on all rows where none were held out. None: no effect, or no gap there."""
         if self.verdict != "effect":
@@ -237,6 +246,10 @@ def conclude(
     best_all = _refit(whole, found.effects, found, name) if found.effects else base_all
     partial = chosen.best if chosen.verdict == "unknown" and chosen.steps else None
     leading = _refit(whole, partial.effects, partial, name) if partial is not None else None
+    left = lack_of_fit(best_all, noise)
+    notes = list(seen.notes)
+    if found.effects and left.p_value < options.policy.gap_p <= chosen.best_gap.p_value:
+        notes.append(diagnosis_notes.of_all_rows(left))
     report("where", 0.9)
     regions = where(base_all, noise, rng)
     remaining = where(best_all, noise, rng) if found.effects else regions
@@ -269,7 +282,7 @@ def conclude(
         minimum_detectable=detectable,
         undetectable=undetectable,
         correction=correction(base_all) if chosen.verdict == "unknown" else None,
-        notes=(*seen.notes, *diagnosis_notes.of_undetectable(undetectable)),
+        notes=(*notes, *diagnosis_notes.of_undetectable(undetectable)),
         leading=leading,
         with_leading=_measure(leading, every, noise) if leading is not None else None,
     )
@@ -303,6 +316,7 @@ def examine(
     training = rows.take(~sealed & ~outlier)
     report("published model", 0.05)
     form, frame, base, why = _published(training, noise, parameters, options.form, name, options.keep_effects)
+    _check_load(base, noise, name)
     chosen = choose(
         base, noise, library(frame, options.without), rng, options.policy, lambda text, share: report(text, 0.1 + 0.7 * share)
     )
@@ -318,19 +332,33 @@ def examine(
     if chosen.against:
         notes.append(diagnosis_notes.against(chosen))
     proof = None
-    if chosen.verdict == "effect":
+    if chosen.steps:
         proof = prove(chosen.base, chosen.best, held_out.share if held_out is not None else None, rng)
-        if not proof.agrees:
-            notes.append(diagnosis_notes.refuted(chosen.named, proof))
-            chosen = withdrawn(chosen, options.policy)
+    if proof is not None and chosen.verdict == "effect" and not proof.agrees:
+        notes.append(diagnosis_notes.refuted(chosen.named, proof))
+        chosen = withdrawn(chosen, options.policy)
+    if chosen.verdict == "effect" and noise.how == "assumed":
+        notes.append(diagnosis_notes.noise_assumed(chosen))
+        chosen = withdrawn(chosen, options.policy)
     chosen = calibrated(chosen, shipped())
     if doubted(chosen, options.policy):
         notes.append(diagnosis_notes.not_trusted(chosen))
         chosen = withdrawn(chosen, options.policy)
-    notes += diagnosis_notes.of_one_cell(chosen, noise)
+    notes += [*diagnosis_notes.of_one_cell(chosen, noise), *diagnosis_notes.of_repetitions(chosen, noise)]
     if chosen.verdict != "effect" and held_out is not None:
         held_out, _ = _open(rows, sealed, chosen.base, chosen.base, noise)
     return Examination(form, noise, chosen, held_out, sealed, outlier, tuple(notes), proof)
+
+
+def _check_load(base: Fit, noise: Noise, name: str) -> None:
+    """Raises InputError where readings do not change with load, though the model's change would have shown."""
+    change, power = change_with_load(base, noise)
+    if change.p_value >= _SAME and power > _SURE:
+        raise InputError(
+            name,
+            f"has readings that do not change with load beyond their scatter (F = {change.f:.2f}, p = {change.p_value:.1g})",
+            "readings of these loads; the right columns?",
+        )
 
 
 def _published(

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
-from .gap import lack_of_fit_but_one
+from .gap import LackOfFit, lack_of_fit_but_one, lack_without_pattern
 from .noise import Noise
 from .policy import DEFAULT
 from .proof import Proof
-from .selection import Choice
+from .selection import Choice, rows_searched
+
+_SURE = 1e-3
+"""p value from which conditions scatter more than repetitions."""
 
 
 def refuted(names: tuple[str, ...], proof: Proof) -> str:
@@ -37,7 +41,13 @@ def of_one_cell(choice: Choice, noise: Noise) -> list[str]:
     cells = choice.best.frame.cells
     load = "kg on a paddle" if cells.rows.load_name == "paddle_mass_kg" else "kg/s"
     cell = f"plate {np.degrees(cells.plate_angle_rad[worst]):.0f} deg and {cells.load[worst]:.3g} {load}"
-    return [f"what is left rests on one cell, {cell}: without it F = {without.f:.2f} (p = {without.p_value:.1g}); measured well?"]
+    f = f"F = {without.f:.2f} (p = {without.p_value:.1g}) {rows_searched(choice.best)}"
+    return [f"what is left rests on one cell, {cell}: without it {f}; measured well?"]
+
+
+def noise_assumed(choice: Choice) -> str:
+    """Why nothing is named where the rows do not say how much they scatter."""
+    return f"{' + '.join(choice.named)} is not named: how much these rows scatter is not known"
 
 
 def not_trusted(choice: Choice) -> str:
@@ -53,11 +63,36 @@ def of_noise(noise: Noise, outliers: int) -> list[str]:
         "replicates": f"noise from replicates ({noise.dof:.0f} degrees of freedom)",
         "smooth": "no replicates: noise from the scatter about a smooth surface through the rows",
         "stated": "noise as stated, not measured in this table",
+        "assumed": "noise assumed: too few rows to see it (state sigma, or repeat rows)",
     }[noise.how]
     form = f"sd = {noise.constant:.4g}" + (
         f" + {100.0 * noise.proportional:.2g} % of reading (in quadrature)" if noise.proportional else ""
     )
     return [f"{how}: {form}"] + ([f"{outliers} outlying rows left out"] if outliers else [])
+
+
+def of_all_rows(left: LackOfFit) -> str:
+    """That all rows together leave a gap which those searched do not show."""
+    return (
+        f"with these effects all rows together leave F = {left.f:.2f} (p = {left.p_value:.1g}): something else is missing too, "
+        "or their laws are not quite these"
+    )
+
+
+def of_repetitions(choice: Choice, noise: Noise) -> list[str]:
+    """Where conditions scatter more than repetitions do, without a pattern, so that no model could follow them; or less."""
+    if noise.how == "replicates" and stats.f.cdf(choice.best_gap.f, choice.best.dof, noise.dof) < _SURE:
+        return [
+            f"repetitions scatter more than conditions do (F = {choice.best_gap.f:.2f}): trials that differ as a whole (warm-up, "
+            "zero) hide what is missing"
+        ]
+    found = lack_without_pattern(choice.base, noise)
+    if choice.verdict != "unknown" or found.p_value > _SURE or found.f - 1.0 < 0.5 * (choice.base_gap.f - 1.0):
+        return []
+    return [
+        f"conditions scatter more than repetitions do, without a pattern (F = {found.f:.2f}, p = {found.p_value:.1g}): "
+        "repetitions share an error (one weighing, one zero), or the noise is stated too small; no effect explains that"
+    ]
 
 
 def of_overfull(opened: NDArray[np.bool_], proven_rows: int) -> list[str]:

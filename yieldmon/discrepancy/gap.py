@@ -25,6 +25,9 @@ from .noise import Noise
 from .observations import SAME_LOAD, SAME_SPEED, Rows
 
 DRAWS = 2000
+_LEAST_DOF = 5
+_MOST_EXPECTED = 1e4
+"""Noncentrality from which on every test is sure."""
 _LEAST_BEYOND = 0.3
 """Share of a window's change that recalibration, and the windows before it, must leave of it."""
 _LEAST_LEVEL = 0.1
@@ -72,6 +75,52 @@ def lack_of_fit_but_one(fit: Fit, noise: Noise) -> tuple[LackOfFit, int]:
     gain = np.square(fit.residual) / np.maximum(1.0 - leverage, 1e-9)
     worst = int(np.argmax(gain))
     return _tested(fit, noise, max(fit.chi2 - float(gain[worst]), 0.0), fit.dof - 1), worst
+
+
+def lack_without_pattern(fit: Fit, noise: Noise) -> LackOfFit:
+    """The test for what no relative error over angle and load, angle and speed, or load and speed takes up, whatever its form.
+
+    What is left there scatters from condition to condition, as no model does. p is 1 where such errors take up everything.
+    """
+    cells = fit.frame.cells
+    axes = (
+        cluster(cells.plate_angle_rad, SAME_ANGLE_RAD),
+        cluster(np.log(np.maximum(cells.load, 1e-9)), SAME_LOAD),
+        cluster(np.log(cells.elevator_speed_rad_s), SAME_SPEED),
+    )
+    pairs = []
+    for one, other in combinations(axes, 2):
+        number = np.unique(np.stack((one, other)), axis=1, return_inverse=True)[1].ravel()
+        pairs.append(np.eye(int(number.max()) + 1)[number])
+    taken = model_error.orthonormal(np.concatenate(pairs, axis=1) * fit.level[:, None])
+    dof = len(cells) - taken.shape[1]
+    if dof < _LEAST_DOF:
+        return LackOfFit(float("nan"), 1.0)
+    f = float(np.sum(model_error.off(fit.residual, taken) ** 2)) / dof
+    return LackOfFit(f, float(stats.f.sf(f, dof, noise.dof)))
+
+
+def change_with_load(fit: Fit, noise: Noise) -> tuple[LackOfFit, float]:
+    """The test for one reading at each angle and speed, whatever the load, and its power at 1 % for one in proportion to load.
+
+    p is 1 and the power 0 where the rows have hardly more than one load there.
+    """
+    cells = fit.frame.cells
+    axes = cluster(cells.plate_angle_rad, SAME_ANGLE_RAD), cluster(np.log(cells.elevator_speed_rad_s), SAME_SPEED)
+    number = np.unique(np.stack(axes), axis=1, return_inverse=True)[1].ravel()
+    dof = len(cells) - int(number.max()) - 1
+    if dof < _LEAST_DOF:
+        return LackOfFit(float("nan"), 1.0), 0.0
+    weight = fit.frame.sd**-2.0
+
+    def mean(values: Array) -> Array:
+        return np.asarray((np.bincount(number, weight * values) / np.bincount(number, weight))[number])
+
+    average = mean(cells.mean)
+    f = float(np.sum(weight * (cells.mean - average) ** 2)) / dof
+    proportional = float(np.sum(weight * (average * (cells.load / mean(cells.load) - 1.0)) ** 2))
+    power = float(stats.ncf.sf(stats.f.isf(0.01, dof, noise.dof), dof, noise.dof, min(proportional, _MOST_EXPECTED)))
+    return LackOfFit(f, float(stats.f.sf(f, dof, noise.dof))), power
 
 
 def _tested(fit: Fit, noise: Noise, chi2: float, dof: int) -> LackOfFit:

@@ -19,11 +19,18 @@ from .observations import Cells, Rows, cells
 
 _OUTLIER_SD = 5.0
 _MIN_REPLICATE_DOF = 8
+_LEAST_REPLICATE_DOF = 3
+"""Enough where the rows are too few for a smooth surface."""
+_ASSUMED = (0.002, 0.01)
+"""Standard deviation, as shares of the largest reading and of each, where rows say nothing of it."""
 
 
 @dataclass(frozen=True)
 class Noise:
-    """sd of one row: sqrt(constant^2 + (proportional y)^2), with dof behind it; how: "replicates", "smooth" or "stated"."""
+    """sd of one row: sqrt(constant^2 + (proportional y)^2), with dof behind it.
+
+    how: "replicates", "smooth", "stated" or "assumed".
+    """
 
     constant: float
     proportional: float
@@ -141,9 +148,11 @@ def _from_smooth_surface(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
     """Scatter about a polynomial surface over angle, load, speed and moisture, which no model had a say in."""
     keep = np.ones(len(rows), dtype=bool)
     top = float(np.max(np.abs(rows.value)))
-    noise = Noise(0.002 * top, 0.01, 20.0, "stated")
+    noise = Noise(_ASSUMED[0] * top, _ASSUMED[1], 20.0, "assumed")
     for _ in range(4):
         basis = _surface(rows, len(np.unique(rows.cell[keep])))
+        if basis is None and noise.how == "assumed" and len(rows) - int(rows.cell.max() + 1) >= _LEAST_REPLICATE_DOF:
+            return _from_replicates(rows)
         if basis is None:
             return noise, ~keep
         weight = 1.0 / noise.sd(rows.value)

@@ -133,7 +133,7 @@ class Cells:
 def from_table(table: Table, machine: Machine) -> Rows:
     """Rows of a table with a load and a reading; rows where either is unknown are left out.
 
-    Raises InputError when fewer than 8 rows remain.
+    Raises InputError when fewer than 8 rows remain, most readings are negative, or rows are copies of others.
     """
     if table.load is None:
         raise InputError(table.path, "has no load column", "mass_flow_kg_s or paddle_mass_kg")
@@ -157,7 +157,34 @@ def from_table(table: Table, machine: Machine) -> Rows:
         table.text.get("trial", ("",) * count),
         np.zeros(count, dtype=np.int64),
     ).take(usable)
-    return with_cells(rows)
+    column = f"{table.path}: {table.reading}"
+    negative = int(np.count_nonzero(rows.value < 0.0))
+    if 2 * negative > len(rows):
+        raise InputError(column, f"is negative in {negative} of {len(rows)} rows", "force on the plate counted positive")
+    grouped = with_cells(rows)
+    copied = copies(grouped)
+    if copied:
+        raise InputError(
+            column,
+            f"repeats another reading of the same condition in every digit in {copied} of {len(rows)} rows, as copies do",
+            "each measurement once",
+        )
+    return grouped
+
+
+def copies(rows: Rows) -> int:
+    """Rows that are copies of others of their condition: 0, or more than half of those that repeat a condition.
+
+    Readings of a coarse resolution agree by chance, but then in different conditions too.
+    """
+    _, number, count = np.unique(rows.value, return_inverse=True, return_counts=True)
+    number = number.ravel()
+    _, place, alike = np.unique(np.stack((rows.cell, number)), axis=1, return_inverse=True, return_counts=True)
+    twins = alike[place.ravel()] > 1
+    repeated = int(np.count_nonzero(np.bincount(rows.cell)[rows.cell] > 1))
+    elsewhere = int(np.count_nonzero(count[number] > alike[place.ravel()]))
+    found = int(np.count_nonzero(twins))
+    return found if 2 * found > repeated and 10 * elsewhere < len(rows) else 0
 
 
 def with_cells(rows: Rows) -> Rows:

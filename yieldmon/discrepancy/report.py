@@ -21,7 +21,7 @@ from .diagnosis import Diagnosis, HeldOut, Measure
 from .experiment import Plan
 from .fit import Fit
 from .gap import Region
-from .selection import Step
+from .selection import Step, rows_searched
 
 Intervals = tuple[tuple[float, float], tuple[float, float]]
 """Of the lack of fit before and after."""
@@ -255,7 +255,10 @@ def _ranking(diagnosis: Diagnosis) -> bytes:
     axes.axvline(1.0, color="0.3", linewidth=1)
     axes.axvline(diagnosis.choice.base_gap.f, color="0.3", linewidth=1, linestyle="--")
     axes.set_xlim(left=0.0)
-    axes.set_xlabel("lack of fit F with this one effect added, and its standard deviation\n(line: the noise; dashed: none added)")
+    axes.set_xlabel(
+        f"lack of fit F {rows_searched(diagnosis.choice.base)} with this one effect added, and its standard deviation\n"
+        "(line: the noise; dashed: none added)"
+    )
     return _png(figure)
 
 
@@ -293,9 +296,14 @@ def _page(diagnosis: Diagnosis, title: str, pictures: dict[str, bytes]) -> str:
 
 def _gap_table(diagnosis: Diagnosis) -> str:
     held = diagnosis.held_out
-    rows: list[tuple[str, Measure, Measure, Intervals | None]] = [("all rows", diagnosis.before, diagnosis.after, None)]
+    rows: list[tuple[str, Measure, Measure, Intervals | None]] = []
+    if diagnosis.with_leading is None:
+        rows.append((f"{diagnosis.fitted_rows}, fitted to them", diagnosis.before, diagnosis.after, None))
+    else:
+        name = f"{diagnosis.fitted_rows}, fitted to them; after: with the leading candidates"
+        rows.append((name, diagnosis.before, diagnosis.with_leading, None))
     if held is not None:
-        rows.append((f"{held.rows} rows kept aside", held.before, held.after, held.f_interval))
+        rows.append((f"{held.rows} rows kept aside, fitted to the others", held.before, held.after, held.f_interval))
     head = ("", "rms before", "rms after", "% of max before", "after", "F before", "F after")
     out = "<table><tr>" + "".join(f"<th>{h}</th>" for h in head) + "</tr>"
     for name, before, after, intervals in rows:

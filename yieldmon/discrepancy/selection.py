@@ -179,12 +179,15 @@ class Search:
             return f"{tied} effects explain these rows alike"
         gap = lack_of_fit(current, self.noise)
         left = (current.chi2 - current.dof) / self.excess
+        searched = rows_searched(current)
         if gap.p_value < self.policy.gap_p and lack_of_fit_but_one(current, self.noise)[0].p_value < self.policy.gap_p:
-            return f"F = {gap.f:.2f} is left with it (p = {gap.p_value:.1g}): something else is missing, or stands in its place"
+            why = "something else is missing, or stands in its place"
+            return f"F = {gap.f:.2f} is left with it {searched} (p = {gap.p_value:.1g}): {why}"
         if left > self.policy.unexplained_share:
-            return f"{100.0 * left:.0f} % of the excess is left with it, more than {100.0 * self.policy.unexplained_share:.0f} %"
+            most = 100.0 * self.policy.unexplained_share
+            return f"{100.0 * left:.1f} % of the excess is left with it {searched}, more than {most:.0f} %"
         if self._unexplained(current):
-            return f"F = {gap.f:.2f} is left with it, more than what its law may be off explains"
+            return f"F = {gap.f:.2f} is left with it {searched}, more than what its law may be off explains"
         if current.undone > self.policy.most_undone:
             undone = f"{100.0 * current.undone:.0f} %"
             return f"{undone} of what these effects change they undo among themselves, as terms of a series do"
@@ -417,6 +420,11 @@ def withdrawn(choice: Choice, policy: Policy) -> Choice:
     """The choice whose named effects unseen rows do not confirm: "unknown" where a gap is left, else "none"."""
     verdict: Verdict = "unknown" if choice.base_gap.p_value < policy.gap_p else "none"
     return replace(choice, verdict=verdict)
+
+
+def rows_searched(found: Fit) -> str:
+    """The rows that a fit of the search is judged on: fewer than all, where some are kept aside."""
+    return f"on the {len(found.frame.cells.rows)} rows searched"
 
 
 def misfit(fits: Sequence[Fit]) -> float:

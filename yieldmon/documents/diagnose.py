@@ -40,7 +40,7 @@ class RegionDocument(TypedDict):
 
 
 class MeasureDocument(TypedDict):
-    """Distance of a model from the rows, in the reading's unit."""
+    """Distance of a model from the rows, in the reading's unit; `Gap` says from which."""
 
     rms: Number
     rms_over_max_pct: Number
@@ -59,7 +59,8 @@ class HeldOutDocument(TypedDict):
 
 
 class Gap(TypedDict):
-    """How far the model was off and is now. closed_pct: share of the gap that the effects close; with_leading: with `leading`."""
+    """How far the model was off and is now. before, after, with_leading (with `leading`): fitted to all rows but outliers and
+    judged on them; held_out: on rows kept aside, fitted to the others. closed_pct: share of the gap that the effects close."""
 
     before: MeasureDocument
     after: MeasureDocument
@@ -95,7 +96,7 @@ class BaseModel(TypedDict):
 
 
 class CandidateDocument(TypedDict):
-    """An effect that was looked at."""
+    """An effect that was looked at; lack_of_fit_f: with it alone, on the rows searched (those not kept aside)."""
 
     name: str
     law: str

@@ -1,0 +1,68 @@
+"""Tables that are no measurements: copies, readings of the wrong sign; and what coarse readings look like beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from yieldmon.discrepancy import observations
+from yieldmon.discrepancy.observations import Rows
+from yieldmon.errors import InputError
+from yieldmon.files.table import Table
+from yieldmon.physics.machine import RPM, Machine
+
+
+def as_table(rows: Rows, *, trial: bool = True) -> Table:
+    columns = {
+        "plate_angle_deg": np.degrees(rows.plate_angle_rad),
+        "elevator_speed_rpm": rows.elevator_speed_rad_s / RPM,
+        "mass_flow_kg_s": rows.load,
+        "force_n": rows.value,
+    }
+    return Table("field.csv", "", "mass_flow_kg_s", "force_n", columns, {"trial": rows.trial} if trial else {})
+
+
+def copied(table: Table, times: int) -> Table:
+    """The rows `times` times, the trials numbered on."""
+    columns = {name: np.tile(values, times) for name, values in table.columns.items()}
+    text = {name: tuple(map(str, range(times * len(table)))) for name in table.text}
+    return Table(table.path, "", table.load, table.reading, columns, text)
+
+
+@pytest.mark.parametrize(("repeats", "times"), [(1, 3), (3, 2)])
+@pytest.mark.parametrize("trial", [True, False])
+def test_copied_rows_are_no_repetitions(make_rows: Callable[..., Rows], repeats: int, times: int, trial: bool) -> None:
+    table = copied(as_table(make_rows(repeats=repeats), trial=trial), times)
+    with pytest.raises(InputError, match=rf"field.csv: force_n: repeats .* in {len(table)} of {len(table)} rows, as copies do"):
+        observations.from_table(table, Machine())
+
+
+def test_readings_of_a_coarse_resolution_are_no_copies(make_rows: Callable[..., Rows]) -> None:
+    rows = make_rows(noise=0.003)
+    coarse = as_table(rows)
+    coarse.columns["force_n"][:] = np.round(rows.value)
+    same = [len(np.unique(coarse.columns["force_n"][rows.cell == c])) < 3 for c in range(rows.cell.max() + 1)]
+    assert np.mean(same) > 0.9
+    assert len(observations.from_table(coarse, Machine())) == len(rows)
+
+
+def test_single_rows_that_read_alike_are_no_copies(make_rows: Callable[..., Rows]) -> None:
+    rows = make_rows(repeats=1)
+    assert len(observations.from_table(as_table(rows), Machine())) == len(rows)
+
+
+def test_force_of_the_wrong_sign_is_refused(make_rows: Callable[..., Rows]) -> None:
+    rows = make_rows()
+    table = as_table(rows)
+    table.columns["force_n"][:] = -rows.value
+    with pytest.raises(InputError, match=rf"is negative in {len(rows)} of {len(rows)} rows; expected force on the plate counted"):
+        observations.from_table(table, Machine())
+
+
+def test_a_few_negative_readings_are_kept(make_rows: Callable[..., Rows]) -> None:
+    table = as_table(make_rows())
+    lightest = np.argsort(table.columns["force_n"])[:20]
+    table.columns["force_n"][lightest] -= 2.0 * table.columns["force_n"][lightest].max()
+    assert len(observations.from_table(table, Machine())) == len(table)
