@@ -467,3 +467,81 @@ def test_a_ticket_that_waits_during_a_sweep_teaches_as_one_before_it(
         assert learning.waiting == ()
     assert masses[1] == pytest.approx(masses[0], abs=0.02)
     assert abs(masses[1] - before) > 0.1
+
+
+def test_loads_that_no_parameters_explain_are_refused_and_raise_nothing() -> None:
+    """Weighed at two to three times a nearly full paddle's grain: more than the paddles hold."""
+    reasons, _ = weighings([2.0, 2.5, 3.0, 3.0], flow=30.0)
+    assert any("more force than a full paddle" in reason for reason in reasons)
+    assert not any(f"load {k} contradicts the {k} weighed" in reason for k, reason in enumerate(reasons, 1))
+
+
+def test_a_load_is_held_against_those_of_its_own_crop() -> None:
+    """Three loads that agree, three of another crop, and a fourth of the first that is 10 % off."""
+    calibrator, harvested, outcome = (
+        ClosedLoopCalibrator(MODEL, CalibratorSettings(closed_loop=ClosedLoopSettings())),
+        "wheat",
+        None,
+    )
+    known = {"wheat": OpenLoop(MODEL, NARROW), "rapeseed": OpenLoop(MODEL, PRIOR)}
+    for k, (crop, factor) in enumerate([*[("wheat", 1.0)] * 3, *[("rapeseed", 1.15)] * 3, ("wheat", 0.9)]):
+        if crop != harvested:
+            calibrator.change_grain(harvested, crop, [])
+        harvested = crop
+        start = 1000.0 * k
+        one = ticket(known[crop], 12.0 + 0.5 * k, start, start + 500.0, sd_kg=25.0)
+        one = dataclasses.replace(one, reference_kg=factor * one.reference_kg, load_number=k + 1)
+        outcome = calibrator.weigh(dataclasses.replace(records(12.0)[0], time_s=start + 600.0), [one], known[crop])
+        known[crop] = outcome.estimator if outcome.estimator is not None else known[crop]  # type: ignore[assignment]
+    assert outcome is not None
+    assert "load 7 contradicts the 3 weighed before it by -9.9 %" in outcome.reason
+
+
+def learning_with(known: OpenLoop) -> tuple[Learning, SweepMachine]:
+    settings = EngineSettings()
+    sweep = SweepMachine(settings.sweep, settings.plate, float(np.degrees(MACHINE.home_plate_angle_rad)))
+    return Learning(settings, MACHINE, known, ClosedLoopCalibrator(MODEL, EXACT)), sweep
+
+
+def enter(learning: Learning, number: int, factor: float = 1.0) -> float:
+    """A ticket for a load of so many; returns its time."""
+    at_s = 1000.0 * number
+    load = ticket(learning.estimator, 12.0, at_s, at_s + 500.0)  # type: ignore[arg-type]
+    summary = LoadSummary(number, load.start_s, load.end_s, load.measured_kg, 0.0, 0.0, complete=True)
+    learning.ticket(number, factor * load.reference_kg, 5.0, (summary,), at_s)
+    return at_s + 600.0
+
+
+def learn_at(learning: Learning, sweep: SweepMachine, at_s: float) -> int:
+    return len(learning.learn(at_s, dataclasses.replace(records(12.0)[0], time_s=at_s, usable_for_calibration=False), sweep))
+
+
+def test_a_ticket_that_waits_when_the_crop_changes_teaches_its_own_crop_alone() -> None:
+    wheat, rapeseed = OpenLoop(MODEL, PRIOR), OpenLoop(MODEL, PRIOR)
+    learning, sweep = learning_with(wheat)
+    at_s = enter(learning, 1, 1.1)
+    learning.change_grain("wheat", "rapeseed")
+    learning.use(rapeseed, 0.0)
+    assert learn_at(learning, sweep, at_s) == 0
+    assert learning.estimator is rapeseed
+    learning.change_grain("rapeseed", "wheat")
+    learning.use(wheat, 0.0)
+    assert learn_at(learning, sweep, at_s + 1.0) == 1
+    assert home_error_pct(learning.estimator, 12.0) == pytest.approx(10.0, abs=1.5)  # type: ignore[arg-type]
+    assert learn_at(learning, sweep, at_s + 2.0) == 0
+
+
+def test_a_ticket_of_another_crop_taken_back_teaches_the_present_one_nothing_again() -> None:
+    wheat, rapeseed = OpenLoop(MODEL, PRIOR), OpenLoop(MODEL, PRIOR)
+    learning, sweep = learning_with(wheat)
+    for number in (1, 2):
+        learn_at(learning, sweep, enter(learning, number))
+    learning.change_grain("wheat", "rapeseed")
+    learning.use(rapeseed, 0.0)
+    assert learn_at(learning, sweep, at_s := enter(learning, 3)) == 1
+    learning.forget_ticket(frozenset({1}))
+    assert not learning.masses_wait
+    assert learn_at(learning, sweep, at_s + 1.0) == 0
+    learning.change_grain("rapeseed", "wheat")
+    learning.use(wheat, 0.0)
+    assert [mass.load_number for mass in learning.waiting] == [2]

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from yieldmon.engine.loads import LoadSummary
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.files.crops import crop
@@ -45,6 +46,19 @@ def test_a_crop_is_measured_with_its_own_parameters_and_comes_back_to_what_was_l
         remembered = recall(store)
     assert remembered.of_crop["wheat"].values["friction"] == 0.3
     assert {"wheat", "barley"} <= set(remembered.of_crop)
+
+
+def test_a_ticket_that_waits_is_for_the_crop_that_it_was_entered_under():
+    monitor, journal = started()
+    load(monitor, journal, "wheat")
+    one = LoadSummary(7, 1000.0, 1500.0, 6000.0, 0.0, 0.0, complete=True)
+    monitor.know_load(one, [])
+    monitor.ticket(7, 6600.0, 30.0)
+    assert monitor.masses_wait
+    load(monitor, journal, "barley")
+    assert not monitor.masses_wait
+    load(monitor, journal, "wheat")
+    assert monitor.masses_wait
 
 
 def test_a_calibration_undone_under_another_crop_is_undone_for_its_own(tmp_path):

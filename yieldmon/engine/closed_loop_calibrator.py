@@ -67,6 +67,8 @@ class ClosedLoopCalibrator:
         self._weighings: list[WeighedLoad] = []
         self._doubted: WeighedLoad | None = None
         self._checked: frozenset[ReferenceMass] = frozenset()
+        self._of_grain: dict[str, tuple[list[WeighedLoad], WeighedLoad | None]] = {}
+        """Weighings of the crops before, by name: those accepted, and the one that is doubted."""
         self.last: Outcome | None = None
 
     def update(self, records: Sequence[WindowRecord], estimator: FlowEstimator, *, use_sweep: bool = True) -> CalibrationOutcome:
@@ -109,7 +111,12 @@ class ClosedLoopCalibrator:
         prior = drifting.parameters
         found = self._mass_anchors(anchors, used)
         checks = self._checks(found, prior)
-        masses, doubt = self._accepted(found, prior)
+        try:
+            masses, doubt = self._accepted(found, prior)
+        except ValueError as error:
+            # A load that no parameters near these explain would be refused again with each mass that follows.
+            self._used = frozenset(anchors)
+            return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False, weighed=True, checks=checks)
         if doubt and not masses:
             self._used = frozenset(anchors)
             return CalibrationOutcome(None, doubt, identifiable=False, weighed=True, checks=checks)
@@ -169,6 +176,8 @@ class ClosedLoopCalibrator:
         for reference, mass in found:
             name = name_of(reference)
             load = _weighed(reference, mass)
+            # A mass whose update was refused comes again.
+            self._weighings = [known for known in self._weighings if known.name != name]
             error = self._contradiction(prior, load)
             if error is None:
                 self._weighings = [*self._weighings[1 - _KEPT_WEIGHINGS :], load]
@@ -245,9 +254,19 @@ class ClosedLoopCalibrator:
         """See records.SelfCalibrator."""
         names = {f"load {number}" for number in (*load_numbers, *(a.load_number for a in again))}
         self._weighings = [load for load in self._weighings if load.name not in names]
+        for grain, (loads, doubted) in self._of_grain.items():
+            kept = [load for load in loads if load.name not in names]
+            self._of_grain[grain] = kept, None if doubted is not None and doubted.name in names else doubted
         if self._doubted is not None and self._doubted.name in names:
             self._doubted = None
         self._used = self._used - frozenset(again)
+
+    def change_grain(self, before: str, now: str, used: Sequence[ReferenceMass]) -> None:
+        """See records.SelfCalibrator."""
+        self._of_grain[before] = self._weighings, self._doubted
+        self._weighings, self._doubted = self._of_grain.pop(now, ([], None))
+        self._used = self._checked = frozenset(used)
+        self._given = None
 
     def snapshot(self, now_s: float, total_kg: float) -> CalibratorState | None:
         """See records.SelfCalibrator."""

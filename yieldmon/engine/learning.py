@@ -60,6 +60,8 @@ class Learning:
         self._masses_new = False
         self._waiting: list[ReferenceMass] = []
         """Tickets that were not handed to the calibrator yet."""
+        self._of_grain: dict[str, tuple[list[ReferenceMass], list[ReferenceMass]]] = {}
+        """Tickets of the crops before, by name: all that are kept, and those that wait for the crop's return."""
         self._earlier: dict[int, tuple[LoadSummary, LoadForces | None]] = {}
         """Loads of an earlier run, by number."""
         self._compared: frozenset[ReferenceMass] = frozenset()
@@ -79,6 +81,13 @@ class Learning:
 
     def forget_ticket(self, load_numbers: frozenset[int]) -> None:
         """A ticket for these loads was taken back; those entered since then teach anew."""
+        for grain, (tickets, _) in self._of_grain.items():
+            first = next((i for i, anchor in enumerate(tickets) if anchor.load_number in load_numbers), None)
+            if first is not None:
+                again = [a for a in tickets[first:] if a.load_number not in load_numbers]
+                self._of_grain[grain] = [*tickets[:first], *again], again
+                if self.calibrator is not None:
+                    self.calibrator.forget(load_numbers, again)
         gone = [i for i, anchor in enumerate(self._tickets) if anchor.load_number in load_numbers]
         if not gone:
             return
@@ -98,6 +107,22 @@ class Learning:
         """Other parameters; calibration_age_s: time since they were calibrated, None where it is not known."""
         self.estimator = estimator
         self.calibration_age_s = calibration_age_s
+
+    def change_grain(self, before: str, now: str) -> None:
+        """Another crop from now on: weighed masses of the one before teach its parameters alone, when it is back."""
+        self._of_grain[before] = list(self._tickets), self._waiting
+        tickets, self._waiting = self._of_grain.pop(now, ([], []))
+        self._tickets = deque(tickets, maxlen=self._tickets.maxlen)
+        self._scale.forget()
+        self._scale.anchors.clear()
+        self._masses_new = bool(self._waiting)
+        if self.calibrator is not None:
+            self.calibrator.change_grain(before, now, [a for a in tickets if a not in self._waiting])
+
+    def take_tickets_of(self, before: Learning) -> None:
+        """After a reload: the tickets of the one that learnt until now."""
+        self._of_grain = dict(before._of_grain)
+        self.remember_tickets(before.tickets, before.waiting)
 
     def grow_older(self, seconds: float) -> None:
         """Time passes since the calibration."""

@@ -311,8 +311,7 @@ class Monitor:
         ----------
         before : Monitor
         """
-        learning = before._parts.learning
-        self._parts.learning.remember_tickets(learning.tickets, learning.waiting)
+        self._parts.learning.take_tickets_of(before._parts.learning)
 
     def take_zero_of(self, before: Monitor) -> None:
         """After `restore` from the monitor that measured until now: a zero calibration under way, and what was measured since.
@@ -365,6 +364,20 @@ class Monitor:
         """
         self._parts.learning.use(estimator, calibration_age_s)
         self._parts.learning.scale_alarm.accept()
+
+    def change_crop(self, estimator: FlowEstimator, calibration_age_s: float | None, before: str, now: str) -> None:
+        """Parameters of another crop. Tickets of the crop before wait for its return, and a sweep under way ends.
+
+        Parameters
+        ----------
+        estimator, calibration_age_s
+            As in `set_estimator`.
+        before, now : str
+            Names of the crops.
+        """
+        self.abort_sweep()
+        self._parts.learning.change_grain(before, now)
+        self.set_estimator(estimator, calibration_age_s)
 
     def ticket(self, load_number: int, mass_kg: float, std_dev_kg: float) -> ReferenceMass:
         """A scale ticket for a load.

@@ -317,6 +317,10 @@ class SelfCalibrator(Protocol):
     def forget(self, load_numbers: frozenset[int], again: Sequence[ReferenceMass]) -> None:
         """The weighings of these loads were wrong; those in `again` have changed nothing that counts and may be used anew."""
 
+    def change_grain(self, before: str, now: str, used: Sequence[ReferenceMass]) -> None:
+        """Another crop from now on: what was weighed of the one before is kept for its return. used: masses of the new one that
+        were handed over before."""
+
     def snapshot(self, now_s: float, total_kg: float) -> CalibratorState | None:
         """What is to outlive a restart beside the parameters; None: nothing."""
 

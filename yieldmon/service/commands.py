@@ -85,9 +85,10 @@ def _load_start(order: _Order) -> Answer:
         journal.kernel_weight_g = weight_g
     in_use = monitor.estimator.parameters
     # A curve is one grain's: another crop's parameters would not give the flow.
+    before = journal.parameters.crop_of(in_use, journal.crop)
     chosen = journal.parameters.change_crop(crop, in_use, journal.crop, request.who) if crop and in_use.curve is None else None
     if chosen is not None:
-        monitor.set_estimator(estimator_of(monitor.machine, chosen), calibration_age_s(chosen, order.now_s))
+        monitor.change_crop(estimator_of(monitor.machine, chosen), calibration_age_s(chosen, order.now_s), before, crop or "")
     journal.name_load(request.name("field"), crop)
     journal.happened(monitor.start_load())
     set_crop(monitor, journal)
