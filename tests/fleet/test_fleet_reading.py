@@ -74,7 +74,7 @@ def test_report(season: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 def test_report_names_damaged_logs_and_those_counted_twice(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source, out = tmp_path / "tree", str(tmp_path / "out")
     whole = logs.text(60.0)
-    for name, text in (("m0/d1/a.log", whole), ("m0/d2/b c.log", whole), ("m1/d1/a.log", whole.replace("\n", "\ngarbage\n", 1))):
+    for name, text in (("m0/d1/a.log", whole), ("m2/d2/b c.log", whole), ("m1/d1/a.log", whole.replace("\n", "\ngarbage\n", 1))):
         path = source / name
         path.parent.mkdir(parents=True)
         path.write_text(text)
@@ -83,8 +83,8 @@ def test_report_names_damaged_logs_and_those_counted_twice(tmp_path: Path, capsy
     assert main(["fleet", "report", out, "--html", str(tmp_path / "r.html")]) == 0
     said = capsys.readouterr().err.splitlines()
     assert said == [
-        "doubtful: m0 d2: b c.log holds the same as m0 d1 a.log, and is counted again",
         "doubtful: m1 d1: damaged: a.log:2: 'garbage' is no candump line",
+        "doubtful: m2 d2: b c.log holds the same as m0 d1 a.log, and is counted again",
     ]
     text = (tmp_path / "r.html").read_text()
     assert all(line.partition(" ")[2].replace("'", "&#x27;") in text for line in said)

@@ -121,10 +121,13 @@ def _ignore(_: Any) -> None:
 
 
 def test_workers_are_begun_without_the_terminals_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:
+    import dask
+
     held = []
 
     def started(**_: object) -> None:
         held.append(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ()))
+        assert not dask.config.get("distributed.worker.profile.enabled"), "sampling frames can block a worker for ever"
         raise RuntimeError("no processes")
 
     monkeypatch.setattr("distributed.LocalCluster", started)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import os
 import random
-import shutil
 import socket
 import subprocess
 import sys
@@ -107,7 +106,8 @@ def _run(args: argparse.Namespace, folder: Path) -> int:
     for number in range(args.partitions):
         day = source / f"m{number % 10}" / f"d{number // 10:04d}"
         day.mkdir(parents=True)
-        shutil.copyfile(kinds[number % len(kinds)], day / "a.log")
+        # A blank line more for each: the same log twice on one machine would be counted once.
+        (day / "a.log").write_bytes(kinds[number % len(kinds)].read_bytes() + b"\n" * (number // 10))
     command = [sys.executable, "-m", "yieldmon.cli.main", "fleet", "run", str(source), "--out", str(undisturbed)]
     subprocess.run([*command, "--workers", "0"], check=True, **_QUIET)  # type: ignore[call-overload]
     kills = ["worker"] * args.workers_killed + ["client"] * args.clients_killed + ["scheduler"] * args.schedulers_killed

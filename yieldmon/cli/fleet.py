@@ -26,7 +26,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "fleet",
         help="many logs into a dataset, on a distributed engine",
         description=__doc__,
-        epilog="example: yieldmon fleet run logs/ --out season; yieldmon fleet report season",
+        epilog="example: yieldmon fleet run logs/ --out season",
     )
     words = parser.add_subparsers(dest="word", metavar="WORD", required=True)
     for add_arguments, _ in _WORDS.values():

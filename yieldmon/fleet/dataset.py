@@ -91,10 +91,19 @@ class Dataset:
             self._remove(_TEMPORARY)
             self._remove(_RUN)
 
+    def abandon(self, token: str) -> None:
+        """The run stops before its end: what was under way goes."""
+        if self._owner() == token:
+            self._remove(_TEMPORARY)
+
     def commit_of(self, name: str) -> Commit | None:
         """The partition of that name, None where it is not there. Raises InputError where its mark is damaged."""
         content = self._read(f"{name}/{MARK}")
         return None if content is None else Commit(name, self._mark(f"{name}/{MARK}", content))
+
+    def names(self) -> list[str]:
+        """The partitions' names, of which `commit_of` says whether they are whole."""
+        return self._partitions()
 
     def commits(self) -> list[Commit]:
         """All partitions, by name. Raises InputError where there is no dataset, or a mark is damaged."""
@@ -257,8 +266,12 @@ class Dataset:
         target = Path(self._root) / name
         target.parent.mkdir(parents=True, exist_ok=True)
         scratch = target.with_name(f".{target.name}.{uuid.uuid4().hex}")
-        scratch.write_bytes(content)
-        scratch.replace(target)
+        try:
+            scratch.write_bytes(content)
+            scratch.replace(target)
+        except OSError:
+            scratch.unlink(missing_ok=True)
+            raise
 
     def _remove(self, name: str) -> None:
         path = f"{self._root}/{name}"

@@ -14,7 +14,7 @@ from typing import Any
 from urllib.parse import quote, unquote
 
 from yieldmon.bus.logs import SUFFIXES
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, reason
 from yieldmon.files import delimited
 from yieldmon.fleet.filesystem import filesystem_of, is_remote
 
@@ -46,7 +46,8 @@ def _is_name(text: str) -> bool:
 class Partition:
     """One machine's logs of one day, in the order in which they are one record.
 
-    Paths or fsspec addresses; config, tickets: "" for none. crop: "" where the parameters say it.
+    Paths or fsspec addresses; config, tickets: "" for none. crop: "" where the parameters say it. copies: of the logs those that
+    repeat another one of the machine, with that one.
     """
 
     machine: str
@@ -55,6 +56,7 @@ class Partition:
     config: str = ""
     tickets: str = ""
     crop: str = ""
+    copies: tuple[tuple[str, str], ...] = ()
 
     @property
     def name(self) -> str:
@@ -64,10 +66,12 @@ class Partition:
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """partitions by name; left_out: what of a tree is no log of a day, and logs that lie outside the folders of days."""
+    """partitions by name; left_out: what of a tree is no log of a day, and logs outside the folders of days; refused: what of a
+    tree should be a machine, day or log and cannot be used."""
 
     partitions: tuple[Partition, ...]
     left_out: tuple[str, ...] = ()
+    refused: tuple[InputError, ...] = ()
 
 
 def load(source: str) -> Manifest:
@@ -136,52 +140,85 @@ def _beside(source: str, name: str) -> str:
 
 
 def _of_tree(files: Any, root: str, source: str) -> Manifest:
-    found, left_out = [], _astray(files, root)
-    for machine in _folders(files, root):
-        config = _present(files, f"{machine}/{CONFIG}")
-        left_out += _astray(files, machine)
-        days = list(_folders(files, machine))
-        if not days:
-            left_out.append(machine)
+    found: list[Partition] = []
+    left_out, refused = _astray(files, root), list[InputError]()
+    for machine in _folders(files, root, left_out):
+        try:
+            name = _name(machine.rpartition("/")[2], machine)
+            config = _present(files, f"{machine}/{CONFIG}")
+            left_out += _astray(files, machine)
+            days = _folders(files, machine, left_out)
+            if not days:
+                left_out.append(machine)
+        except (InputError, PermissionError) as error:
+            refused.append(_refusal(machine, error))
+            continue
         for day in days:
-            logs = []
-            for path in sorted(entry["name"] for entry in files.ls(day, detail=True) if entry["type"] == "file"):
-                name = path.rpartition("/")[2]
-                if name in (CONFIG, TICKETS):
-                    continue
-                if _is_log(name):
-                    logs.append(files.unstrip_protocol(path) if is_remote(source) else path)
-                else:
-                    left_out.append(path)
-            names = [_name(part.rstrip("/").rpartition("/")[2], part) for part in (machine, day)]
+            try:
+                day_name = _name(day.rpartition("/")[2], day)
+                logs = _logs(files, day, left_out, refused)
+            except (InputError, PermissionError) as error:
+                refused.append(_refusal(day, error))
+                continue
             if not logs:
                 left_out.append(day)
                 continue
             found.append(
                 Partition(
-                    names[0],
-                    names[1],
-                    tuple(logs),
+                    name,
+                    day_name,
+                    tuple(files.unstrip_protocol(path) if is_remote(source) else path for path in logs),
                     _address(files, source, _present(files, f"{day}/{CONFIG}") or config),
                     _address(files, source, _present(files, f"{day}/{TICKETS}")),
                 )
             )
     if not found:
-        raise InputError(source, "holds no logs", "folders MACHINE/DAY with logs in them")
-    return Manifest(tuple(found), tuple(left_out))
+        raise refused[0] if refused else InputError(source, "holds no logs", "folders MACHINE/DAY with logs in them")
+    return Manifest(tuple(found), tuple(left_out), tuple(refused))
+
+
+def _refusal(folder: str, error: InputError | PermissionError) -> InputError:
+    return error if isinstance(error, InputError) else InputError(folder, reason(error), "a folder that can be read")
+
+
+def _logs(files: Any, day: str, left_out: list[str], refused: list[InputError]) -> list[str]:
+    """The logs of a day, by name; what else is in its folder goes to the other two lists."""
+    logs = []
+    for path, kind in _entries(files, day):
+        name = path.rpartition("/")[2]
+        if name in (CONFIG, TICKETS) or (kind == _FOLDER and name.startswith((".", "_"))):
+            continue
+        if not _is_log(name):
+            left_out.append(path)
+        elif kind == _FILE:
+            logs.append(path)
+        else:
+            refused.append(InputError(path, "is no file, or a link to nothing", "a log"))
+    return logs
 
 
 def _astray(files: Any, path: str) -> list[str]:
     """Logs that lie beside the folders of machines or days."""
-    entries = files.ls(path, detail=True)
-    return sorted(entry["name"] for entry in entries if entry["type"] == "file" and _is_log(entry["name"]))
+    return [name for name, kind in _entries(files, path) if kind != _FOLDER and _is_log(name)]
 
 
-def _folders(files: Any, path: str) -> Iterator[str]:
+def _folders(files: Any, path: str, left_out: list[str]) -> list[str]:
+    """The folders in one, by name."""
+    entries = [(name, kind) for name, kind in _entries(files, path) if not name.rpartition("/")[2].startswith((".", "_"))]
+    left_out += [name for name, kind in entries if kind == _OTHER and not _is_log(name)]
+    return [name for name, kind in entries if kind == _FOLDER]
+
+
+_FILE, _FOLDER, _OTHER = "file", "directory", "other"
+
+
+def _entries(files: Any, path: str) -> Iterator[tuple[str, str]]:
+    """What is in a folder, by name, and its kind; a link is what it leads to."""
     for entry in sorted(files.ls(path, detail=True), key=lambda entry: entry["name"]):
-        name = entry["name"].rstrip("/")
-        if entry["type"] == "directory" and not name.rpartition("/")[2].startswith((".", "_")):
-            yield name
+        name, kind = entry["name"].rstrip("/"), entry["type"]
+        if entry.get("islink"):
+            kind = _FOLDER if files.isdir(name) else _FILE if files.isfile(name) else _OTHER
+        yield name, kind
 
 
 def _present(files: Any, path: str) -> str:

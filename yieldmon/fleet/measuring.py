@@ -116,14 +116,14 @@ def measure(
     logs : sequence of str
         Paths, in the order in which they are one record. One that cannot be read is left out and named in the result.
     tickets : str
-        Path of a table of tickets, "" for none. A number means the log in that place; a name means the log of that name.
+        Path of a table of tickets, "" for none. A number means the log in that place of `names`; a name the log of that name.
     crop : str
         "" for that of the parameters.
     configured : Configuration
     folder : Path
         Where the tables are written.
     names : dict of str to str
-        Name of each log as it is to be called.
+        Name of each log of the day as it is to be called, in order; also of those that are not measured.
 
     Returns
     -------
@@ -146,7 +146,7 @@ def measure(
             usable.remove(culprit)
             poisoned.append(Poisoned(names[culprit], by_name(str(error), names)))
     rows = _log_rows(taken, names)
-    covered, unmatched = _ticket_rows(rows, tickets, [names[log] for log in logs])
+    covered, unmatched = _ticket_rows(rows, tickets, list(names.values()))
     tables.write(tables.LOADS, [*_load_rows(monitor), *rows, *covered], folder / "loads.parquet")
     start_s = taken.rows[0][0] if taken.rows else float("nan")
     first = _parameter_rows(configured.parameters, start_s, "file", "as configured")

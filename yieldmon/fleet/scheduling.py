@@ -26,6 +26,8 @@ _RETRIES = 2
 _DEATHS = 3
 """Workers that may die with a task before it is given up."""
 _IN_FLIGHT = 256
+_QUIET = logging.CRITICAL
+"""Of Dask's own lines, here and in the workers: what goes wrong is said by what comes back."""
 _PATIENCE_S = 60.0
 """How long a scheduler that is gone is waited for."""
 
@@ -63,6 +65,7 @@ def run_all(tasks: Sequence[Task], cluster: Cluster, take: Callable[[Outcome], N
         The scheduler stayed away.
     """
     left = {task.partition.name: task for task in tasks}
+    lost = _lost()
     met = False
     deadline = time.monotonic() + (_PATIENCE_S if cluster.scheduler else 0.0)
     while left:
@@ -74,7 +77,7 @@ def run_all(tasks: Sequence[Task], cluster: Cluster, take: Callable[[Outcome], N
                 for outcome in _answers(client, list(left.values())):
                     del left[outcome.name]
                     take(outcome)
-        except _lost() as error:
+        except lost as error:
             if not cluster.scheduler:
                 raise
             if len(left) < answered:
@@ -109,11 +112,13 @@ def _client(cluster: Cluster) -> Iterator[Any]:
     # Dask's own interface has no types.
     untyped: Any = distributed
 
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    logging.getLogger("distributed").setLevel(_QUIET)
     settings: dict[str, Any] = {
         "distributed.scheduler.allowed-failures": _DEATHS,
         "distributed.comm.timeouts.connect": "10s",
         "distributed.comm.retry.count": 2,
+        # Its sampling of all threads' frames can block for ever in CPython 3.11 before 3.11.9 (gh-106883).
+        "distributed.worker.profile.enabled": False,
     }
     if not cluster.scheduler:
         settings["distributed.dashboard.link"] = "http://127.0.0.1:{port}/status"
@@ -132,7 +137,7 @@ def _client(cluster: Cluster) -> Iterator[Any]:
         here = {"processes": False, "n_workers": 1} if cluster.workers == 0 else {"n_workers": cluster.workers}
         try:
             with _interrupts_are_ours():
-                started = untyped.LocalCluster(threads_per_worker=1, dashboard_address="127.0.0.1:0", **here)
+                started = untyped.LocalCluster(threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=_QUIET, **here)
         except (RuntimeError, OSError) as error:
             cause: BaseException = error
             while before := cause.__cause__ or cause.__context__:

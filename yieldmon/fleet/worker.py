@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from yieldmon.errors import InputError
@@ -16,6 +16,7 @@ from yieldmon.fleet.measuring import Poisoned, by_name, measure, write_provenanc
 from yieldmon.service.configuration import Configuration
 
 DONE, SKIPPED, FAILED = "done", "skipped", "failed"
+_COPY, _UNREADABLE = "copy", "unreadable"
 
 
 @dataclass(frozen=True)
@@ -63,9 +64,12 @@ def work(task: Task) -> Outcome:
 
 def failed(task: Task, problem: str) -> Outcome:
     """Note in the dataset that a partition cannot be measured."""
-    partition = task.partition
-    content = {"machine": partition.machine, "day": partition.day, "problem": problem}
-    Dataset(task.dataset).fail(partition.name, content, task.token)
+    return refused(task.partition, Dataset(task.dataset), task.token, problem)
+
+
+def refused(partition: Partition, dataset: Dataset, token: str, problem: str) -> Outcome:
+    """Note in the dataset that a partition cannot be measured, for which there is no task."""
+    dataset.fail(partition.name, {"machine": partition.machine, "day": partition.day, "problem": problem}, token)
     return Outcome(partition.name, FAILED, poisoned=(Poisoned(partition.name, problem),))
 
 
@@ -78,8 +82,21 @@ def _measured(task: Task, dataset: Dataset) -> Outcome:
         logs = paths[: len(partition.logs)]
         tickets = paths[-1] if partition.tickets else ""
         names = dict(zip(logs, _names(partition.logs), strict=True))
-        hashes = [(names[path], digests.of_file(path)) for path in logs]
-        inputs = inputs_sha256(hashes, digests.of_file(tickets) if tickets else "", partition.crop)
+        repeated = dict(partition.copies)
+        # What is not measured is part of the inputs too: a log that can be read again is measured again.
+        states = [(names[p], _COPY if log in repeated else _state(p)) for p, log in zip(logs, partition.logs, strict=True)]
+        hashes = [(name, state) for name, state in states if isinstance(state, str) and state != _COPY]
+        unreadable = [(name, state) for name, state in states if isinstance(state, InputError)]
+        measurable = {name for name, _ in hashes}
+        usable = [path for path in logs if names[path] in measurable]
+        if not usable:
+            problem = by_name(str(unreadable[0][1]), names) if unreadable else "each log repeats one of another day"
+            raise InputError(partition.name, problem)
+        inputs = inputs_sha256(
+            [(name, state if isinstance(state, str) else _UNREADABLE) for name, state in states],
+            digests.of_file(tickets) if tickets else "",
+            partition.crop,
+        )
         identity = Identity(task.software, task.parameters_sha256, inputs)
         there = dataset.commit_of(partition.name)
         if there is not None and there.key == identity.key:
@@ -87,9 +104,11 @@ def _measured(task: Task, dataset: Dataset) -> Outcome:
         output = folder / "output"
         output.mkdir()
         try:
-            measured = measure(logs, tickets, partition.crop, task.configured, output, names)
+            measured = measure(usable, tickets, partition.crop, task.configured, output, names)
         except InputError as error:
             raise InputError(by_name(error.where, names), by_name(error.problem, names), error.expected) from error
+        left_out = tuple(Poisoned(name, by_name(str(error), names)) for name, error in unreadable)
+        measured = replace(measured, poisoned=left_out + measured.poisoned)
         write_provenance(measured, identity, hashes, task.configured, output)
         document = measured.document
         content = {
@@ -98,6 +117,14 @@ def _measured(task: Task, dataset: Dataset) -> Outcome:
         }  # fmt: skip
         dataset.commit(partition.name, output, content, task.token)
         return Outcome(partition.name, DONE, document["frames"], document["windows"], measured.poisoned)
+
+
+def _state(log: str) -> str | InputError:
+    """SHA-256 of a log's content, or why it cannot be read."""
+    try:
+        return digests.of_file(log)
+    except InputError as error:
+        return error
 
 
 def _names(logs: tuple[str, ...]) -> list[str]:

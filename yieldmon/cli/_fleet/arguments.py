@@ -17,14 +17,14 @@ def run(words: Words) -> None:
     parser = words.add_parser(
         "run",
         help="measure all logs of a manifest or a folder tree",
-        description="Measure all logs of a manifest or a folder tree. What the dataset has already from the same logs, "
-        "parameters and software is skipped; what was killed half way leaves nothing behind.",
+        description="Measure all logs of a manifest or a folder tree. What the dataset has from the same logs, parameters and "
+        "software is skipped.",
         epilog="example: yieldmon fleet run logs/ --out season",
     )
     parser.add_argument("source", metavar="SOURCE", help="manifest (CSV: machine, day, log), or folder MACHINE/DAY/LOGS")
     parser.add_argument("--out", required=True, metavar="DATASET", help="folder, or address such as s3://bucket/season")
     parser.add_argument("--config", metavar="F", help="configuration of machines that have none of their own")
-    parser.add_argument("--params", metavar="P", help="parameters for all, in place of those of the configurations")
+    parser.add_argument("--params", metavar="P", help="parameters for all, in place of the configurations'")
     parser.add_argument("--crop", metavar="NAME", default="", help="crop of days for which nothing else names one")
     parser.add_argument(
         "--workers",
@@ -34,6 +34,7 @@ def run(words: Words) -> None:
         help="processes here (default: one a core); 0: none but this one",
     )
     parser.add_argument("--scheduler", metavar="ADDRESS", default="", help="Dask scheduler of a cluster, tcp://host:8786")
+    parser.add_argument("--strict", action="store_true", help="refuse all for one bad configuration or name")
     parser.add_argument("--adaptive", action="store_true", help="as many of the processes as there is work for")
     parser.add_argument("--json", action="store_true", help="print a summary as one JSON document")
 
@@ -57,7 +58,7 @@ def compare(words: Words) -> None:
     parser = words.add_parser(
         "compare",
         help="where and how two datasets of the same logs differ",
-        description="Where and how two datasets of the same logs differ that were measured with other parameters or releases.",
+        description="Where and how two datasets of the same logs differ, measured with other parameters or releases.",
         epilog="example: yieldmon fleet compare season season-new-parameters",
     )
     parser.add_argument("first", metavar="A", help="dataset")

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
+import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +19,20 @@ from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.files.plain_text import plain
 from yieldmon.fleet import manifest, scheduling
+from yieldmon.fleet.copies import with_copies
 from yieldmon.fleet.dataset import Dataset
 from yieldmon.fleet.filesystem import is_remote
 from yieldmon.fleet.identity import parameters_sha256, software
 from yieldmon.fleet.manifest import Partition
-from yieldmon.fleet.worker import DONE, FAILED, SKIPPED, Outcome, Task
+from yieldmon.fleet.measuring import by_name
+from yieldmon.fleet.worker import DONE, FAILED, SKIPPED, Outcome, Task, refused
 from yieldmon.resources import shipped
 from yieldmon.service import configuration
 from yieldmon.service.configuration import Configuration
 
 _SAID_EVERY_S = 10.0
+_Configured = tuple[Configuration, str]
+"""And its hash."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -37,25 +43,43 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--adaptive", "is given beside --scheduler", "one of them; a cluster elsewhere has its own adaptation")
     found = manifest.load(args.source)
     for path in found.left_out:
-        print(plain(f"yieldmon: {path}: left out, holds no log of a day (MACHINE/DAY/LOGS)"), file=sys.stderr)
+        _say(f"{path}: left out, holds no log of a day (MACHINE/DAY/LOGS)")
     dataset = Dataset(args.out)
-    configured = _configurations(found.partitions, args)
+    configurations = _configurations(found.partitions, args)
+    if args.strict:
+        unusable = [*found.refused, *(each for each in configurations.values() if isinstance(each, InputError))]
+        if unusable:
+            raise unusable[0]
+    looked_at = _with_copies(found.partitions)
+    partitions = [partition for partition in looked_at if len(partition.copies) < len(partition.logs)]
     token = dataset.begin()
-    tasks = [
-        Task(_with_crop(partition, configured, args.crop), dataset.address, token, *configured(partition.config), software())
-        for partition in found.partitions
-    ]
+    _say_what_is_left(dataset, found.partitions)
     outcomes: list[Outcome] = []
-    cluster = scheduling.Cluster(args.scheduler, args.workers, args.adaptive)
-    with _progress(found.partitions) as advance:
+    tasks = []
+    for partition in partitions:
+        configured = configurations[partition.config]
+        if isinstance(configured, InputError):
+            # By the name of its folder, as it is called on each machine that runs this.
+            folder = Path(partition.config).parent
+            outcomes.append(refused(partition, dataset, token, by_name(str(configured), {str(folder): folder.name})))
+            continue
+        whole = replace(partition, crop=partition.crop or configured[0].parameters.provenance.get("crop", "") or args.crop)
+        tasks.append(Task(whole, dataset.address, token, *configured, software()))
+    try:
+        with _interrupted_once(), _progress([task.partition for task in tasks]) as advance:
 
-        def take(outcome: Outcome) -> None:
-            outcomes.append(outcome)
-            advance(outcome)
+            def take(outcome: Outcome) -> None:
+                outcomes.append(outcome)
+                advance(outcome)
 
-        scheduling.run_all(tasks, cluster, take, lambda line: print(f"yieldmon: {line}", file=sys.stderr))
+            scheduling.run_all(tasks, scheduling.Cluster(args.scheduler, args.workers, args.adaptive), take, _say)
+    except KeyboardInterrupt:
+        there = sum(outcome.status != FAILED for outcome in outcomes)
+        _say(f"interrupted; {there} of {len(partitions)} days are in {args.out}, and the next run goes on from there")
+        dataset.abandon(token)
+        raise
     dataset.end(token)
-    document = _document(args.out, outcomes)
+    document = _document(args.out, outcomes, looked_at, found.refused)
     if args.json:
         print_json(document)
     else:
@@ -63,31 +87,72 @@ def run(args: argparse.Namespace) -> int:
     return 1 if document["poisoned"] else 0
 
 
-def _configurations(partitions: Sequence[Partition], args: argparse.Namespace) -> Callable[[str], tuple[Configuration, str]]:
-    """Each partition's configuration and its hash; all are read before the work begins."""
+def _say(line: str) -> None:
+    print(plain(f"yieldmon: {line}"), file=sys.stderr)
+
+
+def _with_copies(partitions: tuple[Partition, ...]) -> tuple[Partition, ...]:
+    found = with_copies(partitions)
+    for partition in found:
+        for log, same in partition.copies:
+            _say(f"{log}: left out, holds the same as {same}")
+    return found
+
+
+def _say_what_is_left(dataset: Dataset, partitions: Sequence[Partition]) -> None:
+    """Days that an earlier run measured and that are not in the source any more, as after a folder was renamed."""
+    others = Counter(name.partition("/")[0] for name in {*dataset.names()} - {partition.name for partition in partitions})
+    for folder, days in sorted(others.items()):
+        _say(f"{folder}: {days} days are in {dataset.address} and not in the source; they stay until their folders are removed")
+
+
+@contextmanager
+def _interrupted_once() -> Iterator[None]:
+    """After the first Ctrl-C others are ignored while the workers are stopped."""
+
+    def interrupt(*_: object) -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    before = signal.getsignal(signal.SIGINT)
+    if before is not signal.default_int_handler or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    signal.signal(signal.SIGINT, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _configurations(partitions: Sequence[Partition], args: argparse.Namespace) -> dict[str, _Configured | InputError]:
+    """Each configuration and its hash, or why it cannot be used; "" is that of machines without one of their own.
+
+    Raises InputError where that, or --params, cannot be used.
+    """
     parameters = parameter_file.load(args.params) if args.params is not None else None
     default = args.config if args.config is not None else str(shipped("config/yieldmon.yaml"))
 
-    @cache
-    def configured(path: str) -> tuple[Configuration, str]:
+    def configured(path: str) -> _Configured:
         if is_remote(path):
             raise InputError(path, "is a remote configuration", "a configuration on this machine (--config, or in a manifest)")
-        loaded = configuration.load(path or default)
+        loaded = configuration.load(path)
         if parameters is not None:
             loaded = replace(loaded, parameters=parameters)
         return loaded, parameters_sha256(loaded)
 
-    for partition in partitions:
-        configured(partition.config)
-    return configured
+    found: dict[str, _Configured | InputError] = {"": configured(default)}
+    for path in sorted({partition.config for partition in partitions} - {""}):
+        try:
+            found[path] = configured(path)
+        except InputError as error:
+            found[path] = error
+    return found
 
 
-def _with_crop(partition: Partition, configured: Callable[[str], tuple[Configuration, str]], otherwise: str) -> Partition:
-    loaded, _ = configured(partition.config)
-    return replace(partition, crop=partition.crop or loaded.parameters.provenance.get("crop", "") or otherwise)
-
-
-def _document(out: str, outcomes: Sequence[Outcome]) -> dict[str, Any]:
+def _document(
+    out: str, outcomes: Sequence[Outcome], partitions: Sequence[Partition], refusals: Sequence[InputError]
+) -> dict[str, Any]:
     counts = {status: sum(outcome.status == status for outcome in outcomes) for status in (DONE, SKIPPED, FAILED)}
     return {
         "dataset": out,
@@ -95,16 +160,26 @@ def _document(out: str, outcomes: Sequence[Outcome]) -> dict[str, Any]:
         **counts,
         "frames": sum(outcome.frames for outcome in outcomes),
         "seconds": sum(outcome.seconds for outcome in outcomes),
+        "copies": [{"log": log, "same_as": same} for partition in partitions for log, same in partition.copies],
         "poisoned": [
-            {"partition": outcome.name, **asdict(item)}
-            for outcome in sorted(outcomes, key=lambda outcome: outcome.name)
-            for item in outcome.poisoned
+            *({"partition": "", "where": error.where, "problem": str(error)} for error in refusals),
+            *(
+                {"partition": outcome.name, **asdict(item)}
+                for outcome in sorted(outcomes, key=lambda outcome: outcome.name)
+                for item in outcome.poisoned
+            ),
         ],
     }
 
 
 def _lines_of(document: dict[str, Any]) -> list[str]:
-    lines = [f"poisoned: {item['partition']}: {item['problem']}" for item in document["poisoned"]]
+    poisoned: dict[tuple[str, str], list[str]] = {}
+    for item in document["poisoned"]:
+        poisoned.setdefault((item["partition"].partition("/")[0], item["problem"]), []).append(item["partition"])
+    lines = []
+    for (machine, problem), names in poisoned.items():
+        where = names[0] if len(names) == 1 else f"{machine} ({len(names)} days)"
+        lines.append(f"poisoned: {where}: {problem}" if where else f"poisoned: {problem}")
     lines.append(
         f"{document['dataset']}: {document['done']} measured, {document['skipped']} there already, {document['failed']} failed; "
         f"{document['frames']} frames"

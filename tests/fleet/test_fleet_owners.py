@@ -1,0 +1,223 @@
+"""What becomes of a run when one machine of many, one log of many or one moment of many is bad."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.fleet import logs
+from yieldmon.cli.main import main
+from yieldmon.fleet.copies import with_copies
+from yieldmon.fleet.dataset import MARK, Dataset
+from yieldmon.fleet.manifest import load
+
+ROOT = Path(__file__).parents[2]
+#: Shells start background jobs with the signal ignored, and what they start inherits that.
+INTERRUPTIBLE = (
+    "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
+    "runpy.run_module('yieldmon', run_name='__main__', alter_sys=True)"
+)
+DAY = "2026-10-01"
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    return logs.tree(tmp_path / "tree", machines=2, days=1)
+
+
+def fleet_run(source: Path, out: Path, capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, dict[str, Any], str]:
+    """Exit code, document and what was said."""
+    code = main(["fleet", "run", str(source), "--out", str(out), "--workers", "0", "--json", *words])
+    printed = capsys.readouterr()
+    return code, json.loads(printed.out or "{}"), printed.err
+
+
+def days(out: Path) -> list[str]:
+    return sorted(path.parent.relative_to(out).as_posix() for path in out.rglob(MARK))
+
+
+BROKEN = {
+    "no yaml": b"engine: [",
+    "unknown key": b"engnie: {}\n",
+    "no text": b"\xff\xfe\x00",
+    "no machine": b"machine_file: nowhere.yaml\n",
+}
+
+
+@pytest.mark.parametrize("content", BROKEN.values(), ids=BROKEN.keys())
+def test_one_machines_configuration_does_not_stop_the_others(
+    tree: Path, tmp_path: Path, content: bytes, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logs.write(tree / "m0" / "2026-10-02" / "a.log", 55.0)
+    config, out = tree / "m0" / "config.yaml", tmp_path / "out"
+    config.write_bytes(content)
+    code, document, _ = fleet_run(tree, out, capsys)
+    assert (code, document["done"], document["failed"]) == (1, 1, 2)
+    assert {item["partition"] for item in document["poisoned"]} == {f"machine=m0/day={day}" for day in (DAY, "2026-10-02")}
+    assert all(item["problem"].startswith("m0/") for item in document["poisoned"])
+    assert str(tmp_path) not in (out / "_failed" / "machine=m0" / f"day={DAY}.json").read_text()
+    assert days(out) == [f"machine=m1/day={DAY}"]
+    config.unlink()
+    assert fleet_run(tree, out, capsys)[:1] == (0,)
+    assert len(days(out)) == 3
+    assert Dataset(str(out)).failures() == []
+
+
+def test_one_line_a_machine_not_a_day(tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    logs.write(tree / "m0" / "2026-10-02" / "a.log", 55.0)
+    (tree / "m0" / "config.yaml").write_text("engine: [")
+    assert main(["fleet", "run", str(tree), "--out", str(tmp_path / "out"), "--workers", "0"]) == 1
+    said = [line for line in capsys.readouterr().err.splitlines() if "config.yaml" in line]
+    assert len(said) == 1
+    assert said[0].startswith("poisoned: machine=m0 (2 days): m0/config.yaml")
+
+
+@pytest.mark.parametrize("harm", ["configuration", "name"])
+def test_strict_refuses_all_and_writes_nothing(tree: Path, tmp_path: Path, harm: str, capsys: pytest.CaptureFixture[str]) -> None:
+    if harm == "configuration":
+        (tree / "m0" / "config.yaml").write_text("engine: [")
+    else:
+        logs.write(tree / "(2)" / DAY / "a.log", 33.0)
+    assert main(["fleet", "run", str(tree), "--out", str(tmp_path / "out"), "--workers", "0", "--strict"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_configuration_of_all_is_needed(tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "c.yaml").write_text("engine: [")
+    words = ["fleet", "run", str(tree), "--out", str(tmp_path / "out"), "--workers", "0", "--config", str(tmp_path / "c.yaml")]
+    assert main(words) == 2
+    assert "c.yaml" in capsys.readouterr().err
+
+
+def test_a_folder_that_cannot_be_a_machine_does_not_stop_the_others(
+    tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logs.write(tree / "m\n0" / DAY / "a.log", 33.0)
+    logs.write(tree / "m1" / "(7 Oct)" / "a.log", 34.0)
+    code, document, _ = fleet_run(tree, tmp_path / "out", capsys)
+    assert (code, document["done"]) == (1, 2)
+    assert len(document["poisoned"]) == 2
+    assert all("a name that begins with a letter or digit" in item["problem"] for item in document["poisoned"])
+
+
+def test_a_copy_is_counted_once(tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    undisturbed, out, day = tmp_path / "undisturbed", tmp_path / "out", tree / "m0" / DAY
+    logs.write(day / "c.log", 45.0, logs.START_S + 100.0)
+    assert fleet_run(tree, undisturbed, capsys)[0] == 0
+    shutil.copy(day / "a.log", day / "b.log")
+    (day / "d.log.gz").write_bytes(gzip.compress((day / "c.log").read_bytes()))
+    (tree / "m0" / "2026-10-02").mkdir()
+    shutil.copy(day / "a.log", tree / "m0" / "2026-10-02" / "a.log")
+    code, document, said = fleet_run(tree, out, capsys)
+    assert (code, document["partitions"]) == (0, 2)
+    assert [(Path(item["log"]).name, Path(item["same_as"]).name) for item in document["copies"]] == [
+        ("b.log", "a.log"), ("d.log.gz", "c.log"), ("a.log", "a.log"),
+    ]  # fmt: skip
+    assert said.count("holds the same as") == 3
+    for table in ("records", "loads"):
+        name = f"machine=m0/day={DAY}/{table}.parquet"
+        assert (out / name).read_bytes() == (undisturbed / name).read_bytes()
+    assert main(["fleet", "report", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["doubtful"] == []
+
+
+def test_a_copy_keeps_its_place_in_what_tickets_count(tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    day = tree / "m0" / DAY
+    shutil.copy(day / "a.log", day / "b.log")
+    logs.write(day / "c.log", 45.0, logs.START_S + 100.0)
+    (day / "tickets.csv").write_text("load,weighed_kg\n3,90\n2,80\n")
+    code, document, _ = fleet_run(tree, tmp_path / "out", capsys)
+    assert code == 1
+    assert [item["problem"] for item in document["poisoned"]] == ["tickets.csv: line 3, load: no log that was measured is 2"]
+
+
+def test_only_the_same_content_on_the_same_machine_is_a_copy(tree: Path) -> None:
+    """Another machine's log, one that ends or begins alike, and empty ones are measured."""
+    day = tree / "m0" / DAY
+    text = (day / "a.log").read_bytes()
+    (day / "b.log").write_bytes(text[:-40])
+    (day / "c.log").write_bytes(text[40:])
+    (day / "d.log.gz").write_bytes(gzip.compress(text)[:-9])
+    for name in ("e.log", "f.log"):
+        (day / name).write_bytes(b"")
+    shutil.copy(day / "a.log", tree / "m1" / DAY / "z.log")
+    assert [partition.copies for partition in with_copies(load(str(tree)).partitions)] == [(), ()]
+
+
+def test_a_log_that_cannot_be_read_is_left_out_and_measured_when_it_can(
+    tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table, out, day = tmp_path / "fleet.csv", tmp_path / "out", tree / "m0" / DAY
+    table.write_text(f"machine,day,log\nm0,{DAY},{day / 'a.log'}\nm0,{DAY},{day / 'later.log'}\nm1,{DAY},{tree / 'gone.log'}\n")
+    code, document, _ = fleet_run(table, out, capsys)
+    assert (code, document["done"], document["failed"]) == (1, 1, 1)
+    assert document["poisoned"][0]["where"] == "later.log"
+    logs.write(day / "later.log", 45.0, logs.START_S + 100.0)
+    logs.write(tree / "gone.log", 50.0)
+    code, document, _ = fleet_run(table, out, capsys)
+    assert (code, document["done"], document["poisoned"]) == (0, 2, [])
+
+
+def test_links_are_what_they_lead_to(tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    elsewhere = logs.write(tmp_path / "elsewhere" / DAY / "a.log", 45.0)
+    (tree / "m2").symlink_to(elsewhere.parents[1])
+    (tree / "m0" / DAY / "b.log").symlink_to(logs.write(tmp_path / "b.log", 46.0, logs.START_S + 100.0))
+    (tree / "m1" / DAY / "b.log").symlink_to("nowhere")
+    os.mkfifo(tree / "m1" / DAY / "pipe.log")
+    code, document, _ = fleet_run(tree, tmp_path / "out", capsys)
+    assert (code, document["done"]) == (1, 3)
+    assert [Path(item["where"]).name for item in document["poisoned"]] == ["b.log", "pipe.log"]
+    assert load(str(tree)).partitions[0].logs[1].endswith("b.log")
+
+
+def test_days_that_the_source_has_no_longer_are_named(tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert fleet_run(tree, tmp_path / "out", capsys)[0] == 0
+    (tree / "m0").rename(tree / "new name")
+    code, _, said = fleet_run(tree, tmp_path / "out", capsys)
+    assert code == 0
+    assert "machine=m0: 1 days are in" in said
+    assert "machine=m1" not in said
+    assert main(["fleet", "report", str(tmp_path / "out"), "--json"]) == 0
+    [doubt] = json.loads(capsys.readouterr().out)["doubtful"]
+    assert doubt["problem"] == f"a.log holds the same as m0 {DAY} a.log, and is counted again"
+
+
+@pytest.mark.parametrize("when", ["while Dask is imported", "at work"])
+def test_interrupted(tmp_path: Path, when: str) -> None:
+    """Ctrl-C as a terminal sends it, a signal to the whole process group, and again while the workers are stopped."""
+    source, out = logs.tree(tmp_path / "tree", machines=2, days=20), tmp_path / "out"
+    told = ["-X", "importtime"] if when != "at work" else []
+    command = [sys.executable, *told, "-c", INTERRUPTIBLE, "fleet", "run", str(source), "--out", str(out)]
+    said = tmp_path / "said"
+    with said.open("w") as stream:
+        running = subprocess.Popen([*command, "--workers", "1"], cwd=ROOT, start_new_session=True, stderr=stream)
+        try:
+            while running.poll() is None:
+                if days(out) if when == "at work" else "dask.typing" in said.read_text():
+                    break
+                time.sleep(0.01)
+            for _ in range(3):
+                os.killpg(running.pid, signal.SIGINT)
+            running.wait(120.0)
+        finally:
+            running.kill()
+    lines = [line for line in said.read_text().splitlines() if not line.startswith("import time:")]
+    assert running.returncode == 130
+    # Before the last line, the dashboard's address and how far it is.
+    assert [line for line in lines[:-1] if not re.match(r"yieldmon: (dashboard: |\d+ of 40 days)", line)] == []
+    assert re.fullmatch(rf"yieldmon: interrupted; \d+ of 40 days are in {out}, and the next run goes on from there", lines[-1])
+    assert {path.name for path in out.glob("*")} <= {"_run", "machine=m0", "machine=m1"}
+    for day in out.glob("machine=*/*"):
+        assert (day / MARK).is_file()
