@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import socket
+from contextlib import suppress
+from pathlib import Path
 
 import pytest
 
@@ -24,3 +27,27 @@ OURS = str(os.getpid())
 )
 def test_the_watchdogs_time(environment: dict[str, str], watchdog_s: float | None) -> None:
     assert ServiceManager(environment).watchdog_s == watchdog_s
+
+
+def test_a_manager_that_reads_nothing_holds_nobody_up_and_is_told_the_rest_later(tmp_path: Path) -> None:
+    """As systemd itself may hang; its socket takes some messages and no more."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(str(tmp_path / "n"))
+        manager.setblocking(False)
+        ours = ServiceManager({"NOTIFY_SOCKET": str(tmp_path / "n"), "WATCHDOG_USEC": "1000000"})
+        for _ in range(2000):
+            ours.alive()
+        ours.ready()
+        ours.reloading()
+        ours.ready()
+
+        def read() -> list[str]:
+            found = []
+            with suppress(BlockingIOError):
+                while True:
+                    found.append(manager.recv(200).decode().split("\n")[0])
+            return found
+
+        assert set(read()) == {"WATCHDOG=1"}
+        ours.alive()
+        assert read() == ["READY=1", "RELOADING=1", "READY=1", "WATCHDOG=1"]

@@ -11,6 +11,7 @@ from pathlib import Path
 from yieldmon.resources import shipped
 from yieldmon.service import configuration
 from yieldmon.service.daemon import Daemon
+from yieldmon.service.journal_lines import JournalLines
 from yieldmon.service.ownership import OccupiedError
 from yieldmon.service.quiet_log import QuietLog
 from yieldmon.service.store_errors import StoreError
@@ -35,9 +36,9 @@ def run(args: argparse.Namespace) -> int:
     path = Path(args.config) if args.config is not None else shipped("config/yieldmon.yaml")
     loaded = configuration.load(path)
     # Under a service manager the journal has the time and takes the level from the prefix.
-    logging.basicConfig(stream=sys.stderr, format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING)
-    for handler in logging.getLogger().handlers:
-        handler.addFilter(QuietLog())
+    lines = JournalLines()
+    lines.addFilter(QuietLog())
+    logging.basicConfig(handlers=[lines], format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING)
     logging.getLogger("yieldmon").setLevel(loaded.document.logging.level.upper())
     daemon = Daemon(loaded, reload=lambda: configuration.load(path))
     for name in (signal.SIGTERM, signal.SIGINT):
@@ -48,5 +49,8 @@ def run(args: argparse.Namespace) -> int:
     try:
         return daemon.run()
     except (StoreError, OccupiedError, OSError) as error:
+        lines.finish()
         print(f"yieldmon: {error}", file=sys.stderr)
         return 1
+    finally:
+        lines.finish()
