@@ -15,7 +15,11 @@ import pytest
 
 from tests.golden import kept
 from yieldmon.cli.main import main
+from yieldmon.discrepancy import diagnosis
+from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
+from yieldmon.files.table import Table
+from yieldmon.physics.machine import Machine
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 
@@ -42,6 +46,26 @@ def offset_table(tmp_path_factory) -> Path:
     return path
 
 
+@pytest.fixture(scope="module")
+def diagnoses() -> dict[str, diagnosis.Diagnosis]:
+    return {}
+
+
+@pytest.fixture
+def diagnosed_once(diagnoses: dict[str, diagnosis.Diagnosis], monkeypatch: pytest.MonkeyPatch) -> None:
+    """One diagnosis of the same table, parameters and options for all tests that are about what comes of it."""
+    real = diagnosis.diagnose
+
+    def once(table: Table, machine: Machine, known: ParameterSet, options: diagnosis.Options, progress: object) -> object:
+        key = repr((table.sha256, machine, dict(known.values), known.covariance.tolist(), options))
+        if key not in diagnoses:
+            diagnoses[key] = real(table, machine, known, options, progress)
+        return diagnoses[key]
+
+    monkeypatch.setattr(diagnosis, "diagnose", once)
+
+
+@pytest.mark.usefixtures("diagnosed_once")
 def test_the_same_seed_says_the_same_in_any_process(offset_table: Path, capsys) -> None:
     """To the last digit, also where sets of strings are in another order."""
     assert main(["diagnose", str(offset_table), "--json"]) == 0
@@ -68,6 +92,7 @@ def test_published_tables(name: str, f_before: float, f_after: float) -> None:
     assert set(found["next_experiment"]["rows"][0]) == {"plate_angle_deg", "mass_flow_kg_s", "elevator_speed_rpm"}
 
 
+@pytest.mark.usefixtures("diagnosed_once")
 def test_adopt_plan_report_and_rollback(offset_table: Path, tmp_path: Path, capsys) -> None:
     params, plan, report = tmp_path / "p.yaml", tmp_path / "next.csv", tmp_path / "report"
     params.write_bytes((DATA.parents[1] / "config/parameters/corn.yaml").read_bytes())
@@ -125,6 +150,7 @@ def test_adopt_plan_report_and_rollback(offset_table: Path, tmp_path: Path, caps
     assert parameter_file.load(params.with_name("p.v2.rolled-back.yaml")).effects == ("zero_offset",)
 
 
+@pytest.mark.usefixtures("diagnosed_once")
 def test_a_link_to_the_parameters_stays_a_link(offset_table: Path, tmp_path: Path) -> None:
     params, link = tmp_path / "kept" / "corn.yaml", tmp_path / "corn.yaml"
     params.parent.mkdir()
@@ -137,6 +163,7 @@ def test_a_link_to_the_parameters_stays_a_link(offset_table: Path, tmp_path: Pat
     assert params.read_bytes() == parent
 
 
+@pytest.mark.usefixtures("diagnosed_once")
 def test_what_is_adopted_and_rolled_back_is_for_the_services_user(offset_table: Path, tmp_path: Path) -> None:
     params = tmp_path / "p.yaml"
     params.write_bytes((DATA.parents[1] / "config/parameters/corn.yaml").read_bytes())

@@ -384,8 +384,11 @@ def test_fault_is_on_the_bus_in_status_and_in_the_store(folder, code, case):
         watching = threading.Event()
 
         def watch() -> None:
+            last = None
             while not watching.wait(0.001):
-                shown.update(bench.faults)
+                if bench.daemon.snapshot is not last:
+                    last = bench.daemon.snapshot
+                    shown.update((fault["code"], fault["detail"]) for fault in last["faults"])
 
         watcher = threading.Thread(target=watch)
         watcher.start()

@@ -41,10 +41,10 @@ def total_kg(store: Store) -> float | None:
     return None if document is None else document["engine"]["totals"]["total_kg"]
 
 
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A store of 40 seconds, closed."""
-    path = tmp_path / "s.sqlite"
+    path = tmp_path_factory.mktemp("kept") / "s.sqlite"
     parameters = parameter_file.to_document(parameter_file.load())
     with Store(path) as store:
         for n in range(1, 41):
@@ -52,6 +52,13 @@ def path(tmp_path: Path) -> Path:
             events = (FaultEvent(1.0, "X", True, "d"),)
             store.commit([batch(n, state=state(n), parameter_versions=versions, faults=events, counters={"a": n})])
     return path
+
+
+@pytest.fixture
+def path(kept: Path, tmp_path: Path) -> Path:
+    """A copy of it."""
+    shutil.copytree(kept.parent, tmp_path, dirs_exist_ok=True)
+    return tmp_path / kept.name
 
 
 @pytest.mark.parametrize("empty", [False, True], ids=["missing", "empty"])
