@@ -102,7 +102,7 @@ def test_any_frames_come_back(tmp_path_factory: pytest.TempPathFactory, messages
 
 def test_a_harvest_is_a_quarter_of_its_gzip_and_gives_the_same_rows(tmp_path: Path) -> None:
     log, packed = tmp_path / "day.log", tmp_path / "day.parquet"
-    scenario = ["simulate", "--scenario", "demo", "--duration", "240", "--seed", "9", "--start-time", "1790000000"]
+    scenario = ["simulate", "--scenario", "demo", "--duration", "120", "--seed", "9", "--start-time", "1790000000"]
     assert main([*scenario, "--log", str(log)]) == 0
     assert main(["pack", str(log), "--out", str(packed)]) == 0
     assert packed.stat().st_size <= 0.25 * len(gzip.compress(log.read_bytes(), GZIP_LEVEL))

@@ -58,6 +58,7 @@ class Codec:
     def __init__(self, dbc_path: Path | str | None = None) -> None:
         """Reads the DBC at `dbc_path` (default: the shipped one). Raises InputError when it cannot be used."""
         self.layouts: Mapping[str, MessageLayout] = load_layouts(dbc_path)
+        self._names = {name: frozenset(signal.name for signal in layout.signals) for name, layout in self.layouts.items()}
         self._by_identity: dict[int, tuple[MessageLayout, tuple[_Unpack, ...]]] = {}
         self._by_group: dict[int, tuple[MessageLayout, tuple[_Unpack, ...]]] = {}
         for layout in self.layouts.values():
@@ -149,7 +150,7 @@ class Codec:
         layout = self.layouts.get(frame.message)
         if layout is None:
             raise FrameError(f"{frame.message}: no such message, expected one of {', '.join(self.layouts)}")
-        if len(frame.signals) != len(layout.signals) or any(s.name not in frame.signals for s in layout.signals):
+        if frame.signals.keys() != self._names[layout.name]:
             raise FrameError(
                 f"{frame.message}: signals {', '.join(frame.signals)}; "
                 f"expected {', '.join(signal.name for signal in layout.signals)}"
@@ -204,19 +205,20 @@ def _unpack(signal: SignalLayout) -> _Unpack:
 
 
 def _raw(signal: SignalLayout, value: Value, message: str) -> int:
-    where = f"{message}.{signal.name}"
     if isinstance(value, Unusable):
         if not signal.has_reserved_values:
-            raise FrameError(f"{where}: cannot say {value.value!r}, every raw value is a count")
+            raise FrameError(f"{message}.{signal.name}: cannot say {value.value!r}, every raw value is a count")
         return signal.mask if value is NOT_AVAILABLE else signal.raw_error
     if not math.isfinite(value):
-        raise FrameError(f"{where}: {value}, expected a finite number or NOT_AVAILABLE")
+        raise FrameError(f"{message}.{signal.name}: {value}, expected a finite number or NOT_AVAILABLE")
     if signal.integral and value != int(value):
-        raise FrameError(f"{where}: {value}, expected a whole number")
+        raise FrameError(f"{message}.{signal.name}: {value}, expected a whole number")
     raw = round((value - signal.offset) / signal.scale)
     if not 0 <= raw <= signal.raw_max:
         low, high = signal.offset, signal.raw_max * signal.scale + signal.offset
-        raise FrameError(f"{where}: {value:.10g} {signal.unit}".rstrip() + f", expected {low:.10g} to {high:.10g}")
+        given = f"{message}.{signal.name}: {value:.10g} {signal.unit}".rstrip()
+        raise FrameError(f"{given}, expected {low:.10g} to {high:.10g}")
     if signal.codes is not None and raw not in signal.codes:
-        raise FrameError(f"{where}: code {raw}, expected one of {', '.join(map(str, sorted(signal.codes)))}")
+        expected = ", ".join(map(str, sorted(signal.codes)))
+        raise FrameError(f"{message}.{signal.name}: code {raw}, expected one of {expected}")
     return raw
