@@ -24,7 +24,7 @@ def test_simulated_days_break_no_invariant():
 
 @pytest.mark.parametrize("mend", ["rescue", "removed files", "witness of commits", "interrupted replacement"])
 def test_a_mend_undone_is_found(mend):
-    assert found_without(store_simulation.MENDS[mend], 60, 7).found
+    assert found_without(store_simulation.MENDS[mend], 20, 7).found
 
 
 def test_simulated_harvests_on_a_bus_break_no_invariant():
