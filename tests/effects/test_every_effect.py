@@ -85,7 +85,7 @@ def test_mass_is_kept_and_no_impact_is_more_than_elastic(name: str, kind: str) -
     model = ForwardModel(MACHINE, (name,))
     values = GRAIN | FORMS["restitution"] | values_of(name, kind)
     throw = model.throw(ANGLES, SPEEDS, values, CONDITIONS.moisture_pct)
-    offered = throw.offered_mass(CONDITIONS)
+    offered = LOADS
     reading = throw.reading(offered)
     impulse = reading.impulse
     arrival = impulse.arrival
@@ -112,7 +112,7 @@ def test_flight_gives_no_grain_more_momentum(name: str) -> None:
     model = ForwardModel(MACHINE, tuple({"miss_capture", name}))
     values = GRAIN | FORMS["restitution"] | {"miss_capture.share": 1.0} | values_of(name, "upper")
     throw = model.throw(ANGLES, SPEEDS, values, CONDITIONS.moisture_pct)
-    arrival = throw.reading(throw.offered_mass(CONDITIONS)).impulse.arrival
+    arrival = throw.reading(LOADS).impulse.arrival
     arrives = arrival.landing_share > 0.0
     released_m_s = np.hypot(arrival.jet.vx_m_s, arrival.jet.vy_m_s)
     arrives_m_s = np.hypot(arrival.normal_speed_m_s, arrival.tangential_speed_m_s)

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from yieldmon.physics.machine import SAME_ANGLE_RAD
-from yieldmon.physics.model import ForwardModel, Throw
+from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import AnyArray, Array, chebyshev_points
+from yieldmon.physics.throw import Throw
 
 from .load_curves import LoadCurves
 from .parameters import ParameterSet
@@ -338,8 +339,7 @@ class OpenLoop:
     def _throw(
         self, angle: ArrayLike, speed: ArrayLike, moisture: ArrayLike | None, miss_rotation_rad: AnyArray | None = None
     ) -> Throw:
-        return Throw(
-            self.model,
+        return self.model.throw(
             np.asarray(angle)[..., None],
             np.asarray(speed)[..., None],
             self._base,

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import settling
-from .model import Throw
 from .numerics import AnyArray, Array
+from .throw import Throw
 
 
 @dataclass(frozen=True, slots=True)
