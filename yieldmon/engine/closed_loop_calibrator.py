@@ -8,22 +8,24 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from math import hypot, isfinite, sqrt
+from math import hypot, isfinite
 
 import numpy as np
 
 from yieldmon.engine.anchors import ReferenceMass
 from yieldmon.engine.calibrator_settings import CalibratorSettings
+from yieldmon.engine.mass_anchors import mass_anchor, weighed
 from yieldmon.engine.records import CalibrationOutcome, CalibrationStep, CalibratorState, FlowEstimator, WindowRecord
 from yieldmon.engine.scale_alarm import ScaleCheck, as_stated, name_of
+from yieldmon.engine.weighings import Weighings
 from yieldmon.estimation.admission import allowing_for, refusal
 from yieldmon.estimation.angle_pattern import EFFECT, with_pattern
 from yieldmon.estimation.closed_loop import self_calibrate, update_from_tickets
 from yieldmon.estimation.closed_loop_inputs import DensityAnchor, MassAnchor, Sweep
 from yieldmon.estimation.closed_loop_outcome import Outcome, ScaleReport
 from yieldmon.estimation.density_and_gain import widened
-from yieldmon.estimation.load_inputs import LoadSettings, WeighedLoad
-from yieldmon.estimation.loads import LEAST_LOADS, calibrate_loads, contradicted, departure
+from yieldmon.estimation.load_inputs import LoadSettings
+from yieldmon.estimation.loads import calibrate_loads
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.steady_drift import Advance, DriftingParameters, advance, begin, carried, learn
@@ -33,16 +35,10 @@ _DRIFT_WIDENING = 16.0
 """Of the parameters' covariance: with up to so much of it, what a later ticket says is drift, and no other scale."""
 _LEAST_LOAD_ERROR = 1e-4
 """Of a weighed load's measured mass."""
-_KEPT_WEIGHINGS = 6
-"""Accepted weighings that a new one is held against."""
 
 
 class ClosedLoopCalibrator:
-    """A `records.SelfCalibrator`. Each reference mass is used once.
-
-    A weighed load counts, however far it is from the parameters. Only where it contradicts several others does it wait until
-    a further one agrees with it; then both count, and those before them no more.
-    """
+    """A `records.SelfCalibrator`. Each reference mass is used once."""
 
     def __init__(self, model: ForwardModel, settings: CalibratorSettings | None = None) -> None:
         self._settings = CalibratorSettings() if settings is None else settings
@@ -64,11 +60,11 @@ class ClosedLoopCalibrator:
         """Time since the last update before a restart."""
         self._before: CalibratorState | None = None
         """What was known before a restart."""
-        self._weighings: list[WeighedLoad] = []
-        self._doubted: WeighedLoad | None = None
+        self._load_settings = LoadSettings(load_error=max(self._settings.anchor_error, _LEAST_LOAD_ERROR))
+        self._weighings = Weighings(self._load_settings)
         self._checked: frozenset[ReferenceMass] = frozenset()
-        self._of_grain: dict[str, tuple[list[WeighedLoad], WeighedLoad | None]] = {}
-        """Weighings of the crops before, by name: those accepted, and the one that is doubted."""
+        self._of_grain: dict[str, Weighings] = {}
+        """Weighings of the crops before, by name."""
         self.last: Outcome | None = None
 
     def update(self, records: Sequence[WindowRecord], estimator: FlowEstimator, *, use_sweep: bool = True) -> CalibrationOutcome:
@@ -146,11 +142,11 @@ class ClosedLoopCalibrator:
         """What weighed masses say, and what was known before as they leave it: less certain where they contradict it."""
         prior = drifting.parameters
         outcome = update_from_tickets(self._model, prior, masses, settings=self._settings.closed_loop)
-        doubtful = 1.0 if len(self._weighings) <= len(masses) else _DRIFT_WIDENING
+        doubtful = 1.0 if len(self._weighings.counted) <= len(masses) else _DRIFT_WIDENING
         if outcome.consistent and outcome.prior_widening <= doubtful:
             return outcome, drifting
         # Further off than the parameters' own doubts reach: only the loads know the scale.
-        found = calibrate_loads(self._model, prior, self._weighings, settings=self._load_settings)
+        found = calibrate_loads(self._model, prior, self._weighings.counted, settings=self._load_settings)
         reason = (
             f"weighed loads moved the scale by {100.0 * (found.scale - 1.0):+.1f} %; a next load is expected within "
             f"{100.0 * found.next_load_sd:.1f} %"
@@ -163,50 +159,22 @@ class ClosedLoopCalibrator:
             joint = drifting.joint.copy()
             joint[: len(names), : len(names)] = wide.covariance_of(names)
             drifting = replace(drifting, parameters=replace(prior, covariance=wide.covariance_of(names)), joint=joint)
-        outcome = Outcome(known, not found.refused, True, reason, "", (), (), scale, 0.0, len(self._weighings), 1.0, ())
+        outcome = Outcome(known, not found.refused, True, reason, "", (), (), scale, 0.0, len(self._weighings.counted), 1.0, ())
         return outcome, drifting
-
-    @property
-    def _load_settings(self) -> LoadSettings:
-        return LoadSettings(load_error=max(self._settings.anchor_error, _LEAST_LOAD_ERROR))
 
     def _accepted(self, found: Sequence[tuple[ReferenceMass, MassAnchor]], prior: ParameterSet) -> tuple[list[MassAnchor], str]:
         """The masses to update from, and one sentence about one that the loads before it contradict ("" where there is none)."""
         accepted, doubt = [], ""
         for reference, mass in found:
-            name = name_of(reference)
-            load = _weighed(reference, mass)
-            # A mass whose update was refused comes again.
-            self._weighings = [known for known in self._weighings if known.name != name]
-            error = self._contradiction(prior, load)
+            error = self._weighings.take(weighed(reference, mass), self._model, prior)
             if error is None:
-                self._weighings = [*self._weighings[1 - _KEPT_WEIGHINGS :], load]
-            elif (
-                self._doubted is not None
-                and contradicted(self._model, prior, [self._doubted], load, self._load_settings, least=1) is None
-            ):
-                self._weighings = [self._doubted, load]
-                self._doubted = None
+                accepted.append(mass)
             else:
-                self._doubted = load
                 doubt = (
-                    f"{name} contradicts the {len(self._weighings)} weighed before it by {100.0 * error:+.1f} % and counts for "
-                    "nothing until another agrees with it"
+                    f"{name_of(reference)} contradicts the {len(self._weighings.counted)} weighed before it by "
+                    f"{100.0 * error:+.1f} % and counts for nothing until another agrees with it"
                 )
-                continue
-            accepted.append(mass)
         return accepted, doubt
-
-    def _contradiction(self, prior: ParameterSet, load: WeighedLoad) -> float | None:
-        """Relative error of a weighed mass by the loads before it, where neither scatter nor drift since then explains it."""
-        if len(self._weighings) < LEAST_LOADS:
-            return None
-        settings = self._load_settings
-        away, std_dev = departure(self._model, prior, load, settings)
-        # The loads before may be of other grain and less wear; what is known by now allows for that.
-        if abs(away) < settings.outlier_sds * std_dev:
-            return None
-        return contradicted(self._model, prior, self._weighings, load, settings)
 
     def _taken(
         self,
@@ -253,18 +221,14 @@ class ClosedLoopCalibrator:
     def forget(self, load_numbers: frozenset[int], again: Sequence[ReferenceMass]) -> None:
         """See records.SelfCalibrator."""
         names = {f"load {number}" for number in (*load_numbers, *(a.load_number for a in again))}
-        self._weighings = [load for load in self._weighings if load.name not in names]
-        for grain, (loads, doubted) in self._of_grain.items():
-            kept = [load for load in loads if load.name not in names]
-            self._of_grain[grain] = kept, None if doubted is not None and doubted.name in names else doubted
-        if self._doubted is not None and self._doubted.name in names:
-            self._doubted = None
+        for weighings in (self._weighings, *self._of_grain.values()):
+            weighings.forget(names)
         self._used = self._used - frozenset(again)
 
     def change_grain(self, before: str, now: str, used: Sequence[ReferenceMass]) -> None:
         """See records.SelfCalibrator."""
-        self._of_grain[before] = self._weighings, self._doubted
-        self._weighings, self._doubted = self._of_grain.pop(now, ([], None))
+        self._of_grain[before] = self._weighings
+        self._weighings = self._of_grain.pop(now, Weighings(self._load_settings))
         self._used = self._checked = frozenset(used)
         self._given = None
 
@@ -282,8 +246,8 @@ class ClosedLoopCalibrator:
             rates=() if known is None else tuple(map(float, known.rates)),
             covariance=() if known is None else tuple(tuple(map(float, row)) for row in known.joint[count:]),
             at_s=self._at_s if isfinite(self._at_s) else self._before.at_s if self._before is not None else None,
-            weighed=tuple(load.name for load in self._weighings),
-            doubted="" if self._doubted is None else self._doubted.name,
+            weighed=tuple(load.name for load in self._weighings.counted),
+            doubted=self._weighings.doubted_name,
         )
 
     def restore(self, state: CalibratorState, parameters: ParameterSet, total_kg: float) -> None:
@@ -308,12 +272,11 @@ class ClosedLoopCalibrator:
         # Of two tickets for one load the newer counts.
         known = {name_of(anchor): anchor for anchor in masses}
         found = {
-            name: _weighed(anchor, self._mass_anchor(anchor, used, anchor.end_s - anchor.start_s))
+            name: weighed(anchor, self._mass_anchor(anchor, used))
             for name, anchor in known.items()
             if name in (*state.weighed, state.doubted)
         }
-        self._weighings = [found[name] for name in state.weighed if name in found]
-        self._doubted = found.get(state.doubted)
+        self._weighings.restore([found[name] for name in state.weighed if name in found], found.get(state.doubted))
 
     def _prior(
         self, used: ParameterSet, moisture_pct: float, now_s: float, total_kg: float
@@ -375,54 +338,12 @@ class ClosedLoopCalibrator:
             span_s = anchor.end_s - anchor.start_s
             if not anchor.complete or anchor in self._used or anchor.measured_kg <= 0.0 or span_s <= 0.0:
                 continue
-            out.append((anchor, self._mass_anchor(anchor, used, span_s)))
+            out.append((anchor, self._mass_anchor(anchor, used)))
         return out
 
-    def _mass_anchor(self, anchor: ReferenceMass, used: ParameterSet, span_s: float) -> MassAnchor:
-        """The total in pieces, each with the parameters that made it."""
-        machine = self._model.machine
-        sd = hypot(anchor.std_dev_kg, self._settings.anchor_error * anchor.reference_kg, _noise_kg(anchor))
-        forces = anchor.forces
-        if forces is not None and (not self._model.needs_moisture or np.all(np.isfinite(forces.moisture_pct))):
-            moisture = forces.moisture_pct if self._model.needs_moisture else None
-            return MassAnchor(
-                anchor.reference_kg,
-                sd,
-                forces.duration_s,
-                forces.force_n,
-                forces.plate_angle_rad,
-                forces.elevator_speed_rad_s,
-                moisture,
-            )
-        pieces: list[MassAnchor] = []
-        begin = anchor.start_s
-        for until_s, parameters in (*self._history, (float("inf"), used)):
-            end = min(until_s, anchor.end_s)
-            if end <= begin:
-                continue
-            share = (end - begin) / span_s
-            flow = max(anchor.measured_kg / span_s, 1.0)
-            pieces.append(
-                MassAnchor.from_total(
-                    anchor.reference_kg,
-                    anchor.std_dev_kg,
-                    share * anchor.measured_kg,
-                    model=self._model,
-                    parameters=self._patterned(parameters),
-                    mass_flow_kg_s=flow,
-                    plate_angle_rad=machine.home_plate_angle_rad,
-                    elevator_speed_rad_s=machine.nominal_elevator_speed_rad_s,
-                )
-            )
-            begin = end
-        return MassAnchor(
-            anchor.reference_kg,
-            sd,
-            *(
-                np.concatenate([getattr(p, name) for p in pieces])
-                for name in ("duration_s", "force_n", "plate_angle_rad", "elevator_speed_rad_s")
-            ),
-        )
+    def _mass_anchor(self, anchor: ReferenceMass, used: ParameterSet) -> MassAnchor:
+        spans = ((until_s, self._patterned(known)) for until_s, known in (*self._history, (float("inf"), used)))
+        return mass_anchor(anchor, self._model, spans, self._settings.anchor_error)
 
     def _density(self, records: Sequence[WindowRecord], prior: ParameterSet) -> DensityAnchor | None:
         settings = self._settings
@@ -435,25 +356,6 @@ class ClosedLoopCalibrator:
             settings.density_ratio,
             settings.density_ratio_std_dev,
         )
-
-
-def _noise_kg(anchor: ReferenceMass) -> float:
-    """Standard deviation of the measured mass by the windows' scatter; 0 where it is not known."""
-    return sqrt(anchor.budget.noise_kg2) if isfinite(anchor.budget.noise_kg2) else 0.0
-
-
-def _weighed(anchor: ReferenceMass, mass: MassAnchor) -> WeighedLoad:
-    return WeighedLoad(
-        name_of(anchor),
-        mass.reference_kg,
-        anchor.std_dev_kg,
-        mass.duration_s,
-        mass.force_n,
-        mass.plate_angle_rad,
-        mass.elevator_speed_rad_s,
-        mass.moisture_pct,
-        _noise_kg(anchor) / anchor.measured_kg,
-    )
 
 
 def _median(values: Iterable[float]) -> float:

@@ -1,0 +1,88 @@
+"""Reference masses as self-calibration takes them: with the forces over the grain that was weighed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import hypot, isfinite, sqrt
+
+import numpy as np
+
+from yieldmon.engine.anchors import ReferenceMass
+from yieldmon.engine.scale_alarm import name_of
+from yieldmon.estimation.closed_loop_inputs import MassAnchor
+from yieldmon.estimation.load_inputs import WeighedLoad
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.physics.model import ForwardModel
+
+
+def mass_anchor(
+    anchor: ReferenceMass, model: ForwardModel, spans: Iterable[tuple[float, ParameterSet]], anchor_error: float
+) -> MassAnchor:
+    """The forces over the mass where they were kept, else the total in pieces, each with the parameters that made it.
+
+    spans: the bus time, s, until which parameters were in use, and these, in the model's effects; the last ones to inf.
+    anchor_error: relative standard deviation of a reference mass beside its own.
+    """
+    machine, span_s = model.machine, anchor.end_s - anchor.start_s
+    sd = hypot(anchor.std_dev_kg, anchor_error * anchor.reference_kg, _noise_kg(anchor))
+    forces = anchor.forces
+    if forces is not None and (not model.needs_moisture or np.all(np.isfinite(forces.moisture_pct))):
+        moisture = forces.moisture_pct if model.needs_moisture else None
+        return MassAnchor(
+            anchor.reference_kg,
+            sd,
+            forces.duration_s,
+            forces.force_n,
+            forces.plate_angle_rad,
+            forces.elevator_speed_rad_s,
+            moisture,
+        )
+    pieces: list[MassAnchor] = []
+    begin = anchor.start_s
+    for until_s, parameters in spans:
+        end = min(until_s, anchor.end_s)
+        if end <= begin:
+            continue
+        share = (end - begin) / span_s
+        flow = max(anchor.measured_kg / span_s, 1.0)
+        pieces.append(
+            MassAnchor.from_total(
+                anchor.reference_kg,
+                anchor.std_dev_kg,
+                share * anchor.measured_kg,
+                model=model,
+                parameters=parameters,
+                mass_flow_kg_s=flow,
+                plate_angle_rad=machine.home_plate_angle_rad,
+                elevator_speed_rad_s=machine.nominal_elevator_speed_rad_s,
+            )
+        )
+        begin = end
+    return MassAnchor(
+        anchor.reference_kg,
+        sd,
+        *(
+            np.concatenate([getattr(p, name) for p in pieces])
+            for name in ("duration_s", "force_n", "plate_angle_rad", "elevator_speed_rad_s")
+        ),
+    )
+
+
+def _noise_kg(anchor: ReferenceMass) -> float:
+    """Standard deviation of the measured mass by the windows' scatter; 0 where it is not known."""
+    return sqrt(anchor.budget.noise_kg2) if isfinite(anchor.budget.noise_kg2) else 0.0
+
+
+def weighed(anchor: ReferenceMass, mass: MassAnchor) -> WeighedLoad:
+    """A mass anchor under its reference mass's name, with that one's own standard deviations."""
+    return WeighedLoad(
+        name_of(anchor),
+        mass.reference_kg,
+        anchor.std_dev_kg,
+        mass.duration_s,
+        mass.force_n,
+        mass.plate_angle_rad,
+        mass.elevator_speed_rad_s,
+        mass.moisture_pct,
+        _noise_kg(anchor) / anchor.measured_kg,
+    )
