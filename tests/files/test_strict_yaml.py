@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import math
+import os
+import threading
+import time
+from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 
 import pytest
 import yaml
@@ -130,3 +135,44 @@ def test_a_read_that_fails_this_time_names_its_file():
     with pytest.raises(OSError, match="Input/output error") as caught:
         strict_yaml.read("/proc/self/mem")
     assert caught.value.filename == "/proc/self/mem"
+
+
+def _silent_pipe(place: Path) -> list[int]:
+    """Somebody has it open and writes nothing."""
+    os.mkfifo(place)
+    return [os.open(place, os.O_RDWR)]
+
+
+def _terminal(place: Path) -> list[int]:
+    ends = os.openpty()
+    place.symlink_to(os.ttyname(ends[1]))
+    return list(ends)
+
+
+@pytest.mark.parametrize("make", [_silent_pipe, _terminal])
+def test_what_gives_nothing_and_does_not_end_is_refused(
+    tmp_path: Path, make: Callable[[Path], list[int]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A reload would wait for it, and the measuring with it."""
+    monkeypatch.setattr(strict_yaml, "PATIENCE_S", 0.2)
+    ends = make(tmp_path / "c.yaml")
+    with pytest.raises(InputError, match=r"c\.yaml: does not end within 0 s; expected a file"):
+        strict_yaml.load(tmp_path / "c.yaml")
+    for end in ends:
+        os.close(end)
+
+
+def test_a_pipe_that_is_written_in_pieces_is_read_whole(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "c.yaml")
+    writing = os.open(tmp_path / "c.yaml", os.O_RDWR)
+
+    def write() -> None:
+        for piece in (b"a: 1\n", b"b: [2,", b" 3]\n"):
+            os.write(writing, piece)
+            time.sleep(0.05)
+        os.close(writing)
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    assert strict_yaml.load(tmp_path / "c.yaml") == {"a": 1, "b": [2, 3]}
+    writer.join()

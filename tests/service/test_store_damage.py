@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import os
 import random
 import shutil
 import sqlite3
@@ -541,3 +543,23 @@ def test_removed_files_that_cannot_be_written_anew_yet_stay_open(
     writer.close()
     with Store(path) as store:
         assert [row.number for row in store.seconds()] == list(range(1, 43))
+
+
+def test_a_store_whose_name_is_no_utf_8_is_read_and_mended(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.CRITICAL, "yieldmon")  # pytest-xdist cannot hand on lines with such a name
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff\xfe ?#%"))
+    folder.mkdir()
+    path = folder / "s.sqlite"
+    document = {**parameter_file.to_document(parameter_file.load()), "version": 1}
+    with Store(path) as store:
+        for n in range(1, 6):
+            store.commit([batch(n, state=state(n), parameter_versions=(ParameterVersion(1, 1.0, "file", document),))])
+        with Store.reading(path) as reading:
+            assert reading.last_batch() == 5
+    content = bytearray(path.read_bytes())
+    content[100:4096] = bytes(3996)
+    path.write_bytes(content)
+    found = recover(path, Retention(), lambda: Store(path))
+    assert found.memory.engine is not None
+    assert found.memory.engine.totals.total_kg == 50.0
+    assert "damaged" in found.note

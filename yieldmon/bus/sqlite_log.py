@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
 import time
 from collections.abc import Iterator
@@ -23,7 +24,7 @@ class SqliteLog:
     """Iterable of the frames; `stop` closes the file. Raises sqlite3.Error or ValueError for one that is no such log."""
 
     def __init__(self, path: str) -> None:
-        address = f"file:{quote(str(Path(path).absolute()))}?mode=ro&immutable=1"
+        address = f"file:{quote(os.fsencode(Path(path).absolute()))}?mode=ro&immutable=1"
         self._database = sqlite3.connect(address, uri=True, isolation_level=None)
         try:
             self._database.execute("PRAGMA trusted_schema = OFF")

@@ -12,10 +12,9 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 from time import time
-from urllib.parse import quote
 
 from yieldmon.service.checksums import row_checksum
-from yieldmon.service.store_file import has_journal, parts, prepared, unwritten, witnessed_store
+from yieldmon.service.store_file import address, has_journal, parts, prepared, unwritten, witnessed_store
 
 MARK = "identity"
 KEY = "store"
@@ -88,7 +87,7 @@ def part_from_strange_journal(path: Path) -> str:
 def _identities(path: Path, *, journal: bool) -> tuple[int, int]:
     """Of the marks and of the state, with the journal or without. Nothing is written into the file."""
     try:
-        how = f"file:{quote(str(path.absolute()))}?mode=ro"
+        how = address(path, "mode=ro")
         database = sqlite3.connect(how, uri=True, isolation_level=None) if journal else unwritten(path, 0.0)
         with closing(prepared(database)):
             return marked(database), of_state(database)

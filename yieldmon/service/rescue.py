@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from time import monotonic, time
 from typing import Any
-from urllib.parse import quote
 
 from yieldmon.engine.records import COLUMNS
 from yieldmon.files.whole_file import sync
@@ -23,7 +22,7 @@ from yieldmon.service.in_the_way import make_way
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store
 from yieldmon.service.store_errors import StoreDetachedError, StoreError
-from yieldmon.service.store_file import header_problem, is_orphaned, parts, prepared, set_aside
+from yieldmon.service.store_file import address, header_problem, is_orphaned, parts, prepared, set_aside
 from yieldmon.service.store_sql import second_is_sound
 
 #: How long copying one-second records may hold up a start; the newest come first, the others stay in the file set aside.
@@ -182,7 +181,7 @@ def _write_new(path: Path, content: bytes) -> None:
 
 def _readable(path: Path) -> sqlite3.Connection | None:
     try:
-        database = prepared(sqlite3.connect(f"file:{quote(str(path.absolute()))}?mode=ro", uri=True, isolation_level=None))
+        database = prepared(sqlite3.connect(address(path, "mode=ro"), uri=True, isolation_level=None))
     except sqlite3.Error:
         return None
     try:

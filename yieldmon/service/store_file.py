@@ -58,6 +58,11 @@ def has_journal(path: Path) -> bool:
     return journal.exists() and journal.stat().st_size > 0
 
 
+def address(path: Path, how: str) -> str:
+    """A file as SQLite takes it with options; a name may be no UTF-8."""
+    return f"file:{quote(os.fsencode(path.absolute()))}?{how}"
+
+
 def is_orphaned(path: Path) -> bool:
     """Whether a store is missing, or empty, and its journal is there: SQLite would throw the journal away."""
     return parts(path)[1].is_file() and has_journal(path) and not (path.exists() and path.stat().st_size)
@@ -210,7 +215,7 @@ def read_only(path: Path) -> sqlite3.Connection:
 def _opened(path: Path, how: str) -> tuple[sqlite3.Connection, int, int, list[tuple[str, str]]]:
     """A connection, application and version of its file, and what is strange in it. Raises InputError."""
     try:
-        database = sqlite3.connect(f"file:{quote(str(path.absolute()))}?{how}", uri=True, isolation_level=None)
+        database = sqlite3.connect(address(path, how), uri=True, isolation_level=None)
     except sqlite3.OperationalError as error:
         raise InputError(str(path), str(error), "a daemon's store that may be read") from error
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
 import time
 from contextlib import closing
@@ -55,7 +56,7 @@ class Tiles:
         return (found[0], kind) if kind else None
 
     def _opened(self, most_s: float) -> sqlite3.Connection:
-        database = sqlite3.connect(f"file:{quote(str(self._path.absolute()))}?mode=ro&immutable=1", uri=True)
+        database = sqlite3.connect(f"file:{quote(os.fsencode(self._path.absolute()))}?mode=ro&immutable=1", uri=True)
         database.execute("PRAGMA trusted_schema = OFF")
         database.setlimit(_LIMIT_LENGTH, _LARGEST_TILE_BYTES)
         end_s = time.thread_time() + most_s
