@@ -218,6 +218,36 @@ def test_a_gap_that_only_all_rows_together_show_is_told(make_rows, offset_seen) 
     assert [any("all rows together leave F = " in note for note in notes) for notes in told] == [False, True]
 
 
+@pytest.mark.parametrize(("factor", "told"), [(1.0, False), (0.102, True), (100.0, True)])
+def test_a_gain_that_is_none_of_grain_asks_for_the_unit(make_rows, start, factor: float, told: bool) -> None:
+    rows = make_rows()
+    notes = diagnosis.examine(replace(rows, value=factor * rows.value), start, QUICK).notes
+    assert any("in the units that their columns say" in note for note in notes) == told
+
+
+def test_a_shuffled_column_is_told(make_rows, start) -> None:
+    """Rows of one condition are no longer of one condition."""
+    rows = make_rows()
+    shuffled = np.random.default_rng(3).permutation(rows.plate_angle_rad)
+    notes = diagnosis.examine(with_cells(replace(rows, plate_angle_rad=shuffled)), start, QUICK).notes
+    assert any("is a column shuffled" in note for note in notes)
+
+
+def test_columns_that_are_a_row_off_are_told(make_rows, start) -> None:
+    rows = make_rows()
+    off = np.roll(rows.load, 1)
+    notes = diagnosis.examine(with_cells(replace(rows, load=off)), start, QUICK).notes
+    assert any("do the columns of a row belong together" in note for note in notes)
+
+
+def test_many_effects_that_explain_alike_are_counted_in_the_summary(make_rows, start) -> None:
+    options = replace(QUICK, policy=replace(QUICK.policy, tie=1e9))
+    found = diagnosis.diagnose_rows(make_rows({"zero_offset": 4.0}, **ONE_SPEED), start, options)
+    tied = 1 + len(found.choice.steps[0].equivalent)
+    assert f"{tied} effects explain these rows alike, so none is named" in report.summary(found)
+    assert "of 100 cases" not in report.summary(found)
+
+
 SHARED = "repetitions share an error"
 
 

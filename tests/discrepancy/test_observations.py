@@ -61,6 +61,24 @@ def test_force_of_the_wrong_sign_is_refused(make_rows: Callable[..., Rows]) -> N
         observations.from_table(table, Machine())
 
 
+def test_readings_that_are_all_zero_are_refused(make_rows: Callable[..., Rows]) -> None:
+    table = as_table(make_rows())
+    table.columns["force_n"][:] = 0.0
+    with pytest.raises(InputError, match=r"field\.csv: force_n: has no reading above 0"):
+        observations.from_table(table, Machine())
+
+
+@pytest.mark.parametrize("missing", [0.0, np.nan])
+def test_sigma_for_some_rows_only_is_refused(make_rows: Callable[..., Rows], missing: float) -> None:
+    """Taken for the rows kept aside alone, it would judge them by another noise than the rest."""
+    table = as_table(make_rows())
+    sigma = np.full(len(table), 0.5)
+    sigma[3] = missing
+    stated = Table(table.path, "", table.load, table.reading, {**table.columns, "sigma": sigma}, table.text)
+    with pytest.raises(InputError, match=rf"field.csv: sigma: is stated for {len(table) - 1} of {len(table)} rows; expected a"):
+        observations.from_table(stated, Machine())
+
+
 def test_a_few_negative_readings_are_kept(make_rows: Callable[..., Rows]) -> None:
     table = as_table(make_rows())
     lightest = np.argsort(table.columns["force_n"])[:20]

@@ -326,7 +326,9 @@ def examine(
     proven_rows = held_out.rows if held_out is not None else 0
     notes = [
         *diagnosis_notes.of_noise(noise, int(outlier.sum())),
+        *diagnosis_notes.of_scatter(noise, rows, int(outlier.sum())),
         *why,
+        *diagnosis_notes.of_gain(base),
         *diagnosis_notes.of_overfull(sealed & ~outlier, proven_rows),
     ]
     if chosen.against:

@@ -6,14 +6,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from .gap import LackOfFit, lack_of_fit_but_one, lack_without_pattern
+from .fit import Fit
+from .gap import LackOfFit, fills, lack_of_fit_but_one, lack_without_pattern
 from .noise import Noise
+from .observations import Rows
 from .policy import DEFAULT
 from .proof import Proof
 from .selection import Choice, rows_searched
 
 _SURE = 1e-3
 """p value from which conditions scatter more than repetitions."""
+_GAINS = (0.5, 4.0)
+"""Impact gains of grain, with a wide margin."""
+_WILD = 0.2
+"""Scatter of repetitions, as a share of the median reading, from which it is told."""
+_MANY = 0.05
+"""Share of outliers from which they are told."""
 
 
 def refuted(names: tuple[str, ...], proof: Proof) -> str:
@@ -55,6 +63,34 @@ def not_trusted(choice: Choice) -> str:
     first = choice.steps[0]
     names = " or ".join((first.added, *first.equivalent))
     return f"{names}: not named, right in {100.0 * first.confidence:.0f} of 100 cases that look like this one"
+
+
+def of_gain(base: Fit) -> list[str]:
+    """That the impact gain is none of grain, where a reading in SI units asks for it: a wrong unit or speed."""
+    if not base.frame.cells.rows.si or "k1" not in base.values:
+        return []
+    gain = float(np.median(base.values["k1"] * fills(base) + base.values["k2"]))
+    if _GAINS[0] <= gain <= _GAINS[1]:
+        return []
+    return [
+        f"the impact gain is {gain:.2g} (k1 M / M_full + k2, median), where that of grain, 1 + restitution, is 1 to 2: are "
+        "reading, load and speed those of this machine, in the units that their columns say?"
+    ]
+
+
+def of_scatter(noise: Noise, rows: Rows, outliers: int) -> list[str]:
+    """That rows of one condition differ by so much that columns may not belong together."""
+    level = float(np.median(np.abs(rows.value)))
+    scatter = float(noise.sd(np.array(level))) / max(level, 1e-300)
+    out = []
+    if scatter > _WILD:
+        out.append(
+            f"rows of one condition scatter by {100.0 * scatter:.0f} % of the median reading, far more than the cases on which "
+            "confidence was learnt (1 to 3 %): is a column shuffled, or a condition not recorded?"
+        )
+    if outliers > _MANY * len(rows):
+        out.append(f"{outliers} outliers of {len(rows)} rows are many: do the columns of a row belong together?")
+    return out
 
 
 def of_noise(noise: Noise, outliers: int) -> list[str]:

@@ -133,7 +133,8 @@ class Cells:
 def from_table(table: Table, machine: Machine) -> Rows:
     """Rows of a table with a load and a reading; rows where either is unknown are left out.
 
-    Raises InputError when fewer than 8 rows remain, most readings are negative, or rows are copies of others.
+    Raises InputError when fewer than 8 rows remain, no reading is positive or most are negative, sigma is stated for some rows
+    only, or rows are copies of others.
     """
     if table.load is None:
         raise InputError(table.path, "has no load column", "mass_flow_kg_s or paddle_mass_kg")
@@ -158,9 +159,18 @@ def from_table(table: Table, machine: Machine) -> Rows:
         np.zeros(count, dtype=np.int64),
     ).take(usable)
     column = f"{table.path}: {table.reading}"
+    stated = int(np.count_nonzero(rows.sigma > 0.0))
+    if 0 < stated < len(rows):
+        raise InputError(
+            f"{table.path}: sigma",
+            f"is stated for {stated} of {len(rows)} rows",
+            "a positive value in every row, or no such column",
+        )
     negative = int(np.count_nonzero(rows.value < 0.0))
     if 2 * negative > len(rows):
         raise InputError(column, f"is negative in {negative} of {len(rows)} rows", "force on the plate counted positive")
+    if not np.any(rows.value > 0.0):
+        raise InputError(column, "has no reading above 0", "force on the plate counted positive")
     grouped = with_cells(rows)
     copied = copies(grouped)
     if copied:

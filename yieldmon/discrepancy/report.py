@@ -98,6 +98,9 @@ def _not_named(diagnosis: Diagnosis) -> str:
     found = diagnosis.with_leading
     if found is None:
         return "No known cause explains it."
+    tied = 1 + len(diagnosis.choice.steps[0].equivalent)
+    if tied > diagnosis.options.policy.largest_class:
+        return f"{tied} effects explain these rows alike, so none is named; the best would leave {found.rms_over_max_pct:.1f} %."
     names = ", with ".join(_with_ties(step) for step in diagnosis.choice.steps)
     confidence = 100.0 * diagnosis.choice.steps[0].confidence
     return (
