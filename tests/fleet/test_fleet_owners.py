@@ -170,6 +170,24 @@ def test_a_log_that_cannot_be_read_is_left_out_and_measured_when_it_can(
     assert (code, document["done"], document["poisoned"]) == (0, 2, [])
 
 
+def test_empty_logs_are_no_copies_of_each_other(tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for machine in ("m0", "m1"):
+        (tree / machine / DAY / "b.log").touch()
+    assert fleet_run(tree, tmp_path / "out", capsys)[0] == 0
+    assert main(["fleet", "report", str(tmp_path / "out"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["doubtful"] == []
+
+
+def test_a_source_that_cannot_be_read_whole_says_nothing_of_what_left_it(
+    tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert fleet_run(tree, tmp_path / "out", capsys)[0] == 0
+    (tree / "m0").rename(tree / "(m0)")
+    code, _, said = fleet_run(tree, tmp_path / "out", capsys)
+    assert code == 1
+    assert "not in the source" not in said
+
+
 def test_links_are_what_they_lead_to(tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     elsewhere = logs.write(tmp_path / "elsewhere" / DAY / "a.log", 45.0)
     (tree / "m2").symlink_to(elsewhere.parents[1])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Iterable
 from math import sqrt
@@ -32,6 +33,10 @@ _TICKETS = """
 SELECT machine, day, name, measured_kg, weighed_kg, 100 * (measured_kg / weighed_kg - 1) AS error_pct FROM loads
 WHERE kind = 'ticket' AND weighed_kg > 0 ORDER BY machine, day, name
 """
+
+
+_OF_NOTHING = hashlib.sha256().hexdigest()
+"""What empty logs have in common is no mass."""
 
 
 def summarise(address: str) -> dict[str, Any]:
@@ -103,6 +108,8 @@ def _doubtful(days: Rows, address: str) -> Rows:
             more = f" (and {len(damages) - 1} more)" if len(damages) > 1 else ""
             found.append({**where, "problem": f"damaged: {damages[0]}{more}"})
         for name, digest in logs:
+            if digest == _OF_NOTHING:
+                continue
             if digest in first:
                 found.append({**where, "problem": f"{name} holds the same as {first[digest]}, and is counted again"})
             first.setdefault(digest, f"{row['machine']} {row['day']} {name}")

@@ -53,7 +53,8 @@ def run(args: argparse.Namespace) -> int:
     looked_at = _with_copies(found.partitions)
     partitions = [partition for partition in looked_at if len(partition.copies) < len(partition.logs)]
     token = dataset.begin()
-    _say_what_is_left(dataset, found.partitions)
+    if not found.refused:
+        _say_what_is_left(dataset, found.partitions)
     outcomes: list[Outcome] = []
     tasks = []
     for partition in partitions:
@@ -100,7 +101,8 @@ def _with_copies(partitions: tuple[Partition, ...]) -> tuple[Partition, ...]:
 
 
 def _say_what_is_left(dataset: Dataset, partitions: Sequence[Partition]) -> None:
-    """Days that an earlier run measured and that are not in the source any more, as after a folder was renamed."""
+    """Days that an earlier run measured and that are not in the source any more, as after a folder was renamed; for a source that
+    was read whole."""
     others = Counter(name.partition("/")[0] for name in {*dataset.names()} - {partition.name for partition in partitions})
     for folder, days in sorted(others.items()):
         _say(f"{folder}: {days} days are in {dataset.address} and not in the source; they stay until their folders are removed")
