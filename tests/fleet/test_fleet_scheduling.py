@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
@@ -11,6 +12,7 @@ import pytest
 
 from yieldmon.errors import InputError
 from yieldmon.fleet import scheduling
+from yieldmon.fleet.dataset import Dataset
 from yieldmon.fleet.manifest import Partition
 from yieldmon.fleet.scheduling import Cluster, run_all
 from yieldmon.fleet.worker import Outcome
@@ -114,6 +116,25 @@ def test_what_the_client_has_no_word_for_is_raised(at_once: None, monkeypatch: p
     monkeypatch.setattr(Client, "harms", [InputError("season", "was taken over", "one run at a time")])
     with pytest.raises(InputError, match="taken over"):
         run_all(tasks(3), Cluster("tcp://127.0.0.1:1"), _ignore, _ignore)
+
+
+class Failed(Future):
+    """Of a worker whose storage went, as when another run cleaned it away."""
+
+    def exception(self) -> OSError:  # type: ignore[override]
+        """What the task raised."""
+        return OSError("no such folder")
+
+
+def test_a_task_that_fails_once_another_run_has_the_dataset_is_one_line(
+    at_once: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(Client, "submit", lambda self, work, task, **how: Failed(task.partition.name, None))
+    Dataset(str(tmp_path / "season")).begin()
+    task = SimpleNamespace(partition=Partition("m", "d", ()), token="of the run before", dataset=str(tmp_path / "season"))
+    with pytest.raises(InputError, match="taken over by another"):
+        run_all([task], Cluster("tcp://127.0.0.1:1"), _ignore, _ignore)  # type: ignore[list-item]
+    assert Dataset(str(tmp_path / "season")).failures() == []
 
 
 def _ignore(_: Any) -> None:

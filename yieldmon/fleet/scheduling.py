@@ -193,6 +193,9 @@ def _answer(future: Any, task: Task) -> Outcome:
     if problem is None:
         outcome: Outcome = future.result()
         return outcome
-    if isinstance(problem, Superseded):
-        raise InputError(task.dataset, "was taken over by another `fleet run`", "one run at a time")
-    return failed(task, f"{type(problem).__name__}: {' '.join(str(problem).split())[:300]}")
+    try:
+        if isinstance(problem, Superseded):
+            raise problem
+        return failed(task, f"{type(problem).__name__}: {' '.join(str(problem).split())[:300]}")
+    except Superseded:
+        raise InputError(task.dataset, "was taken over by another `fleet run`", "one run at a time") from None
