@@ -12,6 +12,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import exp, isfinite, log, sqrt
 
+# A jump is over within some seconds, and a steady flow is left more often than a trend, whose slope is worth keeping.
+_STEADY = (0.85, 0.03, 0.12)
+_JUMP = (0.20, 0.01, 0.79)
+"""Probabilities of steady, trend and jump in the next window."""
+_TREND_TO_JUMP = 0.9
+"""Share of the trends that end in a jump."""
 _LARGEST_FLOW_KG_S = 1e6
 """Beyond any machine; what is above is handed on as it came."""
 
@@ -27,12 +33,12 @@ class FlowFilterSettings:
     enabled: bool = True
     steady_walk: float = 0.008
     """Standard deviation of the change from window to window while the flow is steady."""
-    trend_change: float = 0.006
+    trend_change: float = 0.002
     """The same of the change of the trend while the flow rises or falls steadily."""
-    jump: float = 0.25
+    jump: float = 0.18
     """Standard deviation of a jump."""
     stay: float = 0.95
-    """Probability that the flow goes on as it was from one window to the next."""
+    """Probability that a flow that rises or falls goes on so from one window to the next."""
     min_flow_kg_s: float = 0.3
     """Below this a window stands for itself."""
 
@@ -57,7 +63,7 @@ class FlowFilter:
         self._models = (
             _Model(0.5, settings.steady_walk**2, 0.02**2),
             _Model(1.0, settings.steady_walk**2, settings.trend_change**2),
-            _Model(0.5, settings.jump**2, settings.jump**2 / 4.0),
+            _Model(0.5, settings.jump**2, settings.jump**2 / 16.0),
         )
         self._states: _States | None = None
 
@@ -94,12 +100,12 @@ class FlowFilter:
 
 
 def _step(states: _States, models: tuple[_Model, _Model, _Model], stay: float, seen: float, noise: float) -> _States:
-    move = 0.5 * (1.0 - stay)
+    to_jump = _TREND_TO_JUMP * (1.0 - stay)
     (_, _, w0), (_, _, w1), (_, _, w2) = states
     reaches = (
-        (stay * w0, move * w1, move * w2),
-        (move * w0, stay * w1, move * w2),
-        (move * w0, move * w1, stay * w2),
+        (_STEADY[0] * w0, (1.0 - stay - to_jump) * w1, _JUMP[0] * w2),
+        (_STEADY[1] * w0, stay * w1, _JUMP[1] * w2),
+        (_STEADY[2] * w0, to_jump * w1, _JUMP[2] * w2),
     )
     updated: list[tuple[_Vector, _Matrix]] = []
     weights: list[float] = []

@@ -183,7 +183,7 @@ class FlowFilter(Section):
     steady_walk: float = quantity(_Q.steady_walk, 1e-6, 1.0, "1/s", "relative change from second to second of a steady flow")
     trend_change: float = quantity(_Q.trend_change, 1e-6, 1.0, "1/s", "the same of the trend of a rising or falling flow")
     jump: float = quantity(_Q.jump, 1e-3, 10.0, "1", "relative standard deviation of a jump")
-    stay: float = quantity(_Q.stay, 0.34, 0.9999, "1", "probability that the flow goes on as it was")
+    stay: float = quantity(_Q.stay, 0.34, 0.9999, "1", "probability that a rising or falling flow goes on so")
     min_flow_kg_s: float = quantity(_Q.min_flow_kg_s, 0.01, 25.0, "kg/s", "no smoothing below this")
 
 
