@@ -153,7 +153,7 @@ def _sweep(monitor: Monitor, engine: EngineState) -> StatusSweep:
         "state": sweep.state.name.lower(),
         "progress_pct": round(sweep.progress_pct, 1),
         "sweeps": sweep.sweep_id,
-        "due_in_s": finite(engine.sweep_due_in_s),
+        "due_in_s": finite(engine.sweep_due_in_s) if monitor.settings.sweep.enabled else None,
         "aborted_because": sweep.abort_reason.value if sweep.abort_reason is not None else None,
         "last_update": outcome.reason if outcome is not None else None,
     }
