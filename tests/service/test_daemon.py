@@ -578,3 +578,10 @@ def test_an_error_in_the_journal_ends_the_process(tmp_path, monkeypatch, part):
         assert not bench.thread.is_alive()
         left = {thread.name for thread in threading.enumerate()}
         assert left.isdisjoint({"can-receiver", "can-transmitter", "store-writer", "control"})
+
+
+def test_no_sweep_is_due_where_none_comes_by_schedule(tmp_path):
+    with running(tmp_path, "bus: {transmit_max_age_s: 60}\nsweep: {enabled: false}") as bench:
+        bench.play(2.0, 0.0)
+        bench.played()
+        assert bench.status["sweep"]["due_in_s"] is None

@@ -75,7 +75,10 @@ def stored(folder: Path) -> Path:
     [
         ("1,36\n3,50", "line 3, load: load 3 is of wheat, load 1 of corn; expected the tickets of one crop in a file"),
         ("2-3,90", "line 2, load: load 3 is of wheat, load 2 of corn; expected the tickets of one crop in a file"),
-        ("1,36\n4,50", "line 3, load: load 4 is still open, so more grain may come; expected `yieldmon load stop` first, with the daemon running"),
+        (
+            "1,36\n4,50",
+            "line 3, load: load 4 is still open, so more grain may come; expected `yieldmon load stop` first, with the daemon running",
+        ),
     ],
 )
 def test_tickets_of_two_crops_or_of_the_open_load_are_refused(tmp_path, capsys, tickets: str, said: str) -> None:

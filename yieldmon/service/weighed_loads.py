@@ -155,7 +155,11 @@ def match(loads: Sequence[MeasuredLoad], tickets: Sequence[WeighedTicket], machi
                 raise InputError(ticket.where, f"load {load.name} has a ticket already", "each load on one ticket")
             if load.is_open:
                 problem = f"load {load.name} is still open, so more grain may come"
-                raise InputError(ticket.where, problem, "`yieldmon load stop` first, with the daemon running, or the tickets of the other loads")
+                raise InputError(
+                    ticket.where,
+                    problem,
+                    "`yieldmon load stop` first, with the daemon running, or the tickets of the other loads",
+                )
             taken[load.name] = ticket.where
         name = ticket.first if ticket.first == ticket.last else f"{ticket.first}-{ticket.last}"
         out.append(_weighed(name, ticket, covered, machine))
