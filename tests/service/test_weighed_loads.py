@@ -77,7 +77,8 @@ def stored(folder: Path) -> Path:
         ("2-3,90", "line 2, load: load 3 is of wheat, load 2 of corn; expected the tickets of one crop in a file"),
         (
             "1,36\n4,50",
-            "line 3, load: load 4 is still open, so more grain may come; expected `yieldmon load stop` first, with the daemon running",
+            "line 3, load: load 4 is still open, so more grain may come; expected `yieldmon load stop` first, with the daemon "
+            "running, or the tickets of the other loads",
         ),
     ],
 )

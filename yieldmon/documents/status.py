@@ -96,7 +96,8 @@ class StatusWaveform(TypedDict):
 
 
 class StatusSweep(TypedDict):
-    """Sweeps of the plate. due_in_s: null where none comes by schedule. last_update: what the last whole sweep or weighed mass changed, or why nothing."""
+    """Sweeps of the plate. due_in_s: null where none comes by schedule. last_update: what the last whole sweep or weighed mass
+    changed, or why nothing."""
 
     state: str
     progress_pct: float
