@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -50,10 +51,13 @@ def test_the_scatter_of_a_loads_seconds_is_its_own(scatter_kg_s: tuple[float | N
     assert load.noise_sd == pytest.approx(noise_sd)
 
 
-def stored(folder: Path) -> Path:
-    """Loads 1 and 2 of corn, 3 of wheat, 4 of corn and open; another load of wheat, 5, is the newest."""
+def stored(folder: Path, later_s: int = 0) -> Path:
+    """Loads 1 and 2 of corn, 3 of wheat, 4 of corn and open; another load of wheat, 5, is the newest. later_s: of grain after the
+    end of load 1."""
     crops = {1: "corn", 2: "corn", 3: "wheat", 4: "corn", 5: "wheat"}
     found = [row for n, crop in crops.items() for row in rows(n, 10.0 * n, version=1 + (crop == "wheat"), flow=6.0 + n)]
+    found += [replace(row, time_s=row.time_s + 5.5) for row in rows(1, 10.0, seconds=later_s, flow=7.0)]
+    found.sort(key=lambda row: row.time_s)
     wheat = replace(known(2, 900.0), provenance={"crop": "wheat"})
     with Store(folder / "s.sqlite") as store:
         batch = Batch(
@@ -94,3 +98,17 @@ def test_a_crops_tickets_move_that_crops_parameters(tmp_path, capsys, load: int,
     words = ["--tickets", str(tmp_path / "t.csv"), "--out", str(tmp_path / "new.yaml")]
     assert main(["calibrate", "--loads", str(stored(tmp_path)), *words]) == 0
     assert parameter_file.load(tmp_path / "new.yaml").values["density"] == pytest.approx(density, rel=1e-3)
+
+
+def test_grain_between_two_loads_is_of_neither(tmp_path, capsys) -> None:
+    """`yieldmon load stop`: what comes from then on counts in the total alone."""
+    (tmp_path / "t.csv").write_text("load,weighed_kg\n1,35\n")
+    said = []
+    for later_s in (0, 4):
+        folder = tmp_path / str(later_s)
+        folder.mkdir()
+        words = ["--tickets", str(tmp_path / "t.csv"), "--out", str(folder / "new.yaml"), "--json"]
+        assert main(["calibrate", "--loads", str(stored(folder, later_s)), *words]) == 0
+        said.append(json.loads(capsys.readouterr().out)["loads"])
+    assert said[1] == said[0]
+    assert said[0][0]["before_kg"] == pytest.approx(35.0, rel=1e-3)

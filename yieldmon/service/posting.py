@@ -29,7 +29,7 @@ from yieldmon.service.recorded import opened, parameter_sets
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store
 from yieldmon.service.update_steps import step_from_document
-from yieldmon.service.weighed_loads import MeasuredLoad, force_columns, loads_of
+from yieldmon.service.weighed_loads import MeasuredLoad, force_columns, loads_of, of_loads
 from yieldmon.units import S_PER_DAY
 
 _log = logging.getLogger(__name__)
@@ -132,9 +132,9 @@ def of_store(path: Path, machine: Machine, version: int, open_load: int | None, 
         sets = parameter_sets(store)
         if version not in sets:
             raise InputError(str(path), f"has no parameters of version {version}", "a store that is being written")
-        known = timeline(store.steps(), sets[version])
+        known, loads = timeline(store.steps(), sets[version]), store.loads()
         for rows in _newest_loads(store, begins(known, now_s), open_load):
-            out |= factors(loads_of(rows, sets), known, machine)
+            out |= factors(loads_of(of_loads(rows, loads), sets), known, machine)
     return out
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import inf
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from yieldmon.files.ticket_file import WeighedTicket, unit_slip
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.service.assembly import build_monitor
+from yieldmon.service.batch import Load
 from yieldmon.service.bulk_processing import process_in_bulk
 from yieldmon.service.configuration import Configuration
 from yieldmon.service.log_copies import refuse_copies
@@ -72,7 +74,7 @@ def _of_store(path: Path) -> tuple[MeasuredLoad, ...]:
         versions = parameter_sets(store)
         known = {str(load.number): load for load in store.loads()}
     found = []
-    for load in loads_of(rows, versions):
+    for load in loads_of(of_loads(rows, known.values()), versions):
         of_parameters = versions.get(load.seconds[-1].parameter_version)
         crop = known[load.name].crop if load.name in known else ""
         crop = crop or (of_parameters.provenance.get("crop", "") if of_parameters is not None else "")
@@ -125,6 +127,13 @@ def _why_no_mass(rows: Sequence[SecondRow]) -> str:
     if not any(row.zero_mv is not None for row in rows):
         return "holds no measured mass: it has no stretch with the elevator running empty, so there is no zero"
     return "holds no measured mass"
+
+
+def of_loads(rows: Iterable[SecondRow], loads: Iterable[Load]) -> list[SecondRow]:
+    """The seconds that belong to loads: what comes between a load's end and the next one's begin carries the ended one's number
+    and counts in the total alone."""
+    ended_s = {load.number: load.ended_s for load in loads if load.ended_s is not None}
+    return [row for row in rows if row.time_s <= ended_s.get(row.load_number, inf)]
 
 
 def loads_of(rows: Iterable[SecondRow], versions: Mapping[int, ParameterSet]) -> tuple[MeasuredLoad, ...]:
