@@ -229,8 +229,10 @@ def test_a_shuffled_column_is_told(make_rows, start) -> None:
     """Rows of one condition are no longer of one condition."""
     rows = make_rows()
     shuffled = np.random.default_rng(3).permutation(rows.plate_angle_rad)
-    notes = diagnosis.examine(with_cells(replace(rows, plate_angle_rad=shuffled)), start, QUICK).notes
-    assert any("is a column shuffled" in note for note in notes)
+    seen = diagnosis.examine(with_cells(replace(rows, plate_angle_rad=shuffled)), start, QUICK)
+    assert any("so nothing is named: is a column shuffled" in note for note in seen.notes)
+    assert seen.choice.steps
+    assert seen.choice.named == ()
 
 
 def test_columns_that_are_a_row_off_are_told(make_rows, start) -> None:

@@ -342,6 +342,8 @@ def examine(
     if chosen.verdict == "effect" and noise.how == "assumed":
         notes.append(diagnosis_notes.noise_assumed(chosen))
         chosen = withdrawn(chosen, options.policy)
+    if chosen.verdict == "effect" and diagnosis_notes.scatter_share(noise, rows) > diagnosis_notes.WILD:
+        chosen = withdrawn(chosen, options.policy)
     chosen = calibrated(chosen, shipped())
     if doubted(chosen, options.policy):
         notes.append(diagnosis_notes.not_trusted(chosen))

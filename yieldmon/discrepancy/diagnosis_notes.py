@@ -18,8 +18,8 @@ _SURE = 1e-3
 """p value from which conditions scatter more than repetitions."""
 _GAINS = (0.5, 4.0)
 """Impact gains of grain, with a wide margin."""
-_WILD = 0.2
-"""Scatter of repetitions, as a share of the median reading, from which it is told."""
+WILD = 0.2
+"""Scatter of repetitions, as a share of the median reading, from which nothing is named."""
 _MANY = 0.05
 """Share of outliers from which they are told."""
 
@@ -78,15 +78,20 @@ def of_gain(base: Fit) -> list[str]:
     ]
 
 
+def scatter_share(noise: Noise, rows: Rows) -> float:
+    """Standard deviation of a row at the median reading, as a share of it."""
+    level = float(np.median(np.abs(rows.value)))
+    return float(noise.sd(np.array(level))) / max(level, 1e-300)
+
+
 def of_scatter(noise: Noise, rows: Rows, outliers: int) -> list[str]:
     """That rows of one condition differ by so much that columns may not belong together."""
-    level = float(np.median(np.abs(rows.value)))
-    scatter = float(noise.sd(np.array(level))) / max(level, 1e-300)
+    scatter = scatter_share(noise, rows)
     out = []
-    if scatter > _WILD:
+    if scatter > WILD:
         out.append(
             f"rows of one condition scatter by {100.0 * scatter:.0f} % of the median reading, far more than the cases on which "
-            "confidence was learnt (1 to 3 %): is a column shuffled, or a condition not recorded?"
+            "confidence was learnt (1 to 3 %), so nothing is named: is a column shuffled, or a condition not recorded?"
         )
     if outliers > _MANY * len(rows):
         out.append(f"{outliers} outliers of {len(rows)} rows are many: do the columns of a row belong together?")
