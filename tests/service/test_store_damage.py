@@ -563,3 +563,51 @@ def test_a_store_whose_name_is_no_utf_8_is_read_and_mended(tmp_path: Path, caplo
     assert found.memory.engine is not None
     assert found.memory.engine.totals.total_kg == 50.0
     assert "damaged" in found.note
+
+
+@pytest.mark.parametrize("table", ["state", "parameter_set", "fault", "sweep"])
+@pytest.mark.parametrize("text", ["22adff22", "7b220122"], ids=["no text", "no JSON"])
+def test_a_damaged_text_in_a_store_of_the_first_version_ends_no_start(tmp_path: Path, table: str, text: str) -> None:
+    """Its rows have no checksum: what tells them is that no store takes them any more, or that they make no sense."""
+    old = Path(__file__).parents[1] / "golden" / "store-0.1.0.sqlite"
+    path, sound = tmp_path / "s.sqlite", tmp_path / "sound.sqlite"
+    for target in (path, sound):
+        shutil.copy(old, target)
+    column, values = {
+        "state": ("document", ""), "parameter_set": ("document", ""), "fault": ("detail", "VALUES (7, 1.0, 'x', 1, 'y')"),
+        "sweep": ("document", "VALUES (7, 1.0, 'x', 'y', '{}')"),
+    }[table]  # fmt: skip
+    with sqlite3.connect(path) as database:
+        if values:
+            database.execute(f"INSERT INTO {table} {values}")
+        database.execute(f"UPDATE {table} SET {column} = CAST(x'{text}' AS TEXT)")
+    database.close()
+    found, before = (recover(place, Retention(), lambda place=place: Store(place)) for place in (path, sound))
+    assert found.memory.engine is not None
+    assert before.memory.engine is not None
+    assert found.memory.engine.totals.total_kg == pytest.approx(before.memory.engine.totals.total_kg)
+    matters = table in ("state", "parameter_set") or text == "22adff22"
+    assert ("damaged" in found.note) == matters
+    if text == "22adff22":
+        assert f"of {table}" in found.note.partition("lost:")[2]
+
+
+def test_a_row_that_no_later_version_takes_ends_no_start(tmp_path: Path) -> None:
+    path = tmp_path / "s.sqlite"
+    shutil.copy(Path(__file__).parents[1] / "golden" / "store-0.1.0.sqlite", path)
+    with sqlite3.connect(path) as database:
+        database.execute("PRAGMA writable_schema = ON")
+        database.execute(
+            "UPDATE sqlite_schema SET sql = replace(sql, 'batch INTEGER NOT NULL', 'batch INTEGER') WHERE name = 'state'"
+        )
+    database.close()
+    with sqlite3.connect(path) as database:
+        database.execute("UPDATE state SET batch = NULL")
+        database.execute("PRAGMA writable_schema = ON")
+        database.execute(
+            "UPDATE sqlite_schema SET sql = replace(sql, 'batch INTEGER', 'batch INTEGER NOT NULL') WHERE name = 'state'"
+        )
+    database.close()
+    found = recover(path, Retention(), lambda: Store(path))
+    assert "damaged" in found.note
+    assert found.memory.engine is not None

@@ -57,8 +57,12 @@ def of_state(database: sqlite3.Connection) -> int:
     rows = database.execute("SELECT slot, batch, time_s, document, checksum FROM state ORDER BY batch DESC LIMIT 1")
     for *row, checksum in rows:
         if row_checksum("state", *row) == checksum:
-            found = json.loads(row[-1])
-            return int(found.get(KEY, NONE)) if isinstance(found, dict) else NONE
+            try:
+                found = json.loads(row[-1])
+                return int(found.get(KEY, NONE)) if isinstance(found, dict) else NONE
+            except (ValueError, TypeError, RecursionError):
+                # Of a version without checksums, which were made of what was there; whoever reads the state says what is wrong.
+                return NONE
     return NONE
 
 

@@ -250,8 +250,11 @@ def _copy(damaged: sqlite3.Connection, target: Path, table: str, rescued: Rescue
             if not _is_sound(table, values, checksum, unchecked_to):
                 rescued.damaged[table] = rescued.damaged.get(table, 0) + 1
                 continue
-            with suppress(sqlite3.IntegrityError, OverflowError):
+            try:
                 rescued.saved[table] = rescued.saved.get(table, 0) + store.execute(statement, row).rowcount
+            except (sqlite3.IntegrityError, OverflowError, UnicodeEncodeError):
+                # Of a version without checksums: what no store takes, such as a text that is none.
+                rescued.damaged[table] = rescued.damaged.get(table, 0) + 1
         store.execute("COMMIT")
     damaged.set_progress_handler(None, 0)
 

@@ -30,7 +30,14 @@ from yieldmon.service.identity import COMPUTER, KEY, MARK, NONE, are_two, drawn,
 from yieldmon.service.ledger import ledger
 from yieldmon.service.retention import DEFAULT_RETENTION, Retention
 from yieldmon.service.rows import SecondRow
-from yieldmon.service.store_errors import StoreDamagedError, StoreDetachedError, StoreError, failures_of, refusals
+from yieldmon.service.store_errors import (
+    BatchRefusedError,
+    StoreDamagedError,
+    StoreDetachedError,
+    StoreError,
+    failures_of,
+    refusals,
+)
 from yieldmon.service.store_file import (
     has_journal,
     header_problem,
@@ -112,6 +119,10 @@ class Store:
                 if not immutable:
                     self._prepare()
                 self._check_content()
+        except BatchRefusedError as error:
+            # Nothing is written at opening but what is there: a version's step cannot take it over.
+            self._database.close()
+            raise StoreDamagedError(str(error)) from error
         except BaseException:
             self._database.close()
             raise
