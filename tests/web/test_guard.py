@@ -266,7 +266,8 @@ def test_guessing_comes_to_an_end(daemon: StandIn, clock: Clock, shown: str) -> 
     [
         (b"short", 0o600, "holds no token"), (b"", 0o600, "holds no token"),
         (b"two words of a long token", 0o600, "holds no token"),
-        (b"\xff" * 40, 0o600, "holds no token"), (TOKEN.encode(), 0o604, "everybody"), (None, 0, "No such file"),
+        (b"\xff" * 40, 0o600, "holds no token"), (b"a" * 5000, 0o600, "holds no token"),
+        (TOKEN.encode(), 0o604, "everybody"), (None, 0, "No such file"),
     ],
 )  # fmt: skip
 def test_a_token_file_that_is_none_is_one_line(

@@ -92,7 +92,8 @@ def _left_to_next(phase: Knots) -> Array:
 
 
 def weights_of(frames: SampleFrames, to_end: Array) -> WindowWeights:
-    """to_end: phase from each sample to its window's end."""
+    """Weights of samples by the chain's phase. to_end, of the frames' samples (n, samples of a frame): phase from each to its
+    window's end, paddle patterns."""
     late = np.flatnonzero(to_end.ravel() < 1.0)
     if not frames.clean:
         late = late[frames.usable.ravel()[late]]

@@ -11,6 +11,7 @@ from yieldmon.physics.machine import RPM
 from yieldmon.physics.numerics import AnyArray, Array
 
 _LEAST_FILL = 0.02
+"""Load over a full paddle below which a law stays what it is there, as it does above 1."""
 BEYOND_FILL = 1.1
 BEYOND_SPEED = 1.1
 BEYOND_ANGLE_RAD = float(np.deg2rad(5.0))

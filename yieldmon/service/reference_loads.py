@@ -61,7 +61,7 @@ def of_path(path: Path, numbers: Collection[int]) -> tuple[StoredLoad, ...]:
 
 
 def of_store(store: Store, numbers: Collection[int]) -> tuple[StoredLoad, ...]:
-    """The closed loads with these numbers, the newest 64 of them at most, of which the store holds seconds."""
+    """The closed loads with these numbers, the newest _MOST_LOADS of them at most, of which the store holds seconds."""
     wanted = set(sorted(numbers)[-_MOST_LOADS:])
     loads = [load for load in store.loads() if load.number in wanted and load.ended_s is not None]
     if not loads:

@@ -40,10 +40,18 @@ def read_token(path: Path) -> str:
         if path.stat().st_mode & 0o007:
             raise InputError(str(path), "everybody on this machine may read it", f"`chmod o-rwx {path}`")
         with path.open("rb") as file:
-            content = file.read(_MOST_BYTES)
+            content = file.read(_MOST_BYTES + 1)
     token = content.decode("ascii", "replace").strip()
-    if len(token) < LEAST_CHARACTERS or not token.isascii() or not token.isprintable() or " " in token:
-        raise InputError(str(path), "holds no token", f"one line of at least {LEAST_CHARACTERS} ASCII characters, {_MAKE}")
+    if (
+        len(content) > _MOST_BYTES
+        or len(token) < LEAST_CHARACTERS
+        or not token.isascii()
+        or not token.isprintable()
+        or " " in token
+    ):
+        raise InputError(
+            str(path), "holds no token", f"one line of {LEAST_CHARACTERS} to {_MOST_BYTES} ASCII characters, {_MAKE}"
+        )
     return token
 
 

@@ -115,18 +115,18 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
     if not headed or split_unit(first[5].strip())[1]:
         return _table(path, rows, layout, options)
     table = _table(path, rows, layout, options, ("has no units; its columns are those of Ag Leader text: lb/s, s, in, %",))
-    if not _ways_fit(table):
+    if not _distances_fit(table):
         where = f"{path}: header"
-        raise InputError(where, "says no units, and the ways are not in inches", "--column flow=NAME:UNIT and so on")
+        raise InputError(where, "says no units, and the distances are not in inches", "--column flow=NAME:UNIT and so on")
     return table
 
 
-def _ways_fit(table: HarvestTable) -> bool:
-    """Whether the ways that rows tell are those between their positions."""
+def _distances_fit(table: HarvestTable) -> bool:
+    """Whether the distances that rows give are those between their positions."""
     x, y = Sites.about(table["longitude_deg"], table["latitude_deg"]).to_m(table["longitude_deg"], table["latitude_deg"])
-    driven, told = np.hypot(np.diff(x), np.diff(y)), table["distance_m"][1:]
-    both = (driven > 0) & (told > 0)
-    return not both.any() or bool(0.5 < np.median(told[both] / driven[both]) < 2.0)
+    driven, given = np.hypot(np.diff(x), np.diff(y)), table["distance_m"][1:]
+    both = (driven > 0) & (given > 0)
+    return not both.any() or bool(0.5 < np.median(given[both] / driven[both]) < 2.0)
 
 
 def _comma(sample: list[str], delimiter: str) -> bool:
@@ -164,7 +164,7 @@ def _layout(sample: list[str], delimiter: str) -> dict[str, list[int]]:
 
 
 def _table(
-    path: Path, rows: Rows, layout: dict[str, list[int]], options: ReadOptions, told: tuple[str, ...] = ()
+    path: Path, rows: Rows, layout: dict[str, list[int]], options: ReadOptions, of_header: tuple[str, ...] = ()
 ) -> HarvestTable:
     values = rows.numbers
     machine = _machine(values[10], values[3]) if layout["serial"] else None
@@ -203,7 +203,7 @@ def _table(
         KIND,
         rows.count,
         rows.skipped,
-        notes=(*told, *(f"says: {mark}" for mark in marks), *notes, *header_notes, *limits),
+        notes=(*of_header, *(f"says: {mark}" for mark in marks), *notes, *header_notes, *limits),
         taken_out=bool(marks),
     )
     default_s = 0.0 if marks else DEFAULT_FLOW_S

@@ -47,22 +47,22 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
     next(rows, None)
     positions = [place[columns[q].name] for q in ("longitude", "latitude") if q in columns]
     sample = csv.reader(lines[1:-1] or lines[1:], delimiter=delimiter, skipinitialspace=True)
-    told = [row[column] for row in sample for column in positions if column < len(row)]
+    degrees = [row[column] for row in sample for column in positions if column < len(row)]
     # With semicolons between fields, commas are within numbers.
-    comma = delimiter == ";" or has_decimal_comma(told)
-    read = read_rows(rows, numbers, texts, max([*numbers, *texts]) + 1, decimal_comma=comma)
-    if not read.count:
+    comma = delimiter == ";" or has_decimal_comma(degrees)
+    table = read_rows(rows, numbers, texts, max([*numbers, *texts]) + 1, decimal_comma=comma)
+    if not table.count:
         raise InputError(str(path), "has a header and no row that can be read", "at least one row")
-    values = {names[n]: v for n, v in read.numbers.items()}
+    values = {names[n]: v for n, v in table.numbers.items()}
     if options.crs and "longitude" in columns and "latitude" in columns:
         east, north = columns["longitude"].name, columns["latitude"].name
         values[east], values[north], _ = to_degrees(values[east], values[north], None, options, str(path))
     raw = Raw(
         columns,
         values,
-        {names[n]: v for n, v in read.texts.items()},
-        read.count,
-        read.skipped,
+        {names[n]: v for n, v in table.texts.items()},
+        table.count,
+        table.skipped,
         notes,
     )
     return assemble(raw, str(path), KIND, options)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import radians
 
 from yieldmon.physics.numerics import AnyArray
 from yieldmon.physics.stages import Reading, Setting
 
 from .effect import Effect, EffectParameter, Values
 
-_HALF_RANGE_RAD = 0.4363323129985824
-"""25 deg: half the range of a sweep."""
+_HALF_RANGE_RAD = radians(25.0)
+"""Half the range of a sweep."""
 _FILL = 0.4
 """Fill about which the change with fill is taken."""
 
