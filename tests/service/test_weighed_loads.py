@@ -112,3 +112,13 @@ def test_grain_between_two_loads_is_of_neither(tmp_path, capsys) -> None:
         said.append(json.loads(capsys.readouterr().out)["loads"])
     assert said[1] == said[0]
     assert said[0][0]["before_kg"] == pytest.approx(35.0, rel=1e-3)
+
+
+def test_a_store_measured_again_has_grain_between_two_loads_in_neither(tmp_path, capsys) -> None:
+    words = ["--params", str(tmp_path / "known.yaml"), "--out", str(tmp_path / "out.csv"), "--json"]
+    parameter_file.save(known(), tmp_path / "known.yaml")
+    assert main(["process", str(stored(tmp_path, 4)), *words]) == 0
+    document = json.loads(capsys.readouterr().out)
+    first = document["loads"][0]
+    assert (first["before_kg"], first["after_kg"]) == pytest.approx((35.0, 35.0), rel=1e-3)
+    assert document["before_mass_kg"] == pytest.approx(35.0 + 4 * 7.0 + 5 * (8.0 + 9.0 + 10.0 + 11.0))

@@ -148,6 +148,12 @@ def parameter_sets(store: Store) -> dict[int, ParameterSet]:
     }
 
 
+def load_ends(path: Path) -> dict[int, float]:
+    """When the loads ended that have, Unix time, by number. Raises InputError."""
+    with opened(path) as store:
+        return {load.number: load.ended_s for load in store.loads() if load.ended_s is not None}
+
+
 def last_parameters(path: Path) -> ParameterSet:
     """The parameters that a store's daemon used last. Raises InputError, also where it holds none."""
     with opened(path) as store:

@@ -6,8 +6,9 @@ without grain has none, unless another zero says otherwise.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import inf
 
 import numpy as np
 
@@ -43,10 +44,12 @@ def measured_again(
     *,
     zero_mv: float | None = None,
     delay_s: int = 0,
+    load_ends_s: Mapping[int, float] | None = None,
 ) -> Again:
     """The rows with flow, mass and totals of these parameters.
 
     zero_mv: for all seconds; None: each its own. delay_s: place and speed of so many seconds earlier belong to a second's grain.
+    load_ends_s: of the loads that have ended; what comes later counts in the total alone.
     """
     model = ForwardModel(machine, parameters.effects)
     force, noise, angle, speed, moisture, zero = (
@@ -74,7 +77,7 @@ def measured_again(
         kept = bool(counted[i]) and not known
         unusable += kept
         mass_kg = row.mass_kg if kept else float(flow[i]) * _seconds(row, settings.windows.min_coverage) if known else 0.0
-        load_kg = mass_kg if row.load_number != load else load_kg + mass_kg
+        load_kg = (0.0 if row.load_number != load else load_kg) + (mass_kg if _of_load(row, load_ends_s) else 0.0)
         total_kg, load = total_kg + mass_kg, row.load_number
         changed = {
             "mass_kg": mass_kg, "load_kg": load_kg, "total_kg": total_kg, "load_std_dev_kg": None, "total_std_dev_kg": None,
@@ -90,11 +93,18 @@ def measured_again(
     return Again(tuple(out), before_kg, total_kg, unusable)
 
 
-def loads_of_rows(before: Sequence[SecondRow], after: Sequence[SecondRow]) -> list[ReprocessedLoad]:
-    """Each load's mass as measured and as measured again."""
+def _of_load(row: SecondRow, load_ends_s: Mapping[int, float] | None) -> bool:
+    end_s = inf if load_ends_s is None else load_ends_s.get(row.load_number, inf)
+    return row.time_s <= end_s
+
+
+def loads_of_rows(
+    before: Sequence[SecondRow], after: Sequence[SecondRow], load_ends_s: Mapping[int, float] | None = None
+) -> list[ReprocessedLoad]:
+    """Each load's mass as measured and as measured again; load_ends_s as in `measured_again`."""
     masses: dict[int, list[float]] = {}
     for one, other in zip(before, after, strict=True):
-        if one.mass_kg or other.mass_kg:
+        if (one.mass_kg or other.mass_kg) and _of_load(one, load_ends_s):
             sums = masses.setdefault(one.load_number, [0.0, 0.0])
             sums[0] += one.mass_kg
             sums[1] += other.mass_kg
