@@ -95,7 +95,7 @@ def measured_again(
 
 def _of_load(row: SecondRow, load_ends_s: Mapping[int, float] | None) -> bool:
     end_s = inf if load_ends_s is None else load_ends_s.get(row.load_number, inf)
-    return row.time_s <= end_s
+    return bool(row.time_s <= end_s)
 
 
 def loads_of_rows(
