@@ -21,7 +21,7 @@ from yieldmon.files import parameter_file
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.service import posting
-from yieldmon.service.batch import Batch, ParameterVersion, Step
+from yieldmon.service.batch import Batch, Load, ParameterVersion, Step
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store
 from yieldmon.service.update_steps import step_document, step_from_document
@@ -160,6 +160,29 @@ def test_a_ticket_measures_the_loads_of_three_days_again(tmp_path, lost: int, op
     changes = [abs(found[n] - 1.0) for n in sorted(found) if n != 4]
     assert changes == sorted(changes)
     assert changes[-1] > 0.01
+
+
+def test_grain_after_a_loads_end_is_not_posted_with_it(tmp_path) -> None:
+    """What came after the end was measured with what was learnt, and would halve the load's factor."""
+    learnt, found = known(2, 840.0), []
+    sets = [ParameterVersion(p.version, 0.0, "file", parameter_file.to_document(p)) for p in (known(), learnt)]
+    for later_s in (0, 5):
+        seconds = rows(1, DAY_S) + rows(1, DAY_S + 10.0, version=2, seconds=later_s)
+        path = tmp_path / f"{later_s}.sqlite"
+        with Store(path) as store:
+            batch = Batch(
+                1,
+                DAY_S + 60.0,
+                {},
+                tuple(replace(row, number=i) for i, row in enumerate(seconds, 1)),
+                loads=(Load(1, "", "", DAY_S, DAY_S + 5.0, 50.0, None),),
+                parameter_versions=tuple(sets),
+                steps=(lesson(120.0, 0.01, learnt),),
+            )
+            store.commit([batch])
+        found.append(posting.of_store(path, MACHINE, 2, None, DAY_S + 60.0))
+    assert found[0] == pytest.approx(found[1])
+    assert abs(found[0][1] - 1.0) > 0.005
 
 
 def ask(tmp_path, capsys, *words: str) -> dict:
