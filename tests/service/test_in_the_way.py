@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.service.test_store import batch
+from tests.service.test_store_damage import kept as kept  # noqa: PLC0414 - a fixture, which the next one needs
 from tests.service.test_store_damage import path as path  # noqa: PLC0414 - a fixture
 from tests.service.test_store_damage import state
 from yieldmon.errors import InputError
