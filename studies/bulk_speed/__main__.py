@@ -26,7 +26,6 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-import asammdf
 import can
 import cantools
 import numpy as np
@@ -165,6 +164,8 @@ def obvious_loop(path: Path) -> tuple[float, int]:
 
 def fast_decoder(blocks: Iterator[FrameBlock], folder: Path) -> tuple[float, int, int]:
     """CPU seconds, frames and decoded channels of asammdf, from the same frames as MF4; no engine."""
+    import asammdf
+
     path, count = folder / "bulk.mf4", 0
     with can.MF4Writer(path) as writer:
         for block in blocks:
