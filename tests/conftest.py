@@ -1,4 +1,4 @@
-"""One thread of linear algebra per process, no asammdf before a test needs it, a garbage collector that leaves alone what the
+"""One thread of linear algebra per process, a garbage collector that leaves alone what the
 collection of tests made, and logging as it was before each test."""
 
 from __future__ import annotations
@@ -13,10 +13,6 @@ import pytest
 # Two workers on two cores: more threads wait for each other. Read when numpy is imported, here and in the tests' processes.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from yieldmon.bus import mf4
-
-# python-can would import asammdf, and with it pandas and sympy, in each worker.
-mf4.defer()
 # While modules are imported and tests are made nearly everything stays.
 gc.disable()
 
