@@ -54,7 +54,7 @@ from yieldmon.errors import InputError
 from yieldmon.export import agleader, columns, taskdata
 from yieldmon.export.points import PointSettings, yield_points
 from yieldmon.files import parameter_file, strict_yaml, whole_file
-from yieldmon.service import configuration, installation, recorded, store_file
+from yieldmon.service import configuration, contradictions, installation, recorded, store_file
 from yieldmon.service.batch import Batch, Load, ParameterVersion
 from yieldmon.service.store import Store
 
@@ -463,7 +463,7 @@ MENDS = {
     ),
     "room for channels": mend((13,), many_channels, lambda: mock.patch.object(np, "int32", np.int16)),
     "options that have a key": mend(
-        (13,), odd_options, lambda: mock.patch.object(configuration, "_NAMED_BUS_OPTIONS", frozenset()),
+        (13,), odd_options, lambda: mock.patch.object(contradictions, "_NAMED_BUS_OPTIONS", frozenset()),
     ),
     "names of parents": mend((13,), odd_parents, lambda: mock.patch.object(adoption, "Path", _AnyName)),
     "bounds of versions": mend((14,), odd_versions, _any_version),
