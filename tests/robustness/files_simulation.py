@@ -470,7 +470,7 @@ MENDS = {
     "scratch names": mend((16,), saves, lambda: mock.patch.object(whole_file, "_private_folder", _foreseeable)),
     "planted links": mend((16,), installs, lambda: mock.patch.object(installation.Installer, "write", _writes_through)),
     "names in XML": mend((17,), odd_names, lambda: mock.patch.object(taskdata, "plain", str)),
-    "names in text": mend((17,), odd_names, lambda: mock.patch.object(agleader, "plain", str)),
+    "names in text": mend((17,), odd_names, lambda: mock.patch.object(agleader, "quotable", str)),
     "no formulas": mend((17,), odd_names, lambda: mock.patch.object(columns, "cell", str)),
     "bounded unpacking": mend((18,), much_in_little, lambda: mock.patch.object(logs, "_unpacked", _unpacks_all)),
     "stores of anybody": mend((18,), crafted_store, _trusting),
