@@ -156,15 +156,14 @@ def test_both_views_on_a_real_terminal(log: Path, rows: int, columns: int) -> No
     screen = pyte.Screen(columns, rows)
     stream = pyte.ByteStream(screen)
 
-    def until(text: str) -> str:
-        while text not in "\n".join(screen.display):
+    def until(*texts: str) -> None:
+        while any(text not in "\n".join(screen.display) for text in texts):
             child.expect(re.compile(rb".+", re.DOTALL))
             stream.feed(child.after)
-        return "\n".join(screen.display)
 
-    assert "WindowCounter" in until("MassFlowRate")
+    until("MassFlowRate", "WindowCounter")
     child.send("c")
-    assert "no faults" in until("flow, ok, kg/s")
+    until("flow, ok, kg/s", "no faults")
     child.send("u")
     until("flow, ok, lb/s")
     child.send("l")

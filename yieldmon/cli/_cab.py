@@ -58,7 +58,7 @@ class DaemonLink:
             except ControlError as error:
                 self._news.put(None if asked_status else str(error))
             else:
-                self._news.put(answer if asked_status else _told(request, answer))
+                self._news.put(answer if asked_status else _answered(request, answer))
             try:
                 request = self._requests.get(timeout=_INTERVAL_S) if asked_status else {"command": "status"}
             except queue.Empty:
@@ -72,7 +72,7 @@ def aged(status: Status, silent_s: float) -> Status:
     return {**status, "stale": True, "age_s": status["age_s"] + silent_s}
 
 
-def _told(request: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
+def _answered(request: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
     try:
         return said(request, answer)
     except (KeyError, TypeError, ValueError):

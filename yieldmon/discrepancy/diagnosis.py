@@ -342,7 +342,7 @@ def examine(
     if chosen.verdict == "effect" and noise.how == "assumed":
         notes.append(diagnosis_notes.noise_assumed(chosen))
         chosen = withdrawn(chosen, options.policy)
-    if chosen.verdict == "effect" and diagnosis_notes.scatter_share(noise, rows) > diagnosis_notes.WILD:
+    if chosen.verdict == "effect" and diagnosis_notes.scatter_share(noise, rows) > diagnosis_notes.MOST_SCATTER:
         chosen = withdrawn(chosen, options.policy)
     chosen = calibrated(chosen, shipped())
     if doubted(chosen, options.policy):

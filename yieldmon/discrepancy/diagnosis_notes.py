@@ -18,7 +18,7 @@ _SURE = 1e-3
 """p value from which conditions scatter more than repetitions."""
 _GAINS = (0.5, 4.0)
 """Impact gains of grain, with a wide margin."""
-WILD = 0.2
+MOST_SCATTER = 0.2
 """Scatter of repetitions, as a share of the median reading, from which nothing is named."""
 _MANY = 0.05
 """Share of outliers from which they are told."""
@@ -88,7 +88,7 @@ def of_scatter(noise: Noise, rows: Rows, outliers: int) -> list[str]:
     """That rows of one condition differ by so much that columns may not belong together."""
     scatter = scatter_share(noise, rows)
     out = []
-    if scatter > WILD:
+    if scatter > MOST_SCATTER:
         out.append(
             f"rows of one condition scatter by {100.0 * scatter:.0f} % of the median reading, far more than the cases on which "
             "confidence was learnt (1 to 3 %), so nothing is named: is a column shuffled, or a condition not recorded?"

@@ -36,21 +36,21 @@ class TroubleReports:
         """What is active, and what was."""
         self._sender = sender
         self._waits = False
-        self._unsaid: dict[tuple[int, int], TroubleCode] = {}
+        self._unreported: dict[tuple[int, int], TroubleCode] = {}
 
     def update(self, codes: Iterable[TroubleCode]) -> None:
         """The codes whose conditions hold now, which are to be reported."""
         self.memory.update(codes)
-        self._unsaid |= {(code.spn, code.fmi): code for code in self.memory.active}
+        self._unreported |= {(code.spn, code.fmi): code for code in self.memory.active}
         self._waits = True
 
     def due(self, address: int | None, now_s: float) -> list[RawFrame]:
         """The message of the last report, once there is an address and no other message of the kind is under way."""
         if not self._waits or address is None or self._sender.busy_with(diagnostics.DM1):
             return []
-        data = diagnostics.message(list(self._unsaid.values())[-diagnostics.MAX_CODES :])
+        data = diagnostics.message(list(self._unreported.values())[-diagnostics.MAX_CODES :])
         self._waits = False
-        self._unsaid.clear()
+        self._unreported.clear()
         if len(data) <= 8:
             return [frame(diagnostics.DM1, data, address)]
         return self._sender.submit(diagnostics.DM1, data, address, GLOBAL_ADDRESS, now_s)

@@ -85,7 +85,7 @@ class ControlServer:
         """When the thread began its last round, monotonic seconds; it begins several a second."""
         return self._server.round_s
 
-    def begin_anew(self) -> None:
+    def restart(self) -> None:
         """Leave thread and socket to themselves and answer at a new one. Raises RuntimeError."""
         old = self._server
         old.stopping = True

@@ -52,7 +52,7 @@ from yieldmon.service.rows import SecondRow
 from yieldmon.service.service_faults import ServiceFaults
 from yieldmon.service.snapshot import snapshot
 from yieldmon.service.store import Store
-from yieldmon.service.tending import Tender
+from yieldmon.service.supervision import Supervisor
 from yieldmon.service.transmit import ASKED_ECHO_S, ECHO_S, Transmitter
 from yieldmon.service.writer import StoreWriter
 
@@ -136,7 +136,7 @@ class Daemon:
         self._answered_s = monotonic()
         self._replacements = 0
         self._computer = this_computer()
-        self._tenders: list[Tender] = []
+        self._supervisors: list[Supervisor] = []
         self._reading = threading.BoundedSemaphore(_READ_AT_ONCE)
 
     @property
@@ -206,7 +206,7 @@ class Daemon:
             self._receiver.stop()
             raise
         metrics = MetricsFile(self.configuration.prometheus_path, status.prometheus_interval_s, self._status)
-        self._tenders = [Tender("control", control), Tender("metrics", metrics)]
+        self._supervisors = [Supervisor("control", control), Supervisor("metrics", metrics)]
         helpers = (self._transmitter, self._writer, control, metrics)
         for helper in helpers:
             helper.start()
@@ -368,8 +368,8 @@ class Daemon:
         if max(self._receiver.hangs_s(), self._transmitter.hangs_s()) < _HANGS_FOR_GOOD_S:
             # A daemon that hears or says nothing any more is one to start anew.
             self._manager.alive()
-        for tender in self._tenders:
-            tender.look(monotonic())
+        for supervisor in self._supervisors:
+            supervisor.look(monotonic())
         self._rate.second(monotonic(), self._receiver.counters().received)
         self._answer = self._snapshot()
         self._manager.status(commands.summary(self._answer))

@@ -71,7 +71,7 @@ def are_two(one: int, other: int) -> bool:
     return NONE not in (one, other) and one != other
 
 
-def part_from_strange_journal(path: Path) -> str:
+def detach_foreign_journal(path: Path) -> str:
     """Rename a journal that is another store's than the file out of the way, before SQLite writes it into the file; returns what
     is to be said, empty where nothing was done. Raises OSError."""
     if not has_journal(path) or not path.exists() or not path.stat().st_size:

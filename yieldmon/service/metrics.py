@@ -43,7 +43,7 @@ class MetricsFile:
         """Since when the thread has been writing one file, monotonic seconds; None while it waits for the next."""
         return self._busy_since_s
 
-    def begin_anew(self) -> None:
+    def restart(self) -> None:
         """Leave the thread to itself and write on another one. Raises RuntimeError."""
         self._stop.set()
         self._stop = threading.Event()

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 _log = logging.getLogger(__name__)
 
-_MOST_UNTOLD = 4
+_MOST_UNSENT = 4
 
 
 class ServiceManager:
@@ -24,21 +24,21 @@ class ServiceManager:
         self._address = "\0" + address[1:] if address.startswith("@") else address
         ours = environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
         interval = environment.get("WATCHDOG_USEC", "")
-        self._untold: deque[str] = deque(maxlen=_MOST_UNTOLD)
+        self._unsent: deque[str] = deque(maxlen=_MOST_UNSENT)
         """States that it took no notice of yet, in order."""
         self.watchdog_s: float | None = int(interval) / 1e6 if ours and interval.isdigit() else None
 
     def ready(self) -> None:
         """Started, or done with reloading."""
-        self._tell("READY=1")
+        self._announce("READY=1")
 
     def reloading(self) -> None:
         """Reading the configuration anew; ready() follows."""
-        self._tell(f"RELOADING=1\nMONOTONIC_USEC={time.monotonic_ns() // 1000}")
+        self._announce(f"RELOADING=1\nMONOTONIC_USEC={time.monotonic_ns() // 1000}")
 
     def stopping(self) -> None:
         """On the way out."""
-        self._tell("STOPPING=1")
+        self._announce("STOPPING=1")
 
     def alive(self) -> None:
         """Feeds the watchdog."""
@@ -49,21 +49,21 @@ class ServiceManager:
         """One line for `systemctl status`."""
         self._send(f"STATUS={line}")
 
-    def _tell(self, state: str) -> None:
-        self._untold.append(state)
+    def _announce(self, state: str) -> None:
+        self._unsent.append(state)
         self._send()
 
     def _send(self, text: str = "") -> None:
         """What it took no notice of yet, and then the text, which is of no use later. A manager that reads nothing is not waited
         for."""
         if not self._address:
-            self._untold.clear()
+            self._unsent.clear()
             return
         try:
             with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK) as sender:
-                while self._untold:
-                    sender.sendto(self._untold[0].encode(), self._address)
-                    self._untold.popleft()
+                while self._unsent:
+                    sender.sendto(self._unsent[0].encode(), self._address)
+                    self._unsent.popleft()
                 if text:
                     sender.sendto(text.encode(), self._address)
         except OSError as error:

@@ -12,10 +12,10 @@ from yieldmon.engine.state import EngineState
 from yieldmon.engine.totals import Totals
 from yieldmon.errors import reason
 from yieldmon.service import rescue
-from yieldmon.service.identity import NONE, are_two, part_from_strange_journal
+from yieldmon.service.hard_links import detach_hard_links
+from yieldmon.service.identity import NONE, are_two, detach_foreign_journal
 from yieldmon.service.in_the_way import make_way
 from yieldmon.service.memory import Memory, recall
-from yieldmon.service.other_names import part_from_other_names
 from yieldmon.service.retention import Retention
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store
@@ -44,7 +44,7 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store], c
 
     A medium that is full, or takes no writing, need not stop the measuring: what it holds can be read all the same, and where it
     holds nothing the store can be made later. Raises StoreError when there is a store that cannot be read, InputError as
-    `store_file.refuse_stranger`, OccupiedError as `part_from_other_names`.
+    `store_file.refuse_stranger`, OccupiedError as `detach_hard_links`.
     """
     refuse_stranger(path)
     notes: list[str] = []
@@ -52,9 +52,9 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store], c
     try:
         make_way(beside(path))
         rescue.finish(path)
-        if shared := part_from_other_names(path):
+        if shared := detach_hard_links(path):
             notes.append(shared)
-        if strange := part_from_strange_journal(path):
+        if strange := detach_foreign_journal(path):
             notes.append(strange)
     except OSError as error:
         _log.error("%s: %s", path, error)

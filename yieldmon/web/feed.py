@@ -58,7 +58,7 @@ class Feed:
         self._watchers: set[asyncio.Event] = set()
         self._looking: asyncio.Task[None] | None = None
         self._looked_s = clock()
-        self._told_hanging = False
+        self._hang_reported = False
         self._missing_since_s: float | None = None
         self._stopping = False
         self.store = store
@@ -116,7 +116,7 @@ class Feed:
         since_s = self._clock() - self._looked_s
         if self._looking is None or since_s < _HANGS_S:
             return "event: alive\ndata: 1\n\n"
-        self._told_hanging = True
+        self._hang_reported = True
         problem = f"this page's look at the daemon and its store has been taking {since_s:.0f} s"
         return f"event: live\ndata: {json.dumps({'problem': problem})}\n\n"
 
@@ -144,9 +144,9 @@ class Feed:
             status = await asyncio.to_thread(self._take)
             self._looked_s = self._clock()
             told = self._told()
-            if told != before or self._told_hanging:
+            if told != before or self._hang_reported:
                 self._wake()
-            self._told_hanging = False
+            self._hang_reported = False
             before = told
             age_s = float(status["age_s"]) if status is not None else 0.0
             await asyncio.sleep(min(_MOST_S, max(_LEAST_S, _PERIOD_S + _AFTER_S - age_s)))

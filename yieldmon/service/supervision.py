@@ -1,4 +1,4 @@
-"""Threads beside the measuring, begun anew when they die or hang: an operator needs them, the grain does not wait for them."""
+"""Helper threads of the daemon, restarted when they die or hang: measuring goes on meanwhile, and an operator needs them."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Protocol
 
 _log = logging.getLogger(__name__)
 
-#: A thread hangs when it has been at the same for so long and for so many looks: of a process that was stopped all seem to.
+#: A thread hangs when it has been in one round for so long and for so many looks; after a SIGSTOP the time alone would say so.
 HANGS_S, HANGS_LOOKS = 20.0, 20
-#: How often a thread is begun anew in one run; where a disk hangs, each that is left to itself stays.
+#: Restarts of a thread in one run; where a disk hangs, each thread that is given up stays.
 MOST = 5
 
 
@@ -24,11 +24,11 @@ class Helper(Protocol):
     def busy_since_s(self) -> float | None:
         """Monotonic time at which the thread began what it is at; None while it waits for its time."""
 
-    def begin_anew(self) -> None:
+    def restart(self) -> None:
         """Leave the thread to itself and begin another one. Raises RuntimeError where the system has no room for it."""
 
 
-class Tender:
+class Supervisor:
     """Looks after one helper.
 
     Parameters
@@ -53,9 +53,9 @@ class Tender:
         self._left -= 1
         self._looks = 0
         more = "" if self._left else ", for the last time in this run"
-        _log.error("the %s thread %s; another one is begun%s", self._name, trouble, more)
+        _log.error("the %s thread %s; restarted%s", self._name, trouble, more)
         try:
-            self._helper.begin_anew()
+            self._helper.restart()
         except RuntimeError as error:
             _log.error("the %s thread: %s", self._name, error)
 

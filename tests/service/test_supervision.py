@@ -1,4 +1,4 @@
-"""Threads beside the measuring: those that die or hang are begun anew, and what they do goes on."""
+"""Threads beside the measuring: those that die or hang are restarted, and what they do goes on."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ import pytest
 from tests.service.bench import PATIENCE_S, Bench, running, wait_for
 from yieldmon.files import parameter_file
 from yieldmon.files.machine_file import load as load_machine
-from yieldmon.service import control, daemon, metrics, tending
+from yieldmon.service import control, daemon, metrics, supervision
 from yieldmon.service.control import ControlError, ControlServer, ask
 from yieldmon.service.posting import Poster
-from yieldmon.service.tending import HANGS_LOOKS, HANGS_S, MOST, Tender
+from yieldmon.service.supervision import HANGS_LOOKS, HANGS_S, MOST, Supervisor
 
 
 class Helper:
-    """What a tender sees. begun: how often it was begun anew."""
+    """What a supervisor sees. restarts: how often it was restarted."""
 
     def __init__(self) -> None:
-        self.alive, self.busy_since_s, self.begun = True, None, 0
+        self.alive, self.busy_since_s, self.restarts = True, None, 0
 
-    def begin_anew(self) -> None:
-        self.begun += 1
+    def restart(self) -> None:
+        self.restarts += 1
         self.alive = True
 
 
 def looked(helper: Helper, times_s: Iterator[float]) -> int:
-    tender = Tender("test", helper)
+    supervisor = Supervisor("test", helper)
     for now_s in times_s:
-        tender.look(now_s)
-    return helper.begun
+        supervisor.look(now_s)
+    return helper.restarts
 
 
 def test_a_helper_that_lives_is_left_alone() -> None:
@@ -63,7 +63,7 @@ def test_a_process_that_was_stopped_has_no_helper_that_hangs() -> None:
 
 
 @pytest.mark.parametrize("dies", [True, False])
-def test_a_helper_that_dies_or_hangs_is_begun_anew_some_times(dies: bool, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_helper_that_dies_or_hangs_is_restarted_some_times(dies: bool, caplog: pytest.LogCaptureFixture) -> None:
     helper = Helper()
     helper.busy_since_s = 0.0
 
@@ -73,7 +73,7 @@ def test_a_helper_that_dies_or_hangs_is_begun_anew_some_times(dies: bool, caplog
             yield 1.1 * number * HANGS_S / HANGS_LOOKS
 
     assert looked(helper, times()) == MOST
-    assert f"the test thread {'has died' if dies else 'hangs'}; another one is begun" in caplog.text
+    assert f"the test thread {'has died' if dies else 'hangs'}; restarted" in caplog.text
     assert "for the last time in this run" in caplog.text
 
 
@@ -107,7 +107,7 @@ def test_status_is_answered_again_after_the_thread_that_does(
     tmp_path: Path, how: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(control.selectors, "DefaultSelector", _Selector)
-    monkeypatch.setattr(tending, "HANGS_S", 2.0)
+    monkeypatch.setattr(supervision, "HANGS_S", 2.0)
     with running(tmp_path) as bench:
         path = tmp_path / "yieldmon.sock"
         bench.play(2, 0.0)

@@ -20,8 +20,8 @@ from tests.service.test_store import batch
 from tests.service.test_store_damage import kept as kept  # noqa: PLC0414 - a fixture, which the next one needs
 from tests.service.test_store_damage import path as path  # noqa: PLC0414 - a fixture
 from tests.service.test_store_damage import state
-from yieldmon.service import other_names
-from yieldmon.service.other_names import part_from_other_names
+from yieldmon.service import hard_links
+from yieldmon.service.hard_links import detach_hard_links
 from yieldmon.service.ownership import OccupiedError, Ownership
 from yieldmon.service.recovery import Recovery, recover
 from yieldmon.service.retention import Retention
@@ -117,7 +117,7 @@ def test_a_store_that_another_process_has_open_is_refused_until_that_ends(tmp_pa
             rf"2 names \(hard links\), and process {process.pid} has it open; expected that process stopped, or a file of its"
         )
         with pytest.raises(OccupiedError, match=expected):
-            part_from_other_names(killed, rests.append)
+            detach_hard_links(killed, rests.append)
     assert len(rests) > 1
     assert total_kg(started(killed)) == 450.0
 
@@ -131,7 +131,7 @@ def test_a_reader_that_is_soon_done_is_waited_for(tmp_path: Path, killed: Path) 
             process.stdin.close()
             process.wait()
 
-        assert part_from_other_names(killed, ends) == ""
+        assert detach_hard_links(killed, ends) == ""
     assert killed.stat().st_nlink == 1
 
 
@@ -142,8 +142,8 @@ def test_without_room_for_a_copy_it_goes_on_and_says_so(tmp_path: Path, killed: 
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(other_names.os, "fsync", full)
-        note = part_from_other_names(killed)
+        patch.setattr(hard_links.os, "fsync", full)
+        note = detach_hard_links(killed)
     assert note == "is one file under 2 names (hard links), and no copy of its own could be made: No space left on device"
     assert sorted(file.name for file in killed.parent.iterdir()) == sorted(content(tmp_path / "backup"))
     found = started(killed)
@@ -159,7 +159,7 @@ def _killed_at(step: int, store: Path) -> bool:
 
     def trace(frame: FrameType, event: str, argument: Any) -> Callable[..., Any] | None:
         nonlocal left
-        if frame.f_code.co_filename != other_names.__file__:
+        if frame.f_code.co_filename != hard_links.__file__:
             return None
         left -= event == "line"
         if left < 0:
@@ -168,7 +168,7 @@ def _killed_at(step: int, store: Path) -> bool:
 
     sys.settrace(trace)
     try:
-        part_from_other_names(store)
+        detach_hard_links(store)
     finally:
         os._exit(0)
 

@@ -35,7 +35,7 @@ _COPYING_S = 30.0
 """For all of a store: the service manager waits 90 s for a start."""
 
 
-def part_from_other_names(path: Path, rest: Callable[[float], None] = sleep) -> str:
+def detach_hard_links(path: Path, rest: Callable[[float], None] = sleep) -> str:
     """Give each file of a store that has other names as well a copy of its own under its name; what has the other names stays as
     it is. To be asked before the store is opened, by whom it belongs to.
 
