@@ -3,6 +3,7 @@
     python -m tests.robustness fuzz-readers --count 2000 --reader candump
     python -m tests.robustness fuzz-readers --cpu-minutes 60 --reader candump      # guided by coverage
     python -m tests.robustness fuzz-readers --rotate 90 --cpu-minutes 2            # 90 minutes by the clock, all in turn
+    python -m tests.robustness fuzz-readers --rotate 90 --cpu-minutes 5 --reader asc --reader blf      # these two in turn
     python -m tests.robustness fuzz-readers --recorded                             # what was run so far, a line a reader
 
 Mutations of good files (bits, slices doubled, cut, swapped, long runs; within zips and Parquet as well). With --cpu-minutes those
@@ -237,7 +238,7 @@ def _commit() -> str:
 def main(arguments: list[str]) -> int:
     """Prints the outcomes as JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--reader", choices=sorted(READERS), help="default: all")
+    parser.add_argument("--reader", action="append", choices=sorted(READERS), help="again for several; default: all")
     parser.add_argument("--count", type=int, default=500)
     parser.add_argument("--cpu-minutes", type=float, help="guided by coverage, for so much processor time a reader")
     parser.add_argument("--rotate", type=float, metavar="MINUTES", help="all readers in turn, for so long by the clock")
@@ -251,7 +252,7 @@ def main(arguments: list[str]) -> int:
         for name, sums in summed(recorded(args.record)).items():
             print(name.ljust(16), "  ".join(f"{key} {value}" for key, value in sums.items()))
         return 0
-    names = [args.reader] if args.reader else list(READERS)
+    names = args.reader or list(READERS)
     if args.rotate is not None:
         limits = ["--seconds", str(args.seconds), "--memory-mb", str(args.memory_mb)]
         return int(rotate(names, args.rotate, args.cpu_minutes or 2.0, args.record, limits))
