@@ -257,6 +257,41 @@ def test_the_mean_force_s_own_flow_stays_in_the_record_of_both_together() -> Non
     assert all(np.isnan(r.mean_force_flow_kg_s) for r in harvested())
 
 
+def monitor_with_both(**arguments: bool) -> Monitor:
+    waveform = replace(WaveformSettings(), shape=LAW, enabled=True, combine=True, thousand_kernel_weight_g=350.0, quiet_windows=2)
+    engine = replace(EngineSettings(), sweep=replace(SweepSettings(), enabled=False), waveform=waveform)
+    return Monitor(engine, MACHINE, OpenLoop(ForwardModel(MACHINE, PARAMETERS.effects), PARAMETERS), **arguments)
+
+
+def test_samples_looked_at_after_the_frames_are_out_change_neither_frames_nor_records() -> None:
+    at_once, later = monitor_with_both(), monitor_with_both(waveform_later=True)
+    for frame in traffic():
+        expected, handed_out = at_once.feed(frame), later.feed(frame)
+        assert [result.frames for result in handed_out] == [result.frames for result in expected]
+        assert not any(window.record.shape_flow_kg_s > 0.0 for window in windows_in(handed_out))
+        assert repr(later.completed(handed_out)) == repr(expected)
+    assert at_once.waveform is not None and at_once.waveform.shape is ShapeVerdict.USED
+
+
+def test_windows_that_close_together_are_completed_as_if_one_after_the_other() -> None:
+    at_once, later = monitor_with_both(), monitor_with_both(waveform_later=True)
+    frames = [frame for frame in traffic() if not 20.5 < frame.time_s < 23.5]
+    several = 0
+    for frame in frames:
+        expected, handed_out = at_once.feed(frame), later.feed(frame)
+        several = max(several, len(windows_in(handed_out)))
+        assert repr(later.completed(handed_out)) == repr(expected)
+    assert several >= 3
+
+
+def test_results_that_nobody_completes_leave_the_later_ones_as_they_are() -> None:
+    at_once, later = monitor_with_both(), monitor_with_both(waveform_later=True)
+    for frame in traffic():
+        expected, handed_out = at_once.feed(frame), later.feed(frame)
+        if frame.time_s > 22.0:
+            assert repr(later.completed(handed_out)) == repr(expected)
+
+
 def test_a_log_in_bulk_says_what_its_frames_one_by_one_say(tmp_path: Path) -> None:
     """Windows are fitted side by side in bulk."""
     with can.Logger(str(tmp_path / "a.log")) as log:

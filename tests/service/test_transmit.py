@@ -114,3 +114,17 @@ def test_an_echo_counts_once_and_not_for_ever(bus, clock):
     transmitter.stop()
     clock.now_s += 1.1
     assert not transmitter.is_echo(frame(7, b"ab"))
+
+
+def test_who_asks_waits_until_all_that_waited_is_on_the_bus(bus, clock):
+    transmitter = Transmitter(bus.send, 10, 0.5, clock)
+    assert transmitter.wait_until_sent(0.0), "nothing waits"
+    transmitter.submit(frame(1), frame(2))
+    bus.open.clear()
+    transmitter.start()
+    assert bus.entered.acquire(timeout=PATIENCE_S)
+    assert not transmitter.wait_until_sent(0.01), "the bus takes nothing"
+    bus.open.set()
+    assert transmitter.wait_until_sent(PATIENCE_S)
+    assert bus.sent == [1, 2]
+    transmitter.stop()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from math import isfinite, nan
 
 from yieldmon.engine.faults import FAULTS, FaultCode, Observation, Severity
@@ -13,8 +15,8 @@ from yieldmon.engine.measurement import Reading
 from yieldmon.engine.parts import Parts
 from yieldmon.engine.publishing import Published
 from yieldmon.engine.quick import maker_of
-from yieldmon.engine.records import Second, WindowRecord, record_of
-from yieldmon.engine.results import Event, WindowResult, ZeroTaken
+from yieldmon.engine.records import FlowEstimator, Second, record_of
+from yieldmon.engine.results import Event, Result, WindowResult, ZeroTaken
 from yieldmon.engine.since_zero import KeptSecond, MissedMass
 from yieldmon.engine.sweep import SweepWindow, support_start_s
 from yieldmon.engine.waveform import NOTHING, WaveformReading
@@ -23,11 +25,28 @@ from yieldmon.frames import OperatingState
 _result = maker_of(WindowResult)
 
 
-class Conclusion:
-    """Concludes windows in order, and counts them. publishing: make the frames that publish a window."""
+@dataclass(slots=True)
+class _Samples:
+    """A window whose samples are looked at after its frames are made. flow: by mean force. seen: None until then."""
 
-    def __init__(self, parts: Parts) -> None:
+    second: Second
+    flow: Flow
+    estimator: FlowEstimator
+    seen: WaveformReading | None = None
+
+
+class Conclusion:
+    """Concludes windows in order, and counts them. publishing: make the frames that publish a window.
+
+    What a window's samples hold beside their mean takes longer than all the rest. It corrects the flows of the windows after it,
+    so that this window's frames need not wait for it. waveform_later: it is looked at in `completed` and not at once.
+    """
+
+    def __init__(self, parts: Parts, *, waveform_later: bool) -> None:
         self._parts = parts
+        self._waveform_later = waveform_later
+        self._samples: deque[_Samples] = deque()
+        """Of the windows that `completed` has not had yet."""
         self.windows = 0
         self.publishing = True
         self._zero_mv = nan
@@ -38,17 +57,22 @@ class Conclusion:
     def conclude(self, reading: Reading, estimate: Estimate | None) -> WindowResult:
         """The window's result. estimate: None where there is no flow."""
         parts, window = self._parts, reading.window
+        for earlier in self._samples:
+            self._look(earlier)
         learning, loads, sweep, bus_s = parts.learning, parts.loads, parts.plate.sweep, parts.clock.bus_time(window.end_s)
         self.windows += 1
         learning.grow_older(window.end_s - window.start_s)
-        flow, seen = self._flow(reading, estimate)
+        estimator = learning.estimator
+        by_mean_force = self._by_mean_force(reading, estimate, estimator)
+        flow = self._corrected(by_mean_force, window.end_s, estimator)
         area_m2 = parts.area.second(window.end_s, window.weight_s, reading.inputs, grain_comes=flow.measured)
         mass_kg = loads.count(window, flow, reading.inputs.fresh["moisture"], area_m2)
         self._weigh(reading, flow, mass_kg)
         step = sweep.window(self._sweep_window(reading, flow))
-        shown = parts.faults.observe_all(conditions(self._observation(reading, flow, seen)), bus_s)
+        shown = parts.faults.observe_all(conditions(self._observation(reading, flow)), bus_s)
         published = parts.flow_meter.published(flow, plate_rests_at_home=reading.still and reading.at_home)
-        record = self._record(bus_s, reading, published, (mass_kg, area_m2), step, seen)
+        second = self._second(bus_s, reading, published, (mass_kg, area_m2), step)
+        record = record_of(second)
         if parts.measurement.zero.before is not None:
             kept = KeptSecond.of(record)
             parts.since_zero.add((replace(kept, zero_mv=self._zero_mv) if isfinite(self._zero_mv) else kept,))
@@ -60,19 +84,45 @@ class Conclusion:
         frames = parts.publisher.frames(record, self._published()) if self.publishing else ()
         emptied = parts.unloading.emptied(reading.inputs, window.end_s - window.start_s) and loads.totals.load_kg > 0.0
         started = loads.start(bus_s) if emptied else ()
-        return _result(record, frames, (*begun, *zero, *shown, *learnt, *ended, *started), seen)
-
-    def _flow(self, reading: Reading, estimate: Estimate | None) -> tuple[Flow, WaveformReading]:
-        """The flow by mean force, and what the samples' shape says; both together where that is asked for."""
-        parts, estimator = self._parts, self._parts.learning.estimator
-        circumstances = Circumstances(parts.plate.sweep.visiting, parts.faults.is_active(FaultCode.CALIBRATION_OLD))
-        flow = parts.flow_meter.flow(reading, estimate, estimator, circumstances)
+        result: WindowResult = _result(record, frames, (*begun, *zero, *shown, *learnt, *ended, *started), NOTHING)
         if parts.waveform is None:
-            return flow, NOTHING
-        seen = parts.waveform.see(reading, flow, estimator)
-        if parts.settings.waveform.combine and seen.combined_kg_s > 0.0:
-            flow = replace(flow, rate_kg_s=seen.combined_kg_s, std_dev_kg_s=seen.combined_std_dev_kg_s)
-        return flow, seen
+            return result
+        self._samples.append(_Samples(second, by_mean_force, estimator))
+        return result if self._waveform_later else self._complete(result)
+
+    def completed(self, results: Sequence[Result]) -> list[Result]:
+        """The last results handed out, their windows' samples looked at; see `Monitor.completed`."""
+        windows = sum(isinstance(result, WindowResult) for result in results)
+        while len(self._samples) > windows:
+            self._look(self._samples.popleft())
+        if not self._samples:
+            return list(results)
+        return [self._complete(result) if isinstance(result, WindowResult) else result for result in results]
+
+    def _complete(self, result: WindowResult) -> WindowResult:
+        samples = self._samples.popleft()
+        seen = self._look(samples)
+        completed: WindowResult = _result(record_of(samples.second._replace(waveform=seen)), result.frames, result.events, seen)
+        return completed
+
+    def _look(self, samples: _Samples) -> WaveformReading:
+        if samples.seen is None:
+            assert self._parts.waveform is not None, "samples are kept where they are looked at only"
+            samples.seen = self._parts.waveform.see(samples.second.reading, samples.flow, samples.estimator)
+        return samples.seen
+
+    def _by_mean_force(self, reading: Reading, estimate: Estimate | None, estimator: FlowEstimator) -> Flow:
+        parts = self._parts
+        circumstances = Circumstances(parts.plate.sweep.visiting, parts.faults.is_active(FaultCode.CALIBRATION_OLD))
+        return parts.flow_meter.flow(reading, estimate, estimator, circumstances)
+
+    def _corrected(self, by_mean_force: Flow, end_s: float, estimator: FlowEstimator) -> Flow:
+        """The flow with the scale that the samples of earlier windows have shown, where that is asked for."""
+        waveform = self._parts.waveform
+        if waveform is None or not self._parts.settings.waveform.combine:
+            return by_mean_force
+        found = waveform.corrected(by_mean_force, end_s, estimator)
+        return by_mean_force if found is None else replace(by_mean_force, rate_kg_s=found[0], std_dev_kg_s=found[1])
 
     def _weigh(self, reading: Reading, flow: Flow, mass_kg: float) -> None:
         """Hold the window's mass against the tank scale, which keeps the mass while the zero is doubted."""
@@ -97,8 +147,9 @@ class Conclusion:
         if totals.load_open:
             learning.measured(totals.load_number, reading, flow, mass_kg)
 
-    def _observation(self, reading: Reading, flow: Flow, seen: WaveformReading) -> Observation:
+    def _observation(self, reading: Reading, flow: Flow) -> Observation:
         parts, learning = self._parts, self._parts.learning
+        seen = parts.waveform.last if parts.waveform is not None else NOTHING
         return Observation(
             reading, flow, parts.plate.sweep, learning.outcome, learning.disagreement, learning.calibration_age_s,
             parts.settings, seen, parts.publisher.mass_near_end(parts.loads.totals, parts.settings.faults.mass_near_end),
@@ -116,28 +167,25 @@ class Conclusion:
         support_s = support_start_s(window, self._parts.machine, settings.max_ramp_s)
         return SweepWindow.of(window, support_s, flow.rate_kg_s, flow.force_n, whole, reading.still)
 
-    def _record(
-        self, bus_s: float, reading: Reading, flow: Flow, harvested: tuple[float, float], sweep_step: int, seen: WaveformReading
-    ) -> WindowRecord:
+    def _second(self, bus_s: float, reading: Reading, flow: Flow, harvested: tuple[float, float], sweep_step: int) -> Second:
+        """All of a window but what its samples hold beside their mean."""
         parts, counts = self._parts, sweep_step >= 0
         active, sweep = parts.faults.active, parts.plate.sweep
-        return record_of(
-            Second(
-                bus_s=bus_s,
-                number=self.windows,
-                reading=reading,
-                flow=flow,
-                mass_kg=harvested[0],
-                area_m2=harvested[1],
-                totals=parts.loads.totals,
-                operating_state=_operating_state(reading, active, sweeping=sweep.driving),
-                faults=active,
-                sweep_id=sweep.sweep_id if counts or sweep.visiting else 0,
-                sweep_step=sweep_step if counts else sweep.step,
-                usable_for_calibration=counts,
-                parameter_version=parts.learning.estimator.parameters.version,
-                waveform=seen,
-            )
+        return Second(
+            bus_s=bus_s,
+            number=self.windows,
+            reading=reading,
+            flow=flow,
+            mass_kg=harvested[0],
+            area_m2=harvested[1],
+            totals=parts.loads.totals,
+            operating_state=_operating_state(reading, active, sweeping=sweep.driving),
+            faults=active,
+            sweep_id=sweep.sweep_id if counts or sweep.visiting else 0,
+            sweep_step=sweep_step if counts else sweep.step,
+            usable_for_calibration=counts,
+            parameter_version=parts.learning.estimator.parameters.version,
+            waveform=NOTHING,
         )
 
 

@@ -55,6 +55,8 @@ class Monitor:
         Of the signals that are published; None: those of the shipped DBC.
     drives_plate : bool
         False for a log, whose plate follows no command: learns from the sweeps that it shows, and commands none.
+    waveform_later : bool
+        What a window's samples hold beside their mean is looked at in `completed` only, when its frames are out.
 
     Attributes
     ----------
@@ -89,6 +91,7 @@ class Monitor:
         sources: Sources = DEFAULT_SOURCES,
         ranges: SignalRanges | None = None,
         drives_plate: bool = True,
+        waveform_later: bool = False,
     ) -> None:
         self.settings = settings
         self.machine = machine
@@ -96,7 +99,7 @@ class Monitor:
         self._parts = Parts.of(
             settings, machine, estimator, calibrator, sources=sources, ranges=ranges, drives_plate=drives_plate
         )
-        self._timeline = Timeline(self._parts)
+        self._timeline = Timeline(self._parts, waveform_later=waveform_later)
         self.faults = self._parts.faults
 
     # Frames
@@ -130,6 +133,21 @@ class Monitor:
             What happened, in order.
         """
         return self._timeline.tick(time_s)
+
+    def completed(self, results: Sequence[Result]) -> list[Result]:
+        """The results last returned, with what their windows' samples hold beside their mean; for `waveform_later`.
+
+        Parameters
+        ----------
+        results : sequence of WindowResult or PlateCommand
+            As one call of `feed`, `feed_run` or `tick` returned them.
+
+        Returns
+        -------
+        list of WindowResult or PlateCommand
+            The same, but for the windows' `record` and `waveform`.
+        """
+        return self._timeline.conclusion.completed(results)
 
     def feed_run(self, run: FrameRun, *, reports: bool = True) -> list[Result]:
         """Take a run of frames: the same as `feed` frame by frame, to the bit, at a fraction of its cost.

@@ -29,9 +29,9 @@ _ESTIMATED_TOGETHER = 128
 class Timeline:
     """The order in which the parts work."""
 
-    def __init__(self, parts: Parts) -> None:
+    def __init__(self, parts: Parts, *, waveform_later: bool) -> None:
         self._parts = parts
-        self.conclusion = Conclusion(parts)
+        self.conclusion = Conclusion(parts, waveform_later=waveform_later)
 
     def take(self, frame: Frame) -> list[Result]:
         """One frame; see `Monitor.feed`."""
@@ -173,10 +173,10 @@ class Timeline:
         return results
 
     def _estimated(self, readings: Sequence[Reading]) -> list[Estimate | None]:
-        """The estimates of these windows; their pulses, where these are looked at, are fitted beside each other."""
+        """The estimates of these windows; pulses of several, where these are looked at, are fitted beside each other."""
         estimator, waveform = self._parts.learning.estimator, self._parts.waveform
         found = estimates(estimator, readings)
-        if waveform is not None:
+        if waveform is not None and len(readings) > 1:
             waveform.prepare(readings, [item.rate_kg_s if item is not None else float("nan") for item in found], estimator)
         return found
 

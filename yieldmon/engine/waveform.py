@@ -1,6 +1,7 @@
 """What the samples of a window hold beside their mean: volume flow from the pulses' shape, and scale from the noise of kernels.
 
-Runs beside the mean force's estimate and knows it only to compare. Off unless the settings say otherwise.
+Runs beside the mean force's estimate and knows it only to compare; what it finds in a window corrects the flows of the windows
+after it. Off unless the settings say otherwise.
 """
 
 from __future__ import annotations
@@ -253,34 +254,43 @@ class Waveform:
         return self._counted(seen, reading, mean_flow, estimator)
 
     def _counted(self, seen: WaveformReading, reading: Reading, mean_flow: Flow, estimator: FlowEstimator) -> WaveformReading:
-        """All channels together: the mean force's flow, whose scale the others correct as they have found it of late."""
-        rate, now_s = mean_flow.rate_kg_s, reading.window.end_s
-        if not rate > 0.0:
+        """The reading with all channels together, and with what the kernels' scale says against the mean force's."""
+        now_s = reading.window.end_s
+        found = self.corrected(mean_flow, now_s, estimator)
+        if found is None:
             return seen
+        if self._of_kernels is not None and self._holds(self._of_kernels, now_s, estimator):
+            over, over_sd = self._of_kernels.log_over_mean_force, self._of_kernels.lasting_sd
+            if against := self._kernels_contradict(over / hypot(_lasting(mean_flow), over_sd)):
+                seen = _with(seen, contradiction=seen.contradiction or against)
+        return _with(seen, combined_kg_s=found[0], combined_std_dev_kg_s=found[1])
 
-        def held(scale: _Scale) -> bool:
-            return scale.estimator is estimator and now_s - scale.time_s <= _SCALE_HOLDS_S
+    def corrected(self, mean_flow: Flow, now_s: float, estimator: FlowEstimator) -> tuple[float, float] | None:
+        """The mean force's flow, whose scale shape and kernels correct as they have found it of late, and its standard deviation.
 
-        noise = mean_flow.budget.noise_kg_s / rate
-        noise = noise if isfinite(noise) else 0.0
-        lasting = sqrt(max((mean_flow.std_dev_kg_s / rate) ** 2 - noise**2, 0.0))
+        kg/s; None where neither has found one.
+        """
+        rate = mean_flow.rate_kg_s
+        if not rate > 0.0:
+            return None
+        lasting = _lasting(mean_flow)
         flow, sd, corrected = rate, lasting, False
-        if shapes := [scale for scale in self._of_shapes if held(scale)]:
+        if shapes := [scale for scale in self._of_shapes if self._holds(scale, now_s, estimator)]:
             mean = sum(scale.log_over_mean_force for scale in shapes) / len(shapes)
             shape_sd = hypot(shapes[-1].lasting_sd, sqrt(sum(scale.random_sd**2 for scale in shapes)) / len(shapes))
             exponent, parameters = _exponent(mean_flow), estimator.parameters
             both = combine(rate, lasting, rate * exp(mean), shape_sd, exponent=exponent, parameters=parameters)
             flow, sd, corrected = both.mass_flow_kg_s, both.relative_sd, True
-        if self._of_kernels is not None and held(self._of_kernels):
+        if self._of_kernels is not None and self._holds(self._of_kernels, now_s, estimator):
             over, over_sd = self._of_kernels.log_over_mean_force, self._of_kernels.lasting_sd
-            if against := self._kernels_contradict(over / hypot(lasting, over_sd)):
-                seen = _with(seen, contradiction=seen.contradiction or against)
             weight = sd**2 / (sd**2 + over_sd**2)
             flow *= (rate * exp(over) / flow) ** weight
             sd, corrected = sd * over_sd / hypot(sd, over_sd), True
-        if not corrected:
-            return seen
-        return _with(seen, combined_kg_s=flow, combined_std_dev_kg_s=flow * hypot(sd, noise))
+        return (flow, flow * hypot(sd, _noise(mean_flow))) if corrected else None
+
+    @staticmethod
+    def _holds(scale: _Scale, now_s: float, estimator: FlowEstimator) -> bool:
+        return scale.estimator is estimator and now_s - scale.time_s <= _SCALE_HOLDS_S
 
     def _with_shape(
         self, seen: WaveformReading, shape: PulseEstimate, reading: Reading, mean_flow: Flow, estimator: FlowEstimator
@@ -381,6 +391,17 @@ class Waveform:
         if off > self._settings.largest_misfit:
             return f"pulses are not of the model's shape (misfit {off:.0f}); is sensor.response_s of the machine right?"
         return ""
+
+
+def _noise(mean_flow: Flow) -> float:
+    """Of a window's mean force, relative to its flow."""
+    noise = mean_flow.budget.noise_kg_s / mean_flow.rate_kg_s
+    return noise if isfinite(noise) else 0.0
+
+
+def _lasting(mean_flow: Flow) -> float:
+    """Relative standard deviation of a flow but for that noise."""
+    return sqrt(max((mean_flow.std_dev_kg_s / mean_flow.rate_kg_s) ** 2 - _noise(mean_flow) ** 2, 0.0))
 
 
 def _shows_pulses(reading: Reading) -> bool:

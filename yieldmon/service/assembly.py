@@ -16,8 +16,14 @@ from yieldmon.physics.model import ForwardModel
 from yieldmon.service.configuration import Configuration
 
 
-def monitor_of(configuration: Configuration, parameters: ParameterSet | None = None, *, drives_plate: bool = True) -> Monitor:
-    """The monitor of a configuration. parameters: to start from; None: those that it names. drives_plate: see `Monitor`."""
+def monitor_of(
+    configuration: Configuration,
+    parameters: ParameterSet | None = None,
+    *,
+    drives_plate: bool = True,
+    waveform_later: bool = False,
+) -> Monitor:
+    """The monitor of a configuration. parameters: to start from; None: those that it names. The others: see `Monitor`."""
     return build_monitor(
         configuration.engine,
         configuration.machine,
@@ -25,6 +31,7 @@ def monitor_of(configuration: Configuration, parameters: ParameterSet | None = N
         configuration.calibrator,
         configuration.signals.sources,
         drives_plate=drives_plate,
+        waveform_later=waveform_later,
     )
 
 
@@ -36,6 +43,7 @@ def build_monitor(
     sources: Sources = DEFAULT_SOURCES,
     *,
     drives_plate: bool = True,
+    waveform_later: bool = False,
 ) -> Monitor:
     """A monitor that starts from these parameters.
 
@@ -51,6 +59,8 @@ def build_monitor(
         Which message and signal brings what; the shipped DBC by default.
     drives_plate : bool
         False for a log, see `Monitor`.
+    waveform_later : bool
+        See `Monitor`.
 
     Returns
     -------
@@ -66,7 +76,9 @@ def build_monitor(
     estimator = estimator_of(machine, parameters)
     teachable = calibrator is not None and parameters.curve is None
     learner = ClosedLoopCalibrator(ForwardModel(machine, parameters.effects), calibrator) if teachable and calibrator else None
-    monitor = Monitor(settings, machine, estimator, learner, sources=sources, drives_plate=drives_plate)
+    monitor = Monitor(
+        settings, machine, estimator, learner, sources=sources, drives_plate=drives_plate, waveform_later=waveform_later
+    )
     known = crops().get(parameters.provenance.get("crop", ""))
     if known is not None:
         monitor.set_market_moisture(known.market_moisture_pct)

@@ -67,6 +67,8 @@ _STALE_S = 5.0
 _HANGS_FOR_GOOD_S = 8.0
 #: Requests that may read the store at the same time.
 _READ_AT_ONCE = 2
+#: How long what a window leaves to be done waits for its frames.
+_SENDING_FIRST_S = 0.01
 #: How long an answer waits for the disk to have what was told.
 TELLING_S = 2.0
 #: How long a stop waits for the disk; with the other steps it is over within 5 s.
@@ -194,7 +196,7 @@ class Daemon:
         parameters, self._origin = choose_parameters(memory, self.configuration.parameters)
         self._journal = Journal(memory, self.configuration.parameters, now_s=time.time())
         self._journal.new_monitor(parameters, self._origin)
-        self._monitor = monitor_of(self.configuration, parameters)
+        self._monitor = monitor_of(self.configuration, parameters, waveform_later=True)
         resume(self._monitor, memory, self._origin, self.configuration.parameters, time.time())
         commands.set_crop(self._monitor, self._journal)
         self._answer = self._snapshot()
@@ -353,10 +355,14 @@ class Daemon:
         if self.configuration.outputs.shipped:
             self._sender.send_frames(frames_in(results))
         self._sender.send_mapped(self._outputs.take(results, self._monitor.totals, self._network_clock()))
-        rows = self._journal.take(results)
+        if records_in(results):
+            # What follows would keep the interpreter from the transmit thread for as long as it takes.
+            self._transmitter.wait_until_sent(_SENDING_FIRST_S)
+        completed = self._monitor.completed(results)
+        rows = self._journal.take(completed)
         if rows:
             self._rows.extend(rows)
-            self._record = records_in(results)[-1]
+            self._record = records_in(completed)[-1]
             self._second_done()
         return len(rows)
 

@@ -40,7 +40,7 @@ def successor(before: Monitor, configuration: Configuration, fresh: ParameterSet
     state = before.snapshot()
     if fresh is not None:
         state = replace(state, calibration_age_s=calibration_age_s(fresh, now_s))
-    monitor = monitor_of(configuration, fresh or before.estimator.parameters)
+    monitor = monitor_of(configuration, fresh or before.estimator.parameters, waveform_later=True)
     monitor.restore(state)
     monitor.take_zero_of(before)
     if before.sweep.requested or before.sweep.visiting:

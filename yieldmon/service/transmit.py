@@ -88,13 +88,18 @@ class Transmitter:
                     self._queue.popleft()
                     self._counters = replace(self._counters, late=self._counters.late + 1, last_late_at_s=self._clock())
                 self._queue.append((self._clock(), message))
-            self._changed.notify()
+            self._changed.notify_all()
+
+    def wait_until_sent(self, patience_s: float) -> bool:
+        """Let the thread send all that waits; False when some still waits after patience_s seconds."""
+        with self._changed:
+            return self._changed.wait_for(lambda: not self._queue and self._busy_since_s is None, patience_s)
 
     def stop(self, patience_s: float = _STOP_S) -> bool:
         """Send what is still fresh and end the thread; False when it did not end within patience_s seconds."""
         with self._changed:
             self._stopping = True
-            self._changed.notify()
+            self._changed.notify_all()
         self._thread.join(patience_s)
         return not self._thread.is_alive()
 
@@ -135,8 +140,10 @@ class Transmitter:
 
     def _run(self) -> None:
         while True:
-            self._busy_since_s = None
             with self._changed:
+                self._busy_since_s = None
+                if not self._queue:
+                    self._changed.notify_all()
                 self._changed.wait_for(lambda: self._queue or self._stopping)
                 if not self._queue:
                     return
