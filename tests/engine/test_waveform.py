@@ -270,7 +270,8 @@ def test_samples_looked_at_after_the_frames_are_out_change_neither_frames_nor_re
         assert [result.frames for result in handed_out] == [result.frames for result in expected]
         assert not any(window.record.shape_flow_kg_s > 0.0 for window in windows_in(handed_out))
         assert repr(later.completed(handed_out)) == repr(expected)
-    assert at_once.waveform is not None and at_once.waveform.shape is ShapeVerdict.USED
+    assert at_once.waveform is not None
+    assert at_once.waveform.shape is ShapeVerdict.USED
 
 
 def test_windows_that_close_together_are_completed_as_if_one_after_the_other() -> None:
