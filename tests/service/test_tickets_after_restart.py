@@ -95,6 +95,28 @@ def test_tickets_teach_the_same_after_restarts(tmp_path, capsys) -> None:
         )
 
 
+def test_tickets_that_wait_for_another_crop_teach_it_after_restarts(tmp_path, capsys) -> None:
+    season = Season(tmp_path / "a", capsys)
+    with running(season.folder) as bench:
+        season.harvest(bench)
+        ask(season.folder, capsys, "ticket", "3", f"{1.1 * season.masses[3]}kg")
+        wheat = ask(season.folder, capsys, "load", "start", "--crop", "wheat")["parameters"]["version"]
+        season.now_s = bench.now_s
+    for _ in range(2):
+        with running(season.folder, start_s=season.now_s + 60.0) as bench:
+            bench.play(3, 0.0)
+            bench.played()
+            assert bench.status["parameters"]["version"] == wheat, "which corn's ticket does not touch"
+            season.now_s = bench.now_s
+    with running(season.folder, start_s=season.now_s + 60.0) as bench:
+        bench.play(3, 0.0)
+        corn = ask(season.folder, capsys, "load", "start", "--crop", "corn")["parameters"]["version"]
+        bench.play(3, 0.0)
+        bench.played()
+        wait_for(lambda: bench.status["parameters"]["version"] == corn + 1, "what the ticket teaches of corn")
+    assert season.lessons()[-1][0] == "ticket"
+
+
 def test_a_ticket_that_teaches_after_a_restart_is_taken_back_with_what_it_taught(tmp_path, capsys) -> None:
     season = Season(tmp_path / "a", capsys)
     with running(season.folder) as bench:

@@ -237,8 +237,12 @@ class Learning:
     @property
     def ticket_states(self) -> tuple[TicketState, ...]:
         """What of the tickets is to outlive a restart."""
-        newest = list(self._tickets)[-_KEPT_TICKETS:]
-        return tuple(TicketState(a.load_number, a.reference_kg, a.std_dev_kg, a in self._waiting) for a in newest)
+        in_use: tuple[None, list[ReferenceMass], list[ReferenceMass]] = None, list(self._tickets), self._waiting
+        return tuple(
+            TicketState(a.load_number, a.reference_kg, a.std_dev_kg, a in waiting, crop)
+            for crop, tickets, waiting in (*((name, *of_one) for name, of_one in self._of_grain.items()), in_use)
+            for a in tickets[-_KEPT_TICKETS:]
+        )
 
     def remember_tickets(self, tickets: Sequence[ReferenceMass], waiting: Sequence[ReferenceMass]) -> None:
         """After a restart or a reload: tickets entered before it; `waiting` are those among them that have not been used."""
@@ -248,6 +252,10 @@ class Learning:
             self.calibrator.remember([a for a in tickets if a not in waiting], self.estimator)
         self._waiting = list(waiting)
         self._masses_new = self._masses_new or bool(waiting)
+
+    def remember_tickets_of(self, crop: str, tickets: Sequence[ReferenceMass], waiting: Sequence[ReferenceMass]) -> None:
+        """After a restart: the same of a crop that is not harvested now."""
+        self._of_grain[crop] = list(tickets), list(waiting)
 
     def learn(self, at_s: float, record: WindowRecord, sweep: SweepMachine) -> tuple[ParametersChanged, ...]:
         """Collect a sweep's windows, and at its end hand them to the calibrator; between sweeps reference masses update.

@@ -315,12 +315,18 @@ class Monitor:
         ----------
         tickets : sequence of TicketState
         """
-        learning, pairs = self._parts.learning, []
+        learning = self._parts.learning
+        of_crop: dict[str | None, list[tuple[ReferenceMass, bool]]] = {None: []}
         for ticket in tickets:
             known = learning.of_earlier_load(ticket.load_number, ticket.weighed_kg, ticket.std_dev_kg)
             if known is not None:
-                pairs.append((known, ticket.waits))
-        learning.remember_tickets([a for a, _ in pairs], [a for a, waits in pairs if waits])
+                of_crop.setdefault(ticket.crop, []).append((known, ticket.waits))
+        for crop, pairs in of_crop.items():
+            masses, waiting = [a for a, _ in pairs], [a for a, waits in pairs if waits]
+            if crop is None:
+                learning.remember_tickets(masses, waiting)
+            else:
+                learning.remember_tickets_of(crop, masses, waiting)
 
     def take_tickets_of(self, before: Monitor) -> None:
         """After `restore` from the monitor that measured until now: its tickets.

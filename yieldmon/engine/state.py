@@ -27,12 +27,14 @@ class ZeroUndo:
 
 @dataclass(frozen=True, slots=True)
 class TicketState:
-    """A ticket for a load, kg. waits: it has not been handed to the calibrator."""
+    """A ticket for a load, kg. waits: it has not been handed to the calibrator. crop: that it waits for or has taught; None: the
+    one in use."""
 
     load_number: int
     weighed_kg: float
     std_dev_kg: float
     waits: bool
+    crop: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
