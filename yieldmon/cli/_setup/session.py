@@ -6,13 +6,13 @@ import difflib
 import shutil
 import textwrap
 from collections.abc import Callable, Mapping
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
 import can
 
 from yieldmon.cli._setup.questions import QUESTIONS, Question
+from yieldmon.cli._setup.written_numbers import OTHER_UNITS, numbers
 from yieldmon.errors import InputError
 from yieldmon.files import strict_yaml, whole_file
 from yieldmon.files.crops import crop
@@ -49,10 +49,10 @@ def checked(question: Question, value: Any, where: str) -> Any:
         return interface(text, where) if question.key == "bus_interface" else crop(text).name if question.key == "crop" else text
     if question.kind == "number":
         return _number(question, value, where)
-    values = value if isinstance(value, list) else _several(str(value))
+    values = [_number(question, v, where) for v in value] if isinstance(value, list) else _numbers(question, str(value), where)
     if not values:
         raise InputError(where, "is empty", f"numbers in {question.unit}")
-    return [_number(question, v, where) for v in values]
+    return values
 
 
 def interface(name: str, where: str) -> str:
@@ -64,22 +64,24 @@ def interface(name: str, where: str) -> str:
     return found
 
 
-def _several(text: str) -> list[str]:
-    """Numbers with spaces or semicolons between them, or commas that cannot be decimal ones."""
-    apart = text.replace(";", " ").replace(", ", " ").split()
-    listed = len(apart) == 1 and "," in text and (text.count(",") > 1 or "." in text)
-    return text.strip().split(",") if listed else apart
-
-
 def _number(question: Question, value: Any, where: str) -> float:
-    text = str(value).strip().removesuffix(question.unit).strip() if question.unit else str(value).strip()
+    found = _numbers(question, str(value), where) if not isinstance(value, bool) else []
+    if len(found) != 1:
+        raise InputError(where, f"is {value}", f"one number in {question.unit}")
+    return found[0]
+
+
+def _numbers(question: Question, text: str, where: str) -> list[float]:
+    units = ", ".join([question.unit, *OTHER_UNITS.get(question.unit, {})])
     try:
-        number = float(text.replace(",", "."))
-    except ValueError:
-        number = float("nan")
-    if isinstance(value, bool) or not (isfinite(number) and question.low <= number <= question.high):
-        raise InputError(where, f"is {value}", f"{question.low:g} to {question.high:g} {question.unit}".rstrip())
-    return number
+        found = numbers(text, question.unit)
+    except (ValueError, KeyError):
+        raise InputError(where, f"is {text}", f"{question.low:g} to {question.high:g} {question.unit} (or in {units})") from None
+    for number in found:
+        if not question.low <= number <= question.high:
+            shown = text.strip() if len(found) == 1 else f"{number:g}"
+            raise InputError(where, f"is {shown}", f"{question.low:g} to {question.high:g} {question.unit}")
+    return found
 
 
 def wrapped(text: str) -> str:
