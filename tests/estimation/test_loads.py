@@ -66,6 +66,23 @@ def test_three_loads_teach_the_scale_and_its_dependence_on_the_load():
     assert found.parameter_set.version == SHIPPED.version + 1
 
 
+@pytest.mark.parametrize("tare_kg", [1500.0, 2200.0])
+def test_a_constant_in_every_weighed_mass_is_told_where_it_explains_the_loads_as_well(tare_kg):
+    fair = [load(str(flow), flow, truth=dict(SHIPPED.values), sd=0.001) for flow in (5.0, 9.0, 14.0, 19.0)]
+    assert calibrate_loads(MODEL, SHIPPED, fair).constant is None
+    wrong = [replace(one, weighed_kg=one.weighed_kg + tare_kg) for one in fair]
+    found = calibrate_loads(MODEL, SHIPPED, wrong)
+    assert found.constant is not None
+    assert abs(found.constant.kg - tare_kg) < 4.0 * found.constant.sd_kg
+    assert any("is the tare right?" in sentence for sentence in found.sentences)
+
+
+def test_another_grain_is_no_constant():
+    found = calibrate_loads(MODEL, SHIPPED, [load("a", 4.0), load("b", 11.0), load("c", 19.0), load("d", 7.0)])
+    assert found.load_dependence
+    assert found.constant is None
+
+
 def test_loads_at_one_flow_hold_what_they_cannot_tell():
     found = calibrate_loads(MODEL, SHIPPED, [load(str(k), 10.0, seed=k) for k in range(3)])
     assert not found.load_dependence

@@ -35,10 +35,18 @@ def sha256(text: str) -> str:
 
 
 def machine() -> str:
-    """What decides about the last digits of floating-point results here."""
+    """What decides about the last digits of floating-point results here: the C library and OpenBLAS choose their code by the
+    processor's maker as well."""
     show = np.show_config(mode="dicts")
     found = show.get("SIMD Extensions", {}).get("found", []) if isinstance(show, dict) else []
-    return f"{platform.machine()} numpy {np.__version__} {' '.join(found)}"
+    return f"{platform.machine()} {_maker()} numpy {np.__version__} {' '.join(found)}"
+
+
+def _maker() -> str:
+    """Of the processor, as Linux names it."""
+    listed = Path("/proc/cpuinfo")
+    lines = listed.read_text().splitlines() if listed.exists() else []
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("vendor_id")), platform.processor())
 
 
 def load(name: str) -> str:

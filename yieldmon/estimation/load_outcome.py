@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from .load_constant import Constant
 from .parameters import ParameterSet
 
 _ENOUGH_LOADS = 3
@@ -46,6 +47,7 @@ class LoadCalibration:
     rms_left_out: float
     refused: bool
     sweeps_used: int
+    constant: Constant | None = None
     sentences: tuple[str, ...] = field(default=())
 
     @property
@@ -74,6 +76,12 @@ def sentences(found: LoadCalibration, sweeps: int) -> list[str]:
     out.append(f"the loads weigh {100.0 * (found.scale - 1.0):+.2f} % against what was measured.")
     if found.load_dependence:
         out.append("they also determine how the error changes with the flow: density and impact gain moved apart.")
+        if found.constant is not None:
+            constant = f"a constant of {found.constant.kg:+.0f} kg (sd {found.constant.sd_kg:.0f}) in every weighed mass"
+            out.append(
+                f"density and gain are far from the crop's; {constant} would explain the loads as well: is the tare right? "
+                "Loads of one flow and unlike masses tell."
+            )
     else:
         out.append("they do not determine how the error changes with the flow: held; weigh a load at another flow.")
     if found.sweeps_used:

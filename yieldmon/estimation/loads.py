@@ -26,6 +26,7 @@ from .closed_loop import self_calibrate
 from .closed_loop_inputs import MassAnchor, Sweep
 from .closed_loop_settings import ClosedLoopSettings
 from .density_and_gain import DENSITY, gain_names, moved, shifted, widened
+from .load_constant import constant_in_weighed
 from .load_fit import LoadFit, LoadProblem
 from .load_inputs import LoadSettings, WeighedLoad
 from .load_outcome import LoadCalibration, LoadResult, sentences
@@ -145,6 +146,7 @@ def _calibration(problem: LoadProblem, sweeps: Sequence[Sweep], sweep_settings: 
         rms_left_out=rms_after,
         refused=refused,
         sweeps_used=0 if together is None else len(sweeps),
+        constant=constant_in_weighed(problem, active, fit) if directions == 2 and together is None else None,
     )
     return replace(calibration, sentences=tuple(sentences(calibration, len(sweeps))))
 
