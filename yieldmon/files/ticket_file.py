@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
@@ -16,9 +17,8 @@ RELATIVE_STD_DEV = 0.005
 """Standard deviation of a weighing that states none, as a share of the mass (a certified platform scale)."""
 _LOADS = ("load", "load_number", "loads", "log", "file")
 _KG: Mapping[str, float] = {"kg": 1.0, "t": KG_PER_T, "lb": KG_PER_LB}
-_MASSES = ("weighed", "mass", "weight", "weighed_mass", "net")
+_MASSES = ("weighed", "mass", "weight", "weighed_mass", "net", "net_weight", "net_mass")
 _DEVIATIONS = ("std_dev", "sd", "sigma")
-_KNOWN = ("note", "date", "crop", "field", "ticket", "time", "truck")
 _MIN_KG, _MAX_KG = 1.0, 1e6
 _UNIT_FACTOR = 5.0
 """Between a weighed and a measured mass: machines that nobody calibrated are off by half (studies/setup)."""
@@ -44,7 +44,7 @@ def load(path: str | Path) -> tuple[WeighedTicket, ...]:
     source = delimited.read(path)
     which = _one_of(source, _LOADS, "load", "the number of a load, or the name of its log")
     mass, factor = _with_unit(source, _MASSES, "weighed_kg")
-    deviation = _with_unit(source, _DEVIATIONS, "") if any(_named(n, _DEVIATIONS) for n in source.header) else None
+    deviation = _with_unit(source, _DEVIATIONS, "") if any(_named(_plain(n), _DEVIATIONS) for n in source.header) else None
     tickets = []
     for i, cell in enumerate(source.column(which)):
         if not cell:
@@ -71,12 +71,17 @@ def unit_slip(weighed_kg: float, measured_kg: float) -> str:
     return f"weighs {weighed_kg:.5g} kg, where {measured_kg:.5g} kg were measured"
 
 
+def _plain(column: str) -> str:
+    """A heading such as "Net weight [lb]" as `net_weight_lb`."""
+    return re.sub(r"[\s\[\]()_-]+", "_", column).strip("_").lower()
+
+
 def _named(column: str, kinds: tuple[str, ...]) -> bool:
     return any(column == f"{kind}_{unit}" for kind in kinds for unit in _KG)
 
 
 def _one_of(source: delimited.TextTable, names: tuple[str, ...], expected: str, meaning: str) -> str:
-    found = [name for name in names if name in source.header]
+    found = [name for name in source.header if _plain(name) in names]
     if len(found) != 1:
         said = " and ".join(found) or f"no column {expected}"
         raise InputError(f"{source.path}: header", f"has {said}", f"{expected}: {meaning}")
@@ -85,10 +90,10 @@ def _one_of(source: delimited.TextTable, names: tuple[str, ...], expected: str, 
 
 def _with_unit(source: delimited.TextTable, kinds: tuple[str, ...], expected: str) -> tuple[str, float]:
     """The column and what turns it into kg."""
-    found = [name for name in source.header if _named(name, kinds)]
+    found = [name for name in source.header if _named(_plain(name), kinds)]
     if len(found) == 1:
-        return found[0], _KG[found[0].rpartition("_")[2]]
-    bare = [name for name in source.header if name in kinds]
+        return found[0], _KG[_plain(found[0]).rpartition("_")[2]]
+    bare = [name for name in source.header if _plain(name) in kinds]
     if bare and not found:
         raise InputError(f"{source.path}: header", f"{bare[0]} has no unit", f"{bare[0]}_kg, {bare[0]}_t or {bare[0]}_lb")
     said = " and ".join(found) or f"no column {expected}"
