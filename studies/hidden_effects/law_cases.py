@@ -29,8 +29,10 @@ from studies.facility import facility
 from studies.hidden_effects import cases, study
 from studies.hidden_effects import generator as g
 from yieldmon.discrepancy import confidence, diagnosis
+from yieldmon.discrepancy.alternatives import needed
 from yieldmon.discrepancy.observations import Rows, with_cells
 from yieldmon.discrepancy.policy import Policy
+from yieldmon.discrepancy.selection import misfit
 from yieldmon.estimation import model_error
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import RPM, Machine
@@ -261,6 +263,8 @@ def record(kind: str, name: str, number: int, salt: int) -> dict[str, Any]:
         "classes": classes,
         "against": choice.against,
         "undone": choice.best.undone,
+        # Each of several effects beside other laws of the others: twice the log evidence, and gain in chi-square.
+        "needed": [[n.effect, n.evidence, n.gain] for n in needed(choice.best, misfit([choice.best]), Policy().per_parameter)],
         "laws": [s.law for s in choice.steps],
         "features": confidence.features(choice),
         "f": [choice.base_gap.f, choice.best_gap.f],

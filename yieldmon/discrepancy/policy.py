@@ -31,8 +31,11 @@ class Policy:
     """this share of the published model's: a cause whose law is off by so little is named all the same."""
     unexplained_share: float = 0.15
     """Share of the original excess chi-square that may remain under a named verdict, significant or not."""
+    least_evidence: float = 0.0
+    """Twice the log evidence for each of several effects that is needed against another law of the others."""
     most_undone: float = 0.5
-    """Share of what several effects change that they may undo among themselves: beyond, they are terms of a series, no causes."""
+    """Share of what several effects change that they may undo among themselves: beyond, they are terms of a series and no causes,
+    unless other laws of the others could not serve either."""
     tie: float = 6.0
     """Chi-square distance (over the best one's misfit, where above 1) within which the data cannot tell two effects apart."""
     near: float = 30.0

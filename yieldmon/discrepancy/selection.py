@@ -15,6 +15,7 @@ from yieldmon.documents.diagnose import Verdict
 from yieldmon.physics.effects import family_of
 from yieldmon.physics.numerics import Array
 
+from .alternatives import chosen_from_all, needed, one_angle_off
 from .candidates import (
     Score,
     errors,
@@ -188,10 +189,37 @@ class Search:
             return f"{100.0 * left:.1f} % of the excess is left with it {searched}, more than {most:.0f} %"
         if self._unexplained(current):
             return f"F = {gap.f:.2f} is left with it {searched}, more than what its law may be off explains"
-        if current.undone > self.policy.most_undone:
-            undone = f"{100.0 * current.undone:.0f} %"
-            return f"{undone} of what these effects change they undo among themselves, as terms of a series do"
+        return self._other_laws(current) or self._of_one_angle(current)
+
+    def _other_laws(self, current: Fit) -> str:
+        """Why other laws of the others may be at work instead of one of several effects; "" where none may."""
+        scale = misfit([current])
+        each = needed(current, scale, self.policy.per_parameter)
+        if not each:
+            return ""
+        weakest = min(each, key=lambda one: one.evidence)
+        if weakest.evidence < self.policy.least_evidence:
+            name = family_of(weakest.effect)
+            return f"another law of the other effects is as likely as {name} (-2 log evidence {weakest.evidence:.1f})"
+        least = chosen_from_all(self.policy.per_parameter)
+        gain = min(one.gain for one in each)
+        if current.undone > self.policy.most_undone and gain < least:
+            return (
+                f"{100.0 * current.undone:.0f} % of what these effects change they undo among themselves, as terms of a series "
+                f"do, and other laws would serve (chi-square {max(gain, 0.0):.0f} worse, where {least:.0f} are needed)"
+            )
         return ""
+
+    def _of_one_angle(self, current: Fit) -> str:
+        """Why the rows of a single plate angle may be what is wrong; "" where they are not."""
+        scale = misfit([current])
+        alone = one_angle_off(self.base, scale, self.policy.per_parameter)
+        if alone is None:
+            return "rows of one plate angle do not tell an effect from an error that all of them share"
+        if alone.merit > merit(current, scale, self.policy) + self.policy.tie:
+            return ""
+        at = f"{np.degrees(alone.plate_angle_rad):.0f} deg"
+        return f"an error of the rows at {at} alone explains the gap as well"
 
     def candidates(
         self,
