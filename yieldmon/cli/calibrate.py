@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from yieldmon.cli import _by_loads, _flow_curve, _outputs, _provenance, _pulse_shape, model_options
+from yieldmon.cli import _by_loads, _flow_curve, _outputs, _provenance, _pulse_shape, _taps, model_options
 from yieldmon.cli._json import print_document, print_json
 from yieldmon.documents.calibrate import CalibrationDocument, ComparedModel
 from yieldmon.errors import InputError
@@ -66,6 +66,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--by-moisture", action="store_true", help="a fit for each moisture_pct and a map; --out names a folder")
     _flow_curve.add_argument(parser)
     _pulse_shape.add_argument(parser)
+    _taps.add_argument(parser)
     parser.add_argument("--compare", action="store_true", help="compare with the empirical models, by cross-validation")
     parser.add_argument("--identifiability", action="store_true", help="report what these rows determine, and what would add")
     parser.add_argument(
@@ -79,6 +80,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Fit, report, write. Exit code 1 when weighed loads refuse the calibration."""
+    if args.taps is not None:
+        taps = _taps.run(args)
+        print_document(taps, _taps.text, as_json=args.json, indent=1)
+        return 1 if taps["refused"] else 0
     if args.pulse_shape:
         shape = _pulse_shape.run(args)
         print_document(shape, _pulse_shape.text, as_json=args.json, indent=1)

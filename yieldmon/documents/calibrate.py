@@ -171,3 +171,18 @@ class PulseShapeDocument(TypedDict):
     kernel_bias_std_dev: Number
     refused: str
     written: NotRequired[str]
+
+
+class TapDocument(TypedDict):
+    """`yieldmon calibrate --taps --json`. each_s: of each tap that counts; left_out: taps by the reason why they do not."""
+
+    file: str
+    taps: int
+    left_out: dict[str, int]
+    response_s: float
+    std_dev_s: float
+    each_s: list[float]
+    misfit_pct: float
+    before_s: float
+    refused: str
+    written: NotRequired[str]

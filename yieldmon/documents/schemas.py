@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from .calibrate import CalibrationDocument, CurveCalibrationDocument, LoadCalibrationDocument, PulseShapeDocument
+from .calibrate import CalibrationDocument, CurveCalibrationDocument, LoadCalibrationDocument, PulseShapeDocument, TapDocument
 from .diagnose import DiagnosisDocument
 from .process import ProcessSummary
 from .status import Status
@@ -17,5 +17,6 @@ DOCUMENTS: dict[str, Any] = {
     "calibrate-curve": CurveCalibrationDocument,
     "calibrate-loads": LoadCalibrationDocument,
     "calibrate-pulse-shape": PulseShapeDocument,
+    "calibrate-taps": TapDocument,
     "diagnose": DiagnosisDocument,
 }

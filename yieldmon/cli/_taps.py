@@ -1,0 +1,70 @@
+"""`calibrate --taps`: the time constant of plate and force cell from taps on the plate, into a machine file."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+
+from yieldmon.cli import _by_loads
+from yieldmon.documents.calibrate import TapDocument
+from yieldmon.errors import InputError
+from yieldmon.estimation.tap_response import LEAST_TAPS, TapResponse, tap_response
+from yieldmon.files import machine_file, strict_yaml, whole_file
+
+
+def add_argument(parser: argparse.ArgumentParser) -> None:
+    """--taps of `calibrate`."""
+    parser.add_argument("--taps", nargs="+", metavar="LOG", help="sensor.response_s of the machine file, from taps on the plate")
+
+
+def run(args: argparse.Namespace) -> TapDocument:
+    """Fit and write; the report as plain data. Raises InputError."""
+    _by_loads.refuse_others(args, "--taps")
+    _by_loads.refuse_table(args, "--taps")
+    for name in ("loads", "tickets", "estimator", "pulse_shape", "prior"):
+        if getattr(args, name) not in (None, False):
+            raise InputError(f"--{name.replace('_', '-')}", "is given beside --taps", "logs of taps alone")
+    if args.out is not None:
+        whole_file.check_place(args.out)
+    from yieldmon.service import tap_samples  # The daemon's own modules, which a table of a test facility does not need.
+
+    configured = _by_loads.configuration_of(args)
+    stretches, source = tap_samples.read(args.taps, configured.signals)
+    machine = configured.machine
+    try:
+        found = tap_response(stretches, source.interval_s, full_scale_mv=machine.sensor.full_scale_mv)
+    except ValueError as error:
+        hint = f"{LEAST_TAPS} or more, a second apart, elevator at rest, with something hard and light"
+        raise InputError(", ".join(args.taps), str(error), hint) from error
+    document = report(found, machine.sensor.response_s, args)
+    if args.out is not None and not found.refused:
+        sensor = dataclasses.replace(machine.sensor, response_s=float(f"{found.response_s:.4g}"))
+        content = machine_file.to_document(dataclasses.replace(machine, sensor=sensor))
+        whole_file.write(args.out, strict_yaml.dump(content))
+        document["written"] = args.out
+    return document
+
+
+def report(found: TapResponse, before_s: float, args: argparse.Namespace) -> TapDocument:
+    """The result as plain data."""
+    return {
+        "file": ", ".join(args.taps), "taps": found.each_s.size, "left_out": found.left_out, "response_s": found.response_s,
+        "std_dev_s": found.std_dev_s, "each_s": found.each_s.tolist(), "misfit_pct": 100.0 * found.misfit, "before_s": before_s,
+        "refused": found.refused,
+    }  # fmt: skip
+
+
+def text(document: TapDocument) -> str:
+    """The report for people."""
+    left_out = ", ".join(f"{count} {reason}" for reason, count in document["left_out"].items())
+    lines = [
+        f"{document['taps']} taps" + (f"; left out: {left_out}" if left_out else ""),
+        f"response_s: {1e3 * document['response_s']:.2f} ms (sd {1e3 * document['std_dev_s']:.2f}); the machine file has "
+        f"{1e3 * document['before_s']:g} ms",
+        f"what the model leaves of a tap: {document['misfit_pct']:.1f} % of its height",
+    ]
+    if document["refused"]:
+        lines.append(f"refused: {document['refused']}")
+    if "written" in document:
+        lines.append(f"written: {document['written']}")
+    return "\n".join(lines)
