@@ -58,10 +58,10 @@ def needed(found: Fit, scale: float, per_parameter: float) -> list[Needed]:
         without = fit(found.frame, tuple(e for e in found.effects if e != effect), found.values)
         if without is None:
             continue
-        chi2, volume = without.marginal(_of_other_laws(without, TILTED))
+        chi2, volume = without.marginal(of_other_laws(without, TILTED))
         better = (chi2 - found.integrated[0]) / scale + volume - found.integrated[1]
         cost = per_parameter * (len(found.parameters) - len(without.parameters))
-        free = _of_other_laws(without, FREE_SHAPE)
+        free = of_other_laws(without, FREE_SHAPE)
         gain = (without.marginal(free)[0] - found.marginal(free)[0]) / scale
         out.append(Needed(effect, better - cost, gain))
     return out
@@ -96,7 +96,7 @@ def one_angle_off(base: Fit, scale: float, per_parameter: float) -> OneAngle | N
     return min(found, key=lambda one: one.merit, default=None)
 
 
-def _of_other_laws(found: Fit, degree: int) -> Array:
+def of_other_laws(found: Fit, degree: int) -> Array:
     """Whitened columns of the model's own error and of what laws may be off, other laws included, shape (cells, columns)."""
     cells = found.frame.cells
     smooth = model_error.basis(cells.plate_angle_rad, cells.load, cells.elevator_speed_rad_s, most=degree)

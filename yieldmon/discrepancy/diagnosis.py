@@ -348,6 +348,7 @@ def examine(
     if doubted(chosen, options.policy):
         notes.append(diagnosis_notes.not_trusted(chosen))
         chosen = withdrawn(chosen, options.policy)
+    notes += diagnosis_notes.of_own_law(chosen, noise, options.policy)
     notes += [*diagnosis_notes.of_one_cell(chosen, noise), *diagnosis_notes.of_repetitions(chosen, noise)]
     if chosen.verdict != "effect" and held_out is not None:
         held_out, _ = _open(rows, sealed, chosen.base, chosen.base, noise)

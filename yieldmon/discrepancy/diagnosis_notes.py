@@ -10,9 +10,9 @@ from .fit import Fit
 from .gap import LackOfFit, fills, lack_of_fit_but_one, lack_without_pattern
 from .noise import Noise
 from .observations import Rows
-from .policy import DEFAULT
+from .policy import DEFAULT, Policy
 from .proof import Proof
-from .selection import Choice, rows_searched
+from .selection import Choice, left_by_own_law, rows_searched
 
 _SURE = 1e-3
 """p value from which conditions scatter more than repetitions."""
@@ -51,6 +51,16 @@ def of_one_cell(choice: Choice, noise: Noise) -> list[str]:
     cell = f"plate {np.degrees(cells.plate_angle_rad[worst]):.0f} deg and {cells.load[worst]:.3g} {load}"
     f = f"F = {without.f:.2f} (p = {without.p_value:.1g}) {rows_searched(choice.best)}"
     return [f"what is left rests on one cell, {cell}: without it {f}; measured well?"]
+
+
+def of_own_law(choice: Choice, noise: Noise, policy: Policy) -> list[str]:
+    """That a named effect leaves a gap which another shape of its law explains."""
+    excess = max(choice.base.chi2 - choice.base.dof, 1e-9)
+    if choice.verdict != "effect" or not left_by_own_law(choice.best, choice.steps, noise, excess, policy):
+        return []
+    left = 100.0 * max(choice.best.chi2 - choice.best.dof, 0.0) / excess
+    f = f"F = {choice.best_gap.f:.2f}, {left:.1f} % of the excess"
+    return [f"{choice.named[0]} leaves a gap ({f}) that another shape of its law explains: its size is uncertain by as much"]
 
 
 def noise_assumed(choice: Choice) -> str:

@@ -54,15 +54,17 @@ class Region:
     cells: tuple[int, ...]
 
 
-def lack_of_fit(fit: Fit, noise: Noise, *, laws: bool = True) -> LackOfFit:
+def lack_of_fit(fit: Fit, noise: Noise, *, laws: bool = True, beside: Array | None = None) -> LackOfFit:
     """The test for one fit; p is 1 where no degree of freedom is left.
 
-    F is against the noise alone, with what the laws of the fit's effects may be off integrated out (not without `laws`). p allows
+    F is against the noise alone, with what the laws of the fit's effects may be off integrated out (not without `laws`; `beside`:
+    whitened columns in its place, shape (cells, columns), with unit weights). p allows
     for the model's own error as well: its and the noise's mean square together, by their first two moments (Satterthwaite).
     """
     if fit.dof <= 0:
         return LackOfFit(float("nan"), 1.0)
-    return _tested(fit, noise, fit.marginal(fit.shape_error)[0] if laws else fit.chi2, fit.dof)
+    columns = fit.shape_error if beside is None else beside
+    return _tested(fit, noise, fit.marginal(columns)[0] if laws else fit.chi2, fit.dof)
 
 
 def lack_of_fit_but_one(fit: Fit, noise: Noise) -> tuple[LackOfFit, int]:

@@ -31,6 +31,8 @@ class Policy:
     """this share of the published model's: a cause whose law is off by so little is named all the same."""
     unexplained_share: float = 0.15
     """Share of the original excess chi-square that may remain under a named verdict, significant or not."""
+    own_law_share: float = 0.05
+    """Share of the original excess up to which a gap may be another shape of the law of one effect, far ahead of others."""
     least_evidence: float = 0.0
     """Twice the log evidence for each of several effects that is needed against another law of the others."""
     most_undone: float = 0.5

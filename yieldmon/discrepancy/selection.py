@@ -15,7 +15,7 @@ from yieldmon.documents.diagnose import Verdict
 from yieldmon.physics.effects import family_of
 from yieldmon.physics.numerics import Array
 
-from .alternatives import chosen_from_all, needed, one_angle_off
+from .alternatives import FREE_SHAPE, chosen_from_all, needed, of_other_laws, one_angle_off
 from .candidates import (
     Score,
     errors,
@@ -181,13 +181,15 @@ class Search:
         gap = lack_of_fit(current, self.noise)
         left = (current.chi2 - current.dof) / self.excess
         searched = rows_searched(current)
-        if gap.p_value < self.policy.gap_p and lack_of_fit_but_one(current, self.noise)[0].p_value < self.policy.gap_p:
+        other_law = left_by_own_law(current, steps, self.noise, self.excess, self.policy)
+        refuted = gap.p_value < self.policy.gap_p and not other_law
+        if refuted and lack_of_fit_but_one(current, self.noise)[0].p_value < self.policy.gap_p:
             why = "something else is missing, or stands in its place"
             return f"F = {gap.f:.2f} is left with it {searched} (p = {gap.p_value:.1g}): {why}"
         if left > self.policy.unexplained_share:
             most = 100.0 * self.policy.unexplained_share
             return f"{100.0 * left:.1f} % of the excess is left with it {searched}, more than {most:.0f} %"
-        if self._unexplained(current):
+        if not other_law and self._unexplained(current):
             return f"F = {gap.f:.2f} is left with it {searched}, more than what its law may be off explains"
         return self._other_laws(current) or self._of_one_angle(current)
 
@@ -442,6 +444,15 @@ class Search:
             scores.append(np.sum(away**2, axis=0) - taken + rival.integrated[1])
         winner = np.argmin(np.stack(scores), axis=0)
         return float(np.mean(np.array([True, *tied])[winner]))
+
+
+def left_by_own_law(found: Fit, steps: Sequence[Step], noise: Noise, excess: float, policy: Policy) -> bool:
+    """Whether one effect, far ahead of all others, leaves a gap that is small and that another shape of its own law explains."""
+    if len(found.effects) != 1 or steps[0].margin < chosen_from_all(policy.per_parameter):
+        return False
+    small = found.chi2 - found.dof <= policy.own_law_share * excess
+    gap = lack_of_fit(found, noise)
+    return small and gap.p_value < policy.gap_p <= lack_of_fit(found, noise, beside=of_other_laws(found, FREE_SHAPE)).p_value
 
 
 def withdrawn(choice: Choice, policy: Policy) -> Choice:

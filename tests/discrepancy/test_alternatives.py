@@ -1,0 +1,154 @@
+"""Other explanations than the named effects: another law of one of them, one plate angle off by itself, a single angle."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from studies.hidden_effects import generator
+from tests.discrepancy.conftest import GRAIN
+from yieldmon.discrepancy import diagnosis, diagnosis_notes
+from yieldmon.discrepancy.alternatives import chosen_from_all, needed, one_angle_off
+from yieldmon.discrepancy.fit import fit
+from yieldmon.discrepancy.gap import lack_of_fit
+from yieldmon.discrepancy.observations import Rows, with_cells
+from yieldmon.discrepancy.policy import Policy
+from yieldmon.discrepancy.selection import Choice, Search, Step, merit, misfit
+
+NOTHING = diagnosis.Options(policy=Policy(most_effects=0), hold_out="none")
+COST = Policy().per_parameter
+LAST_RULES = Policy(gap_p=0.0, unexplained_share=1e9, unexplained_f=1e9)
+"""What is left speaks against nothing."""
+
+
+def at_angles(rows: Rows, *angles_deg: float) -> Rows:
+    """The rows at some plate angles."""
+    return with_cells(rows.take(np.isin(np.round(np.degrees(rows.plate_angle_rad)), angles_deg)))
+
+
+def published(rows: Rows, start) -> tuple:
+    """The fit of the published model, and the noise."""
+    seen = diagnosis.examine(rows, start, NOTHING)
+    return seen.choice.base, seen.noise
+
+
+def by_speed(effect: str, size: float, tilt: float):
+    """An alteration of the generator's force by which an effect acts more the faster the elevator runs."""
+
+    def alter(force, angle, speed, flow):
+        without = generator.force(angle, speed, flow, np.full(angle.shape, 15.0), GRAIN, {})
+        place = 2.0 * (speed - speed.min()) / np.ptp(speed) - 1.0
+        return without + (force - without) * (1.0 + tilt * place)
+
+    return {effect: size}, alter
+
+
+@pytest.mark.parametrize(("angles_deg", "verdict"), [((80.0,), "unknown"), (tuple(range(40, 91, 10)), "effect")])
+def test_rows_of_one_angle_name_nothing(make_rows, start, angles_deg, verdict) -> None:
+    rows = at_angles(make_rows({"zero_offset": 4.0}), *angles_deg)
+    choice = diagnosis.examine(rows, start, diagnosis.Options(hold_out="none", policy=Policy(most_effects=1))).choice
+    assert "zero_offset" in {choice.steps[0].added, *choice.steps[0].equivalent}
+    assert choice.verdict == verdict
+    assert ("one plate angle" in choice.against) == (verdict == "unknown")
+
+
+@pytest.mark.parametrize(
+    "error",
+    [lambda f, w, q: 0.03 * f.max(), lambda f, w, q: 0.05 * f, lambda f, w, q: -0.06 * f * q / q.max()],
+    ids=["a constant", "a share", "a share that rises with the load"],
+)
+def test_the_angle_whose_rows_are_off_is_found(make_rows, start, error) -> None:
+    def alter(force, angle, speed, flow):
+        return force + np.where(np.abs(np.degrees(angle) - 60.0) < 1.0, error(force, speed, flow), 0.0)
+
+    base, noise = published(make_rows(alter=alter), start)
+    found = one_angle_off(base, 1.0, COST)
+    assert found is not None
+    assert np.degrees(found.plate_angle_rad) == pytest.approx(60.0)
+    wrong = fit(base.frame, ("plate_angle_offset",), base.values)
+    steps = (Step("plate_angle_offset", (), (), 1.0, "plate_angle_offset"),)
+    search = Search(base=base, noise=noise, effects=(), rng=np.random.default_rng(1), policy=LAST_RULES)
+    assert "an error of the rows at 60 deg alone" in search.against(wrong, steps)
+
+
+def test_one_angle_does_not_stand_in_for_an_effect_that_acts_on_all(make_rows, start) -> None:
+    base, _ = published(make_rows({"zero_offset": 4.0}), start)
+    right = fit(base.frame, ("zero_offset",), base.values)
+    found = one_angle_off(base, misfit([right]), COST)
+    assert found is not None
+    assert found.merit > merit(right, misfit([right]), Policy()) + 100.0
+
+
+def test_one_angle_alone_has_no_alternative_to_compare(make_rows, start) -> None:
+    assert one_angle_off(published(at_angles(make_rows(), 70.0), start)[0], 1.0, COST) is None
+
+
+def test_true_effects_need_each_other_whatever_their_laws(make_rows, start) -> None:
+    base, noise = published(make_rows({"zero_offset": 4.0, "speed_dependent_shape": -1.0}), start)
+    both = fit(base.frame, ("zero_offset", "speed_dependent_shape"), base.values)
+    found = needed(both, misfit([both]), COST)
+    assert {n.effect for n in found} == {"zero_offset", "speed_dependent_shape"}
+    assert min(n.evidence for n in found) > chosen_from_all(COST)
+    assert min(n.gain for n in found) > chosen_from_all(COST)
+    # Not even where effects that undo each other at all would have to be earned.
+    search = Search(base=base, noise=noise, effects=(), rng=np.random.default_rng(1), policy=Policy(most_undone=-1.0))
+    assert search.against(both, (Step("zero_offset", (), (), 1.0, "zero_offset"),)) == ""
+
+
+@pytest.mark.parametrize(
+    ("policy", "says"),
+    [
+        (LAST_RULES, "another law of the other effects is as likely as speed_dependent_shape"),
+        (
+            Policy(gap_p=0.0, unexplained_share=1e9, unexplained_f=1e9, least_evidence=-1e9, most_undone=-1.0),
+            "undo among themselves",
+        ),
+    ],
+    ids=["evidence", "terms of a series"],
+)
+def test_an_effect_that_only_mends_the_law_of_another_is_none(make_rows, start, policy, says) -> None:
+    """A zero that moves by 40 % with the speed (warm bearings, say) is taken for a zero and a shape that depends on speed."""
+    effects, alter = by_speed("zero_offset", 4.0, 0.4)
+    base, noise = published(make_rows(effects, alter=alter), start)
+    alone = fit(base.frame, ("zero_offset",), base.values)
+    both = fit(base.frame, ("zero_offset", "speed_dependent_shape"), base.values)
+    assert both.chi2 < alone.chi2 - chosen_from_all(COST)
+    by_effect = {n.effect: n for n in needed(both, misfit([both]), COST)}
+    assert by_effect["speed_dependent_shape"].evidence < 0.0 < by_effect["zero_offset"].evidence
+    assert by_effect["speed_dependent_shape"].gain < chosen_from_all(COST) < by_effect["zero_offset"].gain
+    search = Search(base=base, noise=noise, effects=(), rng=np.random.default_rng(1), policy=policy)
+    assert says in search.against(both, (Step("zero_offset", (), (), 1.0, "zero_offset"),))
+
+
+def test_one_effect_has_no_others_whose_law_could_differ(make_rows, start) -> None:
+    base, _ = published(make_rows({"zero_offset": 4.0}), start)
+    assert needed(fit(base.frame, ("zero_offset",), base.values), 1.0, COST) == []
+
+
+@pytest.mark.parametrize(
+    ("margin", "share", "refused"),
+    [(50.0, 0.2, False), (15.0, 0.2, True), (50.0, 0.05, True)],
+    ids=["far ahead", "a rival is near", "too much is left"],
+)
+def test_one_effect_far_ahead_may_have_another_shape_of_its_law(make_rows, start, margin, share, refused) -> None:
+    """A zero that moves by 30 % with the speed leaves a gap, 17 % of the excess."""
+    effects, alter = by_speed("zero_offset", 4.0, 0.3)
+    base, noise = published(make_rows(effects, alter=alter), start)
+    alone = fit(base.frame, ("zero_offset",), base.values)
+    assert lack_of_fit(alone, noise).p_value < Policy().gap_p
+    steps = (Step("zero_offset", (), (), 1.0, "zero_offset", margin=margin),)
+    policy = Policy(own_law_share=share, unexplained_share=0.3)
+    search = Search(base=base, noise=noise, effects=(), rng=np.random.default_rng(1), policy=policy)
+    assert ("something else is missing" in search.against(alone, steps)) == refused
+    seen = Choice("effect", base, alone, lack_of_fit(base, noise), lack_of_fit(alone, noise), steps, (), 0.0)
+    notes = diagnosis_notes.of_own_law(seen, noise, policy)
+    assert [n.startswith("zero_offset leaves a gap (F = ") for n in notes] == ([] if refused else [True])
+
+
+def test_no_other_shape_of_a_wrong_law_explains(make_rows, start) -> None:
+    base, noise = published(make_rows({"zero_offset": 4.0}), start)
+    wrong = fit(base.frame, ("stream_spread",), base.values)
+    steps = (Step("stream_spread", (), (), 1.0, "stream_spread", margin=1e3),)
+    policy = Policy(own_law_share=1.0, unexplained_share=1.0)
+    search = Search(base=base, noise=noise, effects=(), rng=np.random.default_rng(1), policy=policy)
+    assert "something else is missing" in search.against(wrong, steps)
