@@ -93,8 +93,7 @@ def decode(coded: Coded, count: int, bits: int, *, compiled: bool = False) -> Co
     if coded.coding == PLAIN:
         return _from_planes(coded.data, coded.width, count)
     if coded.coding == DIFFERENCE:
-        differences = _unfolded(_from_planes(coded.data, coded.width, count), bits)
-        return np.cumsum(differences, dtype=np.uint64) & _mask(bits)
+        return _from_differences(coded, count, bits, compiled=compiled)
     if coded.coding == PREDICTION:
         return _from_predicted(coded, count, bits, compiled=compiled)
     raise ValueError(f"unknown coding {coded.coding!r}")
@@ -123,10 +122,15 @@ def _planes(coding: str, values: Column, header: bytes = b"") -> Coded:
     return Coded(coding, width, header + np.ascontiguousarray(planes.T).tobytes())
 
 
-def _from_planes(data: bytes, width: int, count: int) -> Column:
+def _planes_in(data: bytes, width: int, count: int) -> NDArray[np.uint8]:
+    """(width, count)"""
     if len(data) != width * count:
         raise ValueError(f"{len(data)} bytes; expected {width * count}")
-    planes = np.frombuffer(data, np.uint8).reshape(width, count)
+    return np.frombuffer(data, np.uint8).reshape(width, count)
+
+
+def _from_planes(data: bytes, width: int, count: int) -> Column:
+    planes = _planes_in(data, width, count)
     values: Column = planes[0].astype(np.uint64)
     for place in range(1, width):
         values |= planes[place].astype(np.uint64) << np.uint64(8 * place)
@@ -187,16 +191,22 @@ def _compiled_module() -> ModuleType | None:
     return compiled_packed
 
 
+def _from_differences(coded: Coded, count: int, bits: int, *, compiled: bool) -> Column:
+    module = _compiled_module() if compiled else None
+    if module is not None:
+        column: Column = module.from_differences(_planes_in(coded.data, coded.width, count), bits)
+        return column
+    differences = _unfolded(_from_planes(coded.data, coded.width, count), bits)
+    return np.cumsum(differences, dtype=np.uint64) & _mask(bits)
+
+
 def _from_predicted(coded: Coded, count: int, bits: int, *, compiled: bool) -> Column:
     start = _ORDER * _HEADER.itemsize
     coefficients = np.frombuffer(coded.data[:start], _HEADER).astype(np.float64)
     stretches = _stretches(count)
     module = _compiled_module() if compiled else None
     if module is not None:
-        data = np.frombuffer(coded.data, np.uint8, offset=start)
-        if data.size != coded.width * stretches * _STRETCH:
-            raise ValueError(f"{data.size} bytes; expected {coded.width * stretches * _STRETCH}")
-        planes = data.reshape(coded.width, -1)
+        planes = _planes_in(coded.data[start:], coded.width, stretches * _STRETCH)
         column: Column = module.from_predicted(planes, coefficients, _STRETCH, bits, _COEFFICIENT_SCALE)[:count]
         return column
     residuals = _unfolded(_from_planes(coded.data[start:], coded.width, stretches * _STRETCH), bits)
