@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from itertools import accumulate
 
 import can
@@ -27,6 +28,8 @@ ERROR = 2
 
 _UNUSABLE = {NOT_AVAILABLE: Unusable.NOT_AVAILABLE, ERROR: Unusable.ERROR}
 _PAYLOAD_BYTES = 8
+_TABLED_BITS = 13
+"""Signals of up to so many bits are looked up: their tables fit into the CPU's cache."""
 
 
 @dataclass(frozen=True)
@@ -215,6 +218,19 @@ def _columns(
 
 def _column(signal: SignalLayout, payload: NDArray[np.uint64]) -> SignalColumn:
     raw = (payload >> np.uint64(signal.start) & np.uint64(signal.mask)).astype(np.int64)
+    if signal.bits > _TABLED_BITS:
+        return _meaning(signal, raw)
+    table = _table(signal)
+    return SignalColumn(table.values.take(raw), table.status.take(raw))
+
+
+@cache
+def _table(signal: SignalLayout) -> SignalColumn:
+    """What each raw value of a signal means."""
+    return _meaning(signal, np.arange(signal.mask + 1, dtype=np.int64))
+
+
+def _meaning(signal: SignalLayout, raw: NDArray[np.int64]) -> SignalColumn:
     status = np.zeros(len(raw), np.uint8)
     status[raw > signal.raw_max] = ERROR
     status[raw >= signal.raw_not_available] = NOT_AVAILABLE

@@ -58,6 +58,17 @@ def from_predicted(
 
 
 @compiled
+def place_fields(payload, column, starts):  # type: ignore[no-untyped-def]
+    """See packed_columns.place_fields."""
+    per_frame = len(starts)
+    for at in range(len(payload)):
+        data = payload[at]
+        for place in range(per_frame):
+            data |= column[at * per_frame + place] << starts[place]
+        payload[at] = data
+
+
+@compiled
 def _mask(bits):  # type: ignore[no-untyped-def]
     return ~np.uint64(0) >> np.uint64(64 - bits)
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from yieldmon.bus.bulk import FrameBlock, concatenate
 from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG
 from yieldmon.bus.layout import MessageLayout
-from yieldmon.bus.packed_columns import CONSTANT, Coded, Column, decode, encode
+from yieldmon.bus.packed_columns import CONSTANT, Coded, Column, decode, encode, place_fields
 from yieldmon.errors import InputError, brief, reason
 from yieldmon.identifiers import EXTENDED_FLAG
 
@@ -365,8 +365,7 @@ def _block(rows: Iterable[tuple[Any, ...]], *, all_compressed: bool, compiled: b
         elif name == _PLACE:
             values[2], explicit = column.astype(np.intp), True
         else:
-            for place, at in enumerate(starts):
-                values[1] |= column[place::per_frame] << np.uint64(at)
+            place_fields(values[1], column, starts, compiled=compiled)
     return _assembled(parts, tuple(channels), explicit)
 
 

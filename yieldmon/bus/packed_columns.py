@@ -7,6 +7,7 @@ Robinson 1994, "Shorten"), split into planes of equal significance.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from types import ModuleType
 from typing import NamedTuple
@@ -97,6 +98,28 @@ def decode(coded: Coded, count: int, bits: int, *, compiled: bool = False) -> Co
     if coded.coding == PREDICTION:
         return _from_predicted(coded, count, bits, compiled=compiled)
     raise ValueError(f"unknown coding {coded.coding!r}")
+
+
+def place_fields(payload: Column, column: Column, starts: Sequence[int], *, compiled: bool = False) -> None:
+    """Put a column's numbers into frames' data.
+
+    Parameters
+    ----------
+    payload : uint64 array, shape (n,)
+        Data of the frames; 0 where the numbers go.
+    column : uint64 array, shape (n * len(starts),)
+        Numbers, those of a frame beside each other.
+    starts : sequence of int
+        First bit of each of a frame's numbers.
+    compiled : bool
+        As for `decode`.
+    """
+    module = _compiled_module() if compiled and len(starts) > 1 else None
+    if module is not None:
+        module.place_fields(payload, column, np.array(starts, np.uint64))
+        return
+    for place, start in enumerate(starts):
+        payload |= column[place :: len(starts)] << np.uint64(start)
 
 
 def _mask(bits: int) -> np.uint64:

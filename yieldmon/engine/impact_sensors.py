@@ -92,7 +92,7 @@ class ImpactSensors:
         moving = [(name, inputs.track(name)) for name in MOVING]
         for (_, builder), samples in zip(self._sensors, run.samples, strict=True):
             times = run.times_s[samples.places] + offset_s
-            parts.append((times, partial(_add_rows, builder, np.column_stack((times, samples.rows)))))
+            parts.append((times, partial(_add_rows, builder, np.vstack((times, samples.rows.T)).T)))
             for name, track in moving:
                 add = (builder.speed if name == "elevator_speed" else builder.angle).extend
                 values = track.values if name == "elevator_speed" else track.values * DEGREE

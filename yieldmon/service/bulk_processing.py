@@ -194,8 +194,8 @@ def _stretch(found: dict[str, _Columns], refused: int, block: FrameBlock, frames
     for columns in inputs.values():
         taken[columns.rows] = True
     rows = np.flatnonzero(taken)
-    times = block.time_s[rows]
-    runs = [_run(inputs, rows[part], times[part], sources) for part in _parts(times)]
+    times, places = block.time_s[rows], np.cumsum(taken) - 1
+    runs = [_run(inputs, rows[part], times[part], places, sources) for part in _parts(times)]
     return Stretch(frames, len(rows), refused, runs)
 
 
@@ -210,12 +210,19 @@ def _parts(times: NDArray[np.float64]) -> Iterator[slice]:
         first = last
 
 
-def _run(inputs: dict[str, _Columns], rows: NDArray[np.intp], times: NDArray[np.float64], sources: Sources) -> FrameRun:
-    """The frames in these rows of the block, all of messages that the engine takes."""
+def _run(
+    inputs: dict[str, _Columns],
+    rows: NDArray[np.intp],
+    times: NDArray[np.float64],
+    place_of: NDArray[np.intp],
+    sources: Sources,
+) -> FrameRun:
+    """The frames in these rows of the block, all of messages that the engine takes. place_of: that of each row of the block among
+    those."""
     found = {}
     for name, columns in inputs.items():
         part = slice(*np.searchsorted(columns.rows, (rows[0], rows[-1] + 1)))
-        places = np.searchsorted(rows, columns.rows[part])
+        places = place_of[columns.rows[part]] - place_of[rows[0]]
         if places.size:
             found[name] = columns, part, places
     samples = [
@@ -233,7 +240,7 @@ def _run(inputs: dict[str, _Columns], rows: NDArray[np.intp], times: NDArray[np.
 def _sample_run(source: SampleSource, columns: _Columns, part: slice, places: NDArray[np.intp]) -> SampleRun:
     unknown = np.full(places.shape, np.nan)
     table = [columns.values(name, part) if name is not None else unknown for name in sample_columns(source)]
-    return SampleRun(places, in_millivolts(source, np.column_stack(table)))
+    return SampleRun(places, in_millivolts(source, np.stack(table).T))
 
 
 def _silent(source: SampleSource) -> SampleRun:
@@ -243,8 +250,8 @@ def _silent(source: SampleSource) -> SampleRun:
 def _known(signals: Mapping[str, SignalColumn], name: str, part: slice) -> NDArray[np.float64]:
     """nan for what is not available."""
     column = signals[name]
-    values: NDArray[np.float64] = np.where(column.status[part] == USABLE, column.values[part], np.nan)
-    return values
+    values, usable = column.values[part], column.status[part] == USABLE
+    return values.astype(np.float64, copy=False) if usable.all() else np.where(usable, values, np.nan)
 
 
 def _part(signals: Mapping[str, NDArray[np.float64]], name: str, part: slice) -> NDArray[np.float64]:
