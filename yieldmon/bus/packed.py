@@ -211,7 +211,7 @@ def read_blocks(
             if version not in (_VERSION, _ALL_COMPRESSED):
                 raise InputError(str(path), "a Parquet file without packed CAN frames", _EXPECTED)
             for group in range(source.num_row_groups):
-                table = source.read_row_group(group).select(_NAMES).cast(_schema())
+                table = source.read_row_group(group, use_threads=False).select(_NAMES).cast(_schema())
                 if any(column.null_count for column in table.columns):
                     raise ValueError("a row that lacks something")
                 columns = table.to_pydict()
