@@ -147,7 +147,9 @@ class SampleBuffer:
             with np.errstate(invalid="ignore"):
                 return np.where(since > gap_s, np.maximum(by_time, 1.0), 1.0)
         with np.errstate(invalid="ignore"):
-            difference = np.mod(segments.steps(self._last_counter, counters), self._modulus)
+            difference = segments.steps(self._last_counter, counters)
+            # numpy.mod gives the same and takes several times as long.
+            difference -= self._modulus * np.floor(difference / self._modulus)
         by_counter = difference + self._modulus * np.rint((by_time - difference) / self._modulus)
         steps = np.where(np.isfinite(by_counter), by_counter, np.maximum(by_time, 1.0))
         return np.where(np.isfinite(steps), steps, 1.0)

@@ -23,12 +23,13 @@ _CORNERS = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
 
 
 class LoadCurves:
-    """curve: (n,) plate angles, rad, and elevator speeds, rad/s -> (n, g) what is read along the load curve."""
+    """curve: (n,) plate angles, rad, and elevator speeds, rad/s -> (n, g) what is read along the load curve. Threads may share
+    one: what one adds is seen whole or not at all."""
 
     def __init__(self, curve: Callable[[Array, Array], Array]) -> None:
         self._curve = curve
-        self._places: dict[int, int] = {}
-        self._table: Array = np.empty((0, 0))
+        self._known: tuple[dict[int, int], Array] = {}, np.empty((0, 0))
+        """Row of each knot, and the rows."""
 
     def near(self, plate_angle_rad: Array, elevator_speed_rad_s: Array) -> Array:
         """(n, g): the curves at these angles and speeds (above 0), (n,), straight between the four knots around each."""
@@ -46,13 +47,15 @@ class LoadCurves:
 
     def _table_of(self, keys: NDArray[np.int64]) -> Array:
         unique, place = np.unique(keys, return_inverse=True)
-        if len(self._places) > _MOST:
-            self._places, self._table = {}, np.empty((0, 0))
-        new = [key for key in unique.tolist() if key not in self._places]
+        places, table = self._known
+        if len(places) > _MOST:
+            places, table = {}, np.empty((0, 0))
+        new = [key for key in unique.tolist() if key not in places]
         if new:
             angle, speed = np.divmod(np.array(new) + _SPEEDS // 2, _SPEEDS)
             made = self._curve(angle * _ANGLE_RAD, np.exp((speed - _SPEEDS // 2) * _LN_SPEED))
-            self._places |= {key: len(self._places) + i for i, key in enumerate(new)}
-            self._table = np.concatenate((self._table, made)) if self._table.size else made
-        rows = np.array([self._places[key] for key in unique.tolist()])
-        return np.asarray(self._table[rows[place.reshape(keys.shape)]])
+            places = places | {key: len(places) + i for i, key in enumerate(new)}
+            table = np.concatenate((table, made)) if table.size else made
+            self._known = places, table
+        rows = np.array([places[key] for key in unique.tolist()])
+        return np.asarray(table[rows[place.reshape(keys.shape)]])

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -236,7 +238,7 @@ class OpenLoop:
         steps = np.array([1e-3 * parameters.standard_deviation(name) for name in names])
         self._steps = steps
         moves = np.diag(steps)
-        self._curves = LoadCurves(self._curve)
+        self._curves = _curves_of(model, tuple(parameters.values.items()))
         self._rows = {
             name: value + (np.concatenate(([0.0], moves[names.index(name)])) if name in names else 0.0)
             for name, value in base.items()
@@ -333,9 +335,6 @@ class OpenLoop:
                 flow[part], gain[part] = invert_force(throw, force, near=curve)
         return flow.reshape(shape), gain.reshape(shape)
 
-    def _curve(self, angle: Array, speed: Array) -> Array:
-        return np.asarray(np.broadcast_to(self._throw(angle, speed, None).load_curve(_GRID)[1], (angle.size, _GRID.size)))
-
     def _throw(
         self, angle: ArrayLike, speed: ArrayLike, moisture: ArrayLike | None, miss_rotation_rad: AnyArray | None = None
     ) -> Throw:
@@ -375,6 +374,17 @@ class OpenLoop:
                 slack = same + 1e-9 * max(abs(limits[0]), abs(limits[1]))
                 outside |= (value < limits[0] - slack) | (value > limits[1] + slack)
         return outside
+
+
+@lru_cache(maxsize=4)
+def _curves_of(model: ForwardModel, values: tuple[tuple[str, float], ...]) -> LoadCurves:
+    """One for all estimators of the same values, whatever is known of their errors."""
+    return LoadCurves(partial(_curve, model, dict(values)))
+
+
+def _curve(model: ForwardModel, values: Mapping[str, float], plate_angle_rad: Array, elevator_speed_rad_s: Array) -> Array:
+    momentum = model.throw(plate_angle_rad[:, None], elevator_speed_rad_s[:, None], values).load_curve(_GRID)[1]
+    return np.asarray(np.broadcast_to(momentum, (plate_angle_rad.size, _GRID.size)))
 
 
 def _slope_at(mass: Array, masses: Array, momentum: Array) -> Array:
