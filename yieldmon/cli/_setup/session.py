@@ -75,8 +75,9 @@ def _numbers(question: Question, text: str, where: str) -> list[float]:
     units = ", ".join([question.unit, *OTHER_UNITS.get(question.unit, {})])
     try:
         found = numbers(text, question.unit)
-    except (ValueError, KeyError):
-        raise InputError(where, f"is {text}", f"{question.low:g} to {question.high:g} {question.unit} (or in {units})") from None
+    except (ValueError, KeyError) as error:
+        wrong = str(error).split()[0] if isinstance(error, ValueError) else text
+        raise InputError(where, f"is {wrong}", f"{question.low:g} to {question.high:g} {question.unit} (or in {units})") from None
     for number in found:
         if not question.low <= number <= question.high:
             shown = text.strip() if len(found) == 1 else f"{number:g}"

@@ -35,7 +35,9 @@ def numbers(text: str, unit: str) -> list[float]:
     Raises
     ------
     ValueError
-        When something in it is no number, or its unit is none of this quantity.
+        With the text from where there is no number.
+    KeyError
+        For a unit that is none of this quantity.
     """
     text = text.strip()
     if "," in text and not re.search(r"[\s;]", text) and (text.count(",") > 1 or "." in text):
