@@ -18,6 +18,7 @@ Ends with 1 when one is broken.
 
 from __future__ import annotations
 
+import errno
 import os
 import random
 import shutil
@@ -25,7 +26,7 @@ import sqlite3
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -101,13 +102,41 @@ class World:
 
         return mock.patch.object(Store, "_migrate", make) if self.full else nullcontext()
 
+    @contextmanager
+    def seal(self) -> Iterator[None]:
+        """At the start on a medium that takes no writing a store is read, and nothing is put in order."""
+        opened, rescued = Store, rescue.rescue
+
+        def reading(path: Path, *given: Any, **how: Any) -> Store:
+            if path == self.path and not ("immutable" in how or "copied" in how):
+                return self.open_store()
+            return opened(path, *given, **how)
+
+        def in_order(path: Path, *given: Any, **how: Any) -> rescue.Rescued:
+            if path == self.path:
+                raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+            return rescued(path, *given, **how)
+
+        def unfinished(path: Path) -> None:
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+        sealed = (
+            mock.patch.object(recovery, "Store", reading), mock.patch.object(recovery.rescue, "rescue", in_order),
+            mock.patch.object(recovery.rescue, "finish", unfinished),
+        )  # fmt: skip
+        with ExitStack() as stack:
+            if self.read_only:
+                for patch in sealed:
+                    stack.enter_context(patch)
+            yield
+
 
 class Life:
     """One run of a daemon, as far as the store goes: recovers, measures, commits, ends one way or another."""
 
     def __init__(self, world: World) -> None:
         self.world = world
-        with world.room():
+        with world.room(), world.seal():
             found = recovery.recover(world.path, Retention(), world.open_store)
         memory, self.said = found.memory, bool(found.note)
         self.totals = memory.engine.totals if memory.engine is not None else Totals()
@@ -416,6 +445,11 @@ def _interrupt(world: World) -> None:
 RESTING: tuple[Callable[[World], None], ...] = (_flip, _flip, _flip, _alter, _cut, _put_back, _interrupt)
 
 
+def _seal(world: World) -> None:
+    """The next life begins on a medium that takes no writing."""
+    world.read_only = True
+
+
 def day(world: World) -> None:
     """A few lives."""
     rng = world.rng
@@ -423,8 +457,7 @@ def day(world: World) -> None:
         try:
             life = Life(world)
         except StoreError as error:
-            if not world.read_only:
-                world.wrong(f"does not start: {error}")
+            world.wrong(f"does not start: {error}")
             world.read_only = False
             continue
         except Exception as error:  # noqa: BLE001 - whatever keeps a daemon from starting is what is looked for
@@ -447,6 +480,9 @@ def day(world: World) -> None:
             harm = rng.choice(RESTING)
             world.troubles[harm.__name__.strip("_")] += 1
             harm(world)
+        if rng.random() < 0.15:
+            world.troubles["seal"] += 1
+            _seal(world)
 
 
 def _begun(world: World) -> None:
@@ -528,7 +564,12 @@ def _mend(points: tuple[int, ...], undone: Callable[[], AbstractContextManager[A
     return Mend(points, lambda days, seed: simulate(days, seed).broken, undone)
 
 
+def _no_spare(path: Path) -> AbstractContextManager[Any]:
+    raise StoreError(f"{path}: no other way")
+
+
 MENDS = {
+    "stores read from a copy": _mend((), _patched("yieldmon.service.recovery.spare_copy", _no_spare)),
     "checksums": _mend((1,), _no_checksums),
     "rescue": _mend((1,), _patched("yieldmon.service.recovery.rescue.rescue", _nothing_set_aside)),
     "removed files": _mend((6,), _patched("yieldmon.service.store.Store.require_attached", lambda store: None)),

@@ -158,11 +158,12 @@ def running(
     socketcan: str | None = None,
     state: Path | None = None,
     stop_writing_s: float = 60.0,
+    reading_s: float = PATIENCE_S,
 ) -> Iterator[Bench]:
     """A running daemon whose state lies in `state` or `folder`, with the configuration `text` in folder/c.yaml.
 
     On a virtual bus, or on the SocketCAN interface that its configuration then has to name. A stop waits stop_writing_s for the
-    disk, which other tests may keep busy.
+    disk, which other tests may keep busy. A configuration that is read anew has reading_s.
     """
     channel = socketcan or f"service-{next(_channels)}"
     path = folder / "c.yaml"
@@ -183,6 +184,7 @@ def running(
         # A claim takes half a second.
         network_clock=time.monotonic if socketcan else lambda: 20.0 * time.monotonic(),
         stop_writing_s=stop_writing_s,
+        reading_s=reading_s,
     )
     if socketcan:
         peer = can.Bus(interface="socketcan", channel=channel)

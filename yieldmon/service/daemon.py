@@ -1,8 +1,8 @@
 """The daemon: bus, engine, store, service manager and operator around one monitor.
 
 Threads: the receiver takes frames off the bus, the engine's thread (the caller of `run`) feeds them to the monitor, the
-transmitter sends what comes out, the store's writer commits it, the control server answers `yieldmon status`. Only the engine's
-thread touches the monitor; the others reach it through queues.
+transmitter sends what comes out, the store's writer commits it, the control server answers `yieldmon status`; a configuration
+that is read anew is read on one more. Only the engine's thread touches the monitor; the others reach it through queues.
 """
 
 from __future__ import annotations
@@ -47,6 +47,7 @@ from yieldmon.service.posting import Poster
 from yieldmon.service.recovery import recover
 from yieldmon.service.reference_loads import StoredLoad, of_path
 from yieldmon.service.reload_check import at_next_start, usable_now
+from yieldmon.service.reloading import READING_S, Reloading
 from yieldmon.service.resumption import resume, successor
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.service_faults import ServiceFaults
@@ -88,13 +89,15 @@ class Daemon:
         silence_s: float = SILENCE_S,
         network_clock: Callable[[], float] = monotonic,
         stop_writing_s: float = STOP_WRITING_S,
+        reading_s: float = READING_S,
     ) -> None:
-        """reload: reads the configuration anew; raises InputError when it cannot be used. bus_factory: opens the bus, by
-        default the configured one. silence_s: see SILENCE_S; infinite for traffic that is not sent in real time.
-        network_clock: times the address claim and what else the network's protocols time. stop_writing_s: see STOP_WRITING_S."""
+        """reload: reads the configuration anew, on a thread of its own; raises InputError when it cannot be used. bus_factory:
+        opens the bus, by default the configured one. silence_s: see SILENCE_S; infinite for traffic that is not sent in real time.
+        network_clock: times the address claim and what else the network's protocols time. stop_writing_s: see STOP_WRITING_S.
+        reading_s: how long `reload` may take."""
         self.configuration = configuration
         self._at_start = configuration
-        self._reload = reload
+        self._reloading = Reloading(reload, reading_s)
         self._manager = ServiceManager(environment)
         self._codec = Codec()
         self._inputs = InputFrames(self._codec, configuration.signals)
@@ -304,9 +307,13 @@ class Daemon:
         self._do_commands()
         if windows:
             self._post()
-        # Between two windows, where a new monitor has least to miss; a quiet bus has none.
-        if self._reload_wanted and (windows or not items):
+        if self._reload_wanted and not self._reloading.under_way:
+            # Before the reading: what is written from now on may need another one.
             self._reload_wanted = False
+            self._manager.reloading()
+            self._reloading.begin()
+        # Between two windows, where a new monitor has least to miss; a quiet bus has none.
+        if self._reloading.due() and (windows or not items):
             self._do_reload()
         alive = {"receive": self._receiver.alive, "transmit": self._transmitter.alive, "store": self._writer.alive}
         for name, is_alive in alive.items():
@@ -492,13 +499,10 @@ class Daemon:
             self._poster.start(self._monitor.machine, self._journal.actions.take_waiting(), version, open_load, now_s)
 
     def _do_reload(self) -> None:
-        """Takes the configuration anew, or goes on with the old one and says so."""
-        self._manager.reloading()
+        """Takes the configuration that was read anew, or goes on with the old one and says so."""
         self._reloads += 1
         try:
-            if self._reload is None:
-                raise InputError("reload", "this run has no configuration file")
-            self._use(self._reload())
+            self._use(self._reloading.result())
         except (InputError, OSError) as error:
             # A file that could not be read this time is no reason to stop measuring.
             self._reload_note = f"refused: {error}"

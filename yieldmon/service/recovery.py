@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from yieldmon.service.in_the_way import make_way
 from yieldmon.service.memory import Memory, recall
 from yieldmon.service.retention import Retention
 from yieldmon.service.rows import SecondRow
+from yieldmon.service.spare_copy import spare_copy
 from yieldmon.service.store import Store
 from yieldmon.service.store_errors import StoreDamagedError, StoreError
 from yieldmon.service.store_file import beside, note_beginning, parts, refuse_stranger, witnessed, witnessed_store
@@ -42,9 +44,9 @@ class Recovery:
 def recover(path: Path, retention: Retention, open_store: Callable[[], Store], computer: int = NONE) -> Recovery:
     """What the store at `path` remembers. A damaged one is set aside and a new one made of what is left of it.
 
-    A medium that is full, or takes no writing, need not stop the measuring: what it holds can be read all the same, and where it
-    holds nothing the store can be made later. Raises StoreError when there is a store that cannot be read, InputError as
-    `store_file.refuse_stranger`, OccupiedError as `detach_hard_links`.
+    A medium that is full, takes no writing, or does not read all that is on it need not stop the measuring: what it holds can be
+    read all the same, and where it holds nothing the store can be made later. Raises StoreError when there is a store of which
+    nothing can be read, InputError as `store_file.refuse_stranger`, OccupiedError as `detach_hard_links`.
     """
     refuse_stranger(path)
     notes: list[str] = []
@@ -63,12 +65,18 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store], c
             memory, identity, written_on = _read(path, retention, open_store)
         except StoreDamagedError as error:
             _log.error("%s", error)
-            notes.append(_rescued(path, error, without))
-            continue
-        except StoreError:
-            if not _nothing_at(path):
-                raise
-            memory, identity, written_on, made = Memory(), NONE, NONE, False
+            try:
+                notes.append(_rescued(path, error, without))
+                continue
+            except (OSError, StoreError) as failure:
+                why = f"{error}, and cannot be set aside: {reason(failure)}"
+            memory, identity, written_on = _from_copy(path, retention, why, notes)
+        except StoreError as error:
+            left = _left_at(path)
+            if left is None:
+                memory, identity, written_on, made = Memory(), NONE, NONE, False
+            else:
+                memory, identity, written_on = _from_copy(left, retention, str(error), notes)
         last_batch = memory.last_batch
         missing = witnessed(path) - last_batch
         if missing > 0:
@@ -88,23 +96,51 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store], c
     raise StoreError(f"{path}: cannot be used, nor can a new one in its place")
 
 
-def _nothing_at(path: Path) -> bool:
-    """Whether nothing has been written to the store's files yet."""
+def _left_at(path: Path) -> Path | None:
+    """What there is of a store: itself, or the one that was to take its place; None where nothing has been written yet."""
     try:
-        return not any(part.is_file() and part.stat().st_size for part in parts(path)[:2])
+        if any(part.is_file() and part.stat().st_size for part in parts(path)[:2]):
+            return path
+        return rescue.replacement(path)
     except OSError:
-        return False
+        return path
 
 
 def _rescued(path: Path, error: StoreDamagedError, without: tuple[str, ...]) -> str:
-    try:
-        rescued = rescue.rescue(path, f"damaged-{int(time.time())}", without=without)
-    except (OSError, StoreError) as failure:
-        raise StoreError(f"{error}, and cannot be set aside: {reason(failure)}") from failure
+    """What is to be said of a store that was set aside. Raises StoreError or OSError where it cannot be."""
+    rescued = rescue.rescue(path, f"damaged-{int(time.time())}", without=without)
+    return f"damaged, {rescued}; {_origin_of_totals(rescued)}".removesuffix("; ")
+
+
+def _origin_of_totals(rescued: rescue.Rescued) -> str:
+    """Empty where they are those of the last state."""
     if rescued.saved.get("state"):
-        return f"damaged, {rescued}"
-    origin = "the last second saved" if rescued.saved.get("second") else "a new store"
-    return f"damaged, {rescued}; totals are those of {origin}"
+        return ""
+    return f"totals are those of {'the last second saved' if rescued.saved.get('second') else 'a new store'}"
+
+
+def _from_copy(path: Path, retention: Retention, why: str, notes: list[str]) -> tuple[Memory, int, int]:
+    """As `_read`, of what is left of a store that stays as it is; says so in `notes`. Raises StoreError."""
+    try:
+        with spare_copy(path) as (copy, unread):
+            # A note of commits is not copied: without it a file whose first bytes are damaged could be anybody's.
+            note_beginning(copy)
+            for without in rescue.GIVEN_UP:
+                rescued = rescue.rescue(copy, "damaged", without=without)
+                with suppress(StoreDamagedError), Store(copy, retention) as store:
+                    found = remembered(store), store.identity(), store.computer()
+                    break
+            else:
+                raise StoreError(f"{path}: what is left of it makes no sense")
+    except (OSError, StoreError) as failure:
+        if str(failure) not in why:
+            _log.error("%s", failure)
+        raise StoreError(why) from failure
+    said = [f"{why}; read from a copy", rescued.contents, _origin_of_totals(rescued)]
+    if unread:
+        said.insert(1, f"{unread} bytes cannot be read")
+    notes.append("; ".join(part for part in said if part).removeprefix(f"{path}: "))
+    return found
 
 
 def _read(path: Path, retention: Retention, open_store: Callable[[], Store]) -> tuple[Memory, int, int]:

@@ -50,10 +50,15 @@ class Rescued:
     left_behind: bool = False
 
     def __str__(self) -> str:
+        return f"set aside as {self.aside.name}; {self.contents}"
+
+    @property
+    def contents(self) -> str:
+        """What was saved, and what was not."""
         lost = [f"{count} of {table}" for table, count in self.damaged.items() if count]
         lost += [f"part of {table}" for table in self.unreadable]
         saved = ", ".join(f"{count} of {table}" for table, count in self.saved.items() if count and table != "mark")
-        text = f"set aside as {self.aside.name}; saved: {saved or 'nothing'}"
+        text = f"saved: {saved or 'nothing'}"
         if lost:
             text += f"; lost: {', '.join(lost)}"
         return text + ("; older seconds are in that file only" if self.left_behind else "")
@@ -107,10 +112,15 @@ def mend(store: Store | None, path: Path, error: StoreError) -> str:
 
 def finish(path: Path) -> None:
     """End a replacement that a power cut or a kill interrupted. Raises OSError."""
+    if replacement(path) is not None:
+        _put_in_place(path, "interrupted")
+
+
+def replacement(path: Path) -> Path | None:
+    """The whole store that was to take the place of another one and has not, None where there is none. Raises OSError."""
     ready = _ready(path)
     # A link is not of our making: a replacement is a file.
-    if ready.is_file() and not ready.is_symlink():
-        _put_in_place(path, "interrupted")
+    return ready if ready.is_file() and not ready.is_symlink() else None
 
 
 def _remove(scratch: Path) -> None:

@@ -70,7 +70,7 @@ def is_orphaned(path: Path) -> bool:
 
 def unwritten(path: Path, timeout_s: float) -> sqlite3.Connection:
     """A connection for which nothing is written, not even a journal's index; it sees nothing of a journal."""
-    return sqlite3.connect(f"{path.absolute().as_uri()}?immutable=1", timeout=timeout_s, isolation_level=None, uri=True)
+    return sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", timeout=timeout_s, isolation_level=None, uri=True)
 
 
 def in_memory(path: Path, timeout_s: float) -> sqlite3.Connection:

@@ -24,6 +24,8 @@ _log = logging.getLogger(__name__)
 _RETRY_S = 2.0
 #: A medium that damages what is written to it would be filled with stores set aside.
 _MEND_EVERY_S = 60.0
+#: Until another try where mending failed: its medium takes no writing, or has no room.
+_MEND_AGAIN_S = 10.0
 #: Commits between two rounds of making room.
 _PRUNE_EVERY = 60
 #: Events carried along from a batch whose record had to be given up.
@@ -173,6 +175,7 @@ class StoreWriter:
             note = mend(store, path, error)
         except (StoreError, OSError) as failure:
             _log.error("%s: %s", path, failure)
+            self._mended_s += _MEND_AGAIN_S - _MEND_EVERY_S
             if isinstance(error, StoreDetachedError):
                 self._mended_s = float("-inf")
             return False

@@ -1,0 +1,82 @@
+"""A configuration on a disk that hangs: it is read beside the engine, and given up after a while."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import pytest
+
+from tests.service.bench import PATIENCE_S, running, wait_for
+from yieldmon.service import configuration
+
+
+class HangingDisk:
+    """Every configuration that is read from now on waits until the disk is released; `waiting` of them do."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.released = threading.Event()
+        self.waiting = 0
+        read = configuration.load
+
+        def load(*how: Path) -> configuration.Configuration:
+            self.waiting += not self.released.is_set()
+            assert self.released.wait(PATIENCE_S)
+            return read(*how)
+
+        monkeypatch.setattr(configuration, "load", load)
+
+
+def test_measuring_goes_on_while_a_configuration_is_read(tmp_path, monkeypatch):
+    with running(tmp_path) as bench:
+        disk = HangingDisk(monkeypatch)
+        try:
+            bench.daemon.request_reload()
+            wait_for(lambda: disk.waiting, "the reading")
+            bench.play(4, 0.0)
+            bench.played()
+            assert bench.status["configuration"]["reload"] == "none since the start"
+            # What is written after the reading began is for the next one.
+            bench.daemon.request_reload()
+        finally:
+            disk.released.set()
+        wait_for(lambda: bench.status["configuration"]["reloads"] == 2, "both reloads")
+        assert bench.status["configuration"]["reload"] == "taken"
+
+
+def test_a_configuration_that_cannot_be_read_in_time_is_refused(tmp_path, monkeypatch, caplog):
+    """Each time anew, and without a thread for each of any number of tries."""
+    with running(tmp_path, reading_s=0.05) as bench:
+        disk = HangingDisk(monkeypatch)
+        notes = []
+        try:
+            for number in range(1, 6):
+                bench.daemon.request_reload()
+                wait_for(lambda number=number: bench.status["configuration"]["reloads"] == number, "the refusal")
+                notes.append(bench.status["configuration"]["reload"])
+            bench.play(4, 0.0)
+            bench.played()
+        finally:
+            disk.released.set()
+        assert disk.waiting == 3
+        late = "refused: reload: the configuration could not be read within 0.05 s; expected a disk that answers"
+        assert notes == [late] * 3 + ["refused: reload: 3 earlier ones still wait for the disk"] * 2
+        assert f"reload {late.replace(':', ', going on as before:', 1)}" in caplog.text
+        wait_for(lambda: not any(thread.name == "reload" for thread in threading.enumerate()), "the disk's answers")
+    with running(tmp_path) as bench:
+        bench.daemon.request_reload()
+        wait_for(lambda: bench.status["configuration"]["reload"] == "taken", "the reload once the disk answers")
+
+
+def test_an_error_that_was_not_foreseen_ends_no_measuring(tmp_path, monkeypatch, caplog):
+    def load(*_: Path) -> configuration.Configuration:
+        raise ZeroDivisionError("a defect")
+
+    with running(tmp_path) as bench:
+        monkeypatch.setattr(configuration, "load", load)
+        bench.daemon.request_reload()
+        wait_for(lambda: bench.status["configuration"]["reloads"] == 1, "the refusal")
+        assert bench.status["configuration"]["reload"] == "refused: reload: ZeroDivisionError: a defect"
+        bench.play(3, 0.0)
+        bench.played()
+    assert "Traceback" in caplog.text
