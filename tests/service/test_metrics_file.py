@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -40,3 +41,23 @@ def test_what_is_no_file_stays(path: Path, plant) -> None:
     plant(path)
     started_and_stopped(path)
     assert os.path.lexists(path)
+
+
+def test_a_disk_that_hangs_holds_up_no_stop(path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    path.write_text("stale")
+    answers, unlink = threading.Event(), Path.unlink
+
+    def hang(which: Path, missing_ok: bool = False) -> None:
+        if which == path:
+            assert answers.wait(120.0)
+        unlink(which, missing_ok)
+
+    monkeypatch.setattr(Path, "unlink", hang)
+    started_and_stopped(path)
+    assert "m.prom: the disk hangs; the file stays" in caplog.text
+    assert path.exists()
+    answers.set()
+    for thread in threading.enumerate():
+        if thread.name == "metrics":
+            thread.join(120.0)
+    assert not path.exists()

@@ -8,6 +8,7 @@ import random
 import shutil
 import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -233,6 +234,63 @@ def test_files_removed_while_in_use_are_told_and_written_anew(path, gone):
     if gone == "replaced":
         kept = [file.read_bytes() for file in path.parent.iterdir() if ".replaced-" in file.name]
         assert b"something else" in kept
+
+
+@pytest.mark.parametrize(("cut", "told"), [("", "set aside"), ("-wal", "its last 2 commits are missing")])
+def test_files_that_are_cut_short_while_in_use_are_told(path, cut, told):
+    """SQLite goes on with what it has in memory, into files that nobody can read."""
+    writer = StoreWriter(lambda: Store(path), 100, retry_s=0.01, path=path)
+    writer.start()
+    writer.submit(batch(41))
+    writer.submit(batch(42))
+    assert writer.wait_until_written(PATIENCE_S)
+    os.truncate(path.with_name(path.name + cut), 0)
+    writer.submit(batch(43))
+    assert writer.wait_until_written(PATIENCE_S)
+    assert told in writer.health().replaced_because
+    writer.submit(batch(44))
+    writer.stop()
+    with Store(path) as store:
+        assert [row.number for row in store.seconds()][-2:] == [43, 44]
+        assert store.last_batch() == 44
+
+
+def test_a_journal_that_another_process_wrote_into_the_file_is_no_damage(path):
+    writer = StoreWriter(lambda: Store(path), 100, retry_s=0.01, path=path)
+    writer.start()
+    writer.submit(batch(41))
+    assert writer.wait_until_written(PATIENCE_S)
+    with closing(sqlite3.connect(path)) as other:
+        assert other.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()[0] == 0
+    writer.submit(batch(42))
+    assert writer.wait_until_written(PATIENCE_S)
+    assert (writer.health().replacements, writer.health().failing) == (0, None)
+    writer.stop()
+    with Store(path) as store:
+        assert [row.number for row in store.seconds()] == list(range(1, 43))
+
+
+@pytest.mark.parametrize("again_after_s", [0, 20])
+def test_files_that_are_removed_again_are_written_anew_again(path, monkeypatch, again_after_s):
+    """A folder that is exchanged twice in a minute, and a stop right after: what waits is written."""
+    clock = [1000.0]
+    monkeypatch.setattr("yieldmon.service.writer.monotonic", lambda: clock[0])
+    writer = StoreWriter(lambda: Store(path), 100, path=path)
+    for number in (41, 42):
+        writer.submit(batch(number))
+        while writer.health().pending:
+            assert writer.work()
+        path.unlink()
+        clock[0] += again_after_s
+    writer.submit(batch(43))
+    if not again_after_s:
+        assert not writer.work(), "too soon"
+    # What is left to be done at a stop.
+    writer.start()
+    assert writer.stop(PATIENCE_S)
+    assert writer.health().replacements == 2
+    with Store(path) as store:
+        assert [row.number for row in store.seconds()] == list(range(1, 44))
 
 
 def closed_after_41(path: Path) -> StoreWriter:

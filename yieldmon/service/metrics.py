@@ -25,6 +25,7 @@ class MetricsFile:
         self._interval_s = interval_s
         self._status = status
         self._stop = threading.Event()
+        self._over = False
         self._busy_since_s: float | None = None
         self._thread = self._new_thread()
 
@@ -54,17 +55,25 @@ class MetricsFile:
         return threading.Thread(target=self._run, args=(self._stop,), name="metrics", daemon=True)
 
     def stop(self) -> None:
-        """Stop writing and take the file away, so that nothing stale is collected."""
+        """Stop writing and take the file away, so that nothing stale is collected; a disk that hangs is not waited for."""
+        if self._path is not None and not self.alive:
+            self._take_away(self._path)
+        self._over = True
         self._stop.set()
-        if self._path is not None:
+        if self._path is not None and self.alive:
             self._thread.join(_STOP_S)
-            try:
-                # A link is followed, as in writing; a pipe or a device is not ours to take away.
-                target = self._path.resolve()
-                if target.is_file():
-                    target.unlink()
-            except (OSError, RuntimeError) as error:
-                _log.warning("metrics: %s", error)
+            if self.alive:
+                _log.warning("metrics: %s: the disk hangs; the file stays", self._path)
+
+    @staticmethod
+    def _take_away(path: Path) -> None:
+        try:
+            # A link is followed, as in writing; a pipe or a device is not ours to take away.
+            target = path.resolve()
+            if target.is_file():
+                target.unlink()
+        except (OSError, RuntimeError) as error:
+            _log.warning("metrics: %s", error)
 
     def _run(self, stop: threading.Event) -> None:
         assert self._path is not None
@@ -81,6 +90,9 @@ class MetricsFile:
             if not stop.is_set():
                 self._busy_since_s = None
             if stop.wait(self._interval_s):
+                if self._over:
+                    # Else another thread writes it now.
+                    self._take_away(self._path)
                 return
 
 

@@ -17,8 +17,9 @@ import errno
 import json
 import os
 import sqlite3
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +64,8 @@ _GONE = frozenset({errno.ENOENT, errno.ENOTDIR, errno.ELOOP})
 _PRUNE_ROWS = 2000
 #: Lessons that a posting may reach back over.
 _KEPT_STEPS = 5000
+#: To which SQLite shortens a journal that was longer, when it begins it anew.
+_JOURNAL_BYTES = 4 * 1024 * 1024
 
 
 class Store:
@@ -108,6 +111,8 @@ class Store:
                 self._database = sqlite3.connect(path, timeout=timeout_s, isolation_level=None)
         self._computer = computer
         self._identities: dict[Path, tuple[int, int]] = {}
+        self._sizes: dict[Path, int] = {}
+        """Of the files as they were after the last commit; SQLite makes neither shorter while they are open."""
         self._unchecked_to: int | None = 0
         """Seconds up to this number may lack a checksum; None: the store is of a version without any."""
         try:
@@ -132,6 +137,7 @@ class Store:
         """The store at `path` to be read only, whether or not a daemon writes it meanwhile. Raises InputError as `read_only`."""
         store = cls.__new__(cls)
         store.path, store.retention, store._database, store._identities = path, Retention(), read_only(path), {}
+        store._sizes = {}
         try:
             with failures_of(path):
                 checked = store._version() >= schema.CHECKED_FROM
@@ -166,7 +172,7 @@ class Store:
         self._database.execute("PRAGMA journal_mode = WAL")
         self._database.execute("PRAGMA synchronous = FULL")
         self._database.execute("PRAGMA wal_autocheckpoint = 256")
-        self._database.execute("PRAGMA journal_size_limit = 4194304")
+        self._database.execute(f"PRAGMA journal_size_limit = {_JOURNAL_BYTES}")
         for step in range(self._version(), schema.VERSION):
             self._migrate(step)
 
@@ -246,6 +252,9 @@ class Store:
                     write(self._database, batch, identity)
                     last = batch.number
         witness(self.path, last, identity)
+        for part in parts(self.path)[:2]:
+            with suppress(OSError):
+                self._sizes[part] = min(part.stat().st_size, _JOURNAL_BYTES if part != self.path else sys.maxsize)
 
     def identity(self) -> int:
         """The store's own number, drawn at its first commit; `identity.NONE` before. Raises StoreDamagedError where the state was
@@ -273,7 +282,7 @@ class Store:
 
     def require_attached(self) -> None:
         """Raises StoreDetachedError when a file that is open has been removed or replaced under its name, so that what is
-        committed would be lost with the process."""
+        committed would be lost with the process, StoreDamagedError or StoreError when somebody has cut one short."""
         for part in parts(self.path):
             try:
                 found = os.stat(part)
@@ -285,6 +294,10 @@ class Store:
             identity = (found.st_dev, found.st_ino)
             if self._identities.setdefault(part, identity) != identity or not found.st_nlink:
                 raise StoreDetachedError(f"{part}: replaced while in use")
+            if found.st_size < self._sizes.get(part, 0):
+                cut = f"{part}: cut to {found.st_size} bytes while in use"
+                # A journal may have been written into the file by another process: opening them anew tells.
+                raise StoreDamagedError(cut) if part == self.path else StoreError(cut)
 
     def copy_to(self, target: Path) -> None:
         """Write all that this connection sees into a new file at `target`. Raises StoreError."""

@@ -24,7 +24,7 @@ _log = logging.getLogger(__name__)
 _RETRY_S = 2.0
 #: A medium that damages what is written to it would be filled with stores set aside.
 _MEND_EVERY_S = 60.0
-#: Until another try where mending failed: its medium takes no writing, or has no room.
+#: For files that were removed or replaced again, and for another try where mending failed on a medium without room, say.
 _MEND_AGAIN_S = 10.0
 #: Commits between two rounds of making room.
 _PRUNE_EVERY = 60
@@ -168,16 +168,16 @@ class StoreWriter:
         path = self._path if store is None else store.path
         if path is None or not isinstance(error, StoreDamagedError | StoreDetachedError):
             return False
-        if monotonic() - self._mended_s < _MEND_EVERY_S:
+        detached = isinstance(error, StoreDetachedError)
+        # At a stop what waits has no other time.
+        if not self._stopping and monotonic() - self._mended_s < (_MEND_AGAIN_S if detached else _MEND_EVERY_S):
             return False
         self._mended_s = monotonic()
         try:
             note = mend(store, path, error)
         except (StoreError, OSError) as failure:
             _log.error("%s: %s", path, failure)
-            self._mended_s += _MEND_AGAIN_S - _MEND_EVERY_S
-            if isinstance(error, StoreDetachedError):
-                self._mended_s = float("-inf")
+            self._mended_s = float("-inf") if detached else self._mended_s + _MEND_AGAIN_S - _MEND_EVERY_S
             return False
         self._report_replaced(path, note)
         return True
