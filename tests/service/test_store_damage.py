@@ -275,18 +275,17 @@ def test_files_that_are_removed_again_are_written_anew_again(path, monkeypatch, 
     """A folder that is exchanged twice in a minute, and a stop right after: what waits is written."""
     clock = [1000.0]
     monkeypatch.setattr("yieldmon.service.writer.monotonic", lambda: clock[0])
-    writer = StoreWriter(lambda: Store(path), 100, path=path)
+    writer = StoreWriter(lambda: Store(path), 100, retry_s=0.01, path=path)
+    writer.start()
     for number in (41, 42):
         writer.submit(batch(number))
-        while writer.health().pending:
-            assert writer.work()
+        assert writer.wait_until_written(PATIENCE_S)
         path.unlink()
         clock[0] += again_after_s
     writer.submit(batch(43))
-    if not again_after_s:
-        assert not writer.work(), "too soon"
-    # What is left to be done at a stop.
-    writer.start()
+    if again_after_s:
+        assert writer.wait_until_written(PATIENCE_S)
+        assert writer.health().replacements == 2
     assert writer.stop(PATIENCE_S)
     assert writer.health().replacements == 2
     with Store(path) as store:
