@@ -121,8 +121,8 @@ class World:
             raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
         sealed = (
-            mock.patch.object(recovery, "Store", reading), mock.patch.object(recovery.rescue, "rescue", in_order),
-            mock.patch.object(recovery.rescue, "finish", unfinished),
+            mock.patch.object(recovery, "Store", reading), mock.patch.object(rescue, "rescue", in_order),
+            mock.patch.object(rescue, "finish", unfinished),
         )  # fmt: skip
         with ExitStack() as stack:
             if self.read_only:

@@ -128,6 +128,43 @@ def test_files_are_found_beside_the_configuration(written, tmp_path):
     assert loaded.machine.sprocket_pitch_radius_m == 0.067
 
 
+CONFLICTS = [
+    ("status: {prometheus_file: c.yaml}", "status.prometheus_file: HERE/c.yaml is read for the configuration"),
+    ("status: {prometheus_file: link.prom}", "status.prometheus_file: HERE/link.prom is read for the configuration"),
+    (
+        "machine_file: m.yaml\nstatus: {prometheus_file: ./m.yaml}",
+        "status.prometheus_file: HERE/m.yaml is read for the configuration",
+    ),
+    ("status: {prometheus_file: yieldmon.sqlite}", "status.prometheus_file: HERE/yieldmon.sqlite is the store, or one beside it"),
+    *(
+        (f"store: {{path: s}}\nstatus: {{{key}: s{suffix}}}", f"status.{key}: HERE/s{suffix} is the store, or one beside it")
+        for key in ("socket", "prometheus_file")
+        for suffix in ("", "-wal", "-shm", "-journal", ".lock", ".last", ".ready", ".being-made", ".mended-wal")
+    ),
+    ("status: {prometheus_file: yieldmon.sock}", "status.prometheus_file: HERE/yieldmon.sock is status.socket"),
+]
+
+
+@pytest.mark.parametrize(("text", "problem"), CONFLICTS)
+def test_what_the_service_writes_overwrites_nothing(tmp_path, text, problem):
+    """A metrics file in the place of the configuration replaced it, and took it away at the stop."""
+    (tmp_path / "m.yaml").write_text(shipped("config/machines/sprocket-10.yaml").read_text())
+    (tmp_path / "link.prom").symlink_to("c.yaml")
+    path = tmp_path / "c.yaml"
+    path.write_text(text)
+    folder = str(tmp_path)
+    with pytest.raises(InputError) as raised:
+        configuration.load(path, {"STATE_DIRECTORY": folder, "RUNTIME_DIRECTORY": folder})
+    assert str(raised.value) == f"{path}: {problem.replace('HERE', folder)}; expected a file of its own"
+
+
+def test_a_store_has_a_name(tmp_path):
+    path = tmp_path / "c.yaml"
+    path.write_text("store: {path: /}")
+    with pytest.raises(InputError, match=r"c\.yaml: store\.path: '/'; expected the name of a file$"):
+        configuration.load(path, ENVIRONMENT)
+
+
 WRONG = [
     ("sweep: {interval_s: 5}", "sweep.interval_s: 5; expected a number from 60 to 1000000 s"),
     ("sweep: {interval_s: '900'}", "sweep.interval_s: '900'; expected a number from 60 to 1000000 s"),

@@ -43,7 +43,9 @@ def test_what_is_no_file_stays(path: Path, plant) -> None:
     assert os.path.lexists(path)
 
 
-def test_a_disk_that_hangs_holds_up_no_stop(path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_disk_that_hangs_holds_up_no_stop(
+    path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     path.write_text("stale")
     answers, unlink = threading.Event(), Path.unlink
 

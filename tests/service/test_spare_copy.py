@@ -63,7 +63,9 @@ def without_writing(folder: Path) -> Iterator[None]:
 HARM = {
     "a row": lambda database: database.execute("UPDATE counter SET value = value + 1"),
     "the state": lambda database: database.execute("UPDATE state SET document = replace(document, ':', ';')"),
-    "a table": lambda database: database.executescript("PRAGMA writable_schema = 1; DELETE FROM sqlite_schema WHERE name = 'load'"),
+    "a table": lambda database: database.executescript(
+        "PRAGMA writable_schema = 1; DELETE FROM sqlite_schema WHERE name = 'load'"
+    ),
 }
 
 
@@ -87,18 +89,17 @@ def test_a_damaged_store_that_cannot_be_set_aside_stops_no_measuring(tmp_path, m
     if journal:
         for part, content in kept.items():
             part.write_bytes(content)
-    with without_writing(state):
-        with running(tmp_path, state=state, start_s=START_S + 60.0) as bench:
-            assert bench.status["total"]["mass_kg"] == pytest.approx(before_kg, rel=1e-12)
-            assert "read from a copy" in bench.status["store"]["note"]
-            bench.play(4, GRAIN_MV)
-            bench.played()
-            assert "StoreFailing" in bench.faults
-            wait_for(lambda: bench.daemon.writer.health().failing, "the failing to be noticed")
-            assert bench.daemon.writer.health().committed == 0
-            set_writable(state, True)
-            wait_for(lambda: bench.daemon.writer.health().pending == 0, "what waited, written once the medium takes it")
-            assert "StoreFailing" in bench.faults
+    with without_writing(state), running(tmp_path, state=state, start_s=START_S + 60.0) as bench:
+        assert bench.status["total"]["mass_kg"] == pytest.approx(before_kg, rel=1e-12)
+        assert "read from a copy" in bench.status["store"]["note"]
+        bench.play(4, GRAIN_MV)
+        bench.played()
+        assert "StoreFailing" in bench.faults
+        wait_for(lambda: bench.daemon.writer.health().failing, "the failing to be noticed")
+        assert bench.daemon.writer.health().committed == 0
+        set_writable(state, True)
+        wait_for(lambda: bench.daemon.writer.health().pending == 0, "what waited, written once the medium takes it")
+        assert "StoreFailing" in bench.faults
     with Store(path) as store:
         rows = store.seconds()
     assert [row.number for row in rows] == list(range(1, len(rows) + 1))
@@ -111,8 +112,9 @@ def stored(path: Path, seconds: int) -> None:
     parameters = parameter_file.to_document(parameter_file.load())
     with Store(path) as store:
         for number in range(1, seconds + 1):
+            engine = EngineState(totals=Totals().with_mass(10.0 * number, None))
             state = {
-                "engine": EngineState(totals=Totals().with_mass(10.0 * number, None)).as_dict(), "saved_s": 1.0, "last_second": number,
+                "engine": engine.as_dict(), "saved_s": 1.0, "last_second": number,
                 "parameter_digest": "", "field": "", "crop": "", "faults": [],
             }  # fmt: skip
             versions = (ParameterVersion(1, 1.0, "file", parameters),) if number == 1 else ()
@@ -178,7 +180,7 @@ def test_a_store_of_which_nothing_can_be_read_ends_the_start(tmp_path, monkeypat
 
     monkeypatch.setattr("yieldmon.service.recovery.Store", fail)
     refuse_to_read(monkeypatch, 0, 2**40)
-    with pytest.raises(StoreError, match="disk I/O error$"):
+    with pytest.raises(StoreError, match=r"disk I/O error$"):
         recover(path, DEFAULT_RETENTION, fail)
 
 

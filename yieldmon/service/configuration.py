@@ -33,6 +33,7 @@ from yieldmon.service.document_text import problems_of
 from yieldmon.service.folders import runtime_folder, state_folder, where_sqlite_writes
 from yieldmon.service.former_keys import with_present_keys
 from yieldmon.service.output_section import output_map
+from yieldmon.service.own_files import file_conflicts
 from yieldmon.service.retention import Retention
 from yieldmon.service.signal_section import signal_map
 from yieldmon.signals.mapping import SignalMap
@@ -123,7 +124,8 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
     curve = flow_curve_file.load(curve_path) if curve_path is not None else None
     named = document.moisture_map_file
     moisture_map = moisture_file.load(path.parent / named) if named is not None else None
-    shape = pulse_shape_file.load(_beside(path, document.pulse_shape_file, pulse_shape_file.SHIPPED))
+    shape_path = _beside(path, document.pulse_shape_file, pulse_shape_file.SHIPPED)
+    shape = pulse_shape_file.load(shape_path)
     mapping, databases = signal_map(document.signals, path, machine, document.plate.fixed_angle_deg)
     outputs, written = output_map(
         document.outputs.signals, path, machine, mapping,
@@ -131,7 +133,14 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
         network=document.network.enabled,
         fixed_plate=document.plate.fixed_angle_deg is not None,
     )  # fmt: skip
-    problems = [InputError(f"{path}: {key}", *rest) for key, *rest in contradictions(document, machine)]
+    runtime, prometheus = runtime_folder(environment), document.status.prometheus_file
+    store_path = where_sqlite_writes(state_folder(environment) / document.store.path)
+    socket_path = runtime / document.status.socket
+    prometheus_path = runtime / prometheus if prometheus is not None else None
+    also_read = [path.parent / name for name in (document.estimator_file, named) if name is not None]
+    read = (path, machine_path, parameter_path, shape_path, *also_read, *databases, *written)
+    conflicts = file_conflicts(store_path, socket_path, prometheus_path, read)
+    problems = [InputError(f"{path}: {key}", *rest) for key, *rest in (*contradictions(document, machine), *conflicts)]
     if problems:
         raise ConfigurationError(problems)
     machine = _with_fixed_plate(machine, document.plate.fixed_angle_deg)
@@ -139,7 +148,6 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
     if curve is not None:
         parameters = with_curve(parameters, curve)
         check_curve_angle(curve, machine, str(curve_path))
-    prometheus = document.status.prometheus_file
     return Configuration(
         path=path,
         document=document,
@@ -152,10 +160,10 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
         machine_path=machine_path,
         parameters=parameters,
         parameter_path=parameter_path,
-        store_path=where_sqlite_writes(state_folder(environment) / document.store.path),
+        store_path=store_path,
         retention=Retention(document.store.record_hours, document.store.size_mb, document.store.event_rows),
-        socket_path=runtime_folder(environment) / document.status.socket,
-        prometheus_path=runtime_folder(environment) / prometheus if prometheus is not None else None,
+        socket_path=socket_path,
+        prometheus_path=prometheus_path,
         notes=(*renamed, *([] if curve is None else [_on_curve(curve, Path(str(curve_path)))])),
     )
 

@@ -92,7 +92,7 @@ class Daemon:
         reading_s: float = READING_S,
     ) -> None:
         """reload: reads the configuration anew, on a thread of its own; raises InputError when it cannot be used. bus_factory:
-        opens the bus, by default the configured one. silence_s: see SILENCE_S; infinite for traffic that is not sent in real time.
+        opens the bus, by default the configured one. silence_s: see SILENCE_S; infinite for traffic not sent in real time.
         network_clock: times the address claim and what else the network's protocols time. stop_writing_s: see STOP_WRITING_S.
         reading_s: how long `reload` may take."""
         self.configuration = configuration
@@ -307,14 +307,7 @@ class Daemon:
         self._do_commands()
         if windows:
             self._post()
-        if self._reload_wanted and not self._reloading.under_way:
-            # Before the reading: what is written from now on may need another one.
-            self._reload_wanted = False
-            self._manager.reloading()
-            self._reloading.begin()
-        # Between two windows, where a new monitor has least to miss; a quiet bus has none.
-        if self._reloading.due() and (windows or not items):
-            self._do_reload()
+        self._look_after_reload(between_windows=bool(windows or not items))
         alive = {"receive": self._receiver.alive, "transmit": self._transmitter.alive, "store": self._writer.alive}
         for name, is_alive in alive.items():
             if not is_alive:
@@ -497,6 +490,16 @@ class Daemon:
             version = self._monitor.estimator.parameters.version
             open_load = totals.load_number if totals.load_open else None
             self._poster.start(self._monitor.machine, self._journal.actions.take_waiting(), version, open_load, now_s)
+
+    def _look_after_reload(self, *, between_windows: bool) -> None:
+        if self._reload_wanted and not self._reloading.under_way:
+            # Before the reading: what is written from now on may need another one.
+            self._reload_wanted = False
+            self._manager.reloading()
+            self._reloading.begin()
+        # Between two windows a new monitor has least to miss; a quiet bus has none.
+        if between_windows and self._reloading.due():
+            self._do_reload()
 
     def _do_reload(self) -> None:
         """Takes the configuration that was read anew, or goes on with the old one and says so."""

@@ -50,7 +50,6 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store], c
     """
     refuse_stranger(path)
     notes: list[str] = []
-    made = True
     try:
         make_way(beside(path))
         rescue.finish(path)
@@ -61,22 +60,10 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store], c
     except OSError as error:
         _log.error("%s: %s", path, error)
     for without in rescue.GIVEN_UP:
-        try:
-            memory, identity, written_on = _read(path, retention, open_store)
-        except StoreDamagedError as error:
-            _log.error("%s", error)
-            try:
-                notes.append(_rescued(path, error, without))
-                continue
-            except (OSError, StoreError) as failure:
-                why = f"{error}, and cannot be set aside: {reason(failure)}"
-            memory, identity, written_on = _from_copy(path, retention, why, notes)
-        except StoreError as error:
-            left = _left_at(path)
-            if left is None:
-                memory, identity, written_on, made = Memory(), NONE, NONE, False
-            else:
-                memory, identity, written_on = _from_copy(left, retention, str(error), notes)
+        found = _remember(path, retention, open_store, without, notes)
+        if found is None:
+            continue
+        memory, identity, written_on, made = found
         last_batch = memory.last_batch
         missing = witnessed(path) - last_batch
         if missing > 0:
@@ -96,6 +83,27 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store], c
     raise StoreError(f"{path}: cannot be used, nor can a new one in its place")
 
 
+def _remember(
+    path: Path, retention: Retention, open_store: Callable[[], Store], without: tuple[str, ...], notes: list[str]
+) -> tuple[Memory, int, int, bool] | None:
+    """As `_read`, and whether there is a store; None where a damaged one has been set aside, and the one in its place is to be
+    read. Says in `notes` what was done. Raises StoreError."""
+    try:
+        return *_read(path, retention, open_store), True
+    except StoreDamagedError as error:
+        _log.error("%s", error)
+        try:
+            notes.append(_rescued(path, without))
+            return None
+        except (OSError, StoreError) as failure:
+            why = f"{error}, and cannot be set aside: {reason(failure)}"
+    except StoreError as error:
+        why = str(error)
+        left = _left_at(path)
+        return (*_from_copy(left, retention, why, notes), True) if left is not None else (Memory(), NONE, NONE, False)
+    return *_from_copy(path, retention, why, notes), True
+
+
 def _left_at(path: Path) -> Path | None:
     """What there is of a store: itself, or the one that was to take its place; None where nothing has been written yet."""
     try:
@@ -106,7 +114,7 @@ def _left_at(path: Path) -> Path | None:
         return path
 
 
-def _rescued(path: Path, error: StoreDamagedError, without: tuple[str, ...]) -> str:
+def _rescued(path: Path, without: tuple[str, ...]) -> str:
     """What is to be said of a store that was set aside. Raises StoreError or OSError where it cannot be."""
     rescued = rescue.rescue(path, f"damaged-{int(time.time())}", without=without)
     return f"damaged, {rescued}; {_origin_of_totals(rescued)}".removesuffix("; ")

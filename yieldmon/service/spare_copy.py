@@ -1,4 +1,4 @@
-"""A store that cannot be put in order where it lies: its medium takes no writing, has no room, or has places that it does not read.
+"""A store that cannot be put in order where it lies: its medium takes no writing, has no room, or does not read all of it.
 
 What is left of it is read from a copy on another medium. The store itself stays as it is.
 """
@@ -17,7 +17,7 @@ from yieldmon.service.store_errors import StoreError
 from yieldmon.service.store_file import LARGEST_COPY_BYTES, parts
 
 #: Where a copy may lie, in this order; None: the system's folder for temporary files.
-_PLACES: tuple[str | None, ...] = (None, "/dev/shm")  # noqa: S108 - the folder in there is one's own
+_PLACES: tuple[str | None, ...] = (None, "/dev/shm")
 _PIECE_BYTES, _SECTOR_BYTES = 1 << 20, 512
 #: A medium that fails may try for seconds before it gives up a sector.
 _READING_S = 20.0

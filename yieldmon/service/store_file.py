@@ -163,6 +163,14 @@ def beside(path: Path) -> tuple[Path, ...]:
     return (*parts(path)[1:], _witness(path))
 
 
+def names_beside(path: Path) -> tuple[Path, ...]:
+    """Every name beside a store's that the service or SQLite gives to a file, but for those set aside, which have a time."""
+    made = (path, *(path.with_name(f"{path.name}.{scratch}") for scratch in ("being-made", "mended")))
+    of_sqlite = [file.with_name(f"{file.name}-{suffix}") for file in made for suffix in ("wal", "shm", "journal")]
+    ours = [path.with_name(f"{path.name}.{suffix}") for suffix in ("lock", "last", "ready")]
+    return (*made[1:], *of_sqlite, *ours)
+
+
 def kept(path: Path) -> tuple[Path, ...]:
     """The files of a store that cannot be made from others."""
     return (*parts(path)[:2], _witness(path))
