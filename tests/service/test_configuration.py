@@ -165,6 +165,11 @@ def test_a_store_has_a_name(tmp_path):
         configuration.load(path, ENVIRONMENT)
 
 
+@pytest.mark.parametrize("socket", ["/" + "s" * 106, "s"])
+def test_a_socket_has_a_path_of_107_bytes(written, socket):
+    assert configuration.load(written(f"status: {{socket: {socket}}}"), ENVIRONMENT).socket_path.name == socket.strip("/")
+
+
 WRONG = [
     ("sweep: {interval_s: 5}", "sweep.interval_s: 5; expected a number from 60 to 1000000 s"),
     ("sweep: {interval_s: '900'}", "sweep.interval_s: '900'; expected a number from 60 to 1000000 s"),
@@ -184,6 +189,10 @@ WRONG = [
     ("status: 7", "status: 7; expected keys socket, group, prometheus_file, prometheus_interval_s"),
     ('machine_file: "a\\x00b"', r"machine_file: 'a\x00b'; expected a word or null"),
     ("status: {socket: \"a\\nb\"}", "status.socket: 'a\\nb'; expected a word"),
+    (
+        f"status: {{socket: /{'s' * 107}}}",
+        "status.socket: has 108 bytes; expected at most 107, which is what a socket's address has room for",
+    ),
     ("bus: {bitrate_bit_s: fast}", "bus.bitrate_bit_s: 'fast'; expected a whole number from 10000 to 1000000 bit/s or null"),
     ("bus: {options: {a: [1]}}", "bus.options.a: [1]; expected keys with plain values"),
     ("bus: {interface: sockcan}", "bus.interface: 'sockcan'; expected one of"),
