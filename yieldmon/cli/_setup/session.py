@@ -76,7 +76,7 @@ def _numbers(question: Question, text: str, where: str) -> list[float]:
     try:
         found = numbers(text, question.unit)
     except (ValueError, KeyError) as error:
-        wrong = str(error).split()[0] if isinstance(error, ValueError) else text
+        wrong = str(error.args[0]).split()[0]
         raise InputError(where, f"is {wrong}", f"{question.low:g} to {question.high:g} {question.unit} (or in {units})") from None
     for number in found:
         if not question.low <= number <= question.high:
