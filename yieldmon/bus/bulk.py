@@ -108,13 +108,13 @@ def decode_block(codec: Codec, block: FrameBlock, only: Container[str] | None = 
 
     only: names of the messages that are wanted; None: all.
     """
-    is_data = (block.can_id & np.uint32(EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG)) == EXTENDED_FLAG
     messages = {}
     refused = []
     for layout in codec.layouts.values():
         if only is not None and layout.name not in only:
             continue
-        rows = np.flatnonzero(is_data & ((block.can_id & np.uint32(layout.identity_mask)) == layout.identity))
+        compared = np.uint32(layout.identity_mask | EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG)
+        rows = np.flatnonzero((block.can_id & compared) == np.uint32(layout.identity | EXTENDED_FLAG))
         right = block.length[rows] == layout.length
         refused.append(rows[~right])
         rows = rows[right]
