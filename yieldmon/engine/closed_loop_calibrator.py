@@ -218,12 +218,12 @@ class ClosedLoopCalibrator:
         reason = "the model disagrees with the sweeps; what rests on them is undone"
         return CalibrationOutcome(OpenLoop(self._model.with_effects(self._updated.effects), self._updated), reason)
 
-    def forget(self, load_numbers: frozenset[int], again: Sequence[ReferenceMass]) -> None:
+    def forget(self, load_numbers: frozenset[int], unused: Sequence[ReferenceMass]) -> None:
         """See records.SelfCalibrator."""
-        names = {f"load {number}" for number in (*load_numbers, *(a.load_number for a in again))}
+        names = {f"load {number}" for number in (*load_numbers, *(a.load_number for a in unused))}
         for weighings in (self._weighings, *self._of_grain.values()):
             weighings.forget(names)
-        self._used = self._used - frozenset(again)
+        self._used = self._used - frozenset(unused)
 
     def change_grain(self, before: str, now: str, used: Sequence[ReferenceMass]) -> None:
         """See records.SelfCalibrator."""

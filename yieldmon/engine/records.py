@@ -314,8 +314,8 @@ class SelfCalibrator(Protocol):
     def weigh(self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator) -> CalibrationOutcome:
         """What reference masses change. record: the last window; anchors: all reference masses kept."""
 
-    def forget(self, load_numbers: frozenset[int], again: Sequence[ReferenceMass]) -> None:
-        """The weighings of these loads were wrong; those in `again` have changed nothing that counts and may be used anew."""
+    def forget(self, load_numbers: frozenset[int], unused: Sequence[ReferenceMass]) -> None:
+        """The weighings of these loads were wrong; those in `unused` have changed nothing that counts and may be used anew."""
 
     def change_grain(self, before: str, now: str, used: Sequence[ReferenceMass]) -> None:
         """Another crop from now on: what was weighed of the one before is kept for its return. used: masses of the new one that

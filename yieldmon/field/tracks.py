@@ -136,7 +136,7 @@ def tracks(table: HarvestTable) -> Tracks:
     x, y = plane.to_m(table["longitude_deg"], table["latitude_deg"])
     stream = table.source_of_row.astype(np.intp) * len(table.labels["machine"].names) + table.labels["machine"].codes
     sections = np.nan_to_num(table["section"])
-    time = _told(table["time_s"])
+    time = _spread_unknown(table["time_s"])
     order = np.lexsort((np.arange(len(table)), time, stream))
     if not sections.any():
         step_of_sorted = np.arange(len(table))
@@ -206,7 +206,7 @@ def _usual_s(time_s: Array, stream: Index) -> Array:
     return np.repeat(usual, ends - first)
 
 
-def _told(time_s: Array) -> Array:
+def _spread_unknown(time_s: Array) -> Array:
     """Times, with each that is not known far from all others."""
     known = np.isfinite(time_s)
     if known.all():

@@ -143,11 +143,11 @@ class Feed:
         while self._watchers:
             status = await asyncio.to_thread(self._take)
             self._looked_s = self._clock()
-            told = self._told()
-            if told != before or self._hang_reported:
+            content = self._content()
+            if content != before or self._hang_reported:
                 self._wake()
             self._hang_reported = False
-            before = told
+            before = content
             age_s = float(status["age_s"]) if status is not None else 0.0
             await asyncio.sleep(min(_MOST_S, max(_LEAST_S, _PERIOD_S + _AFTER_S - age_s)))
         self._looking = None
@@ -156,8 +156,8 @@ class Feed:
         for news in self._watchers:
             news.set()
 
-    def _told(self) -> tuple[int, int, dict[str, Any]]:
-        """What a page would be told, without what changes by itself; the age matters once it is stale."""
+    def _content(self) -> tuple[int, int, dict[str, Any]]:
+        """What a page would show, without what changes by itself; the age matters once it is stale."""
         still = {name: value for name, value in self._state.items() if name not in ("age_s", "uptime_s")}
         return self._generation, self._newest, still if not self._state.get("stale") else self._state
 

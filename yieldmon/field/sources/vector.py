@@ -156,7 +156,7 @@ def _read_layer(address: str, where: str) -> _Layer:
     x, y = _points(geometry)
     if not np.isfinite(x).any():
         raise InputError(where, f"holds {meta.get('geometry_type')}", "points")
-    return _Layer(tuple(map(str, meta["fields"])), fields, x, y, meta.get("crs"), _told([str(one.message) for one in said]))
+    return _Layer(tuple(map(str, meta["fields"])), fields, x, y, meta.get("crs"), _warnings([str(one.message) for one in said]))
 
 
 def _layer(path: Path, address: str, name: str, options: ReadOptions) -> HarvestTable:
@@ -201,7 +201,7 @@ def _values(found: Mapping[str, tuple[Column, np.ndarray]]) -> tuple[dict[str, C
     return columns, numbers, texts
 
 
-def _told(said: Sequence[str]) -> tuple[str, ...]:
+def _warnings(said: Sequence[str]) -> tuple[str, ...]:
     """What GDAL said while it read, of many the first."""
     if not said:
         return ()
