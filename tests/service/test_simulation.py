@@ -22,7 +22,7 @@ def test_simulated_days_break_no_invariant():
     assert len(world.troubles) >= 8
 
 
-@pytest.mark.parametrize("mend", ["rescue", "removed files", "witness of commits", "interrupted replacement"])
+@pytest.mark.parametrize("mend", ["rescue", "removed files", "witness of commits", "stores read from a copy"])
 def test_a_mend_undone_is_found(mend):
     assert found_without(store_simulation.MENDS[mend], 20, 7).found
 
