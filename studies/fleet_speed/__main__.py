@@ -2,7 +2,7 @@
 
     python -m studies.fleet_speed [--partitions N] [--minutes N] [--workers 1 2 4] [--json]
 
-One simulated harvest is the log of every machine and day. For each number of workers: time by the clock, CPU time of all
+One simulated harvest, its times shifted by days, is the log of every machine: a machine's days hold one log each. For each number of workers: time by the clock, CPU time of all
 processes together, and the load average at the start. The clock says something on an idle machine only; the CPU time that several
 workers take beyond one's is what they lose, whoever else computes: with that many free cores N workers are N x (CPU of one) /
 (CPU of N) times as fast, start and end apart. All datasets must be the same to the byte, and their records those of `process`.
@@ -19,11 +19,14 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from studies.bulk_speed.__main__ import SEED, TILE_S, ours, tiled, write_text
+from yieldmon.units import S_PER_DAY
 
+MACHINES = 8
 PROGRAM = [sys.executable, "-m", "yieldmon.cli.main"]
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
@@ -36,16 +39,19 @@ def run(words: list[str]) -> tuple[float, float]:
     return wall_s, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def tree(folder: Path, partitions: int, minutes: float) -> Path:
-    """Folder MACHINE/DAY/LOG; returns the log that all of them are."""
-    one = ours()
-    log = folder / "harvest.log"
-    write_text(tiled(one, int(len(one) * minutes * 60.0 / TILE_S)), log)
+def tree(folder: Path, partitions: int, minutes: float) -> dict[str, Path]:
+    """Folder MACHINE/DAY/LOG; returns the log of each day, by the day's name."""
+    one, logs = ours(), dict[str, Path]()
     for number in range(partitions):
-        day = folder / "logs" / f"m{number % 8}" / f"d{number // 8:03d}"
+        name = f"d{number // MACHINES:03d}"
+        if name not in logs:
+            logs[name] = folder / f"{name}.log"
+            shifted = replace(one, time_s=one.time_s + len(logs) * S_PER_DAY)
+            write_text(tiled(shifted, int(len(one) * minutes * 60.0 / TILE_S)), logs[name])
+        day = folder / "logs" / f"m{number % MACHINES}" / name
         day.mkdir(parents=True)
-        os.link(log, day / "a.log")
-    return log
+        os.link(logs[name], day / "a.log")
+    return logs
 
 
 def content(dataset: Path) -> dict[str, bytes]:
@@ -67,16 +73,19 @@ def main() -> int:
     same = True
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        log = tree(folder, args.partitions, args.minutes)
-        alone_s, alone_cpu_s = run(["process", str(log), "--out", str(folder / "records.parquet"), "--jobs", "1"])
-        records, first = (folder / "records.parquet").read_bytes(), None
+        records, first = dict[str, bytes](), None
+        for day, log in tree(folder, args.partitions, args.minutes).items():
+            alone = folder / f"{day}.parquet"
+            alone_s, alone_cpu_s = run(["process", str(log), "--out", str(alone), "--jobs", "1"])
+            records[f"day={day}"] = alone.read_bytes()
         for workers in args.workers:
             out, load = folder / f"season-{workers}", os.getloadavg()[0]
             wall_s, cpu_s = run(["fleet", "run", str(folder / "logs"), "--out", str(out), "--workers", str(workers)])
             made = content(out)
             first = made if first is None else first
-            rows = [data for path, data in made.items() if path.endswith("/records.parquet")]
-            same = same and made == first and len(rows) == args.partitions and set(rows) == {records}
+            rows = {path: data for path, data in made.items() if path.endswith("/records.parquet")}
+            equal = all(data == records[path.split("/")[1]] for path, data in rows.items())
+            same = same and made == first and len(rows) == args.partitions and equal
             found[str(workers)] = {"wall_s": wall_s, "cpu_s": cpu_s, "load_average": load}
             shutil.rmtree(out)
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)

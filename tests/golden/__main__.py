@@ -36,10 +36,11 @@ def main() -> int:
         parser.error("--keep needs --reason")
     found = outputs(options.keep)
     if options.keep:
-        reasons = kept.differences()
+        reasons, machines = kept.differences(), kept.machines()
         for name in options.keep:
             kept.save(name, found[name])
-            reasons[name] = options.reason
+            reasons[name], machines[name] = options.reason, kept.machine()
+        kept.MACHINES.write_text(yaml.safe_dump(machines, width=120))
         kept.DIFFERENCES.write_text(yaml.safe_dump(reasons, width=120, allow_unicode=True))
         return 0
     for name, text in found.items():

@@ -17,6 +17,7 @@ from tests.golden.cases import TESTS
 FOLDER = Path(__file__).resolve().parent / "outputs"
 HASHES = FOLDER / "sha256-0.1.0.json"
 DIFFERENCES = FOLDER / "differences.yaml"
+MACHINES = FOLDER / "machines.yaml"
 #: Between machines whose floating point differs in the last digits, numbers are compared instead of bytes.
 RELATIVE_TOLERANCE = 1e-6
 ABSOLUTE_TOLERANCE = 1e-9
@@ -64,6 +65,17 @@ def hashes() -> dict[str, str]:
     """Hashes of version 0.1.0's outputs by case, and the machine they come from under `machine`."""
     found: dict[str, str] = json.loads(HASHES.read_text())
     return found
+
+
+def machines() -> dict[str, str]:
+    """Machines that outputs come from which were kept anew on another one than that of the hashes, by case."""
+    found: dict[str, str] = yaml.safe_load(MACHINES.read_text()) or {}
+    return found
+
+
+def machine_of(name: str) -> str:
+    """The machine that a case's kept output comes from."""
+    return machines().get(name, hashes()["machine"])
 
 
 def differences() -> dict[str, str]:
