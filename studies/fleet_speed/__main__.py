@@ -2,11 +2,11 @@
 
     python -m studies.fleet_speed [--partitions N] [--minutes N] [--workers 1 2 4] [--json]
 
-One simulated harvest, its times shifted by days, is the log of every machine: a machine's days hold one log each. For each number of
-workers: time by the clock, CPU time of all processes together, and the load average at the start. The clock says something on an idle
-machine only; the CPU time that several workers take beyond one's is what they lose, whoever else computes: with that many free cores N
-workers are N x (CPU of one) / (CPU of N) times as fast, start and end apart. All datasets must be the same to the byte, and their
-records those of `process`.
+One simulated harvest, its times shifted by days, is the log of every machine: a machine's days hold one log each. For each
+number of workers: time by the clock, CPU time of all processes together, and the load average at the start. The clock says
+something on an idle machine only; the CPU time that several workers take beyond one's is what they lose, whoever else
+computes: with that many free cores N workers are N x (CPU of one) / (CPU of N) times as fast, start and end apart. All
+datasets must be the same to the byte, and their records those of `process`.
 """
 
 from __future__ import annotations
