@@ -5,14 +5,15 @@
     python -m studies.mutation --package engine --sample 20
 
 A mutant runs in a fork of this process, which has the third-party packages loaded, against the tests that concern its module:
-those that import it, and where there are none those of its package. It is killed when one of them fails or they take CPU time
-without end. Exit code 1 when fewer than 90 % are killed.
+those that import it, those that import what imports it, and where there are few those of its package. It is killed when one of
+them fails or they take CPU time without end. Exit code 1 when fewer than 90 % are killed.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import importlib
 import importlib.machinery
 import json
@@ -24,6 +25,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -48,7 +50,10 @@ OF_PACKAGE = {
 }
 FEWEST_FILES, MOST_FILES = 2, 6
 #: Packages whose parts are seen together more than alone: the files of OF_PACKAGE come after those of each module.
-TOGETHER = ("engine",)
+TOGETHER = ("engine", "network")
+#: What holds the defaults and ranges of the settings, and the modules that state them.
+OF_SETTINGS = ("tests/service/test_configuration.py", "tests/docs/test_reference_pages.py")
+SETTINGS = re.compile(r"yieldmon/(service/(\w+_sections|document|section)|engine/settings)\.py")
 #: Folders of tests that need a machine of their own, or a long time.
 AWAY = ("vcan", "systemd", "benchmarks", "docs", "golden", "robustness")
 
@@ -106,18 +111,36 @@ NAMED = (
 
 
 def concerned(path: str) -> tuple[str, ...]:
-    """Test files for a module: those that import it or bear its name, few of them, or its package's."""
-    module = path.removesuffix(".py").replace("/", ".")
-    package, name = module.rsplit(".", 1)
-    ways = (rf"from {re.escape(module)} import", rf"from {re.escape(package)} import [^\n]*\b{name}\b")
-    pattern = re.compile("|".join(ways))
-    files_here = (file for file in sorted((ROOT / "tests").glob("*/test_*.py")) if file.parent.name not in AWAY)
-    found = [file for file in files_here if file.stem == f"test_{name}" or pattern.search(file.read_text(encoding="utf-8"))]
-    found.sort(key=lambda file: (file.parent.name != path.split("/")[1], name not in file.name, file.stat().st_size))
-    files = [str(file.relative_to(ROOT)) for file in found[:MOST_FILES]]
-    part = path.split("/")[1]
+    """Test files for a module, few of them: those that import it or bear its name, then those that import what imports it, the
+    small ones first, then its package's; the configuration's for settings."""
+    part, name = path.split("/")[1], Path(path).stem
+    users = _importing([path], (ROOT / "yieldmon").rglob("*.py"))
+    tests = [file for file in sorted((ROOT / "tests").glob("*/test_*.py")) if file.parent.name not in AWAY]
+    direct = [file for file in tests if file.stem == f"test_{name}" or file in _importing([path], tests)]
+    direct.sort(key=lambda file: (file.parent.name != part, name not in file.name, file.stat().st_size))
+    by_others = [file for file in _importing([str(user.relative_to(ROOT)) for user in users], tests) if file not in direct]
+    by_others.sort(key=lambda file: (file.parent.name != part, file.stat().st_size))
+    files = list(OF_SETTINGS) if SETTINGS.fullmatch(path) else []
+    files += [str(file.relative_to(ROOT)) for file in (*direct, *by_others)]
+    files = list(dict.fromkeys(files))[:MOST_FILES]
     files += [name for name in OF_PACKAGE[part] if name not in files and (part in TOGETHER or len(files) < FEWEST_FILES)]
     return tuple(files)
+
+
+def _importing(paths: Sequence[str], files: Iterable[Path]) -> list[Path]:
+    """Those of some files that import one of the modules at these paths, by its whole name or within its package."""
+    ways = []
+    for module in (path.removesuffix(".py").replace("/", ".") for path in paths):
+        package, name = module.rsplit(".", 1)
+        ways += [rf"from {re.escape(module)} import", rf"from {re.escape(package)} import [^\n]*\b{name}\b"]
+        ways += [rf"from \.{name} import", rf"from \. import [^\n]*\b{name}\b"]
+    pattern = re.compile("|".join(ways))
+    return [file for file in files if ways and pattern.search(_text(file))]
+
+
+@functools.cache
+def _text(file: Path) -> str:
+    return file.read_text(encoding="utf-8")
 
 
 def killed(path: str, text: str, tests: tuple[str, ...]) -> str:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import inf
+from math import inf, nan
 
+import numpy as np
 import pytest
 from engine_bench import MACHINE, Bench, ForceProportional, Kept
 
@@ -14,7 +15,8 @@ from yieldmon.engine.loads import Loads
 from yieldmon.engine.runs import run_of
 from yieldmon.engine.settings import EngineSettings, InputSettings, TotalsSettings
 from yieldmon.engine.since_zero import MissedMass
-from yieldmon.engine.sources import DEFAULT_SOURCES
+from yieldmon.engine.sources import DEFAULT_SOURCES, QUANTITIES
+from yieldmon.engine.totals import Totals
 from yieldmon.frames import Frame
 from yieldmon.physics.machine import RPM
 
@@ -75,3 +77,40 @@ def test_missed_mass_joins_its_own_load_and_no_other() -> None:
     assert [(load.number, load.measured_kg, load.unknown_moisture_kg) for load in corrected] == [(1, 105.0, 105.0), (2, 0.0, 0.0)]
     assert [(load.number, load.measured_kg) for load in loads.all] == [(1, 105.0), (2, 0.0), (3, 7.0)]
     assert (loads.totals.total_kg, loads.totals.total_unknown_moisture_kg) == (102.0, 102.0)
+
+
+@pytest.mark.parametrize("is_open", [True, False])
+def test_totals_that_are_reset_begin_from_nothing_in_a_load_of_their_own(is_open: bool) -> None:
+    loads = Loads(EngineSettings())
+    loads.set_market_moisture(13.5)
+    loads.begin(0.0)
+    loads.start(10.0)
+    loads.correct({2: MissedMass().plus(50.0, None, area_known=True)})
+    if not is_open:
+        loads.stop(15.0)
+    assert (loads.totals.total_kg, loads.totals.load_number) == (50.0, 2)
+    loads.reset(20.0)
+    assert loads.totals == Totals(load_number=3, market_moisture_pct=13.5)
+
+
+PLAUSIBLE = [
+    ("elevator_speed", (0.0, 400.0), (-1.0, nan)),
+    ("plate_angle", (0.0, 70.0, 90.0), (-1.0, 400.0, nan)),
+    ("moisture", (0.0, 15.0, 99.9), (-0.1, 100.0, nan)),
+    ("grain_temperature", (-50.0, 20.0, 100.0), (-50.1, 100.1, nan)),
+    ("test_weight", (0.1, 720.0), (0.0, -1.0, nan)),
+    ("thousand_kernel_weight", (1.0, 2000.0), (0.9, 2000.1, nan)),
+    ("course", (0.0, 360.0), (-0.1, 360.1, nan)),
+    ("ground_speed", (0.0, 6.0), (-0.1, nan)),
+    ("latitude", (-90.0, 0.0, 90.0), (-90.1, 90.1, 180.0, nan)),
+    ("longitude", (-180.0, 0.0, 180.0), (-180.1, 180.1, nan)),
+    ("header_down", (0.0, 1.0), (2.0, 0.5, nan)),
+    ("actuator_state", (0.0, 1.0, 2.0, 3.0), (4.0, 0.5, nan)),
+]
+
+
+@pytest.mark.parametrize(("quantity", "usable", "unusable"), PLAUSIBLE, ids=[row[0] for row in PLAUSIBLE])
+def test_what_cannot_be_true_is_not_used(quantity: str, usable: tuple[float, ...], unusable: tuple[float, ...]) -> None:
+    found = QUANTITIES[quantity].usable
+    assert [bool(found(value)) for value in (*usable, *unusable)] == [True] * len(usable) + [False] * len(unusable)
+    assert found(np.array([*usable, *unusable])).tolist() == [True] * len(usable) + [False] * len(unusable)

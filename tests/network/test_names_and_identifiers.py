@@ -68,9 +68,20 @@ def test_name_round_trip(number: int) -> None:
     assert int(Name.of_int(number)) == number
 
 
-def test_name_out_of_range_is_refused() -> None:
-    with pytest.raises(ValueError, match="manufacturer_code is 2048, expected 0 to 2047"):
-        Name(identity_number=1, manufacturer_code=2048)
+@pytest.mark.parametrize(
+    ("field", "largest"),
+    [
+        ("identity_number", 2097151), ("manufacturer_code", 2047), ("ecu_instance", 7), ("function_instance", 31),
+        ("function", 255), ("reserved", 1), ("vehicle_system", 127), ("vehicle_system_instance", 15), ("industry_group", 7),
+    ],
+)  # fmt: skip
+def test_the_range_of_each_field_of_a_name(field: str, largest: int) -> None:
+    """J1939-81, 4.1.1."""
+    whole = Name(**{"identity_number": 1, field: largest})
+    assert getattr(Name.of_int(int(whole)), field) == largest
+    for outside in (-1, largest + 1):
+        with pytest.raises(ValueError, match=f"{field} is {outside}, expected 0 to {largest}"):
+            Name(**{"identity_number": 1, field: outside})
 
 
 def test_address_follows_its_name() -> None:

@@ -96,6 +96,30 @@ def test_loser_gets_another_address_and_keeps_it() -> None:
     assert [f.identifier & 0xFF for f in node.send(65302, bytes(8), 1.3)] == [taken]
 
 
+@pytest.mark.parametrize(
+    ("name", "holder", "claims_ours"),
+    [(NAME, LOWER, False), (NAME, HIGHER, True), (NAME, None, True), (FIXED, BELOW_FIXED, True)],
+    ids=["a lower NAME", "a higher NAME", "nobody", "we cannot take another"],
+)
+def test_the_address_of_a_lower_name_is_not_claimed_at_the_start(name: Name, holder: Name | None, claims_ours: bool) -> None:
+    node = Node(NodeSettings(name=name))
+    node.start(0.0)
+    if holder is not None:
+        node.feed(*claim(US, holder), 0.1)
+    (sent,) = node.poll(0.25)
+    assert sent.data == name.data
+    assert ((sent.identifier & 0xFF) == US) is claims_ours
+
+
+@pytest.mark.parametrize(("frames_s", "told"), [((2.0,), False), ((2.0, 4.0), True), ((2.0, 14.0), False), ((2.0, 10.0), True)])
+def test_one_stray_frame_from_our_address_in_ten_seconds_is_no_trouble(frames_s: tuple[float, ...], told: bool) -> None:
+    """A node that has just lost the address may still have had one under way."""
+    node = node_at()
+    for now_s in frames_s:
+        node.feed(0x18FF1600 | US, bytes(8), now_s)
+    assert any("sends from our address" in trouble for trouble in node.troubles(frames_s[-1])) is told
+
+
 def test_cannot_claim_is_said_late_and_again_when_asked() -> None:
     node = node_at(name=FIXED)
     assert node.feed(*claim(US, BELOW_FIXED), 1.0).frames == []

@@ -11,19 +11,22 @@ import can
 import pytest
 
 from tests.extras import MF4
+from tests.plant_sweeps import window
 from tests.service.bench import CODEC, START_S, ZERO_MV, running, traffic
 from yieldmon import frames
 from yieldmon.bus.codec import Codec
 from yieldmon.bus.log_writing import writing
 from yieldmon.bus.logs import read_log
 from yieldmon.cli import main as cli
+from yieldmon.engine.results import PlateCommand, Result, WindowResult
 from yieldmon.errors import InputError
 from yieldmon.frames import Frame
 from yieldmon.resources import shipped
 from yieldmon.service import configuration
 from yieldmon.service.assembly import build_monitor
 from yieldmon.service.bulk_processing import EndOfLog, process_in_bulk
-from yieldmon.service.processing import process_logs
+from yieldmon.service.processing import Summary, hand_over, process_logs
+from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store
 from yieldmon.service.tables import COLUMNS
 
@@ -254,3 +257,16 @@ def test_kinds_of_table_say_the_same(log, tmp_path):
     assert tuple(rows[0]) == COLUMNS
     assert [float(row["total_kg"]) for row in rows] == [line["total_kg"] for line in lines]
     assert lines[0]["zero_mv"] is None or lines[-1]["zero_mv"] == pytest.approx(ZERO_MV, abs=2.0)
+
+
+def test_all_that_the_monitor_hands_back_can_be_asked_for_beside_the_rows() -> None:
+    results: list[Result] = [WindowResult(window(mass_kg=3.0)), PlateCommand(()), WindowResult(window(mass_kg=4.0))]
+    taken: list[SecondRow] = []
+    seen: list[Result] = []
+    summary = Summary()
+    hand_over(results, taken.append, summary, seen.extend)
+    assert seen == results
+    assert [(row.number, row.mass_kg) for row in taken] == [(1, 3.0), (2, 4.0)]
+    assert summary.windows == 2
+    hand_over(results, taken.append, summary)
+    assert [row.number for row in taken] == [1, 2, 3, 4]

@@ -7,17 +7,21 @@ from types import SimpleNamespace
 
 import pytest
 
+from tests.service.test_posting import known, rows
 from yieldmon.cli import ticket
 from yieldmon.cli.main import main
+from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.totals import Totals
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
+from yieldmon.physics.machine import Machine
 from yieldmon.resources import shipped
 from yieldmon.service import commands, configuration
 from yieldmon.service.assembly import build_monitor
 from yieldmon.service.batch import Load, Ticket
 from yieldmon.service.journal import Journal
 from yieldmon.service.memory import Memory
+from yieldmon.service.reference_loads import StoredLoad
 
 LOADS = tuple(Load(number, "north", "corn", None, None, mass_kg, 0.9 * mass_kg) for number, mass_kg in ((1, 3000.0), (2, 1000.0)))
 
@@ -75,6 +79,33 @@ def test_a_ticket_in_another_unit_is_kept_and_teaches_nothing(mass_kg: float, te
     assert answer["factor"] == pytest.approx(mass_kg / 3000.0)
     assert (answer["anchor"], len(monitor.tickets)) == (teaches, int(teaches))
     assert teaches or answer["why_no_anchor"] == f"weighs {mass_kg:.5g} kg, where 3000 kg were measured"
+
+
+SECONDS = tuple(rows(1, 100.0))
+STORED = StoredLoad(Load(1, "north", "corn", 99.0, 104.0, 50.0, 45.0), SECONDS, {1: known()}, doubted=False)
+
+
+@pytest.mark.parametrize(
+    ("measured_now", "stored", "learnt", "why"),
+    [
+        ({}, STORED, [1], ""),
+        ({}, replace(STORED, doubted=True), [1], "not every second of it was measured"),
+        ({}, replace(STORED, seconds=SECONDS[:-1]), [1], "not every second of it was measured"),
+        ({1: True}, replace(STORED, doubted=True), [], ""),
+        ({1: False}, STORED, [], "not every second of it was measured"),
+    ],
+    ids=["earlier run", "doubted", "a second missing", "this run's own word counts", "this run did not see it whole"],
+)
+def test_a_load_of_an_earlier_run_teaches_as_the_store_has_it(
+    measured_now: dict[int, bool], stored: StoredLoad, learnt: list[int], why: str
+) -> None:
+    monitor, got_to_know = Told(measured_now), []
+    monitor.machine, monitor.settings = Machine(), EngineSettings()
+    monitor.know_load = lambda summary, seconds: got_to_know.append(summary.number)
+    log = Journal(Memory(loads=(stored.load,)), parameter_file.load(), now_s=0.0)
+    answer = commands.execute({"command": "ticket", "first_load": 1, "mass_kg": 51.0}, monitor, log, 1.7e9, [stored])
+    assert (got_to_know, answer["why_no_anchor"], answer["anchor"]) == (learnt, why, not why)
+    assert [number for number, _, _ in monitor.tickets] == [1] * (not why)
 
 
 def test_a_ticket_for_another_crop_than_the_one_in_use_teaches_nothing() -> None:

@@ -308,3 +308,20 @@ def test_check_config_shows_the_note(written, capsys):
     assert cli.main(["check-config", str(written("sweep: {lying_spread: 0.1}\n"))]) == 0
     assert "note: " in (shown := capsys.readouterr().out)
     assert "sweep.feedback_plausibility_flow_spread" in shown
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "given", "timeout_s"),
+    [
+        (1000, "", EngineSettings().inputs.sensor_timeout_s),
+        (10, "", 1.0),
+        (25, "", 0.4),
+        (10, "inputs: {sensor_timeout_s: 0.3}", 0.3),
+    ],
+)
+def test_a_slow_sensor_is_waited_for_ten_frames_unless_a_time_is_set(written, tmp_path, rate_hz, given, timeout_s):
+    (tmp_path / "a.dbc").write_text(
+        'VERSION ""\nNS_ :\nBS_:\nBU_: N\nBO_ 417 Force: 2 N\n SG_ F : 0|16@1+ (0.1,0) [0|0] "N" N\n', encoding="utf-8"
+    )
+    path = written(f"signals:\n  impact_force: {{dbc: a.dbc, message: Force, signal: F, rate_hz: {rate_hz}}}\n{given}\n")
+    assert configuration.load(path, {}).engine.inputs.sensor_timeout_s == pytest.approx(timeout_s)

@@ -27,7 +27,7 @@ def answer(request: Mapping[str, Any]) -> Mapping[str, Any]:
 
 @pytest.fixture
 def path(tmp_path: Path) -> Iterator[Path]:
-    path = tmp_path / "run" / "s.sock"
+    path = tmp_path / "run" / "yieldmon" / "s.sock"
     server = ControlServer(path, None, answer)
     server.start()
     yield path

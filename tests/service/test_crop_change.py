@@ -14,6 +14,7 @@ from yieldmon.resources import shipped
 from yieldmon.service import commands, configuration
 from yieldmon.service.assembly import build_monitor
 from yieldmon.service.journal import Journal
+from yieldmon.service.ledger import PARAMETERS_UNDO
 from yieldmon.service.memory import Memory, recall
 from yieldmon.service.store import Store
 
@@ -89,6 +90,26 @@ def test_a_calibration_undone_under_another_crop_is_undone_for_its_own(tmp_path)
     assert monitor.estimator.parameters.values == shipped_wheat
     with pytest.raises(InputError, match="is undone already"):
         undo(learnt.version)
+
+
+@pytest.mark.parametrize("crop_named", ["", "wheat"])
+def test_a_calibration_undone_under_its_own_crop_gives_the_parameters_before_it(crop_named: str) -> None:
+    monitor, journal = started()
+    journal.parameters.use(monitor.estimator.parameters, "file")
+    if crop_named:
+        load(monitor, journal, crop_named)
+    before = monitor.estimator.parameters
+    learnt = replace(before, values={**before.values, "friction": 0.3}, version=before.version + 1)
+    monitor.set_estimator(type(monitor.estimator)(monitor.estimator.model, learnt), 0.0)
+    journal.parameters.use(learnt, "ticket", tickets=(1,))
+    request = {"command": "calibration-undo", "version": learnt.version, "who": "anna"}
+    answer = commands.execute(request, monitor, journal, 1.7e9)
+    assert (answer["undone"], answer["version"], answer["crop"]) == (learnt.version, learnt.version + 1, "")
+    assert monitor.estimator.parameters.values == before.values
+    (told,) = [action for action in journal.batch(monitor, 1.7e9, {}).actions if action.kind == PARAMETERS_UNDO]
+    assert (told.who, told.document, told.time_s) == ("anna", {"version": learnt.version}, 1.7e9)
+    with pytest.raises(InputError, match="is undone already"):
+        commands.execute(request, monitor, journal, 1.7e9)
 
 
 def test_a_calibration_of_ones_own_is_only_named():

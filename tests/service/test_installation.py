@@ -15,7 +15,7 @@ import yaml
 from yieldmon.cli.main import main
 from yieldmon.files import parameter_file
 from yieldmon.resources import shipped
-from yieldmon.service.installation import Installer, package_source
+from yieldmon.service.installation import Installer, package_source, uninstall
 
 ROOT = Path(__file__).parents[2]
 UNIT, CONFIGURATION = "etc/systemd/system/yieldmon.service", "etc/yieldmon/yieldmon.yaml"
@@ -241,3 +241,22 @@ def test_a_command_that_is_not_there_is_a_failure(tmp_path: Path) -> None:
     installer = Installer(tmp_path, dry_run=False)
     assert installer.run(str(tmp_path / "gone"), live_only=False) is False
     assert installer.failures == [f"{tmp_path / 'gone'}: not on this machine"]
+
+
+class NoSuchUnit(Installer):
+    """A machine on which the service was never installed; broken: what systemctl cannot do there beside that."""
+
+    broken = ""
+
+    def run(self, *command: str, live_only: bool = True) -> bool:
+        if "disable" in command or self.broken in command:
+            self.failures.append(f"{command[1]}: no such unit")
+        return not self.failures
+
+
+@pytest.mark.parametrize(("broken", "failures"), [("", []), ("daemon-reload", ["daemon-reload: no such unit"])])
+def test_a_unit_that_was_never_there_is_no_failure_to_take_it_away(tmp_path: Path, broken: str, failures: list[str]) -> None:
+    installer = NoSuchUnit(tmp_path, dry_run=False)
+    installer.broken = broken
+    uninstall(installer, "can0", purge=False)
+    assert installer.failures == failures

@@ -35,6 +35,10 @@ def record(text: str) -> logging.LogRecord:
     return logging.LogRecord("x", logging.WARNING, "f.py", 1, text, None, None)
 
 
+def test_without_a_line_there_is_nothing_to_wait_for() -> None:
+    assert JournalLines().finish(0.0)
+
+
 def test_lines_come_in_order(pipe: tuple[int, int]) -> None:
     lines = JournalLines(pipe[1])
     for number in range(50):

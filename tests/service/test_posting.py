@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import sqlite3
+import threading
 from contextlib import closing
 from dataclasses import replace
 
@@ -278,3 +279,19 @@ def test_a_zero_is_taken_back_across_a_restart(tmp_path, capsys, closed: bool) -
         assert load["dry_mass_kg"] == pytest.approx(load["mass_kg"], rel=1e-6), "15.5 % of moisture, that of the market"
         states = [c["state"] for c in ask(tmp_path, capsys, "calibrations", "list")["calibrations"] if c["kind"] == "zero"]
         assert states == ["undone", "undone"]
+
+
+def test_a_job_that_is_under_way_has_nothing_to_take_and_stays_under_way(tmp_path) -> None:
+    go_on = threading.Event()
+    with Store(tmp_path / "s.sqlite"):
+        pass
+    poster = posting.Poster(tmp_path / "s.sqlite", lambda patience_s: go_on.wait(60.0))
+    assert (poster.busy, poster.take()) == (False, None)
+    poster.start(MACHINE, (4,), 2, None, 0.0)
+    assert (poster.busy, poster.take(), poster.busy) == (True, None, True)
+    go_on.set()
+    found: list[posting.Posted | None] = []
+    wait_for(lambda: found.append(poster.take()) or found[-1], "what came of the job")
+    assert found[-1] is not None
+    assert (found[-1].tickets, found[-1].version) == ((4,), 2)
+    assert (poster.busy, poster.take()) == (False, None)

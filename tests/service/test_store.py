@@ -296,3 +296,14 @@ def test_a_reader_does_not_stop_the_writer(path):
         writer.commit([batch(2)])
         assert cursor.fetchall() == [(1,)]
         reader.close()
+
+
+def test_loads_and_tickets_of_the_first_version_are_read_as_they_stand() -> None:
+    """Its rows have no checksums and its loads no area."""
+    with Store.reading(Path(__file__).parents[1] / "golden" / "store-0.1.0.sqlite") as store:
+        loads, (ticket,) = store.loads(), store.tickets()
+        assert [(load.number, load.field, load.crop, round(load.mass_kg), load.area_m2) for load in loads] == [
+            (1, "", "", 1210, None), (2, "south", "corn", 1090, None)
+        ]  # fmt: skip
+        assert (ticket.first_load, ticket.last_load, ticket.weighed_mass_kg) == (1, 1, 1200.0)
+        assert [round(row["corrected_mass_kg"]) for row in store.corrected_loads()] == [1200, 1090]

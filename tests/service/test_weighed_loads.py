@@ -12,12 +12,13 @@ import pytest
 
 from tests.service.test_posting import MACHINE, known, rows
 from yieldmon.cli.main import main
+from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.files.ticket_file import WeighedTicket
 from yieldmon.physics.model import ForwardModel
 from yieldmon.service.batch import Batch, Load, ParameterVersion
 from yieldmon.service.store import Store
-from yieldmon.service.weighed_loads import force_columns, loads_of, match
+from yieldmon.service.weighed_loads import MeasuredLoad, force_columns, loads_of, loads_on, match
 
 OF_MOISTURE = ForwardModel(MACHINE, ("moisture_dependence",)).effect_parameters
 
@@ -122,3 +123,33 @@ def test_a_store_measured_again_has_grain_between_two_loads_in_neither(tmp_path,
     first = document["loads"][0]
     assert (first["before_kg"], first["after_kg"]) == pytest.approx((35.0, 35.0), rel=1e-3)
     assert document["before_mass_kg"] == pytest.approx(35.0 + 4 * 7.0 + 5 * (8.0 + 9.0 + 10.0 + 11.0))
+
+
+MEASURED = [
+    MeasuredLoad(name, log, tuple(rows(1, 0.0)), {1: known()})
+    for name, log in (("1", "day/a.log.gz"), ("2", "day/b.log"), ("3", "day/b.log"), ("4", ""))
+]
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "named"),
+    [("1", "1", "1"), ("2", "4", "234"), ("a.log.gz", "a.log.gz", "1"), ("a", "a", "1"), ("else/a.log.gz", "else/a.log.gz", "1")],
+)
+def test_a_ticket_names_loads_by_number_or_by_their_log(first: str, last: str, named: str) -> None:
+    found = loads_on(WeighedTicket(first, last, 50.0, 0.1, "line 2"), MEASURED)
+    assert "".join(load.name for load in found) == named
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "said"),
+    [
+        ("b.log", "b.log", "line 2: b.log holds 2 loads; expected one of the numbers 2, 3"),
+        ("3", "1", "line 2: is 3-1; expected the first load first"),
+        ("5", "5", "line 2: is 5, no load that was measured; expected 1 to 4"),
+        ("c.log", "c.log", "line 2: is c.log, no load that was measured; expected 1 to 4"),
+    ],
+)
+def test_a_ticket_that_names_no_load_or_several_is_refused(first: str, last: str, said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        loads_on(WeighedTicket(first, last, 50.0, 0.1, "line 2"), MEASURED)
+    assert str(caught.value) == said

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 import random
+import struct
 from pathlib import Path
 
 import cantools
 import pytest
 
+from tests.plant_sweeps import window
 from yieldmon.bus.databases import load_messages
 from yieldmon.cli.main import main
-from yieldmon.engine.results import PlateCommand
+from yieldmon.engine.results import PlateCommand, WindowResult
 from yieldmon.engine.settings import TotalsSettings
 from yieldmon.engine.totals import Totals
 from yieldmon.frames import NOT_AVAILABLE, Frame
@@ -48,6 +50,9 @@ BO_ {0x98EAFFFE} LikeRequest: 8 Node
  SG_ Flow : 0|16@1+ (0.01,0) [0|600] "t/h" Node
 BO_ 802 Tilt: 2 Node
  SG_ Angle : 0|16@1+ (0.01,0) [0|600] "deg" Node
+BO_ 803 Grain: 4 Node
+ SG_ Moisture : 0|16@1+ (0.1,0) [0|6553] "%" Node
+ SG_ Dry : 16|16@1+ (0.01,0) [0|655] "kg/s" Node
 BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";
 BA_ "VFrameFormat" BO_ {0x98FF53FE} 3;
 """
@@ -210,3 +215,25 @@ def test_a_counter_counts_the_frames_that_carry_it(dbc: Path) -> None:
     count = OutputBinding("here", "frame_counter", "d.dbc", "Drive", "Mode")
     found = sent(outputs(dbc, angle, count), *([70.0, NOT_AVAILABLE] * 20))
     assert [data[4] for data in found] == [k % 16 for k in range(20)]
+
+
+@pytest.mark.parametrize(
+    ("flow_kg_s", "moisture_pct", "expected"),
+    [
+        (8.0, 20.0, (200, round(100 * 8.0 * (1.0 - 0.2) / (1.0 - 0.155)))),
+        (NOT_AVAILABLE, 20.0, (200, 0xFFFF)),
+        (8.0, math.nan, (0xFFFF, 0xFFFF)),
+    ],
+)
+def test_a_second_brings_moisture_and_dry_mass_flow_where_they_are_known(
+    dbc: Path, flow_kg_s: float, moisture_pct: float, expected: tuple[int, int]
+) -> None:
+    """Dry mass is that at the moisture of trade, 15.5 %."""
+    bound = outputs(
+        dbc,
+        OutputBinding("here", "moisture", "d.dbc", "Grain", "Moisture", not_available=0xFFFF),
+        OutputBinding("here", "dry_mass_flow", "d.dbc", "Grain", "Dry", not_available=0xFFFF),
+    )
+    second = WindowResult(window(moisture_pct=moisture_pct), (Frame(0.0, "MassFlow", {"MassFlowRate": flow_kg_s}),))
+    (item,) = bound.take([second], Totals(), 0.0)
+    assert struct.unpack("<HH", item.message.data) == expected
