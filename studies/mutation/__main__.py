@@ -118,8 +118,10 @@ def concerned(path: str) -> tuple[str, ...]:
     tests = [file for file in sorted((ROOT / "tests").glob("*/test_*.py")) if file.parent.name not in AWAY]
     direct = [file for file in tests if file.stem == f"test_{name}" or file in _importing([path], tests)]
     direct.sort(key=lambda file: (file.parent.name != part, name not in file.name, file.stat().st_size))
-    by_others = [file for file in _importing([str(user.relative_to(ROOT)) for user in users], tests) if file not in direct]
-    by_others.sort(key=lambda file: (file.parent.name != part, file.stat().st_size))
+    named = {f"test_{user.stem}" for user in users}
+    known = _importing([str(user.relative_to(ROOT)) for user in users], tests)
+    by_others = [file for file in tests if file not in direct and (file.stem in named or file in known)]
+    by_others.sort(key=lambda file: (file.parent.name != part, file.stem not in named, file.stat().st_size))
     files = list(OF_SETTINGS) if SETTINGS.fullmatch(path) else []
     files += [str(file.relative_to(ROOT)) for file in (*direct, *by_others)]
     files = list(dict.fromkeys(files))[:MOST_FILES]
