@@ -117,6 +117,7 @@ def visits(*stops: tuple[float, float]) -> tuple[tuple[float, float], ...]:
 def test_a_sweep_of_another_sequence_counts_once_the_plate_has_rested_at_home() -> None:
     target, given, ended = followed(list(Log(visits(*VISITS)).frames(55.0)))
     (windows,) = given.given
+    assert target.sweep.sweep_id == 1
     assert ended[0].angles_deg == (70.0, 45.0, 60.0, 90.0, 70.0)
     angles = sorted({round(w.plate_angle_rad * 57.29577951308232) for w in windows})
     assert angles == [45, 60, 70, 90]
