@@ -19,12 +19,15 @@ from unittest import mock
 from tests.robustness import guided
 from yieldmon.bus import mf4, mf4_reading
 
+_COUNTED = 20.0
+
 
 class _Fork:
     """As much of a `subprocess.Popen` as `Mf4Log` uses."""
 
     def __init__(self, command: list[str], **_: object) -> None:
-        path, limit_s = command[-2], int(command[-1])
+        # Counting steps makes everything slower.
+        path, limit_s = command[-2], float(command[-1]) * (_COUNTED if guided.current is not None else 1.0)
         self._steps = Path(tempfile.mkdtemp()) / "steps"
         reads, writes = os.pipe()
         self._child = os.fork()
@@ -37,7 +40,7 @@ class _Fork:
         self.stdout: IO[bytes] = os.fdopen(reads, "rb")
         self._code: int | None = None
 
-    def _be_the_process(self, path: str, limit_s: int) -> None:
+    def _be_the_process(self, path: str, limit_s: float) -> None:
         leave = os._exit
 
         def told(code: int) -> None:
