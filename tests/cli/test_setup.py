@@ -112,6 +112,7 @@ def test_what_is_written_passes_check_config(tmp_path, capsys, changes):
         ({"plate_length_m": "30 mm 40 mm"}, "plate_length_m: is 30 mm 40 mm; expected one number in m"),
         ({"plate_length_m": "0.3 kg"}, "plate_length_m: is kg; expected 0.02 to 2 m (or in m, mm, cm, in"),
         ({"plate_length_m": "300 cm"}, "plate_length_m: is 300 cm; expected 0.02 to 2 m"),
+        ({"plate_length_m": "1.234.5"}, "plate_length_m: is 1.234.5; expected 0.02 to 2 m"),
         ({"plate_length_m": "o.3"}, "plate_length_m: is o.3; expected 0.02 to 2 m"),
         ({"crop": "oats"}, "expected one of corn"),
         ({"bus_interface": "socket-can"}, "bus_interface: is 'socket-can'; expected socketcan"),

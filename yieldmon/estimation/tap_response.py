@@ -17,6 +17,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import t as student
 
+from yieldmon.physics.machine import LONGEST_RESPONSE_S
 from yieldmon.physics.numerics import Array
 
 LEAST_TAPS = 5
@@ -29,8 +30,7 @@ _RINGING = 0.1
 _OUTLIER_SDS, _LEAST_SPREAD = 4.0, 0.01
 _CONTACT_SD_S = 4.6e-4
 """Standard deviation of the instants of a force that lasts for 2 ms, which a tap's contact hardly outlasts."""
-_MAD_OF_SD = 0.6745
-_LONGEST_S = 0.1
+_SD_OF_MAD = 1.4826
 _LEFT_OUT = ("beyond the sensor's range", "too close to another", "unlike the others")
 
 
@@ -92,7 +92,7 @@ def tap_response(stretches: Sequence[Array], interval_s: float, *, full_scale_mv
         raise ValueError(f"{len(taps)} taps that count{_said(left_out)}")
     fits = [_fitted(tap, interval_s) for tap in taps]
     logs, misfits = np.array([fit[0] for fit in fits]), np.array([fit[1] for fit in fits])
-    spread = np.median(np.abs(logs - np.median(logs))) / _MAD_OF_SD
+    spread = _SD_OF_MAD * np.median(np.abs(logs - np.median(logs)))
     counted = np.abs(logs - np.median(logs)) <= _OUTLIER_SDS * max(spread, _LEAST_SPREAD)
     left_out["unlike the others"] += int((~counted).sum())
     each, misfit = np.exp(logs[counted]), float(np.median(misfits))
@@ -120,7 +120,7 @@ def _taps(samples: Array, interval_s: float, full_scale_mv: float, left_out: dic
         return []
     rest = float(np.median(samples))
     away = samples - rest
-    noise = float(np.median(np.abs(away))) / _MAD_OF_SD
+    noise = _SD_OF_MAD * float(np.median(np.abs(away)))
     above = np.flatnonzero(np.abs(away) > _CLEAR * max(noise, 1e-9 + 1e-6 * float(np.ptp(samples))))
     if not above.size:
         return []
@@ -158,8 +158,8 @@ def _fitted(tap: Array, interval_s: float) -> tuple[float, float, Array]:
     rise_s = max((peak - begun) * interval_s, 0.5 * interval_s)
     best = None
     for guess_s in (0.5 * rise_s, rise_s, 2.0 * rise_s):
-        start = np.log(min(guess_s, 0.5 * _LONGEST_S)), (begun - 0.5) * interval_s
-        bounds = ([np.log(0.1 * interval_s), 0.0], [np.log(_LONGEST_S), times[peak]])
+        start = np.log(min(guess_s, 0.5 * LONGEST_RESPONSE_S)), (begun - 0.5) * interval_s
+        bounds = ([np.log(0.1 * interval_s), 0.0], [np.log(LONGEST_RESPONSE_S), times[peak]])
         fit = least_squares(left, np.clip(start, *bounds), bounds=bounds, x_scale=[0.1, interval_s])
         if best is None or fit.cost < best.cost:
             best = fit

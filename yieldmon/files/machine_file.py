@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from yieldmon.errors import InputError
-from yieldmon.physics.machine import RPM, ImpactSensor, Implement, Machine
+from yieldmon.physics.machine import LONGEST_RESPONSE_S, RPM, ImpactSensor, Implement, Machine
 from yieldmon.resources import shipped
 
 from .checked import known_keys, load_mapping, number, numbers
@@ -28,7 +28,7 @@ _SPEEDS = ("nominal_elevator_speed_rpm", "min_elevator_speed_rpm", "max_elevator
 _SENSOR = {"gain_n_per_mv": ("N/mV", 1e-4, 1e3), "full_scale_mv": ("mV", 1.0, 1e5)}
 
 #: Of the sensor, where it is stated.
-_SENSOR_OPTIONAL = {"response_s": ("s", 0.0, 0.1)}
+_SENSOR_OPTIONAL = {"response_s": ("s", 0.0, LONGEST_RESPONSE_S)}
 
 _OPTIONAL = {"implement", "plate_travel_m"}
 

@@ -22,6 +22,9 @@ SAME_ANGLE_RAD = 0.75 * pi / 180.0
 RPM = 2.0 * pi / 60.0
 """rad/s in one revolution per minute."""
 
+LONGEST_RESPONSE_S = 0.1
+"""Time constant of plate and cell, s, beyond which no force cell answers."""
+
 
 @dataclass(frozen=True, slots=True)
 class ImpactSensor:

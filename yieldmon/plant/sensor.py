@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.signal import lfilter
 
 from yieldmon.frames import SAMPLE_INTERVAL_S, SensorStatus
-from yieldmon.physics.machine import ImpactSensor
+from yieldmon.physics.machine import LONGEST_RESPONSE_S, ImpactSensor
 from yieldmon.physics.numerics import Array
 
 
@@ -40,7 +40,7 @@ class SensorSettings(BaseModel):
     """Amplitude once per sprocket turn, also when empty; it grows with the square of the speed from 400 rpm."""
     vibration_paddle_n: Annotated[float, Field(ge=0, le=200)] = 3.0
     """Amplitude at paddle passing, likewise."""
-    response_s: Annotated[float, Field(ge=0, le=0.1)] = 0.008
+    response_s: Annotated[float, Field(ge=0, le=LONGEST_RESPONSE_S)] = 0.008
     """Time constant of plate and cell, critically damped."""
 
 

@@ -48,7 +48,10 @@ def numbers(text: str, unit: str) -> list[float]:
         part = _PART.match(text, place)
         if part is None:
             raise ValueError(text[place:])
-        found.append((float(part[1].rstrip(",").replace(",", ".")), part[2] or ""))
+        digits = part[1].rstrip(",").replace(",", ".")
+        if digits.count(".") > 1:
+            raise ValueError(part[1])
+        found.append((float(digits), part[2] or ""))
         place = part.end()
     factor, values = 1.0, list[float]()
     for number, written in reversed(found):
