@@ -68,6 +68,7 @@ def test_a_plate_that_rings_writes_nothing_and_ends_with_1(tmp_path, capsys):
         (["quiet.log"], "quiet.log: 0 taps that count; expected 5 or more, a second apart"),
         (["speed.log"], "speed.log: holds no sample of the impact sensor"),
         (["missing.log"], "missing.log: No such file"),
+        (["quiet.log", "copy.log"], "copy.log: "),
         (["quiet.log", "--robust"], "--robust: belongs to a table"),
         (["quiet.log", "--pulse-shape"], "--pulse-shape: is given beside --taps"),
         (["quiet.log", "--out", "quiet.log"], "quiet.log: "),
@@ -81,6 +82,7 @@ def test_what_is_no_log_of_taps_is_named_in_one_line(tmp_path, monkeypatch, caps
         message.channel = "can0"
         log.on_message_received(message)
     kept = Path("quiet.log").read_bytes()
+    Path("copy.log").write_bytes(kept)
     assert main(["calibrate", "--taps", *words]) == 2
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1)

@@ -14,6 +14,7 @@ from yieldmon.errors import InputError
 from yieldmon.frames import Frame, SensorStatus, number
 from yieldmon.physics.numerics import Array
 from yieldmon.service.input_frames import InputFrames
+from yieldmon.service.log_copies import refuse_copies
 from yieldmon.signals.mapping import SignalMap
 
 _GAP = 1.5
@@ -28,6 +29,7 @@ def read(paths: Sequence[str | Path], signals: SignalMap) -> tuple[list[Array], 
     if len(signals.sources.impact) != 1:
         count = len(signals.sources.impact)
         raise InputError("signals", f"{count} impact sensors carry the plate", "one, whose answer a tap shows")
+    refuse_copies([str(path) for path in paths])
     source = signals.sources.impact[0]
     stretches: list[Array] = []
     for path in paths:
