@@ -22,7 +22,11 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted([*(DOCS / "guide").glob("*.md"), *(DOCS / "reference").glob("*.md")])
 #: Pages whose links are followed.
-LINKED = sorted(page for place in ("*.md", "docs/**/*.md", "studies/**/*.md", "examples/*.md") for page in ROOT.glob(place))
+LINKED = sorted(
+    page
+    for place in ("*.md", "docs/**/*.md", "studies/**/*.md", "tests/robustness/*.md", "examples/*.md")
+    for page in ROOT.glob(place)
+)
 LONGEST_WORDS = 15_000
 VERBS = find_verbs()
 
