@@ -179,6 +179,16 @@ def test_missing_speed() -> None:
     assert qualities(out)[-1] is Q.OK
     assert any(e.code is FaultCode.SPEED_MISSING for e in target.fault_events)
     assert FaultCode.SPEED_MISSING not in target.faults.active
+    unknown = [math.isnan(record.elevator_speed_rad_s) for record in target.records]
+    assert unknown[17:19] == [True, True]
+    assert not any(unknown[:14] + unknown[22:])
+
+
+def test_a_speed_that_no_frame_ever_told_is_not_the_machines_nominal_one() -> None:
+    target = monitor()
+    feed(target, without(bus.ELEVATOR_SPEED, 0.0, 1e9))
+    assert all(math.isnan(record.elevator_speed_rad_s) for record in target.records)
+    assert target.totals.total_kg == 0.0
 
 
 def test_stale_feedback_of_a_plate_at_rest_degrades() -> None:

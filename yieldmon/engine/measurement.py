@@ -28,11 +28,11 @@ _NEVER = 1 << 62
 class Reading:
     """What is known of a window before its flow is estimated.
 
-    quality: why there is no flow, None where an estimate decides. force_n, force_std_dev_n: nan where not known. speed_known: at
-    the window's end; in_range: at a speed at which grain is measured. stuck_s: how long no sample has changed. still: the plate
-    rested. sampled_before: the window before had samples. windows_since_jump: closed since the bus's clock jumped. zero_taken: a
-    zero was learnt with this window. zero_age_s: since the zero was last taken or followed, or since the start. zero_refusal: why
-    there is no first zero.
+    quality: why there is no flow, None where an estimate decides. force_n, force_std_dev_n: nan where not known. speed_rad_s: of the
+    window, nan where no frame told it; speed_known: at the window's end; in_range: at a speed at which grain is measured. stuck_s:
+    how long no sample has changed. still: the plate rested. sampled_before: the window before had samples. windows_since_jump:
+    closed since the bus's clock jumped. zero_taken: a zero was learnt with this window. zero_age_s: since the zero was last taken
+    or followed, or since the start. zero_refusal: why there is no first zero.
     """
 
     window: Window
@@ -40,6 +40,7 @@ class Reading:
     quality: EstimateQuality | None
     force_n: float
     force_std_dev_n: float
+    speed_rad_s: float
     speed_known: bool
     in_range: bool
     stuck_s: int
@@ -170,10 +171,11 @@ class Measurement:
         sampled_before, self._sampled = self._sampled, window.coverage > 0.0
         self._since_jump = 0 if clock_jumps != self._jumps else self._since_jump + 1
         self._jumps = clock_jumps
+        speed = window.speed_rad_s if speed_was_known else _NAN
         zero = self.zero
         zero_age_s = window.end_s - (zero.known_s if zero.known_s is not None else self._started_s)
         return _reading(
-            window, inputs, quality, force, noise, inputs.speed_known, in_range, self._stuck_s, still, at_home,
+            window, inputs, quality, force, noise, speed, inputs.speed_known, in_range, self._stuck_s, still, at_home,
             self._gate.harvesting, zero.state, zero.drifted, zero.calibrating, sampled_before, self._since_jump, taken,
             zero_age_s, zero.refusal,
         )  # fmt: skip

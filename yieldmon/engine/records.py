@@ -157,7 +157,7 @@ class WindowRecord:
     coverage: float = second_field(lambda s: s.reading.window.coverage, "number")
     force_n: float = second_field(lambda s: s.flow.force_n, "known")
     force_std_dev_n: float = second_field(lambda s: s.flow.force_std_dev_n, "known")
-    elevator_speed_rad_s: float = second_field(lambda s: s.reading.window.speed_rad_s, "rpm", row="elevator_speed_rpm")
+    elevator_speed_rad_s: float = second_field(lambda s: s.reading.speed_rad_s, "rpm", row="elevator_speed_rpm")
     plate_angle_rad: float = second_field(lambda s: s.reading.window.plate_angle_rad, "deg", row="plate_angle_deg")
     plate_still: bool = second_field(lambda s: s.reading.still, "whole")
     moisture_pct: float = second_field(lambda s: s.reading.inputs.fresh["moisture"], "known")
