@@ -52,7 +52,7 @@ class RecordCheck:
             return
         self.seconds += 1
         for name in _INPUTS:
-            # A second without a measured speed has the machine's.
+            # In stores and tables of version 0.1.0 such a second has the nominal speed.
             unknown = name == _SPEED and FaultCode.SPEED_MISSING in (row.faults or "").split()
             self._unknown[name] += unknown or getattr(row, name) is None
 
