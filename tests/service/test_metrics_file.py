@@ -63,3 +63,30 @@ def test_a_disk_that_hangs_holds_up_no_stop(
         if thread.name == "metrics":
             thread.join(120.0)
     assert not path.exists()
+
+
+def some_status() -> Mapping[str, Any]:
+    return {
+        "windows": [], "faults": [], "load": {"mass_kg": 1.0}, "total": {"mass_kg": 2.0, "contested_mass_kg": 0.0},
+        "bus": {"received": 0, "dropped": 0, "kernel_drops": 0, "sent": 0}, "store": {"pending": 0},
+        "parameters": {"age_s": None}, "uptime_s": 1.0, "age_s": 0.1, "stale": False,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("writers", [1, 2])
+def test_a_file_that_two_daemons_write_is_reported(path: Path, caplog: pytest.LogCaptureFixture, writers: int) -> None:
+    written = [threading.Semaphore(0) for _ in range(writers)]
+
+    def counted(number: int) -> Mapping[str, Any]:
+        written[number].release()
+        return some_status()
+
+    files = [MetricsFile(path, 0.01, lambda number=number: counted(number)) for number in range(writers)]
+    for metrics in files:
+        metrics.start()
+    for times in written:
+        assert all(times.acquire(timeout=30.0) for _ in range(20))
+    for metrics in files:
+        metrics.stop()
+    reported = [record.getMessage() for record in caplog.records if "another process writes it too" in record.getMessage()]
+    assert (len(reported) in (1, 2)) if writers == 2 else not reported

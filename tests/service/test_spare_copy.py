@@ -18,6 +18,7 @@ from tests.service.test_store import second
 from yieldmon.engine.state import EngineState
 from yieldmon.engine.totals import Totals
 from yieldmon.files import parameter_file
+from yieldmon.service import recovery
 from yieldmon.service.batch import Batch, ParameterVersion
 from yieldmon.service.recovery import recover
 from yieldmon.service.retention import DEFAULT_RETENTION
@@ -170,18 +171,68 @@ def test_a_store_with_a_bad_sector_is_read_as_far_as_it_goes(tmp_path, monkeypat
     assert path.read_bytes() == whole, "nothing is done to a medium that may read it the next time"
 
 
-def test_a_store_of_which_nothing_can_be_read_ends_the_start(tmp_path, monkeypatch):
-    """It may be another medium's turn to answer: totals from nothing would hide those that are there."""
+def unreadable(path: Path, monkeypatch: pytest.MonkeyPatch, *, answers_later: bool = False) -> list[float]:
+    """As a medium that gives back nothing of the file there, or only after somebody has waited. Returns the waits."""
+    node, opened, read, waits = path.stat().st_ino, Store, os.pread, []
+
+    def silent(found: os.stat_result) -> bool:
+        return found.st_ino == node and not (answers_later and waits)
+
+    def opening(where: Path, *how: object, **named: object) -> Store:
+        if where.exists() and silent(where.stat()):
+            raise StoreError(f"{where}: disk I/O error")
+        return opened(where, *how, **named)
+
+    def pread(descriptor: int, length: int, offset: int) -> bytes:
+        if silent(os.fstat(descriptor)):
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        return read(descriptor, length, offset)
+
+    monkeypatch.setattr("yieldmon.service.recovery.Store", opening)
+    monkeypatch.setattr("os.pread", pread)
+    monkeypatch.setattr("time.sleep", waits.append)
+    return waits
+
+
+def test_a_store_of_which_nothing_can_be_read_is_set_aside_and_the_totals_are_marked(tmp_path, monkeypatch):
     path = tmp_path / "s.sqlite"
     stored(path, 3)
+    whole = path.read_bytes()
+    unreadable(path, monkeypatch)
+    found = recover(path, DEFAULT_RETENTION, lambda: recovery.Store(path))
+    (aside,) = tmp_path.glob("s.sqlite.unreadable-*[0-9]")
+    assert aside.read_bytes() == whole
+    assert found.memory.engine is None
+    assert (found.memory.last_batch, found.last_batch, found.made) == (3, 0, True)
+    assert found.note.startswith(
+        f"disk I/O error; nothing of it can be read, set aside as {aside.name}; totals are those of a new"
+    )
+    assert "its last 3 commits are missing" in found.note
+    assert "another" not in found.note
 
-    def fail(*_: object, **__: object) -> Store:
-        raise StoreError(f"{path}: disk I/O error")
 
-    monkeypatch.setattr("yieldmon.service.recovery.Store", fail)
-    refuse_to_read(monkeypatch, 0, 2**40)
-    with pytest.raises(StoreError, match=r"disk I/O error$"):
-        recover(path, DEFAULT_RETENTION, fail)
+def test_a_medium_that_answers_a_second_later_loses_nothing(tmp_path, monkeypatch):
+    path = tmp_path / "s.sqlite"
+    stored(path, 3)
+    waits = unreadable(path, monkeypatch, answers_later=True)
+    found = recover(path, DEFAULT_RETENTION, lambda: recovery.Store(path))
+    assert waits == [1.0]
+    assert found.memory.engine is not None
+    assert (found.memory.engine.totals.total_kg, found.last_batch, found.note) == (30.0, 3, "")
+
+
+def test_a_store_that_can_neither_be_read_nor_renamed_ends_the_start(tmp_path, monkeypatch):
+    path = tmp_path / "s.sqlite"
+    stored(path, 3)
+    unreadable(path, monkeypatch)
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr("yieldmon.service.recovery.set_aside", refuse)
+    with pytest.raises(StoreError, match=r"disk I/O error, and cannot be set aside: Input/output error$"):
+        recover(path, DEFAULT_RETENTION, lambda: recovery.Store(path))
+    assert path.exists()
 
 
 def test_a_copy_finds_its_place_where_the_first_has_no_room(tmp_path, monkeypatch):

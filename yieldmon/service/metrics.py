@@ -77,11 +77,20 @@ class MetricsFile:
 
     def _run(self, stop: threading.Event) -> None:
         assert self._path is not None
-        failed = False
+        failed = contested = False
+        written: tuple[int, int] | None = None
         while True:
             self._busy_since_s = time.monotonic()
             try:
+                found = _version(self._path)
+                if not contested and written is not None and found is not None and found != written:
+                    contested = True
+                    _log.warning(
+                        "metrics: %s: another process writes it too; expected a file of its own for each daemon, "
+                        "status.prometheus_file", self._path,
+                    )  # fmt: skip
                 write(self._path, self._status())
+                written = _version(self._path)
                 failed = False
             except Exception as error:  # noqa: BLE001 - a thread that dies in silence would leave what is stale for fresh
                 if not failed:
@@ -94,6 +103,15 @@ class MetricsFile:
                     # Else another thread writes it now.
                     self._take_away(self._path)
                 return
+
+
+def _version(path: Path) -> tuple[int, int] | None:
+    """Tells one writing of the file from the next; None where there is no file."""
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        return None
+    return found.st_ino, found.st_mtime_ns
 
 
 def write(path: Path, status: Mapping[str, Any]) -> None:

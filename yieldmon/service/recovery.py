@@ -21,13 +21,23 @@ from yieldmon.service.retention import Retention
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.spare_copy import spare_copy
 from yieldmon.service.store import Store
-from yieldmon.service.store_errors import StoreDamagedError, StoreError
-from yieldmon.service.store_file import beside, note_beginning, parts, refuse_stranger, witnessed, witnessed_store
+from yieldmon.service.store_errors import StoreDamagedError, StoreError, StoreUnreadableError
+from yieldmon.service.store_file import (
+    beside,
+    note_beginning,
+    parts,
+    refuse_stranger,
+    set_aside,
+    witnessed,
+    witnessed_store,
+)
 
 _log = logging.getLogger(__name__)
 
 #: Commits that a kill may leave unnoted: those that waited for the medium.
 _UNNOTED_AT_MOST = 60
+#: Between two tries to read a medium that gives back nothing: one that has just been plugged in may answer the next time.
+_ANSWERS_WITHIN_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -45,8 +55,9 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store], c
     """What the store at `path` remembers. A damaged one is set aside and a new one made of what is left of it.
 
     A medium that is full, takes no writing, or does not read all that is on it need not stop the measuring: what it holds can be
-    read all the same, and where it holds nothing the store can be made later. Raises StoreError when there is a store of which
-    nothing can be read, InputError as `store_file.refuse_stranger`, OccupiedError as `detach_hard_links`.
+    read all the same, and where it holds nothing the store can be made later. A store of which nothing can be read, at two tries,
+    is set aside. Raises StoreError when that cannot be done, InputError as `store_file.refuse_stranger`, OccupiedError as
+    `detach_hard_links`.
     """
     refuse_stranger(path)
     notes: list[str] = []
@@ -60,7 +71,11 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store], c
     except OSError as error:
         _log.error("%s: %s", path, error)
     for without in rescue.GIVEN_UP:
-        found = _remember(path, retention, open_store, without, notes)
+        try:
+            found = _remember(path, retention, open_store, without, notes)
+        except StoreUnreadableError:
+            time.sleep(_ANSWERS_WITHIN_S)
+            found = _remember_or_set_aside(path, retention, open_store, without, notes)
         if found is None:
             continue
         memory, identity, written_on, made = found
@@ -87,7 +102,7 @@ def _remember(
     path: Path, retention: Retention, open_store: Callable[[], Store], without: tuple[str, ...], notes: list[str]
 ) -> tuple[Memory, int, int, bool] | None:
     """As `_read`, and whether there is a store; None where a damaged one has been set aside, and the one in its place is to be
-    read. Says in `notes` what was done. Raises StoreError."""
+    read. Says in `notes` what was done. Raises StoreError, and StoreUnreadableError where nothing of it can be read."""
     try:
         return *_read(path, retention, open_store), True
     except StoreDamagedError as error:
@@ -102,6 +117,22 @@ def _remember(
         left = _left_at(path)
         return (*_from_copy(left, retention, why, notes), True) if left is not None else (Memory(), NONE, NONE, False)
     return *_from_copy(path, retention, why, notes), True
+
+
+def _remember_or_set_aside(
+    path: Path, retention: Retention, open_store: Callable[[], Store], without: tuple[str, ...], notes: list[str]
+) -> tuple[Memory, int, int, bool] | None:
+    """As `_remember`; a store of which nothing can be read is set aside. Raises StoreError where that cannot be done."""
+    try:
+        return _remember(path, retention, open_store, without, notes)
+    except StoreUnreadableError as why:
+        try:
+            aside = set_aside(path, f"unreadable-{int(time.time())}")
+        except OSError as error:
+            raise StoreError(f"{why}, and cannot be set aside: {reason(error)}") from error
+        what = str(why).removeprefix(f"{path}: ")
+        notes.append(f"{what}; nothing of it can be read, set aside as {aside.name}; totals are those of a new store")
+        return None
 
 
 def _left_at(path: Path) -> Path | None:
@@ -128,7 +159,8 @@ def _origin_of_totals(rescued: rescue.Rescued) -> str:
 
 
 def _from_copy(path: Path, retention: Retention, why: str, notes: list[str]) -> tuple[Memory, int, int]:
-    """As `_read`, of what is left of a store that stays as it is; says so in `notes`. Raises StoreError."""
+    """As `_read`, of what is left of a store that stays as it is; says so in `notes`. Raises StoreError, and
+    StoreUnreadableError where nothing of it can be read."""
     try:
         with spare_copy(path) as (copy, unread):
             # A note of commits is not copied: without it a file whose first bytes are damaged could be anybody's.
@@ -143,7 +175,8 @@ def _from_copy(path: Path, retention: Retention, why: str, notes: list[str]) -> 
     except (OSError, StoreError) as failure:
         if str(failure) not in why:
             _log.error("%s", failure)
-        raise StoreError(why) from failure
+        unreadable = isinstance(failure, StoreUnreadableError)
+        raise (StoreUnreadableError if unreadable else StoreError)(why) from failure
     said = [f"{why}; read from a copy", rescued.contents, _origin_of_totals(rescued)]
     if unread:
         said.insert(1, f"{unread} bytes cannot be read")

@@ -13,7 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import monotonic
 
-from yieldmon.service.store_errors import StoreError
+from yieldmon.service.store_errors import StoreError, StoreUnreadableError
 from yieldmon.service.store_file import LARGEST_COPY_BYTES, parts
 
 #: Where a copy may lie, in this order; None: the system's folder for temporary files.
@@ -27,7 +27,7 @@ _READING_S = 20.0
 def spare_copy(path: Path) -> Iterator[tuple[Path, int]]:
     """A copy of the store at `path` and of its journal, and how many bytes of them could not be read and are zero there.
 
-    Raises StoreError where nothing of it can be read, or there is no room for it.
+    Raises StoreUnreadableError where nothing of it can be read, StoreError where there is no room for it.
     """
     failures: list[str] = []
     for place in _PLACES:
@@ -68,7 +68,7 @@ def _copy(path: Path, folder: Path) -> int:
         finally:
             os.close(source)
     if size and unread == size:
-        raise StoreError(f"{path}: nothing of it can be read")
+        raise StoreUnreadableError(f"{path}: nothing of it can be read")
     return unread
 
 

@@ -18,6 +18,10 @@ class StoreDamagedError(StoreError):
     """The file's content is broken, or no store at all; another medium or more room would not help."""
 
 
+class StoreUnreadableError(StoreError):
+    """The medium gives back nothing of the file, neither in place nor for a copy."""
+
+
 class StoreDetachedError(StoreError):
     """The file that is open is not the one under its name any more: somebody removed or replaced it."""
 
