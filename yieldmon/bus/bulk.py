@@ -115,9 +115,10 @@ def decode_block(codec: Codec, block: FrameBlock, only: Container[str] | None = 
             continue
         compared = np.uint32(layout.identity_mask | EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG)
         rows = np.flatnonzero((block.can_id & compared) == np.uint32(layout.identity | EXTENDED_FLAG))
-        right = block.length[rows] == layout.length
-        refused.append(rows[~right])
-        rows = rows[right]
+        wrong = block.length[rows] != layout.length
+        if wrong.any():
+            refused.append(rows[wrong])
+            rows = rows[~wrong]
         if len(rows):
             messages[layout.name] = _columns(layout, rows, block.time_s[rows], block.payload[rows])
     return DecodedBlock(messages, np.sort(np.concatenate(refused)) if refused else np.empty(0, np.intp))
@@ -217,7 +218,7 @@ def _columns(
 
 
 def _column(signal: SignalLayout, payload: NDArray[np.uint64]) -> SignalColumn:
-    raw = (payload >> np.uint64(signal.start) & np.uint64(signal.mask)).astype(np.int64)
+    raw = (payload >> np.uint64(signal.start) & np.uint64(signal.mask)).view(np.int64)
     if signal.bits > _TABLED_BITS:
         return _meaning(signal, raw)
     table = _table(signal)

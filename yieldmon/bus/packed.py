@@ -51,7 +51,6 @@ _MOST_BYTES = 8
 _SPARE_BYTES = 1 << 16
 """What a column may be larger than its numbers: its header, and a last stretch that is filled up."""
 _NAMES = ("block", "channel", "can_id", "length", "frames", "column", "start", "bits", "coding", "width", "size", "data")
-_CAN_ID, _FRAMES, _COLUMN = (_NAMES.index(name) for name in ("can_id", "frames", "column"))
 
 
 @dataclass(frozen=True)
@@ -214,15 +213,12 @@ def read_blocks(
                 table = source.read_row_group(group, use_threads=False).select(_NAMES).cast(_schema())
                 if any(column.null_count for column in table.columns):
                     raise ValueError("a row that lacks something")
+                if counted is not None:
+                    _count(table, counted)
+                if wanted is not None:
+                    table = table.filter(pa.array(wanted(table["can_id"].to_numpy())))
                 columns = table.to_pydict()
                 rows = list(zip(*(columns[name] for name in _NAMES), strict=True))
-                if counted is not None:
-                    for row in rows:
-                        if row[_COLUMN] == _TIME:
-                            counted(row[_CAN_ID], row[_FRAMES])
-                if wanted is not None and rows:
-                    taken = wanted(np.array([row[_CAN_ID] for row in rows], np.uint32)).tolist()
-                    rows = [row for row, take in zip(rows, taken, strict=True) if take]
                 compiled = source.num_row_groups >= _WORTH_COMPILING
                 yield _block(rows, all_compressed=version == _ALL_COMPRESSED, compiled=compiled)
     except InputError:
@@ -232,6 +228,14 @@ def read_blocks(
         raise InputError(str(path), reason(error), "a readable file of packed frames") from error
     except (pa.ArrowException, OSError, ValueError, LookupError, OverflowError) as error:
         raise InputError(str(path), f"damaged: {brief(error)}", _EXPECTED) from error
+
+
+def _count(table: pa.Table, counted: Callable[[int, int], None]) -> None:
+    """Each message of a block has one column of times."""
+    columns = (table[name].to_pylist() for name in ("column", "can_id", "frames"))
+    for name, can_id, frames in zip(*columns, strict=True):
+        if name == _TIME:
+            counted(can_id, frames)
 
 
 def _schema() -> pa.Schema:

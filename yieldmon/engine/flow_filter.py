@@ -101,7 +101,7 @@ class FlowFilter:
 
 def _step(states: _States, models: tuple[_Model, _Model, _Model], stay: float, seen: float, noise: float) -> _States:
     to_jump = _TREND_TO_JUMP * (1.0 - stay)
-    (_, _, w0), (_, _, w1), (_, _, w2) = states
+    ((l0, t0), (a0, b0, c0), w0), ((l1, t1), (a1, b1, c1), w1), ((l2, t2), (a2, b2, c2), w2) = states
     reaches = (
         (_STEADY[0] * w0, (1.0 - stay - to_jump) * w1, _JUMP[0] * w2),
         (_STEADY[1] * w0, stay * w1, _JUMP[1] * w2),
@@ -111,7 +111,22 @@ def _step(states: _States, models: tuple[_Model, _Model, _Model], stay: float, s
     weights: list[float] = []
     for model, (r0, r1, r2) in zip(models, reaches, strict=True):
         total = r0 + r1 + r2
-        (level, trend), (a, b, c) = _predict(*_mixture(states, r0 / total, r1 / total, r2 / total), model)
+        # What leads to this description, as one mean and spread. Written out: once a second, and calls take as long again.
+        w0, w1, w2 = r0 / total, r1 / total, r2 / total
+        level = w0 * l0 + w1 * l1 + w2 * l2
+        trend = w0 * t0 + w1 * t1 + w2 * t2
+        dl0, dl1, dl2 = l0 - level, l1 - level, l2 - level
+        dt0, dt1, dt2 = t0 - trend, t1 - trend, t2 - trend
+        a = w0 * (a0 + dl0 * dl0) + w1 * (a1 + dl1 * dl1) + w2 * (a2 + dl2 * dl2)
+        b = w0 * (b0 + dl0 * dt0) + w1 * (b1 + dl1 * dt1) + w2 * (b2 + dl2 * dt2)
+        c = w0 * (c0 + dt0 * dt0) + w1 * (c1 + dt1 * dt1) + w2 * (c2 + dt2 * dt2)
+        # The prediction.
+        f = model.keeps_trend
+        if f < 1.0:
+            b = f * b
+        else:
+            level, a, b = level + trend, a + 2.0 * b + c, b + c
+        trend, a, c = f * trend, a + model.level_noise, f * f * c + model.trend_noise
         innovation, variance = seen - level, a + noise
         gain, trend_gain = a / variance, b / variance
         updated.append(
@@ -124,27 +139,3 @@ def _step(states: _States, models: tuple[_Model, _Model, _Model], stay: float, s
     whole = s0 + s1 + s2
     first, second, third = updated
     return (*first, s0 / whole), (*second, s1 / whole), (*third, s2 / whole)
-
-
-def _mixture(states: _States, w0: float, w1: float, w2: float) -> tuple[_Vector, _Matrix]:
-    ((l0, t0), (a0, b0, c0), _), ((l1, t1), (a1, b1, c1), _), ((l2, t2), (a2, b2, c2), _) = states
-    level = w0 * l0 + w1 * l1 + w2 * l2
-    trend = w0 * t0 + w1 * t1 + w2 * t2
-    dl0, dl1, dl2 = l0 - level, l1 - level, l2 - level
-    dt0, dt1, dt2 = t0 - trend, t1 - trend, t2 - trend
-    return (level, trend), (
-        w0 * (a0 + dl0 * dl0) + w1 * (a1 + dl1 * dl1) + w2 * (a2 + dl2 * dl2),
-        w0 * (b0 + dl0 * dt0) + w1 * (b1 + dl1 * dt1) + w2 * (b2 + dl2 * dt2),
-        w0 * (c0 + dt0 * dt0) + w1 * (c1 + dt1 * dt1) + w2 * (c2 + dt2 * dt2),
-    )
-
-
-def _predict(mean: _Vector, spread: _Matrix, model: _Model) -> tuple[_Vector, _Matrix]:
-    f = model.keeps_trend
-    if f < 1.0:
-        level, a, b = mean[0], spread[0], f * spread[1]
-    else:
-        level = mean[0] + mean[1]
-        a = spread[0] + 2.0 * spread[1] + spread[2]
-        b = spread[1] + spread[2]
-    return (level, f * mean[1]), (a + model.level_noise, b, f * f * spread[2] + model.trend_noise)

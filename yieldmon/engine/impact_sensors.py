@@ -92,7 +92,7 @@ class ImpactSensors:
         moving = [(name, inputs.track(name)) for name in MOVING]
         for (_, builder), samples in zip(self._sensors, run.samples, strict=True):
             times = run.times_s[samples.places] + offset_s
-            parts.append((times, partial(_add_rows, builder, np.vstack((times, samples.rows.T)).T)))
+            parts.append((times, partial(_add_rows, builder, times, samples.rows)))
             for name, track in moving:
                 add = (builder.speed if name == "elevator_speed" else builder.angle).extend
                 values = track.values if name == "elevator_speed" else track.values * DEGREE
@@ -156,8 +156,8 @@ def _fixed(sources: Sources, name: str) -> float | None:
     return sources.fixed[name] * QUANTITIES[name].factor * _INTO_BUILDER[name]
 
 
-def _add_rows(builder: WindowBuilder, rows: Array, first: int, last: int) -> None:
-    builder.samples.add_block(rows[first:last])
+def _add_rows(builder: WindowBuilder, times: Array, rows: Array, first: int, last: int) -> None:
+    builder.samples.add_block(np.vstack((times[first:last], rows[first:last].T)).T)
 
 
 def _add_values(

@@ -48,9 +48,8 @@ class Learning:
     def __init__(
         self, settings: EngineSettings, machine: Machine, estimator: FlowEstimator, calibrator: SelfCalibrator | None
     ) -> None:
-        self.estimator = estimator
         self.calibrator = calibrator
-        self.calibration_age_s: float | None = None
+        self.use(estimator, None)
         self.outcome: CalibrationOutcome | None = None
         """What the last whole sweep or weighed mass changed."""
         self.disagreement = Disagreement(settings.disagreement, machine)
@@ -107,6 +106,7 @@ class Learning:
         """Other parameters; calibration_age_s: time since they were calibrated, None where it is not known."""
         self.estimator = estimator
         self.calibration_age_s = calibration_age_s
+        self._sweeps_teach = not refusal(estimator.parameters)
 
     def change_grain(self, before: str, now: str) -> None:
         """Another crop from now on: weighed masses of the one before teach its parameters alone, when it is back."""
@@ -262,7 +262,7 @@ class Learning:
 
         Where sweeps update nothing they are not begun by schedule: away from home such a model misses the most.
         """
-        sweep.by_schedule = self.calibrator is None or not refusal(self.estimator.parameters)
+        sweep.by_schedule = self.calibrator is None or self._sweeps_teach
         if not sweep.visiting and not sweep.completed:
             self._sweep_records = [*self._sweep_records, record][-sweep.lead :] if sweep.lead else []
             return self._learn_from_masses(record)

@@ -96,10 +96,13 @@ class Measurement:
     """Reads windows in order; holds what one needs of those before it: zero, gate and a few counts."""
 
     def __init__(self, settings: EngineSettings, machine: Machine, sources: Sources) -> None:
-        self._sources = sources
         self.zero = ZeroTracker(settings.zero)
         self._settings = settings
         self._machine = machine
+        self._spacing_m = machine.paddle_spacing_m
+        slow = any(source.rate_hz < ALIAS_FREE_HZ for source in sources.impact)
+        self._aliasing = sources.impact if slow else ()
+        """Sensors whose samples alias."""
         self._gate = HarvestGate(settings.gate)
         self._rest_rad = radians(2.0 * settings.plate.at_target_tolerance_deg)
         self._idle_since_s: float | None = None
@@ -207,7 +210,7 @@ class Measurement:
         """Standard deviation of the mean force: scatter within the window, drawn towards that of the windows before it, N."""
         settings, machine = self._settings.windows, self._machine
         gain = machine.sensor.gain_n_per_mv
-        paddles = window.speed_rad_s * machine.sprocket_pitch_radius_m / machine.paddle_spacing_m * window.covered_s
+        paddles = window.speed_rad_s * machine.sprocket_pitch_radius_m / self._spacing_m * window.covered_s
         per_scatter = (force_n / max(1.0, paddles) ** 0.5) ** 2
         variance = self._scatter.square * per_scatter
         if isfinite(window.std_dev_mv):
@@ -218,13 +221,10 @@ class Measurement:
             variance = (own * seen + prior * variance) / (own + prior)
         variance /= max(window.coverage, 1e-3)
         noise = hypot(variance**0.5, settings.min_force_std_dev_n)
-        share = self._aliasing_share(window.speed_rad_s)
+        if not self._aliasing:
+            return noise
+        share = max(aliasing_share(source, machine, window.speed_rad_s) for source in self._aliasing)
         return hypot(noise, share * force_n) if share > 0.0 else noise
-
-    def _aliasing_share(self, speed_rad_s: float) -> float:
-        if all(source.rate_hz >= ALIAS_FREE_HZ for source in self._sources.impact):
-            return 0.0
-        return max(aliasing_share(source, self._machine, speed_rad_s) for source in self._sources.impact)
 
     def _idle_s(self, inputs: InputSnapshot) -> float:
         """How long header, work state or ground speed have said that no crop is taken in, s."""

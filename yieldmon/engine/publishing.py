@@ -35,6 +35,11 @@ class Publisher:
     def __init__(self, min_coverage: float, ranges: SignalRanges | None = None) -> None:
         self._min_coverage = min_coverage
         self._ranges = signal_ranges() if ranges is None else ranges
+        masses = self._ranges[bus.ACCUMULATED_MASS]
+        self._masses = (
+            ("LoadMass", masses["LoadMass"][1], "load start"),
+            ("TotalMass", masses["TotalMass"][1], "totals archive"),
+        )
 
     def frames(self, record: WindowRecord, beside: Published) -> tuple[Frame, ...]:
         """The frames of one window."""
@@ -52,12 +57,12 @@ class Publisher:
 
     def mass_near_end(self, totals: Totals, share: float) -> str | None:
         """What is to be said of masses above this share of the largest that their signals carry; None where there is none."""
-        ranges = self._ranges[bus.ACCUMULATED_MASS]
-        masses = (("LoadMass", totals.load_kg, "load start"), ("TotalMass", totals.total_kg, "totals archive"))
-        return "; ".join(
-            f"{signal} {kg:.0f} kg of at most {ranges[signal][1]:.0f} kg: {command}"
-            for signal, kg, command in masses if kg >= share * ranges[signal][1]
-        ) or None  # fmt: skip
+        near = [
+            f"{signal} {kg:.0f} kg of at most {most_kg:.0f} kg: {command}"
+            for kg, (signal, most_kg, command) in zip((totals.load_kg, totals.total_kg), self._masses, strict=True)
+            if kg >= share * most_kg
+        ]
+        return "; ".join(near) if near else None
 
     def _mass_flow(self, record: WindowRecord) -> dict[str, Value]:
         known = isfinite(record.mass_flow_kg_s) and record.coverage >= self._min_coverage

@@ -109,14 +109,19 @@ class SampleBuffer:
             bounds = np.concatenate(([0], np.cumsum(new)))[bounds]
         status = table[:, 2]
         fault = status == SensorStatus.FAULT.value
-        samples = table[:, ROW_COLUMNS:]
+        samples = np.ascontiguousarray(table[:, ROW_COLUMNS:])
+        over_range = status == SensorStatus.OVER_RANGE.value
         with np.errstate(invalid="ignore"):
-            usable = (np.abs(samples) <= self._limit_mv) & ~fault[:, None]
-            over = (status == SensorStatus.OVER_RANGE.value)[:, None] | (usable & (samples >= self._full_scale_mv))
+            usable, over = np.abs(samples) <= self._limit_mv, samples >= self._full_scale_mv
+        if fault.any():
+            usable &= ~fault[:, None]
+        over &= usable
+        if over_range.any():
+            over |= over_range[:, None]
         return SampleFrames(
             bounds=bounds,
             times=np.ascontiguousarray(table[:, 0]),
-            samples=np.ascontiguousarray(samples) if usable.all() else np.where(usable, samples, 0.0),
+            samples=samples if usable.all() else np.where(usable, samples, 0.0),
             usable=usable,
             over=over,
             fault=fault,

@@ -61,13 +61,13 @@ def pulse_harmonics(
 ) -> tuple[Waves, Waves]:
     """Complex amplitudes (w, HARMONICS) at the first harmonics of the paddle pattern; what the last window leaves.
 
-    phase: of each sample along the chain. mean, total: of `weighted_means`. before: `Leftover.waves`. The mean is taken off
+    phase: of each sample (m,) along the chain. mean, total: of `weighted_means`. before: `Leftover.waves`. The mean is taken off
     first, so that a window with samples missing does not turn its level into an amplitude. What an earlier window left has its
     sums with and without the sample kept, for the mean that is not known yet.
     """
     samples, late = frames.samples.ravel(), weights.late
-    turn = _turned_back(phase.ravel())
-    deviation = (frames.samples - np.repeat(np.nan_to_num(mean), frames.frames)[:, None]).ravel()
+    turn = _turned_back(phase)
+    deviation = samples - np.repeat(np.nan_to_num(mean), np.diff(frames.sample_bounds))
     if not frames.clean:
         deviation *= frames.usable.ravel()
     deviation[late] *= 1.0 - weights.kept
@@ -97,9 +97,14 @@ def pulse_harmonics(
 
 def _turned_back(phase: Array) -> Waves:
     """exp(-2 pi i phase), by the tangent of half the angle, which costs a fraction of sine and cosine."""
-    half = np.tan(np.pi * phase)
-    share = 1.0 / (1.0 + half * half)
+    half = np.pi * phase
+    np.tan(half, out=half)
+    share = half * half
+    share += 1.0
+    np.divide(1.0, share, out=share)
     turn = np.empty(phase.size, dtype=np.complex128)
-    np.subtract(2.0 * share, 1.0, out=turn.real)
-    np.multiply(-2.0 * half, share, out=turn.imag)
+    half *= -2.0
+    np.multiply(half, share, out=turn.imag)
+    share *= 2.0
+    np.subtract(share, 1.0, out=turn.real)
     return turn

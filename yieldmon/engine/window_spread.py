@@ -14,20 +14,22 @@ from yieldmon.physics.numerics import Array
 def scatter(frames: SampleFrames, to_end: Array, passed: Array) -> tuple[Array, Array, Counts]:
     """Standard deviation of the mean from differences of neighbouring patterns, the trend, and the patterns used, each (w,).
 
-    to_end: phase from each sample to its window's end. passed (w,): patterns that pass in each window.
+    to_end (m,): phase from each sample to its window's end. passed (w,): patterns that pass in each window.
     """
     sizes = frames.frames
     counts = passed.astype(np.intp)
     most = max(1, int(counts.max()))
-    inside = ((to_end >= 0.0) & (to_end < np.repeat(counts, sizes)[:, None])).ravel()
+    samples = np.diff(frames.sample_bounds)
+    cell = np.floor(to_end).astype(np.intp)
+    outside = (cell < 0) | (cell >= np.repeat(counts, samples))
     if not frames.clean:
-        inside &= frames.usable.ravel()
-    cell = (np.floor(to_end).astype(np.intp) + np.repeat(np.arange(sizes.size) * most, sizes)[:, None]).ravel()
-    values = frames.samples.ravel()
-    if not inside.all():
-        cell, values = cell[inside], values[inside]
-    members = np.bincount(cell, minlength=sizes.size * most).reshape(-1, most)
-    sums = np.bincount(cell, weights=values, minlength=sizes.size * most).reshape(-1, most)
+        outside |= ~frames.usable.ravel()
+    cell += np.repeat(np.arange(sizes.size) * most, samples)
+    # What is in no whole pattern goes to a cell of its own.
+    cells = sizes.size * most
+    cell[outside] = cells
+    members = np.bincount(cell, minlength=cells + 1)[:-1].reshape(-1, most)
+    sums = np.bincount(cell, weights=frames.samples.ravel(), minlength=cells + 1)[:-1].reshape(-1, most)
     full = (members > 0) & (members >= 0.5 * members.max(axis=1, keepdims=True))
     return _scatter_of_patterns(sums[full] / members[full], np.count_nonzero(full, axis=1))
 

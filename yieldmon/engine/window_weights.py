@@ -92,20 +92,21 @@ def _left_to_next(phase: Knots) -> Array:
 
 
 def weights_of(frames: SampleFrames, to_end: Array) -> WindowWeights:
-    """Weights of samples by the chain's phase. to_end, of the frames' samples (n, samples of a frame): phase from each to its
-    window's end, paddle patterns."""
-    late = np.flatnonzero(to_end.ravel() < 1.0)
+    """Weights of samples by the chain's phase. to_end (m,): phase from each of the frames' samples to its window's end, paddle
+    patterns."""
+    late = np.flatnonzero(to_end < 1.0)
     if not frames.clean:
         late = late[frames.usable.ravel()[late]]
-    kept = np.minimum(1.0 - to_end.ravel()[late], 1.0)
+    kept = np.minimum(1.0 - to_end[late], 1.0)
     count, samples = frames.usable.shape
     frame_weights = np.full(count, float(samples)) if frames.clean else sum_rows(frames.usable.astype(np.float64))
     frame_kept = np.zeros(count)
     if late.size:
         of_frame = late // samples
-        rows = of_frame[np.concatenate(([True], of_frame[1:] != of_frame[:-1]))]
+        begins = np.concatenate(([True], of_frame[1:] != of_frame[:-1]))
+        rows = of_frame[begins]
         table = np.zeros((rows.size, samples))
-        table[np.searchsorted(rows, of_frame), late % samples] = kept
+        table[np.cumsum(begins) - 1, late - of_frame * samples] = kept
         frame_kept[rows] = sum_rows(table)
         frame_weights[rows] = sum_rows(frames.usable[rows] - table)
     return WindowWeights(late, kept, frame_weights, frame_kept)

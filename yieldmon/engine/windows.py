@@ -109,8 +109,8 @@ _made = maker_of(Window)
 
 def coherent_amplitudes(windows: Iterable[Window]) -> tuple[float, ...]:
     """Amplitude of each pattern harmonic's mean over windows, mV; what keeps no step with the paddles averages out."""
-    columns = zip(*(window.harmonics_mv for window in windows), strict=False)
-    return tuple(abs(sum(values) / len(values)) for values in columns)
+    columns = zip(*[window.harmonics_mv for window in windows], strict=False)
+    return tuple([abs(sum(values) / len(values)) for values in columns])
 
 
 class WindowBuilder:
@@ -173,25 +173,25 @@ class WindowBuilder:
         plate_min, plate_max = self._plate_range(angles, measured, edges)
         chain = self._chain.take(speeds, edges)
 
-        sizes = frames.frames
-        frame_starts = np.repeat(edges[:-1], sizes)
-        phase = chain.phase.at(np.maximum(frames.times[:, None] - self._lags_s, frame_starts[:, None]))
-        to_end = np.repeat(chain.passed, sizes)[:, None] - phase
-        middles = np.maximum(frames.times - 0.5 * self._lags_s[0], frame_starts)
+        sizes, of_window = frames.frames, np.diff(frames.sample_bounds)
+        times = (frames.times[:, None] - self._lags_s).ravel()
+        phase = chain.phase.at(np.maximum(times, np.repeat(edges[:-1], of_window)))
+        to_end = np.repeat(chain.passed, of_window) - phase
+        middles = np.maximum(frames.times - 0.5 * self._lags_s[0], np.repeat(edges[:-1], sizes))
         moving = np.stack((speeds.at(middles), angles.at(middles)))
         weights = weights_of(frames, to_end)
         total, (mean, speed, angle), left_sums = weighted_means(frames, weights, moving, self._left.sums)
         empty = ~(total > 0.0)
         if empty.any():
             speed[empty], angle[empty] = speeds.means()[empty], angles.means()[empty]
-        phase += np.repeat(chain.turns, sizes)[:, None]
+        phase += np.repeat(chain.turns, of_window)
         harmonics, left_waves = pulse_harmonics(frames, weights, phase, mean, total, self._left.waves)
         self._left = Leftover(left_sums, left_waves)
         std_dev, trend, patterns = scatter(frames, to_end, chain.passed)
         std_dev[empty], trend[empty], patterns[empty] = np.nan, np.nan, 0
         span, held, samples = extremes(frames)
         pulse = np.sqrt(np.cumsum(np.square(harmonics.real) + np.square(harmonics.imag), axis=1)[:, -1])
-        saturated = segments.count(frames.over.ravel(), frames.sample_bounds) / np.maximum(np.diff(frames.sample_bounds), 1)
+        saturated = segments.count(frames.over.ravel(), frames.sample_bounds) / np.maximum(of_window, 1)
         waves = [() if none else tuple(row) for none, row in zip(empty.tolist(), harmonics.tolist(), strict=True)]
         columns = (
             edges[:-1], edges[1:], mean, std_dev, waves, pulse, trend, patterns, chain.weight_s,
@@ -204,7 +204,7 @@ class WindowBuilder:
         if not self._traces:
             return [_made(*row, None) for row in zip(*lists, strict=True)]
         traces = [
-            _trace(frames, phase, slice(first, last), self._sample_interval_s)
+            _trace(frames, phase.reshape(frames.samples.shape), slice(first, last), self._sample_interval_s)
             for first, last in zip(frames.bounds[:-1].tolist(), frames.bounds[1:].tolist(), strict=True)
         ]
         return [_made(*row) for row in zip(*lists, traces, strict=True)]

@@ -295,7 +295,7 @@ def _mean_level(windows: Sequence[Window]) -> float:
 
 
 def _mean_speed(windows: Sequence[Window] | deque[Window]) -> float:
-    return sum(window.speed_rad_s for window in windows) / len(windows)
+    return sum([window.speed_rad_s for window in windows]) / len(windows)
 
 
 def _speed_factor(speed_rad_s: float, learnt_at_rad_s: float) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -106,7 +107,7 @@ class ParameterSet:
             self.version, dict(self.provenance), self.model_error, self.curve,
         )  # fmt: skip
 
-    @property
+    @cached_property
     def effects(self) -> tuple[str, ...]:
         """Names of the effects that the values speak of, in alphabetical order."""
         return tuple(sorted({name.partition(".")[0] for name in self.values if "." in name}))

@@ -138,11 +138,12 @@ def first_root(
     negative at 0 the root is 0; where it stays negative up to `upper`, the root is `upper`. The result has shape (..., 1) and
     carries complex perturbations of the function to first order.
 
-    unperturbed: the function without perturbations, where it costs less.
+    unperturbed: the function without perturbations, where it has some.
     """
     search = unperturbed or function
     end, grid = real(upper), chebyshev_points(points)
-    f = real(search(end * grid))
+    over_grid = search(end * grid)
+    f = real(over_grid)
     positive = f >= 0.0
     right = positive.argmax(axis=-1)[..., None]
     left = np.maximum(right - 1, 0)
@@ -163,6 +164,8 @@ def first_root(
             step = newton * (1.0 + 0.5 * newton * curve / slope)
         x = np.clip(np.where(np.isfinite(step), x - step, x), a, b)
     x = np.where(found, np.where(right == 0, 0.0, x), end)
+    if unperturbed is None and not perturbed(over_grid):
+        return x
     value = function(x)
     if perturbed(value):
         h = 1e-6 * end + 1e-12

@@ -249,7 +249,8 @@ def _miss_rotation(setting: Setting, slides: tuple[release.Slide, Setting, relea
         flow = release.outflow(tau, setting, slide)
         return flight.miss_measure(*release.at_tip(flow, setting), setting)
 
-    return first_root(miss, upper, unperturbed=lambda tau: miss(tau, still, still_slide))
+    unperturbed = None if still is setting else lambda tau: miss(tau, still, still_slide)
+    return first_root(miss, upper, unperturbed=unperturbed)
 
 
 def _with_nodes(value: ArrayLike) -> AnyArray:

@@ -135,11 +135,15 @@ def _joined(blocks: Iterator[FrameBlock]) -> Iterator[FrameBlock]:
     waiting: list[FrameBlock] = []
     for block in blocks:
         if waiting and sum(map(len, waiting)) + len(block) > _RUN_FRAMES:
-            yield concatenate(waiting)
+            yield _whole(waiting)
             waiting = []
         waiting.append(block)
     if waiting:
-        yield concatenate(waiting)
+        yield _whole(waiting)
+
+
+def _whole(blocks: list[FrameBlock]) -> FrameBlock:
+    return blocks[0] if len(blocks) == 1 else concatenate(blocks)
 
 
 def _wanted(taking: Taking, decoder: MapDecoder, side: SideInputs) -> Wanted:

@@ -64,23 +64,27 @@ class SideInputs:
 
     def __init__(self, factory: FactoryMonitor | None = None) -> None:
         self._factory = factory if factory is not None else FactoryMonitor()
-        self._factory_identities = np.array(sorted(self._factory.identifiers), np.uint32)
+        identities = sorted(self._factory.identifiers)
+        self._factory_broadcast = np.array([i for i in identities if is_broadcast(i >> 8)], np.uint32)
+        self._factory_addressed = np.array([i for i in identities if not is_broadcast(i >> 8)], np.uint32)
         self._navigation = Navigation()
         self._reassembler = Reassembler()
-        self._concerned = np.zeros(_MOST_GROUPS, bool)
-        """By group, whether a frame may concern this."""
-        for identity in self._factory_identities.tolist():
+        self._native, self._standard, self._concerned = (np.zeros(_MOST_GROUPS, bool) for _ in range(3))
+        """By group: whether the DBC has it, whether its frames concern this, whether a frame may concern this."""
+        self._native[list(_IN_THE_DBC)] = True
+        self._standard[list(GROUPS)] = True
+        self._standard[_all_of(PROCESS_DATA)] = True
+        self._concerned |= self._standard
+        for identity in identities:
             self._concerned[_all_of(identity >> 8 & _MOST_GROUPS - 1)] = True
-        self._concerned[_all_of(PROCESS_DATA)] = True
-        self._concerned[list(GROUPS)] = True
         self._other_s = float("-inf")
         """When a source that the DBC does not have last spoke."""
 
     def filters(self) -> list[CanFilter]:
         """What this wants to hear."""
         entries = [(group << 8, GROUP_MASK) for group in sorted(GROUPS)]
-        for identity in self._factory_identities.tolist():
-            entries.append((identity, IDENTITY_MASK if is_broadcast(identity >> 8) else _ADDRESSED_MASK))
+        for identities, mask in ((self._factory_broadcast, IDENTITY_MASK), (self._factory_addressed, _ADDRESSED_MASK)):
+            entries += [(identity, mask) for identity in identities.tolist()]
         entries.append((PROCESS_DATA << 8, FORMAT_MASK))
         return [CanFilter(can_id=value, can_mask=mask, extended=True) for value, mask in entries]
 
@@ -133,12 +137,9 @@ class SideInputs:
         rows = np.flatnonzero(self.concerns(block.can_id))
         identifiers = block.can_id[rows]
         groups = identifiers >> np.uint32(8) & np.uint32(_MOST_GROUPS - 1)
-        native = np.isin(groups, np.array(_IN_THE_DBC, np.uint32))
-        other = np.isin(groups, np.array(sorted(GROUPS), np.uint32)) | (groups >> np.uint32(8) == PROCESS_DATA >> 8)
-        exact = identifiers & np.uint32(IDENTITY_MASK)
-        addressed = identifiers & np.uint32(_ADDRESSED_MASK)
-        broadcast = np.array([is_broadcast(identity >> 8) for identity in self._factory_identities.tolist()], bool)
-        other |= np.isin(exact, self._factory_identities[broadcast]) | np.isin(addressed, self._factory_identities[~broadcast])
+        native, other = self._native[groups], self._standard[groups]
+        other |= np.isin(identifiers & np.uint32(IDENTITY_MASK), self._factory_broadcast)
+        other |= np.isin(identifiers & np.uint32(_ADDRESSED_MASK), self._factory_addressed)
         return rows[other & ~native], rows[native]
 
     def _readings_of(self, block: FrameBlock, others: NDArray[np.intp], native: NDArray[np.intp]) -> BlockReadings:
