@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
@@ -89,6 +90,16 @@ class TankScale:
             self._start = replace(self._start, measured_kg=self._start.measured_kg + mass_kg)
         if self._last is not None:
             self._last = replace(self._last, measured_kg=self._last.measured_kg + mass_kg)
+
+    def next_mass(self, masses_kg: Iterable[float]) -> int:
+        """With which of the masses to come the tank may have gained enough to be weighed, counted from 1; 0 for none of them."""
+        least_kg = self._start.mass_kg if self._start is not None else float("inf")
+        for number, mass_kg in enumerate(masses_kg, 1):
+            if mass_kg - least_kg >= self._settings.min_increment_kg:
+                return number
+            if mass_kg < least_kg:
+                least_kg = mass_kg
+        return 0
 
     def window(
         self, start_s: float, end_s: float, total_before_kg: float, mass_kg: float, measured: bool, budget: MassBudget = EMPTY

@@ -164,6 +164,10 @@ class Learning:
         self._scale.counted(missed_kg)
         return missed_kg
 
+    def next_weighed(self, ahead: Iterable[InputSnapshot]) -> int:
+        """With which of the windows ahead a mass may be weighed that changes the parameters, counted from 1; 0 for none."""
+        return self._scale.next_mass(inputs.tank_kg for inputs in ahead)
+
     def empty_since(self, time_s: float) -> None:
         """No grain came between a time and now, though no flow could be given."""
         self._scale.empty_since(time_s)

@@ -22,8 +22,8 @@ _FORMED_TOGETHER = 64
 """Windows of a run that are formed at once: enough to share the cost of array operations, few enough for the cache."""
 _READ_TOGETHER = 512
 """Windows of a run that are read before the first of them is concluded."""
-_ESTIMATED_TOGETHER = 128
-"""Flow estimates made at once; those after a change of the parameters are made anew."""
+_ESTIMATED_TOGETHER = 256
+"""Flow estimates made at once, at most until a weighed mass may come; those after a change of the parameters are made anew."""
 
 
 class Timeline:
@@ -165,7 +165,9 @@ class Timeline:
         for index, reading in enumerate(readings):
             if index == len(found) or learning.estimator is not estimator:
                 estimator = learning.estimator
-                found[index:] = self._estimated(readings[index : index + _ESTIMATED_TOGETHER])
+                ahead = readings[index : index + _ESTIMATED_TOGETHER]
+                weighed = learning.next_weighed(reading.inputs for reading in ahead)
+                found[index:] = self._estimated(ahead[:weighed] if weighed else ahead)
             if feeding is not None:
                 results += self._ticks_before(reading.window.end_s, feeding)
             results.append(self.conclusion.conclude(reading, found[index]))
