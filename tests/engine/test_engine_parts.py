@@ -231,6 +231,23 @@ def test_tank_scale(readings: list[tuple[float, float]], missing: set[int], expe
     assert all(a.std_dev_kg == pytest.approx(2.0**0.5 * AnchorSettings().scale_std_dev_kg) for a in scale.anchors)
 
 
+NEXT_MASS = {
+    "gained enough": ([1100.0, 1299.0, 1300.0, 1400.0], 3),
+    "too little": ([1100.0, 1200.0], 0),
+    "from the lowest since, the tank being emptied": ([1100.0, 50.0, 349.0, 350.0], 4),
+    "readings that are not known": ([math.nan, 1300.0], 2),
+    "nothing ahead": ([], 0),
+}
+
+
+@pytest.mark.parametrize(("masses_kg", "expected"), NEXT_MASS.values(), ids=NEXT_MASS)
+def test_the_next_mass_that_may_be_weighed(masses_kg: list[float], expected: int) -> None:
+    scale = TankScale(AnchorSettings(min_increment_kg=300.0))
+    scale.reading(0.5, 1000.0)
+    scale.window(0.0, 1.0, 0.0, 0.0, True)
+    assert scale.next_mass(masses_kg) == expected
+
+
 def test_seconds_in_which_a_zero_was_taken_held_no_grain() -> None:
     def weighed(empty_since_s: float) -> list[bool]:
         scale = TankScale(AnchorSettings(min_increment_kg=300.0))

@@ -12,6 +12,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -355,7 +356,7 @@ def _block(rows: Iterable[tuple[Any, ...]], *, all_compressed: bool, compiled: b
             parts.append(kept)
             last = head
         values = parts[-1]
-        starts = [] if name in (_TIME, _PLACE) else [int(at) for at in start.split(",")]
+        starts = () if name in (_TIME, _PLACE) else _starts(start)
         per_frame = len(starts) or 1
         _check(bits, starts, size, packed, count * per_frame)
         whole = len(packed) == size and not all_compressed
@@ -373,7 +374,12 @@ def _block(rows: Iterable[tuple[Any, ...]], *, all_compressed: bool, compiled: b
     return _assembled(parts, tuple(channels), explicit)
 
 
-def _check(bits: int, starts: list[int], size: int, packed: bytes, numbers: int) -> None:
+@lru_cache(maxsize=1024)
+def _starts(text: str) -> tuple[int, ...]:
+    return tuple(int(at) for at in text.split(","))
+
+
+def _check(bits: int, starts: tuple[int, ...], size: int, packed: bytes, numbers: int) -> None:
     """Raises ValueError for what no column says of itself, before memory is taken for it."""
     if not 1 <= bits <= _DATA_BITS or len(starts) > _DATA_BITS or any(not 0 <= at <= _DATA_BITS - bits for at in starts):
         raise ValueError(f"numbers of {bits} bits from bit {starts[:3]}")

@@ -97,8 +97,7 @@ class TankScale:
         for number, mass_kg in enumerate(masses_kg, 1):
             if mass_kg - least_kg >= self._settings.min_increment_kg:
                 return number
-            if mass_kg < least_kg:
-                least_kg = mass_kg
+            least_kg = min(least_kg, mass_kg)
         return 0
 
     def window(

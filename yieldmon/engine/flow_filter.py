@@ -89,12 +89,12 @@ class FlowFilter:
             self._states = first, first, first
             return flow_kg_s, noise_std_dev_kg_s
         self._states = _step(self._states, self._models, self._settings.stay, seen, noise)
-        levels = [mean[0] + lead_windows * mean[1] for mean, _, _ in self._states]
         level = variance = 0.0
-        for (_, _, weight), each in zip(self._states, levels, strict=True):
-            level += weight * each
-        for (_, (a, b, c), weight), each in zip(self._states, levels, strict=True):
-            variance += weight * (a + lead_windows * (2.0 * b + lead_windows * c) + (each - level) ** 2)
+        for (middle, trend), _, weight in self._states:
+            level += weight * (middle + lead_windows * trend)
+        for (middle, trend), (a, b, c), weight in self._states:
+            away = middle + lead_windows * trend - level
+            variance += weight * (a + lead_windows * (2.0 * b + lead_windows * c) + away**2)
         flow = exp(level)
         return flow, flow * sqrt(variance)
 
