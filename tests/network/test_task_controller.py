@@ -241,6 +241,34 @@ def test_a_server_without_a_task_hears_totals_from_its_connection_on() -> None:
     assert bench.values(90)[-1][1] <= since_kg < before_kg
 
 
+@pytest.mark.parametrize(
+    ("changes", "implement", "area_m2", "time_s"),
+    [
+        pytest.param({}, FULL, 182, 10, id="9.1 m at 2 m/s for 10 s"),
+        pytest.param({"ground_speed_m_s": 3.0}, FULL, 273, 10, id="faster"),
+        pytest.param({"ground_speed_m_s": None}, FULL, 0, 10, id="speed not known"),
+        pytest.param({"harvesting": False}, FULL, 0, 0, id="not harvesting"),
+        pytest.param({}, Implement(), None, 10, id="width not known"),
+    ],
+)
+def test_area_and_time_are_counted_while_harvesting(
+    changes: dict[str, object], implement: Implement, area_m2: int | None, time_s: int
+) -> None:
+    bench = connected(implement=implement)
+    bench.server.task = True
+    bench.run(4.0)
+    bench.second = replace(bench.second, **changes)  # type: ignore[arg-type]
+    seen = []
+    for _ in range(2):
+        bench.command(Command.REQUEST_VALUE, 116)
+        bench.command(Command.REQUEST_VALUE, 119)
+        seen.append([bench.values(ddi)[-1][1] if bench.values(ddi) else None for ddi in (116, 119)])
+        bench.run(10.0)
+    (area_before, time_before), (area, time) = seen
+    assert (area is None if area_m2 is None else area - area_before == pytest.approx(area_m2, abs=1)) is True
+    assert time - time_before == time_s
+
+
 def test_server_that_goes_and_comes_back() -> None:
     bench = connected()
     bench.command(Command.TIME_INTERVAL, 87, 1000)
