@@ -1,4 +1,4 @@
-"""The sum that a row of the store carries: known values, since stores on machines carry them, and what must and must not differ."""
+"""The sum that a row of the store carries: known values, since stores on machines carry them, and what may not differ."""
 
 from __future__ import annotations
 
