@@ -7,7 +7,7 @@ import threading
 import can
 import pytest
 
-from yieldmon.service.transmit import Transmitter
+from yieldmon.service.transmit import ASKED_ECHO_S, Transmitter
 
 PATIENCE_S = 60.0
 
@@ -128,3 +128,98 @@ def test_who_asks_waits_until_all_that_waited_is_on_the_bus(bus, clock):
     assert transmitter.wait_until_sent(PATIENCE_S)
     assert bus.sent == [1, 2]
     transmitter.stop()
+
+
+BEYOND_S = 1.0 / 1024.0
+
+
+def transmitted(transmitter: Transmitter, *messages: can.Message) -> None:
+    transmitter.submit(*messages)
+    assert transmitter.wait_until_sent(PATIENCE_S)
+
+
+@pytest.fixture
+def started(bus, clock):
+    """A transmitter whose frames may wait half a second and come back within one."""
+    transmitter = Transmitter(bus.send, 4, 0.5, clock, 1.0)
+    transmitter.start()
+    yield transmitter
+    bus.open.set()
+    assert transmitter.stop(PATIENCE_S)
+    assert not transmitter.alive
+
+
+@pytest.mark.parametrize(("waited_s", "sent"), [(0.5, [1, 2]), (0.5 + BEYOND_S, [1])])
+def test_a_frame_may_wait_so_long(bus, clock, started, waited_s, sent):
+    bus.open.clear()
+    started.submit(frame(1))
+    assert bus.entered.acquire(timeout=PATIENCE_S)
+    started.submit(frame(2))
+    assert (started.waiting, started.hangs_s(), started.alive) == (1, 0.0, True)
+    clock.now_s += waited_s
+    assert started.hangs_s() == waited_s
+    bus.open.set()
+    assert started.wait_until_sent(PATIENCE_S)
+    assert (bus.sent, started.hangs_s(), started.waiting) == (sent, 0.0, 0)
+    assert started.counters().late_now(clock.now_s + 2.0 - BEYOND_S) is (sent == [1])
+    assert not started.counters().late_now(clock.now_s + 2.0)
+
+
+def test_a_refused_frame_is_told_for_two_seconds_with_its_reason_and_is_no_echo(bus, clock, started):
+    assert not started.counters().failing(0.0)
+    bus.refuse = True
+    transmitted(started, frame(1))
+    counters = started.counters()
+    assert (counters.failed, counters.sent, counters.late, counters.last_failure) == (1, 0, 0, "Network is down")
+    assert counters.failing(clock.now_s + 2.0 - BEYOND_S)
+    assert not counters.failing(clock.now_s + 2.0)
+    assert not started.is_echo(frame(1))
+    bus.refuse = False
+    clock.now_s += 1.0
+    transmitted(started, frame(2))
+    counters = started.counters()
+    assert (counters.sent, counters.last_failure, counters.last_failure_at_s) == (1, "Network is down", 100.0)
+
+
+@pytest.mark.parametrize(("later_s", "is_ours"), [(0.0, True), (1.0, True), (1.0 + BEYOND_S, False)])
+def test_an_echo_comes_within_its_time(clock, started, later_s, is_ours):
+    transmitted(started, frame(7, b"ab"))
+    clock.now_s += later_s
+    assert started.is_echo(frame(7, b"ab")) is is_ours
+
+
+@pytest.mark.parametrize(("silent", "seen_before", "is_ours"), [(19, False, True), (20, False, False), (20, True, True)])
+def test_an_interface_that_has_shown_none_of_the_first_frames_shows_none(clock, started, silent, seen_before, is_ours):
+    """Then a copy of ours is another node's; one that has shown one shows all."""
+    if seen_before:
+        transmitted(started, frame(1))
+        assert started.is_echo(frame(1))
+    for number in range(silent):
+        transmitted(started, frame(number))
+        clock.now_s += 2.0
+    transmitted(started, frame(99))
+    assert started.is_echo(frame(99)) is is_ours
+
+
+def test_an_interface_that_was_asked_to_show_frames_is_believed(bus, clock):
+    transmitter = Transmitter(bus.send, 4, 0.5, clock, ASKED_ECHO_S)
+    transmitter.start()
+    for number in range(25):
+        transmitted(transmitter, frame(number))
+        clock.now_s += 11.0
+    transmitted(transmitter, frame(99))
+    clock.now_s += 10.0
+    assert transmitter.is_echo(frame(99))
+    assert transmitter.stop(PATIENCE_S)
+
+
+@pytest.mark.parametrize(("count", "late"), [(4, 0), (5, 1), (9, 5)])
+def test_so_many_frames_wait(bus, clock, count, late):
+    transmitter = Transmitter(bus.send, 4, 0.5, clock)
+    transmitter.submit()
+    transmitter.submit(*map(frame, range(count)))
+    assert (transmitter.waiting, transmitter.counters().late, transmitter.alive) == (4, late, False)
+    assert transmitter.counters().late_now(clock.now_s) is (late > 0)
+    transmitter.start()
+    assert transmitter.stop(PATIENCE_S)
+    assert bus.sent == list(range(count))[-4:]
