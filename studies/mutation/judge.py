@@ -9,8 +9,10 @@ import json
 import os
 import resource
 import select
+import shutil
 import signal
 import sys
+import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -104,9 +106,13 @@ def _family(base: str, tests: dict[str, int]) -> Iterator[str]:
 def judged(trial: Trial) -> Verdict:
     """How the tests end with a text in the place of a module."""
     reading, writing = os.pipe()
+    # What numba compiles of a change is not kept where others would find it.
+    compiled = tempfile.mkdtemp(prefix="mutation-")
     child = os.fork()
     if child == 0:
         os.close(reading)
+        if trial.path.stem.startswith("compiled_"):
+            os.environ["NUMBA_CACHE_DIR"] = compiled
         os.setpgid(0, 0)
         code = 70
         try:
@@ -124,6 +130,7 @@ def judged(trial: Trial) -> Verdict:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(child, signal.SIGKILL)
         os.waitpid(child, 0)
+        shutil.rmtree(compiled, ignore_errors=True)
 
 
 def _followed(child: int, reading: int, trial: Trial) -> Verdict:

@@ -27,6 +27,11 @@ RECORDED = (
 #: Tests that look at what is declared at import as a whole: tables, defaults, ranges.
 DECLARED = ("tests/service/test_configuration.py", "tests/docs/test_reference_pages.py")
 MARKS = "not slow and not strace and not vcan and not systemd"
+#: Code that a compiler takes elsewhere, which coverage does not see running.
+_COMPILED = "compiled_"
+#: Where fewer tests than this run a line, those of its module come behind them: what is kept between tests (a table read once)
+#: was seen with the first that asked for it alone.
+_FEW = 5
 #: How far names are followed from a statement at import to the functions that read them.
 _FOLLOWED = 3
 _FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)
@@ -86,24 +91,29 @@ class Reach:
     @functools.cache  # noqa: B019 - one for a run
     def _lines(self, path: str) -> dict[int, frozenset[str]]:
         by_line = self._data.contexts_by_lineno(str(self._root / path))
-        return {line: frozenset(tests) - {""} for line, tests in by_line.items()}
+        return {line: frozenset(tests) for line, tests in by_line.items()}
 
     def tests(self, mutant: Mutant) -> list[str]:
         """Tests that run a mutant's lines, the order of trial: one of each function of tests first, those named after the
         module and of its package before others, and the quick ones before the slow."""
-        return self._ordered(mutant.path, self._reaching(mutant))
+        by_line = self._lines(mutant.path)
+        whole = frozenset().union(*by_line.values()) - {""}
+        changed = self._digests.get(mutant.path) != _digest(self._root / mutant.path)
+        if changed or Path(mutant.path).stem.startswith(_COMPILED):
+            return self._ordered(mutant.path, whole)
+        reaching = self._reaching(mutant)
+        found = self._ordered(mutant.path, reaching - {""})
+        return found + self._ordered(mutant.path, whole - reaching) if reaching and len(found) < _FEW else found
 
     def _reaching(self, mutant: Mutant) -> frozenset[str]:
+        """Tests that run it; "": it is run at import."""
         by_line = self._lines(mutant.path)
-        whole: frozenset[str] = frozenset().union(*by_line.values())
-        if self._digests.get(mutant.path) != _digest(self._root / mutant.path):
-            return whole
         spans = statement_lines(self._root / mutant.path, mutant.at)
         if spans is None:
             readers: frozenset[str] = frozenset()
             for path, line in readers_of(self._root, mutant.path, mutant.at[0]):
                 readers |= self._lines(path).get(line, frozenset())
-            return (readers or whole) | {test for test in self.cpu_s if test.startswith(DECLARED)}
+            return readers | {""} | {test for test in self.cpu_s if test.startswith(DECLARED)}
         return frozenset().union(*(by_line.get(line, frozenset()) for line in range(spans[0], spans[1] + 1)))
 
     def _ordered(self, path: str, tests: Iterable[str]) -> list[str]:
