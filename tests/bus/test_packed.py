@@ -20,7 +20,7 @@ from yieldmon.bus.codec import Codec
 from yieldmon.bus.loading import load_frames
 from yieldmon.bus.logs import read_log
 from yieldmon.bus.packed import pack
-from yieldmon.bus.packed_columns import decode, encode
+from yieldmon.bus.packed_columns import DIFFERENCE, PLAIN, PREDICTION, decode, encode
 from yieldmon.cli.main import main
 from yieldmon.errors import InputError
 
@@ -216,3 +216,18 @@ def test_nothing_is_overwritten_unasked(tmp_path: Path, capsys: pytest.CaptureFi
     assert main(["pack", str(source), "--out", str(out), "--force"]) == 0
     assert main(["pack", str(source), "--out", str(source), "--force"]) == 2
     assert source.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("coding", "width", "wrong"),
+    [
+        (PLAIN, 0, "numbers of 0 bytes; expected 1 to 8"),
+        (DIFFERENCE, 9, "numbers of 9 bytes; expected 1 to 8"),
+        (PREDICTION, 0, "numbers of 0 bytes; expected 1 to 8"),
+        ("new", 1, "unknown coding 'new'"),
+    ],
+)
+def test_a_column_that_none_can_be_is_refused(coding: str, width: int, wrong: str) -> None:
+    coded = encode(np.arange(40, dtype=np.uint64), 16)._replace(coding=coding, width=width)
+    with pytest.raises(ValueError, match=wrong):
+        decode(coded, 40, 16)

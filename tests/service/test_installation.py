@@ -7,15 +7,19 @@ import os
 import re
 import subprocess
 import sys
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
+from urllib.parse import quote
 
 import pytest
 import yaml
 
+import yieldmon
 from yieldmon.cli.main import main
 from yieldmon.files import parameter_file
 from yieldmon.resources import shipped
-from yieldmon.service.installation import Installer, package_source, uninstall
+from yieldmon.service import installation
+from yieldmon.service.installation import Installer, bring_up, package_source, uninstall
 
 ROOT = Path(__file__).parents[2]
 UNIT, CONFIGURATION = "etc/systemd/system/yieldmon.service", "etc/yieldmon/yieldmon.yaml"
@@ -260,3 +264,86 @@ def test_a_unit_that_was_never_there_is_no_failure_to_take_it_away(tmp_path: Pat
     installer.broken = broken
     uninstall(installer, "can0", purge=False)
     assert installer.failures == failures
+
+
+class Told(Installer):
+    """What is run and said, and what the machine has."""
+
+    def __init__(self) -> None:
+        super().__init__(Path("/"), dry_run=True)
+        self.ran: list[tuple[str, ...]] = []
+        self.said: list[str] = []
+
+    def run(self, *command: str, live_only: bool = True) -> bool:
+        self.ran.append(command)
+        return True
+
+    def report(self, text: str) -> None:  # type: ignore[override]
+        self.said.append(text)
+
+
+RESTART = ("systemctl", "restart", "yieldmon.service")
+
+
+@pytest.mark.parametrize(
+    ("managed", "interface", "ran", "said"),
+    [
+        (True, "lo", [("networkctl", "reload"), RESTART], 0),
+        (True, "can99", [("networkctl", "reload")], 1),
+        (False, "lo", [RESTART], 3),
+        (False, "can99", [], 4),
+    ],
+)
+def test_the_service_starts_where_its_interface_is_there(
+    managed: bool, interface: str, ran: list[tuple[str, ...]], said: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[list[str]] = []
+
+    def run(command: list[str], check: bool) -> subprocess.CompletedProcess[str]:
+        asked.append(command)
+        return subprocess.CompletedProcess(command, 0 if managed else 3)
+
+    monkeypatch.setattr(subprocess, "run", run)
+    told = Told()
+    bring_up(told, interface)
+    assert asked == [["systemctl", "is-active", "--quiet", "systemd-networkd.service"]]
+    assert (told.ran, len(told.said)) == (ran, said)
+    assert any(f"no {interface} yet" in line for line in told.said) is (interface != "lo")
+    assert any(f"ip link set {interface} up" in line for line in told.said) is not managed
+
+
+class Recorded:
+    """A distribution that was installed from somewhere."""
+
+    def __init__(self, url: str | None) -> None:
+        self.url = url
+
+    def read_text(self, name: str) -> str | None:
+        assert name == "direct_url.json"
+        return None if self.url is None else json.dumps({"url": self.url})
+
+
+@pytest.mark.parametrize(
+    ("url", "expected"),
+    [
+        ("file://{folder}", "{folder}"),
+        ("file://{folder}/gone", f"yieldmon=={yieldmon.__version__}"),
+        ("https://example.org{folder}", f"yieldmon=={yieldmon.__version__}"),
+        (None, f"yieldmon=={yieldmon.__version__}"),
+    ],
+)
+def test_what_is_installed_is_what_this_was_installed_from(
+    url: str | None, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "with a blank"
+    folder.mkdir()
+    monkeypatch.setattr(installation, "CHECKOUT", tmp_path)
+    recorded = Recorded(url.format(folder=quote(str(folder))) if url else None)
+    monkeypatch.setattr(installation, "distribution", lambda name: recorded)
+    assert package_source() == expected.format(folder=folder)
+
+    def gone(name: str) -> Recorded:
+        raise PackageNotFoundError(name)
+
+    monkeypatch.setattr(installation, "distribution", gone)
+    assert package_source() == f"yieldmon=={yieldmon.__version__}"
