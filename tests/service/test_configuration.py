@@ -325,3 +325,28 @@ def test_a_slow_sensor_is_waited_for_ten_frames_unless_a_time_is_set(written, tm
     )
     path = written(f"signals:\n  impact_force: {{dbc: a.dbc, message: Force, signal: F, rate_hz: {rate_hz}}}\n{given}\n")
     assert configuration.load(path, {}).engine.inputs.sensor_timeout_s == pytest.approx(timeout_s)
+
+
+LENGTHS = {
+    # key, a file with so many items; an item; fewest and most
+    "angles_deg": ("sweep: {{angles_deg: [{items}]}}", "50", 1, 50),
+    "signals": ("signals: {{impact_force: {{message: M, signals: [{items}], rate_hz: 100}}}}", "S{n}", 1, 64),
+    "not_available": ("signals: {{moisture: {{message: M, signal: S, not_available: [{items}]}}}}", "7", 0, 64),
+    "range": ("signals: {{moisture: {{message: M, signal: S, range: [{items}]}}}}", "{n}", 2, 2),
+}
+
+
+@pytest.mark.parametrize("key", LENGTHS)
+def test_lists_have_so_many_items(written, key):
+    text, item, fewest, most = LENGTHS[key]
+
+    def refused(count: int) -> bool:
+        items = ", ".join(item.format(n=n) for n in range(count))
+        try:
+            configuration.load(written(text.format(items=items)), ENVIRONMENT)
+        except InputError as error:
+            return f"{key}: [" in str(error)
+        return False
+
+    assert [refused(count) for count in (fewest, most, most + 1)] == [False, False, True]
+    assert fewest == 0 or refused(fewest - 1)

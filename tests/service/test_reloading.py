@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 
 from tests.service.bench import PATIENCE_S, running, wait_for
-from yieldmon.service import configuration
+from yieldmon.errors import InputError
+from yieldmon.service import configuration, reloading
+from yieldmon.service.reloading import Reloading
 
 
 class HangingDisk:
@@ -80,3 +82,42 @@ def test_an_error_that_was_not_foreseen_ends_no_measuring(tmp_path, monkeypatch,
         bench.play(3, 0.0)
         bench.played()
     assert "Traceback" in caplog.text
+
+
+@pytest.mark.parametrize(("later_s", "due"), [(20.0, False), (20.0 + 1 / 1024, True)])
+def test_a_reading_may_take_twenty_seconds(later_s, due, monkeypatch):
+    now_s = 100.0
+    monkeypatch.setattr(reloading, "monotonic", lambda: now_s)
+    released = threading.Event()
+    of_disk = Reloading(lambda: released.wait(PATIENCE_S))
+    assert (of_disk.under_way, of_disk.due()) == (False, False)
+    of_disk.begin()
+    now_s += later_s
+    assert (of_disk.under_way, of_disk.due()) == (True, due)
+    if due:
+        with pytest.raises(InputError, match="could not be read within 20 s"):
+            of_disk.result()
+        assert (of_disk.under_way, of_disk.due()) == (False, False)
+    released.set()
+
+
+def test_three_readings_may_hang_at_once():
+    released = threading.Event()
+    of_disk = Reloading(lambda: released.wait(PATIENCE_S), limit_s=-1.0)
+    for _ in range(3):
+        of_disk.begin()
+        with pytest.raises(InputError, match="could not be read"):
+            of_disk.result()
+    of_disk.begin()
+    assert of_disk.due()
+    with pytest.raises(InputError, match="3 earlier ones still wait for the disk"):
+        of_disk.result()
+    released.set()
+
+
+def test_without_a_file_there_is_nothing_to_read():
+    nothing = Reloading(None, limit_s=PATIENCE_S)
+    nothing.begin()
+    wait_for(nothing.due, "the answer")
+    with pytest.raises(InputError, match="this run has no configuration file"):
+        nothing.result()

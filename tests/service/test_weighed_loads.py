@@ -17,8 +17,9 @@ from yieldmon.files import parameter_file
 from yieldmon.files.ticket_file import WeighedTicket
 from yieldmon.physics.model import ForwardModel
 from yieldmon.service.batch import Batch, Load, ParameterVersion
+from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store
-from yieldmon.service.weighed_loads import MeasuredLoad, force_columns, loads_of, loads_on, match
+from yieldmon.service.weighed_loads import MeasuredLoad, force_columns, loads_of, loads_on, match, sweeps_of
 
 OF_MOISTURE = ForwardModel(MACHINE, ("moisture_dependence",)).effect_parameters
 
@@ -153,3 +154,51 @@ def test_a_ticket_that_names_no_load_or_several_is_refused(first: str, last: str
     with pytest.raises(InputError) as caught:
         loads_on(WeighedTicket(first, last, 50.0, 0.1, "line 2"), MEASURED)
     assert str(caught.value) == said
+
+
+def swept(number: int, angles_deg: tuple[float, ...] = (40.0, 60.0, 80.0), **changes: Any) -> list[SecondRow]:
+    plain = rows(1, 10.0 * number, seconds=len(angles_deg))
+    given = {"usable_for_calibration": 1, "sweep_id": number, "force_n": 50.0, "force_std_dev_n": 0.5} | changes
+    return [replace(row, plate_angle_deg=angle, **given) for row, angle in zip(plain, angles_deg, strict=True)]
+
+
+def sweeps(*seconds: SecondRow, log: str = "a") -> list[list[float]]:
+    """Angles of the sweeps that are found, deg."""
+    found = sweeps_of([MeasuredLoad("1", log, seconds, {1: known()})])
+    return [np.degrees(sweep.plate_angle_rad).round(6).tolist() for sweep in found]
+
+
+def test_a_sweep_has_what_its_seconds_say() -> None:
+    (sweep,) = sweeps_of([MeasuredLoad("1", "a", tuple(swept(3, elevator_speed_rpm=300.0)), {1: known()})])
+    assert sweep.time_s.tolist() == [row.time_s for row in swept(3)]
+    np.testing.assert_allclose(sweep.elevator_speed_rad_s, 300.0 * 2.0 * np.pi / 60.0)
+    assert (sweep.force_n.tolist(), sweep.force_std_dev_n.tolist()) == ([50.0] * 3, [0.5] * 3)
+
+
+NOT_WHOLE = [
+    {"usable_for_calibration": 0}, {"sweep_id": 0}, {"force_n": None}, {"force_std_dev_n": None}, {"force_std_dev_n": 0.0},
+    {"elevator_speed_rpm": None},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("change", NOT_WHOLE)
+def test_seconds_that_lack_something_are_in_no_sweep(change: dict[str, Any]) -> None:
+    assert sweeps(*swept(1, **change)) == []
+    spoilt = replace(swept(2, (90.0,))[0], **change)
+    assert sweeps(*swept(2), spoilt, *swept(1)) == [[40.0, 60.0, 80.0]] * 2
+
+
+@pytest.mark.parametrize(
+    ("angles_deg", "count"), [((40.0, 60.0), 0), ((40.0, 60.0, 60.4), 0), ((40.0, 60.0, 61.0), 1), ((40.0, 40.0, 60.0, 80.0), 1)]
+)
+def test_a_sweep_has_three_angles(angles_deg: tuple[float, ...], count: int) -> None:
+    assert len(sweeps(*swept(1, angles_deg))) == count
+
+
+def test_the_newest_twenty_sweeps_count_and_logs_number_their_own() -> None:
+    assert len(sweeps(*[row for k in range(1, 21) for row in swept(k)])) == 20
+    many = sweeps(*[row for k in range(1, 24) for row in swept(k, (40.0, 50.0, 60.0 + k))])
+    assert [angles[2] for angles in many] == [60.0 + k for k in range(4, 24)]
+    both = [MeasuredLoad("1", log, tuple(swept(1)), {1: known()}) for log in ("a", "b")]
+    assert len(sweeps_of(both)) == 2
+    assert len(sweeps_of([both[0], both[0]])) == 1

@@ -320,8 +320,6 @@ class TaskControllerClient:
             return self._requested(asked, key, now_s)
         if asked.command in (Command.VALUE, Command.SET_AND_ACKNOWLEDGE):
             refusal = self._set(asked)
-        elif asked.command in (Command.PEER_CONTROL, Command.ACKNOWLEDGE):
-            refusal = Refusal.COMMAND_NOT_SUPPORTED
         else:
             refusal = self._measurements.command(asked, now_s, self._distance_m)
         if refusal or asked.command is Command.SET_AND_ACKNOWLEDGE:
