@@ -295,3 +295,16 @@ def test_a_job_that_is_under_way_has_nothing_to_take_and_stays_under_way(tmp_pat
     assert found[-1] is not None
     assert (found[-1].tickets, found[-1].version) == ((4,), 2)
     assert (poster.busy, poster.take()) == (False, None)
+
+
+def test_seconds_without_a_known_force_count_neither_in_mass_nor_in_time() -> None:
+    """One second of twenty has none; with three of twenty the load is left as it was measured."""
+    learnt = known(2, 840.0)
+    line = posting.timeline([lesson(4.0, 0.0, learnt)], learnt)
+    for unknown, found in ((1, [1]), (2, []), (3, [])):
+        plain = rows(1, 9000.0, version=2, seconds=20)
+        seconds = [replace(row, force_n=None if i < unknown else row.force_n) for i, row in enumerate(plain)]
+        factors = posting.factors(loads_of(seconds, {1: known(), 2: learnt}), line, MACHINE)
+        assert list(factors) == found
+        if found:
+            assert factors[1] == pytest.approx(posting.factors(loads_of(plain, {1: known(), 2: learnt}), line, MACHINE)[1])

@@ -7,6 +7,7 @@ import struct
 from pathlib import Path
 
 import can
+import numpy as np
 import pytest
 
 from tests.service.bench import CODEC, START_S, running, traffic
@@ -191,3 +192,17 @@ def test_daemon_records_what_the_log_gives(tmp_path: Path, log: Path) -> None:
     for second, window in seconds.items():
         assert window["latitude_deg"] == rows[second].latitude_deg
         assert window["factory_mass_flow_kg_s"] == rows[second].factory_mass_flow_kg_s
+
+
+CONCERNED = {
+    # identifiers with flags, and whether a frame may bring position, speed or a factory's flow
+    0x89F8051C: True, 0x89F8021C: True, 0x8CFEF31C: True, 0x8CFEE81C: True, 0x8CFE491C: True, 0x98FF6990: True,
+    0x8CCBFF1C: True, 0x8CCB001C: True, 0x8CCB831C: True,
+    0x8CCAFF1C: False, 0x8CCCFF1C: False, 0x98FF6890: False, 0x89F8061C: False, 0x8CFEF21C: False, 0x8CF0041C: False,
+    0x09F8051C: False, 0xC9F8051C: False, 0xA9F8051C: False, 0x00000123: False,
+}  # fmt: skip
+
+
+def test_which_frames_may_concern_position_speed_and_the_factorys_flow() -> None:
+    found = SideInputs().concerns(np.array(list(CONCERNED), np.uint32))
+    assert dict(zip(map(hex, CONCERNED), found.tolist(), strict=True)) == {hex(i): c for i, c in CONCERNED.items()}

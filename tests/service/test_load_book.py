@@ -1,0 +1,98 @@
+"""What is written of a load, and from which unknown mass on its dry mass and its area are not known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from yieldmon.engine.loads import LoadSummary
+from yieldmon.engine.since_zero import MissedMass
+from yieldmon.service.batch import Load
+from yieldmon.service.load_book import LoadBook
+
+SUMMARY = LoadSummary(
+    number=3, start_s=10.0, end_s=20.0, measured_kg=100.0, dry_kg=85.0, unknown_moisture_kg=0.0, complete=True, area_m2=50.0
+)
+NAN = float("nan")
+
+
+def book(*loads: Load) -> LoadBook:
+    return LoadBook(loads)
+
+
+def written(**changes: Any) -> Load:
+    found = book()
+    found.measured(replace(SUMMARY, **changes), "south", "corn")
+    (load,) = found.take()
+    return load
+
+
+KNOWN = written()
+
+
+def test_a_load_as_it_is_measured() -> None:
+    assert (
+        Load(number=3, field="south", crop="corn", started_s=10.0, ended_s=20.0, mass_kg=100.0, dry_mass_kg=85.0, area_m2=50.0)
+        == KNOWN
+    )
+    assert (written(end_s=NAN).ended_s, written(start_s=NAN).started_s) == (None, None)
+
+
+@pytest.mark.parametrize(
+    ("changes", "dry_kg", "area_m2"),
+    [
+        ({"unknown_moisture_kg": 1e-6}, 85.0, 50.0),
+        ({"unknown_moisture_kg": 1.001e-6}, None, 50.0),
+        ({"unknown_area_kg": 2.0}, 85.0, 50.0),
+        ({"unknown_area_kg": 2.001}, 85.0, None),
+        ({"area_m2": 0.0}, 85.0, None),
+        ({"area_m2": 0.5}, 85.0, 0.5),
+        ({"measured_kg": 0.0}, 85.0, 50.0),
+    ],
+)
+def test_dry_mass_and_area_are_known_up_to_a_little(changes: dict[str, Any], dry_kg: float | None, area_m2: float | None) -> None:
+    load = written(**changes)
+    assert (load.dry_mass_kg, load.area_m2) == (dry_kg, area_m2)
+
+
+@pytest.mark.parametrize(
+    ("missed", "mass_kg", "dry_kg", "area_m2"),
+    [
+        (MissedMass(10.0, 8.0), 110.0, 93.0, 50.0),
+        (MissedMass(-10.0, -8.0), 90.0, 77.0, 50.0),
+        (MissedMass(-200.0, -200.0), 0.0, 0.0, 50.0),
+        (MissedMass(10.0, 8.0, 1e-6), 110.0, 93.0, 50.0),
+        (MissedMass(10.0, 8.0, 1.001e-6), 110.0, None, 50.0),
+        (MissedMass(25.0, 20.0, 0.0, 2.5), 125.0, 105.0, 50.0),
+        (MissedMass(25.0, 20.0, 0.0, 2.501), 125.0, 105.0, None),
+    ],
+)
+def test_missed_mass_is_added(missed: MissedMass, mass_kg: float, dry_kg: float | None, area_m2: float | None) -> None:
+    found = book(KNOWN)
+    found.corrected(3, missed)
+    assert found.take() == (replace(KNOWN, mass_kg=mass_kg, dry_mass_kg=dry_kg, area_m2=area_m2),)
+
+
+def test_missed_mass_of_a_load_without_dry_mass_does_not_make_one() -> None:
+    found = book(replace(KNOWN, dry_mass_kg=None, area_m2=None))
+    found.corrected(3, MissedMass(10.0, 8.0))
+    found.corrected(4, MissedMass(10.0, 8.0))
+    assert found.take() == (replace(KNOWN, mass_kg=110.0, dry_mass_kg=None, area_m2=None),)
+
+
+def test_what_was_known_stays_and_only_what_changed_is_brought() -> None:
+    earlier = replace(KNOWN, field="north", crop="wheat", started_s=5.0)
+    found = book(earlier, replace(KNOWN, number=1))
+    found.measured(SUMMARY, "south", "corn")
+    assert found.take() == ()
+    found.measured(replace(SUMMARY, measured_kg=120.0), "south", "corn")
+    assert found.take() == (replace(earlier, mass_kg=120.0),)
+    assert found.take() == ()
+    found.report_all()
+    assert sorted(load.number for load in found.take()) == [1, 3]
+    assert [load.number for load in found] == [1, 3]
+    unstarted = book(replace(KNOWN, started_s=None))
+    unstarted.measured(SUMMARY, "", "")
+    assert unstarted.take() == (KNOWN,)
