@@ -102,7 +102,7 @@ class Reach:
         if changed or Path(mutant.path).stem.startswith(_COMPILED):
             return self._ordered(mutant.path, whole)
         reaching = self._reaching(mutant)
-        found = self._ordered(mutant.path, reaching - {""})
+        found = self._ordered(mutant.path, reaching - {""}, declared="" in reaching)
         return found + self._ordered(mutant.path, whole - reaching) if reaching and len(found) < _FEW else found
 
     def _reaching(self, mutant: Mutant) -> frozenset[str]:
@@ -116,7 +116,7 @@ class Reach:
             return readers | {""} | {test for test in self.cpu_s if test.startswith(DECLARED)}
         return frozenset().union(*(by_line.get(line, frozenset()) for line in range(spans[0], spans[1] + 1)))
 
-    def _ordered(self, path: str, tests: Iterable[str]) -> list[str]:
+    def _ordered(self, path: str, tests: Iterable[str], *, declared: bool = False) -> list[str]:
         present = {test for test in tests if (self._root / test.split("::", 1)[0]).exists()}
         part, name = path.split("/")[1], Path(path).stem
         groups: dict[str, list[str]] = defaultdict(list)
@@ -125,7 +125,7 @@ class Reach:
 
         def rank(group: str) -> tuple[bool, bool, float]:
             file = group.split("::", 1)[0]
-            own = name in Path(file).stem or file in DECLARED
+            own = name in Path(file).stem or (declared and file in DECLARED)
             return not own, Path(file).parent.name != part, self.cpu_s.get(groups[group][0], 1.0)
 
         ranked = sorted(groups, key=rank)

@@ -286,3 +286,18 @@ def test_spoilt_state_is_refused(spoil) -> None:
     spoil(data)
     with pytest.raises(ValueError, match="engine state"):
         EngineState.from_dict(data)
+
+
+@pytest.mark.parametrize(("at_s", "measured_kg"), [(10.0, 100.0), (10.25, 102.5), (10.5, 105.0), (11.0, 110.0)])
+def test_a_reading_within_a_window_weighs_that_part_of_it(at_s: float, measured_kg: float) -> None:
+    """One that comes before its window closes waits for it."""
+    scale = TankScale(AnchorSettings(min_increment_kg=50.0))
+    scale.reading(0.0, 1000.0)
+    for second in range(12):
+        if second == 9:
+            scale.reading(at_s, 1100.0)
+        found = scale.window(float(second), second + 1.0, 10.0 * second, 10.0, True)
+        assert (found is not None) is (second == (9 if at_s == 10.0 else 10))
+    (anchor,) = scale.anchors
+    assert (anchor.start_s, anchor.end_s, anchor.reference_kg) == (0.0, at_s, 100.0)
+    assert anchor.measured_kg == pytest.approx(measured_kg)

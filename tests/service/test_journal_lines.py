@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -106,3 +107,13 @@ def test_a_daemon_whose_journal_takes_nothing_goes_on_and_ends(tmp_path: Path, p
             assert process.wait(60.0) == 0
         finally:
             process.kill()
+
+
+def test_one_thread_writes_them_all(pipe: tuple[int, int]) -> None:
+    before = {thread.ident for thread in threading.enumerate()}
+    lines = JournalLines(pipe[1])
+    for number in range(5):
+        lines.handle(record(str(number)))
+        assert lines.finish(60.0)
+    begun = [thread for thread in threading.enumerate() if thread.ident not in before]
+    assert [thread.name for thread in begun if thread.name == "journal-lines"] == ["journal-lines"]
