@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter, defaultdict
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,16 @@ from yieldmon.estimation.kernel_noise import Density, KernelImpulse, KernelNoise
 Array = NDArray[np.float64]
 FOLDER = Path(__file__).resolve().parent
 FORCES = FOLDER / "kernel_forces.npz"
+MORE_FORCES = FOLDER / "more_kernel_forces.npz"
+"""Heaps of the campaigns thin-c, thin-d, dense-c and dense-d."""
 INTERVAL_S = 1e-4
+QUANTUM_N_S = 2e-4
+"""`pack` rounds what has arrived until each time to it: 1e-4 of the kernels' density at 800 Hz, less below; half the bytes."""
 QUIET_N2_HZ = 1.33**2 * 1e-3
 """3 mV of white noise in samples of 1 kHz."""
 _BINS = 700
-_PAD = 1500
+_PADDED = 2200
+_FULL_RATE_HZ = 5000.0
 CELLS_S = (0.0, 0.0002, 0.001, 0.003, 0.008)
 
 
@@ -37,7 +43,8 @@ def pack(ledgers: list[Path], out: Path) -> int:
             time = np.arange(arrived.size) * step + float(plate["start_s"])
             begin = (np.floor((float(plate["start_s"]) + np.argmax(force != 0.0) * step) / INTERVAL_S) - 1.0) * INTERVAL_S
             edges = begin + np.arange(_BINS + 1) * INTERVAL_S
-            forces.append(np.diff(np.interp(edges, time, arrived)) / INTERVAL_S)
+            quanta = np.round(np.interp(edges, time, arrived) / QUANTUM_N_S)
+            forces.append(np.diff(quanta) * (QUANTUM_N_S / INTERVAL_S))
             mean_g = 1e3 * float(plate["mass_kg"].mean())
             rows.append(
                 {
@@ -55,8 +62,42 @@ def pack(ledgers: list[Path], out: Path) -> int:
     return len(columns["force_n"])
 
 
+@dataclass(frozen=True)
+class Heaps:
+    """Pulses of all files.
+
+    Attributes
+    ----------
+    keys : ndarray (n, 4)
+        Kernel's mass, g; load, kg; restitution; plate angle, deg.
+    seed : ndarray (n,)
+        Of the heap, the same at each plate angle.
+    force_n : ndarray (n, bins)
+        Of `INTERVAL_S` each, time counted from one place of the paddle, the same for all.
+    """
+
+    keys: Array
+    seed: NDArray[np.int64]
+    force_n: Array
+
+    def take(self, chosen: NDArray[Any]) -> Heaps:
+        """Some of them."""
+        return Heaps(self.keys[chosen], self.seed[chosen], self.force_n[chosen])
+
+
+def heaps(*files: Path) -> Heaps:
+    """Pulses of files by `pack`, which keeps each from its first strike on, moved to the paddle's own time."""
+    parts = [dict(np.load(file)) for file in files]
+    data = {name: np.concatenate([part[name] for part in parts]) for name in parts[0] if name != "interval_s"}
+    keys = np.stack([data[name] for name in ("kernel_g", "load_kg", "restitution", "angle_deg")], axis=1).astype(float).round(4)
+    late = np.round((data["begin_s"] - data["begin_s"].min()) / INTERVAL_S).astype(int)
+    force = np.zeros((len(late), _BINS + int(late.max())))
+    force[np.arange(len(late))[:, None], late[:, None] + np.arange(_BINS)] = data["force_n"]
+    return Heaps(keys, data["seed"].astype(np.int64), force)
+
+
 def _through(force_n: Array, cell_s: float, every: int) -> Array:
-    padded = np.concatenate((force_n, np.zeros((len(force_n), _PAD))), axis=1)
+    padded = np.concatenate((force_n, np.zeros((len(force_n), _PADDED - force_n.shape[1]))), axis=1)
     if cell_s > 0.0:
         frequency = np.fft.rfftfreq(padded.shape[1], INTERVAL_S)
         wave = np.fft.rfft(padded, axis=1) / (1.0 + 2j * np.pi * frequency * cell_s) ** 2
@@ -82,10 +123,11 @@ def measured(
     frequency = np.fft.rfftfreq(shown.shape[1], interval)[1:-1].astype(float)
     power = (np.abs(np.fft.rfft(left, axis=1)) ** 2).mean(axis=0)[1:-1].astype(float) * interval**2 / duration
     mean_force = float(force_n.sum(axis=1).mean() * INTERVAL_S / duration)
-    # A pulse fills a sixth of the padded stretch: so many fewer frequencies are independent.
-    averages = (count - 1.0) / 6.0
+    # As in `in_pulses`: a pulse fills part of the padded stretch, and so many fewer frequencies are independent.
+    mean = shown.mean(axis=0)
+    crest = float((mean**2).mean() / mean.mean() ** 2)
     return kernel_impulse(
-        Density(frequency, power, averages),
+        Density(frequency, power, (count - 1.0) / crest),
         Density(frequency, np.full(frequency.size, quiet), 1e6),
         mean_force,
         cell_response_s=cell_s,
@@ -95,20 +137,17 @@ def measured(
 
 
 def ratios(
-    cell_s: float, rate_hz: float, settings: KernelNoiseSettings, seed: int | None
+    pulses: Heaps, cell_s: float, rate_hz: float, settings: KernelNoiseSettings, seed: int | None
 ) -> dict[tuple[float, ...], tuple[float, KernelImpulse]]:
     """J over (kernel mass times impulse per kilogram) for each (kernel_g, load_kg, restitution, angle_deg)."""
-    data = np.load(FORCES)
-    force = data["force_n"].astype(float)
-    keys = np.stack([data[name] for name in ("kernel_g", "load_kg", "restitution", "angle_deg")], axis=1).astype(float).round(4)
     out = {}
-    for key in np.unique(keys, axis=0):
-        chosen = np.all(keys == key, axis=1)
-        if chosen.sum() < 3:
+    for key in np.unique(pulses.keys, axis=0):
+        force = pulses.force_n[np.all(pulses.keys == key, axis=1)]
+        if len(force) < 3:
             continue
         noise = None if seed is None else np.random.default_rng([seed, *(np.asarray(key) * 1e4).astype(int)])
-        found = measured(force[chosen], cell_s, rate_hz, settings, noise)
-        per_kg = float(force[chosen].sum(axis=1).mean() * INTERVAL_S / key[1])
+        found = measured(force, cell_s, rate_hz, settings, noise)
+        per_kg = float(force.sum(axis=1).mean() * INTERVAL_S / key[1])
         out[tuple(float(k) for k in key)] = (found.impulse_n_s / (1e-3 * key[0] * per_kg), found)
     return out
 
@@ -116,26 +155,73 @@ def ratios(
 def pooled(
     found: dict[tuple[float, ...], tuple[float, KernelImpulse]], places: tuple[int, ...]
 ) -> dict[tuple[float, ...], tuple[float, float]]:
-    """Mean and standard deviation of the mean over cells that share the keys at `places`, weighted by their random error."""
+    """Mean and standard deviation of the mean over cells that share the keys at `places`.
+
+    Weighted by their relative random error, which does not know the ratio: else cells that came out low would count more.
+    """
     groups: dict[tuple[float, ...], list[tuple[float, float]]] = defaultdict(list)
     for key, (ratio, impulse) in found.items():
         if np.isfinite(ratio):
-            groups[tuple(key[p] for p in places)].append((ratio, impulse.random_sd * ratio))
+            groups[tuple(key[p] for p in places)].append((ratio, impulse.random_sd))
     out = {}
     for key, values in sorted(groups.items()):
         ratio, sd = np.array(values).T
-        weight = sd**-2.0
-        out[key] = float((weight * ratio).sum() / weight.sum()), float(weight.sum() ** -0.5)
+        mean = float((sd**-2.0 * ratio).sum() / (sd**-2.0).sum())
+        out[key] = mean, mean * float((sd**-2.0).sum() ** -0.5)
     return out
 
 
-def coverage(seed: int) -> list[dict[str, Any]]:
+def by_seeds_left_out(pulses: Heaps, settings: KernelNoiseSettings) -> dict[tuple[float, ...], float]:
+    """Standard deviation of each crop's and load's `pooled` ratio by leaving out one seed after another (jackknife).
+
+    A seed's pulses share their heap over plate angles, and its packing over restitutions, which no count of pulses knows.
+    """
+    out = {}
+    for group in np.unique(pulses.keys[:, :2], axis=0):
+        held = pulses.take(np.all(pulses.keys[:, :2] == group, axis=1))
+        values: list[float] = []
+        for seed in np.unique(held.seed):
+            found = ratios(held.take(held.seed != seed), 0.0, _FULL_RATE_HZ, settings, None)
+            values.extend(ratio for ratio, _ in pooled(found, (0, 1)).values())
+        out[tuple(float(k) for k in group)] = float(np.sqrt((len(values) - 1.0) * np.var(values)))
+    return out
+
+
+def crossed(
+    by_load: dict[tuple[float, ...], tuple[float, float]], seeds_sd: dict[tuple[float, ...], float]
+) -> list[dict[str, float]]:
+    """Flow of each crop and load by a bias that is a line in ln(load) through the other crop's loads.
+
+    The deviation holds that of the judged ratio and those of the ratios that the line goes through, by seeds.
+    """
+    rows = []
+    for crop in sorted({key[0] for key in by_load}):
+        other = [key for key in by_load if key[0] != crop]
+        design = np.stack([np.ones(len(other)), np.log([key[1] for key in other])], axis=1)
+        ratio, sd = np.array([by_load[key][0] for key in other]), np.array([seeds_sd[key] for key in other])
+        for key in by_load:
+            if key[0] == crop:
+                share = np.array([1.0, np.log(key[1])]) @ np.linalg.pinv(design)
+                line, own = float(share @ ratio), by_load[key][0]
+                whole = np.hypot(seeds_sd[key] / own, np.sqrt((share**2 * sd**2).sum()) / line)
+                rows.append(
+                    {
+                        "kernel_g": crop,
+                        "load_kg": key[1],
+                        "flow_error_pct": round(100.0 * (line / own - 1.0), 1),
+                        "sd_pct": round(100.0 * float(whole) * line / own, 1),
+                    }
+                )
+    return rows
+
+
+def coverage(pulses: Heaps, seed: int) -> list[dict[str, Any]]:
     """Flow by the shipped bias and band in each group of pulses, through cells: error over the deviation stated with it."""
     rows = []
     for rate, bias, bias_sd in ((1000.0, 1.2, 0.15), (5000.0, 0.95, 0.12)):
         settings = KernelNoiseSettings(bias=bias, bias_sd=bias_sd)
         for cell in CELLS_S:
-            found = ratios(cell, rate, settings, seed)
+            found = ratios(pulses, cell, rate, settings, seed)
             said = [(ratio, impulse) for ratio, impulse in found.values() if impulse.usable]
             error = np.log([bias / ratio for ratio, _ in said])
             stated = np.array([np.hypot(impulse.relative_sd, bias_sd / bias) for _, impulse in said])
@@ -157,25 +243,10 @@ def coverage(seed: int) -> list[dict[str, Any]]:
 
 def report(seed: int) -> dict[str, Any]:
     """Tables: bias by crop and load, by restitution and angle; calibrated on the other crop; through cells."""
+    pulses = heaps(FORCES, MORE_FORCES)
     full = KernelNoiseSettings(low_hz=200.0, high_hz=800.0, response_error=0.0)
-    found = ratios(0.0, 5000.0, full, None)
-    by_load = pooled(found, (0, 1))
-    crops = sorted({key[0] for key in by_load})
-    crossed = []
-    for crop in crops:
-        other = [(np.log(k[1]), v[0]) for k, v in by_load.items() if k[0] != crop]
-        slope, level = np.polyfit([x for x, _ in other], [y for _, y in other], 1)
-        for key, (ratio, sd) in by_load.items():
-            if key[0] == crop:
-                error = 100.0 * ((level + slope * np.log(key[1])) / ratio - 1.0)
-                crossed.append(
-                    {
-                        "kernel_g": crop,
-                        "load_kg": key[1],
-                        "flow_error_pct": round(error, 1),
-                        "sd_pct": round(100.0 * sd / ratio, 1),
-                    }
-                )
+    found = ratios(pulses, 0.0, _FULL_RATE_HZ, full, None)
+    by_load, seeds_sd = pooled(found, (0, 1)), by_seeds_left_out(pulses, full)
     cells = []
     for rate in (1000.0, 5000.0):
         band = KernelNoiseSettings(low_hz=200.0, high_hz=800.0)
@@ -190,7 +261,7 @@ def report(seed: int) -> dict[str, Any]:
                 duration_s=60.0,
                 settings=band,
             )
-            values = [r for r, i in ratios(cell, rate, band, seed).values() if np.isfinite(r)]
+            values = [r for r, i in ratios(pulses, cell, rate, band, seed).values() if np.isfinite(r)]
             cells.append(
                 {
                     "rate_hz": rate, "cell_ms": 1e3 * cell, "ratio": round(float(np.median(values)), 3) if values else None,
@@ -200,15 +271,19 @@ def report(seed: int) -> dict[str, Any]:
                 }
             )  # fmt: skip
     return {
-        "rows": len(np.load(FORCES)["seed"]),
+        "rows": len(pulses.seed),
         "by_crop_and_load": [
-            {"kernel_g": k[0], "load_kg": k[1], "ratio": round(r, 3), "sd": round(s, 3)} for k, (r, s) in by_load.items()
+            {
+                "kernel_g": k[0], "load_kg": k[1], "heaps": int(np.all(pulses.keys[:, :2] == k, axis=1).sum()),
+                "ratio": round(r, 3), "sd": round(s, 3), "sd_by_seeds": round(seeds_sd[k], 3),
+            }
+            for k, (r, s) in by_load.items()
         ],
         "by_restitution": [
             {"restitution": k[0], "ratio": round(r, 3), "sd": round(s, 3)} for k, (r, s) in pooled(found, (2,)).items()
         ],
         "by_angle": [{"angle_deg": k[0], "ratio": round(r, 3), "sd": round(s, 3)} for k, (r, s) in pooled(found, (3,)).items()],
-        "calibrated_on_the_other_crop": crossed,
+        "calibrated_on_the_other_crop": crossed(by_load, seeds_sd),
         "through_cells": cells,
-        "coverage": coverage(seed),
-    }
+        "coverage": coverage(pulses, seed),
+    }  # fmt: skip
