@@ -56,7 +56,7 @@ WEIGHT_SD, WEIGHT_LOADS = 0.02, 8
 """Of the kernels' weight as told, and for how many loads it is told."""
 TICKETS, TICKET_SD = (8, 16), 0.002
 TEST_WEIGHT_SHARE, TEST_WEIGHT_SD = 0.655, 0.02
-NOISE_RATIO, NOISE_LOAD_EXPONENT = 1.26, -0.12
+NOISE_RATIO, NOISE_LOAD_EXPONENT = 1.12, -0.07
 """Of kernels in discrete elements, at 1 kHz behind a cell of 0.2 ms (kernels.json)."""
 MACHINE = replace(Machine(), sensor=replace(Machine().sensor, response_s=CELL_S))
 TRUE = {"friction": 0.2, "density": 1100.0, "shape_ratio": 2.0, "restitution": 0.55, "gravity.acceleration_m_s2": 9.81}

@@ -171,6 +171,22 @@ def pooled(
     return out
 
 
+def balanced(found: dict[tuple[float, ...], tuple[float, KernelImpulse]], place: int) -> dict[float, tuple[float, float]]:
+    """Mean ratio for each value of the key at `place`, and its deviation, over the others that all those values have.
+
+    Each cell counts the same, however many heaps it has, so that more heaps of one load do not move what a restitution does.
+    """
+    values = sorted({key[place] for key in found})
+    others = {key[:place] + key[place + 1 :] for key in found}
+    whole = [o for o in others if all((*o[:place], value, *o[place:]) in found for value in values)]
+    out = {}
+    for value in values:
+        cells = [found[(*o[:place], value, *o[place:])] for o in whole]
+        sd = np.array([ratio * impulse.random_sd for ratio, impulse in cells])
+        out[value] = float(np.mean([ratio for ratio, _ in cells])), float(np.sqrt((sd**2).sum()) / len(cells))
+    return out
+
+
 def by_seeds_left_out(pulses: Heaps, settings: KernelNoiseSettings) -> dict[tuple[float, ...], float]:
     """Standard deviation of each crop's and load's `pooled` ratio by leaving out one seed after another (jackknife).
 
@@ -243,7 +259,7 @@ def coverage(pulses: Heaps, seed: int) -> list[dict[str, Any]]:
 
 def report(seed: int) -> dict[str, Any]:
     """Tables: bias by crop and load, by restitution and angle; calibrated on the other crop; through cells."""
-    pulses = heaps(FORCES, MORE_FORCES)
+    pulses = heaps(*(file for file in (FORCES, MORE_FORCES) if file.exists()))
     full = KernelNoiseSettings(low_hz=200.0, high_hz=800.0, response_error=0.0)
     found = ratios(pulses, 0.0, _FULL_RATE_HZ, full, None)
     by_load, seeds_sd = pooled(found, (0, 1)), by_seeds_left_out(pulses, full)
@@ -280,9 +296,9 @@ def report(seed: int) -> dict[str, Any]:
             for k, (r, s) in by_load.items()
         ],
         "by_restitution": [
-            {"restitution": k[0], "ratio": round(r, 3), "sd": round(s, 3)} for k, (r, s) in pooled(found, (2,)).items()
+            {"restitution": k, "ratio": round(r, 3), "sd": round(s, 3)} for k, (r, s) in balanced(found, 2).items()
         ],
-        "by_angle": [{"angle_deg": k[0], "ratio": round(r, 3), "sd": round(s, 3)} for k, (r, s) in pooled(found, (3,)).items()],
+        "by_angle": [{"angle_deg": k, "ratio": round(r, 3), "sd": round(s, 3)} for k, (r, s) in balanced(found, 3).items()],
         "calibrated_on_the_other_crop": crossed(by_load, seeds_sd),
         "through_cells": cells,
         "coverage": coverage(pulses, seed),

@@ -22,7 +22,7 @@ from yieldmon.plant.scenario import from_mapping
 CELLS_S = (0.0002, 0.001, 0.003, 0.008)
 EMPTY_S, END_S, KERNELS_G = 20.0, 80.0, 350.0
 FLOWS_KG_S = {"steady": (8.0,), "steps of 5 s": (6.0, 12.0, 9.0, 5.0)}
-NOISE_RATIO = 1.26
+NOISE_RATIO = 1.12
 """Of kernels in discrete elements, at 1 kHz behind a cell of 0.2 ms (kernels.json)."""
 VALUES = {"friction": 0.2, "density": 1100.0, "shape_ratio": 2.0, "restitution": 0.55, "gravity.acceleration_m_s2": 9.81}
 PARAMETERS = ParameterSet(VALUES, ("friction", "density", "restitution"), np.diag([0.02**2, 22.0**2, 0.08**2]))
