@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 from collections import Counter, defaultdict
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -107,14 +108,26 @@ def _through(force_n: Array, cell_s: float, every: int) -> Array:
 
 
 def measured(
-    force_n: Array, cell_s: float, rate_hz: float, settings: KernelNoiseSettings, noise: np.random.Generator | None
+    force_n: Array,
+    cell_s: float,
+    rate_hz: float,
+    settings: KernelNoiseSettings,
+    noise: np.random.Generator | None,
+    *,
+    fitted: bool = False,
 ) -> KernelImpulse:
-    """Impulse of a kernel from repeated pulses (n, bins): their mean is taken off, as the daemon takes off the mean pulse."""
+    """Impulse of a kernel from repeated pulses (n, bins): their mean is taken off, as the daemon takes off the mean pulse.
+
+    fitted: with each pulse's own size and time, as the daemon has to, which knows the paddle's time less well.
+    """
     every = round(1.0 / rate_hz / INTERVAL_S)
     interval = every * INTERVAL_S
     shown = _through(force_n, cell_s, every)
     count = len(shown)
     left = (shown - shown.mean(axis=0)) * np.sqrt(count / (count - 1.0))
+    if fitted:
+        own = np.linalg.qr(np.stack([shown.mean(axis=0), np.gradient(shown.mean(axis=0))], axis=1))[0]
+        left = left - left @ own @ own.T
     quiet = 1e-9
     if noise is not None:
         quiet = QUIET_N2_HZ
@@ -137,7 +150,7 @@ def measured(
 
 
 def ratios(
-    pulses: Heaps, cell_s: float, rate_hz: float, settings: KernelNoiseSettings, seed: int | None
+    pulses: Heaps, cell_s: float, rate_hz: float, settings: KernelNoiseSettings, seed: int | None, *, fitted: bool = False
 ) -> dict[tuple[float, ...], tuple[float, KernelImpulse]]:
     """J over (kernel mass times impulse per kilogram) for each (kernel_g, load_kg, restitution, angle_deg)."""
     out = {}
@@ -146,7 +159,7 @@ def ratios(
         if len(force) < 3:
             continue
         noise = None if seed is None else np.random.default_rng([seed, *(np.asarray(key) * 1e4).astype(int)])
-        found = measured(force, cell_s, rate_hz, settings, noise)
+        found = measured(force, cell_s, rate_hz, settings, noise, fitted=fitted)
         per_kg = float(force.sum(axis=1).mean() * INTERVAL_S / key[1])
         out[tuple(float(k) for k in key)] = (found.impulse_n_s / (1e-3 * key[0] * per_kg), found)
     return out
@@ -192,7 +205,7 @@ def by_seeds_left_out(pulses: Heaps, settings: KernelNoiseSettings) -> dict[tupl
 
     A seed's pulses share their heap over plate angles, and its packing over restitutions, which no count of pulses knows.
     """
-    out = {}
+    out: dict[tuple[float, ...], float] = {}
     for group in np.unique(pulses.keys[:, :2], axis=0):
         held = pulses.take(np.all(pulses.keys[:, :2] == group, axis=1))
         values: list[float] = []
@@ -203,21 +216,38 @@ def by_seeds_left_out(pulses: Heaps, settings: KernelNoiseSettings) -> dict[tupl
     return out
 
 
+def log_load(key: tuple[float, ...]) -> float:
+    """What the shipped bias would be a line in."""
+    return float(np.log(key[1]))
+
+
+def log_layers(key: tuple[float, ...]) -> float:
+    """Load over the kernels' diameter: thickness in kernels."""
+    return float(np.log(key[1]) - np.log(key[0]) / 3.0)
+
+
+def log_kernels(key: tuple[float, ...]) -> float:
+    """Number of kernels."""
+    return float(np.log(key[1]) - np.log(key[0]))
+
+
 def crossed(
-    by_load: dict[tuple[float, ...], tuple[float, float]], seeds_sd: dict[tuple[float, ...], float]
+    by_load: dict[tuple[float, ...], tuple[float, float]],
+    seeds_sd: dict[tuple[float, ...], float],
+    variable: Callable[[tuple[float, ...]], float] = log_load,
 ) -> list[dict[str, float]]:
-    """Flow of each crop and load by a bias that is a line in ln(load) through the other crop's loads.
+    """Flow of each crop and load by a bias that is a line in `variable` through the other crop's loads.
 
     The deviation holds that of the judged ratio and those of the ratios that the line goes through, by seeds.
     """
     rows = []
     for crop in sorted({key[0] for key in by_load}):
         other = [key for key in by_load if key[0] != crop]
-        design = np.stack([np.ones(len(other)), np.log([key[1] for key in other])], axis=1)
+        design = np.stack([np.ones(len(other)), [variable(key) for key in other]], axis=1)
         ratio, sd = np.array([by_load[key][0] for key in other]), np.array([seeds_sd[key] for key in other])
         for key in by_load:
             if key[0] == crop:
-                share = np.array([1.0, np.log(key[1])]) @ np.linalg.pinv(design)
+                share = np.array([1.0, variable(key)]) @ np.linalg.pinv(design)
                 line, own = float(share @ ratio), by_load[key][0]
                 whole = np.hypot(seeds_sd[key] / own, np.sqrt((share**2 * sd**2).sum()) / line)
                 rows.append(
@@ -228,6 +258,24 @@ def crossed(
                         "sd_pct": round(100.0 * float(whole) * line / own, 1),
                     }
                 )
+    return rows
+
+
+def other_ways(pulses: Heaps, seeds_sd: dict[tuple[float, ...], float]) -> list[dict[str, Any]]:
+    """Errors by the other crop, as `crossed`, with other variables, another band, and each pulse's own size and time taken off."""
+    full = KernelNoiseSettings(low_hz=200.0, high_hz=800.0, response_error=0.0)
+    ways: list[tuple[str, KernelNoiseSettings, bool, Callable[[tuple[float, ...]], float]]] = [
+        ("thickness in kernels", full, False, log_layers),
+        ("number of kernels", full, False, log_kernels),
+        ("each pulse's size and time", full, True, log_load),
+        ("200 to 400 Hz", replace(full, high_hz=400.0), False, log_load),
+        ("400 to 1200 Hz", replace(full, low_hz=400.0, high_hz=1200.0), False, log_load),
+    ]
+    rows = []
+    for name, settings, fitted, variable in ways:
+        by_load = pooled(ratios(pulses, 0.0, _FULL_RATE_HZ, settings, None, fitted=fitted), (0, 1))
+        errors = [row["flow_error_pct"] for row in crossed(by_load, seeds_sd, variable)]
+        rows.append({"way": name, "flow_error_pct": errors, "ratio": [round(ratio, 3) for ratio, _ in by_load.values()]})
     return rows
 
 
@@ -300,6 +348,7 @@ def report(seed: int) -> dict[str, Any]:
         ],
         "by_angle": [{"angle_deg": k, "ratio": round(r, 3), "sd": round(s, 3)} for k, (r, s) in balanced(found, 3).items()],
         "calibrated_on_the_other_crop": crossed(by_load, seeds_sd),
+        "other_ways": other_ways(pulses, seeds_sd),
         "through_cells": cells,
         "coverage": coverage(pulses, seed),
     }  # fmt: skip
