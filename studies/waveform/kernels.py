@@ -262,7 +262,7 @@ def crossed(
 
 
 def other_ways(pulses: Heaps, seeds_sd: dict[tuple[float, ...], float]) -> list[dict[str, Any]]:
-    """Errors by the other crop, as `crossed`, with other variables, another band, and each pulse's own size and time taken off."""
+    """Errors by the other crop, as `crossed`: other variables, other bands, each pulse's own size and time taken off."""
     full = KernelNoiseSettings(low_hz=200.0, high_hz=800.0, response_error=0.0)
     ways: list[tuple[str, KernelNoiseSettings, bool, Callable[[tuple[float, ...]], float]]] = [
         ("thickness in kernels", full, False, log_layers),
