@@ -94,8 +94,9 @@ def _season(args: argparse.Namespace) -> Any:
 def _daemon_season(args: argparse.Namespace) -> Any:
     from studies.waveform import daemon_season
 
+    names = tuple(args.columns.split(",")) if args.columns else daemon_season.NAMES
     found = before = json.loads(args.out.read_text()) if args.out is not None and args.out.exists() else None
-    for found in daemon_season.report(args.seeds, args.seed, before, args.bias_slope):
+    for found in daemon_season.report(args.seeds, args.seed, before, args.bias_slope, names):
         row = {key: value for key, value in found["seasons"][-1].items() if not isinstance(value, list)}
         print(json.dumps(row), file=sys.stderr, flush=True)
         if args.out is not None:
@@ -134,6 +135,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path)
     parser.add_argument("--seeds", type=int, default=30, help="season: so many, from --seed on")
     parser.add_argument("--bias-slope", type=float, help="daemon-season: d ln(b) / d restitution (default: of kernels.json)")
+    parser.add_argument("--columns", help="daemon-season: names of strategies, with commas, f among them (default: all)")
     parser.add_argument("--draws", type=int, default=60)
     parser.add_argument("--seed", type=int, default=SEED)
     args = parser.parse_args()
