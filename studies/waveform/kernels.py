@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 FOLDER = Path(__file__).resolve().parent
 FORCES = FOLDER / "kernel_forces.npz"
 MORE_FORCES = FOLDER / "more_kernel_forces.npz"
-"""Heaps of the campaigns thin-c, thin-d, dense-c and dense-d."""
+"""Heaps of the campaigns thin-c, thin-d and dense-d."""
 INTERVAL_S = 1e-4
 QUANTUM_N_S = 2e-4
 """`pack` rounds what has arrived until each time to it: 1e-4 of the kernels' density at 800 Hz, less below; half the bytes."""
@@ -47,11 +47,14 @@ def pack(ledgers: list[Path], out: Path) -> int:
             quanta = np.round(np.interp(edges, time, arrived) / QUANTUM_N_S)
             forces.append(np.diff(quanta) * (QUANTUM_N_S / INTERVAL_S))
             mean_g = 1e3 * float(plate["mass_kg"].mean())
+            push = plate["grain_impulse_n_s"][:, 1]
+            alone = 1e-3 * mean_g * push.sum() / plate["mass_kg"].sum()
             rows.append(
                 {
                     "kernel_g": 0.4048 if mean_g < 0.6 else 0.8096, "load_kg": row["paddle_mass_kg"],
                     "restitution": row["restitution"], "angle_deg": row["plate_angle_deg"], "seed": row["trial"],
                     "impulse_n_s": float(arrived[-1]), "begin_s": begin,
+                    "touching": float(np.mean(push != 0.0)), "push_ratio": float((push**2).sum() / push.sum() / alone),
                 }
             )  # fmt: skip
     columns = {name: np.array([row[name] for row in rows], dtype=np.float32) for name in rows[0]}
@@ -261,6 +264,31 @@ def crossed(
     return rows
 
 
+def pushes(file: Path) -> list[dict[str, float]]:
+    """By crop and load: share of the grains that touch the plate, and their mean square impulse over that of kernels alone.
+
+    The second is what J would be over (kernel mass times impulse per kilogram) if they pushed independently of one another.
+    scatter_pct: of the whole pulse within a group; independent_pct: what it would then be.
+    """
+    data = np.load(file)
+    keys = np.stack([data[name] for name in ("kernel_g", "load_kg")], axis=1).astype(float).round(4)
+    places = np.stack([data["restitution"], data["angle_deg"]], axis=1)
+    rows = []
+    for group in np.unique(keys, axis=0):
+        chosen = np.all(keys == group, axis=1)
+        ratio, impulse = float(data["push_ratio"][chosen].mean()), data["impulse_n_s"][chosen]
+        cells = [impulse[np.all(places[chosen] == place, axis=1)] for place in np.unique(places[chosen], axis=0)]
+        rows.append(
+            {
+                "kernel_g": float(group[0]), "load_kg": float(group[1]), "push_ratio": round(ratio, 2),
+                "touching_pct": round(100.0 * float(data["touching"][chosen].mean()), 1),
+                "scatter_pct": round(100.0 * float(np.mean([c.std(ddof=1) / c.mean() for c in cells])), 2),
+                "independent_pct": round(100.0 * float(np.sqrt(ratio * 1e-3 * group[0] / group[1])), 1),
+            }
+        )  # fmt: skip
+    return rows
+
+
 def other_ways(pulses: Heaps, seeds_sd: dict[tuple[float, ...], float]) -> list[dict[str, Any]]:
     """Errors by the other crop, as `crossed`: other variables, other bands, each pulse's own size and time taken off."""
     full = KernelNoiseSettings(low_hz=200.0, high_hz=800.0, response_error=0.0)
@@ -307,7 +335,7 @@ def coverage(pulses: Heaps, seed: int) -> list[dict[str, Any]]:
 
 def report(seed: int) -> dict[str, Any]:
     """Tables: bias by crop and load, by restitution and angle; calibrated on the other crop; through cells."""
-    pulses = heaps(*(file for file in (FORCES, MORE_FORCES) if file.exists()))
+    pulses = heaps(FORCES, MORE_FORCES)
     full = KernelNoiseSettings(low_hz=200.0, high_hz=800.0, response_error=0.0)
     found = ratios(pulses, 0.0, _FULL_RATE_HZ, full, None)
     by_load, seeds_sd = pooled(found, (0, 1)), by_seeds_left_out(pulses, full)
@@ -354,6 +382,7 @@ def report(seed: int) -> dict[str, Any]:
         "by_angle": [{"angle_deg": k, "ratio": round(r, 3), "sd": round(s, 3)} for k, (r, s) in balanced(found, 3).items()],
         "calibrated_on_the_other_crop": crossed(by_load, seeds_sd),
         "other_ways": other_ways(pulses, seeds_sd),
+        "pushes": pushes(MORE_FORCES),
         "through_cells": cells,
         "coverage": coverage(pulses, seed),
     }  # fmt: skip
