@@ -127,25 +127,28 @@ class SideInputs:
         return DecodedBlock(kept | found, decoded.wrong_length)
 
     def concerns(self, identifiers: NDArray[np.uint32]) -> NDArray[np.bool_]:
-        """Whether frames of these identifiers, with flags (n,), may concern this."""
+        """Whether frames of these identifiers, with flags (n,), concern this."""
         flags = np.uint32(EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG)
-        found: NDArray[np.bool_] = self._concerned[identifiers >> np.uint32(8) & np.uint32(_MOST_GROUPS - 1)]
-        return np.asarray(found & ((identifiers & flags) == np.uint32(EXTENDED_FLAG)), dtype=bool)
+        found: NDArray[np.bool_] = self._concerned[_groups(identifiers)]
+        found &= (identifiers & flags) == np.uint32(EXTENDED_FLAG)
+        rows = np.flatnonzero(found)
+        some = identifiers[rows]
+        # Other nodes use a factory monitor's groups as well.
+        of_factory = np.isin(some & np.uint32(IDENTITY_MASK), self._factory_broadcast)
+        of_factory |= np.isin(some & np.uint32(_ADDRESSED_MASK), self._factory_addressed)
+        found[rows] = self._standard[_groups(some)] | of_factory
+        return found
 
     def _rows(self, block: FrameBlock) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Rows that concern this: those of other groups than the DBC's, and those of the DBC's."""
         rows = np.flatnonzero(self.concerns(block.can_id))
-        identifiers = block.can_id[rows]
-        groups = identifiers >> np.uint32(8) & np.uint32(_MOST_GROUPS - 1)
-        native, other = self._native[groups], self._standard[groups]
-        other |= np.isin(identifiers & np.uint32(IDENTITY_MASK), self._factory_broadcast)
-        other |= np.isin(identifiers & np.uint32(_ADDRESSED_MASK), self._factory_addressed)
-        return rows[other & ~native], rows[native]
+        native = self._native[_groups(block.can_id[rows])]
+        return rows[~native], rows[native]
 
     def _readings_of(self, block: FrameBlock, others: NDArray[np.intp], native: NDArray[np.intp]) -> BlockReadings:
         """What a block says of position, speed and course."""
         rows = np.sort(np.concatenate((others, native)))
-        groups = block.can_id[rows] >> np.uint32(8) & np.uint32(_MOST_GROUPS - 1)
+        groups = _groups(block.can_id[rows])
         heard: BlockReadings = {}
         latest = -1
         for group in np.unique(groups).tolist():
@@ -237,7 +240,7 @@ class SideInputs:
     @staticmethod
     def _factory_rows(block: FrameBlock, others: NDArray[np.intp]) -> NDArray[np.intp]:
         """Those of the rows that may hold a factory monitor's flow."""
-        groups = block.can_id[others] >> np.uint32(8) & np.uint32(_MOST_GROUPS - 1)
+        groups = _groups(block.can_id[others])
         payload = block.payload[others]
         process_data = groups >> np.uint32(8) == PROCESS_DATA >> 8
         value = (payload & np.uint64(0xF)) == np.uint64(Command.VALUE)
@@ -286,6 +289,11 @@ class SideInputs:
         if len(kept) == len(frame.signals):
             return [frame]
         return [Frame(frame.time_s, frame.message, kept)] if kept else []
+
+
+def _groups(identifiers: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    """Parameter groups of 29-bit identifiers, with the destination in their last byte where they have one."""
+    return identifiers >> np.uint32(8) & np.uint32(_MOST_GROUPS - 1)
 
 
 def _all_of(group: int) -> slice:
