@@ -20,6 +20,8 @@ from yieldmon.estimation.open_loop import FlowStatus
 from yieldmon.frames import EstimateQuality
 
 _NAN = float("nan")
+_STATUSES = tuple(FlowStatus)
+"""By code."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +79,7 @@ def estimates(estimator: FlowEstimator, readings: Sequence[Reading]) -> list[Est
         np.broadcast_to(column, size).tolist() if column is not None else [None] * size
         for column in (found.mass_flow_kg_s, found.std_dev_kg_s, found.status, found.noise_std_dev_kg_s)
     ]
-    rows = (Estimate(rate, sd, FlowStatus(status), own) for rate, sd, status, own in zip(*columns, strict=True))
+    rows = (Estimate(rate, sd, _STATUSES[status], own) for rate, sd, status, own in zip(*columns, strict=True))
     return [next(rows) if reading.quality is None else None for reading in readings]
 
 

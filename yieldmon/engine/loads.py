@@ -113,14 +113,10 @@ class Loads:
 
     def count(self, window: Window, flow: Flow, moisture_pct: float, area_m2: float = _NAN) -> float:
         """Add a window and its area to the totals; returns its mass, kg."""
-        mass_kg = self._count_mass(window, flow, moisture_pct)
-        self.totals = self.totals.with_area(area_m2, mass_kg)
-        return mass_kg
-
-    def _count_mass(self, window: Window, flow: Flow, moisture_pct: float) -> float:
         if not flow.measured:
             if flow.quality is EstimateQuality.NOT_AVAILABLE:
                 self._complete = False
+            self.totals = self.totals.with_area(area_m2, 0.0)
             return 0.0
         enough = window.coverage >= self._settings.windows.min_coverage
         seconds = window.weight_s if enough else window.covered_s
@@ -130,10 +126,10 @@ class Loads:
         if window.contested:
             # Whose samples they were is not known.
             self._complete = False
-            self.totals = self.totals.with_contested(mass_kg)
+            self.totals = self.totals.with_contested(mass_kg).with_area(area_m2, 0.0)
             return 0.0
         dry_kg = self.dry_kg(mass_kg, moisture_pct)
-        self.totals = self.totals.with_mass(mass_kg, dry_kg, flow.budget, seconds)
+        self.totals = self.totals.with_mass(mass_kg, dry_kg, flow.budget, seconds, area_m2)
         return mass_kg
 
     def doubt(self) -> None:

@@ -6,12 +6,14 @@ from dataclasses import dataclass
 from math import degrees
 
 from yieldmon.engine.plate_commands import RELEASE, PlateCommander
+from yieldmon.engine.quick import maker_of
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sweep import PlateReading, SweepMachine
 from yieldmon.engine.sweep_follower import SweepFollower
 from yieldmon.frames import ActuatorState, CommandMode, SweepState, Value
 from yieldmon.physics.machine import Machine
 
+_plate_reading = maker_of(PlateReading)
 _ENDS = frozenset({SweepState.ABORTED, SweepState.UPDATED, SweepState.NOT_LEARNED})
 
 
@@ -39,7 +41,7 @@ class Plate:
 
     def tick(self, at_s: float, angle_deg: float, actuator: ActuatorState) -> dict[str, Value] | None:
         """Let the sweep say what it wants; the signals of the command that is to go out, None for none."""
-        demand = self.sweep.tick(PlateReading(at_s, angle_deg, actuator))
+        demand = self.sweep.tick(_plate_reading(at_s, angle_deg, actuator))
         if demand is None:
             if not self.driving:
                 return None

@@ -58,7 +58,14 @@ class Totals:
             load_contested_kg=self.load_contested_kg + share * mass_kg,
         )
 
-    def with_mass(self, mass_kg: float, dry_kg: float | None, budget: FlowBudget = NO_BUDGET, seconds: float = 0.0) -> Totals:
+    def with_mass(
+        self,
+        mass_kg: float,
+        dry_kg: float | None,
+        budget: FlowBudget = NO_BUDGET,
+        seconds: float = 0.0,
+        area_m2: float = 0.0,
+    ) -> Totals:
         """Totals after mass_kg more. Mass measured with no load open counts in the total alone.
 
         Parameters
@@ -71,6 +78,8 @@ class Totals:
             Of the flow whose mass it is.
         seconds : float
             How long the flow lasted.
+        area_m2 : float
+            Harvested for it, m2; nan: not known.
 
         Returns
         -------
@@ -100,24 +109,24 @@ class Totals:
             self.load_contested_kg,
             self.total_budget.plus(budget, seconds),
             self.load_budget.plus(budget, seconds) if self.load_open else self.load_budget,
-            self.load_area_m2,
-            self.load_unknown_area_kg,
+            *self._area_with(area_m2, mass_kg),
             self.market_moisture_pct,
         )
 
     def with_area(self, area_m2: float, mass_kg: float) -> Totals:
         """Totals after a second's area, m2 (nan: not known), whose grain weighs mass_kg."""
+        area = self._area_with(area_m2, mass_kg)
+        if area == (self.load_area_m2, self.load_unknown_area_kg):
+            return self
+        return _made(*_before_area(self), *area, self.market_moisture_pct)
+
+    def _area_with(self, area_m2: float, mass_kg: float) -> tuple[float, float]:
+        """The load's area, and its mass of unknown area, with a second's more."""
         if not self.load_open:
-            return self
-        known = isfinite(area_m2)
-        if not (area_m2 if known else mass_kg):
-            return self
-        return _made(
-            *_before_area(self),
-            self.load_area_m2 + area_m2 if known else self.load_area_m2,
-            self.load_unknown_area_kg if known else self.load_unknown_area_kg + mass_kg,
-            self.market_moisture_pct,
-        )
+            return self.load_area_m2, self.load_unknown_area_kg
+        if isfinite(area_m2):
+            return self.load_area_m2 + area_m2, self.load_unknown_area_kg
+        return self.load_area_m2, self.load_unknown_area_kg + mass_kg
 
     def with_missed(self, missed: MissedMass, *, in_load: bool) -> Totals:
         """Totals after a correction. in_load: it is the load's as well. Nothing falls below 0."""
