@@ -198,6 +198,8 @@ CONCERNED = {
     # identifiers with flags, and whether a frame may bring position, speed or a factory's flow
     0x89F8051C: True, 0x89F8021C: True, 0x8CFEF31C: True, 0x8CFEE81C: True, 0x8CFE491C: True, 0x98FF6990: True,
     0x8CCBFF1C: True, 0x8CCB001C: True, 0x8CCB831C: True,
+    # A factory monitor's groups, sent by it and by other nodes.
+    0x98FFC3A4: True, 0x98FFC3A5: False, 0x98EF26D3: True, 0x98EF2647: False,
     0x8CCAFF1C: False, 0x8CCCFF1C: False, 0x98FF6890: False, 0x89F8061C: False, 0x8CFEF21C: False, 0x8CF0041C: False,
     0x09F8051C: False, 0xC9F8051C: False, 0xA9F8051C: False, 0x00000123: False,
 }  # fmt: skip
