@@ -1,0 +1,135 @@
+"""A tank scale's stable readings against what was measured between them, step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from yieldmon.engine.anchors import ReferenceMass, TankScale
+from yieldmon.engine.settings import AnchorSettings
+
+SETTINGS = AnchorSettings(min_increment_kg=50.0, unloading_kg=40.0, scale_std_dev_kg=4.0)
+
+
+class Tank:
+    """Seconds of 10 kg, measured unless told otherwise, and the scale's readings at their ends."""
+
+    def __init__(self) -> None:
+        self.scale = TankScale(SETTINGS)
+        self.now_s = 0
+        self.total_kg = 0.0
+
+    def second(self, reading_kg: float | None = None, mass_kg: float = 10.0, measured: bool = True) -> ReferenceMass | None:
+        self.now_s += 1
+        if reading_kg is not None:
+            self.scale.reading(float(self.now_s), reading_kg)
+        found = self.scale.window(self.now_s - 1.0, float(self.now_s), self.total_kg, mass_kg, measured)
+        self.total_kg += mass_kg
+        return found
+
+    def seconds(self, count: int, reading_kg: float, measured: bool = True) -> ReferenceMass | None:
+        for _ in range(count - 1):
+            assert self.second(measured=measured) is None
+        return self.second(reading_kg, measured=measured)
+
+
+def test_a_mass_is_the_difference_of_two_readings() -> None:
+    tank = Tank()
+    assert tank.second(1000.0) is None
+    found = tank.seconds(10, 1100.0)
+    assert found is not None
+    assert (found.start_s, found.end_s, found.reference_kg, found.measured_kg) == (1.0, 11.0, 100.0, 100.0)
+    assert (found.complete, found.zero_doubted, found.std_dev_kg) == (True, False, pytest.approx(4.0 * 2**0.5))
+    following = tank.seconds(6, 1160.0)
+    assert following is not None
+    assert (following.start_s, following.reference_kg, following.measured_kg) == (11.0, 60.0, 60.0)
+
+
+@pytest.mark.parametrize(("gained_kg", "counts"), [(50.0, True), (49.9, False), (0.0, False), (-10.0, False)])
+def test_small_increments_wait_for_more(gained_kg: float, counts: bool) -> None:
+    tank = Tank()
+    tank.second(1000.0)
+    assert (tank.seconds(3, 1000.0 + gained_kg) is not None) is counts
+    found = tank.seconds(6, 1090.0)
+    if not counts:
+        assert found is not None
+        assert (found.start_s, found.reference_kg, found.measured_kg) == (1.0, 90.0, 90.0)
+
+
+@pytest.mark.parametrize(
+    ("between", "begins_s", "complete", "doubted"),
+    [
+        (lambda tank: None, 1.0, True, False),
+        (lambda tank: tank.scale.forget(), None, None, None),
+        (lambda tank: tank.scale.doubt_zero(), 1.0, False, True),
+        (lambda tank: tank.second(measured=False), 1.0, False, False),
+        (lambda tank: (tank.second(measured=False), tank.scale.empty_since(1.0)), 1.0, True, False),
+        (lambda tank: (tank.second(measured=False), tank.scale.empty_since(1.125)), 1.0, False, False),
+        (lambda tank: tank.second(959.0), 6.0, True, False),
+    ],
+    ids=["nothing", "forgotten", "zero doubted", "not measured", "empty since then", "empty since later", "unloaded"],
+)
+def test_what_happens_between_two_readings(
+    between: Callable[[Tank], object], begins_s: float | None, complete: bool | None, doubted: bool | None
+) -> None:
+    tank = Tank()
+    tank.second(1000.0)
+    for _ in range(4):
+        tank.second()
+    between(tank)
+    found = tank.seconds(8, 1080.0)
+    if begins_s is None:
+        assert found is None, "the first reading after it is the first"
+        found = tank.seconds(6, 1140.0)
+        assert found is not None
+        assert (found.start_s, found.reference_kg) == (13.0, 60.0)
+        return
+    assert found is not None
+    assert (found.start_s, found.complete, found.zero_doubted) == (begins_s, complete, doubted)
+    after = tank.seconds(8, 1160.0)
+    assert after is not None
+    assert (after.complete, after.zero_doubted) == (True, False), "the next one begins anew"
+
+
+def test_a_reading_that_waits_is_forgotten_too() -> None:
+    tank = Tank()
+    tank.second(1000.0)
+    tank.scale.reading(2.0, 1100.0)
+    tank.scale.forget()
+    assert tank.second() is None
+    assert tank.seconds(9, 1100.0) is None
+    found = tank.seconds(6, 1160.0)
+    assert found is not None
+    assert found.reference_kg == 60.0
+
+
+def test_mass_that_was_counted_without_being_measured_is_on_both_sides() -> None:
+    tank = Tank()
+    tank.scale.counted(5.0)
+    tank.second(1000.0)
+    tank.scale.counted(30.0)
+    tank.total_kg += 30.0
+    found = tank.seconds(10, 1100.0)
+    assert found is not None
+    assert (found.reference_kg, found.measured_kg) == (100.0, 100.0)
+
+
+def test_what_was_not_measured_and_weighs_nothing_held_no_grain() -> None:
+    """Four standard deviations of a reading either way, 16 kg; then counting begins there."""
+    for gained_kg, begins_s in ((0.0, 6.0), (8.0, 6.0), (-8.0, 6.0), (17.0, 1.0), (-17.0, 1.0)):
+        tank = Tank()
+        tank.second(1000.0)
+        for _ in range(4):
+            tank.second(mass_kg=0.0, measured=False)
+        tank.second(1000.0 + gained_kg, mass_kg=0.0, measured=False)
+        found = tank.seconds(8, 1000.0 + gained_kg + 80.0)
+        assert found is not None
+        assert (found.start_s, found.complete) == (begins_s, begins_s == 6.0)
+
+
+def test_readings_are_kept_up_to_a_number() -> None:
+    tank = Tank()
+    for k in range(SETTINGS.keep + 3):
+        tank.seconds(6, 1000.0 + 60.0 * k)
+    assert len(tank.scale.anchors) == SETTINGS.keep
