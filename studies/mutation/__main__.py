@@ -17,6 +17,7 @@ import json
 import math
 import os
 import random
+import re
 import subprocess
 import sys
 import time
@@ -112,6 +113,7 @@ def main() -> int:
     parser.add_argument("--part", type=int, nargs=2, default=(0, 1), metavar=("I", "N"), help="each Nth of the sample, from I on")
     parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no further mutant after so long")
     parser.add_argument("--budget", type=float, default=BUDGET_S, help="s of CPU time after which no further test begins")
+    parser.add_argument("--again", type=Path, nargs="+", help="lines of a run before: of its survivors the tests not run yet")
     parser.add_argument("--named", action="store_true", help="the changes that once went unnoticed")
     args = parser.parse_intermixed_args()
     os.chdir(ROOT)
@@ -128,13 +130,25 @@ def main() -> int:
         work = [(f"{named.name}", Trial(ROOT / named.path, _replaced(named), named.tests, 300.0, {})) for named in NAMED]
     else:
         reach = Reach(args.map, ROOT)
-        chosen = sample(packages, args.sample, args.seed)[args.part[0] :: args.part[1]]
-        work = [
-            (f"{m.path}:{m.line} {m.what}", Trial(ROOT / m.path, mutated(m, ROOT), reach.tests(m), args.budget, reach.cpu_s))
-            for m in chosen
-        ]
+        before = _run_before(args.again) if args.again else None
+        work = []
+        for m in sample(packages, args.sample, args.seed):
+            name, tests = f"{m.path}:{m.line} {m.what}", reach.tests(m)
+            if before is not None:
+                # Kept outputs see any change of a number.
+                tests = sorted(tests[before.get(name, len(tests)) :], key=lambda test: not test.startswith("tests/golden"))
+            if before is None or tests:
+                work.append((name, Trial(ROOT / m.path, mutated(m, ROOT), tests, args.budget, reach.cpu_s)))
+        work = work[args.part[0] :: args.part[1]]
     rows = _judged(work, args.minutes)
     return _told(rows, None if args.named else args.seed)
+
+
+def _run_before(files: list[Path]) -> dict[str, int]:
+    """How many tests were run on each survivor, by the lines of a run."""
+    lines = [line for file in files for line in file.read_text(encoding="utf-8").splitlines()]
+    found = (re.fullmatch(r"survived  (.+)  \[(\d+) tests run, [1-9]\d* not run\]", line) for line in lines)
+    return {match[1]: int(match[2]) for match in found if match}
 
 
 def _judged(work: list[tuple[str, Trial]], minutes: float) -> list[tuple[str, Verdict]]:

@@ -94,8 +94,8 @@ class Reach:
         return {line: frozenset(tests) for line, tests in by_line.items()}
 
     def tests(self, mutant: Mutant) -> list[str]:
-        """Tests that run a mutant's lines, the order of trial: one of each function of tests first, those named after the
-        module and of its package before others, and the quick ones before the slow."""
+        """Tests that run a mutant's lines in the order of trial: all that are named after the module, then one of each function
+        of tests, those of its package before others and the quick ones before the slow, then the next one of each."""
         by_line = self._lines(mutant.path)
         whole = frozenset().union(*by_line.values()) - {""}
         changed = self._digests.get(mutant.path) != _digest(self._root / mutant.path)
@@ -129,8 +129,13 @@ class Reach:
             return not own, Path(file).parent.name != part, self.cpu_s.get(groups[group][0], 1.0)
 
         ranked = sorted(groups, key=rank)
-        depth = max((len(group) for group in groups.values()), default=0)
-        return [groups[group][place] for place in range(depth) for group in ranked if place < len(groups[group])]
+        own = [group for group in ranked if not rank(group)[0]]
+        others = ranked[len(own) :]
+        depth = max((len(groups[group]) for group in others), default=0)
+        return [
+            *(test for group in own for test in groups[group]),
+            *(groups[group][place] for place in range(depth) for group in others if place < len(groups[group])),
+        ]
 
     def unreached(self, path: str) -> list[tuple[str, int]]:
         """Functions of a module with lines that no test runs, and how many statements: `[("Class.method", 3)]`."""

@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 
 from tests.network.test_task_controller import SECOND, SERVER, device
+from yieldmon.network.process_data import Command, Refusal
 from yieldmon.network.task_controller.client import ClientState, Outgoing, TaskControllerClient
 
 C = ClientState
@@ -311,3 +312,13 @@ def test_totals_begin_with_a_task_and_are_told_at_its_end(change: bytes) -> None
     told = client.hear(change)
     assert [out.data[2] for out in told] == ([] if change is TASK_STATUS else [90, 183, 116, 119])
     assert {out.priority for out in told} <= {3}
+
+
+def test_commands_and_refusals_have_the_standards_numbers() -> None:
+    """ISO 11783-10, table B.1 and the acknowledgement's error codes."""
+    assert {name: int(command) for name, command in Command.__members__.items()} == {
+        "TECHNICAL": 0, "DEVICE_DESCRIPTOR": 1, "REQUEST_VALUE": 2, "VALUE": 3, "TIME_INTERVAL": 4, "DISTANCE_INTERVAL": 5,
+        "MINIMUM_WITHIN_THRESHOLD": 6, "MAXIMUM_WITHIN_THRESHOLD": 7, "CHANGE_THRESHOLD": 8, "PEER_CONTROL": 9,
+        "SET_AND_ACKNOWLEDGE": 10, "ACKNOWLEDGE": 13, "SERVER_STATUS": 14, "CLIENT_TASK": 15,
+    }  # fmt: skip
+    assert [int(refusal) for refusal in Refusal] == [0, 1, 2, 4, 8, 16, 32]

@@ -155,3 +155,19 @@ def test_the_budget_is_the_seconds_noise_and_what_is_left(
     assert budget.noise_kg2 + budget.parameters_kg**2 + budget.zero_kg**2 == pytest.approx(
         max(whole_kg**2, noise_kg2 + budget.parameters_kg**2)
     )
+
+
+def test_the_budget_of_seconds_of_another_length_goes_with_their_length() -> None:
+    """Noise and the parameters' share are kg: twice the time at the same flow, twice of each."""
+
+    def budget(duration_s: float) -> tuple[float, float]:
+        seconds = tuple(
+            replace(row, noise_std_dev_kg_s=0.1, load_std_dev_kg=50.0, duration_s=duration_s, mass_kg=10.0 * duration_s)
+            for row in SECONDS
+        )
+        found = reference(StoredLoad(LOAD, seconds, {1: known()}, False), MACHINE, 0.75).summary.budget
+        return found.noise_kg2, found.parameters_kg
+
+    (noise_kg2, parameters_kg), twice = budget(1.0), budget(2.0)
+    assert twice == (pytest.approx(4.0 * noise_kg2), pytest.approx(2.0 * parameters_kg))
+    assert noise_kg2 == pytest.approx(0.05)
