@@ -122,7 +122,9 @@ def test_status_is_answered_again_after_the_thread_that_does(
 
         wait_for(said, "the line")
         wait_for(lambda: answers(bench, path), "an answer")
-        _Selector.gate.set()
+    # A thread that goes on only after the daemon's end makes no socket that nobody would take away.
+    _Selector.gate.set()
+    wait_for(lambda: all(thread.name != "control" for thread in threading.enumerate()), "the threads' end")
     assert not path.exists()
 
 

@@ -243,7 +243,8 @@ class _Server:
                             self._read(selector, asking)
                         # Else cut off since the selection, for another's place.
                     now_s = monotonic()
-                    if now_s >= self._looks_at_s:
+                    # One that was left to itself while it hung has a successor, or the daemon has ended.
+                    if now_s >= self._looks_at_s and not self.stopping:
                         self._looks_at_s = now_s + _LOOK_EVERY_S
                         listening = self.listening = self._listen_again(selector, listening)
                     for asking in [a for a in self._asking.values() if a.until_s <= now_s]:
