@@ -244,6 +244,27 @@ def test_lack_of_fit_of_rows_of_unlike_sigma_has_its_stated_false_alarm_rate() -
     assert np.count_nonzero(np.array(p_values) < 0.05) <= 7
 
 
+def test_noise_that_grows_with_the_reading_is_neither_a_missing_effect_nor_a_certainty() -> None:
+    grid = np.meshgrid(np.radians([45.0, 55.0, 65.0, 75.0, 85.0]), [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 24.0], [31.0, 42.0, 52.0])
+    angle, flow, speed = (np.tile(each.ravel(), 3) for each in grid)
+    conditions = Conditions(angle, speed, mass_flow_kg_s=flow)
+    clean = np.real(MODEL.paddle_momentum(conditions, TRUE))
+    p_values, z, inside, own = [], [], [], []
+    for seed in range(60):
+        rows = Measurements(conditions, clean * (1.0 + 0.02 * np.random.default_rng(seed).normal(size=clean.size)))
+        found = calibrate(MODEL, rows, TRUE, FREE, starts=1, intervals=seed < 15)
+        p_values.append(found.residuals.lack_of_fit_p)
+        z.append([(p.value - TRUE[p.name]) / p.standard_error for p in found.parameters])
+        inside += [p.interval[0] <= TRUE[p.name] <= p.interval[1] for p in found.parameters if seed < 15]
+        own.append(found.parameter_set.model_error)
+    # 0.6 of 60 expected below 0.01; 4 or more would happen once in 300. Standard errors of rows that scatter alike: 1.5 to 1.8.
+    assert np.count_nonzero(np.array(p_values) < 0.01) <= 3
+    assert np.all(np.std(z, axis=0) < 1.25)
+    assert np.mean(inside) > 0.85
+    # Not known to be above the least that is assumed.
+    assert np.median(own) == 0.0
+
+
 def test_rows_without_replicates_do_not_loosen_the_robust_fit() -> None:
     rows = noisy(5)
     number = np.arange(rows.momentum.size) % 8

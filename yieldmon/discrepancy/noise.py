@@ -12,7 +12,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.estimation.scatter_law import scatter_law
+from yieldmon.estimation.scatter_law import fit_variances, scatter_law
 from yieldmon.physics.numerics import Array
 
 from .observations import Cells, Rows, cells
@@ -120,28 +120,6 @@ def _variance_model(grouped: Cells, robust_sd: float) -> Noise:
         pooled = max(robust_sd**2, 1e-12 * float(np.max(np.abs(grouped.mean))) ** 2)
     a2, b2 = fit_variances(variance, dof, level2, pooled)
     return Noise(float(np.sqrt(a2)), float(np.sqrt(b2)), total, "replicates")
-
-
-def fit_variances(variance: Array, dof: Array, level2: Array, pooled: float) -> tuple[float, float]:
-    """(a^2, b^2) of variance = a^2 + b^2 level^2 by gamma likelihood; (pooled, 0) unless the data ask for more (5 %)."""
-    floor = 0.02 * pooled
-
-    def deviance(model: Array) -> float:
-        return float(np.sum(dof * (np.log(model) + variance / model)))
-
-    best = (pooled, 0.0)
-    least = deviance(np.full_like(variance, pooled)) - 3.84
-    top = float(level2.max())
-    if np.ptp(level2) <= 1e-3 * top:
-        return best
-    for share in np.linspace(0.02, 0.98, 49):
-        # `share` of the variance at the top level is proportional; the overall size follows in closed form.
-        form = (1.0 - share) + share * level2 / top
-        size = float(np.sum(dof * variance / form) / dof.sum())
-        value = deviance(np.maximum(size * form, floor))
-        if value < least:
-            best, least = (max(size * (1.0 - share), floor), size * share / top), value
-    return best
 
 
 def _from_smooth_surface(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:

@@ -18,7 +18,7 @@ from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array, span
 
 from . import model_error, multistart, profile_likelihood
-from .calibration_problem import CalibrationProblem, data_scale
+from .calibration_problem import CalibrationProblem, data_scale, residual_moments
 from .calibration_result import OUTLIER_SDS, Basin, Calibration, FittedParameter, ProfileCurve, Residuals, sentences
 from .fit_uncertainty import FitUncertainty, fit_uncertainty, wald_intervals
 from .measurements import Measurements
@@ -162,15 +162,15 @@ def _examined(
     value, jacobian = problem.momentum(theta[None])
     predicted, slopes = value[0][problem.cell], jacobian[0][problem.cell]
     error = predicted - problem.data.momentum
-    noise = problem.noise(error)
+    noise = problem.noise(error, slopes)
     uncertainty = fit_uncertainty(problem, predicted, slopes, jacobian[0], noise)
     errors = uncertainty.standard_errors
     if intervals and theta.size:
-        ends = profile_likelihood.intervals(problem, theta, errors, noise)
+        ends = profile_likelihood.intervals(problem, theta, uncertainty, noise)
     else:
         ends = wald_intervals(problem, theta, errors, noise.dof)
     fitted = _fitted(problem, theta, errors, ends)
-    quality = _quality(problem, error, noise.variance_factor)
+    quality = _quality(problem, error, jacobian[0], noise.variance_factor)
     return Calibration(
         _parameter_set(problem, theta, uncertainty, response_unit),
         fitted,
@@ -220,7 +220,7 @@ def _calibrated_range(model: ForwardModel, data: Measurements) -> CalibratedRang
     return CalibratedRange(span(flow), span(angle), span(speed), span(moisture) if np.all(np.isfinite(moisture)) else None)
 
 
-def _quality(problem: CalibrationProblem, error: Array, variance_factor: float) -> Residuals:
+def _quality(problem: CalibrationProblem, error: Array, cell_slopes: Array, variance_factor: float) -> Residuals:
     rows, width = error.size, len(problem.names)
     rms = float(np.sqrt(np.mean(error**2)))
     largest = float(np.max(np.abs(problem.data.momentum)))
@@ -238,7 +238,7 @@ def _quality(problem: CalibrationProblem, error: Array, variance_factor: float) 
     if pure_dof > 0 and cells > width and pure_ss > 0.0:
         lack = (float(np.sum(weight * error**2)) - pure_ss) / (cells - width)
         f_value = lack / (pure_ss / pure_dof)
-        p_value = float(fdtrc(cells - width, pure_dof, f_value))
+        p_value = _lack_of_fit_p(problem, cell_slopes, f_value)
     return Residuals(
         rows,
         rms,
@@ -250,3 +250,17 @@ def _quality(problem: CalibrationProblem, error: Array, variance_factor: float) 
         p_value,
         tuple(int(i) for i in (outliers if problem.data.places is None else problem.data.places[outliers])),
     )
+
+
+def _lack_of_fit_p(problem: CalibrationProblem, cell_slopes: Array, f_value: float) -> float:
+    """Probability of a larger F by noise alone, which may differ from cell to cell."""
+    count = np.bincount(problem.cell)
+    above, below = float(count.size - len(problem.names)), float(problem.pure_dof)
+    if problem.spread is not None:
+        first = np.unique(problem.cell, return_index=True)[1]
+        variance = problem.spread[first]
+        mean, share = residual_moments(cell_slopes * np.sqrt(count)[:, None] * problem.unit, variance)
+        f_value /= mean
+        # Within cells the mean variance is 1 by the spread's definition.
+        above, below = above * share, below**2 / float((count - 1) @ variance**2)
+    return float(fdtrc(above, below, f_value))

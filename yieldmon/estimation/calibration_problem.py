@@ -12,9 +12,14 @@ from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 
 from .batch import MomentumBatch
+from .calibration_result import OUTLIER_SDS
 from .measurements import Measurements
+from .model_error import orthonormal
 from .priors import Bounds, Prior, fitting_bounds, follows_scale, start_ranges
+from .scatter_law import fit_variances
 
+LEAST_PURE_DOF = 8
+"""Degrees of freedom of the replicates from which they part noise from the model's own error, and tell its law."""
 ROBUST_SCALE = 1.5
 """Residuals beyond this many noise standard deviations lose weight (soft L1)."""
 
@@ -23,13 +28,14 @@ ROBUST_SCALE = 1.5
 class Noise:
     """Noise of the rows as the best fit's residuals show it.
 
-    weight: (rows,) 1 over the standard deviation, less for outliers of a robust fit. variance_factor: what the variances are
-    multiplied by. dof: degrees of freedom that this rests on.
+    weight: (rows,) of the fit: 1 over the standard deviation, less for outliers of a robust fit. variance_factor: what the
+    variances are multiplied by. dof: degrees of freedom that this rests on. spread: as of `CalibrationProblem`.
     """
 
     weight: Array
     variance_factor: float
-    dof: int
+    dof: float
+    spread: Array | None
 
     @property
     def row_sd(self) -> Array:
@@ -56,6 +62,9 @@ class CalibrationProblem:
         Whitening of the prior and its mean; p is 0 without a prior.
     pure_sd, pure_dof : float, int
         Standard deviation within replicates and its degrees of freedom; nan and 0 without any.
+    spread : ndarray (rows,) or None
+        Variance of each row over row_sd^2, mean 1 over the replicates, where these scatter more at high readings than at low
+        ones; None where they do not show it. The fit weighs rows alike all the same; errors and tests allow for it.
     """
 
     def __init__(
@@ -86,6 +95,7 @@ class CalibrationProblem:
         self.pure_sd, self.pure_dof = self._pure_error()
         self.given_sigma = data.sigma is not None
         self.row_sd = data.sigma if data.sigma is not None else np.full(data.momentum.shape, self._first_noise())
+        self.spread = self._spread()
         self.prior_white, self.prior_mean = (
             prior.restricted(names).whitening(names) if prior is not None else (np.zeros((0, len(names))), np.zeros(len(names)))
         )
@@ -108,6 +118,30 @@ class CalibrationProblem:
         repeated = counts[self.cell] > 1
         spread = np.abs(y - middle[self.cell])[repeated] * np.sqrt(np.count_nonzero(repeated) / dof)
         return float(1.4826 * np.median(spread)), dof
+
+    def _spread(self) -> Array | None:
+        if self.given_sigma or self.pure_dof < LEAST_PURE_DOF or not self.pure_sd > 0.0:
+            return None
+        y = self.data.momentum
+        middle = np.array([np.median(y[self.cell == i]) for i in range(int(self.cell.max()) + 1)])
+        repeated = np.bincount(self.cell)[self.cell] > 1
+        # A form that is right for either kind of noise to a factor, and a median that is blind to outliers.
+        relative = np.abs(y - middle[self.cell]) / (0.15 * float(np.max(np.abs(middle))) + np.abs(middle[self.cell]))
+        usual = 1.4826 * float(np.median(relative[repeated]))
+        good = repeated & (relative <= OUTLIER_SDS * np.sqrt(2.0) * usual) if usual > 0.0 else repeated
+        count = np.bincount(self.cell[good], minlength=middle.size)
+        mean = np.bincount(self.cell[good], y[good], minlength=middle.size) / np.maximum(count, 1)
+        square = np.bincount(self.cell[good], (y - mean[self.cell])[good] ** 2, minlength=middle.size)
+        some = count > 1
+        dof = (count[some] - 1).astype(float)
+        if dof.sum() < LEAST_PURE_DOF or not square.sum() > 0.0:
+            return None
+        constant, proportional = fit_variances(square[some] / dof, dof, mean[some] ** 2, float(square.sum() / dof.sum()))
+        if proportional == 0.0:
+            return None
+        law = constant + proportional * middle**2
+        freedom = np.bincount(self.cell) - 1.0
+        return np.asarray((law * freedom.sum() / float(freedom @ law))[self.cell])
 
     def scatter(self) -> float:
         """Standard deviation of a row about the mean of its cell, in the momentum's unit; nan without replicates."""
@@ -142,15 +176,32 @@ class CalibrationProblem:
         total = 0.5 * float(np.sum(z))
         return total if np.isfinite(total) else float("inf")
 
-    def noise(self, error: Array) -> Noise:
-        """What the residuals (rows,) of the best fit say about the rows' noise."""
+    def noise(self, error: Array, slopes: Array) -> Noise:
+        """What the residuals (rows,) of the best fit, with derivatives (rows, n) there, say about the rows' noise."""
         weight = 1.0 / self.row_sd
         if self.robust:
             weight = weight * (1.0 + (error * weight / ROBUST_SCALE) ** 2) ** -0.25
         dof = max(error.size - len(self.names) + len(self.prior_white), 1)
         inflation = float(np.sum((error * weight) ** 2) / dof)
+        if self.spread is not None:
+            mean, share = residual_moments(slopes * weight[:, None] * self.unit, self.spread)
+            return Noise(weight, inflation / mean, max(share * dof, 1.0), self.spread)
         # A given sigma counts unless the residuals say it is too small (Birge's ratio).
-        return Noise(weight, max(inflation, 1.0) if self.given_sigma else inflation, dof)
+        return Noise(weight, max(inflation, 1.0) if self.given_sigma else inflation, dof, None)
+
+
+def residual_moments(slopes: Array, variance: Array) -> tuple[float, float]:
+    """Of the sum of squares that least squares with derivatives (n, p) leaves of rows of these variances (n,): its mean for each
+    degree of freedom, and the share of these that a chi-square of the same mean and variance has (Satterthwaite, 1946)."""
+    tangent = orthonormal(slopes)
+    free = max(variance.size - tangent.shape[1], 1)
+    leverage = np.sum(tangent**2, axis=1)
+    inner = tangent.T @ (tangent * variance[:, None])
+    first = float(np.sum((1.0 - leverage) * variance))
+    second = float(np.sum((1.0 - 2.0 * leverage) * variance**2) + np.sum(inner**2))
+    if not (first > 0.0 and second > 0.0):
+        return 1.0, 1.0
+    return first / free, min(first**2 / (second * free), 1.0)
 
 
 def data_scale(model: ForwardModel, data: Measurements) -> float:

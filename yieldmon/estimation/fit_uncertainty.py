@@ -11,22 +11,21 @@ from scipy.special import stdtrit
 from yieldmon.physics.numerics import Array
 
 from . import model_error
-from .calibration_problem import CalibrationProblem, Noise
+from .calibration_problem import LEAST_PURE_DOF, CalibrationProblem, Noise
 from .calibration_result import CONFIDENCE
-
-_LEAST_PURE_DOF = 8
-"""Degrees of freedom of the replicates from which they separate noise from the model's own error."""
 
 
 @dataclass(frozen=True, slots=True)
 class FitUncertainty:
     """covariance: (n, n), no parameter less certain than anywhere between its bounds, the model's own error included.
     standard_errors: (n,) by the data and the prior alone; inf where they do not fix a parameter. correlation: (n, n) of these.
-    model_error: relative size of the model's own error; 0 where it is not known."""
+    stretch: (n,) of the standard errors over those of rows that scatter alike. model_error: relative size of the model's own
+    error; 0 where it is not known."""
 
     covariance: Array
     standard_errors: Array
     correlation: Array
+    stretch: Array
     model_error: float
 
 
@@ -35,37 +34,59 @@ def fit_uncertainty(
 ) -> FitUncertainty:
     """Uncertainty of the best fit. predicted (rows,), slopes (rows, n), cell_slopes (cells, n): the model there."""
     weighted = slopes * noise.weight[:, None]
-    information = weighted.T @ weighted / max(noise.variance_factor, 1e-300)
+    factor = max(noise.variance_factor, 1e-300)
+    information = weighted.T @ weighted / factor
     information = information + problem.prior_white.T @ problem.prior_white
-    free, singular = _inverse(information, problem.unit)
+    # What rows that scatter more or less than the fit takes them for add to the information's variance (Huber, 1967).
+    unlike = None if noise.spread is None else weighted.T @ (weighted * (noise.spread - 1.0)[:, None]) / factor
+    alike, singular = _inverse(information, problem.unit)
+    free = _spread_out(alike, unlike)
     # In the file a parameter is never less certain than anywhere between its bounds.
-    covariance, _ = _inverse(information + np.diag(12.0 / (problem.upper - problem.lower) ** 2), problem.unit)
+    bounded, _ = _inverse(information + np.diag(12.0 / (problem.upper - problem.lower) ** 2), problem.unit)
     if np.any(singular):
-        covariance = _bounded_inverse(information, problem.upper - problem.lower)
+        bounded = _bounded_inverse(information, problem.upper - problem.lower)
+    covariance = _spread_out(bounded, unlike)
     size = _learnt_error(problem, predicted - problem.data.momentum, cell_slopes)
     if size > 0.0:
-        covariance = _with_model_error(problem, covariance, size, predicted, weighted, noise)
+        covariance = _with_model_error(problem, covariance, bounded, size, predicted, weighted, noise)
     deviation = np.sqrt(np.diag(free))
     with np.errstate(divide="ignore", invalid="ignore"):
         correlation = free / np.outer(deviation, deviation)
+        stretch = np.where(np.diag(alike) > 0.0, deviation / np.sqrt(np.diag(alike)), 1.0)
     standard_errors = np.where(singular, np.inf, np.sqrt(np.maximum(np.diag(free), 0.0)))
-    return FitUncertainty(covariance, standard_errors, correlation, size)
+    return FitUncertainty(covariance, standard_errors, correlation, stretch, size)
 
 
-def wald_intervals(problem: CalibrationProblem, theta: Array, standard_errors: Array, dof: int) -> Array:
+def _spread_out(inverse: Array, unlike: Array | None) -> Array:
+    """Covariance of a fit whose inverse information this is, where rows scatter unlike."""
+    if unlike is None:
+        return inverse
+    out = inverse + inverse @ unlike @ inverse
+    return np.asarray(0.5 * (out + out.T))
+
+
+def wald_intervals(problem: CalibrationProblem, theta: Array, standard_errors: Array, dof: float) -> Array:
     """(n, 2): ends of the CONFIDENCE intervals by standard errors (n,) alone, within the bounds."""
     reach = stdtrit(dof, 0.5 + 0.5 * CONFIDENCE) * np.where(np.isfinite(standard_errors), standard_errors, np.inf)
     return np.stack((np.maximum(theta - reach, problem.lower), np.minimum(theta + reach, problem.upper)), axis=-1)
 
 
 def _with_model_error(
-    problem: CalibrationProblem, covariance: Array, size: float, predicted: Array, weighted: Array, noise: Noise
+    problem: CalibrationProblem,
+    covariance: Array,
+    inverse: Array,
+    size: float,
+    predicted: Array,
+    weighted: Array,
+    noise: Noise,
 ) -> Array:
+    """covariance: by noise. inverse: of the information, by which the fit follows an error."""
     angle, speed, load, _ = problem.data.columns()
     # A constant error is absorbed by the impact gain: it is none of the forces', but one of what they are made of.
     shapes = np.column_stack((model_error.basis(angle, load, speed), np.ones(load.size)))
     own = size * shapes * (model_error.level(predicted) * noise.weight)[:, None]
-    widened = model_error.widened(covariance, weighted / max(noise.variance_factor, 1e-300), own)
+    moved = inverse @ (weighted.T / max(noise.variance_factor, 1e-300) @ own)
+    widened = covariance + moved @ moved.T
     most = (problem.upper - problem.lower) / np.sqrt(12.0)
     limit = np.minimum(1.0, most / np.sqrt(np.maximum(np.diag(widened), 1e-300)))
     return np.asarray(widened * np.outer(limit, limit))
@@ -77,7 +98,7 @@ def _learnt_error(problem: CalibrationProblem, error: Array, slopes: Array) -> f
 
     error: of each row. slopes: of each cell.
     """
-    if (problem.pure_dof < _LEAST_PURE_DOF and not problem.given_sigma) or not slopes.shape[1]:
+    if (problem.pure_dof < LEAST_PURE_DOF and not problem.given_sigma) or not slopes.shape[1]:
         return 0.0
     count = np.bincount(problem.cell)
     first = np.unique(problem.cell, return_index=True)[1]
@@ -88,9 +109,15 @@ def _learnt_error(problem: CalibrationProblem, error: Array, slopes: Array) -> f
         noise = np.bincount(problem.cell, problem.row_sd**-2.0) ** -0.5
     else:
         noise = np.maximum(problem.pure_sd, 1e-9 * float(np.max(np.abs(predicted)))) / np.sqrt(count)
+    if problem.spread is not None:
+        noise = noise * np.sqrt(problem.spread[first])
     basis = model_error.orthonormal(slopes / noise[:, None] * problem.unit)
     relative = noise / model_error.level(predicted)
-    return model_error.learnt(mean / noise, basis, relative, model_error.groups_of(angle, load))
+    residual = mean / noise
+    if problem.spread is not None:
+        # As a fit leaves it that weighs the cells by their noise.
+        residual = residual - basis @ (basis.T @ residual)
+    return model_error.learnt(residual, basis, relative, model_error.groups_of(angle, load))
 
 
 def _inverse(information: Array, unit: Array) -> tuple[Array, NDArray[np.bool_]]:

@@ -1,4 +1,4 @@
-"""How standard deviations go with the level of what they belong to."""
+"""How standard deviations go with the level of what they belong to: from stated ones, or from the scatter of repetitions."""
 
 from __future__ import annotations
 
@@ -18,3 +18,25 @@ def scatter_law(level: Array, sd: Array) -> tuple[float, float]:
     least = _LEAST_CONSTANT**2 * float(np.mean(variance))
     constant = max(float(np.mean(variance - slope * square)), least)
     return float(np.sqrt(constant)), float(np.sqrt(slope))
+
+
+def fit_variances(variance: Array, dof: Array, level2: Array, pooled: float) -> tuple[float, float]:
+    """(a^2, b^2) of variance = a^2 + b^2 level^2 by gamma likelihood; (pooled, 0) unless the data ask for more (5 %)."""
+    floor = 0.02 * pooled
+
+    def deviance(model: Array) -> float:
+        return float(np.sum(dof * (np.log(model) + variance / model)))
+
+    best = (pooled, 0.0)
+    least = deviance(np.full_like(variance, pooled)) - 3.84
+    top = float(level2.max())
+    if np.ptp(level2) <= 1e-3 * top:
+        return best
+    for share in np.linspace(0.02, 0.98, 49):
+        # `share` of the variance at the top level is proportional; the overall size follows in closed form.
+        form = (1.0 - share) + share * level2 / top
+        size = float(np.sum(dof * variance / form) / dof.sum())
+        value = deviance(np.maximum(size * form, floor))
+        if value < least:
+            best, least = (max(size * (1.0 - share), floor), size * share / top), value
+    return best
