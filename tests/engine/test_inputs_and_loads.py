@@ -90,7 +90,7 @@ def test_totals_that_are_reset_begin_from_nothing_in_a_load_of_their_own(is_open
         loads.stop(15.0)
     assert (loads.totals.total_kg, loads.totals.load_number) == (50.0, 2)
     loads.reset(20.0)
-    assert loads.totals == Totals(load_number=3, market_moisture_pct=13.5)
+    assert loads.totals == Totals(load_number=3, first_load=3, market_moisture_pct=13.5)
 
 
 PLAUSIBLE = [

@@ -5,9 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
+from engine_bench import ZERO_MV, Bench, feed, monitor
 
+from yieldmon import frames as bus
 from yieldmon.engine.anchors import ReferenceMass, TankScale
-from yieldmon.engine.settings import AnchorSettings
+from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.runs import run_of
+from yieldmon.engine.settings import AnchorSettings, EngineSettings
+from yieldmon.frames import Frame
 
 SETTINGS = AnchorSettings(min_increment_kg=50.0, unloading_kg=40.0, scale_std_dev_kg=4.0)
 
@@ -133,3 +138,32 @@ def test_readings_are_kept_up_to_a_number() -> None:
     for k in range(SETTINGS.keep + 3):
         tank.seconds(6, 1000.0 + 60.0 * k)
     assert len(tank.scale.anchors) == SETTINGS.keep
+
+
+@pytest.mark.parametrize("change", [Monitor.reset_totals, Monitor.undo_zero], ids=["reset", "zero undone"])
+def test_a_total_that_is_changed_between_two_readings_is_no_mass_measured_between_them(
+    change: Callable[[Monitor], object],
+) -> None:
+    bench = Bench(
+        flow=lambda t: 14.0 if t >= 1026.0 else 0.0,
+        zero=lambda t: ZERO_MV - (20.0 if t >= 1012.0 else 0.0),
+        scatter=0.05,
+        noise_mv=2.0,
+    )
+    readings = [
+        Frame(time_s, bus.TANK_SCALE, {"TankMass": 2000.0 + 14.0 * max(0.0, time_s - 1026.0), "TankScaleStatus": 0})
+        for time_s in (1001.5 + 5.0 * k for k in range(17))
+    ]
+    frames = sorted([*bench.frames(85), *readings], key=lambda frame: frame.time_s)
+    target = monitor(EngineSettings(anchors=AnchorSettings(min_increment_kg=150.0)))
+    feed(target, run_of([frame for frame in frames if frame.time_s < 1012.0]))
+    target.calibrate_zero()
+    feed(target, run_of([frame for frame in frames if 1012.0 <= frame.time_s < 1055.0]))
+    change(target)
+    feed(target, run_of([frame for frame in frames if frame.time_s >= 1055.0]))
+    before = [anchor for anchor in target.anchors if anchor.end_s < 1055.0]
+    assert before
+    assert all(anchor.measured_kg == pytest.approx(anchor.reference_kg, rel=0.05) for anchor in before)
+    later = [anchor for anchor in target.anchors if anchor.end_s > 1055.0]
+    assert later
+    assert all(anchor.start_s > 1055.0 for anchor in later)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -9,6 +10,7 @@ from engine_bench import Bench, feed, monitor
 
 from yieldmon import frames as frames_of_bus
 from yieldmon.engine.faults import FaultCode
+from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.runs import run_of
 from yieldmon.engine.settings import AnchorSettings, EngineSettings
 from yieldmon.errors import InputError
@@ -55,6 +57,46 @@ def test_zero_in_grain_is_refused_then_a_fault_and_an_undo_restores_the_mass() -
     assert target.totals.total_kg == pytest.approx(14.0 * 119.0, rel=0.03)
     with pytest.raises(InputError, match="no zero calibration by an operator"):
         ask(target, "zero-undo")
+
+
+def forged(frame: Frame) -> list[Frame]:
+    """A second sender of samples, from 1052 to 1057 s."""
+    second = frame.message == frames_of_bus.IMPACT_SENSOR_SAMPLES and 1052.0 <= frame.time_s < 1057.0
+    return [frame, frame._replace(time_s=frame.time_s + 0.0015)] if second else [frame]
+
+
+def thinned(frame: Frame) -> list[Frame]:
+    """An eighth of each second's samples, from 1052 to 1057 s."""
+    sample = frame.message == frames_of_bus.IMPACT_SENSOR_SAMPLES and 1052.0 <= frame.time_s < 1057.0
+    return [] if sample and not 0.1 < frame.time_s % 1.0 < 0.22 else [frame]
+
+
+@pytest.mark.parametrize(
+    ("at_s", "command", "changed"),
+    [
+        pytest.param(1054.0, Monitor.stop_load, lambda frame: [frame], id="grain between loads"),
+        pytest.param(1054.0, Monitor.start_load, lambda frame: [frame], id="two loads"),
+        pytest.param(1054.0, Monitor.reset_totals, lambda frame: [frame], id="totals reset"),
+        pytest.param(1061.5, Monitor.stop_load, forged, id="contested seconds"),
+        pytest.param(1061.5, Monitor.stop_load, thinned, id="seconds of which little was measured"),
+    ],
+)
+def test_an_undo_gives_each_load_and_the_totals_what_they_would_have(
+    at_s: float, command: Callable[[Monitor], object], changed: Callable[[Frame], list[Frame]]
+) -> None:
+    frames = [one for frame in BENCH.frames(62) for one in changed(frame)]
+    whole, target = monitor(), monitor()
+    for one in (whole, target):
+        feed(one, run_of([f for f in frames if f.time_s < 1036.0]))
+        if one is target:
+            one.calibrate_zero()
+        feed(one, run_of([f for f in frames if 1036.0 <= f.time_s < at_s]))
+        command(one)
+        feed(one, run_of([f for f in frames if f.time_s >= at_s]))
+    assert target.totals.total_kg < 0.8 * whole.totals.total_kg
+    target.undo_zero()
+    assert [load.measured_kg for load in target.loads] == pytest.approx([load.measured_kg for load in whole.loads], rel=5e-4)
+    assert target.totals.total_kg == pytest.approx(whole.totals.total_kg, rel=5e-4)
 
 
 @pytest.mark.parametrize("reload_s", [1042.0, 1080.0], ids=["while it is taken", "after it"])

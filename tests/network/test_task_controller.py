@@ -329,6 +329,29 @@ def test_unknown_values_are_left_out() -> None:
     assert raw_values(replace(SECOND, ground_speed_m_s=0.1), 9.1).keys() == raw_values(SECOND, None).keys()
 
 
+def test_a_total_that_the_server_sets_near_the_end_of_its_range_is_said_as_far_as_it_fits() -> None:
+    bench = connected()
+    bench.command(Command.SET_AND_ACKNOWLEDGE, 90, 2**31 - 10)
+    bench.command(Command.TIME_INTERVAL, 90, 1000)
+    bench.run(5.0)
+    assert [value for _, value in bench.values(90)] == [2**31 - 10, 2**31 - 2]
+    bench.command(Command.SET_AND_ACKNOWLEDGE, 90, 5)
+    bench.run(2.0)
+    assert [value for _, value in bench.values(90)[2:]] == [5, 13]
+
+
+def test_totals_of_ours_that_begin_anew_leave_those_of_the_task() -> None:
+    bench = connected()
+    for ddi in (90, 183):
+        bench.command(Command.TIME_INTERVAL, ddi, 1000)
+    bench.run(5.0)
+    before, dry_before = bench.values(90)[-1][1], bench.values(183)[-1][1]
+    bench.second = replace(bench.second, total_kg=0.0, dry_total_kg=0.0, first_load=7)
+    bench.run(3.0)
+    assert bench.values(90)[-1][1] == before + 24
+    assert bench.values(183)[-1][1] == dry_before
+
+
 def test_any_stream_from_the_server_is_survived() -> None:
     draw = random.Random(3)
     bench = connected()

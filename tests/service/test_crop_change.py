@@ -49,6 +49,15 @@ def test_a_crop_is_measured_with_its_own_parameters_and_comes_back_to_what_was_l
     assert {"wheat", "barley"} <= set(remembered.of_crop)
 
 
+def test_a_load_whose_field_cannot_be_named_changes_no_crop() -> None:
+    monitor, journal = started()
+    load(monitor, journal, "corn")
+    before, number = monitor.estimator.parameters, monitor.totals.load_number
+    with pytest.raises(InputError, match="a name of at most 80 printable characters"):
+        commands.execute({"command": "load-start", "crop": "wheat", "field": "n" * 81}, monitor, journal, 1.7e9)
+    assert (monitor.estimator.parameters, journal.crop, monitor.totals.load_number) == (before, "corn", number)
+
+
 def test_a_ticket_that_waits_is_for_the_crop_that_it_was_entered_under():
     monitor, journal = started()
     load(monitor, journal, "wheat")

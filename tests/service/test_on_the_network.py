@@ -5,13 +5,14 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import can
 import j1939
 import pytest
 
-from tests.network.task_server import TaskServer
+from tests.network.task_server import TaskServer, parse_pool
 from tests.service.bench import Bench, encoded, running, traffic, wait_for
 from yieldmon.bus.logs import read_log
 from yieldmon.cli import main as cli
@@ -25,7 +26,9 @@ from yieldmon.network.identifier import (
 )
 from yieldmon.network.name import Name
 from yieldmon.network.node import Node, NodeSettings
-from yieldmon.service.link import identity_number
+from yieldmon.physics.machine import Implement
+from yieldmon.service import configuration
+from yieldmon.service.link import identity_number, link_for
 
 RECORDINGS = sorted((Path(__file__).parent.parent / "data" / "tractor_bus").glob("*.log"))
 US = 0x83
@@ -272,6 +275,49 @@ def test_task_controller_takes_our_pool_and_our_flow(tmp_path: Path) -> None:
     assert server.complaints == []
     assert {ddi for _, _, ddi, _ in server.values} == {90}
     assert server.said[-1] == "activate"
+
+
+def test_a_task_controller_gets_the_device_of_another_header(tmp_path: Path) -> None:
+    (tmp_path / "c.yaml").write_text("network: {task_controller: true}")
+    loaded = configuration.load(tmp_path / "c.yaml", {})
+    link, server = link_for(loaded), TaskServer()
+    node = Node(NodeSettings(name=Name(identity_number=9, function=130, industry_group=2), preferred_address=0xF7))
+    now_s = 0.0
+    to_server, to_us = link.start(now_s), node.start(now_s)
+
+    def hear(message: can.Message) -> None:
+        heard = node.feed(message.arbitration_id, bytes(message.data), now_s)
+        to_us.extend(heard.frames)
+        received = [(payload.group, payload.data) for payload in heard.payloads]
+        if Identifier.of(message.arbitration_id).group in (51968, 65037):
+            received.append((Identifier.of(message.arbitration_id).group, bytes(message.data)))
+        for group, data in received:
+            for answer in server.hear(group, data, now_s):
+                to_us.extend(node.send(51968, answer, now_s, destination=US, priority=5))
+
+    def widths() -> list[object]:
+        nonlocal now_s
+        for _ in range(400):
+            now_s += 0.05
+            to_server.extend(link.poll(now_s))
+            to_us.extend(node.poll(now_s))
+            for data in server.tick(now_s) if node.address is not None else []:
+                to_us.extend(node.send(51968, data, now_s, priority=3))
+            while to_server or to_us:
+                for message in [to_server.pop(0) for _ in range(len(to_server))]:
+                    hear(message)
+                for frame in [to_us.pop(0) for _ in range(len(to_us))]:
+                    to_server.extend(link.hear(can.Message(arbitration_id=frame.identifier, data=frame.data), now_s))
+        assert (link.status()["task_controller"] or {})["state"] == "connected"
+        pool = parse_pool(server.stored, server.version).values()
+        return [values["value"] for table, values in pool if table == "DPT" and values["ddi"] == 67]
+
+    assert widths() == []
+    for width_m in (9.1, 12.0):
+        machine = replace(loaded.machine, implement=Implement(working_width_m=width_m))
+        link.use(machine, loaded.engine.totals, now_s)
+        assert widths() == [1000 * width_m]
+    assert server.complaints == []
 
 
 @pytest.mark.parametrize("path", RECORDINGS, ids=lambda p: p.stem)

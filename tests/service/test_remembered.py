@@ -14,12 +14,13 @@ import pytest
 from tests.service.test_store import second
 from yieldmon.engine.disagreement import SweepPattern
 from yieldmon.engine.loads import LoadSummary
-from yieldmon.engine.since_zero import MissedMass
-from yieldmon.engine.state import EngineState
+from yieldmon.engine.since_zero import NO_LOAD, MissedMass
+from yieldmon.engine.state import EngineState, ZeroUndo
 from yieldmon.engine.totals import Totals
+from yieldmon.engine.zero import ZeroState
 from yieldmon.estimation.misfit import ReducedSweep
 from yieldmon.files import parameter_file
-from yieldmon.service.batch import Batch, ParameterVersion
+from yieldmon.service.batch import Action, Batch, Load, ParameterVersion
 from yieldmon.service.load_book import LoadBook
 from yieldmon.service.memory import Memory, choose_parameters
 from yieldmon.service.recovery import remembered
@@ -36,7 +37,7 @@ def stored(path: Path, loads: list[int]) -> None:
                 "last_second": number, "parameter_digest": "", "field": "", "crop": "", "faults": [],
             }  # fmt: skip
             versions = (ParameterVersion(1, 1.0, "file", parameters),) if number == 1 else ()
-            row = second(number, mass_kg=10.0, total_kg=10.0 * number, load_number=load, load_kg=10.0)
+            row = second(number, mass_kg=10.0, total_kg=10.0 * number, load_number=load, load_kg=10.0, force_n=float(number))
             store.commit([Batch(number, 1.0, state, seconds=(row,), parameter_versions=versions)])
 
 
@@ -68,6 +69,30 @@ def test_the_seconds_of_a_load_are_all_of_it_and_no_others(tmp_path: Path, loads
         for load in range(11):
             expected = [number for number, other in enumerate(loads, start=1) if other == load]
             assert [row.number for row in store.seconds_of_load(load)] == expected, load
+
+
+@pytest.mark.parametrize(
+    ("first_load", "expected"),
+    [(1, [(2, 1), (3, 1), (4, NO_LOAD), (5, NO_LOAD), (6, 2)]), (2, [(2, 1), (3, 1), (6, 2)])],
+    ids=["grain between loads", "totals reset since"],
+)
+def test_seconds_after_a_loads_end_are_of_no_load(tmp_path: Path, first_load: int, expected: list[tuple[int, int]]) -> None:
+    path = tmp_path / "s.sqlite"
+    stored(path, [1, 1, 1, 1, 1, 2])
+    zero = ZeroState(150.0, 150.0, 41.9, 3.0)
+    engine = EngineState(Totals(load_number=2, first_load=first_load), zero=zero, zero_undo=ZeroUndo(zero, suspect=True))
+    state = {
+        "engine": engine.as_dict(), "saved_s": 1.0, "last_second": 6, "parameter_digest": "", "field": "", "crop": "",
+        "faults": [],
+    }  # fmt: skip
+    with Store(path) as store:
+        zeroed = Action(1, 1.0, "zero", "", {"second": 1, "signs": ""})
+        ended = Load(1, "", "", 1.7e9, 1.7e9 + 3.0, 30.0, None)
+        store.commit([Batch(7, 1.0, state, loads=(ended,), actions=(zeroed,))])
+        found = remembered(store).since_zero
+    numbers = [second.force_n for second in found]
+    assert numbers == [number for number, _ in expected]
+    assert [second.load_number for second in found] == [load for _, load in expected]
 
 
 def test_learnt_parameters_go_on_for_as_long_as_their_file_is_the_same() -> None:

@@ -232,6 +232,10 @@ class ClosedLoopCalibrator:
         self._used = self._checked = frozenset(used)
         self._given = None
 
+    def totals_reset(self, before_kg: float) -> None:
+        """See records.SelfCalibrator."""
+        self._at_kg -= before_kg
+
     def snapshot(self, now_s: float, total_kg: float) -> CalibratorState | None:
         """See records.SelfCalibrator."""
         if not isfinite(self._at_kg):

@@ -17,7 +17,7 @@ from yieldmon.engine.publishing import Published
 from yieldmon.engine.quick import maker_of
 from yieldmon.engine.records import FlowEstimator, Second, record_of
 from yieldmon.engine.results import Event, Result, WindowResult, ZeroTaken
-from yieldmon.engine.since_zero import KeptSecond, MissedMass
+from yieldmon.engine.since_zero import NO_LOAD, KeptSecond, MissedMass
 from yieldmon.engine.sweep import SweepWindow, support_start_s
 from yieldmon.engine.waveform import NOTHING, WaveformReading
 from yieldmon.frames import OperatingState
@@ -75,7 +75,9 @@ class Conclusion:
         record = record_of(second)
         if parts.measurement.zero.before is not None:
             kept = KeptSecond.of(record)
-            parts.since_zero.add((replace(kept, zero_mv=self._zero_mv) if isfinite(self._zero_mv) else kept,))
+            zero_mv = self._zero_mv if isfinite(self._zero_mv) else kept.zero_mv
+            number = kept.load_number if loads.totals.load_open else NO_LOAD
+            parts.since_zero.add((replace(kept, zero_mv=zero_mv, load_number=number),))
         self._zero_mv = record.zero_mv
         learnt = learning.learn(window.end_s, record, sweep)
         ended = parts.plate.ended(learning.last_update, learning.estimator.parameters.version)
@@ -142,8 +144,9 @@ class Conclusion:
         elif reading.zero_taken:
             learning.empty_since(self._parts.measurement.zero.taken_from_s)
         if missed_kg > 0.0:
-            self._parts.since_zero.add_scale(totals.load_number, missed_kg)
-            loads.correct({totals.load_number: MissedMass().plus(missed_kg, None, area_known=True)})
+            number = totals.load_number if totals.load_open else NO_LOAD
+            self._parts.since_zero.add_scale(number, missed_kg)
+            loads.correct({number: MissedMass().plus(missed_kg, None, area_known=True)})
         if totals.load_open:
             learning.measured(totals.load_number, reading, flow, mass_kg)
 

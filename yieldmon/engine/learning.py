@@ -119,6 +119,17 @@ class Learning:
         if self.calibrator is not None:
             self.calibrator.change_grain(before, now, [a for a in tickets if a not in self._waiting])
 
+    def totals_reset(self, before_kg: float) -> None:
+        """The total begins anew at 0; it was before_kg."""
+        self._scale.forget()
+        if self.calibrator is not None:
+            self.calibrator.totals_reset(before_kg)
+
+    def zero_undone(self) -> None:
+        """Masses have changed that were measured with another zero: forces over them say nothing, nor does the total's rise."""
+        self.forces.forget()
+        self._scale.forget()
+
     def take_tickets_of(self, before: Learning) -> None:
         """After a reload: the tickets of the one that learnt until now."""
         self._of_grain = dict(before._of_grain)

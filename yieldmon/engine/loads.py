@@ -16,7 +16,7 @@ from math import isfinite
 from yieldmon.engine.budget import EMPTY, MassBudget
 from yieldmon.engine.flow import Flow
 from yieldmon.engine.settings import EngineSettings
-from yieldmon.engine.since_zero import MissedMass
+from yieldmon.engine.since_zero import NO_LOAD, MissedMass
 from yieldmon.engine.totals import Totals, dry_mass
 from yieldmon.engine.windows import Window
 from yieldmon.frames import EstimateQuality
@@ -100,7 +100,8 @@ class Loads:
     def reset(self, now_s: float) -> LoadEvents:
         """All masses from 0, in a load with the next number."""
         closed = self._close(now_s)
-        self.totals = Totals(load_number=self.totals.load_number + 1, market_moisture_pct=self.totals.market_moisture_pct)
+        number = self.totals.load_number + 1
+        self.totals = Totals(load_number=number, first_load=number, market_moisture_pct=self.totals.market_moisture_pct)
         self._start_s = now_s
         self._complete = True
         return (*closed, LoadOpened(self._summary(_NAN)))
@@ -142,13 +143,15 @@ class Loads:
         self._complete = not (totals.load_open and totals.load_kg > 0.0)
 
     def correct(self, missed: Mapping[int, MissedMass]) -> LoadEvents:
-        """Mass that was missed, by load, joins its loads and the totals; closed loads are returned."""
+        """Mass that was missed, by load, joins its loads and, where it came since they were reset, the totals; closed loads are
+        returned."""
         events: list[LoadClosed | LoadOpened] = []
         for number, found in missed.items():
             totals = self.totals
             here = totals.load_open and number == totals.load_number
             taken = max(found.kg, -totals.load_kg) if here else found.kg
-            self.totals = totals.with_missed(replace(found, kg=taken), in_load=here)
+            if number == NO_LOAD or number >= totals.first_load:
+                self.totals = totals.with_missed(replace(found, kg=taken), in_load=here)
             for place, load in enumerate(self._closed):
                 if load.number == number and not here:
                     self._closed[place] = _with_missed(load, found)

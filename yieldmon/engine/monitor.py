@@ -184,6 +184,8 @@ class Monitor:
         -------
         list of LoadOpened or LoadClosed
         """
+        self._parts.since_zero.totals_reset()
+        self._parts.learning.totals_reset(self.totals.total_kg)
         return self._parts.loads.reset(self._parts.bus_now)
 
     def stop_load(self) -> LoadEvents:
@@ -268,7 +270,7 @@ class Monitor:
         Returns
         -------
         missed : dict of int to MissedMass
-            What was missed since, by load number.
+            What was missed since, by load number, `since_zero.NO_LOAD` where none was open.
         events : list of LoadOpened or LoadClosed
             The loads that changed.
 
@@ -282,10 +284,11 @@ class Monitor:
         if known is None:
             raise ValueError("there is no zero calibration by an operator that could be undone")
         gain, on_n = self.machine.sensor.gain_n_per_mv, self.settings.gate.grain_on_n
-        found = parts.since_zero.missed(known.zero_mv, self.estimator, gain, on_n, parts.loads.dry_kg)
+        least = self.settings.windows.min_coverage
+        found = parts.since_zero.missed(known.zero_mv, self.estimator, gain, on_n, least, parts.loads.dry_kg)
         parts.since_zero.clear()
         zero.undo()
-        parts.learning.forces.forget()
+        parts.learning.zero_undone()
         return found, parts.loads.correct(found)
 
     def remember_since_zero(self, seconds: Sequence[KeptSecond]) -> None:

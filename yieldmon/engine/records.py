@@ -321,6 +321,9 @@ class SelfCalibrator(Protocol):
         """Another crop from now on: what was weighed of the one before is kept for its return. used: masses of the new one that
         were handed over before."""
 
+    def totals_reset(self, before_kg: float) -> None:
+        """The total begins anew at 0; it was before_kg."""
+
     def snapshot(self, now_s: float, total_kg: float) -> CalibratorState | None:
         """What is to outlive a restart beside the parameters; None: nothing."""
 

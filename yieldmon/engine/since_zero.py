@@ -13,12 +13,14 @@ from yieldmon.engine.records import FlowEstimator, WindowRecord
 
 KEPT_S = 7200
 """Newest seconds that are kept."""
+NO_LOAD = 0
+"""In place of a load's number: no load was open."""
 
 
 @dataclass(frozen=True, slots=True)
 class KeptSecond:
     """What of a second it takes to measure it again; nan where not known. zero_mv: with which it was measured, which is the zero
-    after the second before it."""
+    after the second before it. surplus_frames: of more than one sender, the second is contested."""
 
     load_number: int
     duration_s: float
@@ -31,6 +33,7 @@ class KeptSecond:
     elevator_speed_rad_s: float
     moisture_pct: float
     area_m2: float
+    surplus_frames: int = 0
 
     @classmethod
     def of(cls, record: WindowRecord) -> KeptSecond:
@@ -74,6 +77,11 @@ class SinceZero:
         """Further seconds."""
         self._seconds.extend(seconds)
 
+    def totals_reset(self) -> None:
+        """The totals begin anew: what no load was open for is in none of those that are still counted."""
+        self._seconds = deque((s for s in self._seconds if s.load_number != NO_LOAD), maxlen=KEPT_S)
+        self._by_scale.pop(NO_LOAD, None)
+
     def add_scale(self, load_number: int, mass_kg: float) -> None:
         """Mass that joined a load because the tank scale showed it."""
         self._by_scale[load_number] = self._by_scale.get(load_number, 0.0) + mass_kg
@@ -94,13 +102,17 @@ class SinceZero:
         estimator: FlowEstimator,
         gain_n_per_mv: float,
         grain_on_n: float,
+        min_coverage: float,
         dry_kg: Callable[[float, float], float | None],
     ) -> dict[int, MissedMass]:
         """Load number -> what its seconds miss where zero_mv is the zero; forces up to grain_on_n are no grain.
 
-        dry_kg: of a wet mass, kg, at a moisture, %.
+        min_coverage: of a second that counts whole. dry_kg: of a wet mass, kg, at a moisture, %. Contested seconds stay in no
+        total.
         """
-        rows = [s for s in self._seconds if isfinite(s.zero_mv) and isfinite(s.force_n) and s.coverage > 0.0]
+        rows = [
+            s for s in self._seconds if isfinite(s.zero_mv) and isfinite(s.force_n) and s.coverage > 0.0 and not s.surplus_frames
+        ]
         force = np.array([s.force_n + (s.zero_mv - zero_mv) * gain_n_per_mv for s in rows])
         loaded = force > grain_on_n
         rows, force = [s for s, ok in zip(rows, loaded, strict=True) if ok], force[loaded]
@@ -110,7 +122,8 @@ class SinceZero:
         columns = np.array([(s.plate_angle_rad, s.elevator_speed_rad_s, s.force_std_dev_n, s.moisture_pct) for s in rows]).T
         flow = np.nan_to_num(estimator.estimate(force, *columns).mass_flow_kg_s)
         for second, rate in zip(rows, flow.tolist(), strict=True):
-            kg = rate * second.duration_s - second.mass_kg
+            seconds = second.duration_s if second.coverage >= min_coverage else second.duration_s * second.coverage
+            kg = rate * seconds - second.mass_kg
             # Where the bus tells nothing of the header, a second without grain has no area.
             known = missed.get(second.load_number, MissedMass())
             missed[second.load_number] = known.plus(kg, dry_kg(kg, second.moisture_pct), area_known=second.area_m2 > 0.0)

@@ -21,7 +21,7 @@ class Totals:
     contested_kg: mass of seconds that more than one node sent samples for; it is in none of the others.
     total_budget, load_budget: standard deviations of the wet masses. load_area_m2: harvested for the load's mass;
     load_unknown_area_kg: mass of the load whose area is not known. market_moisture_pct: of the dry masses
-    that are counted from now on."""
+    that are counted from now on. first_load: number of the load with which the totals began."""
 
     total_kg: float = 0.0
     total_dry_kg: float = 0.0
@@ -31,6 +31,7 @@ class Totals:
     load_unknown_moisture_kg: float = 0.0
     load_number: int = 1
     load_open: bool = True
+    first_load: int = 1
     total_contested_kg: float = 0.0
     load_contested_kg: float = 0.0
     total_budget: MassBudget = EMPTY
@@ -105,6 +106,7 @@ class Totals:
             self.load_unknown_moisture_kg + share * unknown,
             self.load_number,
             self.load_open,
+            self.first_load,
             self.total_contested_kg,
             self.load_contested_kg,
             self.total_budget.plus(budget, seconds),
@@ -129,7 +131,7 @@ class Totals:
         return self.load_area_m2, self.load_unknown_area_kg + mass_kg
 
     def with_missed(self, missed: MissedMass, *, in_load: bool) -> Totals:
-        """Totals after a correction. in_load: it is the load's as well. Nothing falls below 0."""
+        """Totals after a correction. in_load: it is the open load's as well. Nothing falls below 0."""
         share = 1.0 if in_load else 0.0
         total_kg, load_kg = max(self.total_kg + missed.kg, 0.0), max(self.load_kg + share * missed.kg, 0.0)
         return replace(

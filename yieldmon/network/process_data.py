@@ -9,6 +9,8 @@ from enum import IntEnum
 PROCESS_DATA = 51968
 WORKING_SET_MASTER = 65037
 
+LEAST, MOST = -(2**31), 2**31 - 1
+"""Values that a message can carry."""
 _VALUE = struct.Struct("<i")
 
 

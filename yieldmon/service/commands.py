@@ -78,7 +78,7 @@ def _load_start(order: _Order) -> Answer:
     weight_g = request.mass_or_none("thousand_kernel_weight_g", *_KERNEL_WEIGHTS_G, "g")
     if weight_g is not None and monitor.waveform is None:
         raise InputError("thousand_kernel_weight_g", "is of no use", "waveform.enabled: true in the configuration")
-    name = request.name("crop")
+    field, name = request.name("field"), request.name("crop")
     crop = name and (shipped_name(name) or name.strip())
     if weight_g is not None or (crop is not None and crop != journal.crop):
         # What was told of one crop's kernels does not hold for another's.
@@ -89,7 +89,7 @@ def _load_start(order: _Order) -> Answer:
     chosen = journal.parameters.change_crop(crop, in_use, journal.crop, request.who) if crop and in_use.curve is None else None
     if chosen is not None:
         monitor.change_crop(estimator_of(monitor.machine, chosen), calibration_age_s(chosen, order.now_s), before, crop or "")
-    journal.name_load(request.name("field"), crop)
+    journal.name_load(field, crop)
     journal.happened(monitor.start_load())
     set_crop(monitor, journal)
     parameters = monitor.estimator.parameters

@@ -526,7 +526,8 @@ class Daemon:
         self._journal.new_monitor(monitor.estimator.parameters, "file")
         self._faults.report_all_anew()
         self.configuration = new
-        self._outputs = MappedOutputs(new.outputs, new.engine.totals)
+        self._outputs.use(new.engine.totals)
+        self._link.use(new.machine, new.engine.totals, self._network_clock())
         logging.getLogger("yieldmon").setLevel(new.document.logging.level.upper())
         self._reload_note = "taken" + (f"; {', '.join(later)} will be at the next start" if later else "")
         _log.info("configuration reloaded: %s", self._reload_note)

@@ -40,7 +40,7 @@ from yieldmon.network.sending import TransportSender
 from yieldmon.network.task_controller.client import Outgoing, TaskControllerClient
 from yieldmon.network.task_controller.combine import Second, combine
 from yieldmon.network.trouble_reports import TroubleReports
-from yieldmon.physics.machine import Machine
+from yieldmon.physics.machine import Implement, Machine
 from yieldmon.service.configuration import Configuration
 from yieldmon.service.service_sections import Network
 
@@ -121,6 +121,9 @@ class Link(Protocol):
     def report_second(self, record: WindowRecord, totals: Totals, now_s: float) -> list[can.Message]:
         """A second's values, for a task controller."""
 
+    def use(self, machine: Machine, totals: TotalsSettings, now_s: float) -> None:
+        """Another machine file and market moisture from now on."""
+
     def troubles(self, now_s: float) -> tuple[str, ...]:
         """What is wrong with the network, a sentence each."""
 
@@ -190,6 +193,9 @@ class FixedLink:
         """See Link."""
         return []
 
+    def use(self, machine: Machine, totals: TotalsSettings, now_s: float) -> None:
+        """See Link."""
+
     def troubles(self, now_s: float) -> tuple[str, ...]:
         """See Link."""
         return ()
@@ -217,7 +223,6 @@ class NetworkLink:
 
     def __init__(self, section: Network, machine: Machine, totals: TotalsSettings) -> None:
         name = name_of(section)
-        serial = str(name.identity_number)
         self._preferred = section.preferred_address
         self._totals = totals
         self._node = Node(
@@ -228,15 +233,11 @@ class NetworkLink:
                 software=(f"yieldmon {yieldmon.__version__}",),
                 make="yieldmon",
                 model="yield monitor",
-                serial_number=serial,
+                serial_number=str(name.identity_number),
             )
         )
-        self._client: TaskControllerClient | None = None
-        if section.task_controller:
-            device = combine(
-                machine.implement, name, designator="yieldmon", software_version=yieldmon.__version__, serial_number=serial
-            )
-            self._client = TaskControllerClient(device, machine.implement.working_width_m)
+        self._implement = machine.implement
+        self._client = self._client_of(machine.implement) if section.task_controller else None
         self._client_at: int | None = None
         self._address: int | None = None
         """The node's, as of the last that it did: it is asked for with every frame."""
@@ -314,6 +315,26 @@ class NetworkLink:
             return []
         return self._deliver(self._client.update(second_of(record, totals, self._totals), now_s, record.duration_s), now_s)
 
+    def use(self, machine: Machine, totals: TotalsSettings, now_s: float) -> None:
+        """See Link; to a task controller another header is another device, which connects anew."""
+        self._totals = totals
+        if self._client is None or machine.implement == self._implement:
+            return
+        self._implement, self._client = machine.implement, self._client_of(machine.implement)
+        if self._client_at is not None:
+            self._client.start(now_s)
+
+    def _client_of(self, implement: Implement) -> TaskControllerClient:
+        name = self._node.settings.name
+        device = combine(
+            implement,
+            name,
+            designator="yieldmon",
+            software_version=yieldmon.__version__,
+            serial_number=str(name.identity_number),
+        )
+        return TaskControllerClient(device, implement.working_width_m)
+
     def troubles(self, now_s: float) -> tuple[str, ...]:
         """See Link."""
         return self._node.troubles(now_s)
@@ -366,6 +387,7 @@ def second_of(record: WindowRecord, totals: Totals, settings: TotalsSettings) ->
         dry_total_kg=totals.known_total_dry_kg,
         moisture_pct=finite(record.moisture_pct),
         ground_speed_m_s=finite(record.ground_speed_m_s),
+        first_load=totals.first_load,
     )
 
 

@@ -45,6 +45,10 @@ class MappedOutputs:
         self._due_s = [float("-inf")] * len(outputs.groups)
         self._said = [False] * len(outputs.groups)
 
+    def use(self, settings: TotalsSettings) -> None:
+        """Other settings from now on; counters and periods go on."""
+        self._settings = settings
+
     @property
     def sends(self) -> bool:
         """Whether there is any group."""

@@ -6,8 +6,9 @@ import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from dataclasses import field as field_of
+from math import inf
 
-from yieldmon.engine.since_zero import KEPT_S, KeptSecond
+from yieldmon.engine.since_zero import KEPT_S, NO_LOAD, KeptSecond
 from yieldmon.engine.state import EngineState
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
@@ -88,23 +89,26 @@ def recall(store: Store) -> Memory:
             versions={v.version: parameter_file.from_document(v.document, str(store.path)) for v in versions[-KEPT_VERSIONS:]},
             actions=actions,
             unfinished_tickets=tuple(map(int, document.get("unfinished_tickets", ()))),
-            since_zero=_since_zero(store, actions) if engine.zero_undo is not None else (),
+            since_zero=_since_zero(store, actions, engine.totals.first_load) if engine.zero_undo is not None else (),
             ticketed=_ticketed(store, engine),
         )
     except (KeyError, IndexError, TypeError, ValueError, InputError) as error:
         raise StoreDamagedError(f"{store.path}: the state cannot be used: {error!r}") from error
 
 
-def _since_zero(store: Store, actions: Sequence[Action]) -> tuple[KeptSecond, ...]:
+def _since_zero(store: Store, actions: Sequence[Action], first_load: int) -> tuple[KeptSecond, ...]:
+    """first_load: with which the totals began; what no load was open for before it is in none of them."""
     last = next((a for a in reversed(actions) if a.kind == ledgers.ZERO), None)
     if last is None:
         return ()
     newest, told = store.last_second(), int(last.document["second"])
     first = max(told + 1, (newest.number if newest is not None else 0) - KEPT_S)
     kept, zero_mv = [], None
+    ended_s = {load.number: load.ended_s for load in store.loads() if load.ended_s is not None}
     for row in store.seconds(first - 1, on_damage=lambda number: None):
-        if row.number >= first:
-            second = kept_second(row)
+        of_load = row.time_s <= ended_s.get(row.load_number, inf)
+        if row.number >= first and (of_load or row.load_number >= first_load):
+            second = replace(kept_second(row), load_number=row.load_number if of_load else NO_LOAD)
             kept.append(second if zero_mv is None else replace(second, zero_mv=zero_mv))
         zero_mv = row.zero_mv
     return tuple(kept)

@@ -59,7 +59,8 @@ def measured_again(
     counted = np.array([row.mass_kg > 0.0 for row in rows], dtype=bool)
     if zero_mv is not None:
         force = force + (zero - zero_mv) * machine.sensor.gain_n_per_mv
-        covered = np.array([row.coverage > 0.0 and row.load_number > 0 for row in rows], dtype=bool)
+        # Contested seconds are in no total, whatever the zero.
+        covered = np.array([row.coverage > 0.0 and row.load_number > 0 and not row.surplus_frames for row in rows], dtype=bool)
         counted = covered & (force > settings.gate.grain_on_n)
     usable = counted & np.isfinite(force) & np.isfinite(angle) & np.isfinite(speed)
     if model.needs_moisture:

@@ -93,4 +93,5 @@ def kept_second(row: SecondRow) -> KeptSecond:
         elevator_speed_rad_s=known(row.elevator_speed_rpm) * RPM,
         moisture_pct=known(row.moisture_pct),
         area_m2=known(row.area_m2),
+        surplus_frames=row.surplus_frames,
     )

@@ -14,6 +14,8 @@ from enum import Enum
 from yieldmon.identifiers import GLOBAL_ADDRESS
 from yieldmon.network.identifier import ACKNOWLEDGEMENT
 from yieldmon.network.process_data import (
+    LEAST,
+    MOST,
     PROCESS_DATA,
     WORKING_SET_MASTER,
     Command,
@@ -102,6 +104,7 @@ class TaskControllerClient:
         self._distance_m = 0.0
         self._values: dict[int, int] = {}
         self._counted = {combine.AREA: 0.0, combine.EFFECTIVE_TIME: 0.0}
+        self._first_load: int | None = None
         self._offsets: dict[int, int] = {}
         """Total of ours minus that of the task, by DDI."""
         self._problem = ""
@@ -157,6 +160,9 @@ class TaskControllerClient:
                 self._counted[combine.AREA] += moved_m * self._width_m
         if second.harvesting:
             self._counted[combine.EFFECTIVE_TIME] += duration_s
+        if second.first_load != self._first_load:
+            self._own_totals_reset()
+            self._first_load = second.first_load
         self._values = combine.raw_values(second, self._width_m)
         self._values |= {ddi: int(value) for ddi, value in self._counted.items()}
         for ddi in combine.TOTALS:
@@ -303,6 +309,14 @@ class TaskControllerClient:
         """Count from 0; the server sets what its task had."""
         self._offsets = {ddi: self._values[ddi] for ddi in combine.TOTALS if ddi in self._values}
 
+    def _own_totals_reset(self) -> None:
+        """Ours begin anew at 0; those of the task go on."""
+        for ddi in combine.OWN_TOTALS:
+            if ddi in self._values and ddi in self._offsets:
+                self._offsets[ddi] -= self._values[ddi]
+            else:
+                self._offsets.pop(ddi, None)
+
     def _activate(self, now_s: float) -> list[Outgoing]:
         self._enter(ClientState.ACTIVATING, now_s + ANSWER_TIMEOUT_S)
         return [self._send(bytes([Command.DEVICE_DESCRIPTOR | Descriptor.ACTIVATE << 4, _ACTIVATE]) + b"\xff" * 6)]
@@ -350,11 +364,12 @@ class TaskControllerClient:
         return Refusal.NONE
 
     def _shown(self) -> Mapping[Key, int]:
-        """Values as the server sees them: totals are those of its task."""
+        """Values as the server sees them: totals are those of its task, which may have begun near the end of what fits."""
         shown = {}
-        for ddi, value in self._values.items():
-            if self._device.variable(combine.YIELD_ELEMENT, ddi) is not None:
-                shown[(combine.YIELD_ELEMENT, ddi)] = value - self._offsets.get(ddi, 0)
+        for ddi, own in self._values.items():
+            value = own - self._offsets.get(ddi, 0)
+            if LEAST <= value <= MOST and self._device.variable(combine.YIELD_ELEMENT, ddi) is not None:
+                shown[(combine.YIELD_ELEMENT, ddi)] = value
         return shown
 
     def _measured(self, now_s: float) -> list[Outgoing]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from yieldmon.network.name import Name
+from yieldmon.network.process_data import MOST
 from yieldmon.physics.machine import Implement
 
 from .pool import Device, Element, ElementType, Presentation, Property, Trigger, Variable
@@ -18,7 +19,9 @@ YIELD, FLOW, TOTAL, MOISTURE = 84, 87, 90, 99
 DRY_YIELD, DRY_FLOW, DRY_TOTAL = 181, 182, 183
 HOLD, AREA, EFFECTIVE_TIME, WIDTH = 239, 116, 119, 67
 LATENCY, OFFSET_X, OFFSET_Y, CONNECTOR = 143, 134, 135, 157
-TOTALS = (TOTAL, DRY_TOTAL, AREA, EFFECTIVE_TIME)
+OWN_TOTALS = (TOTAL, DRY_TOTAL)
+"""Those that the monitor counts; the client counts the others."""
+TOTALS = (*OWN_TOTALS, AREA, EFFECTIVE_TIME)
 
 _TONNES_PER_HECTARE = Presentation("t/ha", 1e-5, 2)
 _KG_PER_S = Presentation("kg/s", 1e-6, 2)
@@ -69,7 +72,7 @@ def combine(implement: Implement, name: Name, *, designator: str, software_versi
 
 @dataclass(frozen=True, slots=True)
 class Second:
-    """What the monitor reports of one second; None: not known. Totals are its own, ever growing."""
+    """What the monitor reports of one second; None: not known. Totals are its own; they begin anew with load first_load."""
 
     flow_kg_s: float | None
     total_kg: float
@@ -78,6 +81,7 @@ class Second:
     dry_total_kg: float | None = None
     moisture_pct: float | None = None
     ground_speed_m_s: float | None = None
+    first_load: int = 1
 
 
 def raw_values(second: Second, working_width_m: float | None, min_speed_m_s: float = 0.3) -> dict[int, int]:
@@ -97,5 +101,4 @@ def raw_values(second: Second, working_width_m: float | None, min_speed_m_s: flo
         DRY_TOTAL: second.dry_total_kg,
         HOLD: float(not second.harvesting or flow is None),
     }
-    largest = 2**31 - 1
-    return {ddi: min(max(0, round(value)), largest) for ddi, value in known.items() if value is not None}
+    return {ddi: min(max(0, round(value)), MOST) for ddi, value in known.items() if value is not None}

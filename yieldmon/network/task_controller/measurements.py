@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from yieldmon.network.process_data import Command, ProcessData, Refusal
+from yieldmon.network.process_data import LEAST, MOST, Command, ProcessData, Refusal
 
 from .pool import Device, Trigger
 
 MIN_INTERVAL_S = 0.1
-_MOST, _LEAST = 2**31 - 1, -(2**31)
 _TRIGGERS = {
     Command.TIME_INTERVAL: Trigger.TIME,
     Command.DISTANCE_INTERVAL: Trigger.DISTANCE,
@@ -19,7 +18,7 @@ _TRIGGERS = {
     Command.CHANGE_THRESHOLD: Trigger.CHANGE,
 }
 #: Values that end a measurement.
-_ENDS = {Command.MINIMUM_WITHIN_THRESHOLD: _LEAST, Command.MAXIMUM_WITHIN_THRESHOLD: _MOST}
+_ENDS = {Command.MINIMUM_WITHIN_THRESHOLD: LEAST, Command.MAXIMUM_WITHIN_THRESHOLD: MOST}
 Key = tuple[int, int]
 """Element number and DDI."""
 
