@@ -96,7 +96,7 @@ def _daemon_season(args: argparse.Namespace) -> Any:
 
     names = tuple(args.columns.split(",")) if args.columns else daemon_season.NAMES
     found = before = json.loads(args.out.read_text()) if args.out is not None and args.out.exists() else None
-    for found in daemon_season.report(args.seeds, args.seed, before, args.bias_slope, names):
+    for found in daemon_season.report(args.seeds, args.seed, before, args.bias_slope, names, args.weighed_loads):
         row = {key: value for key, value in found["seasons"][-1].items() if not isinstance(value, list)}
         print(json.dumps(row), file=sys.stderr, flush=True)
         if args.out is not None:
@@ -136,6 +136,7 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=30, help="season: so many, from --seed on")
     parser.add_argument("--bias-slope", type=float, help="daemon-season: d ln(b) / d restitution (default: of kernels.json)")
     parser.add_argument("--columns", help="daemon-season: names of strategies, with commas, f among them (default: all)")
+    parser.add_argument("--weighed-loads", type=int, default=1, help="daemon-season: loads that kernel noise is calibrated on")
     parser.add_argument("--draws", type=int, default=60)
     parser.add_argument("--seed", type=int, default=SEED)
     args = parser.parse_args()

@@ -1,8 +1,8 @@
 """Load errors of a season in which restitution and density drift by 15 %, by the channels that weigh the grain.
 
 The virtual combine strikes with kernels, one by one, and a 1 kHz sensor behind a cell of 0.2 ms shows them. One monitor drives
-the plate through its sweeps; the others hear the same frames. All begin with the one calibration of the season, weighed load and
-thousand-kernel weight included, and learn from the same sweeps; no scale weighs the tank:
+the plate through its sweeps; the others hear the same frames. All begin with the one calibration of the season, with a
+thousand-kernel weight and one weighed load or several, and learn from the same sweeps; no scale weighs the tank:
 
 (b) mean force; (e) and shape; (f) and kernel noise; (g) and a ticket after each third of the season. With a test weight in the
 GrainCondition frames, which the daemon takes where `learning.density_ratio` is set: (b+) and (e+). With kernels weighed better or
@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import json
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -150,10 +150,22 @@ def _frames(combine: VirtualCombine, until_s: float, later_s: float) -> Iterator
             yield frame._replace(time_s=frame.time_s + later_s)
 
 
-def _calibrate(known: ParameterSet, told_g: float, rng: np.random.Generator, slope: float) -> WaveformSettings:
-    """Stretch as `status` gives it over one load, and the bias with which kernel noise gives that load's weighed mass."""
+def _calibrate(known: ParameterSet, told_g: float, rngs: Sequence[np.random.Generator], slope: float) -> WaveformSettings:
+    """Stretch as `status` gives it over weighed loads, and the bias with which kernel noise gives their masses: their means.
+
+    rngs: of the loads, one each.
+    """
     waveform = replace(WaveformSettings(), shape=pulse_shape_file.load(), enabled=True, kernel_bias_sd=0.02, response_error=0.02,
                        kernel_mass_sd=WEIGHT_SD, kernel_windows=300, **CALIBRATED_SHAPE)  # type: ignore[arg-type]  # fmt: skip
+    found = np.array([_weighed_load(known, waveform, told_g, rng, slope) for rng in rngs])
+    stretch, bias = found.mean(axis=0).tolist()
+    return replace(waveform, combine=True, stretch=stretch, kernel_bias=bias)
+
+
+def _weighed_load(
+    known: ParameterSet, waveform: WaveformSettings, told_g: float, rng: np.random.Generator, slope: float
+) -> tuple[float, float]:
+    """Stretch and bias of one."""
     monitor = _monitor(known, waveform, drives=False, test_weight=False, sweeps=False)
     monitor.set_kernel_weight(told_g)
     ground = scenario(rng, TRUE["restitution"], TRUE["density"], CALIBRATION_S, slope)
@@ -166,8 +178,7 @@ def _calibrate(known: ParameterSet, told_g: float, rng: np.random.Generator, slo
             biases.append(window.waveform.bias)
     weighed = float(combine.truth.columns["mass_flow_kg_s"].sum()) * (1.0 + TICKET_SD * rng.standard_normal())
     # `status` gives the bias that agrees with the mean force, whose own mass of the load is another.
-    bias = float(np.nanmedian(biases[-100:])) * weighed / measured
-    return replace(waveform, combine=True, stretch=float(np.nanmedian(stretches)), kernel_bias=bias)
+    return float(np.nanmedian(stretches)), float(np.nanmedian(biases[-100:])) * weighed / measured
 
 
 def _weigh(strategies: dict[str, Strategy], load: int, off: float) -> None:
@@ -178,8 +189,12 @@ def _weigh(strategies: dict[str, Strategy], load: int, off: float) -> None:
             strategy.monitor.set_kernel_weight(KERNELS_G * (1.0 + sd * off))
 
 
-def season(seed: int, slope: float, names: tuple[str, ...] = NAMES) -> dict[str, Any]:
-    """Errors of the loads, %, by strategy, of which (f) is always there. slope: d ln(b) / d restitution."""
+def season(seed: int, slope: float, names: tuple[str, ...] = NAMES, weighed_loads: int = 1) -> dict[str, Any]:
+    """Errors of the loads, %, by strategy, of which (f) is always there.
+
+    slope: d ln(b) / d restitution. weighed_loads: from which the channels are calibrated; the first one's chances, and the
+    season's, are the same for any number.
+    """
     rng = np.random.default_rng(seed)
     signs = rng.choice([-1.0, 1.0], size=2)
     learned = tuple(CALIBRATED_SD)
@@ -187,7 +202,8 @@ def season(seed: int, slope: float, names: tuple[str, ...] = NAMES) -> dict[str,
     known = ParameterSet({**TRUE, **drawn}, learned, np.diag([CALIBRATED_SD[name] ** 2 for name in learned]))
     off = float(rng.standard_normal())
     told_g = KERNELS_G * (1.0 + WEIGHT_SD * off)
-    waveform = _calibrate(known, told_g, rng, slope)
+    further = [np.random.default_rng([seed, 2, number]) for number in range(1, weighed_loads)]
+    waveform = _calibrate(known, told_g, [rng, *further], slope)
     plain = replace(waveform, enabled=False, combine=False)
     driver = Strategy(_monitor(known, waveform, drives=True, test_weight=False))
     listeners = {
@@ -280,11 +296,12 @@ def report(
     before: dict[str, Any] | None = None,
     slope: float | None = None,
     names: tuple[str, ...] = NAMES,
+    weighed_loads: int = 1,
 ) -> Iterator[dict[str, Any]]:
     """The document so far after each season, the last one whole.
 
     before: one that was not finished; its seasons stand. slope: d ln(b) / d restitution, by default that of discrete elements.
-    names: strategies, (f) among them.
+    names: strategies, (f) among them. weighed_loads: as of `season`.
     """
     slope = round(bias_slope() if slope is None else slope, 3)
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False).stdout.strip()
@@ -293,11 +310,11 @@ def report(
     for seed in range(first, first + seeds):
         if seed in done:
             continue
-        rows.append({"commit": commit, **season(seed, slope, names)})
+        rows.append({"commit": commit, **season(seed, slope, names, weighed_loads)})
         errors = {name: np.array([row[f"{name}_mean_abs_pct"] for row in rows]) for name in names}
         alike = np.array([row["signs"][0] == row["signs"][1] for row in rows])
         yield {
-            "commit": commit, "loads": LOADS, "load_s": LOAD_S, "bias_slope": slope,
+            "commit": commit, "loads": LOADS, "load_s": LOAD_S, "bias_slope": slope, "weighed_loads": weighed_loads,
             "mean": {name: round(float(e.mean()), 2) for name, e in errors.items()},
             "largest": {name: round(float(e.max()), 2) for name, e in errors.items()},
             "alike": {name: round(float(e[alike].mean()), 2) for name, e in errors.items()} if alike.any() else None,

@@ -270,23 +270,26 @@ def test_the_contrast_of_two_loads_gives_the_volume_flow(flow_kg_s: float) -> No
         contrast(impulses, np.array([0.18, 0.18]), impulse_sd=np.array([1e-3, 1e-3]))
 
 
-@pytest.mark.parametrize(("late_turns", "spread"), [(0.0, 0.0), (0.004, 0.0), (0.0, 0.1), (0.004, 0.1)])
-def test_pulses_that_creep_and_differ_leave_only_their_noise(late_turns: float, spread: float) -> None:
-    """Two pulses a pattern, each with a size and a time of its own, and white noise of 1 N."""
+@pytest.mark.parametrize(
+    ("late_turns", "spread", "wider"), [(0.0, 0.0, 0.0), (0.004, 0.0, 0.0), (0.0, 0.1, 0.0), (0.0, 0.0, 0.05), (0.004, 0.1, 0.05)]
+)
+def test_pulses_that_creep_and_differ_leave_only_their_noise(late_turns: float, spread: float, wider: float) -> None:
+    """Two pulses a pattern, each with a size, a time and a width of its own, and white noise of 1 N."""
     rng, spacings = np.random.default_rng(3), (0.1656, 0.2071)
     edges = np.concatenate(([0.0], np.cumsum(spacings) / np.sum(spacings)))
     phase = np.arange(6000) * 6.08e-3 + 0.3
 
-    def force(turns: np.ndarray, sizes: np.ndarray, late: np.ndarray) -> np.ndarray:
+    def force(turns: np.ndarray, sizes: np.ndarray, late: np.ndarray, widths: np.ndarray) -> np.ndarray:
         total = np.zeros_like(turns)
         for number, (turn, edge) in enumerate(itertools.product(range(-1, 40), edges[:2])):
-            total += 100.0 * sizes[number] * np.exp(-0.5 * ((turns - turn - edge - late[number]) / 0.05) ** 2)
+            away = (turns - turn - edge - late[number]) / (0.05 * widths[number])
+            total += 100.0 * sizes[number] * np.exp(-0.5 * away**2)
         return total
 
-    noise, drawn = rng.standard_normal(phase.size), rng.standard_normal((2, 82))
-    shown = force(phase, 1.0 + spread * drawn[0], late_turns * drawn[1]) + noise
+    noise, drawn = rng.standard_normal(phase.size), rng.standard_normal((3, 82))
+    shown = force(phase, 1.0 + spread * drawn[0], late_turns * drawn[1], 1.0 + wider * drawn[2]) + noise
     fine = 5.0 + (np.arange(512) + 0.5) / 512
-    mean = FoldedPattern(force(fine, np.ones(82), np.zeros(82)), np.zeros(512), np.full(512, 100.0), 100.0)
+    mean = FoldedPattern(force(fine, np.ones(82), np.zeros(82), np.ones(82)), np.zeros(512), np.full(512, 100.0), 100.0)
     plain, own = residual(shown, phase, mean), residual_of_pulses(shown, phase, mean, spacings)
     assert np.std(own) == pytest.approx(np.std(noise), rel=0.06)
-    assert bool(np.std(plain) > 1.5 * np.std(noise)) is (late_turns > 0.0 or spread > 0.0)
+    assert bool(np.std(plain) > 1.5 * np.std(noise)) is (late_turns > 0.0 or spread > 0.0 or wider > 0.0)

@@ -127,10 +127,11 @@ def residual(samples_n: Array, phase: Array, folded: FoldedPattern) -> Array:
 
 
 def residual_of_pulses(samples_n: Array, phase: Array, folded: FoldedPattern, spacings_m: Sequence[float]) -> Array:
-    """Samples less the mean pattern, of which each paddle's pulse has a size and a time of its own.
+    """Samples less the mean pattern, of which each paddle's pulse has a size, a time and a width of its own.
 
-    Paddles are not loaded alike, and the phase creeps by tenths of a millisecond: what that leaves of a steep pulse is no noise.
-    Size and time are those of least squares on the mean and its slope between the valleys before and after the pulse.
+    Paddles are not loaded alike, a heavier load arrives for longer, and the phase creeps by tenths of a millisecond: what that
+    leaves of a steep pulse is no noise. Size, time and width are those of least squares on the mean, its slope, and its slope
+    times the phase from the pulse's middle, between the valleys before and after the pulse.
 
     Parameters
     ----------
@@ -149,24 +150,28 @@ def residual_of_pulses(samples_n: Array, phase: Array, folded: FoldedPattern, sp
     edges = np.cumsum(spacings_m) / np.sum(spacings_m)
     from_valley = phase - _valley(mean_n, edges)
     turn = np.floor(from_valley)
-    pulse = (turn * edges.size).astype(np.intp)
-    for edge in edges[:-1]:
-        pulse += from_valley - turn >= edge
+    within = from_valley - turn
+    paddle = np.searchsorted(edges[:-1], within, side="right")
+    pulse = (turn * edges.size).astype(np.intp) + paddle
     pulse -= pulse.min()
+    height = np.abs(mean)
+    middle = np.bincount(paddle, height * within) / np.maximum(np.bincount(paddle, height), _TINY)
+    changes = np.array([mean, slope, (within - middle[paddle]) * slope])
 
     def sums(values: Array) -> Array:
         return np.asarray(np.bincount(pulse, weights=values), dtype=np.float64)
 
-    of_mean, of_slope, of_both = sums(mean * mean), sums(slope * slope), sums(mean * slope)
-    with_mean, with_slope = sums(left * mean), sums(left * slope)
-    determinant = of_mean * of_slope - of_both**2
-    known = (np.bincount(pulse) >= _LEAST_OF_A_PULSE) & (determinant > 1e-6 * of_mean * of_slope)
-    scale = known / np.where(known, determinant, 1.0)
-    size = scale * (of_slope * with_mean - of_both * with_slope)
-    late = scale * (of_mean * with_slope - of_both * with_mean)
-    return np.asarray(left - size[pulse] * mean - late[pulse] * slope)
+    changes /= np.maximum(np.sqrt([sums(change * change) for change in changes]), _TINY)[:, pulse]
+    normal = np.array([[sums(one * other) for one in changes] for other in changes]).transpose(2, 0, 1)
+    of_left = np.array([sums(change * left) for change in changes]).T
+    known = (np.bincount(pulse) >= _LEAST_OF_A_PULSE) & (np.linalg.det(normal) > _LEAST_DETERMINANT)
+    sizes = np.linalg.solve(np.where(known[:, None, None], normal, np.eye(len(changes))), (known[:, None] * of_left)[..., None])
+    return np.asarray(left - (changes * sizes[pulse, :, 0].T).sum(axis=0))
 
 
+_TINY = 1e-300
+_LEAST_DETERMINANT = 1e-6
+"""Of the three changes' normal equations, each change scaled to one, below which a pulse's own are not told apart."""
 _LEAST_OF_A_PULSE = 12
 """Samples of a pulse that tell its size and time; of one cut off by the window's ends fewer may be left."""
 

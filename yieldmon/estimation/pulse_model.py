@@ -272,8 +272,14 @@ class PulseModel:
         theta : ndarray (m, n)
         speeds_rad_s, angles_rad : ndarray (m,)
             Elevator and plate.
+
+        Returns
+        -------
+        Linear
+            Not finite at parameters so far off that they have no wave.
         """
-        return self.behind_cell(self.thrown(theta[:, :_SHAPES], speeds_rad_s, angles_rad), theta, speeds_rad_s)
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+            return self.behind_cell(self.thrown(theta[:, :_SHAPES], speeds_rad_s, angles_rad), theta, speeds_rad_s)
 
     def behind_cell(self, thrown: AnyArray, theta: Array, speeds_rad_s: Array) -> Linear:
         plain, scattered = self.joined(thrown, theta, speeds_rad_s)

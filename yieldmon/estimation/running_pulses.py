@@ -20,8 +20,8 @@ _BINS = 512
 _KEEP = 0.95
 """What of a running mean a further window of its kind leaves."""
 _LEAST_SAMPLES = 2.0
-_KINDS = 64
-"""Kept; the one not seen for longest goes first."""
+_FORGOTTEN_AFTER = 60
+"""Windows since the last one of a kind after which its mean no longer stands for it: pulses change with the grain."""
 _LOG_FORCE, _ANGLE_RAD, _LOG_SPEED = 0.1, float(np.deg2rad(2.0)), 0.03
 """Steps by which pulses are told apart."""
 _BETWEEN_BINS = 2.0 / 3.0
@@ -33,6 +33,7 @@ class _Sums:
     values: Array
     weights: Array
     squares: Array
+    window: int
 
 
 class RunningPulses:
@@ -40,6 +41,7 @@ class RunningPulses:
 
     def __init__(self) -> None:
         self._kinds: OrderedDict[tuple[int, int, int], _Sums] = OrderedDict()
+        self._windows = 0
 
     def take(
         self, samples_n: Array, phase: Array, *, mean_force_n: float, plate_angle_rad: float, elevator_speed_rad_s: float
@@ -64,7 +66,9 @@ class RunningPulses:
             round(plate_angle_rad / _ANGLE_RAD),
             round(log(elevator_speed_rad_s) / _LOG_SPEED),
         )
-        sums = self._kinds.pop(kind, None) or _Sums(np.zeros(_BINS), np.zeros(_BINS), np.zeros(_BINS))
+        self._windows += 1
+        self._forget()
+        sums = self._kinds.pop(kind, None) or _Sums(np.zeros(_BINS), np.zeros(_BINS), np.zeros(_BINS), 0)
         found = None
         if sums.weights.min() >= _LEAST_SAMPLES:
             mean = sums.values / sums.weights
@@ -76,7 +80,11 @@ class RunningPulses:
             _KEEP * sums.values + np.bincount(place, weights=samples_n, minlength=_BINS),
             _KEEP * sums.weights + counts,
             _KEEP**2 * sums.squares + counts,
+            self._windows,
         )
-        if len(self._kinds) > _KINDS:
-            self._kinds.popitem(last=False)
         return found
+
+    def _forget(self) -> None:
+        """Drop the kinds that have not been met for long, which come first."""
+        while self._kinds and self._windows - next(iter(self._kinds.values())).window > _FORGOTTEN_AFTER:
+            self._kinds.popitem(last=False)
