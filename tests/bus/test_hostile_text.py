@@ -1,4 +1,4 @@
-"""Every pattern and every text reader under text made to make them backtrack, in processes of limited processor time."""
+"""Every pattern and every text reader under text made to keep them busy, in processes of limited processor time."""
 
 from __future__ import annotations
 
@@ -98,9 +98,31 @@ for text in ("1" * size + "x", "a: " + "1" * 60000 + "." + "1" * 30000 + "e", "[
 """
 )
 
+_HEADERS = (
+    _LIMITED
+    + """
+import pathlib, sys
+from yieldmon.errors import InputError
+from yieldmon.field.sources import csv_table
+from yieldmon.field.sources.options import ReadOptions
+from yieldmon.files import table, ticket_file
+path = pathlib.Path(sys.argv[1]) / "wide.csv"
+names = [f"a{number}" for number in range(120_000)]
+refused = 0
+for header in (names, [*names, "a7"], ["x"] * 300_000):
+    path.write_text(",".join(header) + "\\n" + ",".join(["1"] * len(header)) + "\\n")
+    for read in (table.load, ticket_file.load, lambda path: csv_table.read(path, ReadOptions())):
+        try:
+            read(path)
+        except InputError:
+            refused += 1
+assert refused == 9, refused
+"""
+)
 
-@pytest.mark.parametrize("script", [_PATTERNS, _READERS, _YAML], ids=["patterns", "readers", "yaml"])
-def test_no_text_makes_a_reader_backtrack_without_end(script, tmp_path):
+
+@pytest.mark.parametrize("script", [_PATTERNS, _READERS, _YAML, _HEADERS], ids=["patterns", "readers", "yaml", "headers"])
+def test_no_text_keeps_a_reader_without_end(script, tmp_path):
     ended = subprocess.run([sys.executable, "-c", script, str(tmp_path)], capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr[-500:]
 

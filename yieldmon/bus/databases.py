@@ -12,6 +12,7 @@ from yieldmon.bus import dbc_file
 from yieldmon.bus.layout import largest_valid_raw, smallest_not_available_raw
 from yieldmon.errors import InputError
 from yieldmon.identifiers import group_of
+from yieldmon.repeats import repeated
 
 if TYPE_CHECKING:
     from cantools.database.can import Message as DbcMessage
@@ -106,10 +107,8 @@ def load_messages(path: Path | str) -> dict[str, MessageBits]:
     contradicts itself (signals that overlap).
     """
     where, database = str(path), dbc_file.read(path)
-    names = [message.name for message in database.messages]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise InputError(f"{where}: {twice}", "is there twice", "a name of its own for each message")
+    if twice := repeated(message.name for message in database.messages):
+        raise InputError(f"{where}: {twice[0]}", "is there twice", "a name of its own for each message")
     if not database.messages:
         raise InputError(where, "names no message", "a DBC file")
     for message in database.messages:

@@ -28,6 +28,7 @@ from yieldmon.physics.effects import get_effect
 from yieldmon.physics.grain import fitted
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import EXCHANGE_FORM, RESTITUTION_FORM, ForwardModel
+from yieldmon.repeats import repeated
 
 PROGRESS_AFTER_S = 2.0
 STANDARD_GRAVITY_M_S2 = 9.81
@@ -276,7 +277,7 @@ def _fit_form(
         start["gravity.acceleration_m_s2"] = STANDARD_GRAVITY_M_S2
     if args.free is not None:
         free = [name.strip() for name in args.free.split(",") if name.strip()]
-        if twice := [name for name in free if free.count(name) > 1]:
+        if twice := repeated(free):
             raise InputError("--free", f"names {twice[0]} twice", "each parameter once")
         wrong = [n for n in free if n not in start]
         if wrong or set(free) & set(fixed):

@@ -21,6 +21,7 @@ from yieldmon.documents.process import ProcessSummary, ReprocessSummary
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.files.units import units_of
+from yieldmon.repeats import repeated
 from yieldmon.resources import shipped
 from yieldmon.service import configuration, log_record, recorded
 from yieldmon.service.bulk_processing import EndOfLog, Stretch
@@ -165,9 +166,8 @@ def _separately(args: argparse.Namespace, config: str | Path, units: Units) -> i
         raise InputError("--out", "is standard output", "a folder, with --separate")
     folder, kind = Path(args.out), args.format or "csv"
     names = [_stem(log) for log in args.logs]
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise InputError("--separate", f"several logs are named {twice}", "logs whose names differ")
+    if twice := repeated(names):
+        raise InputError("--separate", f"several logs are named {twice[0]}", "logs whose names differ")
     tables = [f"{name}.{kind}" for name in names]
     _outputs.check_folder(folder, tables, "--out", force=args.force, inputs=args.logs)
     folder.mkdir(parents=True, exist_ok=True)

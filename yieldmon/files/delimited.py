@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from yieldmon.errors import InputError, brief, reading
+from yieldmon.repeats import repeated
 
 UNKNOWN = ("", "-", "nan", "na", "n/a", "null")
 """Cells that say "not known", in lower case."""
@@ -68,8 +69,8 @@ def read(path: str | Path) -> TextTable:
         raise InputError(where, "is empty", "a header line and rows")
     names = tuple(name.strip() for name in cells[0][1])
     header = tuple(name.lower() for name in names)
-    if len(set(header)) != len(header):
-        twice = sorted({name for name in header if name and header.count(name) > 1})
+    if repeats := repeated(header):
+        twice = sorted(name for name in repeats if name)
         if not twice:
             title = f"line {cells[0][0]} lacks {header.count('')} of {len(header)} columns' names"
             raise InputError(f"{where}: header", title, "a name for each column; a title above them goes, and so do merged cells")

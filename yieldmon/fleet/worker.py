@@ -13,6 +13,7 @@ from yieldmon.fleet.filesystem import local_copies
 from yieldmon.fleet.identity import Identity, Software, inputs_sha256, software
 from yieldmon.fleet.manifest import Partition
 from yieldmon.fleet.measuring import Poisoned, by_name, measure, write_provenance
+from yieldmon.repeats import repeated
 from yieldmon.service.configuration import Configuration
 
 DONE, SKIPPED, FAILED = "done", "skipped", "failed"
@@ -130,4 +131,5 @@ def _state(log: str) -> str | InputError:
 def _names(logs: tuple[str, ...]) -> list[str]:
     """The logs' own names; with their folder where two are called the same."""
     names = [Path(log).name for log in logs]
-    return [name if names.count(name) == 1 else f"{Path(log).parent.name}/{name}" for log, name in zip(logs, names, strict=True)]
+    twice = set(repeated(names))
+    return [f"{Path(log).parent.name}/{name}" if name in twice else name for log, name in zip(logs, names, strict=True)]

@@ -23,6 +23,7 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files.ticket_file import WeighedTicket, unit_slip
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
+from yieldmon.repeats import repeated
 from yieldmon.service.assembly import build_monitor
 from yieldmon.service.batch import Load
 from yieldmon.service.bulk_processing import process_in_bulk
@@ -61,9 +62,8 @@ def read(
     stores = [source for source in sources if is_store_not_log(source)]
     if stores and len(sources) > 1:
         raise InputError("--loads", f"names {stores[0]} beside others", "one store, or one or more logs")
-    if len(set(sources)) < len(sources):
-        twice = next(s for s in sources if sources.count(s) > 1)
-        raise InputError("--loads", f"names {twice} twice", "each log once")
+    if twice := repeated(sources):
+        raise InputError("--loads", f"names {twice[0]} twice", "each log once")
     refuse_copies(sources)
     return _of_store(Path(stores[0])) if stores else _of_logs(sources, configured, progress)
 

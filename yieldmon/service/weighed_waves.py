@@ -15,6 +15,7 @@ from yieldmon.estimation.machine_shape import WeighedWave
 from yieldmon.estimation.pattern_fold import PatternWave
 from yieldmon.estimation.pulse_model import PulseModel
 from yieldmon.files.ticket_file import WeighedTicket
+from yieldmon.repeats import repeated
 from yieldmon.service.assembly import build_monitor
 from yieldmon.service.bulk_processing import process_in_bulk
 from yieldmon.service.configuration import Configuration
@@ -46,8 +47,8 @@ def read(sources: Sequence[str], configured: Configuration) -> tuple[WavedLoad, 
     for source in sources:
         if is_store_not_log(source):
             raise InputError(source, "is a store, which holds no samples", "logs of weighed loads")
-        if sources.count(source) > 1:
-            raise InputError("--loads", f"names {source} twice", "each log once")
+    if twice := repeated(sources):
+        raise InputError("--loads", f"names {twice[0]} twice", "each log once")
     refuse_copies(sources)
     found: list[WavedLoad] = []
     for source in sources:

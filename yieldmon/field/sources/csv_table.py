@@ -7,6 +7,7 @@ from pathlib import Path
 
 from yieldmon.errors import InputError
 from yieldmon.field.table import HarvestTable
+from yieldmon.repeats import repeated
 
 from .assembled import Raw, assemble
 from .delimited import delimiter_of, encoding_of, has_decimal_comma, read_rows, rows_of
@@ -35,9 +36,8 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
     lines = head.decode(encoding, "replace").splitlines()
     delimiter = delimiter_of(lines[0])
     names = [name.strip() for name in next(csv.reader([lines[0]], delimiter=delimiter, skipinitialspace=True))]
-    if len(set(names)) != len(names):
-        twice = sorted({name for name in names if names.count(name) > 1})
-        raise InputError(f"{path}: header", f"has {', '.join(twice)} more than once", "each column once")
+    if twice := repeated(names):
+        raise InputError(f"{path}: header", f"has {', '.join(sorted(twice))} more than once", "each column once")
     columns, notes = columns_of(names, options.columns, {}, str(path))
     place = {name: number for number, name in enumerate(names)}
     text_kinds = ("text", "date", "state")
