@@ -143,8 +143,10 @@ def residual_of_pulses(samples_n: Array, phase: Array, folded: FoldedPattern, sp
         Of the paddles in the pattern.
     """
     mean_n = folded.mean_n
-    around = np.concatenate((mean_n[-1:], mean_n, mean_n[:1]))
-    steepness = 0.5 * mean_n.size * (around[2:] - around[:-2])
+    # Over a sample's time: a sample is a mean over it, and bins that are finer only add their own noise.
+    apart = max(1, round(0.5 * mean_n.size * float(np.median(np.diff(phase)))))
+    around = np.concatenate((mean_n[-apart:], mean_n, mean_n[:apart]))
+    steepness = 0.5 * mean_n.size / apart * (around[2 * apart :] - around[: -2 * apart])
     mean, slope = _between((mean_n, steepness), phase)
     left = samples_n - mean
     edges = np.cumsum(spacings_m) / np.sum(spacings_m)
