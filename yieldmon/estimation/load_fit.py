@@ -39,11 +39,11 @@ class LoadFit:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Of each load, (n,): ln error as the other active loads have it and its standard deviation, nan where there is no other;
-    what the others' own fit costs without it."""
+    """Of each load, (n,), as the other active loads have it: ln error and how many standard deviations it is away, nan where
+    there is no other; what the others' own fit costs without it."""
 
     error: Array
-    std_dev: Array
+    away: Array
     cost: Array
 
 
@@ -65,6 +65,8 @@ class LoadProblem:
         self.moisture = np.concatenate([np.asarray(load.moisture_pct) for load in loads]) if known else None
         self.of_load = np.repeat(np.arange(len(loads)), [load.force_n.size for load in loads])
         self.weighed = np.array([load.weighed_kg for load in loads])
+        self.law = self._law()
+        """(n, n) covariance of the loads' ln errors by what the model's force leaves of the machine's."""
         self.held, self.prior = self._coordinates()
         self._flow: tuple[ParameterSet, Array, Array] | None = None
         """What `flow` gave last, and for which parameters."""
@@ -80,6 +82,11 @@ class LoadProblem:
         names = (*held, DENSITY, gain[-1])
         scale = np.array([1.0] * len(held) + list(size))
         return held, known.covariance_of(names) / np.outer(scale, scale)
+
+    def _law(self) -> Array:
+        at = np.log(self.weighed / [load.duration_s.sum() for load in self.loads])
+        apart = (at[:, None] - at) / self.settings.law_reach
+        return np.asarray(self.settings.law_error**2 * np.exp(-0.5 * apart**2))
 
     def flow(self, known: ParameterSet) -> tuple[Array, Array]:
         """Mass flow of every window with these parameters, nan above a full paddle, and d(force)/d(flow) there."""
@@ -175,7 +182,7 @@ class LoadProblem:
     def left_out(self, active: NDArray[np.bool_], directions: int) -> LeftOut:
         """Each load as the other active ones have it."""
         count = len(self.loads)
-        errors, deviations, costs = (np.full(count, np.nan) for _ in range(3))
+        errors, away, costs = (np.full(count, np.nan) for _ in range(3))
         near = self.fit(active, directions)
         for k in range(count):
             others = active.copy()
@@ -184,21 +191,26 @@ class LoadProblem:
                 continue
             fit = near if not active[k] else self.fit(others, min(directions, int(others.sum())), near)
             errors[k], costs[k] = fit.error[k], self.cost(fit, others)
-            deviations[k] = self._predicted_sd(fit, others, k)
-        return LeftOut(errors, deviations, costs)
+            away[k] = self._away(fit, others, k)
+        return LeftOut(errors, away, costs)
 
     def last_against_others(self) -> float | None:
         """See `contradicted`."""
         others = np.arange(len(self.loads)) < len(self.loads) - 1
         fit = self.fit(others, min(2, int(others.sum())))
-        error, deviation = fit.error[-1], self._predicted_sd(fit, others, -1)
-        return float(np.expm1(-error)) if abs(error) >= self.settings.outlier_sds * deviation else None
+        away = self._away(fit, others, len(self.loads) - 1)
+        return float(np.expm1(-fit.error[-1])) if away >= self.settings.outlier_sds else None
 
-    def _predicted_sd(self, fit: LoadFit, others: NDArray[np.bool_], k: int) -> float:
-        """Of the ln error of load k, by the others."""
-        h = fit.by_step @ self.basis(fit.by_step, others.astype(float))
-        information = h[others].T @ (h[others] / self.sd[others, None] ** 2) + np.eye(2)
-        return float(np.sqrt(h[k] @ np.linalg.solve(information, h[k]) + self.sd[k] ** 2))
+    def _away(self, fit: LoadFit, others: NDArray[np.bool_], k: int) -> float:
+        """How many standard deviations load k is from what the others say of it, the law's error among them."""
+        error = fit.error - fit.by_step @ fit.step
+        h = fit.by_step @ np.linalg.cholesky(self.prior[-2:, -2:])
+        limit = self.settings.huber_sds * np.hypot(self.sd, self.settings.law_error)
+        noise = self.sd**2 * np.maximum(np.abs(fit.error) / limit, 1.0)
+        covariance = h @ h.T + self.law + np.diag(noise)
+        between = np.linalg.solve(covariance[np.ix_(others, others)], covariance[others, k])
+        variance = h[k] @ h[k] + self.law[k, k] + self.sd[k] ** 2 - between @ covariance[others, k]
+        return float(abs(error[k] - between @ error[others]) / np.sqrt(variance))
 
     def inliers(self) -> NDArray[np.bool_]:
         """Loads that the others do not contradict; at least three, and more than half of them, are left.
@@ -209,17 +221,17 @@ class LoadProblem:
         while active.sum() >= self.settings.outlier_least and 2 * (active.sum() - 1) > active.size:
             found = self.left_out(active, 2)
             worst = int(np.argmin(np.where(active, found.cost, np.inf)))
-            if abs(found.error[worst]) < self.settings.outlier_sds * found.std_dev[worst]:
+            if found.away[worst] < self.settings.outlier_sds:
                 break
             active[worst] = False
         return active
 
-    def contradicts(self, fit: LoadFit, active: NDArray[np.bool_]) -> bool:
-        """Whether the active loads speak against a fit along one direction."""
+    def contradicts(self, fit: LoadFit, active: NDArray[np.bool_], directions: int) -> bool:
+        """Whether the active loads speak against a fit along so many directions."""
         from scipy.special import chdtrc  # a quarter of a second that commands without loads do without
 
         misfit = float(np.sum((fit.error[active] / self.sd[active]) ** 2))
-        return bool(chdtrc(max(float(active.sum()) - 1.0, 1.0), misfit) < _SIGNIFICANT)
+        return bool(chdtrc(max(float(active.sum()) - directions, 1.0), misfit) < _SIGNIFICANT)
 
     def spread(self, known: ParameterSet, active: NDArray[np.bool_]) -> tuple[float, float]:
         """Relative standard deviations of a further load and of these loads' common level, from a set's own covariance."""

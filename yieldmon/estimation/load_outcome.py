@@ -26,6 +26,15 @@ class LoadResult:
     outlier: bool
 
 
+@dataclass(frozen=True, slots=True)
+class Contradiction:
+    """Loads that the model does not explain within their deviations: rms relative error, each left out in turn, by the model and
+    by a curve in its place (nan where there is none)."""
+
+    model_rms: float
+    curve_rms: float
+
+
 @dataclass(frozen=True)
 class LoadCalibration:
     """The result of `calibrate_loads`.
@@ -48,6 +57,7 @@ class LoadCalibration:
     refused: bool
     sweeps_used: int
     constant: Constant | None = None
+    contradiction: Contradiction | None = None
     sentences: tuple[str, ...] = field(default=())
 
     @property
@@ -92,5 +102,19 @@ def sentences(found: LoadCalibration, sweeps: int) -> list[str]:
         out.append("the sweeps contradict the model or say too little beside the loads; they are left out.")
     if len(found.loads) == 1:
         out.append("one load alone cannot be checked against others; weigh two more.")
+    if found.contradiction is not None:
+        out += _contradiction(found.contradiction, bool(found.outliers))
     out.append(f"a next load like these is expected within {100.0 * found.next_load_sd:.2f} % (one standard deviation).")
     return out
+
+
+def _contradiction(found: Contradiction, named: bool) -> list[str]:
+    """named: a load that contradicts the others has its sentence already."""
+    model, curve = (f"{100.0 * rms:.1f} % rms" for rms in (found.model_rms, found.curve_rms))
+    better = found.curve_rms < found.model_rms
+    if named:
+        said = "if every ticket is right, the force follows another curve here: `--estimator alpha_beta` misses each left out by"
+        return [f"{said} {curve}."] if better else []
+    said = "no parameters of the model explain the loads together: a ticket is wrong, or the force follows another curve here"
+    instead = f", and `--estimator alpha_beta` by {curve}: use that" if better else ""
+    return [f"{said}; the model misses each load left out by {model}{instead}."]

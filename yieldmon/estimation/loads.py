@@ -26,10 +26,11 @@ from .closed_loop import self_calibrate
 from .closed_loop_inputs import MassAnchor, Sweep
 from .closed_loop_settings import ClosedLoopSettings
 from .density_and_gain import DENSITY, gain_names, moved, shifted, widened
+from .flow_curve_fit import fit_loads
 from .load_constant import constant_in_weighed
 from .load_fit import LoadFit, LoadProblem
 from .load_inputs import LoadSettings, WeighedLoad
-from .load_outcome import LoadCalibration, LoadResult, sentences
+from .load_outcome import Contradiction, LoadCalibration, LoadResult, sentences
 from .parameters import ParameterSet
 
 LEAST_LOADS = 3
@@ -116,7 +117,9 @@ def departure(
 def _calibration(problem: LoadProblem, sweeps: Sequence[Sweep], sweep_settings: ClosedLoopSettings) -> LoadCalibration:
     active = problem.inliers()
     fit, directions, errors, full = _fitted(problem, active)
-    posterior, next_sd, level_sd = _posterior(problem, fit, active, directions, full)
+    against = problem.contradicts(fit, active, max(directions, 1))
+    shown = float(np.nan_to_num(_expected_rms(fit.error[active], errors[active]))) if against else 0.0
+    posterior, next_sd, level_sd = _posterior(problem, fit, active, directions, full, shown)
     after = problem.weighed * np.exp(fit.error)
     together = _together(problem, fit, sweeps, active, sweep_settings) if sweeps else None
     if together is not None:
@@ -147,6 +150,7 @@ def _calibration(problem: LoadProblem, sweeps: Sequence[Sweep], sweep_settings: 
         refused=refused,
         sweeps_used=0 if together is None else len(sweeps),
         constant=constant_in_weighed(problem, active, fit) if directions == 2 and together is None else None,
+        contradiction=_contradiction(problem, errors) if (against or not active.all()) and together is None else None,
     )
     return replace(calibration, sentences=tuple(sentences(calibration, len(sweeps))))
 
@@ -157,7 +161,7 @@ def _fitted(problem: LoadProblem, active: NDArray[np.bool_]) -> tuple[LoadFit, i
     both = problem.fit(active, 2)
     directions = int(np.sum(problem.information(both, active) >= problem.settings.least_information))
     errors = problem.left_out(active, directions).error
-    if directions == 2 and not problem.contradicts(one := problem.fit(active, 1), active):
+    if directions == 2 and not problem.contradicts(one := problem.fit(active, 1), active, 1):
         simpler = problem.left_out(active, 1).error
         if _rms(simpler[active]) < _rms(errors[active]):
             return one, 1, simpler, both
@@ -201,10 +205,11 @@ def _left_out_together(
 
 
 def _posterior(
-    problem: LoadProblem, fit: LoadFit, active: NDArray[np.bool_], directions: int, full: LoadFit | None
+    problem: LoadProblem, fit: LoadFit, active: NDArray[np.bool_], directions: int, full: LoadFit | None, shown: float
 ) -> tuple[ParameterSet, float, float]:
     """The new set, and relative standard deviations of a further load and of these loads' common level.
 
+    shown: the former as loads left out show it, where they contradict the model's curve, else 0: the least that is stated.
     full: the fit along both directions where `fit` moved along one of the two that the loads determine. What they say of the
     other counts in the covariance, with the distance between the fits as an error of its own.
     """
@@ -220,11 +225,15 @@ def _posterior(
     left = np.eye(h.shape[1]) - gain @ rows
     chi2, dof = float(np.sum(fit.error[active] ** 2 / noise)), max(int(active.sum()) - directions, 0)
     inflation = (_PRIOR_LOADS + chi2) / (_PRIOR_LOADS + dof)
-    covariance = left @ problem.prior @ left.T + inflation * gain @ np.diag(noise) @ gain.T
+    held, by_noise = left @ problem.prior @ left.T, gain @ np.diag(noise) @ gain.T
+    own = np.mean(problem.own[active] ** 2)
+    each = [np.einsum("ki,ij,kj->k", rows, part, rows).mean() for part in (held, by_noise)]
+    inflation = max(inflation, float((shown**2 - each[0]) / (each[1] + own)))
+    covariance = held + inflation * by_noise
     if full is not None:
         covariance[-2:, -2:] += np.outer(full.step - fit.step, full.step - fit.step)
     spread = np.einsum("ki,ij,kj->k", rows, covariance, rows)
-    next_sd = float(np.sqrt(np.mean(spread) + inflation * np.mean(problem.own[active] ** 2)))
+    next_sd = float(np.sqrt(np.mean(spread) + inflation * own))
     mean = rows.mean(axis=0)
     return _as_set(problem, centre, covariance), next_sd, float(np.sqrt(mean @ covariance @ mean))
 
@@ -259,6 +268,15 @@ def _as_set(problem: LoadProblem, centre: ParameterSet, covariance: Array) -> Pa
     full = to @ covariance @ to.T + np.diag(own)
     full = 0.5 * (full + full.T)
     return replace(centre, covariance_names=tuple(names), covariance=full, version=problem.given.version + 1)
+
+
+def _contradiction(problem: LoadProblem, errors: Array) -> Contradiction:
+    """Of all loads, those among them that count for nothing."""
+    try:
+        found = fit_loads(problem.loads, problem.model.machine.home_plate_angle_rad)
+    except ValueError:
+        return Contradiction(_rms(errors), float("nan"))
+    return Contradiction(_rms(errors), _rms(np.array(found.left_out_error)))
 
 
 def _expected_rms(fitted: Array, left_out: Array) -> float:
