@@ -124,6 +124,12 @@ def test_a_load_with_another_trucks_grain_is_named_and_moves_nothing(factor):
         assert abs(error_pct(after.parameter_set, flow) - error_pct(before.parameter_set, flow)) < 0.1
 
 
+def test_tickets_beyond_what_a_paddle_carries_name_a_load_with_its_masses():
+    """Pounds in a column of kilograms on a machine that measures half."""
+    with pytest.raises(ValueError, match=r"full paddle .*: load [abc], weighed \d+ kg, measured \d+ kg"):
+        calibrate_loads(MODEL, SHIPPED, [load("a", 6.0, 4.6), load("b", 11.0, 4.6), load("c", 16.0, 4.6)])
+
+
 def test_among_three_nobody_can_tell_which_one_is_wrong():
     found = calibrate_loads(MODEL, SHIPPED, [load("a", 6.0), load("b", 11.0), load("c", 16.0, 1.2)])
     assert found.outliers == ()

@@ -24,7 +24,7 @@ from yieldmon.export.points import PointSettings, yield_points
 from yieldmon.export.taskdata import ENTRIES
 from yieldmon.frames import EstimateQuality
 from yieldmon.service.batch import Batch, Load
-from yieldmon.service.recorded import read_seconds
+from yieldmon.service.recorded import read_loads, read_seconds
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.store import Store
 from yieldmon.service.tables import open_table
@@ -140,6 +140,11 @@ def test_a_damaged_table_of_seconds_is_refused(tmp_path, place):
     (tmp_path / "s.parquet").write_bytes(spoilt)
     with pytest.raises(InputError, match=r"s\.parquet"):
         read_seconds(tmp_path / "s.parquet")
+
+
+def test_a_table_of_seconds_has_no_loads(tmp_path):
+    with pytest.raises(InputError, match=r"s\.csv: is a table of seconds, which has no loads; expected a daemon's store"):
+        read_loads(tmp_path / "s.csv")
 
 
 def test_loads_as_csv_and_parquet(exported):

@@ -277,6 +277,17 @@ def test_plate_range_of_the_machine_is_taken_exactly(written):
     assert math.degrees(loaded.machine.max_plate_angle_rad) == pytest.approx(90.0)
 
 
+def test_a_plate_that_is_bolted_on_needs_no_angles_to_sweep(written, tmp_path):
+    machine = (ROOT / "config/machines/sprocket-8.yaml").read_text()
+    machine = machine.replace("min_plate_angle_deg: 40", "min_plate_angle_deg: 70").replace(
+        "max_plate_angle_deg: 90", "max_plate_angle_deg: 70"
+    )
+    (tmp_path / "bolted.yaml").write_text(machine)
+    assert configuration.load(written("machine_file: bolted.yaml\nplate: {fixed_angle_deg: 70}"), {}).document.sweep.enabled
+    with pytest.raises(InputError, match="expected 70 to 70 deg"):
+        configuration.load(written("machine_file: bolted.yaml"), {})
+
+
 def test_mutated_files_give_a_line_or_a_configuration():
     finished = program("tests.robustness.__main__", "fuzz-config", "--count", 100, "--seed", 1, "--json")
     assert finished.returncode == 0, finished.stderr

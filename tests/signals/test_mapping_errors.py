@@ -45,6 +45,10 @@ CASES = {
         "impact_voltage: {dbc: counts.dbc, message: Bridge, signal: Counts, rate_hz: 100, unit: counts}",
         "impact_voltage.scale", "missing", "millivolts per count",
     ),
+    "a bridge's ratio without a scale": (
+        "impact_voltage: {dbc: counts.dbc, message: Bridge, signal: Counts, rate_hz: 100, unit: mV/V}",
+        "impact_voltage.scale", "missing", "volts that feed the bridge, with unit mV/V",
+    ),
     "unknown message": (IMPACT.replace("Bridge", "Brigde"), "impact_voltage.message", "Brigde", "Bridge"),
     "unknown signal": (IMPACT.replace("signal: Counts", "signal: Count"), "impact_voltage.signal", "Count", "Counts"),
     "unknown quantity": ("plate_angel: {value: 70}", "plate_angel", "unknown quantity", "plate_angle"),

@@ -116,6 +116,12 @@ INPUTS = (
  SG_ Input2 : 16|16@1+ (0.1,0) [0|6553.5] "mV" Node
 """
 )
+RATIO = (
+    HEAD
+    + """BO_ 512 Bridge: 2 Node
+ SG_ Strain : 0|16@1- (0.0001,0) [-3|3] "mV/V" Node
+"""
+)
 APART = (
     HEAD
     + """BO_ 512 Board: 4 Node
@@ -235,6 +241,12 @@ def written(folder: Path, dbc: str, frames: list[tuple[int, bytes]], capsys: pyt
                 "# or elevator_speed: {dbc: node.dbc, message: Werte, signal: Drehzahl, not_available: [65534, 65535]}",
             ],
             id="no name says it",
+        ),
+        pytest.param(
+            RATIO,
+            [(512, words(1000.0 + 10.0 * (place % 40))) for place in range(100)],
+            ["# The scale is a guess: volts", "impact_voltage: {dbc: node.dbc, message: Bridge, signal: Strain", "scale: 5}"],
+            id="a bridge's ratio",
         ),
         pytest.param(
             STATE,

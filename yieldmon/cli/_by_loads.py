@@ -64,7 +64,9 @@ def run(args: argparse.Namespace) -> LoadCalibrationDocument:
     try:
         found = calibrate_loads(ForwardModel(configured.machine, prior.effects), prior, loads, sweeps=sweeps)
     except ValueError as error:
-        raise InputError(", ".join(args.loads), str(error)) from error
+        raise InputError(
+            ", ".join(args.loads), str(error), "masses in the unit of their column, of the loads they name"
+        ) from error
     document = report(found, args)
     if args.out is not None and not found.refused:
         whole_file.check_place(args.out)

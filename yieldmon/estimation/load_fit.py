@@ -144,7 +144,10 @@ class LoadProblem:
                     break
                 change = 0.5 * change
             else:
-                raise ValueError("a weighed load holds more force than a full paddle gives with these parameters")
+                worst = int(np.argmin(np.where(np.isfinite(after), np.inf, error)))
+                masses = f"weighed {self.weighed[worst]:.0f} kg, measured {self.mass(self.given)[worst]:.0f} kg"
+                problem = "a weighed load holds more force than a full paddle gives with these parameters"
+                raise ValueError(f"{problem}: load {self.loads[worst].name}, {masses}")
             step, error, slope = step + change, after, after_slope
             if float(np.max(np.abs(change))) < _SETTLED:
                 break

@@ -65,12 +65,14 @@ def _of_the_measurement(document: Document) -> Iterator[tuple[str, str, str]]:
 
 def _of_the_sweep(document: Document, machine: Machine) -> Iterator[tuple[str, str, str]]:
     sweep = document.sweep
+    if not sweep.enabled or document.plate.fixed_angle_deg is not None:
+        return
     needed_s = sweep.windows_per_step + _BESIDE_WINDOWS_S
-    if sweep.enabled and sweep.measure_timeout_s < needed_s:
+    if sweep.measure_timeout_s < needed_s:
         expected = f"at least {needed_s:g} s for sweep.windows_per_step, {sweep.windows_per_step}; no sweep would end"
         yield "sweep.measure_timeout_s", f"{sweep.measure_timeout_s:g}", expected
     low, high = (math.degrees(a) for a in (machine.min_plate_angle_rad, machine.max_plate_angle_rad))
-    for index, angle in enumerate(document.sweep.angles_deg if document.sweep.enabled else ()):
+    for index, angle in enumerate(sweep.angles_deg):
         # The range went through radians and back.
         if not low - 1e-9 <= angle <= high + 1e-9:
             yield f"sweep.angles_deg[{index}]", f"{angle:g}", f"{low:g} to {high:g} deg, the range of {machine.name}"

@@ -124,6 +124,8 @@ def read_loads(path: Path | str) -> list[LoadRecord]:
         ...
     yieldmon.errors.InputError: /no/such.sqlite: no such file; expected a daemon's store
     """
+    if Path(path).suffix.lower() in SUFFIXES and not is_store(path):
+        raise InputError(str(path), "is a table of seconds, which has no loads", "a daemon's store")
     with opened(Path(path)) as store:
         return [LoadRecord(**row) for row in store.corrected_loads()]
 

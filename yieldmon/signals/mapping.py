@@ -26,6 +26,7 @@ Load = Callable[[str], Mapping[str, MessageBits]]
 
 
 _MOST_IN_A_FRAME = 64
+_NEEDS_SCALE = {"counts": "millivolts per count", "mV/V": "volts that feed the bridge"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,8 +242,8 @@ def _unit_factor(binding: Binding, unit_of_dbc: str) -> float:
         return 1.0
     if unit == "":
         raise binding.refuse("unit", "is missing, and the DBC names none", f"one of {accepted(wanted)}")
-    if unit == "counts" and binding.scale == 1.0:
-        raise binding.refuse("scale", "is missing", "millivolts per count, with unit counts")
+    if unit in _NEEDS_SCALE and binding.scale == 1.0:
+        raise binding.refuse("scale", "is missing", f"{_NEEDS_SCALE[unit]}, with unit {unit}")
     found = factor(wanted, unit)
     if found is None and binding.unit is None and wanted == "":
         return 1.0

@@ -12,6 +12,7 @@ from yieldmon.signals.survey import SHAFTS_ELSEWHERE, Candidate, Survey
 _CHANNELS = re.compile(r"(input|chan(nel)?|ch|ain|port)_?\d+", re.IGNORECASE)
 """Numbered signals of one frame that are sensors of their own, not samples of one."""
 _GUESS = "ratio: 0.2"
+_EXCITATION = "scale: 5"
 TELLING = ("manufacturer_code", "function", "function_instance", "ecu_instance", "identity_number")
 """Fields of a NAME that tell a node from all others, as `source` of a mapping takes them."""
 
@@ -36,6 +37,8 @@ def mapping_text(survey: Survey, paths: Mapping[str, str]) -> str:
         entries = list(dict.fromkeys(entry for one in free for entry in _entries(one, paths, candidates)))[:4]
         if any(_GUESS in entry for entry in entries):
             lines.append("  # The ratio is a guess: turns of the elevator's upper shaft per turn of the measured one.")
+        if any(_EXCITATION in entry for entry in entries):
+            lines.append("  # The scale is a guess: volts that feed the bridge.")
         if free[0].weak:
             lines.append(f"  # Nothing here is named like {quantity}; by their units it could be:")
         else:
@@ -78,6 +81,8 @@ def _entries(found: Candidate, paths: Mapping[str, str], candidates: Mapping[str
             keys.append(f"rate_hz: {found.rate_hz:.4g}")
     if found.quantity in IMPACT and not found.unit:
         keys += ["unit: counts", "scale: 0.1"]
+    if found.quantity in IMPACT and found.unit == "mV/V":
+        keys.append(_EXCITATION)
     if found.not_available:
         keys.append(f"not_available: {list(found.not_available)}")
     if found.mux is not None:

@@ -17,7 +17,7 @@ FACTORS: Mapping[str, Mapping[str, float]] = {
     "km/h": {"km/h": 1.0, "kph": 1.0, "m/s": 3.6, "mph": 1.609344, "kn": 1.852},
     "kg/s": {"kg/s": 1.0, "g/s": 1e-3, "mg/s": 1e-6, "t/h": 1 / 3.6, "kg/h": 1 / 3600, "lb/s": KG_PER_LB},
     "degC": {"degC": 1.0, "°C": 1.0, "C": 1.0},
-    "mV": {"mV": 1.0, "V": 1000.0, "uV": 1e-3, "counts": 1.0},
+    "mV": {"mV": 1.0, "V": 1000.0, "uV": 1e-3, "mV/V": 1.0, "counts": 1.0},
     "N": {"N": 1.0, "kN": 1000.0, "daN": 10.0, "mN": 1e-3, "kgf": N_PER_KGF, "lbf": 4.4482216},
     "min": {"min": 1.0, "s": 1 / 60, "h": 60.0, "d": 1440.0},
     "": {"": 1.0},
