@@ -36,6 +36,18 @@ def test_an_outlier_is_left_out_and_nothing_else(make_rows, repeats: int) -> Non
     assert np.flatnonzero(outlier).tolist() == [17]
 
 
+@pytest.mark.parametrize(("repeats", "steps"), [(2, 3.0), (3, 3.0), (6, 4.0)])
+def test_readings_in_steps_coarser_than_their_noise_are_no_outliers(make_rows, repeats: int, steps: float) -> None:
+    rows = make_rows(noise=0.0, repeats=repeats)
+    sd = 0.01 * float(rows.value.max())
+    step = steps * sd
+    noisy = rows.value + sd * np.random.default_rng(8).standard_normal(len(rows))
+    found, outlier = noise.estimate(replace(rows, value=np.maximum(np.round(noisy / step), 1.0) * step))
+    assert not np.any(outlier)
+    # The rounding's own share, a twelfth of the step squared, does not show in all repetitions.
+    assert 0.7 * sd < found.sd(np.array([rows.value.max()]))[0] < 1.6 * sd
+
+
 def test_two_outliers_that_agree_do_not_outvote_the_truth(make_rows) -> None:
     rows = make_rows(repeats=3)
     places = np.flatnonzero(rows.cell == rows.cell[40])

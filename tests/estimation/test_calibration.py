@@ -265,6 +265,16 @@ def test_noise_that_grows_with_the_reading_is_neither_a_missing_effect_nor_a_cer
     assert np.median(own) == 0.0
 
 
+@pytest.mark.parametrize("robust", [False, True])
+def test_repetitions_that_agree_by_a_coarse_resolution_leave_no_error_of_the_model(robust: bool) -> None:
+    rows = noisy(4, sd=0.1)
+    coarse = Measurements(rows.conditions, np.round(rows.momentum / 0.5) * 0.5)
+    repeats = coarse.momentum.reshape(8, 2, 4)
+    assert np.mean(repeats[:, 0] == repeats[:, 1]) > 0.5
+    found = calibrate(MODEL, coarse, START, FREE, starts=1, robust=robust, intervals=False)
+    assert found.parameter_set.model_error < 0.01
+
+
 def test_rows_without_replicates_do_not_loosen_the_robust_fit() -> None:
     rows = noisy(5)
     number = np.arange(rows.momentum.size) % 8

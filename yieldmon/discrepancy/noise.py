@@ -12,7 +12,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.estimation.scatter_law import fit_variances, scatter_law
+from yieldmon.estimation.scatter_law import fit_variances, scatter_law, usual_deviation
 from yieldmon.physics.numerics import Array
 
 from .observations import Cells, Rows, cells
@@ -69,7 +69,7 @@ def _from_replicates(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
     deviation = np.abs(rows.value - median) / np.sqrt(1.0 - 1.0 / np.maximum(count, 2))
     # A form that is right for either kind of noise to a factor, and a median that is blind to the outliers it is to find.
     form = 0.15 * float(np.max(np.abs(median))) + np.abs(median)
-    robust = 1.4826 * float(np.median(deviation[repeated] / form[repeated]))
+    robust = usual_deviation((deviation / form)[repeated])
     sd = 2.0 * max(robust, 1e-12) * form
     outlier = _outliers_of_cells(rows, repeated & (deviation > _OUTLIER_SD * sd), sd)
     noise = _variance_model(cells(rows.take(~outlier)), robust * float(form.mean()))

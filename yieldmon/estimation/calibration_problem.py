@@ -16,7 +16,7 @@ from .calibration_result import OUTLIER_SDS
 from .measurements import Measurements
 from .model_error import orthonormal
 from .priors import Bounds, Prior, fitting_bounds, follows_scale, start_ranges
-from .scatter_law import fit_variances
+from .scatter_law import fit_variances, usual_deviation
 
 LEAST_PURE_DOF = 8
 """Degrees of freedom of the replicates from which they part noise from the model's own error, and tell its law."""
@@ -117,7 +117,7 @@ class CalibrationProblem:
         middle = np.array([np.median(y[self.cell == i]) for i in range(counts.size)])
         repeated = counts[self.cell] > 1
         spread = np.abs(y - middle[self.cell])[repeated] * np.sqrt(np.count_nonzero(repeated) / dof)
-        return float(1.4826 * np.median(spread)), dof
+        return usual_deviation(spread), dof
 
     def _spread(self) -> Array | None:
         if self.given_sigma or self.pure_dof < LEAST_PURE_DOF or not self.pure_sd > 0.0:
@@ -127,7 +127,7 @@ class CalibrationProblem:
         repeated = np.bincount(self.cell)[self.cell] > 1
         # A form that is right for either kind of noise to a factor, and a median that is blind to outliers.
         relative = np.abs(y - middle[self.cell]) / (0.15 * float(np.max(np.abs(middle))) + np.abs(middle[self.cell]))
-        usual = 1.4826 * float(np.median(relative[repeated]))
+        usual = usual_deviation(relative[repeated])
         good = repeated & (relative <= OUTLIER_SDS * np.sqrt(2.0) * usual) if usual > 0.0 else repeated
         count = np.bincount(self.cell[good], minlength=middle.size)
         mean = np.bincount(self.cell[good], y[good], minlength=middle.size) / np.maximum(count, 1)

@@ -6,6 +6,8 @@ import numpy as np
 
 from yieldmon.physics.numerics import Array
 
+_MOST_OUTLIERS = 0.1
+"""Share of the rows."""
 _LEAST_CONSTANT = 0.01
 """Of the root mean square of all standard deviations: no reading near zero is taken as exact."""
 
@@ -40,3 +42,16 @@ def fit_variances(variance: Array, dof: Array, level2: Array, pooled: float) -> 
         if value < least:
             best, least = (max(size * (1.0 - share), floor), size * share / top), value
     return best
+
+
+def usual_deviation(relative: Array) -> float:
+    """Standard deviation that most deviations speak for, all of them >= 0.
+
+    Of readings in steps coarser than their noise most repetitions agree in every digit; there the usual
+    difference of those that do not, a step, stands for it: where a tenth of the rows differ these are no outliers.
+    """
+    usual = 1.4826 * float(np.median(relative))
+    differ = relative[relative > 0.0]
+    if usual == 0.0 and differ.size > _MOST_OUTLIERS * relative.size:
+        return float(np.median(differ))
+    return usual
