@@ -289,6 +289,15 @@ def test_a_code_that_comes_and_goes_while_a_message_is_under_way_is_told() -> No
     assert told == [[c.spn for c in CODES]]
 
 
+def test_peers_that_ask_and_do_not_answer_keep_no_trouble_code_back() -> None:
+    node, listener = node_at(), Reassembler()
+    for peer in range(40, 60):
+        assert len(answers(node, f"18EA83{peer:02X}#DAFE00")) == (peer < 56)
+    sent = run(node, node.report_trouble(CODES, 1.0), 1.0)
+    told = [[c.spn for c in read(p.data)] for f in sent for p in listener.feed(f.identifier, f.data, 1.0)]
+    assert told == [[c.spn for c in CODES]]
+
+
 def test_cleared_codes_go_to_dm2_and_away() -> None:
     node, listener = node_at(), Reassembler()
     run(node, node.report_trouble(CODES, 1.0), 1.0)

@@ -106,6 +106,7 @@ def test_a_session_begun_anew_takes_the_place_of_the_one_before() -> None:
         (f"1CEC1783#FF01FFFFFF{GROUP}", False),
         (f"1CEC8340#FF01FFFFFF{GROUP}", False),
         (f"1CEC8317#1301FFFFFF{GROUP}", False),
+        ("1CEC8317#FF01FFFFFFEBFE00", False),
         (f"1CEC8317#FF01FFFF{GROUP}", False),
     ],
 )

@@ -61,6 +61,19 @@ def test_a_state_that_is_not_older_stays_as_it_is(tmp_path: Path) -> None:
     assert found.engine.totals.total_unknown_moisture_kg == 0.0
 
 
+@pytest.mark.parametrize("kept", [0, 5], ids=["no state", "a state that is older"])
+def test_a_load_that_has_ended_is_not_opened_again(tmp_path: Path, kept: int) -> None:
+    path = tmp_path / "s.sqlite"
+    stored(path, [1] * 6)
+    with Store(path) as store:
+        store.commit([Batch(7, 1.0, {"later": True}, loads=(Load(1, "north", "corn", 1.7e9, 1.7e9 + 6.0, 60.0, None),))])
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute("DELETE FROM state WHERE batch > ?", (kept,))
+    with Store(path) as store:
+        totals = remembered(store).engine.totals
+    assert (totals.load_number, totals.load_open, totals.load_kg, totals.total_kg) == (1, False, 10.0, 60.0)
+
+
 @pytest.mark.parametrize("loads", [[1, 1, 2, 2, 2, 5, 6, 6], [3], [1, 2, 3, 4, 5, 6, 7, 8, 9]])
 def test_the_seconds_of_a_load_are_all_of_it_and_no_others(tmp_path: Path, loads: list[int]) -> None:
     path = tmp_path / "s.sqlite"

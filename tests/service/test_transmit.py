@@ -223,3 +223,16 @@ def test_so_many_frames_wait(bus, clock, count, late):
     transmitter.start()
     assert transmitter.stop(PATIENCE_S)
     assert bus.sent == list(range(count))[-4:]
+
+
+def test_a_refused_frame_whose_copy_was_heard_costs_no_other_its_echo(clock) -> None:
+    def send(message: can.Message, timeout_s: float | None) -> None:
+        if message.arbitration_id == 2:
+            assert transmitter.is_echo(frame(2))
+            raise can.CanOperationError("No buffer space available")
+
+    transmitter = Transmitter(send, 10, 0.5, clock)
+    transmitter.start()
+    transmitter.submit(frame(1), frame(2))
+    assert transmitter.stop()
+    assert transmitter.is_echo(frame(1))

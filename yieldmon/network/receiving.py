@@ -111,9 +111,12 @@ class TransportReceiver:
         kind, group = data[0], int.from_bytes(data[5:8], "little")
         key = (parts.source, parts.destination)
         if kind == ABORT:
-            # Either side may end a session.
+            # Either side may end a session; that of another group the other way goes on.
             for ended in (key, (parts.destination, parts.source)):
-                self.aborted += self._sessions.pop(ended, None) is not None
+                session = self._sessions.get(ended)
+                if session is not None and session.group == group:
+                    del self._sessions[ended]
+                    self.aborted += 1
         elif kind in (RTS, BROADCAST) and (kind == BROADCAST) == (parts.destination == GLOBAL_ADDRESS):
             return self._open(parts, data, group, now_s, our_address)
         return _NOTHING

@@ -37,7 +37,8 @@ class _Message:
 class TransportSender:
     """Sends messages of 9 to 1785 bytes: one broadcast at a time, one connection a destination at a time.
 
-    At most `max_waiting` messages wait or are under way; beyond them new ones are refused.
+    At most `max_waiting` broadcasts wait or are under way, and as many messages to single nodes: peers that ask and do not answer
+    keep no broadcast out. Beyond them new ones are refused.
     """
 
     def __init__(self, max_waiting: int = MAX_WAITING) -> None:
@@ -64,7 +65,8 @@ class TransportSender:
         """Begin to send, or queue behind what is under way to the same destination; [] too where there is no space."""
         if not 8 < len(data) <= MAX_BYTES:
             raise ValueError(f"message of {len(data)} bytes, expected 9 to {MAX_BYTES}")
-        if len(self) >= self._max_waiting:
+        broadcast = destination == GLOBAL_ADDRESS
+        if sum(len(queue) for to, queue in self._queues.items() if (to == GLOBAL_ADDRESS) == broadcast) >= self._max_waiting:
             self.refused += 1
             return []
         queue = self._queues.setdefault(destination, deque())

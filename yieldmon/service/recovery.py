@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +13,7 @@ from yieldmon.engine.state import EngineState
 from yieldmon.engine.totals import Totals
 from yieldmon.errors import reason
 from yieldmon.service import rescue
+from yieldmon.service.batch import Load
 from yieldmon.service.hard_links import detach_hard_links
 from yieldmon.service.identity import NONE, are_two, detach_foreign_journal
 from yieldmon.service.in_the_way import make_way
@@ -220,7 +221,7 @@ def remembered(store: Store) -> Memory:
         return _without_state(store, last)
     if memory.last_second <= int((store.state() or {}).get("last_second", 0)):
         return memory
-    return replace(memory, engine=replace(memory.engine, totals=_caught_up(memory.engine.totals, last)))
+    return replace(memory, engine=replace(memory.engine, totals=_caught_up(memory.engine.totals, last, memory.loads)))
 
 
 def _without_state(store: Store, last: SecondRow) -> Memory:
@@ -228,7 +229,7 @@ def _without_state(store: Store, last: SecondRow) -> Memory:
     totals = Totals(load_number=last.load_number)
     open_load = next((load for load in loads if load.number == last.load_number), None)
     return Memory(
-        engine=EngineState(totals=_caught_up(totals, last)),
+        engine=EngineState(totals=_caught_up(totals, last, loads)),
         saved_s=last.time_s,
         last_second=last.number,
         last_version=max((version.version for version in versions), default=0),
@@ -241,16 +242,21 @@ def _without_state(store: Store, last: SecondRow) -> Memory:
     )
 
 
-def _caught_up(totals: Totals, last: SecondRow) -> Totals:
-    """Totals that are not behind a second's; mass that only the second knows has no known moisture."""
+def _caught_up(totals: Totals, last: SecondRow, loads: Sequence[Load]) -> Totals:
+    """Totals that are not behind a second's, nor behind a load that has begun or ended.
+
+    Mass that only the second knows has no known moisture.
+    """
+    if last.load_number > totals.load_number:
+        totals = replace(totals.start_load(), load_number=last.load_number)
+    ended = any(load.number == totals.load_number and load.ended_s is not None for load in loads)
     missing_kg = max(0.0, last.total_kg - totals.total_kg)
-    same = totals.load_number == last.load_number
-    load_kg = max(totals.load_kg, last.load_kg) if same else last.load_kg
+    load_kg = max(totals.load_kg, last.load_kg)
     return replace(
         totals,
         total_kg=totals.total_kg + missing_kg,
         total_unknown_moisture_kg=totals.total_unknown_moisture_kg + missing_kg,
-        load_number=max(totals.load_number, last.load_number),
+        load_open=totals.load_open and not ended,
         load_kg=load_kg,
         load_unknown_moisture_kg=totals.load_unknown_moisture_kg + max(0.0, load_kg - totals.load_kg),
     )

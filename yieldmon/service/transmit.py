@@ -6,6 +6,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from time import monotonic
 
@@ -154,11 +155,12 @@ class Transmitter:
                 continue
             with self._changed:
                 self._forget_echoes()
-                self._echoes.append((self._clock(), message.arbitration_id, bytes(message.data)))
+                echo = self._clock(), message.arbitration_id, bytes(message.data)
+                self._echoes.append(echo)
             try:
                 self._send(message, _SEND_TIMEOUT_S)
             except (can.CanError, OSError, ValueError) as error:
-                self._forget_last_echo()
+                self._forget(echo)
                 self._count(failed=1, failure=str(error))
             else:
                 self._count(sent=1)
@@ -169,11 +171,10 @@ class Transmitter:
             self._echoes.popleft()
             self._without_echo += 1
 
-    def _forget_last_echo(self) -> None:
+    def _forget(self, echo: tuple[float, int, bytes]) -> None:
         """The frame was not sent; it may have been found meanwhile, in a copy."""
-        with self._changed:
-            if self._echoes:
-                self._echoes.pop()
+        with self._changed, suppress(ValueError):
+            self._echoes.remove(echo)
 
     def _count(self, sent: int = 0, late: int = 0, failed: int = 0, failure: str = "") -> None:
         with self._changed:
