@@ -15,10 +15,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyarrow import parquet
 
+from tests.fleet import logs
 from yieldmon.bus.bulk import FrameBlock, block_of
 from yieldmon.bus.codec import Codec
-from yieldmon.bus.loading import load_frames
-from yieldmon.bus.logs import read_log
+from yieldmon.bus.loading import iter_blocks, load_frames
+from yieldmon.bus.logs import LogNotes, read_log
 from yieldmon.bus.packed import pack
 from yieldmon.bus.packed_columns import DIFFERENCE, PLAIN, PREDICTION, decode, encode
 from yieldmon.cli.main import main
@@ -116,6 +117,36 @@ def test_frames_out_of_time_order_keep_their_places(tmp_path: Path) -> None:
     messages = [can.Message(timestamp=float(shuffled.randrange(50)), arbitration_id=n % 5, data=[n % 256]) for n in range(500)]
     pack([block_of(messages)], tmp_path / "f.parquet", LAYOUTS)
     assert content(load_frames(tmp_path / "f.parquet")) == content(block_of(messages))
+
+
+def test_what_the_recorder_lost_is_told_of_the_packed_log_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text, packed = tmp_path / "day.log", tmp_path / "day.parquet"
+    lines = logs.text().splitlines(keepends=True)
+    lost = "DROPCOUNT: dropped {} CAN frames on 'can0' socket (total drops {})\n"
+    text.write_text("".join([*lines[:50], lost.format(37, 37), *lines[50:], lost.format(3, 40)]))
+    assert main(["pack", str(text), "--out", str(packed)]) == 0
+    for log in (text, packed):
+        capsys.readouterr()
+        assert main(["process", str(log), "--out", str(log.with_suffix(".csv")), "--force", "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["damages"] == [f"{log}: the recorder lost 40 frames"]
+        by_frame, by_block = LogNotes(), LogNotes()
+        assert sum(1 for _ in read_log(log, by_frame)) == sum(len(block) for block in iter_blocks(log, by_block)) == len(lines)
+        assert by_frame.dropped_by_recorder == by_block.dropped_by_recorder == 40
+
+
+def test_damaged_places_beyond_those_named_are_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "day.log"
+    log.write_text(logs.text() + "garbage\n" * 25)
+    assert main(["process", str(log), "--out", str(tmp_path / "day.csv"), "--json"]) == 0
+    damages = json.loads(capsys.readouterr().out)["damages"]
+    assert (len(damages), damages[-1]) == (21, f"{log}: 5 more damaged places")
+
+
+def test_a_log_with_longer_frames_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "fd.log").write_text("(1.000000) can0 123##1" + "AA" * 12 + "\n")
+    assert main(["pack", str(tmp_path / "fd.log"), "--out", str(tmp_path / "fd.parquet")]) == 2
+    assert f"{tmp_path / 'fd.log'}: holds CAN FD frames with more than 8 bytes" in capsys.readouterr().err
+    assert not (tmp_path / "fd.parquet").exists()
 
 
 def test_longer_frames_are_refused(tmp_path: Path) -> None:

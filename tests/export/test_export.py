@@ -179,6 +179,17 @@ def test_points_as_parquet(exported):
     assert table == [dataclasses.asdict(point) for point in yield_points(ROWS, SETTINGS)]
 
 
+@pytest.mark.parametrize("delay_s", [DELAY_S, DELAY_S + 0.5])
+@pytest.mark.parametrize("phase_s", [0.0, 0.25, 0.5])
+def test_each_second_of_a_pass_has_its_own_point_wherever_in_the_second_the_rows_end(phase_s: float, delay_s: float) -> None:
+    rows = [dataclasses.replace(row, time_s=START_S + row.number + phase_s) for row in ROWS]
+    points = yield_points(rows, dataclasses.replace(SETTINGS, flow_delay_s=delay_s))
+    for number, seconds in ((1, 60), (2, 60)):
+        times_s = [point.time_s for point in points if point.pass_number == number]
+        assert np.diff(times_s).tolist() == [1.0] * (len(times_s) - 1)
+        assert seconds - 9 <= len(times_s) <= seconds - 7
+
+
 def test_agleader_text_gives_the_same_yield(exported):
     """Yield as yield-cleaning tools compute it: flow times interval over distance times swath, in their units."""
     with exported("p.txt", *WORDS).open(encoding="ascii", newline="") as stream:

@@ -164,6 +164,7 @@ def test_a_log_that_cannot_be_read_is_left_out_and_measured_when_it_can(
     code, document, _ = fleet_run(table, out, capsys)
     assert (code, document["done"], document["failed"]) == (1, 1, 1)
     assert document["poisoned"][0]["where"] == "later.log"
+    assert document["poisoned"][1]["problem"].startswith("gone.log: No such file")
     logs.write(day / "later.log", 45.0, logs.START_S + 100.0)
     logs.write(tree / "gone.log", 50.0)
     code, document, _ = fleet_run(table, out, capsys)

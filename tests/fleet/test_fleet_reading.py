@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import socket
 from collections.abc import Iterator
@@ -88,6 +89,32 @@ def test_report_names_damaged_logs_and_those_counted_twice(tmp_path: Path, capsy
     ]
     text = (tmp_path / "r.html").read_text()
     assert all(line.partition(" ")[2].replace("'", "&#x27;") in text for line in said)
+
+
+def test_report_names_logs_of_a_machine_that_overlap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A packed log beside its text, and the end of a log in another day's folder; none of logs that follow each other, in
+    whatever order, or of another machine."""
+    source, out, at = tmp_path / "tree", str(tmp_path / "out"), logs.START_S
+    a = logs.write(source / "m0/d1/a.log", 60.0, at)
+    assert main(["pack", str(a), "--out", str(a.with_suffix(".parquet"))]) == 0
+    lines = logs.write(source / "m1/d1/a.log", 65.0, at).read_text().splitlines(keepends=True)
+    (source / "m1/d2").mkdir()
+    (source / "m1/d2/b.log").write_text("".join(lines[len(lines) // 3 :]))
+    for name, place in (("10.log", 100.0), ("9.log", 0.0)):
+        logs.write(source / "m2/d1" / name, 55.0, at + place)
+    assert measure(source, out) == 0
+    capsys.readouterr()
+    assert main(["fleet", "report", out, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    masses = {(day["machine"], day["day"]): day["mass_kg"] for day in found["days"]}
+    packed, later = found["doubtful"]
+    assert packed["problem"].endswith("at times that a.log has too, and they are counted again")
+    counted, again = masses["m0", "d1"], re.search(r"a\.parquet has 1[678] s with ([0-9.]+) kg", packed["problem"])
+    assert again is not None
+    assert float(again[1]) == pytest.approx(0.5 * counted, rel=0.1)
+    assert (later["machine"], later["day"]) == ("m1", "d2")
+    assert "b.log has" in later["problem"]
+    assert "at times that d1 a.log has too" in later["problem"]
 
 
 def test_report_counts_faults(season: Path) -> None:

@@ -27,7 +27,7 @@ from yieldmon.bus.logs import (
     refuse_unreadable,
     without_byte_order_mark,
 )
-from yieldmon.bus.packed import Wanted, read_blocks
+from yieldmon.bus.packed import Wanted, dropped_by_recorder, read_blocks
 
 _CHUNK_BYTES = 4 * 1024 * 1024
 _MESSAGES_PER_BLOCK = 100_000
@@ -77,6 +77,7 @@ def iter_blocks(
             notes.error_frames += frames if can_id & ERROR_FLAG else 0
 
         yield from read_blocks(path, wanted, count)
+        notes.dropped_by_recorder += dropped_by_recorder(path)
         return
     if suffix == ".log":
         for block in _candump_blocks(path, notes, chunk_bytes, compiled):

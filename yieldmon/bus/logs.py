@@ -103,6 +103,15 @@ class LogNotes:
                 self._tell(damage)
         self.frames += frames
 
+    def lacks(self, log: Path | str) -> list[str]:
+        """What the log lacks, a line each: damaged places, how many more there are, and frames that its recorder lost."""
+        lines = [str(damage) for damage in self.damages]
+        if more := self.damaged_places - len(self.damages):
+            lines.append(f"{log}: {more} more damaged places")
+        if self.dropped_by_recorder:
+            lines.append(f"{log}: the recorder lost {self.dropped_by_recorder} frames")
+        return lines
+
     def frame(self, message: can.Message) -> None:
         """Counts a frame."""
         self.error_frames += message.is_error_frame
@@ -294,10 +303,11 @@ def candump_frame(line: str, notes: LogNotes, damage: Callable[[str], None]) -> 
 
 def _read_packed(path: Path, suffix: str, compressed: bool, notes: LogNotes) -> Iterator[can.Message]:
     from yieldmon.bus.bulk import messages_of
-    from yieldmon.bus.packed import read_blocks
+    from yieldmon.bus.packed import dropped_by_recorder, read_blocks
 
     for block in read_blocks(path):
         yield from messages_of(block)
+    notes.dropped_by_recorder += dropped_by_recorder(path)
 
 
 def _read_text(path: Path, suffix: str, compressed: bool, notes: LogNotes) -> Iterator[can.Message]:

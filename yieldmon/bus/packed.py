@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 #: Frames that are packed together.
 BLOCK_FRAMES = 1 << 17
 _FORMAT = b"yieldmon.frames"
+_DROPPED = b"yieldmon.dropped_by_recorder"
+"""How many frames the recorders of the logs say that they lost; absent for none."""
 _VERSION = b"2"
 _ALL_COMPRESSED = b"1"
 """The format before, in which no column was kept as it is."""
@@ -49,6 +51,7 @@ _DATA_BITS = 64
 _MOST_FRAMES = 16 * BLOCK_FRAMES
 _MOST_BYTES = 8
 """Of a frame's data."""
+_MOST_DIGITS = 18
 _SPARE_BYTES = 1 << 16
 """What a column may be larger than its numbers: its header, and a last stretch that is filled up."""
 _NAMES = ("block", "channel", "can_id", "length", "frames", "column", "start", "bits", "coding", "width", "size", "data")
@@ -75,7 +78,9 @@ Wanted = Callable[[NDArray[np.uint32]], NDArray[np.bool_]]
 """Says of identifiers with flags, shape (n,), which of them somebody takes."""
 
 
-def pack(blocks: Iterable[FrameBlock], path: Path, layouts: Mapping[str, MessageLayout]) -> Packed:
+def pack(
+    blocks: Iterable[FrameBlock], path: Path, layouts: Mapping[str, MessageLayout], dropped: Callable[[], int] | None = None
+) -> Packed:
     """Pack frames into one file.
 
     Parameters
@@ -86,6 +91,8 @@ def pack(blocks: Iterable[FrameBlock], path: Path, layouts: Mapping[str, Message
         File to write.
     layouts : mapping of str to MessageLayout
         Messages whose signals become columns.
+    dropped : callable, optional
+        Asked after the last block for the frames that the recorder lost.
 
     Returns
     -------
@@ -101,6 +108,8 @@ def pack(blocks: Iterable[FrameBlock], path: Path, layouts: Mapping[str, Message
         for block in _in_pieces(blocks):
             writer.write(block)
             frames += len(block)
+        if dropped is not None:
+            writer.dropped_by_recorder = dropped()
     return Packed(frames, path.stat().st_size)
 
 
@@ -142,6 +151,7 @@ class Writer:
 
         self._layouts = tuple(layouts.values())
         self._blocks = 0
+        self.dropped_by_recorder = 0
         self._schema = _schema().with_metadata({_FORMAT: _VERSION})
         self._writer = parquet.ParquetWriter(
             path,
@@ -168,6 +178,8 @@ class Writer:
 
     def close(self) -> None:
         """Complete the file."""
+        if self.dropped_by_recorder:
+            self._writer.add_key_value_metadata({_DROPPED.decode(): str(self.dropped_by_recorder)})
         self._writer.close()
 
     def __enter__(self) -> Writer:
@@ -229,6 +241,21 @@ def read_blocks(
         raise InputError(str(path), reason(error), "a readable file of packed frames") from error
     except (pa.ArrowException, OSError, ValueError, LookupError, OverflowError) as error:
         raise InputError(str(path), f"damaged: {brief(error)}", _EXPECTED) from error
+
+
+def dropped_by_recorder(path: Path | str) -> int:
+    """Frames that the recorder of a packed log says it lost. Raises InputError for a file of which that cannot be read."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    try:
+        with parquet.ParquetFile(path) as source:
+            told = (source.metadata.metadata or {}).get(_DROPPED, b"0")
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(str(path), f"damaged: {brief(error)}", _EXPECTED) from error
+    if not told.isdigit() or len(told) > _MOST_DIGITS:
+        raise InputError(str(path), f"damaged: {told[:20]!r} frames lost by the recorder", _EXPECTED)
+    return int(told)
 
 
 def _count(table: pa.Table, counted: Callable[[int, int], None]) -> None:

@@ -17,6 +17,9 @@ from yieldmon.errors import InputError
 from yieldmon.files.whole_file import scratch_for
 from yieldmon.service.log_copies import refuse_copies, refuse_named_twice
 
+_MOST_BYTES = 8
+"""Of a frame's data."""
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
@@ -47,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     refuse_copies(args.logs)
     notes = LogNotes()
     with scratch_for(out) as scratch:
-        packed = pack(_blocks(args.logs, notes), scratch, Codec().layouts)
+        packed = pack(_blocks(args.logs, notes), scratch, Codec().layouts, lambda: notes.dropped_by_recorder)
         if not packed.frames:
             raise InputError(", ".join(args.logs), "no frame at all", "a log with CAN frames")
     logs_bytes = sum(Path(log).stat().st_size for log in args.logs)
@@ -68,4 +71,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _blocks(logs: list[str], notes: LogNotes) -> Iterator[FrameBlock]:
     for log in logs:
-        yield from iter_blocks(log, notes)
+        for block in iter_blocks(log, notes):
+            if (block.length > _MOST_BYTES).any():
+                raise InputError(log, "holds CAN FD frames with more than 8 bytes of data", "classic CAN frames")
+            yield block

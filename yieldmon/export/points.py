@@ -8,6 +8,7 @@ out (start and end pass delay). See Blackmore and Marshall, "Yield mapping: erro
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -19,6 +20,8 @@ from yieldmon.frames import EstimateQuality
 from yieldmon.service.rows import SecondRow
 
 _NAN = float("nan")
+_HALF_S = 0.5 + 1e-6
+"""Of a row's second, and what floats of Unix time are off by."""
 
 
 @dataclass(frozen=True)
@@ -62,14 +65,17 @@ class YieldPoint:
 
 def yield_points(rows: Sequence[SecondRow], settings: PointSettings, where: str = "record") -> list[YieldPoint]:
     """The points of a record, in order of time. Raises InputError when no second has both a position and a ground speed."""
-    placed = {round(row.time_s): row for row in rows if row.latitude_deg is not None and row.ground_speed_m_s is not None}
+    placed = sorted(
+        (row for row in rows if row.latitude_deg is not None and row.ground_speed_m_s is not None), key=lambda row: row.time_s
+    )
     if not placed:
         expected = "VehiclePosition and VehicleDirectionSpeed frames"
         raise InputError(where, "has no second with position and ground speed", expected)
     totals = TotalsSettings(moisture_reference_pct=settings.reference_moisture_pct)
+    times_s = [row.time_s for row in placed]
     matched = []
     for row in rows:
-        place = placed.get(round(row.time_s - settings.flow_delay_s))
+        place = _nearest(placed, times_s, row.time_s - settings.flow_delay_s)
         if place is None or row.mass_flow_kg_s is None or row.quality == EstimateQuality.NOT_HARVESTING:
             continue
         if (place.ground_speed_m_s or 0.0) >= settings.min_speed_m_s:
@@ -82,6 +88,12 @@ def yield_points(rows: Sequence[SecondRow], settings: PointSettings, where: str 
                 continue
             points.append(_point(place, row, settings, totals, number))
     return points
+
+
+def _nearest(placed: Sequence[SecondRow], times_s: Sequence[float], time_s: float) -> SecondRow | None:
+    """The row whose time is nearest, the earlier of two; None where none is within half a second."""
+    near = placed[bisect_left(times_s, time_s - _HALF_S) : bisect_right(times_s, time_s + _HALF_S)]
+    return min(near, key=lambda row: abs(row.time_s - time_s), default=None)
 
 
 def _passes(matched: Sequence[tuple[SecondRow, SecondRow]], gap_s: float) -> Iterator[list[tuple[SecondRow, SecondRow]]]:

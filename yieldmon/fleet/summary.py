@@ -11,10 +11,11 @@ from typing import Any
 from yieldmon.engine.faults import FaultCode
 from yieldmon.errors import InputError
 from yieldmon.fleet import tables
+from yieldmon.fleet.overlaps import Overlap, overlaps
 from yieldmon.fleet.querying import Query, opened
 
 Rows = list[dict[str, Any]]
-_TABLES = (tables.PROVENANCE, tables.FAULTS, tables.SWEEPS, tables.PARAMETERS, tables.LOADS)
+_TABLES = (tables.PROVENANCE, tables.FAULTS, tables.SWEEPS, tables.PARAMETERS, tables.LOADS, tables.RECORDS)
 
 _DAYS = """
 SELECT machine, day, seconds, frames, total_mass_kg, crop, software_version, source_sha256, parameters_sha256, zero_known,
@@ -50,8 +51,8 @@ def summarise(address: str) -> dict[str, Any]:
     Returns
     -------
     dict
-        totals; machines, by name; days, by machine and day; tickets; failed and poisoned; doubtful: damaged logs, and logs that
-        are there twice.
+        totals; machines, by name; days, by machine and day; tickets; failed and poisoned; doubtful: damaged logs, logs that are
+        there twice, and logs of a machine that overlap in time.
 
     Raises
     ------
@@ -63,6 +64,7 @@ def summarise(address: str) -> dict[str, Any]:
         faults, sweeps, parameters, tickets = (query.rows(text) for text in (_FAULTS, _SWEEPS, _PARAMETERS, _TICKETS))
         failed = query.dataset.failures()
         poisoned = _poisoned(query)
+        overlapping = overlaps(query)
     by_day: dict[tuple[str, str], dict[str, int]] = {}
     for row in faults:
         by_day.setdefault((row["machine"], row["day"]), {})[row["code"]] = row["count"]
@@ -88,14 +90,15 @@ def summarise(address: str) -> dict[str, Any]:
         "tickets": tickets,
         "failed": failed,
         "poisoned": poisoned,
-        "doubtful": _doubtful(days, address),
+        "doubtful": _doubtful(days, overlapping, address),
     }  # fmt: skip
 
 
-def _doubtful(days: Rows, address: str) -> Rows:
-    """Days whose mass may be too small, for places of a log that cannot be read, or too large, for a log counted before."""
+def _doubtful(days: Rows, overlapping: Iterable[Overlap], address: str) -> Rows:
+    """Days whose mass may be too small, for damage, or too large, for a log or time that is counted twice."""
     found: Rows = []
     first: dict[str, str] = {}
+    digests: dict[tuple[str, str, str], str] = {}
     for row in days:
         where = {"machine": row["machine"], "day": row["day"]}
         try:
@@ -108,11 +111,19 @@ def _doubtful(days: Rows, address: str) -> Rows:
             more = f" (and {len(damages) - 1} more)" if len(damages) > 1 else ""
             found.append({**where, "problem": f"damaged: {damages[0]}{more}"})
         for name, digest in logs:
+            digests[row["machine"], row["day"], name] = digest
             if digest == _OF_NOTHING:
                 continue
             if digest in first:
                 found.append({**where, "problem": f"{name} holds the same as {first[digest]}, and is counted again"})
             first.setdefault(digest, f"{row['machine']} {row['day']} {name}")
+    for each in overlapping:
+        own, other = digests.get((each.machine, each.day, each.log)), digests.get((each.machine, each.other_day, each.other_log))
+        if own is None or own != other:
+            with_ = each.other_log if each.other_day == each.day else f"{each.other_day} {each.other_log}"
+            same = f"{each.seconds} s with {each.mass_kg:.1f} kg"
+            problem = f"{each.log} has {same} at times that {with_} has too, and they are counted again"
+            found.append({"machine": each.machine, "day": each.day, "problem": problem})
     return found
 
 

@@ -92,7 +92,7 @@ def _measured(task: Task, dataset: Dataset) -> Outcome:
         usable = [path for path in logs if names[path] in measurable]
         if not usable:
             problem = by_name(str(unreadable[0][1]), names) if unreadable else "each log repeats one of another day"
-            raise InputError(partition.name, problem)
+            return failed(task, problem)
         inputs = inputs_sha256(
             [(name, state if isinstance(state, str) else _UNREADABLE) for name, state in states],
             digests.of_file(tickets) if tickets else "",

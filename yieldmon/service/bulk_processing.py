@@ -125,7 +125,7 @@ def stretches_of(paths: Iterable[str], taking: Taking) -> Iterator[Stretch | End
             found = _stretch(*_decoded(taking, decoder, side, block), block, notes.frames - frames, taking.signals.sources)
             yield replace(found, incomplete=decoder.incomplete - before)
             frames = notes.frames
-        yield EndOfLog(path, [str(damage) for damage in notes.damages])
+        yield EndOfLog(path, notes.lacks(path))
     if decoder.under_way:
         yield Stretch(0, 0, 0, incomplete=decoder.under_way)
 

@@ -112,7 +112,7 @@ def process_logs(
             for frame in frames:
                 hand_over(monitor.feed(frame), take_row, summary)
         summary.frames += notes.frames
-        summary.damages += [str(damage) for damage in notes.damages]
+        summary.damages += notes.lacks(path)
     summary.incomplete = bus.incomplete + bus.under_way
     refuse_nothing(paths, summary)
     return summary
