@@ -407,3 +407,14 @@ def test_self_calibrate_refuses_in_one_line(
     capsys: pytest.CaptureFixture[str], sweep_table: Path, known: Path, words: list[str], message: str
 ) -> None:
     assert message in run(capsys, "self-calibrate", sweep_table, "--params", known, *words, code=2)
+
+
+@pytest.mark.parametrize(("times", "named"), [(1, False), (2, True)])
+def test_calibrate_names_rows_that_are_copies(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, sweep_table: Path, times: int, named: bool
+) -> None:
+    header, *rows = sweep_table.read_text().splitlines()
+    path = tmp_path / "pasted.csv"
+    path.write_text("\n".join([header, *rows * times]) + "\n")
+    notes = document(capsys, "calibrate", path, "--starts", "1")["notes"]
+    assert any(f"{2 * len(rows)} of {2 * len(rows)} rows repeat another reading" in note for note in notes) == named

@@ -19,7 +19,7 @@ from yieldmon.errors import InputError
 from yieldmon.estimation import empirical, identifiability
 from yieldmon.estimation.calibration import calibrate, default_start, profile_curves
 from yieldmon.estimation.calibration_result import CONFIDENCE, Calibration
-from yieldmon.estimation.measurements import Measurements
+from yieldmon.estimation.measurements import Measurements, copied_rows
 from yieldmon.estimation.moisture import fit as fit_moisture_map
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import EXCHANGED, Prior
@@ -233,13 +233,26 @@ def text(document: CalibrationDocument) -> str:
 
 def _fit(args: argparse.Namespace, machine: Machine, data: table.Table, rows: Measurements) -> Calibration:
     """The fit that the arguments ask for; with the exchange coefficients where 1 + e, unasked for, ends at its physical bound."""
-    result = _fit_form(args, machine, data, rows, args.impact)
+    result = _with_copies_named(_fit_form(args, machine, data, rows, args.impact), data, rows)
     asked = args.impact or args.free or args.prior or args.by_moisture
     asked = asked or any("restitution" in text for text in (*args.fix, *args.bounds))
     if asked or not any(p.name == "restitution" and p.at_bound for p in result.parameters):
         return result
-    result = _fit_form(args, machine, data, rows, "exchange")
+    result = _with_copies_named(_fit_form(args, machine, data, rows, "exchange"), data, rows)
     return replace(result, sentences=(EXCHANGED, *result.sentences))
+
+
+def _with_copies_named(result: Calibration, data: table.Table, rows: Measurements) -> Calibration:
+    """The fit with a word about rows that are copies of others, if any are."""
+    reading = data.columns[data.reading]
+    copied = copied_rows(reading if rows.places is None else reading[rows.places], rows.cells()[1])
+    if not copied:
+        return result
+    word = (
+        f"{copied} of {rows.momentum.size} rows repeat another reading of the same condition in every digit, as copies do: "
+        "standard errors and lack of fit take each for a measurement; give each measurement once."
+    )
+    return replace(result, sentences=(word, *result.sentences))
 
 
 def _fit_form(

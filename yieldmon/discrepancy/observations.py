@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
 from yieldmon.estimation.clusters import cluster
+from yieldmon.estimation.measurements import copied_rows
 from yieldmon.files.table import Table
 from yieldmon.physics.machine import RPM, SAME_ANGLE_RAD, Machine
 from yieldmon.physics.model import Conditions
@@ -172,7 +173,7 @@ def from_table(table: Table, machine: Machine) -> Rows:
     if not np.any(rows.value > 0.0):
         raise InputError(column, "has no reading above 0", "force on the plate counted positive")
     grouped = with_cells(rows)
-    copied = copies(grouped)
+    copied = copied_rows(grouped.value, grouped.cell)
     if copied:
         raise InputError(
             column,
@@ -180,21 +181,6 @@ def from_table(table: Table, machine: Machine) -> Rows:
             "each measurement once",
         )
     return grouped
-
-
-def copies(rows: Rows) -> int:
-    """Rows that are copies of others of their condition: 0, or more than half of those that repeat a condition.
-
-    Readings of a coarse resolution agree by chance, but then in different conditions too.
-    """
-    _, number, count = np.unique(rows.value, return_inverse=True, return_counts=True)
-    number = number.ravel()
-    _, place, alike = np.unique(np.stack((rows.cell, number)), axis=1, return_inverse=True, return_counts=True)
-    twins = alike[place.ravel()] > 1
-    repeated = int(np.count_nonzero(np.bincount(rows.cell)[rows.cell] > 1))
-    elsewhere = int(np.count_nonzero(count[number] > alike[place.ravel()]))
-    found = int(np.count_nonzero(twins))
-    return found if 2 * found > repeated and 10 * elsewhere < len(rows) else 0
 
 
 def with_cells(rows: Rows) -> Rows:

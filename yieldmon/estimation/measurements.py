@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,3 +113,19 @@ class Measurements:
         known = None if self.conditions.moisture_pct is None else moisture
         place = None if self.conditions.plate_position_m is None else position
         return Conditions(angle, speed, load if by_flow else None, None if by_flow else load, known, place)
+
+
+def copied_rows(reading: Array, cell: NDArray[np.integer[Any]]) -> int:
+    """Rows that are copies of others of their condition: 0, or more than half of those that repeat a condition.
+
+    Readings of a coarse resolution agree by chance, but then in different conditions too. cell: (n,) number of each row's
+    condition.
+    """
+    _, number, count = np.unique(reading, return_inverse=True, return_counts=True)
+    number = number.ravel()
+    _, place, alike = np.unique(np.stack((cell, number)), axis=1, return_inverse=True, return_counts=True)
+    twins = alike[place.ravel()] > 1
+    repeated = int(np.count_nonzero(np.bincount(cell)[cell] > 1))
+    elsewhere = int(np.count_nonzero(count[number] > alike[place.ravel()]))
+    found = int(np.count_nonzero(twins))
+    return found if 2 * found > repeated and 10 * elsewhere < reading.size else 0
