@@ -17,7 +17,10 @@ from tests.service.bench import CODEC, START_S, ZERO_MV, traffic
 from yieldmon.cli.main import main
 from yieldmon.files import parameter_file
 from yieldmon.frames import OperatingState
+from yieldmon.resources import shipped
+from yieldmon.service import configuration
 from yieldmon.service.recorded import read_seconds
+from yieldmon.service.reprocessing import measured_again
 from yieldmon.service.store import Store
 
 STORE = Path(__file__).parents[1] / "golden" / "store-0.1.0.sqlite"
@@ -89,6 +92,16 @@ def test_a_store_measured_again_follows_parameters_zero_and_delay(capsys, tmp_pa
     moved, placed = read_seconds(tmp_path / "out.csv"), read_seconds(STORE)
     assert [row.ground_speed_m_s for row in moved[7:20]] == [row.ground_speed_m_s for row in placed[:13]]
     assert moved[0].ground_speed_m_s is None
+
+
+def test_a_contested_second_has_no_mass_whatever_the_zero(own) -> None:
+    rows, loaded = read_seconds(STORE), configuration.load(shipped("config/yieldmon.yaml"), {})
+    place = max(range(len(rows)), key=lambda i: rows[i].mass_kg)
+    zero_mv, before_kg = rows[place].zero_mv, rows[place].mass_kg
+    for surplus_frames, expected_kg in ((0, pytest.approx(before_kg, rel=0.02)), (3, 0.0)):
+        rows[place] = replace(rows[place], surplus_frames=surplus_frames, mass_kg=0.0)
+        found = measured_again(rows, loaded.machine, parameter_file.load(own), loaded.engine, zero_mv=zero_mv)
+        assert found.rows[place].mass_kg == expected_kg
 
 
 @pytest.mark.parametrize(

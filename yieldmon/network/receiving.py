@@ -16,7 +16,7 @@ BUSY, NO_RESOURCES, TIMED_OUT, BAD_SEQUENCE = 1, 2, 3, 7
 T1_S = 0.75
 """Longest time between two parts."""
 T2_S = 1.25
-"""Longest time from our CTS to the first part."""
+"""Longest time from our CTS to the first part, and between two frames of others' connections, in which either side may wait."""
 MAX_SESSIONS = 16
 #: Parts that we let a sender send at a time.
 WINDOW_PARTS = 16
@@ -117,6 +117,10 @@ class TransportReceiver:
                 if session is not None and session.group == group:
                     del self._sessions[ended]
                     self.aborted += 1
+        elif kind == CTS:
+            session = self._sessions.get((parts.destination, parts.source))
+            if session is not None and session.group == group:
+                session.due_s = now_s + T2_S
         elif kind in (RTS, BROADCAST) and (kind == BROADCAST) == (parts.destination == GLOBAL_ADDRESS):
             return self._open(parts, data, group, now_s, our_address)
         return _NOTHING
@@ -137,7 +141,8 @@ class TransportReceiver:
         if refusal is not None:
             answer = [_abort(group, refusal, source=parts.destination, destination=parts.source)] if to_us else []
             return Received(answer)
-        session = _Session(group, Assembly(size), now_s + (T2_S if to_us else T1_S), parts.priority, to_us)
+        wait_s = T1_S if parts.destination == GLOBAL_ADDRESS else T2_S
+        session = _Session(group, Assembly(size), now_s + wait_s, parts.priority, to_us)
         self._sessions[key] = session
         if not to_us:
             return _NOTHING
@@ -159,7 +164,7 @@ class TransportReceiver:
             self.abandoned += 1
             return _NOTHING
         session.assembly.put(number, data[1:])
-        session.due_s = now_s + T1_S
+        session.due_s = now_s + (T1_S if session.to_us or parts.destination == GLOBAL_ADDRESS else T2_S)
         session.asked_again = False
         following = session.assembly.first_missing
         if following is None:
