@@ -80,7 +80,11 @@ def run(args: argparse.Namespace) -> int:
         expected = "flow, and a position --flow-delay before it"
         raise InputError(args.record, "has no second of harvest that a place belongs to", expected)
     _write_points(kind, out, points, args)
-    print(f"{out}: {len(points)} yield points", file=sys.stderr)
+    said = f"{out}: {len(points)} yield points"
+    if kind in ("agleader", "taskdata"):
+        # Readers take such files for raw ones.
+        said += f"; the flow delay of {args.flow_delay:g} s is taken out: read them with `yieldmon map --flow-delay 0`"
+    print(said, file=sys.stderr)
     return 0
 
 
