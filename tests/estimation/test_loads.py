@@ -130,6 +130,15 @@ def test_tickets_beyond_what_a_paddle_carries_name_a_load_with_its_masses():
         calibrate_loads(MODEL, SHIPPED, [load("a", 6.0, 4.6), load("b", 11.0, 4.6), load("c", 16.0, 4.6)])
 
 
+@pytest.mark.parametrize(("factor", "asked"), [(2.2046, True), (0.4536, True), (1.1, False)])
+def test_a_scale_that_changes_by_a_lot_is_asked_about(factor, asked):
+    """Such as pounds in a column of kilograms."""
+    found = calibrate_loads(
+        MODEL, SHIPPED, [load(n, f, factor, dict(SHIPPED.values)) for n, f in (("a", 3.0), ("b", 5.0), ("c", 8.0))]
+    )
+    assert any("in the unit of their column" in sentence for sentence in found.sentences) is asked
+
+
 def test_among_three_nobody_can_tell_which_one_is_wrong():
     found = calibrate_loads(MODEL, SHIPPED, [load("a", 6.0), load("b", 11.0), load("c", 16.0, 1.2)])
     assert found.outliers == ()

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from .load_constant import Constant
 from .parameters import ParameterSet
 
+_A_LOT = 0.3
+"""Relative change of the scale that is pointed out."""
 _ENOUGH_LOADS = 3
 """That can be checked against each other at different flows."""
 
@@ -83,7 +85,9 @@ def sentences(found: LoadCalibration, sweeps: int) -> list[str]:
         if len(found.loads) - len(found.outliers) < _ENOUGH_LOADS:
             out.append("two loads cannot be checked against each other; weigh a third, at another flow, and give all three.")
         return out
-    out.append(f"the loads weigh {100.0 * (found.scale - 1.0):+.2f} % against what was measured.")
+    a_lot = abs(found.scale - 1.0) > _A_LOT
+    question = ", which is a lot: are the tickets in the unit of their column, and of these loads?" if a_lot else "."
+    out.append(f"the loads weigh {100.0 * (found.scale - 1.0):+.2f} % against what was measured{question}")
     if found.load_dependence:
         out.append("they also determine how the error changes with the flow: density and impact gain moved apart.")
         if found.constant is not None:
