@@ -579,7 +579,9 @@ MENDS = {
     ),
     "mending in use": _mend((2,), _patched("yieldmon.service.writer.StoreWriter._mended", lambda writer, store, error: False)),
     "interrupted replacement": _mend((1,), _patched("yieldmon.service.rescue.finish", lambda path: None)),
-    "totals of the last second": _mend((1,), _patched("yieldmon.service.recovery._caught_up", lambda totals, last: totals)),
+    "totals of the last second": _mend(
+        (1,), _patched("yieldmon.service.recovery._caught_up", lambda totals, last, loads: totals)
+    ),
     "stores that cannot be made to their end": _mend((), _patched("yieldmon.service.store.in_memory", _no_copy)),
     "tickets told once": _mend(
         (), _patched("yieldmon.service.store_sql._INSERT_TICKET", "INSERT INTO ticket VALUES (NULL, ?, ?, ?, ?, ?, ?, ?)")
