@@ -387,6 +387,27 @@ def test_a_first_ticket_far_off_is_believed(factor: float) -> None:
     assert scale[0] == pytest.approx(100.0 * np.log(factor), abs=1.0)
 
 
+def test_a_second_ticket_keeps_what_the_first_one_said_of_a_machine_far_from_the_parameters() -> None:
+    """Force in proportion to flow, half of what the parameters expect, weighed at two flows."""
+    known = OpenLoop(MODEL, dataclasses.replace(PRIOR, covariance=np.diag([0.05**2, 0.12**2, 170.0**2])))
+    calibrator = ClosedLoopCalibrator(MODEL, CalibratorSettings(closed_loop=ClosedLoopSettings()))
+
+    def error(flow: float) -> float:
+        return float(known.invert(np.float64(4.1 * flow), MACHINE.home_plate_angle_rad, SPEED)) / flow - 1.0
+
+    anchors: tuple[ReferenceMass, ...] = ()
+    for number, flow in enumerate((12.0, 9.0), 1):
+        start = 1000.0 * number
+        measured = 500.0 * flow * (1.0 + error(flow))
+        load = ReferenceMass(AnchorSource.TICKET, start, start + 500.0, 500.0 * flow, 25.0, measured, True, load_number=number)
+        anchors = (*anchors, load)
+        outcome = calibrator.weigh(dataclasses.replace(records(flow)[0], time_s=start + 600.0), anchors, known)
+        assert isinstance(outcome.estimator, OpenLoop)
+        known = outcome.estimator
+    assert abs(error(12.0)) < 0.02
+    assert abs(error(9.0)) < 0.02
+
+
 def test_three_tickets_know_the_scale_and_a_fourth_that_contradicts_them_waits() -> None:
     reasons, scale = weighings([1.3, 1.303, 1.297, 1.05, 1.3])
     assert scale[2] == pytest.approx(100.0 * np.log(1.3), abs=1.0)

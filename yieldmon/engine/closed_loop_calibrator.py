@@ -6,7 +6,7 @@ Between sweeps the parameters' covariance grows (drift), and moisture moves the 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import replace
 from math import hypot, isfinite
 
@@ -24,8 +24,8 @@ from yieldmon.estimation.closed_loop import self_calibrate, update_from_tickets
 from yieldmon.estimation.closed_loop_inputs import DensityAnchor, MassAnchor, Sweep
 from yieldmon.estimation.closed_loop_outcome import Outcome, ScaleReport
 from yieldmon.estimation.density_and_gain import widened
-from yieldmon.estimation.load_inputs import LoadSettings
-from yieldmon.estimation.loads import calibrate_loads
+from yieldmon.estimation.load_inputs import LoadSettings, WeighedLoad
+from yieldmon.estimation.loads import calibrate_loads, departure
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.steady_drift import Advance, DriftingParameters, advance, begin, carried, learn
@@ -121,7 +121,7 @@ class ClosedLoopCalibrator:
             return CalibrationOutcome(None, "no weighed mass that was measured whole; the parameters stay")
         self._given = None
         try:
-            outcome, drifting = self._updated_by(drifting, masses)
+            outcome, drifting = self._updated_by(drifting, masses, {name_of(reference) for reference, _ in found})
         except ValueError as error:
             return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False, checks=checks)
         self._used = frozenset(anchors)
@@ -138,15 +138,29 @@ class ClosedLoopCalibrator:
     def _patterned(self, parameters: ParameterSet) -> ParameterSet:
         return with_pattern(parameters, self._settings.pattern_sd) if self._settings.pattern_sd > 0.0 else parameters
 
-    def _updated_by(self, drifting: DriftingParameters, masses: Sequence[MassAnchor]) -> tuple[Outcome, DriftingParameters]:
-        """What weighed masses say, and what was known before as they leave it: less certain where they contradict it."""
-        prior = drifting.parameters
+    def _updated_by(
+        self, drifting: DriftingParameters, masses: Sequence[MassAnchor], names: Container[str]
+    ) -> tuple[Outcome, DriftingParameters]:
+        """What weighed masses of these names say, and what was known before as they leave it: less certain where they
+        contradict it."""
+        prior, counted = drifting.parameters, self._weighings.counted
         outcome = update_from_tickets(self._model, prior, masses, settings=self._settings.closed_loop)
-        doubtful = 1.0 if len(self._weighings.counted) <= len(masses) else _DRIFT_WIDENING
-        if outcome.consistent and outcome.prior_widening <= doubtful:
+        doubtful = 1.0 if len(counted) <= len(masses) else _DRIFT_WIDENING
+        near = outcome.consistent and outcome.prior_widening <= doubtful
+        earlier = [load for load in counted if load.name not in names]
+        if near and not self._leaves(earlier, prior, outcome.parameter_set):
             return outcome, drifting
-        # Further off than the parameters' own doubts reach: only the loads know the scale.
-        found = calibrate_loads(self._model, prior, self._weighings.counted, settings=self._load_settings)
+        # Further off than the parameters' own doubts reach, or so far that what they know of the loads before, a plane about
+        # them, no longer holds: only the loads together know the scale.
+        try:
+            learnt = [load.name for load in earlier]
+            found = calibrate_loads(self._model, prior, counted, settings=self._load_settings, learnt=learnt)
+        except ValueError:
+            if near:
+                return outcome, drifting
+            raise
+        if near and (found.refused or found.contradiction is not None):
+            return outcome, drifting
         reason = (
             f"weighed loads moved the scale by {100.0 * (found.scale - 1.0):+.1f} %; a next load is expected within "
             f"{100.0 * found.next_load_sd:.1f} %"
@@ -161,6 +175,14 @@ class ClosedLoopCalibrator:
             drifting = replace(drifting, parameters=replace(prior, covariance=wide.covariance_of(names)), joint=joint)
         outcome = Outcome(known, not found.refused, True, reason, "", (), (), scale, 0.0, len(self._weighings.counted), 1.0, ())
         return outcome, drifting
+
+    def _leaves(self, earlier: Sequence[WeighedLoad], before: ParameterSet, now: ParameterSet) -> bool:
+        """Whether parameters measure a load otherwise by more than those before, drift included, allowed for."""
+        for load in earlier:
+            (was, std_dev), (error, _) = (departure(self._model, known, load, self._load_settings) for known in (before, now))
+            if not abs(error - was) < self._load_settings.outlier_sds * std_dev:
+                return True
+        return False
 
     def _accepted(self, found: Sequence[tuple[ReferenceMass, MassAnchor]], prior: ParameterSet) -> tuple[list[MassAnchor], str]:
         """The masses to update from, and one sentence about one that the loads before it contradict ("" where there is none)."""

@@ -13,7 +13,7 @@ Source: Schmidt, "Application of state-space methods to navigation problems" (19
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -48,6 +48,7 @@ def calibrate_loads(
     sweeps: Sequence[Sweep] = (),
     settings: LoadSettings | None = None,
     sweep_settings: ClosedLoopSettings | None = None,
+    learnt: Container[str] = (),
 ) -> LoadCalibration:
     """Density and impact gain from weighed loads, and with `sweeps` what these determine of the rest first.
 
@@ -61,6 +62,8 @@ def calibrate_loads(
         One or more.
     sweeps : sequence of Sweep
         Of the same grain: fitted together with the loads that do not contradict each other, as in `self_calibrate`.
+    learnt : container of str
+        Names of loads that the prior has learnt from: that it measures these well says nothing for it.
 
     Returns
     -------
@@ -78,7 +81,7 @@ def calibrate_loads(
     problem = LoadProblem(model, prior, widened(prior, settings), [load.condensed() for load in loads], settings)
     if sweep_settings is None:
         sweep_settings = ClosedLoopSettings(flow="process", model_error=0.01)
-    return _calibration(problem, sweeps, sweep_settings)
+    return _calibration(problem, sweeps, sweep_settings, learnt)
 
 
 def contradicted(
@@ -114,7 +117,9 @@ def departure(
     return float(np.expm1(error)), float(np.hypot(problem.spread(known, np.ones(1, dtype=bool))[1], problem.sd[0]))
 
 
-def _calibration(problem: LoadProblem, sweeps: Sequence[Sweep], sweep_settings: ClosedLoopSettings) -> LoadCalibration:
+def _calibration(
+    problem: LoadProblem, sweeps: Sequence[Sweep], sweep_settings: ClosedLoopSettings, learnt: Container[str]
+) -> LoadCalibration:
     active = problem.inliers()
     fit, directions, errors, full = _fitted(problem, active)
     against = problem.contradicts(fit, active, max(directions, 1))
@@ -128,8 +133,10 @@ def _calibration(problem: LoadProblem, sweeps: Sequence[Sweep], sweep_settings: 
         next_sd, level_sd = problem.spread(posterior, active)
     before = problem.mass(problem.given)
     rms_before, rms_after = _rms(np.log(before / problem.weighed)[active]), _rms(errors[active])
-    expected = _expected_rms(np.log(after / problem.weighed)[active], errors[active])
-    refused = bool(active.sum() > 1 and expected > rms_before)
+    unseen = active & np.array([load.name not in learnt for load in problem.loads])
+    judges = unseen if np.any(unseen) else active
+    expected = _expected_rms(np.log(after / problem.weighed)[judges], errors[judges])
+    refused = bool(active.sum() > 1 and expected > _rms(np.log(before / problem.weighed)[judges]))
     chosen, after = (problem.given, before) if refused else (posterior, after)
     results = tuple(
         LoadResult(load.name, load.weighed_kg, float(b), float(a), float(np.expm1(e)), not bool(ok))
