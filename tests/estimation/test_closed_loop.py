@@ -303,6 +303,22 @@ def test_a_weighed_load_counts_by_its_own_deviation_however_little_it_says(share
     assert step == pytest.approx(share**2 / (1.0 + share**2), rel=0.1)
 
 
+@pytest.mark.parametrize(
+    ("widths", "expected"),
+    [((0.05, 0.002, 0.005), 256.0), ((0.05, 0.002, 0.2), 4.0), ((1.5, 0.002, 0.005), 1.0), ((0.05, 0.5, 0.005), 1.0)],
+    ids=["narrow", "density 220 of 625 kg/m3", "friction 0.3 of 0.5", "restitution 0.3 of 0.5"],
+)
+def test_doubts_are_doubled_no_further_than_half_of_the_physical_range(
+    widths: tuple[float, float, float], expected: float
+) -> None:
+    """Two masses of one force: no parameters explain both, and every doubling is asked for."""
+    known = prior(widths=widths)
+    windows = [np.array([value]) for value in (100.0, 40.0, MACHINE.home_plate_angle_rad, SPEED)]
+    found = update_from_tickets(MODEL, known, [MassAnchor(500.0, 0.5, *windows), MassAnchor(900.0, 0.5, *windows)])
+    assert not found.consistent
+    assert found.prior_widening == expected
+
+
 def test_condensed_windows_weigh_what_all_of_them_weigh() -> None:
     rng = np.random.default_rng(4)
     flow = rng.uniform(1.0, 22.0, 900)

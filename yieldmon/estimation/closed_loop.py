@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from yieldmon.physics.grain import GRAIN
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 
@@ -94,20 +95,26 @@ def update_from_tickets(
     settings: ClosedLoopSettings | None = None,
 ) -> Outcome:
     """`self_calibrate` from weighed masses alone. A scale counts: where it contradicts the parameters, they were less
-    certain than they claimed, and their standard deviations are doubled until both agree, up to 16 times. However little a
-    weighed mass says beside those before it, it is taken: unlike a sweep it has no error that comes back the same each time.
-    Raises as `self_calibrate`.
+    certain than they claimed, and their standard deviations are doubled until both agree, up to 16 times and no further than
+    half of a parameter's physical range. However little a weighed mass says beside those before it, it is taken: unlike a sweep
+    it has no error that comes back the same each time. Raises as `self_calibrate`.
     """
     widening = 1.0
     settings = replace(ClosedLoopSettings() if settings is None else settings, learned_information=_ALL, kept_ratio=1.0 - _ALL)
     outcome = self_calibrate(model, prior, (), anchors=anchors, density=density, settings=settings)
     for _ in range(_WIDENINGS):
-        if outcome.consistent:
+        wide = replace(prior, covariance=4.0 * widening * prior.covariance)
+        if outcome.consistent or _beyond_physics(wide):
             break
         widening *= 4.0
-        wide = replace(prior, covariance=widening * prior.covariance)
         outcome = self_calibrate(model, wide, (), anchors=anchors, density=density, settings=settings)
     return replace(outcome, prior_widening=widening)
+
+
+def _beyond_physics(wide: ParameterSet) -> bool:
+    """Whether a standard deviation is more than half of the range in which its parameter of the grain lies at all."""
+    ranges = {n: GRAIN[n].search for n in wide.covariance_names if n in GRAIN and not GRAIN[n].follows_response}
+    return any(wide.standard_deviation(name) > 0.5 * (high - low) for name, (low, high) in ranges.items())
 
 
 def _outcome(problem: ClosedLoopProblem, solution: Solution) -> Outcome:
