@@ -26,7 +26,6 @@ from yieldmon.estimation.moisture import MoistureMap
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.frames import EstimateQuality, OperatingState, SweepState
-from yieldmon.physics.grain import GRAIN
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 
