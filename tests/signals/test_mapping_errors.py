@@ -223,14 +223,40 @@ def test_a_dbc_that_cannot_be_used(content: bytes, wanted: str, tmp_path: Path, 
 
 
 @pytest.mark.parametrize(
+    "signals",
+    [" SG_ A : 0|16@1+ (1,0) [0|1] \"\" X\n SG_ B : 8|16@1+ (1,0) [0|1] \"\" X\n", ' SG_ A : 56|16@1+ (1,0) [0|1] "" X\n',
+     ' SG_ A : 0|16@1+ (0,0) [0|1] "" X\n'],
+    ids=["overlapping", "beyond its message", "a factor of 0"],
+)  # fmt: skip
+def test_a_message_that_nothing_uses_may_contradict_itself(
+    signals: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    COUNTS.write(tmp_path)
+    with (tmp_path / "counts.dbc").open("a") as file:
+        file.write(f"BO_ 1999 Odd: 8 X\n{signals}\n")
+    path = tmp_path / "c.yaml"
+    path.write_text(f"signals:\n  {IMPACT}\n")
+    assert main(["check-config", str(path)]) == 0
+    log = tmp_path / "a.log"
+    log.write_text("".join(f"({100 + 0.1 * n:.6f}) can0 7CF#0102030405060708\n" for n in range(50)))
+    capsys.readouterr()
+    assert main(["signals", str(log), "--dbc", str(tmp_path / "counts.dbc")]) == 0
+    told = capsys.readouterr()
+    assert "counts.dbc: a message is not used: " in told.err
+    assert "Odd" in told.err or "A has factor 0" in told.err
+    path.write_text(f"signals:\n  {IMPACT.replace('Bridge', 'Odd')}\n")
+    assert "signals fit, do not overlap" in said(capsys, path)
+
+
+@pytest.mark.parametrize(
     "numbers", ["(0,0) [0|1]", "(1e400,0) [0|1]", "(1,1e400) [0|1]", "(1,0) [0|1e400]", f"(1,0) [0|1{'0' * 400}]"]
 )
 def test_a_dbc_with_numbers_that_are_none(numbers: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "counts.dbc").write_text(COUNTS.dbc.replace("(0.125,0) [0|8031.875]", numbers))
     path = tmp_path / "c.yaml"
-    path.write_text(f"signals:\n  {IMPACT}\n")
+    path.write_text(COUNTS.config)
     line = said(capsys, path)
-    assert "counts.dbc: EEC1.EngineSpeed" in line
+    assert "counts.dbc: EngineSpeed has factor" in line
     assert "factor other than 0" in line
 
 

@@ -70,7 +70,7 @@ class SignalBits:
 @dataclass(frozen=True, slots=True)
 class MessageBits:
     """A message. multiplexer: the signal whose value says what a frame holds, None for none; below it may be others. j1939: as
-    the DBC calls it."""
+    the DBC calls it. contradiction: why its signals cannot be used; empty where they can."""
 
     name: str
     frame_id: int
@@ -79,6 +79,7 @@ class MessageBits:
     multiplexer: str | None
     signals: Mapping[str, SignalBits]
     j1939: bool = False
+    contradiction: str = ""
 
     @property
     def is_long(self) -> bool:
@@ -103,33 +104,40 @@ class MessageBits:
 def load_messages(path: Path | str) -> dict[str, MessageBits]:
     """Message name -> its bits, from the DBC at `path`.
 
-    Raises InputError, one line, for a file that cannot be read, is no DBC, is in an encoding other than UTF-8 or Windows-1252, or
-    contradicts itself (signals that overlap).
+    Makers' files often have a message whose signals overlap, do not fit or have a factor of 0: it has no signals then, and
+    `contradiction` says why.
+    Raises InputError, one line, for a file that cannot be read, is no DBC, or is in an encoding other than UTF-8 or Windows-1252.
     """
-    where, database = str(path), dbc_file.read(path)
+    where, database = str(path), dbc_file.read(path, strict=False)
     if twice := repeated(message.name for message in database.messages):
         raise InputError(f"{where}: {twice[0]}", "is there twice", "a name of its own for each message")
     if not database.messages:
         raise InputError(where, "names no message", "a DBC file")
-    for message in database.messages:
-        for signal in message.signals:
-            _check_numbers(signal, f"{where}: {message.name}.{signal.name}")
     return {message.name: _message(message) for message in database.messages}
 
 
-def _check_numbers(signal: DbcSignal, where: str) -> None:
+def _contradiction(message: DbcMessage) -> str:
+    """Why a message cannot be used; empty where it can."""
+    problems = (f"{signal.name} has {given}" for signal in message.signals if (given := _odd_numbers(signal)))
+    return dbc_file.contradiction(message) or next(problems, "")
+
+
+def _odd_numbers(signal: DbcSignal) -> str:
+    """Factor, offset and range of a signal that do not make a number; empty where they do."""
     numbers = (signal.scale, signal.offset, signal.minimum or 0, signal.maximum or 0)
     try:
         sound = bool(signal.scale) and all(isfinite(number) for number in numbers)
     except OverflowError:
         sound = False
-    if not sound:
-        given = f"factor {signal.scale}, offset {signal.offset}, range {signal.minimum} to {signal.maximum}"
-        raise InputError(where, given[:200], "finite numbers and a factor other than 0")
+    given = f"factor {signal.scale}, offset {signal.offset}, range {signal.minimum} to {signal.maximum}"
+    return "" if sound else f"{given[:200]}, which are no finite numbers with a factor other than 0"
 
 
 def _message(message: DbcMessage) -> MessageBits:
     j1939 = message.protocol == "j1939" or _is_j1939(message)
+    if problem := _contradiction(message):
+        extended = message.is_extended_frame
+        return MessageBits(message.name, message.frame_id, extended, message.length, None, {}, j1939, contradiction=problem)
     multiplexer = next((signal.name for signal in message.signals if signal.is_multiplexer and not signal.multiplexer_ids), None)
     signals = {signal.name: _signal(signal, j1939, message.length) for signal in message.signals}
     return MessageBits(message.name, message.frame_id, message.is_extended_frame, message.length, multiplexer, signals, j1939)

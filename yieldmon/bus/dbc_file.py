@@ -9,11 +9,14 @@ from typing import TYPE_CHECKING
 from yieldmon.errors import InputError, reading
 
 if TYPE_CHECKING:
-    from cantools.database.can import Database
+    from cantools.database.can import Database, Message
 
 
-def read(path: Path | str) -> Database:
-    """A DBC file in UTF-8 or Windows-1252. Raises InputError, one line, for a file that is missing or no DBC."""
+def read(path: Path | str, *, strict: bool = True) -> Database:
+    """A DBC file in UTF-8 or Windows-1252. Raises InputError, one line, for a file that is missing or no DBC.
+
+    strict: refuse a file in which signals overlap or do not fit in their message.
+    """
     # Half a second of import, for those who read a DBC only.
     import cantools
     from cantools.database.can import Database
@@ -35,10 +38,21 @@ def read(path: Path | str) -> Database:
     # What it warns of, messages with one name or identifier, is refused in a line here or where it matters.
     logging.getLogger("cantools.database.can.database").setLevel(logging.ERROR)
     try:
-        database = cantools.database.load_string(text, database_format="dbc")
+        database = cantools.database.load_string(text, database_format="dbc", strict=strict)
     except DbcError as error:
         raise InputError(where, " ".join(str(error).split()), "a DBC file without contradictions") from error
     except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
         raise InputError(where, f"cannot be read: {error!r}", "a DBC file") from error
     assert isinstance(database, Database), "what the dbc format gives"
     return database
+
+
+def contradiction(message: Message) -> str:
+    """Why a message of a file that was not read strictly cannot be used: its signals overlap, or do not fit; else empty."""
+    from cantools.database.errors import Error as DbcError
+
+    try:
+        message.refresh(strict=True)
+    except DbcError as error:
+        return " ".join(str(error).split()).removesuffix(".")
+    return ""

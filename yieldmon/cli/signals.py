@@ -61,7 +61,12 @@ def run(args: argparse.Namespace) -> int:
     names = Counter(Path(name).name for name in dict.fromkeys(args.dbc))
     paths = {Path(name).name if names[Path(name).name] == 1 else name: str(Path(name).absolute()) for name in args.dbc}
     paths |= {Path(name).name: str(shipped(name)) for name in _SHIPPED if Path(name).name not in paths}
-    survey = Survey({name: load_messages(path) for name, path in paths.items()})
+    databases = {name: load_messages(path) for name, path in paths.items()}
+    for name, messages in databases.items():
+        if problems := [message.contradiction for message in messages.values() if message.contradiction]:
+            more = f", and {len(problems) - 1} more like it" if len(problems) > 1 else ""
+            print(f"yieldmon: {name}: a message is not used: {problems[0]}{more}", file=sys.stderr)
+    survey = Survey(databases)
     for block in _log_blocks(args.log) if args.log else _bus_blocks(args):
         rows = np.flatnonzero((block.can_id & np.uint32(REMOTE_FLAG | ERROR_FLAG)) == 0)
         columns = (block.time_s[rows], block.can_id[rows], block.length[rows], block.payload[rows])

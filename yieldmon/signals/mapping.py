@@ -184,6 +184,12 @@ def _message(binding: Binding, messages: Mapping[str, MessageBits]) -> MessageBi
         near = difflib.get_close_matches(binding.message, messages, n=3) or sorted(messages)[:5]
         absent = f"{binding.message} is not in {binding.dbc or 'the shipped DBC'}"
         raise binding.refuse("message", absent, f"one of its messages, such as {', '.join(near)}")
+    if message.contradiction:
+        raise binding.refuse(
+            "message",
+            f"in {binding.dbc or 'the shipped DBC'}: {message.contradiction}",
+            "a message whose signals fit, do not overlap and have finite numbers",
+        )
     alike = [m.name for m in messages.values() if (m.frame_id, m.extended) == (message.frame_id, message.extended)]
     if len(alike) > 1:
         problem = f"{' and '.join(alike)} have one identifier, 0x{message.frame_id:X}"

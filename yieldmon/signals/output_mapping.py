@@ -160,6 +160,12 @@ def _message(binding: OutputBinding, messages: Mapping[str, MessageBits]) -> Mes
         near = difflib.get_close_matches(binding.message, messages, n=3) or sorted(messages)[:5]
         absent = f"{binding.message} is not in {binding.dbc}"
         raise binding.refuse("message", absent, f"one of its messages, such as {', '.join(near)}")
+    if message.contradiction:
+        raise binding.refuse(
+            "message",
+            f"in {binding.dbc}: {message.contradiction}",
+            "a message whose signals fit, do not overlap and have finite numbers",
+        )
     if not 1 <= message.length <= 8:
         expected = "a message of one frame, 1 to 8 bytes: longer ones are not sent in parts"
         raise binding.refuse("message", f"{message.name} has {message.length} bytes", expected)
