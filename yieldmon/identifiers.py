@@ -7,6 +7,9 @@ LARGEST_EXTENDED_ID = 0x1FFFFFFF
 EXTENDED_FLAG = 0x80000000
 """Marks a 29-bit identifier, as SocketCAN does."""
 
+CLASSIC_BYTES = 8
+"""Of data in a classic frame, at most."""
+
 #: What distinguishes a J1939 message: all but the priority.
 IDENTITY_MASK = 0x03FFFFFF
 #: The same from any sender.

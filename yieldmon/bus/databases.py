@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from yieldmon.bus import dbc_file
 from yieldmon.bus.layout import largest_valid_raw, smallest_not_available_raw
 from yieldmon.errors import InputError
-from yieldmon.identifiers import group_of
+from yieldmon.identifiers import CLASSIC_BYTES, group_of
 from yieldmon.repeats import repeated
 
 if TYPE_CHECKING:
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from cantools.database.can import Signal as DbcSignal
 
 
-CLASSIC_BYTES = 8
-"""Most in a frame that is not one of CAN FD."""
+SOUND_MESSAGE = "a message whose signals fit, do not overlap and have finite numbers"
+"""Expected in place of one with a contradiction."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.bus.candump import channel_name, flagged_id
-from yieldmon.identifiers import EXTENDED_FLAG, LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID
+from yieldmon.identifiers import CLASSIC_BYTES, EXTENDED_FLAG, LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID
 
 Bytes = NDArray[np.uint8]
 
@@ -33,7 +33,6 @@ _COMMON = re.compile(
 _SHAPES_TRIED = 8
 
 _INVALID = 0xFF
-_CLASSIC_BYTES = 8
 
 #: Loading the compiled pass takes about a second: smaller chunks are done before.
 _COMPILED_FROM_BYTES = 2 * 1024 * 1024
@@ -281,7 +280,7 @@ def _fill_slowly(parsed: ParsedLines, row: int, message: can.Message, channels: 
     parsed.length[row] = message.dlc if message.is_remote_frame else len(message.data)
     parsed.payload[row] = int.from_bytes(message.data[:8], "little")
     parsed.channel[row] = _channel_index(channel_name(message), channels)
-    if len(message.data) > _CLASSIC_BYTES:
+    if len(message.data) > CLASSIC_BYTES:
         parsed.long[row] = bytes(message.data)
 
 

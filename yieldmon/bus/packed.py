@@ -24,7 +24,7 @@ from yieldmon.bus.candump import ERROR_FLAG, REMOTE_FLAG
 from yieldmon.bus.layout import MessageLayout
 from yieldmon.bus.packed_columns import CONSTANT, Coded, Column, decode, encode, place_fields
 from yieldmon.errors import InputError, brief, reason
-from yieldmon.identifiers import EXTENDED_FLAG
+from yieldmon.identifiers import CLASSIC_BYTES, EXTENDED_FLAG
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -49,8 +49,6 @@ _PER_S = {_MICROS: 1e6, _NANOS: 1e9}
 _LARGEST_EXACT = 2.0**53
 _DATA_BITS = 64
 _MOST_FRAMES = 16 * BLOCK_FRAMES
-_MOST_BYTES = 8
-"""Of a frame's data."""
 _MOST_DIGITS = 18
 _SPARE_BYTES = 1 << 16
 """What a column may be larger than its numbers: its header, and a last stretch that is filled up."""
@@ -375,7 +373,7 @@ def _block(rows: Iterable[tuple[Any, ...]], *, all_compressed: bool, compiled: b
         head, (name, start, bits, coding, width, size, packed) = row[:5], row[5:]
         _, channel, can_id, length, count = head
         if head != last or name == _TIME:
-            if name != _TIME or length > _MOST_BYTES or not 1 <= count <= _MOST_FRAMES:
+            if name != _TIME or length > CLASSIC_BYTES or not 1 <= count <= _MOST_FRAMES:
                 raise ValueError(f"{count} frames of {length} bytes that begin with {name[:20]!r}")
             if channel not in channels:
                 channels.append(channel)

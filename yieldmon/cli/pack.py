@@ -15,10 +15,8 @@ from yieldmon.bus.packed import pack
 from yieldmon.cli._json import print_json
 from yieldmon.errors import InputError
 from yieldmon.files.whole_file import scratch_for
+from yieldmon.identifiers import CLASSIC_BYTES
 from yieldmon.service.log_copies import refuse_copies, refuse_named_twice
-
-_MOST_BYTES = 8
-"""Of a frame's data."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -72,6 +70,6 @@ def run(args: argparse.Namespace) -> int:
 def _blocks(logs: list[str], notes: LogNotes) -> Iterator[FrameBlock]:
     for log in logs:
         for block in iter_blocks(log, notes):
-            if (block.length > _MOST_BYTES).any():
+            if (block.length > CLASSIC_BYTES).any():
                 raise InputError(log, "holds CAN FD frames with more than 8 bytes of data", "classic CAN frames")
             yield block

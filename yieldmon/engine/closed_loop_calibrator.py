@@ -165,6 +165,8 @@ class ClosedLoopCalibrator:
             f"weighed loads moved the scale by {100.0 * (found.scale - 1.0):+.1f} %; a next load is expected within "
             f"{100.0 * found.next_load_sd:.1f} %"
         )
+        if found.refused:
+            reason = " ".join(found.sentences)
         scale = ScaleReport(found.scale_sd, found.scale_sd, float(np.log(found.scale)), True, ())
         known, wide = found.parameter_set, widened(prior, self._load_settings)
         if set(known.covariance_names) == set(prior.covariance_names) == set(wide.covariance_names):
@@ -177,7 +179,7 @@ class ClosedLoopCalibrator:
         return outcome, drifting
 
     def _leaves(self, earlier: Sequence[WeighedLoad], before: ParameterSet, now: ParameterSet) -> bool:
-        """Whether parameters measure a load otherwise by more than those before, drift included, allowed for."""
+        """Whether `now` measures a load otherwise than `before` by more than what `before` is uncertain by, drift included."""
         for load in earlier:
             (was, std_dev), (error, _) = (departure(self._model, known, load, self._load_settings) for known in (before, now))
             if not abs(error - was) < self._load_settings.outlier_sds * std_dev:

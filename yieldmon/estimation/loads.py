@@ -132,11 +132,11 @@ def _calibration(
         errors = _left_out_together(problem, fit, sweeps, active, sweep_settings)
         next_sd, level_sd = problem.spread(posterior, active)
     before = problem.mass(problem.given)
-    rms_before, rms_after = _rms(np.log(before / problem.weighed)[active]), _rms(errors[active])
     unseen = active & np.array([load.name not in learnt for load in problem.loads])
     judges = unseen if np.any(unseen) else active
+    rms_before, rms_after = _rms(np.log(before / problem.weighed)[judges]), _rms(errors[judges])
     expected = _expected_rms(np.log(after / problem.weighed)[judges], errors[judges])
-    refused = bool(active.sum() > 1 and expected > _rms(np.log(before / problem.weighed)[judges]))
+    refused = bool(active.sum() > 1 and expected > rms_before)
     chosen, after = (problem.given, before) if refused else (posterior, after)
     results = tuple(
         LoadResult(load.name, load.weighed_kg, float(b), float(a), float(np.expm1(e)), not bool(ok))

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Set as AbstractSet
 
+from yieldmon.identifiers import CLASSIC_BYTES
+
 from .fast_packet import FAST_PACKET_GROUPS, FastPacketReceiver
 from .identifier import TRANSPORT_CONNECTION, TRANSPORT_DATA, Identifier, Payload
 from .receiving import TransportReceiver
 
 #: Sessions open at a time on a bus that is only listened to.
 LISTENING_SESSIONS = 64
-_CLASSIC_BYTES = 8
 
 
 class Reassembler:
@@ -52,7 +53,7 @@ class Reassembler:
         if parts.group in (TRANSPORT_CONNECTION, TRANSPORT_DATA):
             self._transport.poll(now_s)
             payload = self._transport.feed(parts, data, now_s).payload
-        elif parts.group in self._fast_groups and len(data) <= _CLASSIC_BYTES:
+        elif parts.group in self._fast_groups and len(data) <= CLASSIC_BYTES:
             payload = self._fast.feed(parts, data, now_s)
         else:
             payload = Payload(now_s, parts.group, parts.source, parts.destination, parts.priority, bytes(data))

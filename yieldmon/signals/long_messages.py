@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.bus.databases import CLASSIC_BYTES, MessageBits
-from yieldmon.identifiers import EXTENDED_FLAG, FORMAT_MASK, LARGEST_EXTENDED_ID, group_of
+from yieldmon.bus.databases import MessageBits
+from yieldmon.identifiers import CLASSIC_BYTES, EXTENDED_FLAG, FORMAT_MASK, LARGEST_EXTENDED_ID, group_of
 from yieldmon.network.identifier import TRANSPORT_CONNECTION, TRANSPORT_DATA, Identifier
 from yieldmon.network.reassembly import Reassembler
 

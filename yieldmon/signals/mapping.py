@@ -10,7 +10,7 @@ import difflib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from yieldmon.bus.databases import MessageBits, SignalBits
+from yieldmon.bus.databases import SOUND_MESSAGE, MessageBits, SignalBits
 from yieldmon.engine.sources import DEFAULT_SOURCES, QUANTITIES, InputSource, SampleSource, Sources
 from yieldmon.errors import InputError
 from yieldmon.identifiers import GROUP_MASK, IDENTITY_MASK, NULL_ADDRESS
@@ -188,7 +188,7 @@ def _message(binding: Binding, messages: Mapping[str, MessageBits]) -> MessageBi
         raise binding.refuse(
             "message",
             f"in {binding.dbc or 'the shipped DBC'}: {message.contradiction}",
-            "a message whose signals fit, do not overlap and have finite numbers",
+            SOUND_MESSAGE,
         )
     alike = [m.name for m in messages.values() if (m.frame_id, m.extended) == (message.frame_id, message.extended)]
     if len(alike) > 1:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import degrees
 
-from yieldmon.bus.databases import MessageBits, SignalBits
+from yieldmon.bus.databases import SOUND_MESSAGE, MessageBits, SignalBits
 from yieldmon.errors import InputError
 from yieldmon.identifiers import GROUP_MASK, IDENTITY_MASK, NULL_ADDRESS, SOURCE_MASK, group_of
 from yieldmon.network.identifier import (
@@ -164,7 +164,7 @@ def _message(binding: OutputBinding, messages: Mapping[str, MessageBits]) -> Mes
         raise binding.refuse(
             "message",
             f"in {binding.dbc}: {message.contradiction}",
-            "a message whose signals fit, do not overlap and have finite numbers",
+            SOUND_MESSAGE,
         )
     if not 1 <= message.length <= 8:
         expected = "a message of one frame, 1 to 8 bytes: longer ones are not sent in parts"
