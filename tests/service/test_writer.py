@@ -6,13 +6,14 @@ import os
 import threading
 import types
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from tests.service.bench import wait_for
-from tests.service.test_store import batch
-from yieldmon.service.batch import Batch, Ticket
+from tests.service.test_store import batch, second
+from yieldmon.service.batch import Action, Batch, FaultEvent, ParameterVersion, Step, SweepRecord, Ticket
 from yieldmon.service.store import Store
 from yieldmon.service.store_errors import StoreError
 from yieldmon.service.writer import StoreWriter
@@ -160,15 +161,99 @@ def test_stopping_does_not_wait_for_a_disk_that_stays_broken(disk):
     assert rows(disk) == []
 
 
-def test_a_batch_that_no_store_takes_is_left_out_and_counted(disk):
+TICKET = Ticket(1.7e9, 1, 1, 9.0, 10.0, "third")
+ACTION = Action(1, 1.7e9, "zero", "someone", {"second": 3})
+SWEEP = SweepRecord(1.7e9, "updated", "", {"sweep_id": 1})
+VERSION = ParameterVersion(2, 1.7e9, "file", {"values": {}})
+STEP = Step(2, 1.7e9, {"before": 1})
+FAULT = FaultEvent(1.7e9, "FramesLost", active=True)
+NAN = float("nan")
+#: What a batch may bring that breaks the schema, and what is said of it.
+REFUSED = [
+    ({"state": {"zero_mv": NAN}}, "the monitor's state: "),
+    ({"state": {"zero_mv": object()}}, "the monitor's state: "),
+    ({"seconds": (second(3, time_s=NAN),)}, "second 3: "),
+    ({"seconds": (second(3), second(3))}, "second 3: "),
+    ({"loads": (replace(batch(3).loads[0], mass_kg=NAN),)}, "load 1: "),
+    ({"loads": (replace(batch(3).loads[0], field=object()),)}, "load 1: "),
+    ({"sweeps": (SWEEP, replace(SWEEP, document={"angle": NAN}))}, "a sweep that ended as updated: "),
+    ({"parameter_versions": (VERSION, replace(VERSION, version=10**30))}, f"parameter version {10**30}: "),
+    ({"faults": (FAULT, replace(FAULT, detail="\udc80"))}, "fault FramesLost: "),
+    ({"tickets": (TICKET, Ticket(1.7e9, 2, 1, 9.0, 10.0))}, "ticket for load 2: "),
+    ({"actions": (ACTION, replace(ACTION, number=2, document={"x": {1}}))}, "action 2 (zero): "),
+    ({"steps": (STEP, replace(STEP, version=3, document={"x": NAN}))}, "step to version 3: "),
+    ({"counters": {"received": 7, "huge": 10**30}}, "counter huge: "),
+]
+
+
+@pytest.mark.parametrize(("brings", "says"), REFUSED, ids=[says for _, says in REFUSED])
+def test_a_row_that_no_store_takes_is_left_out_alone(disk, caplog, brings, says):
+    """All else of its second is stored: a ticket that was answered is not lost for a second that makes no sense."""
+    sound = {
+        "tickets": (TICKET,), "actions": (ACTION,), "sweeps": (SWEEP,), "parameter_versions": (VERSION,), "steps": (STEP,),
+        "faults": (FAULT,), "counters": {"received": 7},
+    }  # fmt: skip
     writer = StoreWriter(disk.open, 100)
     for number in range(1, 6):
-        writer.submit(batch(number, state={"zero_mv": float("nan")}) if number == 3 else batch(number))
+        writer.submit(batch(number, **{**sound, **brings}) if number == 3 else batch(number))
     writer.start()
     assert writer.wait_until_written(PATIENCE_S)
-    assert writer.health().batches_refused == 1
+    health = writer.health()
     writer.stop()
-    assert rows(disk) == [1, 2, 4, 5]
+    assert (health.batches_refused, health.committed, health.failing, health.replacements) == (1, 5, None, 0)
+    assert [record.message for record in caplog.records if says in record.message and "left out" in record.message]
+    with Store(disk.path) as store:
+        assert [row.number for row in store.seconds() if row.number != 3] == [1, 2, 4, 5]
+        assert (3 in {row.number for row in store.seconds()}) is (brings != REFUSED[2][0])
+        assert (store.tickets(), store.actions(), store.sweeps()) == ([TICKET], [ACTION], [SWEEP])
+        assert (store.parameter_versions(), store.steps(), store.faults()) == ([VERSION], [STEP], [FAULT])
+        assert store.counters() == {"received": 7}
+        assert (store.last_batch(), store.state()) == (5, {"total_mass_kg": 50.0})
+        assert [load.mass_kg for load in store.loads()] == [50.0]
+
+
+def test_a_state_that_no_store_takes_leaves_the_one_before_it(disk):
+    """The last batch before a stop: commits are counted on, and the second's totals are newer than the state's."""
+    writer = StoreWriter(disk.open, 100)
+    writer.start()
+    writer.submit(batch(1))
+    writer.submit(batch(2, state={"zero_mv": NAN}))
+    assert writer.wait_until_written(PATIENCE_S)
+    writer.stop()
+    with Store(disk.path) as store:
+        assert (store.last_batch(), store.state(), store.last_second().total_kg) == (2, {"total_mass_kg": 10.0}, 20.0)
+    again = StoreWriter(disk.open, 100)
+    again.expect(2)
+    again.start()
+    again.submit(batch(3))
+    assert again.wait_until_written(PATIENCE_S)
+    assert (again.health().replacements, again.health().batches_refused) == (0, 0)
+    again.stop()
+    assert rows(disk) == [1, 2, 3]
+
+
+def test_a_disk_that_fails_behind_a_refused_batch_keeps_what_waits(disk):
+    """What was written before the failure is written once, and counted."""
+    broken_from = []
+
+    class Failing(Store):
+        def commit(self, batches):
+            if broken_from and batches[0].number >= broken_from[0] and len(batches) == 1:
+                raise StoreError(f"{disk.path}: disk I/O error")
+            super().commit(batches)
+
+    writer = StoreWriter(lambda: Failing(disk.path), 100, retry_s=0.01)
+    broken_from.append(4)
+    for number in range(1, 6):
+        writer.submit(batch(number, counters={"huge": 10**30}) if number == 2 else batch(number))
+    writer.start()
+    wait_for(lambda: writer.health().committed == 3, "the three before the failure")
+    assert (writer.health().batches_refused, writer.health().pending) == (1, 2)
+    broken_from.clear()
+    assert writer.wait_until_written(PATIENCE_S)
+    assert (writer.health().batches_refused, writer.health().committed) == (1, 5)
+    writer.stop()
+    assert rows(disk) == [1, 2, 3, 4, 5]
 
 
 @pytest.fixture

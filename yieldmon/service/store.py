@@ -51,7 +51,7 @@ from yieldmon.service.store_file import (
     unwritten,
     witness,
 )
-from yieldmon.service.store_sql import COLUMNS, second_is_sound, statements, write, write_mark
+from yieldmon.service.store_sql import COLUMNS, second_is_sound, statements, write, write_in_part, write_mark
 
 #: Tables whose rows a start depends on: read, and held against their checksums, at opening.
 _NEEDED = ("mark", "state", "counter", "load", "parameter_set", "ticket", "action")
@@ -239,18 +239,37 @@ class Store:
 
         Raises StoreError, also where the file system has turned read-only, and BatchRefusedError.
         """
+        with self._committing() as (before, identity):
+            last = before
+            for batch in batches:
+                if batch.number > last:
+                    write(self._database, batch, identity)
+                    last = batch.number
+        self._committed(last, identity)
+
+    def commit_in_part(self, batch: Batch) -> list[str]:
+        """Write what the store takes of a batch that `commit` refuses, in one transaction; returns which rows were left out, and
+        why. Raises StoreError."""
+        with self._committing() as (before, identity):
+            left_out = write_in_part(self._database, batch, identity) if batch.number > before else []
+            last = self.last_batch()
+        self._committed(last, identity)
+        return left_out
+
+    @contextmanager
+    def _committing(self) -> Iterator[tuple[int, int]]:
+        """A transaction; gives the last batch's number and the store's own."""
         self._require_writable()
         with failures_of(self.path), refusals(self.path), self._transaction():
-            last, identity = self.last_batch(), marked(self._database)
+            identity = marked(self._database)
             if identity == NONE:
                 identity = drawn(self._database)
                 write_mark(self._database, MARK, identity)
             if self._computer not in (NONE, marked(self._database, COMPUTER)):
                 write_mark(self._database, COMPUTER, self._computer)
-            for batch in batches:
-                if batch.number > last:
-                    write(self._database, batch, identity)
-                    last = batch.number
+            yield self.last_batch(), identity
+
+    def _committed(self, last: int, identity: int) -> None:
         witness(self.path, last, identity)
         for part in parts(self.path)[:2]:
             with suppress(OSError):

@@ -67,10 +67,19 @@ def failures_of(path: Path) -> Iterator[None]:
 
 @contextmanager
 def refusals(path: Path) -> Iterator[None]:
-    """For what is written: numbers and texts that SQLite or JSON cannot hold."""
+    """For what is written: numbers, texts and types that SQLite or JSON cannot hold."""
     try:
         yield
-    except UnicodeDecodeError:
-        raise
-    except (ValueError, OverflowError) as error:
+    except (sqlite3.Error, TypeError, ValueError, OverflowError) as error:
+        if not breaks_schema(error):
+            raise
         raise BatchRefusedError(f"{path}: {error}") from error
+
+
+def breaks_schema(error: Exception) -> bool:
+    """Whether what SQLite, or the making of a row, says is about the values and not about the file or the medium."""
+    if isinstance(error, UnicodeDecodeError):
+        return False
+    # Values of a type that SQLite does not hold are reported as a mistake of the caller's.
+    binding = isinstance(error, sqlite3.ProgrammingError | sqlite3.InterfaceError) and "binding parameter" in str(error)
+    return binding or isinstance(error, sqlite3.IntegrityError | TypeError | ValueError | OverflowError)

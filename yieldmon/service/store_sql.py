@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import astuple, fields
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import astuple, fields, replace
+from functools import partial
 from typing import Any
 
 from yieldmon.service import schema
@@ -13,6 +14,7 @@ from yieldmon.service.batch import Batch
 from yieldmon.service.checksums import UNCHECKED, row_checksum
 from yieldmon.service.identity import KEY
 from yieldmon.service.rows import SecondRow
+from yieldmon.service.store_errors import breaks_schema
 
 COLUMNS: Mapping[str, tuple[str, ...]] = {**schema.COLUMNS, "second": tuple(f.name for f in fields(SecondRow))}
 
@@ -33,10 +35,55 @@ _INSERT_TICKET = (
     "(SELECT 1 FROM ticket WHERE time_s = ?1 AND first_load = ?2 AND last_load = ?3 AND weighed_mass_kg = ?4 AND note = ?6)"
 )
 
+#: What of a batch is put row by row, and how a row is named where it is left out.
+_LABELS: Mapping[str, str] = {
+    "seconds": "second {0.number}",
+    "loads": "load {0.number}",
+    "sweeps": "a sweep that ended as {0.outcome}",
+    "parameter_versions": "parameter version {0.version}",
+    "faults": "fault {0.code}",
+    "tickets": "ticket for load {0.first_load}",
+    "actions": "action {0.number} ({0.kind})",
+    "steps": "step to version {0.version}",
+}
+
 
 def write(database: sqlite3.Connection, batch: Batch, identity: int) -> None:
     """Put all of a batch into its tables. identity: of the store, which the state carries."""
-    execute, executemany = database.execute, database.executemany
+    _write_rows(database, batch)
+    _write_state(database, batch, identity)
+
+
+def write_in_part(database: sqlite3.Connection, batch: Batch, identity: int) -> list[str]:
+    """As `write`, row by row; those that break the schema are left out, and for such a state the one before it stands. Returns
+    what was left out, and why."""
+    left_out = []
+
+    def tried(what: str, put: Callable[[], None]) -> None:
+        try:
+            put()
+        except (sqlite3.Error, TypeError, ValueError, OverflowError) as error:
+            if not breaks_schema(error):
+                raise
+            left_out.append(f"{what}: {error}")
+
+    empty = Batch(batch.number, batch.time_s, {})
+    for name, label in _LABELS.items():
+        for row in getattr(batch, name):
+            alone: dict[str, Any] = {name: (row,)}
+            tried(label.format(row), partial(_write_rows, database, replace(empty, **alone)))
+    for name, value in batch.counters.items():
+        tried(f"counter {name}", partial(_write_rows, database, replace(empty, counters={name: value})))
+    before = database.execute("SELECT document FROM state ORDER BY batch DESC LIMIT 1").fetchone()
+    if before is not None:
+        # Under the new number, so that commits are counted on.
+        _write_state(database, replace(batch, state=json.loads(before[0])), identity)
+    tried("the monitor's state", partial(_write_state, database, batch, identity))
+    return left_out
+
+
+def _write_rows(database: sqlite3.Connection, batch: Batch) -> None:
+    executemany = database.executemany
     executemany(_INSERT_SECOND, (_summed("second", astuple(row)) for row in batch.seconds))
     executemany(_UPSERT_LOAD, (_summed("load", astuple(load)[:-1]) for load in batch.loads))
     areas = ((load.number, load.area_m2) for load in batch.loads if load.area_m2 is not None)
@@ -53,9 +100,11 @@ def write(database: sqlite3.Connection, batch: Batch, identity: int) -> None:
     )
     executemany(_UPSERT_STEP, (_summed("step", (s.version, s.time_s, _json(s.document))) for s in batch.steps))
     executemany(_UPSERT_COUNTER, (_summed("counter", item) for item in batch.counters.items()))
-    execute(
-        _UPSERT_STATE, _summed("state", (batch.number % 2, batch.number, batch.time_s, _json({**batch.state, KEY: identity})))
-    )
+
+
+def _write_state(database: sqlite3.Connection, batch: Batch, identity: int) -> None:
+    row = (batch.number % 2, batch.number, batch.time_s, _json({**batch.state, KEY: identity}))
+    database.execute(_UPSERT_STATE, _summed("state", row))
 
 
 def write_mark(database: sqlite3.Connection, name: str, value: int) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -36,8 +36,8 @@ _EVENTS_KEPT = 1000
 class StoreHealth:
     """`failing` says what is wrong, None while all is well. `pending` batches wait, the first of them for
     `waiting_s`; `records_dropped` one-second records were dropped because too many waited (their mass is in the totals);
-    `batches_refused` broke the schema. `replacements`: how often a store that was damaged, removed or replaced while in
-    use was put in order, and why the last time."""
+    `batches_refused` held a row that breaks the schema, which was left out. `replacements`: how often a store that was damaged,
+    removed or replaced while in use was put in order, and why the last time."""
 
     failing: str | None = None
     pending: int = 0
@@ -244,39 +244,42 @@ class StoreWriter:
         done = refused = 0
         try:
             store.require_attached()
-            done = self._commit(store, batches)
-            self._last_committed = batches[done - 1].number if done else self._last_committed
-            refused = int(done < len(batches))
+            for done, refused in self._commits(store, batches):  # noqa: B007 - counted however the loop ends
+                self._last_committed = batches[done - 1].number
         finally:
             with self._changed:
                 self._in_flight = 0
-                for _ in range(done + refused):
+                for _ in range(done):
                     self._pending.popleft()
+                committed, in_part = self._health.committed + done, self._health.batches_refused + refused
+                self._health = replace(self._health, committed=committed, batches_refused=in_part)
         with self._changed:
             self._waiting_since_s = monotonic()
             if self._health.failing:
                 _log.info("%s: writing again", store.path)
-            committed = self._health.committed + done
-            self._health = replace(
-                self._health, failing=None, committed=committed, batches_refused=self._health.batches_refused + refused
-            )
+            self._health = replace(self._health, failing=None)
             self._changed.notify_all()
         if committed // _PRUNE_EVERY != (committed - done) // _PRUNE_EVERY:
             store.prune()
 
-    def _commit(self, store: Store, batches: tuple[Batch, ...]) -> int:
-        """Number of batches written before the first, if any, that no store takes."""
+    @staticmethod
+    def _commits(store: Store, batches: tuple[Batch, ...]) -> Iterator[tuple[int, int]]:
+        """After each commit, how many batches are written, and of how many of them a part was left out that no store takes."""
         try:
             store.commit(batches)
-            return len(batches)
+            yield len(batches), 0
+            return
         except BatchRefusedError as error:
-            _log.error("%s; the record is left out", error)
-        for count, batch in enumerate(batches):
+            _log.debug("%s; batch by batch", error)
+        refused = 0
+        for count, batch in enumerate(batches, 1):
             try:
                 store.commit([batch])
             except BatchRefusedError:
-                return count
-        return len(batches)
+                refused += 1
+                for what in store.commit_in_part(batch):
+                    _log.error("%s: %s; left out, the rest of its second is stored", store.path, what)
+            yield count, refused
 
     def _failed(self, problem: str) -> None:
         with self._changed:
