@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import can
 
@@ -159,11 +160,14 @@ def running(
     state: Path | None = None,
     stop_writing_s: float = 60.0,
     reading_s: float = PATIENCE_S,
+    store_patience_s: float = PATIENCE_S,
+    **how: Any,
 ) -> Iterator[Bench]:
     """A running daemon whose state lies in `state` or `folder`, with the configuration `text` in folder/c.yaml.
 
     On a virtual bus, or on the SocketCAN interface that its configuration then has to name. A stop waits stop_writing_s for the
-    disk, which other tests may keep busy. A configuration that is read anew has reading_s.
+    disk, which other tests may keep busy. A configuration that is read anew has reading_s, the store at the start
+    store_patience_s. how: what else the daemon is given.
     """
     channel = socketcan or f"service-{next(_channels)}"
     path = folder / "c.yaml"
@@ -185,6 +189,8 @@ def running(
         network_clock=time.monotonic if socketcan else lambda: 20.0 * time.monotonic(),
         stop_writing_s=stop_writing_s,
         reading_s=reading_s,
+        store_patience_s=store_patience_s,
+        **how,
     )
     if socketcan:
         peer = can.Bus(interface="socketcan", channel=channel)

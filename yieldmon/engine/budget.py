@@ -73,6 +73,15 @@ class MassBudget:
             self.moisture_kg + flow.moisture_kg_s * seconds,
         )
 
+    def with_more(self, more: MassBudget) -> MassBudget:
+        """The budget of both masses: what averages out does so over both, the rest they share."""
+        return MassBudget(
+            self.noise_kg2 + more.noise_kg2,
+            self.parameters_kg + more.parameters_kg,
+            self.zero_kg + more.zero_kg,
+            self.moisture_kg + more.moisture_kg,
+        )
+
     def minus(self, before: MassBudget) -> MassBudget:
         """The budget of what came after `before`."""
         return MassBudget(

@@ -147,6 +147,25 @@ class Totals:
             load_unknown_area_kg=max(self.load_unknown_area_kg + share * missed.unknown_area_kg, 0.0),
         )
 
+    def with_more(self, more: Totals) -> Totals:
+        """With all masses that were accumulated apart from these, whatever their loads; where a load is open they are in it."""
+        share = 1.0 if self.load_open else 0.0
+        return replace(
+            self,
+            total_kg=self.total_kg + more.total_kg,
+            total_dry_kg=self.total_dry_kg + more.total_dry_kg,
+            total_unknown_moisture_kg=self.total_unknown_moisture_kg + more.total_unknown_moisture_kg,
+            load_kg=self.load_kg + share * more.total_kg,
+            load_dry_kg=self.load_dry_kg + share * more.total_dry_kg,
+            load_unknown_moisture_kg=self.load_unknown_moisture_kg + share * more.total_unknown_moisture_kg,
+            total_contested_kg=self.total_contested_kg + more.total_contested_kg,
+            load_contested_kg=self.load_contested_kg + share * more.total_contested_kg,
+            total_budget=self.total_budget.with_more(more.total_budget),
+            load_budget=self.load_budget.with_more(more.total_budget) if self.load_open else self.load_budget,
+            # Of its area only that of its last load is known.
+            load_unknown_area_kg=self.load_unknown_area_kg + share * more.total_kg,
+        )
+
     def start_load(self) -> Totals:
         """A new load, empty, with the next number."""
         return replace(

@@ -13,6 +13,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from time import monotonic
 from typing import Any, cast
 
@@ -37,14 +38,15 @@ from yieldmon.service.frame_sender import FrameSender
 from yieldmon.service.identity import this_computer
 from yieldmon.service.input_frames import InputFrames
 from yieldmon.service.journal import Journal
+from yieldmon.service.late_store import KEPT_FRAMES, STORE_ANSWERS_WITHIN_S, KeptInput, StoreReading, without_sweeps_for
 from yieldmon.service.link import link_for
 from yieldmon.service.mapped_outputs import MappedOutputs
-from yieldmon.service.memory import choose_parameters
+from yieldmon.service.memory import Memory, choose_parameters
 from yieldmon.service.metrics import MetricsFile
 from yieldmon.service.notify import ServiceManager
 from yieldmon.service.ownership import Ownership
 from yieldmon.service.posting import Poster
-from yieldmon.service.recovery import recover
+from yieldmon.service.recovery import Recovery, recover
 from yieldmon.service.reference_loads import StoredLoad, of_path
 from yieldmon.service.reload_check import at_next_start, usable_now
 from yieldmon.service.reloading import READING_S, Reloading
@@ -70,6 +72,8 @@ _HANGS_FOR_GOOD_S = 8.0
 _READ_AT_ONCE = 2
 #: How long what a window leaves to be done waits for its frames.
 _SENDING_FIRST_S = 0.01
+#: After a store that came late, before the first sweep.
+_REST_S = 60.0
 #: How long an answer waits for the disk to have what was told.
 TELLING_S = 2.0
 #: How long a stop waits for the disk; with the other steps it is over within 5 s.
@@ -90,11 +94,14 @@ class Daemon:
         network_clock: Callable[[], float] = monotonic,
         stop_writing_s: float = STOP_WRITING_S,
         reading_s: float = READING_S,
+        store_patience_s: float = STORE_ANSWERS_WITHIN_S,
+        kept_frames: int = KEPT_FRAMES,
     ) -> None:
         """reload: reads the configuration anew, on a thread of its own; raises InputError when it cannot be used. bus_factory:
         opens the bus, by default the configured one. silence_s: see SILENCE_S; infinite for traffic not sent in real time.
         network_clock: times the address claim and what else the network's protocols time. stop_writing_s: see STOP_WRITING_S.
-        reading_s: how long `reload` may take."""
+        reading_s: how long `reload` may take. store_patience_s: see STORE_ANSWERS_WITHIN_S.
+        kept_frames: see KEPT_FRAMES."""
         self.configuration = configuration
         self._at_start = configuration
         self._reloading = Reloading(reload, reading_s)
@@ -143,6 +150,10 @@ class Daemon:
         self._computer = this_computer()
         self._supervisors: list[Supervisor] = []
         self._reading = threading.BoundedSemaphore(_READ_AT_ONCE)
+        self._store_patience_s = store_patience_s
+        self._reading_store: StoreReading | None = None
+        """Until the store has been read; from then on batches go to it."""
+        self._kept = KeptInput(kept_frames)
 
     @property
     def monitor(self) -> Monitor:
@@ -188,23 +199,23 @@ class Daemon:
         Raises can.CanError or InputError when the bus cannot be opened at the start, StoreError when there is a store that
         cannot be read, OccupiedError when another daemon uses it or the control socket, InputError when that cannot be made.
         """
-        with self._ownership:
+        try:
             return self._run()
+        finally:
+            self._ownership.release()
 
     def _run(self) -> int:
-        recovery = recover(self.configuration.store_path, self.configuration.retention, self._open_store, self._computer)
-        memory, self._store_note = recovery.memory, recovery.note
-        if recovery.made:
-            self._writer.expect(recovery.last_batch)
-        parameters, self._origin = choose_parameters(memory, self.configuration.parameters)
-        self._journal = Journal(memory, self.configuration.parameters, now_s=time.time())
-        self._journal.new_monitor(parameters, self._origin)
-        self._monitor = monitor_of(self.configuration, parameters, waveform_later=True)
-        resume(self._monitor, memory, self._origin, self.configuration.parameters, time.time())
-        commands.set_crop(self._monitor, self._journal)
-        self._answer = self._snapshot()
+        # Frames are kept from here on, however long the disk takes.
         self._receiver.start()
         try:
+            self._reading_store = reading = StoreReading(self._take_store)
+            reading.wait(self._store_patience_s, lambda: self._stop_wanted)
+            if not reading.done and self._stop_wanted:
+                _log.error("%s: the disk has not answered since the start", self.configuration.store_path)
+                self._receiver.stop()
+                return 0
+            self._begin(reading)
+            self._answer = self._snapshot()
             status = self.configuration.document.status
             control = ControlServer(self.configuration.socket_path, status.group, self.command)
         except BaseException:
@@ -212,7 +223,7 @@ class Daemon:
             raise
         metrics = MetricsFile(self.configuration.prometheus_path, status.prometheus_interval_s, self._status)
         self._supervisors = [Supervisor("control", control), Supervisor("metrics", metrics)]
-        helpers = (self._transmitter, self._writer, control, metrics)
+        helpers = (self._transmitter, *(() if self._reading_store else (self._writer,)), control, metrics)
         for helper in helpers:
             helper.start()
         self._report_faults()
@@ -235,7 +246,10 @@ class Daemon:
         whole = True
 
         def write() -> None:
-            if not self._writer.stop(self._stop_writing_s):
+            if self._reading_store is not None:
+                lost_kg = self._monitor.totals.total_kg
+                _log.error("the disk has not answered since the start; %.1f kg measured since then are in no store", lost_kg)
+            elif not self._writer.stop(self._stop_writing_s):
                 _log.error("the disk hangs; %d batches are not written", self._writer.health().pending)
             elif self._fill_new_store():
                 # The last batches went into a new store, which lacks what an earlier one was given.
@@ -255,6 +269,72 @@ class Daemon:
         return whole
 
     # Start
+
+    def _take_store(self) -> Recovery:
+        """On a thread of its own: the disk may hang."""
+        self._ownership.take()
+        return recover(self.configuration.store_path, self.configuration.retention, self._open_store, self._computer)
+
+    def _begin(self, reading: StoreReading) -> None:
+        """The first monitor; on a disk that does not answer one that knows nothing of the store until it does."""
+        if reading.done:
+            self._reading_store = None
+            self._go_on_from(reading.result())
+            return
+        self._store_note = f"the disk has not answered for {reading.age_s:.0f} s; until it does, totals are those since the start"
+        _log.error("%s: %s", self.configuration.store_path, self._store_note)
+        self._remember(Memory())
+
+    def _go_on_from(self, recovery: Recovery) -> None:
+        self._store_note = recovery.note
+        if recovery.made:
+            self._writer.expect(recovery.last_batch)
+        self._remember(recovery.memory)
+
+    def _remember(self, memory: Memory) -> None:
+        """A journal and a monitor that go on from what a store remembers."""
+        configured = self.configuration.parameters
+        parameters, self._origin = choose_parameters(memory, configured)
+        self._journal = Journal(memory, configured, now_s=time.time())
+        self._journal.new_monitor(parameters, self._origin)
+        self._monitor = monitor_of(self.configuration, parameters, waveform_later=True)
+        resume(self._monitor, memory, self._origin, configured, time.time())
+        commands.set_crop(self._monitor, self._journal)
+
+    def _take_late_store(self, reading: StoreReading) -> None:
+        """The disk has answered after all: what came meanwhile is measured again from what the store remembers."""
+        recovery, without, kept = reading.result(), self._monitor, self._kept
+        self._reading_store, self._kept = None, KeptInput(0)
+        self._rows.clear()
+        self._record = None
+        self._go_on_from(replace(recovery, memory=without_sweeps_for(recovery.memory, kept.duration_s + _REST_S)))
+        self._writer.start()
+        for results in kept.into(self._monitor):
+            rows = self._journal.take(results)
+            if rows:
+                self._rows.extend(rows)
+                self._record = records_in(results)[-1]
+                self._commit()
+        note = f"the disk answered {reading.age_s:.0f} s after the start"
+        if kept.full:
+            more = without.totals
+            note += f"; {more.total_kg:.1f} kg from {kept.duration_s:.0f} s after it on are in the totals, without records"
+            self._monitor = successor(self._monitor, self.configuration, None, time.time(), more)
+            commands.set_crop(self._monitor, self._journal)
+            self._record = None
+        self._store_note = "; ".join(part for part in (recovery.note, note if kept.full else "") if part)
+        _log.warning("%s: %s", self.configuration.store_path, note)
+        self._faults.report_all_anew()
+        self._report_faults()
+        self._commit()
+        self._answer = self._snapshot()
+
+    def _keep(self, item: frames.Frame | float) -> None:
+        """For when the store is known."""
+        if self._kept.add(item):
+            _log.error("%s: still does not answer; seconds from now on have no records", self.configuration.store_path)
+            # What these count now is what cannot be measured again.
+            self._journal.happened(self._monitor.reset_totals())
 
     def _open_bus(self) -> can.BusABC:
         settings = self.configuration.document.bus
@@ -307,8 +387,17 @@ class Daemon:
         self._do_commands()
         if windows:
             self._post()
-        self._look_after_reload(between_windows=bool(windows or not items))
-        alive = {"receive": self._receiver.alive, "transmit": self._transmitter.alive, "store": self._writer.alive}
+        between_windows = bool(windows or not items)
+        if self._reading_store is not None and self._reading_store.done and between_windows:
+            self._take_late_store(self._reading_store)
+        self._look_after_reload(between_windows=between_windows)
+        self._require_threads()
+
+    def _require_threads(self) -> None:
+        """Raises RuntimeError where one has died."""
+        alive = {"receive": self._receiver.alive, "transmit": self._transmitter.alive}
+        if self._reading_store is None:
+            alive["store"] = self._writer.alive
         for name, is_alive in alive.items():
             if not is_alive:
                 raise RuntimeError(f"the {name} thread has died")
@@ -333,6 +422,8 @@ class Daemon:
         windows = 0
         for frame in heard:
             self._time.ours_s = frame.time_s
+            if self._reading_store is not None:
+                self._keep(frame)
             results = self._monitor.feed(frame)
             if results:
                 windows += self._happened(results)
@@ -346,7 +437,11 @@ class Daemon:
     def _tick_if_silent(self, empty_until_s: float) -> int:
         """Lets the engine's time go on where no frame of ours does; returns how many windows that closed."""
         bus_s = self._time.without_ours(empty_until_s, monotonic(), time.time())
-        return self._happened(self._monitor.tick(bus_s)) if bus_s is not None else 0
+        if bus_s is None:
+            return 0
+        if self._reading_store is not None:
+            self._keep(bus_s)
+        return self._happened(self._monitor.tick(bus_s))
 
     def _happened(self, results: Sequence[Result]) -> int:
         """Frames go out, records and events to the journal; with a window the second is done. Returns the windows closed."""
@@ -398,7 +493,10 @@ class Daemon:
             self._sender.send(self._link.report_second(self._record, self._monitor.totals, now_s))
 
     def _commit(self) -> None:
-        self._writer.submit(self._journal.batch(self._monitor, time.time(), self._traffic().counters()))
+        batch = self._journal.batch(self._monitor, time.time(), self._traffic().counters())
+        if self._reading_store is None:
+            self._writer.submit(batch)
+        # Else it has the number of a batch that the store may have already.
 
     def _traffic(self) -> BusTraffic:
         return BusTraffic(
@@ -443,6 +541,8 @@ class Daemon:
         """
         if request["command"] == "status":
             return self._status()
+        if self._reading_store is not None:
+            raise ControlError("the disk has not answered since the start, so the store is not known yet; nothing was done")
         answer = self._commands.ask(request, self._stored(request))
         if request["command"] not in commands.QUERIES and not self._writer.wait_until_written(TELLING_S):
             _log.warning("%s: done, and not in the store yet", request["command"])

@@ -31,19 +31,27 @@ class Ownership:
         self._lock: int | None = None
 
     def __enter__(self) -> Ownership:
-        """Raises OccupiedError when another daemon has the store."""
+        """Raises as `take`."""
+        self.take()
+        return self
+
+    def take(self) -> None:
+        """Begin to keep them off. Raises OccupiedError when another daemon has the store."""
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             make_way([self._path])
             taken = self._take()
         except OSError as error:
             _log.warning("%s: %s; another daemon on this store would not be noticed", self._path, reason(error))
-            return self
+            return
         if not taken:
             raise OccupiedError("store.path", f"{self._store}: another daemon is using it", "a store for each daemon")
-        return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.release()
+
+    def release(self) -> None:
+        """Let go of the store."""
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None

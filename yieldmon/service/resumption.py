@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.totals import Totals
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.service.assembly import calibration_age_s, monitor_of
 from yieldmon.service.configuration import Configuration
@@ -34,10 +35,14 @@ def resume(monitor: Monitor, memory: Memory, origin: str, configured: ParameterS
     monitor.remember_tickets(memory.engine.tickets)
 
 
-def successor(before: Monitor, configuration: Configuration, fresh: ParameterSet | None, now_s: float) -> Monitor:
+def successor(
+    before: Monitor, configuration: Configuration, fresh: ParameterSet | None, now_s: float, more: Totals | None = None
+) -> Monitor:
     """A monitor with another configuration that goes on from the one before. fresh: parameters of a file read anew; None: those
-    in use stay. now_s: Unix time."""
+    in use stay. now_s: Unix time. more: masses that another monitor measured, which join its own."""
     state = before.snapshot()
+    if more is not None:
+        state = replace(state, totals=state.totals.with_more(more))
     if fresh is not None:
         state = replace(state, calibration_age_s=calibration_age_s(fresh, now_s))
     monitor = monitor_of(configuration, fresh or before.estimator.parameters, waveform_later=True)
