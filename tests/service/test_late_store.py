@@ -234,12 +234,9 @@ def test_a_reading_that_ends_with_an_error_ends_the_run_with_it(folder, disk):
         run()
 
 
-MASSES = st.lists(
-    st.tuples(
-        st.floats(0.0, 60.0), st.none() | st.floats(0.0, 60.0), st.floats(0.0, 3.0), st.floats(0.0, 3.0), st.booleans()
-    ),
-    max_size=12,
-)  # fmt: skip
+AMOUNTS = st.integers(0, 240).map(lambda number: number / 4.0)
+#: Wet and dry mass, noise and what the seconds share, whether the mass is contested.
+MASSES = st.lists(st.tuples(AMOUNTS, st.none() | AMOUNTS, AMOUNTS, AMOUNTS, st.booleans()), max_size=5)
 
 
 def accumulated(totals: Totals, masses: list[tuple[float, float | None, float, float, bool]]) -> Totals:

@@ -265,6 +265,8 @@ class StoreWriter:
     @staticmethod
     def _commits(store: Store, batches: tuple[Batch, ...]) -> Iterator[tuple[int, int]]:
         """After each commit, how many batches are written, and of how many of them a part was left out that no store takes."""
+        if not batches:
+            return
         try:
             store.commit(batches)
             yield len(batches), 0
