@@ -201,7 +201,8 @@ def stepping() -> tuple[Frame, ...]:
 
 def heard(parameters: ParameterSet = PARAMETERS, **settings: object) -> tuple[list[WindowRecord], Monitor]:
     """Records of that traffic from where kernel noise gives a flow."""
-    waveform = replace(WaveformSettings(), shape=LAW, enabled=True, quiet_windows=2, thousand_kernel_weight_g=350.0, **settings)  # type: ignore[arg-type]
+    given = {"thousand_kernel_weight_g": 350.0, **settings}
+    waveform = replace(WaveformSettings(), shape=LAW, enabled=True, quiet_windows=2, **given)  # type: ignore[arg-type]
     engine = replace(EngineSettings(), sweep=replace(SweepSettings(), enabled=False), waveform=waveform)
     machine = replace(MACHINE, sensor=replace(MACHINE.sensor, response_s=2e-4))
     monitor = Monitor(engine, machine, OpenLoop(ForwardModel(machine, parameters.effects), parameters))
@@ -238,6 +239,49 @@ def test_a_scale_by_kernels_that_the_mean_force_cannot_have_is_a_contradiction()
     records, monitor = heard(sure, kernel_bias_sd=0.03, contradiction_windows=5)
     assert FaultCode.WAVEFORM_CONTRADICTS in records[-1].faults
     assert "kernel noise and mean force differ by" in monitor.faults.detail(FaultCode.WAVEFORM_CONTRADICTS)
+
+
+@pytest.mark.parametrize("weight_g", [0.35, 770.0])
+def test_a_scale_that_contradicts_the_mean_force_corrects_nothing(weight_g: float) -> None:
+    """A kernel's weight in place of a thousand's, or another crop's."""
+    told = {"thousand_kernel_weight_g": weight_g, "kernel_bias_sd": 0.03, "contradiction_windows": 500}
+    together = heard(combine=True, **told)[0]
+    assert all(FaultCode.WAVEFORM_CONTRADICTS in r.faults for r in together[-15:])
+    # The shape, which does not contradict, still corrects: the flow lies between those two.
+    for r in together[-15:]:
+        low, high = sorted((r.mean_force_flow_kg_s, r.shape_flow_kg_s))
+        assert 0.97 * low < r.mass_kg / r.duration_s < 1.03 * high
+
+
+def test_a_shape_that_contradicts_the_mean_force_corrects_nothing() -> None:
+    told = {"enabled": True, "stretch": 1.6, "stretch_sd": 0.01, "tail_sd": 0.01, "model_error": 0.01, "contradiction_windows": 5}
+    apart, together = harvested(**told), harvested(combine=True, **told)
+    assert all(FaultCode.WAVEFORM_CONTRADICTS in r.faults for r in together[-4:])
+    assert [r.mass_kg for r in together[-4:]] == [r.mass_kg for r in apart[-4:]]
+
+
+def test_a_cell_without_a_response_gives_no_warnings_and_a_flow_by_shape() -> None:
+    """The default of a machine file; warnings are errors here."""
+    machine = replace(MACHINE, sensor=replace(MACHINE.sensor, response_s=0.0))
+    waveform = replace(WaveformSettings(), shape=LAW, enabled=True)
+    engine = replace(EngineSettings(), sweep=replace(SweepSettings(), enabled=False), waveform=waveform)
+    monitor = Monitor(engine, machine, OpenLoop(ForwardModel(machine, PARAMETERS.effects), PARAMETERS))
+    records = [r for frame in struck(2e-4) for r in records_in(monitor.feed(frame))]
+    assert records[-1].shape_verdict is ShapeVerdict.USED
+
+
+def test_says_how_much_of_the_empty_machine_and_of_grain_it_has_heard() -> None:
+    waveform = replace(WaveformSettings(), shape=LAW, enabled=True, quiet_windows=3000)
+    engine = replace(EngineSettings(), sweep=replace(SweepSettings(), enabled=False), waveform=waveform)
+    monitor = Monitor(engine, MACHINE, OpenLoop(ForwardModel(MACHINE, PARAMETERS.effects), PARAMETERS))
+    for frame in traffic():
+        monitor.feed(frame)
+    assert monitor.waveform is not None
+    assert monitor.waveform.kernels is KernelVerdict.TOO_EARLY
+    said = r"(\d+) s of the empty machine and (\d+) s of steady grain heard, 3000 s of each needed"
+    heard_s = re.match(said, monitor.waveform.kernels_reason)
+    assert heard_s is not None
+    assert all(0 < int(seconds) < 14 for seconds in heard_s.groups())
 
 
 def test_a_cell_stated_wrongly_is_a_contradiction_not_a_wrong_flow() -> None:
@@ -332,3 +376,15 @@ def test_a_log_in_bulk_says_what_its_frames_one_by_one_say(tmp_path: Path) -> No
         if one.waveform.wave is not None:
             assert one.waveform.wave.elevator_speed_rad_s == one.record.elevator_speed_rad_s
             np.testing.assert_allclose(one.waveform.wave.amplitudes_n, other.waveform.wave.amplitudes_n, rtol=1e-9)
+
+
+@pytest.mark.parametrize("same", [True, False])
+def test_a_reload_keeps_the_noise_that_was_heard_where_machine_and_settings_stay(same: bool) -> None:
+    before = monitored(2e-4, 350.0)
+    machine = before.machine if same else replace(before.machine, paddle_spacings_m=(0.18635,))
+    after = Monitor(before.settings, machine, OpenLoop(ForwardModel(machine, PARAMETERS.effects), PARAMETERS))
+    after.restore(before.snapshot())
+    after.take_noise_of(before)
+    later = [frame._replace(time_s=frame.time_s + 5.0) for frame in struck(2e-4) if frame.time_s > 27.0]
+    seen = [r.kernel_verdict for frame in later for r in records_in(after.feed(frame))]
+    assert (KernelVerdict.USED in seen) is same

@@ -19,10 +19,20 @@ FORCE_N, IMPULSE_N_S, KERNEL_KG = 73.0, 3.6e-3, 4.0e-4
 FINE = 20
 
 
-def felt(duration_s: float, cell_s: float, interval_s: float, seed: int, noise_n: float = 1.3, crest: float = 1.0) -> np.ndarray:
+def felt(
+    duration_s: float,
+    cell_s: float,
+    interval_s: float,
+    seed: int,
+    noise_n: float = 1.3,
+    crest: float = 1.0,
+    *,
+    averaged: bool = True,
+) -> np.ndarray:
     """Samples of a Poisson stream of kernels through a cell whose response is convolved on a fine grid.
 
-    crest: kernels come for so small a part of each 72 ms, the mean force, which is not taken off here, apart.
+    crest: kernels come for so small a part of each 72 ms, the mean force, which is not taken off here, apart. averaged: samples
+    are means over their interval.
     """
     rng = np.random.default_rng(seed)
     step = interval_s / FINE
@@ -33,7 +43,8 @@ def felt(duration_s: float, cell_s: float, interval_s: float, seed: int, noise_n
     if cell_s > 0.0:
         frequency = np.fft.rfftfreq(count, step)
         force = np.fft.irfft(np.fft.rfft(force) / (1.0 + 2j * np.pi * frequency * cell_s) ** 2, count)
-    return force.reshape(-1, FINE).mean(axis=1) + noise_n * rng.standard_normal(count // FINE)
+    fine = force.reshape(-1, FINE)
+    return (fine.mean(axis=1) if averaged else fine[:, -1]) + noise_n * rng.standard_normal(count // FINE)
 
 
 def quiet(count: int, seed: int, noise_n: float = 1.3) -> np.ndarray:
@@ -55,6 +66,42 @@ def test_finds_the_impulse_of_a_kernel_within_its_deviation(cell_s: float, rate_
     assert found.usable
     assert found.impulse_n_s == pytest.approx(IMPULSE_N_S, rel=4.0 * found.relative_sd)
     assert found.random_sd < 0.03
+
+
+@pytest.mark.parametrize(("cell_s", "rate_hz"), [(0.0002, 1000.0), (0.001, 1000.0), (0.0005, 2000.0)])
+def test_samples_of_an_instant_hold_the_aliases_of_all_that_the_cell_lets_through(cell_s: float, rate_hz: float) -> None:
+    interval = 1.0 / rate_hz
+    samples = felt(20.0, cell_s, interval, 41, averaged=False)
+    as_they_are, as_means = (
+        kernel_impulse(
+            density(samples, interval),
+            density(quiet(samples.size, 42), interval),
+            FORCE_N,
+            cell_response_s=cell_s,
+            sample_interval_s=interval,
+            settings=KernelNoiseSettings(response_error=0.0, averaged=averaged),
+        )
+        for averaged in (False, True)
+    )
+    assert as_they_are.usable
+    assert as_they_are.impulse_n_s == pytest.approx(IMPULSE_N_S, rel=3.0 * as_they_are.relative_sd)
+    assert as_they_are.relative_sd < 0.05
+    assert as_means.impulse_n_s > 1.1 * IMPULSE_N_S
+
+
+def test_samples_of_an_instant_without_a_cell_say_nothing() -> None:
+    """Of the aliases a contact keeps back an unknown share."""
+    samples = quiet(20000, 43)
+    found = kernel_impulse(
+        density(2.0 * samples, 1e-3),
+        density(samples, 1e-3),
+        FORCE_N,
+        cell_response_s=0.0,
+        sample_interval_s=1e-3,
+        settings=KernelNoiseSettings(averaged=False),
+    )
+    assert found.verdict is KernelVerdict.NO_BAND
+    assert "aliases" in found.reason
 
 
 @pytest.mark.parametrize("line_hz", [250.0, 350.0])

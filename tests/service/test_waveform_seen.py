@@ -72,3 +72,17 @@ def test_status_and_records_say_what_there_is_and_why_the_rest_is_missing(tmp_pa
     assert rows[-1]["mean_force_flow_kg_s"] > 0.0
     assert {"shape_volume_flow_m3_s", "shape_verdict", "kernel_verdict", "thousand_kernel_weight_g"} <= set(rows[-1])
     assert rows[-1]["thousand_kernel_weight_g"] == 300.0
+
+
+@pytest.mark.parametrize(("weight_g", "said"), [("0.35", "0, or from 1 g"), ("350000", "0 to 2000 g"), ("-5", "0 to 2000 g")])
+def test_a_weight_that_no_thousand_kernels_have_is_refused(tmp_path: Path, weight_g: str, said: str) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text(f"waveform: {{enabled: true, thousand_kernel_weight_g: {weight_g}}}\n")
+    with pytest.raises(InputError) as found:
+        configuration.load(path)
+    assert "waveform.thousand_kernel_weight_g" in str(found.value)
+    assert said in str(found.value)
+    monitor, journal = started(tmp_path)
+    with pytest.raises(InputError, match="thousand_kernel_weight_g"):
+        load_start(monitor, journal, thousand_kernel_weight_g=float(weight_g))
+    assert monitor.kernel_weight_g == 300.0

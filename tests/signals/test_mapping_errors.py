@@ -53,9 +53,9 @@ CASES = {
     "unknown signal": (IMPACT.replace("signal: Counts", "signal: Count"), "impact_voltage.signal", "Count", "Counts"),
     "unknown quantity": ("plate_angel: {value: 70}", "plate_angel", "unknown quantity", "plate_angle"),
     "unknown key": (IMPACT.replace("rate_hz", "rate"), "impact_voltage.rate", "unknown key", "rate_hz"),
-    "no rate": (IMPACT.replace(", rate_hz: 100", ""), "impact_voltage.rate_hz", "missing", "10 to 2000"),
-    "too slow": (IMPACT.replace("100}", "5}"), "impact_voltage.rate_hz", "5", "10 to 2000"),
-    "too fast": (IMPACT.replace("100}", "5000}"), "impact_voltage.rate_hz", "5000", "10 to 2000"),
+    "no rate": (IMPACT.replace(", rate_hz: 100", ""), "impact_voltage.rate_hz", "missing", "10 to 5000"),
+    "too slow": (IMPACT.replace("100}", "5}"), "impact_voltage.rate_hz", "5", "10 to 5000"),
+    "too fast": (IMPACT.replace("100}", "6000}"), "impact_voltage.rate_hz", "6000", "10 to 5000"),
     "no such file": (IMPACT.replace("counts.dbc", "none.dbc"), "none.dbc", "No such file", "DBC"),
     "multiplexer missing": (
         "plate_angle: {dbc: multiplexed.dbc, message: Everything, signal: Angle}", "plate_angle.mux", "missing", "2",
@@ -131,10 +131,10 @@ CASES = {
     ),
     "a factor of 0": (IMPACT.replace("0.1", "0"), "impact_voltage.scale", "0", "other than 0"),
     "a decimal comma": (IMPACT.replace("0.1", '"0,1"'), "impact_voltage.scale", "'0,1'", "number"),
-    "a rate with its unit": (IMPACT.replace("100}", "100 Hz}"), "impact_voltage.rate_hz", "100 Hz", "10 to 2000 Hz"),
+    "a rate with its unit": (IMPACT.replace("100}", "100 Hz}"), "impact_voltage.rate_hz", "100 Hz", "10 to 5000 Hz"),
     "a spacing of no rate": (
         IMPACT.replace("rate_hz: 100", "spacing_ms: 0.1"),
-        "impact_voltage.spacing_ms", "0.1", "0.5 to 100 ms",
+        "impact_voltage.spacing_ms", "0.1", "0.2 to 100 ms",
     ),
     "a range of no angle": (
         "plate_angle: {dbc: counts.dbc, message: Linear, signal: Tilt, range: [500, 900]}", "plate_angle.range", "500", "deg",

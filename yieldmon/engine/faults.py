@@ -327,9 +327,9 @@ _TABLE = (
     ),
     FaultDefinition(
         _C.WAVEFORM_CONTRADICTS, 520208, 31, _W, 3, 10,
-        "Flow from the pulses' shape and from the mean force differ beyond their deviations, or no pulse of the model fits.",
-        "One of them is wrong; the standard deviation of the flow does not cover it.",
-        "Weigh a load; check plate and density; run diagnose on the store.",
+        "Flow from the pulses' shape or kernels and from the mean force differ beyond deviation, or no pulse of the model fits.",
+        "One is wrong; the flow is the mean force's.",
+        "Weigh a load; check plate, density, kernel weight; run diagnose on the store.",
         lambda o: o.waveform.contradiction or None,
     ),
     FaultDefinition(

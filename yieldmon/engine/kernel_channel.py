@@ -59,6 +59,7 @@ class KernelChannel:
             response_error=settings.response_error,
             bias=settings.kernel_bias,
             bias_sd=settings.kernel_bias_sd,
+            averaged=settings.samples_averaged,
         )
         self._pulses = RunningPulses()
         self._loaded: deque[_Noise] = deque(maxlen=settings.kernel_windows)
@@ -85,6 +86,15 @@ class KernelChannel:
     def grain(self) -> None:
         """Grain is there: the windows before it do not count as empty."""
         self._waiting.clear()
+
+    @property
+    def missing(self) -> str:
+        """What it waits for, in words; empty where both the empty machine and grain have been heard for long enough."""
+        needed = self._settings.quiet_windows
+        if min(len(self._quiet), len(self._loaded)) >= needed:
+            return ""
+        heard = f"{len(self._quiet)} s of the empty machine and {len(self._loaded)} s of steady grain heard"
+        return f"{heard}, {needed} s of each needed"
 
     def _changed(self, force_n: float) -> bool:
         before, self._force_before_n = self._force_before_n, force_n

@@ -351,6 +351,18 @@ class Monitor:
         parts.since_zero.add(known.since_zero.seconds)
         parts.measurement.zero.go_on_with(known.measurement.zero)
 
+    def take_noise_of(self, before: Monitor) -> None:
+        """After `restore` from the monitor that measured until now: the noise that it heard, of grain and empty.
+
+        Parameters
+        ----------
+        before : Monitor
+            With another machine or other settings of the waveform nothing is taken.
+        """
+        own, known = self._parts.waveform, before._parts.waveform
+        if own is not None and known is not None:
+            own.go_on_with(known)
+
     def forget_ticket(self, load_numbers: Sequence[int]) -> None:
         """A ticket was taken back; those entered since then count anew.
 

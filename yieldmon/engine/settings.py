@@ -295,6 +295,8 @@ class WaveformSettings:
     kernel_bias_sd: float = 0.15
     quiet_error: float = 0.1
     """Relative standard deviation of the background's noise between empty and harvesting."""
+    samples_averaged: bool = True
+    """Whether each sample is the mean of the force over its interval, as kernel noise takes it; else its value at one instant."""
     quiet_windows: int = 5
     """Windows of the empty machine, and of harvest, before kernel noise says anything."""
     kernel_windows: int = 60

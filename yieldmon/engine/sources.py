@@ -19,6 +19,8 @@ _MAX_PLAUSIBLE_RPM = 3000.0
 _MAX_PLAUSIBLE_ANGLE_DEG = 180.0
 _MAX_PLAUSIBLE_KG_S = 200.0
 _PLAUSIBLE_DEGC = (-50.0, 100.0)
+THOUSAND_KERNELS_G = (1.0, 2000.0)
+"""Mass of a thousand kernels, from small seeds to large beans; below, it is that of one kernel, or in another unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +70,9 @@ QUANTITIES: Mapping[str, Quantity] = {
         Quantity("moisture", "%", lambda value: (value >= 0.0) & (value < 100.0), "condition_timeout_s", "wet basis"),
         Quantity("grain_temperature", "degC", _within(*_PLAUSIBLE_DEGC), "condition_timeout_s", "of the grain"),
         Quantity("test_weight", "kg/m3", lambda value: value > 0.0, "condition_timeout_s", "bulk density at rest"),
-        Quantity("thousand_kernel_weight", "g", _within(1.0, 2000.0), "condition_timeout_s", "mass of a thousand kernels"),
+        Quantity(
+            "thousand_kernel_weight", "g", _within(*THOUSAND_KERNELS_G), "condition_timeout_s", "mass of a thousand kernels"
+        ),
         Quantity("tank_scale_status", "", _is_number, "scale_timeout_s", "0 stable, 1 unstable, 2 fault"),
         Quantity("tank_mass", "kg", _is_number, "scale_timeout_s", "grain in the tank"),
         Quantity("header_down", "", _is_flag, "vehicle_timeout_s", "1 at cutting height"),

@@ -135,7 +135,13 @@ class Waveform:
         self._stretches: deque[float] = deque(maxlen=settings.contradiction_windows)
         self._biases: deque[float] = deque(maxlen=settings.kernel_windows)
         self._of_shapes: deque[_Scale] = deque(maxlen=settings.contradiction_windows)
+        self._shape_contradicts = False
         self._of_kernels: _Scale | None = None
+
+    def go_on_with(self, before: Waveform) -> None:
+        """Noise that was heard on the same machine by the same settings is heard no second time."""
+        if (self._settings, self._machine) == (before._settings, before._machine):
+            self._kernel_channel = before._kernel_channel
 
     def prepare(self, readings: Sequence[Reading], rates_kg_s: Sequence[float], estimator: FlowEstimator) -> None:
         """Fit the pulses of these windows side by side, begun at the mean force's flow; `see` then takes them up one by one."""
@@ -256,33 +262,35 @@ class Waveform:
     def _counted(self, seen: WaveformReading, reading: Reading, mean_flow: Flow, estimator: FlowEstimator) -> WaveformReading:
         """The reading with all channels together, and with what the kernels' scale says against the mean force's."""
         now_s = reading.window.end_s
+        kernels = self._held_kernels(now_s, estimator)
+        if kernels is not None and mean_flow.rate_kg_s > 0.0 and (against := self._kernels_contradict(kernels, mean_flow)):
+            seen = _with(seen, contradiction=seen.contradiction or against)
         found = self.corrected(mean_flow, now_s, estimator)
         if found is None:
             return seen
-        if self._of_kernels is not None and self._holds(self._of_kernels, now_s, estimator):
-            over, over_sd = self._of_kernels.log_over_mean_force, self._of_kernels.lasting_sd
-            if against := self._kernels_contradict(over / hypot(_lasting(mean_flow), over_sd)):
-                seen = _with(seen, contradiction=seen.contradiction or against)
         return _with(seen, combined_kg_s=found[0], combined_std_dev_kg_s=found[1])
 
     def corrected(self, mean_flow: Flow, now_s: float, estimator: FlowEstimator) -> tuple[float, float] | None:
         """The mean force's flow, whose scale shape and kernels correct as they have found it of late, and its standard deviation.
 
-        kg/s; None where neither has found one.
+        kg/s; None where neither has found one. One that contradicts the mean force corrects nothing: no mean of two flows that
+        exclude each other has the deviation that it would be published with.
         """
         rate = mean_flow.rate_kg_s
         if not rate > 0.0:
             return None
         lasting = _lasting(mean_flow)
         flow, sd, corrected = rate, lasting, False
-        if shapes := [scale for scale in self._of_shapes if self._holds(scale, now_s, estimator)]:
+        shapes = [scale for scale in self._of_shapes if self._holds(scale, now_s, estimator)]
+        if shapes and not self._shape_contradicts:
             mean = sum(scale.log_over_mean_force for scale in shapes) / len(shapes)
             shape_sd = hypot(shapes[-1].lasting_sd, sqrt(sum(scale.random_sd**2 for scale in shapes)) / len(shapes))
             exponent, parameters = _exponent(mean_flow), estimator.parameters
             both = combine(rate, lasting, rate * exp(mean), shape_sd, exponent=exponent, parameters=parameters)
             flow, sd, corrected = both.mass_flow_kg_s, both.relative_sd, True
-        if self._of_kernels is not None and self._holds(self._of_kernels, now_s, estimator):
-            over, over_sd = self._of_kernels.log_over_mean_force, self._of_kernels.lasting_sd
+        kernels = self._held_kernels(now_s, estimator)
+        if kernels is not None and not self._kernels_contradict(kernels, mean_flow):
+            over, over_sd = kernels.log_over_mean_force, kernels.lasting_sd
             weight = sd**2 / (sd**2 + over_sd**2)
             flow *= (rate * exp(over) / flow) ** weight
             sd, corrected = sd * over_sd / hypot(sd, over_sd), True
@@ -341,7 +349,7 @@ class Waveform:
     ) -> WaveformReading:
         """missing: why there is no fit, without which the pulses cannot be taken off."""
         if kernels is None:
-            early = missing or f"needs {self._settings.quiet_windows} s of the empty machine, and of grain"
+            early = missing or self._kernel_channel.missing
             return _with(seen, kernels=KernelVerdict.TOO_EARLY, kernels_reason=early)
         if not kernels.usable:
             return _with(seen, kernels=kernels.verdict, kernels_reason=kernels.reason)
@@ -366,8 +374,14 @@ class Waveform:
         self._biases.append(self._settings.kernel_bias / over_mean_force)
         return median(self._biases)
 
-    def _kernels_contradict(self, z: float) -> str:
+    def _held_kernels(self, now_s: float, estimator: FlowEstimator) -> _Scale | None:
+        """The scale by kernels, where it still holds."""
+        found = self._of_kernels
+        return found if found is not None and self._holds(found, now_s, estimator) else None
+
+    def _kernels_contradict(self, found: _Scale, mean_flow: Flow) -> str:
         # The noise of many windows is in each: no median of windows is needed.
+        z = found.log_over_mean_force / hypot(_lasting(mean_flow), found.lasting_sd)
         if not abs(z) > self._settings.contradiction_z:
             return ""
         return f"kernel noise and mean force differ by {abs(z):.1f} standard deviations"
@@ -381,6 +395,11 @@ class Waveform:
         return median(self._stretches)
 
     def _contradiction(self, z: float, misfit: float) -> str:
+        against = self._shape_against(z, misfit)
+        self._shape_contradicts = bool(against)
+        return against
+
+    def _shape_against(self, z: float, misfit: float) -> str:
         if isfinite(z):
             self._differences.append((z, min(misfit, _NO_FIT)))
         if len(self._differences) < self._settings.contradiction_windows:

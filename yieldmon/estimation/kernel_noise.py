@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from yieldmon.physics.numerics import Array
 
 _ALIASES = 64
+_CONTACT_HZ = 2000.0
+"""From which on a kernel's contact, of some tenths of a millisecond, passes on an unknown share of its noise."""
 _CLEAR_OF_ALIASES = 0.4
 """Share of the sampling rate up to which what the sampler folds back is small beside what is there."""
 _ITERATIONS = 6
@@ -58,6 +60,8 @@ class KernelNoiseSettings:
         (studies/waveform, discrete-element forces).
     largest_sd : float
         Relative standard deviation of J above which the channel says nothing.
+    averaged : bool
+        Whether a sample is the mean over its interval; else it is the force at one instant, into which all aliases fold.
     """
 
     low_hz: float = 200.0
@@ -67,6 +71,7 @@ class KernelNoiseSettings:
     bias: float = 0.9
     bias_sd: float = 0.1
     largest_sd: float = 0.25
+    averaged: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,8 +212,8 @@ def pooled(parts: list[Density]) -> Density:
     return Density(parts[0].frequency_hz, mean, float(weights.sum()))
 
 
-def power_gain(frequency_hz: Array, cell_response_s: float, sample_interval_s: float) -> Array:
-    """Share (k,) of a white density of force that samples show: critically damped cell, mean over each sample interval, aliases.
+def power_gain(frequency_hz: Array, cell_response_s: float, sample_interval_s: float, *, averaged: bool = True) -> Array:
+    """Share (k,) of a white density of force that samples show: critically damped cell, sampler, aliases.
 
     Parameters
     ----------
@@ -216,20 +221,30 @@ def power_gain(frequency_hz: Array, cell_response_s: float, sample_interval_s: f
     cell_response_s : float
         Time constant; 0 for none.
     sample_interval_s : float
+    averaged : bool
+        As of `KernelNoiseSettings`.
     """
+    return _gains(frequency_hz, cell_response_s, sample_interval_s, averaged)[0]
+
+
+def _gains(frequency_hz: Array, cell_response_s: float, sample_interval_s: float, averaged: bool) -> tuple[Array, Array]:
+    """The same, and the part of it from beyond the frequency of a contact."""
     frequency = np.ascontiguousarray(frequency_hz, dtype=np.float64)
-    return _power_gain(frequency.tobytes(), cell_response_s, sample_interval_s)
+    return _power_gain(frequency.tobytes(), cell_response_s, sample_interval_s, averaged)
 
 
 @lru_cache(maxsize=64)
-def _power_gain(frequencies: bytes, cell_response_s: float, sample_interval_s: float) -> Array:
+def _power_gain(frequencies: bytes, cell_response_s: float, sample_interval_s: float, averaged: bool) -> tuple[Array, Array]:
     """The same for the bytes of frequencies: a sensor's are the same each second."""
     order = np.arange(-_ALIASES, _ALIASES + 1)[:, None]
     frequency = np.frombuffer(frequencies) + order / sample_interval_s
-    cell = 1.0 / (1.0 + (2.0 * np.pi * frequency * cell_response_s) ** 2) ** 2
-    gain: Array = np.asarray((cell * np.sinc(frequency * sample_interval_s) ** 2).sum(axis=0))
-    gain.flags.writeable = False
-    return gain
+    shown = 1.0 / (1.0 + (2.0 * np.pi * frequency * cell_response_s) ** 2) ** 2
+    if averaged:
+        shown *= np.sinc(frequency * sample_interval_s) ** 2
+    gain: Array = np.asarray(shown.sum(axis=0))
+    beyond: Array = np.asarray(np.where(np.abs(frequency) > _CONTACT_HZ, shown, 0.0).sum(axis=0))
+    gain.flags.writeable = beyond.flags.writeable = False
+    return gain, beyond
 
 
 def kernel_impulse(
@@ -265,7 +280,11 @@ def kernel_impulse(
     if not mean_force_n > 0.0:
         return _unusable(KernelVerdict.NO_NOISE, "no force of grain")
     frequency = loaded.frequency_hz[band]
-    gain = mean_force_n * power_gain(frequency, cell_response_s, sample_interval_s)
+    shares, beyond = _gains(frequency, cell_response_s, sample_interval_s, s.averaged)
+    gain = mean_force_n * shares
+    folded = float(beyond.sum() / shares.sum())
+    if not s.averaged and folded > s.largest_sd:
+        return _unusable(KernelVerdict.NO_BAND, f"{100.0 * folded:.0f} % of the band is aliases from above {_CONTACT_HZ:g} Hz")
     ground = quiet.density[band]
     above = loaded.density[band] - ground
     impulse, weight, variance = _least_squares(above, ground, gain, (loaded.averages, quiet.averages), s.quiet_error)
@@ -276,6 +295,9 @@ def kernel_impulse(
     background = s.quiet_error * float((weight * ground).sum()) / slope
     turned = (2.0 * np.pi * frequency * cell_response_s) ** 2
     cell = s.response_error * float((weight * gain * 4.0 * turned / (1.0 + turned)).sum() / (weight * gain).sum())
+    if not s.averaged:
+        # What of the aliases a contact keeps back is not known; a sampler that averages lets few of them in.
+        cell = float(np.hypot(cell, float((weight * beyond).sum() / (weight * shares).sum())))
     cell_sd = s.response_error * 4.0 * turned / (1.0 + turned)
     per_half = _halves(above, gain, weight, variance, s.quiet_error * ground, cell_sd)
     uneven = _unevenness(per_half / impulse)
@@ -382,7 +404,8 @@ def expected_sd(
     frequency: Array = np.asarray(np.fft.rfftfreq(segment, sample_interval_s), dtype=np.float64)[1:-1]
     averages = duration_s / (segment * sample_interval_s) * 2.0 / (1.0 + 2.0 / 36.0) / _HANN_NEIGHBOURS
     ground = np.full(frequency.size, quiet_n2_hz)
-    shown = ground + mean_force_n * impulse_n_s * power_gain(frequency, cell_response_s, sample_interval_s)
+    averaged = settings.averaged if settings is not None else True
+    shown = ground + mean_force_n * impulse_n_s * power_gain(frequency, cell_response_s, sample_interval_s, averaged=averaged)
     return kernel_impulse(
         in_pulses(Density(frequency, shown, averages), crest),
         Density(frequency, ground, averages),

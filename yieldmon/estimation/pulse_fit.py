@@ -155,7 +155,8 @@ def _step(
     white, residual = _whitened(at.jacobian[rows][..., free], shown.amplitudes_n[rows] - at.waves[rows], variance[rows])
     across = white.swapaxes(1, 2)
     normal = across @ white + prior
-    away = (theta - mean)[rows][:, free]
+    # A cell without a response has a logarithm of minus infinity, and is not fitted.
+    away = theta[rows][:, free] - mean[rows][:, free]
     pull = _times(prior, away)
     short: Array = np.asarray(np.linalg.solve(normal, (_times(across, residual) - pull)[..., None])[..., 0], dtype=np.float64)
     step = np.zeros((rows.size, theta.shape[1]))
@@ -175,7 +176,7 @@ def _shortened(
         tried[left] = theta[left] + part * whole[left]
         there = pulses.linearised(tried[left], shown.speeds_rad_s[those], shown.angles_rad[those])
         at.put(those, there)
-        away = (tried[left] - mean[those])[:, priors.free]
+        away = tried[left][:, priors.free] - mean[those][:, priors.free]
         off = (np.abs(shown.amplitudes_n[those] - there.waves) ** 2 / variance[those]).sum(axis=1)
         left = left[~(off + (away * _times(priors.precision[those], away)).sum(axis=1) < best[left])]
         if not left.size:

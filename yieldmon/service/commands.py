@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.sources import THOUSAND_KERNELS_G
 from yieldmon.errors import InputError
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.files import ticket_file
@@ -21,7 +22,6 @@ from yieldmon.service.requests import Request
 
 Answer = Mapping[str, Any]
 
-_KERNEL_WEIGHTS_G = (1.0, 5000.0)
 _TICKETS_KG = (1e-3, 1e6)
 _MOST_LOADS = 63
 """Between the first and the last of a ticket that is a reference mass for loads of an earlier run."""
@@ -75,7 +75,7 @@ def summary(status: Mapping[str, Any]) -> str:
 def _load_start(order: _Order) -> Answer:
     monitor, journal = order.monitor, order.journal
     request = order.request
-    weight_g = request.mass_or_none("thousand_kernel_weight_g", *_KERNEL_WEIGHTS_G, "g")
+    weight_g = request.mass_or_none("thousand_kernel_weight_g", *THOUSAND_KERNELS_G, "g")
     if weight_g is not None and monitor.waveform is None:
         raise InputError("thousand_kernel_weight_g", "is of no use", "waveform.enabled: true in the configuration")
     field, name = request.name("field"), request.name("crop")

@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+from yieldmon.engine.sources import THOUSAND_KERNELS_G
 from yieldmon.physics.machine import Machine
 from yieldmon.service.control import LONGEST_SOCKET_BYTES
 from yieldmon.service.document import Document
@@ -57,6 +58,9 @@ def _of_the_measurement(document: Document) -> Iterator[tuple[str, str, str]]:
     if waveform.kernel_low_hz >= waveform.kernel_high_hz:
         expected = f"below waveform.kernel_high_hz, {waveform.kernel_high_hz:g} Hz"
         yield "waveform.kernel_low_hz", f"{waveform.kernel_low_hz:g}", expected
+    if 0.0 < waveform.thousand_kernel_weight_g < THOUSAND_KERNELS_G[0]:
+        expected = f"0, or from {THOUSAND_KERNELS_G[0]:g} g, the mass of a thousand kernels"
+        yield "waveform.thousand_kernel_weight_g", f"{waveform.thousand_kernel_weight_g:g}", expected
     windows = document.windows
     if windows.min_coverage > windows.full_coverage:
         expected = f"at most windows.full_coverage, {windows.full_coverage:g}"

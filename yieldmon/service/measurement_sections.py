@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from yieldmon.engine.settings import EngineSettings
+from yieldmon.engine.sources import THOUSAND_KERNELS_G
 from yieldmon.service.section import Section, choice, quantity
 
 _ENGINE = EngineSettings()
@@ -214,34 +215,35 @@ _V = _ENGINE.waveform
 
 
 class Waveform(Section):
-    """Flow from the pulses' shape and from kernel noise, beside the mean force; off until proven on the machine."""
+    """Flow from the pulses' shape and kernel noise, beside the mean force."""
 
     enabled: bool = choice(_V.enabled, "evaluate the samples themselves")
-    combine: bool = choice(_V.combine, "publish and count mean force, shape and kernel noise together")
-    harmonics: int = quantity(_V.harmonics, 4, 21, "harmonics", "of the paddle pattern that are fitted")
+    combine: bool = choice(_V.combine, "publish mean force, shape and kernels together")
+    harmonics: int = quantity(_V.harmonics, 4, 21, "harmonics", "of the paddle pattern")
     model_error: float = quantity(_V.model_error, 0.001, 0.5, "1", "the pulse model's own error, relative")
     friction_sd: float = quantity(_V.friction_sd, 0.001, 1.0, "1", "relative deviation of friction")
     shape_ratio_sd: float = quantity(_V.shape_ratio_sd, 0.001, 1.0, "1", "relative deviation of the heap's shape ratio")
     stretch: float = quantity(_V.stretch, 0.5, 3.0, "1", "arrival's time over that of straight paths")
     stretch_sd: float = quantity(_V.stretch_sd, 0.0, 1.0, "1", "relative deviation; 0.03 once calibrated")
-    tail_s: float = quantity(_V.tail_s, 1e-4, 0.1, "s", "mean time for which grain pushes after striking")
+    tail_s: float = quantity(_V.tail_s, 1e-4, 0.1, "s", "mean time of pushing after striking")
     tail_sd: float = quantity(_V.tail_sd, 0.0, 3.0, "1", "deviation of its logarithm")
-    shape_terms: bool = choice(_V.shape_terms, "stretch and tail by pulse_shape_file instead")
+    shape_terms: bool = choice(_V.shape_terms, "both by pulse_shape_file instead")
     response_error: float = quantity(_V.response_error, 0.001, 1.0, "1", "relative deviation of the cell's response_s")
     largest_misfit: float = quantity(_V.largest_misfit, 1.0, 1000.0, "1", "misfit above which pulses contradict")
     contradiction_windows: int = quantity(_V.contradiction_windows, 5, 3600, "s", "windows compared")
     contradiction_z: float = quantity(_V.contradiction_z, 1.0, 20.0, "1", "standard deviations that contradict")
     thousand_kernel_weight_g: float = quantity(
-        _V.thousand_kernel_weight_g, 0.0, 2000.0, "g", "mass of a thousand kernels; 0: not known"
+        _V.thousand_kernel_weight_g, 0.0, THOUSAND_KERNELS_G[1], "g", "mass of a thousand kernels; 0: not known"
     )
-    thousand_kernel_weights_g: dict[str, Annotated[float, Field(ge=1.0, le=2000.0)]] = Field(
+    thousand_kernel_weights_g: dict[str, Annotated[float, Field(ge=THOUSAND_KERNELS_G[0], le=THOUSAND_KERNELS_G[1])]] = Field(
         default_factory=dict, description="the same by crop", json_schema_extra={"unit": "g"}
     )
     kernel_mass_sd: float = quantity(_V.kernel_mass_sd, 0.0, 1.0, "1", "relative deviation of that weight")
     kernel_low_hz: float = quantity(_V.kernel_low_hz, 20.0, 5000.0, "Hz", "lowest frequency, above the pulses")
     kernel_high_hz: float = quantity(_V.kernel_high_hz, 20.0, 5000.0, "Hz", "highest, below the inverse of a contact")
-    kernel_bias: float = quantity(_V.kernel_bias, 0.2, 3.0, "1", "impulse of a kernel over mass times impulse per kilogram")
-    kernel_bias_sd: float = quantity(_V.kernel_bias_sd, 0.0, 1.0, "1", "its deviation between crops and loads")
+    kernel_bias: float = quantity(_V.kernel_bias, 0.2, 3.0, "1", "kernel's impulse over mass times impulse per kilogram")
+    kernel_bias_sd: float = quantity(_V.kernel_bias_sd, 0.0, 1.0, "1", "its deviation")
     quiet_error: float = quantity(_V.quiet_error, 0.0, 1.0, "1", "relative deviation of background noise")
+    samples_averaged: bool = choice(_V.samples_averaged, "samples are means over their interval; false: instants")
     quiet_windows: int = quantity(_V.quiet_windows, 1, 3600, "s", "windows of each kind before a flow")
     kernel_windows: int = quantity(_V.kernel_windows, 5, 3600, "s", "windows that are averaged")

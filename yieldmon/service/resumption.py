@@ -48,6 +48,7 @@ def successor(
     monitor = monitor_of(configuration, fresh or before.estimator.parameters, waveform_later=True)
     monitor.restore(state)
     monitor.take_zero_of(before)
+    monitor.take_noise_of(before)
     if before.sweep.requested or before.sweep.visiting:
         monitor.request_sweep()
     if fresh is None:

@@ -14,7 +14,7 @@ from yieldmon.signals.units import factor
 IMPACT = {"impact_voltage": "mV", "impact_force": "N"}
 """The two ways in which an impact sensor speaks, and their units."""
 BINDABLE = (*IMPACT, *QUANTITIES)
-MIN_RATE_HZ, MAX_RATE_HZ = 10.0, 2000.0
+MIN_RATE_HZ, MAX_RATE_HZ = 10.0, 5000.0
 _LOOKS = 1000
 """Steps in which a range is searched for a value that can be true."""
 
