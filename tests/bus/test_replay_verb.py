@@ -86,7 +86,7 @@ def test_damage_is_told_and_passed_over(drive: Path, capsys: pytest.CaptureFixtu
     out, err = capsys.readouterr()
     assert f"{FRAMES} frames" in out
     assert "15 damaged places" in out
-    assert f"{drive}:11: 'junk' is no candump line" in err
+    assert f"{drive}:11: 'junk' is not a candump line" in err
     assert len(err.splitlines()) == 11
 
 

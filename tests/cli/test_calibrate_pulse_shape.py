@@ -65,7 +65,7 @@ def test_the_shape_of_weighed_loads_gives_the_flow_of_a_load_left_out(loads, tmp
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        ([], "--pulse-shape: lacks its loads; expected --loads LOG... and --tickets FILE"),
+        ([], "--pulse-shape: has no loads; expected --loads LOG... and --tickets FILE"),
         (
             ["--loads", "a.sqlite", "--tickets", "T"],
             "a.sqlite: is a store, which holds no samples; expected logs of weighed loads",

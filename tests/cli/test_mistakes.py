@@ -108,7 +108,7 @@ MISTAKES = {
     "estimate nothing": ("estimate nowhere.csv", "nowhere.csv: No such file"),
     "estimate with noise below 0": ("estimate table.csv --sigma -1", "--sigma: is -1"),
     "self-calibrate over its data": ("self-calibrate table.csv --out table.csv", "is a file that is read as well"),
-    "group by nothing": ("self-calibrate table.csv --group-by tractor", "--group-by: tractor is no column"),
+    "group by nothing": ("self-calibrate table.csv --group-by tractor", "--group-by: tractor is not a column"),
     # configuration
     "a channel without quotes": ("check-config channel.yaml", "bus.channel: 0; expected a word (a number in quotes)"),
     "a misspelt section": ("check-config key.yaml", "swep: unknown key; expected sweep"),

@@ -108,7 +108,10 @@ def test_a_contested_second_has_no_mass_whatever_the_zero(own) -> None:
     ("words", "said"),
     [
         ((STORE,), "is a store, measured already; expected --params, --estimator, --zero-mv or"),
-        ((STORE, STORE.with_name("x.sqlite"), "--delay", 3), "names a store beside others; expected one store alone"),
+        (
+            (STORE, STORE.with_name("x.sqlite"), "--delay", 3),
+            "names a store together with other sources; expected one store alone",
+        ),
         ((STORE, "--delay", 900), "--delay: is 900; expected 0 to 60 s"),
         ((STORE, "--params", "none.yaml"), "none.yaml"),
         ((STORE, "--zero-mv", -4), "--zero-mv: is -4"),

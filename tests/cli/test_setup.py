@@ -218,7 +218,7 @@ def test_through_a_terminal_of_80_by_24_with_a_break_between(tmp_path):
     second = session(lines[6:], pexpect.EOF)
     second.close()
     assert second.exitstatus == 0
-    assert any("going on with" in page for page in seen)
+    assert any("continuing with" in page for page in seen)
     assert any("plate pivot" in page for page in seen)
     known = configuration.load(tmp_path / "new" / "yieldmon.yaml")
     assert known.machine.name == "9 m"

@@ -199,7 +199,7 @@ def test_report_without_matplotlib_says_what_to_install(offset_table: Path, tmp_
     ("arguments", "says"),
     [
         ([], "no table given"),
-        (["{table}", "--without", "ghost"], "'ghost' is no effect"),
+        (["{table}", "--without", "ghost"], "'ghost' is not an effect"),
         (["{table}", "--hold-out", "plate_angle_deg=12"], "holds out 0 of"),
         (["no-such.csv"], "no-such.csv"),
         (["{few}"], "has 3 rows"),

@@ -112,7 +112,7 @@ def test_an_effect_from_outside_the_package(tmp_path: Path, capsys: pytest.Captu
 @pytest.mark.parametrize(
     ("entry", "wrong"),
     [("x = nowhere:EFFECT", "cannot be loaded"), ("x = json:dumps", "is a function"),
-     ("x = yieldmon.physics.effects.gravity:EFFECT", "gravity is there already")],
+     ("x = yieldmon.physics.effects.gravity:EFFECT", "gravity exists already")],
     ids=["missing", "no effect", "name taken"],
 )  # fmt: skip
 def test_a_plug_in_that_is_none_is_named(entry: str, wrong: str, tmp_path: Path) -> None:

@@ -35,11 +35,11 @@ def waiting(
 @pytest.mark.parametrize(
     ("how", "expected"),
     [
-        ({"rpm": None}, "the elevator's speed, which no frame tells"),
+        ({"rpm": None}, "the elevator's speed, which no frame reports"),
         ({"rpm": 0.0}, "the elevator to run at 250 to 599 rpm: it turns at 0 rpm"),
         ({"sensor": False}, "all samples of a second from the impact sensor"),
         ({"angle_deg": 50.0}, "the plate to rest at home, 70 deg: it is at 50.0 deg"),
-        ({"angle_deg": None}, "the plate to rest at home, 70 deg: no frame tells where it is"),
+        ({"angle_deg": None}, "the plate to rest at home, 70 deg: no frame reports its angle"),
         ({"seconds": 2.3}, "the elevator running empty: 2 of 3 s"),
         ({"seconds": 8.0}, ""),
     ],

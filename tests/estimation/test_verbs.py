@@ -391,13 +391,13 @@ def test_self_calibrate_in_words(capsys: pytest.CaptureFixture[str], sweep_table
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ([], "says nothing of its noise"),
+        ([], "does not state its noise"),
         (["--sigma", "0"], "--sigma: is 0"),
         (["--sigma", "inf"], "--sigma: is inf"),
         (["--sigma", "1", "--model-error", "-1"], "--model-error: is -1"),
         (["--sigma", "1", "--model-error", "nan"], "--model-error: is nan"),
         (["--sigma", "1", "--out", "nowhere/x.yaml"], "nowhere/x.yaml: there is no folder"),
-        (["--sigma", "1", "--group-by", "colour"], "colour is no column"),
+        (["--sigma", "1", "--group-by", "colour"], "colour is not a column"),
         (["--sigma", "1", "--group-by", "force_n"], "fewer than two plate angles"),
         (["--sigma", "1", "--density", "1100"], "KG_M3:SD"),
         (["--sigma", "1", "--separate", "--out", "x.yaml"], "given with --separate"),

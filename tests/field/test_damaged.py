@@ -90,16 +90,16 @@ def test_rows_that_are_no_rows_are_told(corn: Path, tmp_path: Path) -> None:
     table = sources.read(path, ReadOptions())
     assert len(table) == 298
     assert [(one.part, one.why) for one in table.sources[0].skipped] == [
-        ("row 11", "fewer than 10 fields"), ("row 21", "a field that is no number"),
+        ("row 11", "fewer than 10 fields"), ("row 21", "a field that is not a number"),
     ]  # fmt: skip
 
 
 @pytest.mark.parametrize(
     ("name", "content", "says"),
     [
-        ("a.csv", b"lon,lat,time,flow,width_m\n1,2,3,4,5\n", "no known unit of flow"),
+        ("a.csv", b"lon,lat,time,flow,width_m\n1,2,3,4,5\n", "no known unit for flow"),
         ("a.csv", b"lon,lat,time,Flow(lb/s),width_m\n", "no row"),
-        ("a.csv", b"lon,lat,Flow(stone/s),width_m\n1,2,3,4\n", "no known unit of Flow(stone/s)"),
+        ("a.csv", b"lon,lat,Flow(stone/s),width_m\n1,2,3,4\n", "no known unit for Flow(stone/s)"),
         ("a.csv", b"lon,lat,Flow(lb/s)\n1,2,3\n", "--width"),
         ("a.csv", b"Flow(lb/s),width_m\n1,2\n", "longitude"),
         ("a.txt", b"", "empty"),

@@ -125,7 +125,7 @@ def test_ag_leader_dialects(content: str, suffix: str, tmp_path: Path) -> None:
 def test_a_header_without_units_needs_ways_in_inches(tmp_path: Path) -> None:
     path = tmp_path / "metric.csv"
     path.write_text(HEADER + AG_LEADER.replace("78.74", "2.0"))
-    with pytest.raises(InputError, match="says no units, and the distances are not in inches"):
+    with pytest.raises(InputError, match="states no units, and the distances are not in inches"):
         sources.read(path, ReadOptions())
     units = {"flow": ("Flow", "kg/s"), "distance": ("Distance", "m"), "width": ("Swath", "in"), "interval": ("Interval", "s")}
     table = sources.read(path, ReadOptions(columns=units))

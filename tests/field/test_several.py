@@ -355,3 +355,27 @@ def moved(log: bytes, header: str, north: int) -> bytes:
         out[at + 6 : at + 10] = latitude.to_bytes(4, "little", signed=True)
         at += 16 + 5 * out[at + 15]
     return bytes(out)
+
+
+@pytest.mark.parametrize(("source", "delay_s"), [("a table of process", 12.0), ("another program's map", 0.0)])
+def test_a_record_of_the_machine_still_holds_the_delay(
+    source: str, delay_s: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where the data do not show a delay, as on a single pass: that of a combine, and none for points placed by others."""
+    second = "mass_flow_kg_s" if source == "a table of process" else "flow_kg_s"
+    header = f"time_s,{second},latitude_deg,longitude_deg,ground_speed_m_s" + (
+        ",load_number,zero_mv,usable_for_calibration" if source == "a table of process" else ""
+    )
+    more = ",1,500.0,1" if source == "a table of process" else ""
+    rows = [f"{1.7e9 + k:.1f},{6 + k % 5},{40 + 2e-5 * k:.7f},-88.2,2.2{more}" for k in range(120)]
+    (tmp_path / "seconds.csv").write_text("\n".join([header, *rows]))
+    document, _ = mapped(capsys, tmp_path / "seconds.csv", "--width", "6")
+    assert document["delay"]["flow_s"]["decision"] == "cannot tell"
+    assert document["delay"]["flow_s"]["value"] == delay_s
+
+
+def test_columns_without_any_value_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = ["time_s,flow_kg_s,latitude_deg,longitude_deg,ground_speed_m_s", *(f"{1.7e9 + k},7,,,2.2" for k in range(30))]
+    (tmp_path / "seconds.csv").write_text("\n".join(rows))
+    assert cli.main(["map", "seconds.csv", "--width", "6", "--out", "unused"]) == 2
+    assert "has no longitude_deg in any row" in capsys.readouterr().err

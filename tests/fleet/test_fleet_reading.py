@@ -84,7 +84,7 @@ def test_report_names_damaged_logs_and_those_counted_twice(tmp_path: Path, capsy
     assert main(["fleet", "report", out, "--html", str(tmp_path / "r.html")]) == 0
     said = capsys.readouterr().err.splitlines()
     assert said == [
-        "doubtful: m1 d1: damaged: a.log:2: 'garbage' is no candump line",
+        "doubtful: m1 d1: damaged: a.log:2: 'garbage' is not a candump line",
         "doubtful: m2 d2: b c.log holds the same as m0 d1 a.log, and is counted again",
     ]
     text = (tmp_path / "r.html").read_text()

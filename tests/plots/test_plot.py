@@ -115,7 +115,10 @@ WRONG = [
     (["flow", "gone.csv", "--out", "x.png"], "yieldmon: gone.csv: no such file"),
     (["flow", "gone.txt", "--out", "x.png"], "yieldmon: gone.txt: unknown kind of record '.txt'"),
     (["sweeps", "{folder}/none.csv", "--out", "x.png"], "none.csv: holds no seconds"),
-    (["flow", "{folder}/r.csv", "--truth", str(DATA / "bench_table.csv"), "--out", "x.png"], "csv: is no truth: 'time_s'"),
+    (
+        ["flow", "{folder}/r.csv", "--truth", str(DATA / "bench_table.csv"), "--out", "x.png"],
+        "csv: is not a truth table: 'time_s'",
+    ),
     (["errors", "{folder}/r.csv", "--truth", "{folder}/truth.csv", "--bands", "3", "2", "--out", "x.png"], "two or more rising"),
     (["curves", str(DATA / "bench_table.csv"), "--out", "x.png"], "holds response, but the parameters are in the unit 'N'"),
     (["curves", "--elevator-speed", "-5", "--out", "x.png"], "--elevator-speed: is -5; expected above 0 rpm"),

@@ -4,7 +4,7 @@ python -m tests.robustness verdict-starts [--starts N] [--cases N] [--only dem,b
 
 Each table (both published ones, and hidden cases of studies/hidden_effects) is diagnosed from the shipped parameters, from the
 output of `calibrate` on the same rows, and from N sets drawn within the physical prior of grain (shape ratio as shipped). A line
-for each run goes to --out; a run that is there already is not made again. Exit code 1 where a table has two verdicts, other
+for each run goes to --out; a run that exists already is not made again. Exit code 1 where a table has two verdicts, other
 names, or lacks of fit further apart than 2 %.
 """
 

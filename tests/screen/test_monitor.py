@@ -238,7 +238,7 @@ def test_a_log_without_a_frame_is_refused(how, tmp_path, capsys):
 
 def test_a_screen_without_a_terminal_is_refused(log, capsys):
     assert main(["monitor", str(log)]) == 2
-    expected = "yieldmon: standard output: is no terminal; expected a terminal, --once, --json or --record F\n"
+    expected = "yieldmon: standard output: is not a terminal; expected a terminal, --once, --json or --record F\n"
     assert capsys.readouterr() == ("", expected)
 
 

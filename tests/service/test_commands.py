@@ -133,7 +133,7 @@ def test_the_newest_ticket_of_a_load_counts() -> None:
     ("request_", "problem"),
     [
         ({"first_load": 3, "mass_kg": 1.0}, "no such load; expected 1 to 2"),
-        ({"first_load": 2, "last_load": 1, "mass_kg": 1.0}, "the last comes before the first"),
+        ({"first_load": 2, "last_load": 1, "mass_kg": 1.0}, "the last number is below the first"),
         ({"first_load": 1, "mass_kg": 0.0}, "mass_kg: 0.0; expected a mass from 0.001 to 1e.06 kg"),
         ({"first_load": 1, "mass_kg": float("nan")}, "mass_kg: nan; expected a mass from"),
         ({"first_load": 1, "last_load": 2, "mass_kg": 5e-324}, "mass_kg: 5e-324; expected a mass from"),

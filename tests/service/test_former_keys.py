@@ -29,5 +29,5 @@ def test_former_keys_are_read_in_their_place() -> None:
 @pytest.mark.parametrize(("key", "present"), FORMER_KEYS.items())
 def test_a_key_under_both_names_is_refused(key: tuple[str, str], present: str) -> None:
     section, former = key
-    with pytest.raises(InputError, match=f"c.yaml: {section}.{former}: is there beside {section}.{present}"):
+    with pytest.raises(InputError, match=f"c.yaml: {section}.{former}: is given together with {section}.{present}"):
         with_present_keys({section: {former: 1, present: 2}}, "c.yaml")

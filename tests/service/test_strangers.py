@@ -24,7 +24,7 @@ def start(path: Path) -> None:
 def test_a_file_that_is_no_store_is_left_as_it_is(tmp_path, content):
     path = tmp_path / "yieldmon.sqlite"
     path.write_bytes(content)
-    with pytest.raises(InputError, match="is no store; it is left as it is"):
+    with pytest.raises(InputError, match="is not a store; it is left as it is"):
         start(path)
     assert path.read_bytes() == content
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
@@ -48,7 +48,7 @@ def test_a_folder_is_refused(tmp_path):
 
 def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "yieldmon.sqlite")
-    with pytest.raises(InputError, match="is no file"):
+    with pytest.raises(InputError, match="is not a file"):
         start(tmp_path / "yieldmon.sqlite")
 
 

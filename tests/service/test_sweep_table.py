@@ -195,8 +195,8 @@ def test_what_cannot_be_used_gets_one_line(tmp_path: Path, capsys: pytest.Captur
     ("arguments", "problem"),
     [
         (["{store}", "--sweeps", "0"], "--sweeps: is 0; expected at least 1"),
-        (["{csv}", "--sweeps", "3"], "is no store"),
-        (["{csv}", "--table", "t.csv"], "is no store"),
+        (["{csv}", "--sweeps", "3"], "is not a store"),
+        (["{csv}", "--table", "t.csv"], "is not a store"),
     ],
 )
 def test_options_that_do_not_fit(

@@ -71,7 +71,7 @@ CASES = {
     "an identity of 22 bits": (
         IMPACT.replace("}", ", source: {identity_number: 2097152}}"), "source.identity_number", "2097152", "NAME",
     ),
-    "a rate and a spacing": (IMPACT.replace("}", ", spacing_ms: 10}"), "impact_voltage.spacing_ms", "beside rate_hz", "one of"),
+    "a rate and a spacing": (IMPACT.replace("}", ", spacing_ms: 10}"), "impact_voltage.spacing_ms", "together with rate_hz", "one of"),
     "a NAME that is none": (IMPACT.replace("}", ", source: {function: 999}}"), "source.function", "999", "NAME"),
     "a range upside down": (IMPACT.replace("}", ", range: [5, 1]}"), "impact_voltage.range", "5", "smaller first"),
     "a constant that cannot be": ("elevator_speed: {value: -4}", "elevator_speed.value", "-4", "rpm"),
@@ -163,8 +163,8 @@ CASES = {
     "no angle": ("plate_angle: null", "plate_angle", "null", "plate.fixed_angle_deg"),
     "a constant angle": ("plate_angle: {value: 70}", "plate_angle.value", "70", "plate.fixed_angle_deg"),
     "an elevator that stands": ("elevator_speed: {value: 0}", "elevator_speed.value", "0", "rpm"),
-    "the engine's constant speed": ("elevator_speed: {value: 2000, ratio: 0.2}", "elevator_speed.ratio", "beside value"),
-    "a constant out of a file": ("elevator_speed: {value: 400, dbc: counts.dbc}", "elevator_speed.dbc", "beside value"),
+    "the engine's constant speed": ("elevator_speed: {value: 2000, ratio: 0.2}", "elevator_speed.ratio", "together with value"),
+    "a constant out of a file": ("elevator_speed: {value: 400, dbc: counts.dbc}", "elevator_speed.dbc", "together with value"),
     "pulses in kilograms": (
         "elevator_speed: {dbc: counts.dbc, message: Bridge, signal: Spare, pulses_per_turn: 60, unit: kg}",
         "elevator_speed.unit", "'kg'", "rpm",

@@ -110,7 +110,7 @@ def load_messages(path: Path | str) -> dict[str, MessageBits]:
     """
     where, database = str(path), dbc_file.read(path, strict=False)
     if twice := repeated(message.name for message in database.messages):
-        raise InputError(f"{where}: {twice[0]}", "is there twice", "a name of its own for each message")
+        raise InputError(f"{where}: {twice[0]}", "appears twice", "a name of its own for each message")
     if not database.messages:
         raise InputError(where, "names no message", "a DBC file")
     return {message.name: _message(message) for message in database.messages}
@@ -130,7 +130,7 @@ def _odd_numbers(signal: DbcSignal) -> str:
     except OverflowError:
         sound = False
     given = f"factor {signal.scale}, offset {signal.offset}, range {signal.minimum} to {signal.maximum}"
-    return "" if sound else f"{given[:200]}, which are no finite numbers with a factor other than 0"
+    return "" if sound else f"{given[:200]}, which are not finite numbers with a factor other than 0"
 
 
 def _message(message: DbcMessage) -> MessageBits:

@@ -297,7 +297,7 @@ def candump_frame(line: str, notes: LogNotes, damage: Callable[[str], None]) -> 
         if dropped is not None:
             notes.dropped_by_recorder += dropped
         elif text:
-            damage(f"{text[:60]!r} is no candump line")
+            damage(f"{text[:60]!r} is not a candump line")
     return message
 
 

@@ -85,7 +85,7 @@ def refuse_others(args: argparse.Namespace, option: str) -> None:
 def refuse_table(args: argparse.Namespace, option: str) -> None:
     """Raises InputError for a table of a test facility."""
     if args.data is not None:
-        raise InputError(args.data, f"is given beside {option}", "either a table of a test facility or weighed loads")
+        raise InputError(args.data, f"is given together with {option}", "either a table of a test facility or weighed loads")
 
 
 def matched(args: argparse.Namespace) -> tuple[Configuration, tuple[WeighedLoad, ...]]:
@@ -96,7 +96,7 @@ def matched(args: argparse.Namespace) -> tuple[Configuration, tuple[WeighedLoad,
 
 def _measured(args: argparse.Namespace) -> tuple[Configuration, tuple[MeasuredLoad, ...], tuple[WeighedLoad, ...]]:
     if args.tickets is None:
-        raise InputError("--tickets", "is missing", "a table with the columns load and weighed_kg beside --loads")
+        raise InputError("--tickets", "is missing", "a table with the columns load and weighed_kg, with --loads")
     refuse_table(args, "--loads")
     from yieldmon.service import weighed_loads  # The daemon's own modules, which a table of a test facility does not need.
 

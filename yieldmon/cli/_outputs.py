@@ -39,7 +39,7 @@ def check_folder(folder: Path, names: Iterable[str], option: str, *, force: bool
 
 
 def refuse(path: Path, option: str, *, force: bool, inputs: set[Path] = frozenset()) -> None:  # type: ignore[assignment]
-    """Raises InputError for a file that is one of the inputs, or is there already and not to be replaced."""
+    """Raises InputError for a file that is one of the inputs, or that exists already and is not to be replaced."""
     if path.is_dir():
         return
     if path.resolve() in inputs:

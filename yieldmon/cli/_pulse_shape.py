@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> PulseShapeDocument:
     if args.estimator is not None:
         raise InputError("--estimator", "fits a curve", "either --estimator or --pulse-shape")
     if args.loads is None or args.tickets is None:
-        raise InputError("--pulse-shape", "lacks its loads", "--loads LOG... and --tickets FILE")
+        raise InputError("--pulse-shape", "has no loads", "--loads LOG... and --tickets FILE")
     if args.out is not None:
         whole_file.check_place(args.out)
     from yieldmon.service import weighed_waves  # The daemon's own modules, which a table of a test facility does not need.

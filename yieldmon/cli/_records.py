@@ -31,7 +31,7 @@ def back(answer: Mapping[str, Any]) -> str:
 
 
 def show(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """A table on standard output; where it is no terminal, as wide as its content."""
+    """A table on standard output; where it is not a terminal, as wide as its content."""
     table = Table(*(Column(head, overflow="fold") for head in heads), box=None)
     for row in rows:
         table.add_row(*row)

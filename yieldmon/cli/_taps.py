@@ -23,7 +23,7 @@ def run(args: argparse.Namespace) -> TapDocument:
     _by_loads.refuse_table(args, "--taps")
     for name in ("loads", "tickets", "estimator", "pulse_shape", "prior"):
         if getattr(args, name) not in (None, False):
-            raise InputError(f"--{name.replace('_', '-')}", "is given beside --taps", "logs of taps alone")
+            raise InputError(f"--{name.replace('_', '-')}", "is given together with --taps", "logs of taps alone")
     if args.out is not None:
         whole_file.check_place(args.out)
     from yieldmon.service import tap_samples  # The daemon's own modules, which a table of a test facility does not need.

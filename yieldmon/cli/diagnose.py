@@ -65,7 +65,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--table", metavar="OUT.csv", help="of a store, write the table that is diagnosed")
     parser.add_argument("--adopt", metavar="OUT.yaml", help="write the next version of the parameters, with the named effects")
     parser.add_argument("--rollback", metavar="FILE.yaml", help="put the parent of an adopted file back in its place, and end")
-    parser.add_argument("--plan", metavar="OUT.csv", help="write the next experiment, and beside it the daemon's sweep section")
+    parser.add_argument("--plan", metavar="OUT.csv", help="write the next experiment, and next to it the daemon's sweep section")
     parser.add_argument("--report", metavar="DIR", help="write an HTML page with pictures")
     parser.add_argument("--json", action="store_true", help="print one JSON document")
     _outputs.add_force(parser, "table", "plan")
@@ -132,7 +132,7 @@ def _check(args: argparse.Namespace) -> None:
         raise InputError("diagnose", "no table given", "DATA.csv, a store, or --rollback FILE.yaml")
     unknown = [name for name in args.without if name not in registry()]
     if unknown:
-        raise InputError("--without", f"{unknown[0]!r} is no effect", f"one of {', '.join(registry())}")
+        raise InputError("--without", f"{unknown[0]!r} is not an effect", f"one of {', '.join(registry())}")
     if args.report is not None:
         report.check_pictures()
         if Path(args.report).is_file():
@@ -175,7 +175,7 @@ class _Source:
 def _from_csv(args: argparse.Namespace) -> _Source:
     for option, value in (("--sweeps", args.sweeps), ("--table", args.table)):
         if value is not None:
-            raise InputError(option, f"{args.data} is no store", f"a name that ends in {', '.join(recorded.STORE_SUFFIXES)}")
+            raise InputError(option, f"{args.data} is not a store", f"a name that ends in {', '.join(recorded.STORE_SUFFIXES)}")
     path = Path(args.params) if args.params is not None else shipped(parameter_file.DEFAULT)
     return _Source(table.load(args.data), parameter_file.load(path), path, keep_effects=args.keep_effects)
 

@@ -68,24 +68,28 @@ def run(args: argparse.Namespace) -> int:
     if what == "loads":
         loads = recorded.read_loads(args.record)
         _table(kind)(out, LoadRecord, loads)
-        print(f"{out}: {len(loads)} loads", file=sys.stderr)
+        print(f"{out}: {_counted(len(loads), 'load')}", file=sys.stderr)
         return 0
     rows = recorded.read_seconds(args.record)
     if what == "seconds":
         _table(kind)(out, SecondRow, rows)
-        print(f"{out}: {len(rows)} seconds", file=sys.stderr)
+        print(f"{out}: {_counted(len(rows), 'second')}", file=sys.stderr)
         return 0
     points = yield_points(rows, _settings(args), args.record)
     if not points:
         expected = "flow, and a position --flow-delay before it"
         raise InputError(args.record, "has no second of harvest that a place belongs to", expected)
     _write_points(kind, out, points, args)
-    said = f"{out}: {len(points)} yield points"
+    said = f"{out}: {_counted(len(points), 'yield point')}"
     if kind in ("agleader", "taskdata"):
         # Readers take such files for raw ones.
         said += f"; the flow delay of {args.flow_delay:g} s is taken out: read them with `yieldmon map --flow-delay 0`"
     print(said, file=sys.stderr)
     return 0
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def _table(kind: str) -> Callable[[Path, type, Sequence[Any]], None]:

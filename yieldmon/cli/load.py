@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
             print(f"measuring with the parameters of {answer['crop']}, version {answer['parameters']['version']}")
         elif not answer["crop_known"]:
             known = ", ".join(crops())
-            print(f"yieldmon: {answer['crop']} is no crop that is known; the parameters stay; known are {known}", file=sys.stderr)
+            print(f"yieldmon: {answer['crop']} is not a known crop; the parameters stay; known are {known}", file=sys.stderr)
     else:
         units = units_of(args.units, answer.get("units", "metric"), answer.get("crop", ""))
         print(f"load {answer['load']} complete: {units.mass_with_bushels(answer['mass_kg'])}")

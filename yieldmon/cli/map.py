@@ -52,7 +52,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--transport", action="store_true", help="sharpen the flow by deconvolution, where that beats a plain smoother"
     )
     add_units(parser, "metric")
-    what = parser.add_argument_group("what the data do not say")
+    what = parser.add_argument_group("what the data do not state")
     what.add_argument("--flow-delay", type=float, metavar="S", help="instead of the estimate")
     what.add_argument("--moisture-delay", type=float, metavar="S", help="instead of the estimate")
     what.add_argument("--width", type=float, metavar="M", help="working width, for sources that have none (or instead of theirs)")

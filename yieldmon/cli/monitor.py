@@ -38,7 +38,7 @@ from yieldmon.units import UnitSystem
 
 REFRESH_S = 0.25
 _UNBOUND_LINES = 24
-"""Beside the rows, where the output is no terminal."""
+"""Beside the rows, where the output is not a terminal."""
 Source = Iterator[can.Message | None]
 """Frames as they come; None where none came within a refresh period. Ends with a log."""
 
@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
     within("--speed", args.speed, 0.0)
     above_0("--seconds", args.seconds)
     if not (args.once or args.json or args.record or sys.stdout.isatty()):
-        raise InputError("standard output", "is no terminal", "a terminal, --once, --json or --record F")
+        raise InputError("standard output", "is not a terminal", "a terminal, --once, --json or --record F")
     codec = Codec()
     traffic = Traffic(codec)
     with ExitStack() as stack:

@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     if out.suffix.lower() != PACKED_SUFFIX:
         raise InputError("--out", f"is {out}", f"a name that ends in {PACKED_SUFFIX}")
     if out.exists() and not args.force:
-        raise InputError("--out", f"{out} is there already", "another name, or --force to overwrite it")
+        raise InputError("--out", f"{out} exists already", "another name, or --force to overwrite it")
     for log in args.logs:
         require_log(log)
         if out.exists() and out.samefile(log):

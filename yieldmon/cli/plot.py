@@ -44,7 +44,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     kinds = parser.add_subparsers(dest="picture", metavar="PICTURE", required=True)
 
-    record = _picture(kinds, "flow", _flow, "mass flow and accumulated mass, beside the truth or the tickets")
+    record = _picture(kinds, "flow", _flow, "mass flow and accumulated mass, with the truth or the tickets")
     record.add_argument("record", metavar="RECORD", help=RECORD_HELP)
     record.add_argument("--truth", metavar="F", help="CSV with time_s, mass_flow_kg_s, total_mass_kg (as simulate writes)")
     _add_units(record)
@@ -78,7 +78,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     study.add_argument("--machine", metavar="F", help="machine file (YAML); default: the 8-tooth machine")
     study.add_argument("--plate-angle", type=float, default=70.0, metavar="DEG", help="default: 70")
 
-    theirs = _picture(kinds, "published", _published, "published momentum table and closed loop, beside ours")
+    theirs = _picture(kinds, "published", _published, "published momentum table and closed loop, with ours")
     theirs.add_argument("tables", metavar="TABLES.yaml", help="the published figures (tests/data/published_tables.yaml)")
     theirs.add_argument("--machine", metavar="F", help="machine file (YAML); default: the 8-tooth machine")
 
@@ -128,7 +128,7 @@ def _truth(path: str) -> tuple[Array, Array, Array]:
             rows = list(csv.DictReader(stream))
         columns = [np.array([float(row[name]) for row in rows]) for name in TRUTH_COLUMNS]
     except (KeyError, ValueError, TypeError, csv.Error) as error:
-        raise InputError(path, f"is no truth: {error}", f"a CSV with the columns {', '.join(TRUTH_COLUMNS)}") from error
+        raise InputError(path, f"is not a truth table: {error}", f"a CSV with the columns {', '.join(TRUTH_COLUMNS)}") from error
     if not rows:
         raise InputError(path, "holds no rows", "a row a second")
     return columns[0], columns[1], columns[2]

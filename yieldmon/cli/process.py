@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
     if any(is_store_not_log(log) for log in args.logs):
         return _store_again(args, loaded, units)
     if args.delay:
-        raise InputError("--delay", "is of no use with a log", "a store; with the table of a log `yieldmon export --flow-delay`")
+        raise InputError("--delay", "does not apply to a log", "a store; with the table of a log `yieldmon export --flow-delay`")
     refuse_copies(args.logs)
     if args.separate:
         return _separately(args, config, units)
@@ -126,7 +126,7 @@ def _check(args: argparse.Namespace) -> None:
 def _store_again(args: argparse.Namespace, loaded: configuration.Configuration, units: Units) -> int:
     """A store's seconds, measured again with what is known of them."""
     if len(args.logs) > 1 or args.separate:
-        raise InputError("LOG", "names a store beside others", "one store alone")
+        raise InputError("LOG", "names a store together with other sources", "one store alone")
     if not 0 <= args.delay <= _LONGEST_DELAY_S:
         raise InputError("--delay", f"is {args.delay}", f"0 to {_LONGEST_DELAY_S} s")
     if args.params is None and args.estimator is None and args.zero_mv is None and not args.delay:
@@ -280,7 +280,7 @@ def _line(document: ProcessSummary, units: Units) -> str:
         lines.append("no mass: no whole second passes between the frames' times, as in a log of a recorder without a clock")
     elif not document["zero_known"] and document.get("missing", {}).get("elevator speed", 0.0) > _MOSTLY:
         lines.append(
-            "no mass: the elevator's speed does not come, and without it there is no zero; what comes is shown by "
+            "no mass: no frame reports the elevator's speed, and without it there is no zero; what the log holds is shown by "
             "`yieldmon check-config CONFIG --log LOG`"
         )
     elif not document["zero_known"]:

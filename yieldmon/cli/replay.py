@@ -1,4 +1,4 @@
-"""Log onto a bus with its own timing."""
+"""Replay a log onto a bus with its own timing."""
 
 from __future__ import annotations
 

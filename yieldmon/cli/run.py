@@ -22,7 +22,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "run",
         help="run the yield monitor as a daemon",
-        description=f"{__doc__} SIGTERM and SIGINT end it; SIGHUP reads the configuration anew.",
+        description=f"{__doc__} SIGTERM and SIGINT end it; SIGHUP reloads the configuration.",
         epilog="example: yieldmon run --config /etc/yieldmon/yieldmon.yaml",
     )
     parser.add_argument("--config", metavar="F", help="configuration (YAML); default: the shipped one")

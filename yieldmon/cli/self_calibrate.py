@@ -97,7 +97,7 @@ def _groups(data: table.Table, column: str | None) -> tuple[np.ndarray, list[str
     elif column in data.columns:
         cells = [f"{v:g}" for v in data.columns[column]]
     else:
-        raise InputError("--group-by", f"{column} is no column of {data.path}", ", ".join((*data.text, *data.columns)))
+        raise InputError("--group-by", f"{column} is not a column of {data.path}", ", ".join((*data.text, *data.columns)))
     names = list(dict.fromkeys(cells))
     return np.array([names.index(c) for c in cells]), names
 
@@ -149,7 +149,7 @@ def _sigma(args: argparse.Namespace, data: table.Table, labels: np.ndarray) -> A
     means = np.bincount(cells[known], values[known], minlength=cells.max() + 1) / np.maximum(counts, 1)
     dof = int(np.sum(np.maximum(counts - 1, 0)))
     if dof < 3:
-        raise InputError(data.path, "says nothing of its noise", "--sigma SD, a column sigma, or repeated rows")
+        raise InputError(data.path, "does not state its noise", "--sigma SD, a column sigma, or repeated rows")
     spread = float(np.sqrt(np.sum((values[known] - means[cells[known]]) ** 2) / dof))
     if spread == 0.0:
         raise InputError(data.path, "holds repeated rows without any scatter", "--sigma SD")

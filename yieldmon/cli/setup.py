@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     folder = Path(args.out)
     nearest = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if not nearest.is_dir():
-        raise InputError("--out", f"{nearest} is no folder", "a folder, or a name that does not exist yet")
+        raise InputError("--out", f"{nearest} is not a folder", "a folder, or a name that does not exist yet")
     answers = session.from_file(args.answers) if args.answers else {}
     kept = folder / session.KEPT
     if kept.is_file():
@@ -75,7 +75,7 @@ def _going_on(kept: Path, answers: dict[str, Any], named: str | None) -> dict[st
             f"is {machines[0]}, but {kept} has answers of {machines[1]}",
             "another folder for --out, or that file moved away",
         )
-    print(f"yieldmon: going on with {kept}", file=sys.stderr)
+    print(f"yieldmon: continuing with {kept}", file=sys.stderr)
     return {**earlier, **answers}
 
 

@@ -1,4 +1,4 @@
-"""Virtual combine onto a bus, or into a log, with the truth beside it."""
+"""Virtual combine onto a bus, or into a log, and the true flow as a table."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ def _drive_bus(combine: VirtualCombine, codec: Codec, args: argparse.Namespace, 
                         counts[frame.message] += 1
                     except can.CanOperationError as error:
                         if counts[NOT_SENT] == 0:
-                            print(f"simulate: not sent ({error}); going on", file=sys.stderr)
+                            print(f"simulate: not sent ({error}); continuing", file=sys.stderr)
                         counts[NOT_SENT] += 1
         except KeyboardInterrupt:
             print(f"simulate: stopped at {combine.time_s:.2f} s", file=sys.stderr)

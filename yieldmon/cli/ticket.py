@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
         measured, weighed = (units.mass_with_bushels(answer[key]) for key in ("measured_mass_kg", "weighed_mass_kg"))
         print(f"{which}: measured {measured}, weighed {weighed} ({change_pct:+.2f} %); {use}")
         if answer["anchor"]:
-            print("the loads of the last three days are measured again with what it teaches: `yieldmon load list`")
+            print("the loads of the last three days are measured again with the updated parameters: `yieldmon load list`")
     return 0
 
 

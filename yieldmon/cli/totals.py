@@ -15,7 +15,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "totals",
         help="set the totals to 0, or keep a copy of the store",
         description=f"{__doc__} archive writes all records, loads and parameters into a new file, whether or not a daemon runs; "
-        "reset begins anew with total and load at 0 and the next load number, and keeps the records.",
+        "reset sets total and load to 0, begins the next load number and keeps the records.",
         epilog="example: yieldmon totals archive /mnt/usb/2026.sqlite && yieldmon totals reset 41250",
     )
     actions = parser.add_subparsers(dest="action", metavar="archive|reset", required=True)
@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
 
     out = Path(args.out)
     if out.exists():
-        raise InputError(args.out, "is there already", "a new file")
+        raise InputError(args.out, "exists already", "a new file")
     store = args.store if args.store is not None else ask_daemon(args, {"command": "status"})["store"]["file"]
     with scratch_for(out, durable=True) as scratch, opened(Path(store)) as source:
         source.copy_to(scratch)

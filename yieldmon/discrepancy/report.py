@@ -76,7 +76,7 @@ def summary(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "none":
         return (
             f"The model fits these measurements as well as they repeat (error {before:.1f} % of the largest reading). "
-            "Nothing to mend."
+            "Nothing to correct."
         )
     if diagnosis.verdict == "unknown":
         return (

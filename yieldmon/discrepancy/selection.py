@@ -217,7 +217,7 @@ class Search:
         scale = misfit([current])
         alone = one_angle_off(self.base, scale, self.policy.per_parameter)
         if alone is None:
-            return "rows of one plate angle do not tell an effect from an error that all of them share"
+            return "rows of one plate angle cannot separate an effect from an error that all of them share"
         if alone.merit > merit(current, scale, self.policy) + self.policy.tie:
             return ""
         at = f"{np.degrees(alone.plate_angle_rad):.0f} deg"

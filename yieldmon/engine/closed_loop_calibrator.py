@@ -224,7 +224,7 @@ class ClosedLoopCalibrator:
         else:
             self._drifting = carried(drifting, replace(prior, version=used.version + 1))
         known = self._drifting.parameters
-        reason = outcome.reason if outcome.updated else "moved by moisture or steady drift; the data said too little"
+        reason = outcome.reason if outcome.updated else "moved by moisture or steady drift; the data add too little"
         self._updated = known
         follows = self._drifting.state.shape == step.after.shape and known.covariance_names == prior.covariance_names
         led = CalibrationStep(used.version, begun_s, moment[0], step, tuple(map(float, self._drifting.state)))

@@ -219,7 +219,7 @@ _TABLE = (
     FaultDefinition(
         _C.PLATE_NOT_FOLLOWING, 520195, 7, _W, 1, 10,
         "The plate did not reach a commanded angle in time, or the force did not follow the angle that it reports.",
-        "Sweeps end early and wait longer each time; flow goes on at the measured angle.",
+        "Sweeps end early and the wait before the next grows; flow is measured at the angle that is reported.",
         "Check the actuator's linkage and supply for jamming.",
         lambda o: _if(o.sweep.not_following),
     ),
@@ -272,7 +272,7 @@ _TABLE = (
     FaultDefinition(
         _C.STORE_FAILING, 520201, 12, _W, 1, 3,
         "Records cannot be written to the store.",
-        "Measuring goes on; totals since the last write are lost if power is cut.",
+        "Measuring continues; totals since the last write are lost if power is cut.",
         "Free disk space or replace the storage.",
         REPORTED,
     ),
@@ -286,7 +286,7 @@ _TABLE = (
     FaultDefinition(
         _C.CLOCK_JUMPED, 520203, 2, _N, 1, 1,
         "Frame time stepped back or leapt forward.",
-        "Windows and totals go on; records near the step have wrong times.",
+        "Windows and totals continue; records near the step have wrong times.",
         "None; check the logger's clock if it repeats.",
         lambda o: _if(o.reading.windows_since_jump < o.settings.faults.clock_jump_hold_windows),
     ),
@@ -314,7 +314,7 @@ _TABLE = (
     FaultDefinition(
         _C.NETWORK_FAULT, 520207, 19, _W, 1, 3,
         "No address could be claimed, or another node contests it, uses our NAME, or floods us with requests or sessions.",
-        "Without an address nothing is published and the plate is not driven; measuring goes on.",
+        "Without an address nothing is published and the plate is not driven; measuring continues.",
         "Give one of the nodes another address or NAME; find the node that status names.",
         REPORTED,
     ),
@@ -335,7 +335,7 @@ _TABLE = (
     FaultDefinition(
         _C.MASS_NEAR_END, 520209, 0, _W, 1, 1,
         "The load's or the total mass is near the largest that its signal in AccumulatedMass carries.",
-        "Beyond that the signal is not available; the store and status go on counting.",
+        "Beyond that the signal is not available; the store and status continue to count.",
         "Start a new load; archive the totals.",
         lambda o: o.mass_near_end,
     ),

@@ -263,7 +263,7 @@ class Measurement:
         """What a window lacks for a zero, "" where it lacks nothing."""
         machine = self._machine
         if not inputs.speed_known:
-            return "the elevator's speed, which no frame tells"
+            return "the elevator's speed, which no frame reports"
         if not elevator_runs:
             low, high = (speed / RPM for speed in (machine.min_elevator_speed_rad_s, machine.max_elevator_speed_rad_s))
             return f"the elevator to run at {low:.0f} to {high:.0f} rpm: it turns at {window.speed_rad_s / RPM:.0f} rpm"
@@ -272,6 +272,6 @@ class Measurement:
         if not plate_rests_at_home:
             home = degrees(machine.home_plate_angle_rad)
             angle = degrees(window.plate_angle_rad)
-            where = f"it is at {angle:.1f} deg" if isfinite(angle) else "no frame tells where it is"
+            where = f"it is at {angle:.1f} deg" if isfinite(angle) else "no frame reports its angle"
             return f"the plate to rest at home, {home:.0f} deg: {where}"
         return ""

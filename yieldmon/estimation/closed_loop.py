@@ -265,7 +265,7 @@ def _reason(
             "the parameters stay"
         )
     if not updated:
-        return "the data say too little beside what was known; the parameters stay"
+        return "the data add too little to what was known; the parameters stay"
     narrowed = ", ".join(f"{p.name} to {100.0 * p.ratio:.0f} %" for p in learning if p.learned and p.ratio < _NARROWED)
     if not narrowed:
         return "agrees with what was known, which it leaves about as certain"

@@ -101,7 +101,7 @@ class ClosedLoopProblem:
         settings: ClosedLoopSettings,
     ) -> None:
         if set(prior.effects) != set(model.effects):
-            raise ValueError(f"parameters speak of effects {prior.effects}; the model has {model.effects}")
+            raise ValueError(f"the parameters name the effects {prior.effects}; the model has {model.effects}")
         if not sweeps and not anchors and density is None:
             raise ValueError("neither a sweep nor an anchor to learn from")
         self.model, self.prior_set, self.sweeps, self.anchors = model, prior, tuple(sweeps), tuple(anchors)

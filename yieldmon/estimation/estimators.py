@@ -18,7 +18,7 @@ def estimator_of(machine: Machine, parameters: ParameterSet, model: ForwardModel
     machine : Machine
     parameters : ParameterSet
     model : ForwardModel, optional
-        Of machine and effects, where one is there already.
+        Of machine and effects, where one exists already.
 
     Returns
     -------

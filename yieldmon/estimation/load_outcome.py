@@ -101,9 +101,9 @@ def sentences(found: LoadCalibration, sweeps: int) -> list[str]:
     if found.sweeps_used:
         out.append(f"{found.sweeps_used} sweeps of the plate are fitted with them; held: {', '.join(found.held)}.")
     else:
-        out.append(f"held, because weighed loads cannot tell them from scale: {', '.join(found.held)}.")
+        out.append(f"held, because weighed loads cannot separate them from the scale: {', '.join(found.held)}.")
     if sweeps and not found.sweeps_used:
-        out.append("the sweeps contradict the model or say too little beside the loads; they are left out.")
+        out.append("the sweeps contradict the model or add too little to the loads; they are left out.")
     if len(found.loads) == 1:
         out.append("one load alone cannot be checked against others; weigh two more.")
     if found.contradiction is not None:

@@ -227,7 +227,7 @@ class OpenLoop:
 
     def __init__(self, model: ForwardModel, parameters: ParameterSet) -> None:
         if set(parameters.effects) != set(model.effects):
-            raise ValueError(f"parameters speak of effects {parameters.effects}; the model has {model.effects}")
+            raise ValueError(f"the parameters name the effects {parameters.effects}; the model has {model.effects}")
         self.model = model
         self.parameters = parameters
         names = parameters.covariance_names

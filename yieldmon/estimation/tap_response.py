@@ -109,7 +109,7 @@ def tap_response(stretches: Sequence[Array], interval_s: float, *, full_scale_mv
             f"most of that at {ringing_hz:.0f} Hz"
         )
     elif found < interval_s:
-        refused = f"plate and cell answer within a sample of {1e3 * interval_s:g} ms: faster samples would tell"
+        refused = f"plate and cell answer within a sample of {1e3 * interval_s:g} ms: faster samples would show it"
     return TapResponse(found, std_dev, each, {k: v for k, v in left_out.items() if v}, misfit, ringing_hz, refused)
 
 

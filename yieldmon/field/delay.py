@@ -128,7 +128,7 @@ def estimate_delay(
     if len(pairs) < MIN_PAIRS or pairs.blocks < MIN_BLOCKS:
         return refused(f"{len(pairs)} pairs of opposing passes in {pairs.blocks} blocks; {MIN_PAIRS} in {MIN_BLOCKS} are needed")
     if steps.interval > MAX_INTERVAL_S or _ticks(steps) > MAX_TICKS:
-        return refused(f"points are {steps.interval:.1f} s apart, or their clock goes to and fro")
+        return refused(f"points are {steps.interval:.1f} s apart, or their clock steps back and forth")
     sums = block_sums(steps, pairs, quantity)
     everything = correlation_of(sums.sum(axis=1))
     if not np.isfinite(everything).any():
@@ -277,7 +277,7 @@ def _objection(curve: Array, drawn: Array, peak: float) -> str:
     at = int(np.argmin(np.abs(SHIFTS_S - peak)))
     rest = np.flatnonzero((np.abs(SHIFTS_S - peak) > CLEAR_OF_S) & np.isfinite(curve))
     if not len(rest):
-        return "the curve has no shifts beside its peak"
+        return "the curve has no shifts on both sides of its peak"
     rival = rest[int(np.argmax(curve[rest]))]
     contrast = drawn[:, at] - drawn[:, rival]
     spread = float(np.nanstd(contrast))

@@ -194,7 +194,7 @@ def build(
     assert not unknown, f"columns that the table does not have: {unknown}"
     for name in REQUIRED:
         if name not in columns or (count and not np.isfinite(columns[name]).any()):
-            raise InputError(source.path, f"has no {name}", COLUMNS[name])
+            raise InputError(source.path, f"has no {name} in any row", f"{name}: {COLUMNS[name]}")
     full = {name: np.asarray(columns.get(name, np.full(count, np.nan)), float) for name in COLUMNS}
     texts = {name: labels.get(name, Label.constant("", count)) for name in LABELS}
     return HarvestTable(

@@ -73,7 +73,7 @@ def read(path: str | Path) -> TextTable:
         twice = sorted(name for name in repeats if name)
         if not twice:
             title = f"line {cells[0][0]} lacks {header.count('')} of {len(header)} columns' names"
-            raise InputError(f"{where}: header", title, "a name for each column; a title above them goes, and so do merged cells")
+            raise InputError(f"{where}: header", title, "a name for each column; remove a title above them and merged cells")
         raise InputError(f"{where}: header", f"has {', '.join(twice)} more than once", "each column once")
     body = cells[1:]
     if not body:

@@ -193,7 +193,7 @@ def _logs(files: Any, day: str, left_out: list[str], refused: list[InputError]) 
         elif kind == _FILE:
             logs.append(path)
         else:
-            refused.append(InputError(path, "is no file, or a link to nothing", "a log"))
+            refused.append(InputError(path, "is not a file, or is a link to nothing", "a log"))
     return logs
 
 

@@ -1,4 +1,4 @@
-"""The task of a worker: one partition, measured and committed unless it is there already."""
+"""The task of a worker: one partition, measured and committed unless it exists already."""
 
 from __future__ import annotations
 

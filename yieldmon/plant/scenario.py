@@ -186,7 +186,7 @@ def from_mapping(values: Any, where: str) -> Scenario:
         key = ".".join(str(part) for part in first["loc"]) or "scenario"
         if first["type"] == "extra_forbidden":
             expected = "a key of this section, as in config/scenarios/demo.yaml"
-            raise InputError(f"{where}: {key}", "is no key of a scenario", expected) from None
+            raise InputError(f"{where}: {key}", "is not a key of a scenario", expected) from None
         if first["type"] == "missing":
             raise InputError(f"{where}: {key}", "is missing", "a value") from None
         expected = first["msg"].removeprefix("Input should be ").removeprefix("Value error, ")

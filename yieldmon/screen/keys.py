@@ -52,7 +52,7 @@ def _type(view: View, key: str) -> None:
 
 @contextmanager
 def raw_keys() -> Iterator[None]:
-    """Keys come one by one and unseen while inside; nothing is changed where standard input is no terminal."""
+    """Keys come one by one and unseen while inside; nothing is changed where standard input is not a terminal."""
     if not sys.stdin.isatty():
         yield
         return
@@ -65,7 +65,7 @@ def raw_keys() -> Iterator[None]:
 
 
 def waiting() -> str:
-    """Keys pressed since the last call; empty where there are none or standard input is no terminal."""
+    """Keys pressed since the last call; empty where there are none or standard input is not a terminal."""
     if not sys.stdin.isatty() or not select.select([sys.stdin], [], [], 0.0)[0]:
         return ""
     return os.read(sys.stdin.fileno(), 64).decode("utf-8", "ignore")

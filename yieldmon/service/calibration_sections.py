@@ -125,7 +125,9 @@ class Learning(Section):
     pattern_sd: float = quantity(
         _L.pattern_sd, 0.0, 0.2, "1", "relative error of the model away from home that sweeps separate from the grain; 0: none"
     )
-    anchor_error: float = quantity(_L.anchor_error, 0.0, 0.5, "1", "relative error of a weighed load beside the scale's own")
+    anchor_error: float = quantity(
+        _L.anchor_error, 0.0, 0.5, "1", "relative error of a weighed load in addition to the scale's own"
+    )
     density_ratio: float | None = quantity(
         _L.density_ratio, 0.1, 10.0, "1", "density in the paddles over test weight, where known; null: test weight is not used"
     )

@@ -240,7 +240,7 @@ def _covered(journal: Journal, first: int, last: int) -> list[Load]:
             known = f"{min(loads)} to {max(loads)}" if loads else "a load that was measured"
             raise InputError(f"ticket for load {number}", "no such load", known)
     if last < first:
-        raise InputError(f"ticket for loads {first} to {last}", "the last comes before the first")
+        raise InputError(f"ticket for loads {first} to {last}", "the last number is below the first")
     return [loads[number] for number in sorted(loads) if first <= number <= last]
 
 

@@ -265,10 +265,10 @@ class _Server:
         except (InputError, OSError) as error:
             if self._trouble != str(error):
                 self._trouble = str(error)
-                _log.error("%s has been removed, and cannot be made anew: %s", old.path, error)
+                _log.error("%s has been removed and cannot be recreated: %s", old.path, error)
             return old
         self._trouble = ""
-        _log.error("%s has been removed; made anew", old.path)
+        _log.error("%s has been removed; recreated", old.path)
         selector.unregister(old.socket)
         old.socket.close()
         new.socket.setblocking(False)

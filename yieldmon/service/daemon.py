@@ -609,7 +609,7 @@ class Daemon:
         except (InputError, OSError) as error:
             # A file that could not be read this time is no reason to stop measuring.
             self._reload_note = f"refused: {error}"
-            _log.error("reload refused, going on as before: %s", error)
+            _log.error("reload refused, the old configuration stays in use: %s", error)
         self._answer = self._snapshot()
         self._manager.ready()
 

@@ -37,7 +37,7 @@ def with_present_keys(content: Any, where: str) -> tuple[Any, tuple[str, ...]]:
         if not isinstance(keys, dict) or former not in keys:
             continue
         if present in keys:
-            problem = f"is there beside {section}.{present}, its present name"
+            problem = f"is given together with {section}.{present}, its present name"
             raise InputError(f"{where}: {section}.{former}", problem, "one of them")
         content[section] = {present if key == former else key: value for key, value in keys.items()}
         notes.append(f"{where}: {section}.{former} is now called {section}.{present}; the next version reads that alone")

@@ -22,7 +22,7 @@ def make_way(paths: Iterable[Path]) -> None:
         if not stat.S_ISREG(mode):
             aside = _free(path)
             path.rename(aside)
-            _log.warning("%s: is no file; renamed to %s", path, aside.name)
+            _log.warning("%s: is not a file; renamed to %s", path, aside.name)
 
 
 def _free(path: Path) -> Path:

@@ -158,7 +158,7 @@ def unit_name(interface: str) -> str:
 def check_interface(interface: str) -> None:
     """Raises ValueError for a name that no interface of Linux has, or that would mean something in a file written here."""
     if not re.fullmatch(r"[A-Za-z0-9_.:-]{1,15}", interface) or interface in (".", ".."):
-        raise ValueError(f"{interface!r} is no interface's name: 1 to 15 letters, digits and - _ . :")
+        raise ValueError(f"{interface!r} is not an interface name: 1 to 15 letters, digits and - _ . :")
 
 
 def install(

@@ -64,7 +64,7 @@ class JournalLines(logging.Handler):
                 line, left_out, self._left_out = self._lines.popleft(), self._left_out, 0
                 self._busy = True
             if left_out:
-                line = f"WARNING yieldmon: {left_out} lines left out, nobody took them\n{line}"
+                line = f"WARNING yieldmon: {left_out} lines left out, because nothing read them\n{line}"
             # Not by sys.stderr: a thread that hangs with its lock would abort the process at its end.
             self._write(f"{line}\n".encode(errors="backslashreplace"))
             with self._changed:

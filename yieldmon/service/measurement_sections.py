@@ -41,7 +41,7 @@ class Windows(Section):
     full_coverage: float = quantity(_W.full_coverage, 0.5, 1.0, "1", "share of a window below which the result is degraded")
     saturated_share: float = quantity(_W.saturated_share, 0.0, 1.0, "1", "share of samples at the range's end that is too many")
     plausible_full_scales: float = quantity(
-        _W.plausible_full_scales, 1.0, 100.0, "full scales", "a sample beyond this is no voltage the sensor can give"
+        _W.plausible_full_scales, 1.0, 100.0, "full scales", "a sample beyond this is not a voltage that the sensor can give"
     )
     paddle_scatter: float = quantity(_W.paddle_scatter, 0.0, 1.0, "1", "expected scatter of one paddle's momentum over its mean")
     scatter_prior_patterns: float = quantity(
@@ -149,7 +149,7 @@ class Totals(Section):
         "true: grain drier than that counts as more than its wet mass; false: as its wet mass",
     )
     new_load: Literal["switch", "tank_scale", "command"] = choice(
-        _T.new_load, "what begins a load, beside the command: input unloading, tank mass fallen to half, nothing"
+        _T.new_load, "what else begins a load: input unloading (switch), tank mass fallen to half (tank_scale), nothing (command)"
     )
     unloading_s: float = quantity(
         _T.unloading_s, 1.0, 600.0, "s", "shorter unloading ends no load; without any for this long it is over"
@@ -184,7 +184,7 @@ class FlowFilter(Section):
     steady_walk: float = quantity(_Q.steady_walk, 1e-6, 1.0, "1/s", "relative change from second to second of a steady flow")
     trend_change: float = quantity(_Q.trend_change, 1e-6, 1.0, "1/s", "the same of the trend of a rising or falling flow")
     jump: float = quantity(_Q.jump, 1e-3, 10.0, "1", "relative standard deviation of a jump")
-    stay: float = quantity(_Q.stay, 0.34, 0.9999, "1", "probability that a rising or falling flow goes on so")
+    stay: float = quantity(_Q.stay, 0.34, 0.9999, "1", "probability that a rising or falling flow continues to do so")
     min_flow_kg_s: float = quantity(_Q.min_flow_kg_s, 0.01, 25.0, "kg/s", "no smoothing below this")
 
 

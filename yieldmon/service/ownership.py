@@ -77,7 +77,7 @@ class Ownership:
             return
         if not taken:
             raise StoreError(f"{self._store}: another daemon is using it, since {self._path.name} was removed")
-        _log.warning("%s: removed while in use, and made anew", self._path)
+        _log.warning("%s: removed while in use, and recreated", self._path)
 
     def _take(self) -> bool:
         """Whether the lock is ours now; another one that was is let go. Raises OSError."""

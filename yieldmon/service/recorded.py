@@ -188,7 +188,7 @@ def _tables(path: Path, suffix: str) -> Iterable[Mapping[str, Any]]:
 
 def _row(values: Mapping[str, Any], where: str) -> SecondRow:
     if not isinstance(values, Mapping):
-        raise InputError(where, "is no record", "one JSON object a line")
+        raise InputError(where, "is not a record", "one JSON object a line")
     fields = {}
     for field in dataclasses.fields(SecondRow):
         if field.name not in values:

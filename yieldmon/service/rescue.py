@@ -104,7 +104,7 @@ def mend(store: Store | None, path: Path, error: StoreError) -> str:
     if store is not None and isinstance(error, StoreDetachedError):
         aside = reattach(store, f"replaced-{label}")
         there = f", what was there is {aside.name}" if aside is not None else ""
-        return f"{error}; written anew from memory{there}"
+        return f"{error}; rewritten from memory{there}"
     if store is not None:
         store.close()
     return f"damaged, {rescue(path, f'damaged-{label}')}"

@@ -68,7 +68,7 @@ class Status(Section):
 class Diagnostics(Section):
     """J1939 DM1, active trouble codes."""
 
-    dm1_enabled: bool = choice(True, "send faults as DM1 beside YieldMonitorStatus")
+    dm1_enabled: bool = choice(True, "send faults as DM1 as well as in YieldMonitorStatus")
 
 
 class Network(Section):

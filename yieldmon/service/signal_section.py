@@ -118,7 +118,7 @@ def signal_map(
             continue
         several = isinstance(entries, list)
         if several and quantity not in IMPACT:
-            raise InputError(where, "a list", "one signal; only impact sensors may be several")
+            raise InputError(where, "a list", "one signal; only impact_voltage and impact_force take a list")
         if several and not entries:
             raise InputError(where, "an empty list", "the signal of at least one impact sensor")
         for number, entry in enumerate(entries if several else [entries]):
@@ -155,11 +155,11 @@ def _binding(quantity: str, entry: Any, where: str) -> Binding:
     beside = None if found.value is None else next((key for key in entry if key not in _BESIDE_VALUE), None)
     if beside is not None:
         expected = "no such key for a constant, which is the quantity's own value"
-        raise InputError(f"{where}.{beside}", "stands beside value", expected)
+        raise InputError(f"{where}.{beside}", "is given together with value", expected)
     if found.signal is not None and found.signals is not None:
-        raise InputError(f"{where}.signals", "stands beside signal", "one of the two")
+        raise InputError(f"{where}.signals", "is given together with signal", "one of the two")
     if found.rate_hz is not None and found.spacing_ms is not None:
-        raise InputError(f"{where}.spacing_ms", "stands beside rate_hz", "one of the two")
+        raise InputError(f"{where}.spacing_ms", "is given together with rate_hz", "one of the two")
     low, high = limits(found.range, where)
     rate_hz = 1000.0 / found.spacing_ms if found.spacing_ms is not None else found.rate_hz
     if found.ratio != 1.0 and quantity != "elevator_speed":

@@ -301,7 +301,7 @@ def refuse_stranger(path: Path, fstab: Path = Path("/etc/fstab")) -> None:
     if missing is not None:
         raise InputError(str(path), f"{missing} is not mounted", f"its medium (mount {missing}), or another store.path")
     if path.exists() and not path.is_file():
-        problem = "is a folder" if path.is_dir() else "is no file"
+        problem = "is a folder" if path.is_dir() else "is not a file"
         raise InputError(str(path), problem, "a store, or the name of a file that does not exist yet")
     try:
         with path.open("rb") as file:
@@ -310,7 +310,9 @@ def refuse_stranger(path: Path, fstab: Path = Path("/etc/fstab")) -> None:
         return
     a_store_was_here = begin.startswith(b"SQLite format 3\0") or not begin.strip(b"\0") or os.path.lexists(_witness(path))
     if not a_store_was_here:
-        raise InputError(str(path), "is no store; it is left as it is", "a store, or the name of a file that does not exist yet")
+        raise InputError(
+            str(path), "is not a store; it is left as it is", "a store, or the name of a file that does not exist yet"
+        )
 
 
 def unmounted_above(path: Path, fstab: Path = Path("/etc/fstab")) -> Path | None:

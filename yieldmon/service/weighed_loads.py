@@ -61,7 +61,7 @@ def read(
     """The loads of one store or of several logs. Raises InputError."""
     stores = [source for source in sources if is_store_not_log(source)]
     if stores and len(sources) > 1:
-        raise InputError("--loads", f"names {stores[0]} beside others", "one store, or one or more logs")
+        raise InputError("--loads", f"names {stores[0]} together with other sources", "one store, or one or more logs")
     if twice := repeated(sources):
         raise InputError("--loads", f"names {twice[0]} twice", "each log once")
     refuse_copies(sources)

@@ -208,12 +208,14 @@ class StoreWriter:
             except OSError as error:
                 raise StoreError(f"{store.path}: {error}") from error
             store, found = self._open_store(), 0
-            self._report_replaced(store.path, f"replaced by another store while closed, which is {aside.name}; a new one begun")
+            self._report_replaced(
+                store.path, f"replaced by another store while closed, which is {aside.name}; a new one is started"
+            )
         elif found < self._last_committed:
             missing = self._last_committed - found
             self._report_replaced(store.path, f"removed or replaced while closed; its last {missing} commits are missing")
         elif removed:
-            self._report_replaced(store.path, "removed while closed; a new one begun")
+            self._report_replaced(store.path, "removed while closed; a new one is started")
         self._last_committed, self._there = found, True
         return store
 
@@ -286,7 +288,7 @@ class StoreWriter:
     def _failed(self, problem: str) -> None:
         with self._changed:
             if self._health.failing != problem:
-                _log.error("%s; measuring goes on, %d seconds wait", problem, len(self._pending))
+                _log.error("%s; measuring continues, %d seconds wait to be written", problem, len(self._pending))
             self._health = replace(self._health, failing=problem)
 
 

@@ -101,7 +101,7 @@ def check(binding: Binding) -> None:
 
 def _check_constant(binding: Binding, value: str) -> None:
     if binding.is_impact:
-        raise binding.refuse("value", value, "samples: an impact sensor is no constant")
+        raise binding.refuse("value", value, "samples: an impact sensor cannot be a constant")
     if binding.quantity == "plate_angle":
         raise binding.refuse("value", value, "a signal; the angle of a bolted plate is plate.fixed_angle_deg")
     if binding.message is not None or binding.signals:
@@ -115,7 +115,7 @@ def _check_effect(binding: Binding) -> None:
     refused = {"offset": binding.offset != 0.0, "range": binding.low is not None, "values": bool(binding.values)}
     for key, present in refused.items():
         if present and binding.pulses_per_turn is not None:
-            raise binding.refuse(key, "stands beside pulses_per_turn", "no such key for a counter of pulses")
+            raise binding.refuse(key, "is given together with pulses_per_turn", "no such key for a counter of pulses")
     if binding.pulses_per_turn is not None and binding.unit is not None and factor("rpm", binding.unit) != 1.0:
         raise binding.refuse("unit", repr(binding.unit), "no unit or rpm, which a counter of pulses becomes")
     if binding.is_impact:

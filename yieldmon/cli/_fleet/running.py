@@ -40,7 +40,9 @@ def run(args: argparse.Namespace) -> int:
     if not 0 <= args.workers <= 1024:
         raise InputError("--workers", f"is {args.workers}", "a whole number from 0 to 1024")
     if args.scheduler and args.adaptive:
-        raise InputError("--adaptive", "is given beside --scheduler", "one of them; a cluster elsewhere has its own adaptation")
+        raise InputError(
+            "--adaptive", "is given together with --scheduler", "one of them; a cluster elsewhere has its own adaptation"
+        )
     found = manifest.load(args.source)
     for path in found.left_out:
         _say(f"{path}: left out, holds no log of a day (MACHINE/DAY/LOGS)")

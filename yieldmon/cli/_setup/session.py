@@ -27,7 +27,7 @@ def from_file(path: str | Path) -> dict[str, Any]:
         raise InputError(str(path), "is not a mapping of answers", f"keys such as {QUESTIONS[3].key}: 0.0541")
     known = {question.key: question for question in QUESTIONS}
     if isinstance(content.get("answers"), Mapping):
-        raise InputError(str(path), "is the record of a set-up", f"its answers alone, as in the {KEPT} beside it")
+        raise InputError(str(path), "is the record of a set-up", f"its answers alone, as in {KEPT} in the same folder")
     for key in content:
         if key not in known:
             near = difflib.get_close_matches(str(key), known, n=1)

@@ -113,7 +113,7 @@ def _delay_words(result: HarvestMap) -> str:
         return f"delays of {len(result.machines)} machines or files"
     if flow.decision == "estimated":
         return f"delay; {flow.low_s:.1f} to {flow.high_s:.1f}"
-    return "delay, as given" if flow.decision == "declared" else "delay: the data cannot tell, default"
+    return "delay, as given" if flow.decision == "declared" else "delay: not determined by the data, default"
 
 
 def _plain(text: str) -> str:
@@ -238,7 +238,7 @@ def _totals(result: HarvestMap) -> list[list[str]]:
         rows.append([f"by weighed loads ({mass(totals.low_kg)} to {mass(totals.high_kg)})", mass(totals.corrected_kg), ""])
     kept = totals.by_reason.get(KEPT, 0.0)
     rows.append(["on the points kept", mass(kept), _number(units.yield_unit.of(totals.yield_kg_m2), 2)])
-    rows.append(["left out, reasons beside", mass(totals.corrected_kg - kept), ""])
+    rows.append(["left out, with reasons", mass(totals.corrected_kg - kept), ""])
     rows.append([f"ground cut {units.area(totals.area_m2)}, kept {units.area(totals.kept_area_m2)}", "", ""])
     return rows
 
@@ -252,5 +252,7 @@ def _notes(result: HarvestMap) -> list[list[Any]]:
         notes += [[f"{source.path}: {note}", False] for note in source.notes]
     if len(notes) > MAX_NOTES:
         notes = [*notes[:MAX_NOTES], [f"and {len(notes) - MAX_NOTES} more", False]]
-    notes.append(["Blocks, swaths and all points with their reasons are in harvest.gpkg and points.csv beside this file.", False])
+    notes.append(
+        ["Blocks, swaths and all points with their reasons are in harvest.gpkg and points.csv in the same folder.", False]
+    )
     return notes

@@ -117,7 +117,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
     table = _table(path, rows, layout, options, ("has no units; its columns are those of Ag Leader text: lb/s, s, in, %",))
     if not _distances_fit(table):
         where = f"{path}: header"
-        raise InputError(where, "says no units, and the distances are not in inches", "--column flow=NAME:UNIT and so on")
+        raise InputError(where, "states no units, and the distances are not in inches", "--column flow=NAME:UNIT and so on")
     return table
 
 
@@ -215,7 +215,7 @@ def _header(status: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
     whole = np.isfinite(status) & (np.abs(status) < 2**31)
     down = np.where(whole, np.mod(np.where(whole, status, 0), 2) >= 1, np.nan).astype(float)
     if not (down == 1).any():
-        return np.full(len(status), np.nan), ("the header status never says down and is not used",)
+        return np.full(len(status), np.nan), ("the header status is never down and is not used",)
     return down, ()
 
 

@@ -6,7 +6,7 @@ import csv
 from pathlib import Path
 
 from yieldmon.errors import InputError
-from yieldmon.field.table import HarvestTable
+from yieldmon.field.table import DEFAULT_FLOW_S, HarvestTable
 from yieldmon.repeats import repeated
 
 from .assembled import Raw, assemble
@@ -18,6 +18,8 @@ from .vector import to_degrees
 KIND = "CSV with a header"
 ORDER = 60
 _SUFFIXES = (".csv", ".txt", ".tsv")
+_OF_A_RECORD = frozenset({"time_s", "mass_flow_kg_s", "load_number", "zero_mv", "usable_for_calibration"})
+"""Columns of a table of `yieldmon process` or `export`, whose places are those of the machine: the delay is still in it."""
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -64,5 +66,6 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
         table.count,
         table.skipped,
         notes,
+        default_flow_s=DEFAULT_FLOW_S if _OF_A_RECORD.issubset(names) else 0.0,
     )
     return assemble(raw, str(path), KIND, options)

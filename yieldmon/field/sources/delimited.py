@@ -92,7 +92,7 @@ def rows_of(path: Path, encoding: str, delimiter: str) -> Iterator[tuple[int, li
                 yield reader.line_num, []
                 continue
             except UnicodeError as error:
-                raise InputError(str(path), f"is no text: {error}", "a delimited text file") from error
+                raise InputError(str(path), f"is not text: {error}", "a delimited text file") from error
             if row and (len(row) > 1 or row[0].strip()):
                 yield reader.line_num, row
 
@@ -138,7 +138,7 @@ def read_rows(
         {column: np.concatenate(parts) if parts else np.zeros(0) for column, parts in arrays.items()},
         {column: label.whole() for column, label in labels.items()},
         count,
-        short.skipped(f"fewer than {fields} fields") + wrong.skipped("a field that is no number"),
+        short.skipped(f"fewer than {fields} fields") + wrong.skipped("a field that is not a number"),
     )
 
 

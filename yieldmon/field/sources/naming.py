@@ -187,7 +187,9 @@ def columns_of(
         "width" not in out and any(plain_name(n) in QUANTITIES["width"].names for n in lacking)
     ):
         if lacking:
-            raise InputError(where, f"says no known unit of {', '.join(lacking)}", f"--column flow={lacking[0]}:UNIT and so on")
+            raise InputError(
+                where, f"states no known unit for {', '.join(lacking)}", f"--column flow={lacking[0]}:UNIT and so on"
+            )
         raise InputError(where, f"has no column of flow or yield among {', '.join(names[:20])}", "--column flow=NAME:UNIT")
     notes += [f"{name} has no unit and is not used" for name in lacking if name not in {column.name for column in out.values()}]
     return out, tuple(notes)

@@ -82,4 +82,4 @@ def _column(rows: list[SecondRow], name: str) -> Array:
     try:
         return np.array([getattr(row, name) for row in rows], dtype=float)
     except (TypeError, ValueError):
-        raise InputError(f"store: {name}", "holds what is no number", "a daemon's store that is not damaged") from None
+        raise InputError(f"store: {name}", "holds a value that is not a number", "a daemon's store that is not damaged") from None

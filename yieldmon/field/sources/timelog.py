@@ -83,7 +83,7 @@ def header(data: bytes, where: str) -> Header:
                 constants[key] = float(int(preset))
         except ValueError:
             raise InputError(
-                f"{where}: DLV {number}", "has no identifier or a value that is no number", "A hexadecimal"
+                f"{where}: DLV {number}", "has no identifier or a value that is not a number", "A hexadecimal"
             ) from None
         values.append(key)
     if len(values) > 255:

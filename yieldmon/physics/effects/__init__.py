@@ -52,7 +52,7 @@ def _of_others() -> dict[str, Effect]:
         if not isinstance(effect, Effect):
             raise InputError(where, f"is a {type(effect).__name__}", "an Effect")
         if effect.name in _own() or effect.name in found:
-            raise InputError(where, f"{effect.name} is there already", "a name of its own")
+            raise InputError(where, f"{effect.name} exists already", "a name of its own")
         found[effect.name] = effect
     return found
 
