@@ -100,4 +100,4 @@ __all__ = [
 ]
 
 API_VERSION = 1
-"""Raised when something here is taken away or changes its meaning."""
+"""Increases when a name is removed or its meaning changes."""

@@ -226,6 +226,18 @@ def test_through_a_terminal_of_80_by_24_with_a_break_between(tmp_path):
     assert (tmp_path / "new" / "wheat.yaml").is_file()
 
 
+def test_files_in_the_way_are_named_before_the_first_question(tmp_path, capsys, monkeypatch):
+    """Such as the configuration that `yieldmon install` has put there."""
+    (tmp_path / "yieldmon.yaml").write_text("bus: {channel: can0}\n")
+    asked = []
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    monkeypatch.setattr("builtins.input", lambda prompt="": asked.append(prompt))
+    assert main(["setup", "--out", str(tmp_path)]) == 2
+    assert "yieldmon.yaml: exists already; expected another folder for --out, or --force" in capsys.readouterr().err
+    assert asked == []
+    assert (tmp_path / "yieldmon.yaml").read_text() == "bus: {channel: can0}\n"
+
+
 BOLTED = {"min_plate_angle_deg": 70, "max_plate_angle_deg": 70, "plate_measured_deg": [69.4], "plate_reported_deg": None}
 
 

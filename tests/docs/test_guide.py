@@ -71,7 +71,7 @@ def commands() -> Iterator[Command]:
     """Lines of the pages that call the command, without `sudo yieldmon` and comment; help texts left out."""
     for page in [*PAGES, ROOT / "README.md"]:
         text = re.sub(r"```text\n.*?```", "", page.read_text(encoding="utf-8"), flags=re.S)
-        for line in re.findall(r"^(?: {4}|\t)(?:sudo )?yieldmon (.*)$", text, re.M):
+        for line in re.findall(r"^(?: {4}|\t)(?:sudo )?(?:yieldmon|\"\$\(command -v yieldmon\)\") (.*)$", text, re.M):
             yield Command(page.name, re.sub(r"\s+#.*", "", line).strip())
 
 

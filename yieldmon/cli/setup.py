@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +59,8 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(args.answers or "setup", f"has no {missing[0]}", "an answer to each question, or a terminal to ask in")
     readable_folder(folder)
     if missing:
+        # Before the questions, not after the last one.
+        _refuse_present((CONFIGURATION, MACHINE, RECORD), folder, force=args.force)
         _ask(answers, folder)
     document = _written(answers, folder, force=args.force, asks=asks)
     session.keep(answers, folder)
@@ -101,6 +104,15 @@ def _written(answers: dict[str, Any], folder: Path, *, force: bool, asks: bool) 
         _ask(answers, folder)
 
 
+def _refuse_present(names: Iterable[str], folder: Path, *, force: bool) -> None:
+    there = [name for name in names if (folder / name).exists()]
+    if there and not force:
+        expected = "another folder for --out, or --force to replace it"
+        if (folder / session.KEPT).is_file():
+            expected += f"; what is taken out of {session.KEPT} is asked again"
+        raise InputError(str(folder / there[0]), "exists already", expected)
+
+
 def write(answers: dict[str, Any], folder: Path, *, force: bool) -> dict[str, Any]:
     """The files; returns what they rest on. Raises InputError, and then writes none."""
     machine, parameters = derive.machine(answers), derive.parameters(answers)
@@ -114,12 +126,7 @@ def write(answers: dict[str, Any], folder: Path, *, force: bool) -> dict[str, An
     gain = derive.cell_gain(answers["cell_weights_kg"], answers["cell_readings_mv"])
     offset, fixed_deg = derive.offset_deg(answers), derive.bolted_deg(answers)
     names = {"configuration": CONFIGURATION, "machine": MACHINE, "parameters": f"{answers['crop']}.yaml", "record": RECORD}
-    there = [name for name in names.values() if (folder / name).exists()]
-    if there and not force:
-        expected = "another folder for --out, or --force to replace it"
-        if (folder / session.KEPT).is_file():
-            expected += f"; what is taken out of {session.KEPT} is asked again"
-        raise InputError(str(folder / there[0]), "exists already", expected)
+    _refuse_present(names.values(), folder, force=force)
     for name in names.values():
         whole_file.check_place(folder / name)
     now = _provenance.today()

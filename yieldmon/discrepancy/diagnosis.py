@@ -52,7 +52,7 @@ class Options:
     without : tuple of str
         Effects taken out of the library.
     keep_effects : bool
-        The model in question has the effects that the parameters speak of, at their values, instead of none.
+        The model has the effects that the parameters name, at their values, instead of none.
     seed : int
     policy : Policy
         When an effect is named.
@@ -198,10 +198,10 @@ def diagnose(
     table : Table
     machine : Machine
     parameters : ParameterSet
-        The grain until now.
+        Parameters of the present model.
     options : Options
     progress : callable, optional
-        Asked with what is under way and the share done, 0 .. 1.
+        Called with the step in progress and the share done, 0 .. 1.
 
     Returns
     -------
@@ -210,7 +210,7 @@ def diagnose(
     Raises
     ------
     InputError
-        Where the table cannot carry it.
+        For a table that does not allow a diagnosis.
 
     Examples
     --------

@@ -1,11 +1,10 @@
 """The yield monitor: frames in, results out, time only from the frames.
 
-`Parts` names what works together, each with one idea; `Timeline` is the order in which they work; `Conclusion` is what follows
-from a window. The monitor is their face: frames and time, the operator's commands, what there is to see, and the state that
-outlives a restart.
+`Parts` are the components, each with one task; `Timeline` runs them in order; `Conclusion` derives the results of a window. The
+monitor is their interface: frames and time, the operator's commands, readable state, and the state that survives a restart.
 
 `feed` and `feed_run` give the same bits for the same frames, one by one or in blocks. Nothing here raises on any sequence of
-frames: what cannot be used is left out, and quality and faults say so. One window ends each second,
+frames: what cannot be used is left out and shown in quality and faults. One window ends each second,
 `WindowSettings.grid_offset_s` after the full second of bus time.
 """
 
@@ -54,9 +53,9 @@ class Monitor:
     ranges : SignalRanges, optional
         Of the signals that are published; None: those of the shipped DBC.
     drives_plate : bool
-        False for a log, whose plate follows no command: learns from the sweeps that it shows, and commands none.
+        False for a log, whose plate follows no command: sweeps in the log are learnt from, and none is commanded.
     waveform_later : bool
-        What a window's samples hold beside their mean is looked at in `completed` only, when its frames are out.
+        True: the samples' shape is evaluated only in `completed`, after the window's frames have been sent.
 
     Attributes
     ----------
@@ -110,7 +109,7 @@ class Monitor:
         Parameters
         ----------
         frame : Frame
-            Of any message; those that the engine does not listen to only tell the time.
+            Of any message; those that the engine does not use only advance the time.
 
         Returns
         -------
@@ -120,7 +119,7 @@ class Monitor:
         return self._timeline.take(frame)
 
     def tick(self, time_s: float) -> list[Result]:
-        """Bus time has come so far without a frame of ours.
+        """Advance the bus time without a frame that the engine uses.
 
         Parameters
         ----------
@@ -135,7 +134,7 @@ class Monitor:
         return self._timeline.tick(time_s)
 
     def completed(self, results: Sequence[Result]) -> list[Result]:
-        """The results last returned, with what their windows' samples hold beside their mean; for `waveform_later`.
+        """The results last returned, with the shape of their windows' samples evaluated; for `waveform_later`.
 
         Parameters
         ----------
@@ -145,7 +144,7 @@ class Monitor:
         Returns
         -------
         list of WindowResult or PlateCommand
-            The same, but for the windows' `record` and `waveform`.
+            The same with the windows' `record` and `waveform` filled in.
         """
         return self._timeline.conclusion.completed(results)
 
@@ -157,7 +156,7 @@ class Monitor:
         run : FrameRun
             Frames as columns.
         reports : bool
-            False leaves out the frames that publish a window, which a log's reader has no use for.
+            False leaves out the frames that publish a window, which reading a log does not need.
 
         Returns
         -------
@@ -178,7 +177,7 @@ class Monitor:
         return self._parts.loads.start(self._parts.bus_now)
 
     def reset_totals(self) -> LoadEvents:
-        """All masses from 0, in a new load.
+        """Set all masses to 0 and begin a new load.
 
         Returns
         -------
@@ -199,26 +198,26 @@ class Monitor:
 
     @property
     def zero_waits_for(self) -> str:
-        """What the zero that is wanted waits for, "" where none is."""
+        """What a requested zero is waiting for; "" where none is requested."""
         return self._parts.measurement.zero_waits_for
 
     @property
     def signs_of_grain(self) -> str:
-        """What speaks against calibrating the zero now, "" where nothing does."""
+        """Signs of grain, against which the zero should not be calibrated now; "" where there are none."""
         return self._parts.measurement.signs_of_grain
 
     def set_market_moisture(self, moisture_pct: float) -> None:
-        """Dry mass from now on at the market moisture of the crop that is harvested.
+        """Set the market moisture of the crop, at which dry mass is counted from now on.
 
         Parameters
         ----------
         moisture_pct : float
-            Wet basis, %; the configuration's `totals.moisture_reference_pct` goes before it.
+            Wet basis, %; the configuration's `totals.moisture_reference_pct` takes precedence.
         """
         self._parts.loads.set_market_moisture(moisture_pct)
 
     def set_kernel_weight(self, thousand_kernel_weight_g: float) -> bool:
-        """The mass of a thousand kernels of what is harvested from now on.
+        """Set the thousand-kernel weight of the grain harvested from now on.
 
         Parameters
         ----------
@@ -228,7 +227,7 @@ class Monitor:
         Returns
         -------
         bool
-            False where the waveform is not looked at.
+            False where the waveform is not evaluated.
         """
         if self._parts.waveform is None:
             return False
@@ -237,26 +236,26 @@ class Monitor:
 
     @property
     def kernel_weight_g(self) -> float:
-        """Of a thousand kernels, as last told or configured; 0: not known."""
+        """Thousand-kernel weight as last reported or configured, g; 0: not known."""
         return self._parts.waveform.kernel_weight_g if self._parts.waveform is not None else 0.0
 
     @property
     def waveform(self) -> WaveformReading | None:
-        """What the last window's samples say beside their mean; None where they are not looked at."""
+        """Shape and kernel noise of the last window's samples; None where they are not evaluated."""
         return self._parts.waveform.last if self._parts.waveform is not None else None
 
     def calibrate_zero(self, *, despite_signs: bool = True) -> bool:
-        """Zero-flow calibration: the operator vouches that the elevator runs empty for the next seconds.
+        """Zero-flow calibration: the operator states that the elevator runs empty for the next seconds.
 
         Parameters
         ----------
         despite_signs : bool
-            Take it also where those seconds speak of grain; False: wait until they do not.
+            Take the zero even where those seconds show signs of grain; False: wait until they do not.
 
         Returns
         -------
         bool
-            Whether an undo still brings back the zero before an earlier calibration, that one being suspect.
+            True where an earlier calibration is suspect, so that an undo restores the zero before that one.
         """
         zero, against = self._parts.measurement.zero, bool(self.signs_of_grain)
         goes_on = zero.calibrate(against_signs=against, despite_signs=despite_signs)
@@ -265,7 +264,7 @@ class Monitor:
         return goes_on
 
     def undo_zero(self) -> tuple[dict[int, MissedMass], LoadEvents]:
-        """The zero before the operator's last calibration again.
+        """Restore the zero before the operator's last calibration.
 
         Returns
         -------
@@ -277,7 +276,7 @@ class Monitor:
         Raises
         ------
         ValueError
-            When there is none to go back to.
+            When there is no such zero.
         """
         parts, zero = self._parts, self._parts.measurement.zero
         known = zero.before

@@ -308,7 +308,7 @@ class SelfCalibrator(Protocol):
     def update(self, records: Sequence[WindowRecord], estimator: FlowEstimator, *, use_sweep: bool = True) -> CalibrationOutcome:
         """records: the usable windows of one whole sweep. estimator: the one in use.
 
-        use_sweep: False while the model disagrees with what sweeps show; then only a density measured otherwise updates.
+        use_sweep: False while the model disagrees with what sweeps show; then only an independent density updates.
         """
 
     def weigh(self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator) -> CalibrationOutcome:

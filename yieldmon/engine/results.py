@@ -37,7 +37,7 @@ class WindowResult:
     record : WindowRecord
         Times in s, mass flow in kg/s, masses in kg, angles in rad, speeds in rad/s; nan where there is none.
     frames : tuple of Frame
-        To send, in order.
+        Frames to send, in order.
     events : tuple
         In the order in which they happened: faults, loads opened and closed, parameters changed, sweeps ended, zeros taken.
     waveform : WaveformReading

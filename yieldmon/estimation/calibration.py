@@ -66,7 +66,7 @@ def calibrate(
     response_unit : str
         Unit of the reading, "N" for a force.
     progress : callable, optional
-        Asked with the share done, 0 .. 1.
+        Called with the share done, 0 .. 1.
 
     Returns
     -------
@@ -128,7 +128,7 @@ def default_start(
     ----------
     model : ForwardModel
     data : Measurements
-        In whose scale values are that follow a response's own unit.
+        Gives the scale of parameters that are in a response's own unit.
     impact : sequence of str
         "restitution", or "k1" and "k2".
     known : mapping of str to float, optional

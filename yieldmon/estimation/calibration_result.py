@@ -72,13 +72,13 @@ class Calibration:
     parameter_set : ParameterSet
         Of the best fit, to be saved or used.
     parameters : tuple of FittedParameter
-        n free ones: value, standard error, interval (95 %), and what of it the data leave open.
+        n free ones: value, standard error, interval (95 %), and whether the data determine it.
     correlation : ndarray
         (n, n) in the order of `parameters`.
     basins : tuple of Basin
         Distinct minima, the best first.
     starts : int
-        Places from which was searched.
+        Number of starting points.
     residuals : Residuals
         Quality of the fit.
     predicted : ndarray

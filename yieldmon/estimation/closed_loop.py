@@ -48,19 +48,19 @@ def self_calibrate(
     ----------
     model : ForwardModel
     prior : ParameterSet
-        The parameters until now; those with a variance are in question.
+        Prior parameters; those with a variance are updated.
     sweeps : sequence of Sweep
     anchors : sequence of MassAnchor
         Weighed masses.
     density : DensityAnchor, optional
-        A density measured otherwise.
+        An independent measurement of the density.
     settings : ClosedLoopSettings, optional
 
     Returns
     -------
     Outcome
-        `parameter_set` is the one to use from now on; `flows`, `parameters`, `scale` and `reason` say what was found. The update
-        is refused whole when the misfit is too large, and in part where the data say next to nothing: see
+        `parameter_set` is the one to use from now on; `flows`, `parameters`, `scale` and `reason` give the result. The whole
+        update is refused when the misfit is too large, and directions that the data hardly determine are not updated: see
         `ClosedLoopSettings.learned_information` and `kept_ratio`.
 
     Raises

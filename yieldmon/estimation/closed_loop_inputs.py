@@ -1,4 +1,4 @@
-"""What the closed loop learns from: sweeps of the plate, weighed masses, a density measured otherwise."""
+"""What the closed loop learns from: sweeps of the plate, weighed masses, an independent density."""
 
 from __future__ import annotations
 
@@ -180,7 +180,7 @@ class MassAnchor:
 
 @dataclass(frozen=True, slots=True)
 class DensityAnchor:
-    """A density measured otherwise.
+    """An independent measurement of the density.
 
     Parameters
     ----------

@@ -95,7 +95,7 @@ class Outcome:
     flows : tuple of FlowPosterior
         Mean mass flow of each sweep, kg/s, with its deviation.
     parameters : tuple of Learning
-        What became of each parameter in question.
+        Prior and posterior of each parameter that was updated.
     scale : ScaleReport
         What became of the scale that no sweep determines.
     chi2, dof, p_value : float, int, float

@@ -23,8 +23,8 @@ class ClosedLoopSettings:
     model_error : float
         Relative standard deviation of the model's own error, one draw for each plate angle of a sweep.
     learned_information : float
-        Data over prior information along a direction of parameter space; below it nothing is taken from the data. Small scraps of
-        information in every sweep would add up to certainty that is the model's error and not the grain's.
+        Data over prior information along a direction of parameter space; below it nothing is taken from the data: many
+        small contributions would add up to a certainty that the model's error does not allow.
     kept_ratio : float
         A parameter whose width shrinks to no less than this share of the prior's keeps its value and variance.
     consistent_p : float

@@ -32,7 +32,7 @@ _DIAGONAL = np.eye(4, dtype=bool)
 
 
 class FlowStatus(IntEnum):
-    """What a flow estimate is worth.
+    """Status of a flow estimate.
 
     Attributes
     ----------

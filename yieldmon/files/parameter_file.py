@@ -134,7 +134,7 @@ def to_document(parameters: ParameterSet) -> dict[str, Any]:
 
 
 def save(parameters: ParameterSet, path: str | Path) -> None:
-    """Write a parameter file, whole or not at all.
+    """Write a parameter file atomically.
 
     Parameters
     ----------

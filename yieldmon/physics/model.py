@@ -34,7 +34,7 @@ class Conditions:
     moisture_pct : array_like, optional
         Wet basis, %; needed only where an effect asks for it (`ForwardModel.needs_moisture`).
     plate_position_m : array_like, optional
-        Of the plate from where the machine has it, away from the elevator, m; None: there.
+        Distance of the plate from its nominal position, positive away from the elevator, m; None: nominal position.
 
     Raises
     ------

@@ -115,7 +115,7 @@ class VirtualCombine:
     Notes
     -----
     Bus time starts at 0 and ends at the scenario's duration. `frames_until` and `samples_until` advance it (use one of them);
-    `handle` takes PlateActuatorCommand frames; `truth` is what really happened so far.
+    `handle` takes PlateActuatorCommand frames; `truth` is the true state so far.
 
     Examples
     --------
@@ -236,7 +236,7 @@ class VirtualCombine:
 
     @property
     def truth(self) -> Truth:
-        """What really happened up to the last whole second."""
+        """The true flow and masses up to the last full second."""
         table = np.array(self._rows).reshape(-1, len(TRUTH_COLUMNS))
         done = len(self._impulses)
         impulses = np.array(self._impulses).reshape(-1, 2)
@@ -364,7 +364,7 @@ class VirtualCombine:
         )
 
     def delivered_kg(self, time_s: ArrayLike) -> Array:
-        """True mass past the plate; it runs straight within a paddle's share of time.
+        """True mass past the plate, interpolated linearly between paddle passes.
 
         Parameters
         ----------

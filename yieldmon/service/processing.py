@@ -66,7 +66,7 @@ def process_logs(
     monitor : Monitor
     codec : Codec
     take_row : callable
-        Asked with each second's `SecondRow`.
+        Called with each second's `SecondRow`.
     signals : SignalMap, optional
         Where the engine's quantities come from; None: the shipped DBC. Frames that the monitor sends are not needed here: those
         in a log were sent by the monitor of that time.

@@ -115,7 +115,7 @@ def read_loads(path: Path | str) -> list[LoadRecord]:
     Raises
     ------
     InputError
-        For what is no store.
+        For a file that is not a store.
 
     Examples
     --------

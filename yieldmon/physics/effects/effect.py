@@ -24,7 +24,7 @@ class EffectParameter:
     lower, upper : float
         Physical bounds.
     prior_sd : float
-        Standard deviation of what is likely before any data.
+        Prior standard deviation.
     description : str
     typical : float
         A size at which the effect matters; where searches start.
@@ -70,7 +70,7 @@ class Effect:
     measured : bool
         True for what no diagnosis names: a dimension that one measures, or the model's own error, for which there is no cause.
     law : str
-        What another law of an effect says; "" for the first.
+        Name of an alternative law of the effect; "" for the first.
     of_grain : bool
         True for how the grain itself moves, which machines of one geometry share when they cut one crop.
     unit_follows_response : bool
