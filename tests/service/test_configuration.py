@@ -311,7 +311,7 @@ def test_a_former_key_is_read_with_a_note(section, former, present, written):
 
 def test_a_key_under_both_names_is_refused(written):
     path = written("sweep: {lying_ratio: 0.4, feedback_plausibility_force_ratio: 0.5}\n")
-    with pytest.raises(ConfigurationError, match=r"sweep\.lying_ratio: is there beside"):
+    with pytest.raises(ConfigurationError, match=r"sweep\.lying_ratio: is given together with"):
         configuration.load(path, ENVIRONMENT)
 
 

@@ -147,8 +147,7 @@ def sentences(
         )
     if quality.outlier_rows:
         rows = ", ".join(str(i + 1) for i in quality.outlier_rows[:10])
-        what = f"rows {rows} lie" if len(quality.outlier_rows) > 1 else f"row {rows} lies"
-        yield f"{what} more than {OUTLIER_SDS:g} robust standard deviations from the fit; look at them, or use --robust."
+        yield f"rows {rows} lie more than {OUTLIER_SDS:g} robust standard deviations from the fit; look at them, or use --robust."
 
 
 def _determination(p: FittedParameter) -> Iterable[str]:
