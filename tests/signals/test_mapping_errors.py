@@ -71,7 +71,7 @@ CASES = {
     "an identity of 22 bits": (
         IMPACT.replace("}", ", source: {identity_number: 2097152}}"), "source.identity_number", "2097152", "NAME",
     ),
-    "a rate and a spacing": (IMPACT.replace("}", ", spacing_ms: 10}"), "impact_voltage.spacing_ms", "together with rate_hz", "one of"),
+    "a rate and a spacing": (IMPACT.replace("}", ", spacing_ms: 10}"), "impact_voltage.spacing_ms", "with rate_hz", "one of"),
     "a NAME that is none": (IMPACT.replace("}", ", source: {function: 999}}"), "source.function", "999", "NAME"),
     "a range upside down": (IMPACT.replace("}", ", range: [5, 1]}"), "impact_voltage.range", "5", "smaller first"),
     "a constant that cannot be": ("elevator_speed: {value: -4}", "elevator_speed.value", "-4", "rpm"),
