@@ -168,6 +168,18 @@ def test_lost_samples_degrade_their_second_and_are_filled(
     assert target.totals.total_kg <= whole.totals.total_kg * 1.005
 
 
+@pytest.mark.parametrize("paused_s", [0.1, 0.3])
+def test_a_sensor_that_pauses_is_said_by_what_it_leaves_uncovered(paused_s: float) -> None:
+    """By its counter no frame is missing, so how many are lost says nothing."""
+    target = monitor()
+    feed(target, [f._replace(time_s=f.time_s + paused_s) if f.time_s > 1012.5 else f for f in STEADY_FRAMES])
+    begun = next(e for e in target.fault_events if e.code is FaultCode.FRAMES_LOST and e.active)
+    (partly,) = (r for r in target.records if 0.0 < r.coverage < 0.98 and r.time_s > 1002.0)
+    assert (partly.lost_frames, partly.coverage) == (0, pytest.approx(1.0 - paused_s, abs=0.01))
+    assert begun.detail == f"samples for {100.0 * partly.coverage:.0f} % of the second"
+
+
+
 def without(message: str, first_s: float, last_s: float) -> list[Frame]:
     return [f for f in STEADY_FRAMES if f.message != message or not first_s <= f.time_s < last_s]
 

@@ -15,6 +15,7 @@ import yieldmon
 from tests.service.bench import PATIENCE_S, running
 from yieldmon.cli import main as cli
 from yieldmon.service import configuration
+from yieldmon.service.daemon import Daemon
 
 UNIT = Path(yieldmon.__file__).parents[1] / "systemd" / "yieldmon.service"
 VIRTUAL = "bus: {interface: virtual, channel: start}\n"
@@ -107,3 +108,33 @@ def test_a_hangup_before_the_daemon_is_there_reloads_it(tmp_path, monkeypatch):
         for number, handler in before.items():
             signal.signal(number, handler)
     assert len(loads) == 2
+
+
+def test_signals_that_ask_for_nothing_end_nothing(tmp_path, monkeypatch):
+    """They would end the process, from its first moment on."""
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+    path = tmp_path / "yieldmon.yaml"
+    path.write_text(VIRTUAL)
+    read = configuration.load
+    sent = (signal.SIGUSR1, signal.SIGUSR2, signal.SIGIO, signal.SIGPWR, signal.SIGPIPE)
+    before = {number: signal.getsignal(number) for number in (*sent, signal.SIGHUP, signal.SIGTERM, signal.SIGINT)}
+
+    def load(*how: Path) -> configuration.Configuration:
+        assert {signal.getsignal(number) for number in sent} == {signal.SIG_IGN}
+        for number in sent:
+            signal.raise_signal(number)
+        return read(*how)
+
+    class Stopping(Daemon):
+        def run(self) -> int:
+            signal.raise_signal(signal.SIGTERM)
+            return super().run()
+
+    monkeypatch.setattr(configuration, "load", load)
+    monkeypatch.setattr("yieldmon.cli.run.Daemon", Stopping)
+    try:
+        assert cli.main(["run", "--config", str(path)]) == 0
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

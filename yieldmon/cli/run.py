@@ -16,6 +16,9 @@ from yieldmon.service.ownership import OccupiedError
 from yieldmon.service.quiet_log import QuietLog
 from yieldmon.service.store_errors import StoreError
 
+#: Signals that would end the process, and that other programs send to one that they take for another (`logrotate`'s USR1).
+_IGNORED = (signal.SIGUSR1, signal.SIGUSR2, signal.SIGIO, signal.SIGPWR)
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """The verb's arguments."""
@@ -31,6 +34,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Run until a signal ends it. Exit code 2, on which the unit is not started again, is for what only a person can mend."""
     early: list[int] = []
+    for ignored in _IGNORED:
+        signal.signal(ignored, signal.SIG_IGN)
     # Until the daemon is there a hangup would end the process.
     signal.signal(signal.SIGHUP, lambda number, _: early.append(number))
     path = Path(args.config) if args.config is not None else shipped("config/yieldmon.yaml")

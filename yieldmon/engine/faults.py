@@ -132,6 +132,9 @@ def _frames_lost(o: Observation) -> bool:
 def _frames_lost_detail(o: Observation) -> str:
     disputed = [name for name in (o.window.disputed, "tank mass" if o.reading.inputs.tank_disputed else "") if name]
     rivals = f"; two nodes send {' and '.join(disputed)}" if disputed else ""
+    if o.window.lost_frames == 0 and o.window.surplus_frames == 0 and not rivals:
+        # By the counters none is missing: as many as the counters have room for are, or the times are not those of the samples.
+        return f"samples for {100.0 * o.window.coverage:.0f} % of the second"
     return f"{o.window.lost_frames} lost, {o.window.surplus_frames} too many{rivals}"
 
 
