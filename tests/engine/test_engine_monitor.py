@@ -179,7 +179,6 @@ def test_a_sensor_that_pauses_is_said_by_what_it_leaves_uncovered(paused_s: floa
     assert begun.detail == f"samples for {100.0 * partly.coverage:.0f} % of the second"
 
 
-
 def without(message: str, first_s: float, last_s: float) -> list[Frame]:
     return [f for f in STEADY_FRAMES if f.message != message or not first_s <= f.time_s < last_s]
 

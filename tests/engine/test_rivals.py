@@ -6,6 +6,8 @@ from math import inf, nan
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from yieldmon.engine.rivals import RivalLimits, RivalWatch, TankWatch, angle_limits, speed_limits, tank_leaps
 from yieldmon.physics.machine import Machine
@@ -69,6 +71,29 @@ STEADY = [50.0] * 10
 )  # fmt: skip
 def test_values_that_leap_both_ways(windows: list[list[float]], expected: list[int], at_once: bool) -> None:
     assert judged(windows, at_once=at_once) == expected
+
+
+@pytest.mark.parametrize(
+    ("step_s", "change", "leaps"),
+    [
+        (0.25, 7.5, False), (0.25, 7.625, True), (0.25, -7.5, False), (0.25, -7.625, True), (0.0, 5.0, False), (0.0, 5.125, True),
+        (0.5, 10.125, True), (0.5, 10.0, False), (0.625, 90.0, False), (-0.25, 5.125, True), (-0.25, 5.0, False),
+        (-0.625, 90.0, False),
+    ],
+)  # fmt: skip
+def test_a_leap_is_more_than_step_and_rate_within_half_a_second(step_s: float, change: float, leaps: bool) -> None:
+    """In numbers that binary fractions hold: 5 and 10 a second are met exactly, and missed by an eighth."""
+    watch = RivalWatch(RivalLimits(nan, 5.0, 10.0))
+    times = np.array([1.0, 1.0 + step_s, 1.0 + step_s + max(0.0, step_s)])
+    found = watch.take(times, np.array([50.0, 50.0 + change, 50.0]), np.array([0, 3]), np.array([0.0, 3.0]))
+    assert found.tolist() == [2 * leaps]
+
+
+@given(
+    st.lists(st.lists(st.sampled_from([50.0, 52.0, 70.0, 30.0]), max_size=6), min_size=1, max_size=5),
+)
+def test_windows_judged_together_are_judged_as_one_by_one(windows: list[list[float]]) -> None:
+    assert judged(windows, at_once=True) == judged(windows, at_once=False)
 
 
 NOMINAL = Machine().nominal_elevator_speed_rad_s

@@ -84,6 +84,13 @@ def test_the_range_of_each_field_of_a_name(field: str, largest: int) -> None:
             Name(**{"identity_number": 1, field: outside})
 
 
+@pytest.mark.parametrize("number", [0, 1, 0x1FFFFF])
+def test_a_name_of_a_number_alone_has_nothing_else_in_it_but_that_it_may_move(number: int) -> None:
+    assert int(Name(identity_number=number)) == (1 << 63) + number
+    assert Name(identity_number=number).data == bytes([number & 255, number >> 8 & 255, number >> 16, 0, 0, 0, 0, 0x80])
+    assert int(Name(identity_number=number, arbitrary_address_capable=False)) == number
+
+
 def test_address_follows_its_name() -> None:
     table = AddressTable()
     gps, joystick = Name(identity_number=7, function=25), Name(identity_number=8, function=30)
