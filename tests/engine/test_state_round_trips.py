@@ -1,0 +1,124 @@
+"""What outlives a restart comes back as it was, whatever it is, and a document that lacks a key is refused."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from yieldmon.engine.budget import MassBudget
+from yieldmon.engine.disagreement import DisagreementState, SweepPattern
+from yieldmon.engine.records import CalibratorState
+from yieldmon.engine.scale_alarm import ScaleAlarmState, ScaleCheck
+from yieldmon.engine.state import EngineState, TicketState, ZeroUndo
+from yieldmon.engine.totals import Totals
+from yieldmon.engine.zero import ZeroState
+
+NUMBERS = st.floats(-1e12, 1e12)
+MASSES = st.floats(0.0, 1e9)
+COUNTS = st.integers(0, 2**40)
+NAMES = st.text(max_size=8)
+SOME = st.lists(NUMBERS, max_size=3).map(tuple)
+BUDGETS = st.builds(MassBudget, noise_kg2=MASSES, parameters_kg=MASSES, zero_kg=MASSES, moisture_kg=MASSES)
+ZEROS = st.builds(
+    ZeroState, zero_mv=NUMBERS, first_zero_mv=NUMBERS, speed_rad_s=NUMBERS, window_pulse_mv=NUMBERS, vibration_mv=SOME
+)
+MASS_FIELDS = (
+    "total_dry_kg", "total_unknown_moisture_kg", "load_dry_kg", "load_unknown_moisture_kg", "total_contested_kg",
+    "load_contested_kg", "load_area_m2", "load_unknown_area_kg", "market_moisture_pct",
+)  # fmt: skip
+TOTALS = st.builds(
+    Totals, **dict.fromkeys(MASS_FIELDS, MASSES), total_kg=st.floats(1e-3, 1e9), load_kg=st.floats(1e-3, 1e9), load_number=COUNTS,
+    load_open=st.booleans(), first_load=COUNTS, total_budget=BUDGETS, load_budget=BUDGETS,
+)  # fmt: skip
+PATTERNS = st.builds(
+    SweepPattern, time_s=NUMBERS, plate_angle_deg=SOME, log_force=SOME, sd=SOME, mass_flow_kg_s=NUMBERS,
+    elevator_speed_rad_s=NUMBERS, moisture_pct=st.none() | NUMBERS,
+)  # fmt: skip
+
+
+@st.composite
+def calibrators(draw: st.DrawFn) -> CalibratorState:
+    rates = draw(st.lists(NUMBERS, max_size=3))
+    columns = draw(st.integers(0, 4))
+    row = st.lists(NUMBERS, min_size=columns, max_size=columns).map(tuple)
+    return CalibratorState(
+        waited_s=draw(MASSES), harvested_kg=draw(MASSES), moisture_pct=draw(st.none() | NUMBERS),
+        drifting=tuple(f"p{number}" for number in range(len(rates))), rates=tuple(rates),
+        covariance=tuple(draw(row) for _ in rates), at_s=draw(st.none() | NUMBERS),
+        weighed=tuple(draw(st.lists(NAMES, max_size=3))), doubted=draw(NAMES),
+    )  # fmt: skip
+
+
+CHECKS = st.builds(ScaleCheck, name=NAMES, start_s=NUMBERS, weighed_kg=MASSES, measured_kg=MASSES, std_dev_kg=MASSES)
+TICKETS = st.builds(
+    TicketState, load_number=COUNTS, weighed_kg=MASSES, std_dev_kg=MASSES, waits=st.booleans(), crop=st.none() | NAMES
+)
+STATES = st.builds(
+    EngineState, totals=TOTALS, zero=st.none() | ZEROS, windows=COUNTS, sweep_id=COUNTS, sweep_due_in_s=NUMBERS,
+    calibration_age_s=st.none() | NUMBERS, parameter_version=COUNTS,
+    disagreement=st.builds(DisagreementState, patterns=st.lists(PATTERNS, max_size=2).map(tuple), present=st.booleans()),
+    calibrator=st.none() | calibrators(),
+    scale_alarm=st.builds(ScaleAlarmState, contradiction=st.none() | CHECKS, since_s=NUMBERS, since=NAMES, agreed=NAMES),
+    zero_undo=st.none() | st.builds(
+        ZeroUndo, before=ZEROS, suspect=st.booleans(), by_scale=st.lists(st.tuples(COUNTS, NUMBERS), max_size=2).map(tuple)
+    ),
+    tickets=st.lists(TICKETS, max_size=2).map(tuple),
+)  # fmt: skip
+
+
+@settings(max_examples=40, deadline=None)
+@given(STATES)
+def test_a_state_comes_back_through_json_as_it_was(state: EngineState) -> None:
+    assert EngineState.from_dict(json.loads(json.dumps(state.as_dict(), allow_nan=False))) == state
+
+
+@pytest.mark.parametrize("part", ["total_budget", "load_budget"])
+def test_a_budget_that_is_not_known_stays_so(part: str) -> None:
+    state = EngineState(totals=Totals(total_kg=5.0, load_kg=5.0, **{part: MassBudget.unknown()}))
+    back = EngineState.from_dict(json.loads(json.dumps(state.as_dict(), allow_nan=False))).totals
+    assert {name: math.isnan(getattr(back, name).std_dev_kg) for name in ("total_budget", "load_budget")} == {
+        name: name == part for name in ("total_budget", "load_budget")
+    }
+
+
+LATER = {"disagreement", "calibrator", "scale_alarm", "zero_undo", "tickets"}
+
+
+@pytest.mark.parametrize("key", sorted(EngineState().as_dict()))
+def test_a_key_that_is_missing_is_refused_unless_it_came_later(key: str) -> None:
+    document = {name: value for name, value in EngineState().as_dict().items() if name != key}
+    if key in LATER:
+        assert EngineState.from_dict(document) == EngineState()
+    else:
+        with pytest.raises(ValueError, match="engine state"):
+            EngineState.from_dict(document)
+
+
+def test_a_key_that_nobody_knows_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"engine state has keys .*'surprise'"):
+        EngineState.from_dict({**EngineState().as_dict(), "surprise": 1})
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"rates": [1.0, 2.0]}, {"rates": []}, {"drifting": ["a", "b"]}, {"covariance": []}, {"covariance": [[1.0], [2.0]]},
+    ],
+)  # fmt: skip
+def test_rates_that_do_not_fit_their_parameters_are_refused(changes: dict[str, object]) -> None:
+    document = EngineState(calibrator=CalibratorState(1.0, 2.0, None, ("a",), (1.0,), ((1.0, 2.0),))).as_dict()
+    document["calibrator"] |= changes
+    with pytest.raises(ValueError, match="do not fit the parameters"):
+        EngineState.from_dict(document)
+
+
+def test_rows_of_a_covariance_are_of_one_length() -> None:
+    document = EngineState(calibrator=CalibratorState(1.0, 2.0, None, ("a", "b"), (1.0, 2.0), ((1.0,), (2.0,)))).as_dict()
+    assert EngineState.from_dict(document).calibrator is not None
+    document["calibrator"]["covariance"] = [[1.0], [2.0, 3.0]]
+    with pytest.raises(ValueError, match="do not fit the parameters"):
+        EngineState.from_dict(document)
