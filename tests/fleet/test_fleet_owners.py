@@ -176,7 +176,86 @@ def test_empty_logs_are_no_copies_of_each_other(tree: Path, tmp_path: Path, caps
         (tree / machine / DAY / "b.log").touch()
     assert fleet_run(tree, tmp_path / "out", capsys)[0] == 0
     assert main(["fleet", "report", str(tmp_path / "out"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["doubtful"] == []
+    doubts = json.loads(capsys.readouterr().out)["doubtful"]
+    assert [(doubt["machine"], doubt["problem"]) for doubt in doubts] == [
+        (machine, "damaged: b.log: no frame at all") for machine in ("m0", "m1")
+    ]
+
+
+def test_logs_that_add_nothing_to_their_day_are_named_at_each_run(
+    tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, day = tmp_path / "out", tree / "m0" / DAY
+    text = (day / "a.log").read_bytes()
+    (day / "b.log").touch()
+    (day / "c.log").write_text("(1600000000.000000) can0 18F00400#FFFFFFFFFFFFFFFF\n" * 3)
+    (day / "d.log.gz").write_bytes(gzip.compress(text.replace(b"can0", b"can1"))[:-99])
+    for status in ("done", "skipped"):
+        code, document, _ = fleet_run(tree, out, capsys)
+        assert (code, document[status], document["poisoned"]) == (0, 2, [])
+        assert {item["partition"] for item in document["doubtful"]} == {f"machine=m0/day={DAY}"}
+        cut, empty, other = (item["problem"] for item in document["doubtful"])
+        assert "the compressed data end early" in cut
+        assert (empty, other) == (
+            "b.log: no frame at all", "c.log: none of its 3 frames is one that yieldmon takes in",
+        )  # fmt: skip
+    assert main(["fleet", "run", str(tree), "--out", str(out), "--workers", "0"]) == 0
+    assert f"doubtful: machine=m0/day={DAY}: b.log: no frame at all" in capsys.readouterr().err
+
+
+def test_a_day_of_many_bad_logs_is_the_day_without_them(tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    good, out, day = tmp_path / "good", tmp_path / "out", tree / "m0" / DAY
+    assert fleet_run(tree, good, capsys)[0] == 0
+    for name in ("A.log", "b.asc", "c.blf", "d.log.gz", "e.log"):
+        (day / name).write_bytes(b"\x1f\x8bnothing that a log could be: " + name.encode())
+    code, document, _ = fleet_run(tree, out, capsys)
+    assert (code, document["done"]) == (1, 2)
+    bad = {item["where"] for item in document["poisoned"]} | {item["problem"].partition(":")[0] for item in document["doubtful"]}
+    assert bad == {"A.log", "b.asc", "c.blf", "d.log.gz", "e.log"}
+    for table in ("records", "faults", "sweeps"):
+        name = f"machine=m0/day={DAY}/{table}.parquet"
+        assert (out / name).read_bytes() == (good / name).read_bytes()
+
+
+def test_what_is_no_file_in_a_manifest_does_not_stop_the_others(
+    tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A pipe without a writer would be waited for without end."""
+    os.mkfifo(tmp_path / "pipe.log")
+    (tmp_path / "loop.log").symlink_to("loop.log")
+    (tmp_path / "folder.log").mkdir()
+    rows = [f"m0,{DAY},{tree / 'm0' / DAY / 'a.log'}", f"m0,{DAY},pipe.log", f"m1,{DAY},loop.log", "m2,d,folder.log"]
+    (tmp_path / "fleet.csv").write_text("machine,day,log\n" + "\n".join(rows) + "\n")
+    code, document, _ = fleet_run(tmp_path / "fleet.csv", tmp_path / "out", capsys)
+    assert (code, document["done"]) == (1, 1)
+    said = [item["problem"].partition("fleet.csv: ")[2] for item in document["poisoned"]]
+    assert said == [
+        f"line {line}, log: {name}.log is no file; expected a log" for line, name in ((3, "pipe"), (4, "loop"), (5, "folder"))
+    ]
+
+
+def test_links_that_lead_back_are_one_line_each(tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tree / "again").symlink_to(tree)
+    (tree / "m0" / "up").symlink_to("..")
+    (tree / "m1" / "above").symlink_to(tmp_path)
+    code, document, said = fleet_run(tree, tmp_path / "out", capsys)
+    assert (code, document["done"]) == (1, 2)
+    assert {Path(item["where"]).name for item in document["poisoned"]} == {"again", "up", "above"}
+    assert all("leads back" in item["problem"] for item in document["poisoned"])
+    assert "left out" not in said
+
+
+def test_a_note_of_a_failure_goes_once_its_day_is_there(tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As a client leaves it that was killed before it could ask again for a day that a dying worker had committed."""
+    out = tmp_path / "out"
+    assert fleet_run(tree, out, capsys)[0] == 0
+    whole = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    Dataset(str(out)).fail(
+        f"machine=m0/day={DAY}", {"machine": "m0", "day": DAY, "problem": "KilledWorker"}, Dataset(str(out)).begin()
+    )
+    assert len(Dataset(str(out)).failures()) == 1
+    assert fleet_run(tree, out, capsys)[0] == 0
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == whole
 
 
 def test_a_source_that_cannot_be_read_whole_says_nothing_of_what_left_it(

@@ -9,6 +9,8 @@ import socket
 from collections.abc import Iterator
 from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from tests.fleet import logs
@@ -125,6 +127,45 @@ def test_report_counts_faults(season: Path) -> None:
             own = [day["faults"].get(code, 0) for day in days if day["machine"] == machine["machine"]]
             assert entry["count"] == sum(own)
             assert entry["days"] == sum(count > 0 for count in own)
+
+
+def test_a_fault_lasts_to_its_end_or_that_of_the_day(season: Path, tmp_path: Path) -> None:
+    """Within the day's seconds, also where the clock was set back while it lasted."""
+    data = tmp_path / "data"
+    shutil.copytree(season / "first", data)
+    day = data / "machine=m0" / "day=2026-10-01"
+    record = pq.read_table(day / "records.parquet", columns=["time_s"])["time_s"].to_pylist()
+    first, last, seconds = record[0], record[-1], len(record)
+    faults = {
+        "SensorStuck": (first + 2.0, first + 5.0, 3.0),
+        "ZeroDrifted": (last - 9.0, None, 9.0),
+        "ClockJumped": (last, first, 0.0),
+        "BusError": (first, first + 7200.0, float(seconds)),
+    }
+    rows = [{"code": code, "begin_s": begin, "end_s": end, "detail": ""} for code, (begin, end, _) in faults.items()]
+    pq.write_table(pa.Table.from_pylist(rows, schema=pq.read_schema(day / "faults.parquet")), day / "faults.parquet")
+    [found] = [m["faults"] for m in summarise(str(data))["machines"] if m["machine"] == "m0"]
+    for code, (_, _, lasted) in faults.items():
+        assert found[code]["seconds"] == pytest.approx(lasted, abs=1.0), code
+
+
+@pytest.mark.parametrize(
+    ("start_s", "expected"),
+    [(1_790_000_000.0, ["day10", "day9", "day8"]), (0.0, ["day8", "day9", "day10"])],
+    ids=["by date", "by name where the clock has none"],
+)
+def test_days_are_in_the_order_of_time(
+    tmp_path: Path, start_s: float, expected: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    for number, day in enumerate(("day10", "day9", "day8")):
+        logs.write(tmp_path / "tree" / "m0" / day / "a.log", 50.0 + number, start_s + 1000.0 * number * (start_s > 0.0))
+    assert measure(tmp_path / "tree", str(tmp_path / "out")) == 0
+    capsys.readouterr()
+    found = summarise(str(tmp_path / "out"))
+    assert [day["day"] for day in found["days"]] == expected
+    [machine] = found["machines"]
+    assert (machine["first_day"], machine["last_day"]) == (expected[0], expected[-1])
+    assert list(machine["parameters"]["friction"]["by_day"]) == expected
 
 
 def test_names_from_files_cannot_break_the_page(season: Path) -> None:

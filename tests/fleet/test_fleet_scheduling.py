@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import pytest
 
+from tests.fleet import logs
 from yieldmon.errors import InputError
 from yieldmon.fleet import scheduling
 from yieldmon.fleet.dataset import Dataset
+from yieldmon.fleet.identity import parameters_sha256, software
 from yieldmon.fleet.manifest import Partition
 from yieldmon.fleet.scheduling import Cluster, run_all
-from yieldmon.fleet.worker import Outcome
+from yieldmon.fleet.worker import DONE, FAILED, SKIPPED, Outcome, Task, work
+from yieldmon.resources import shipped
+from yieldmon.service import configuration
 
 
 class Future:
@@ -131,10 +136,33 @@ def test_a_task_that_fails_once_another_run_has_the_dataset_is_one_line(
 ) -> None:
     monkeypatch.setattr(Client, "submit", lambda self, work, task, **how: Failed(task.partition.name, None))
     Dataset(str(tmp_path / "season")).begin()
-    task = SimpleNamespace(partition=Partition("m", "d", ()), token="of the run before", dataset=str(tmp_path / "season"))
+    task = SimpleNamespace(
+        partition=Partition("m", "d", ()), token="of the run before", dataset=str(tmp_path / "season"), software=software(),
+        parameters_sha256="",
+    )  # fmt: skip
     with pytest.raises(InputError, match="taken over by another"):
         run_all([task], Cluster("tcp://127.0.0.1:1"), _ignore, _ignore)  # type: ignore[list-item]
     assert Dataset(str(tmp_path / "season")).failures() == []
+
+
+def test_a_day_whose_worker_died_behind_its_commit_is_there(
+    at_once: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Dask gives a task up with which three workers died; that they had done their work is seen by its commit."""
+    path = logs.write(tmp_path / "a.log")
+    dataset, loaded = Dataset(str(tmp_path / "season")), configuration.load(shipped("config/yieldmon.yaml"))
+    token, sha256 = dataset.begin(), parameters_sha256(loaded)
+    committed, changed = (
+        Task(Partition("m", day, (str(path),)), dataset.address, token, loaded, sha256, software()) for day in ("d1", "d2")
+    )
+    for task in (committed, changed):
+        assert work(task).status == DONE
+    monkeypatch.setattr(Client, "submit", lambda self, work, task, **how: Failed(task.partition.name, None))
+    outcomes: list[Outcome] = []
+    other = replace(changed, parameters_sha256="of other parameters")
+    run_all([committed, other], Cluster("tcp://127.0.0.1:1"), outcomes.append, _ignore)
+    assert [outcome.status for outcome in outcomes] == [SKIPPED, FAILED]
+    assert [failure["day"] for failure in dataset.failures()] == ["d2"]
 
 
 def _ignore(_: Any) -> None:

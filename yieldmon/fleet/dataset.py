@@ -18,7 +18,7 @@ import json
 import shutil
 import tempfile
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -85,6 +85,13 @@ class Dataset:
         self._clean()
         return token
 
+    def withdraw_failures(self, names: Collection[str], token: str) -> None:
+        """Remove what is noted of partitions that are there after all, as from the same inputs."""
+        noted = {f"{name}.json" for name in names} & {*self._noted()}
+        if noted and self._owner() == token:
+            for name in noted:
+                self._remove(f"{_FAILED}/{name}")
+
     def end(self, token: str) -> None:
         """The run is over."""
         if self._owner() == token:
@@ -114,9 +121,13 @@ class Dataset:
 
     def failures(self) -> list[dict[str, Any]]:
         """What could not be measured: machine, day, problem. Raises InputError where that is damaged."""
+        names = [f"{self._root}/{_FAILED}/{name}" for name in self._noted()]
+        return [_checked(name, self._files.cat_file(name), _FAILURE) for name in names]
+
+    def _noted(self) -> list[str]:
         machines = self._entries(_FAILED, "machine=", "directory")
-        names = [name for machine in machines for name in self._entries(machine, "day=", "file")]
-        return [_checked(f"{self._root}/{name}", self._files.cat_file(f"{self._root}/{name}"), _FAILURE) for name in names]
+        found = [name for machine in machines for name in self._entries(machine, "day=", "file")]
+        return [name.removeprefix(f"{_FAILED}/") for name in found]
 
     def path(self, name: str, table: str) -> str:
         """A table of a partition, as its file system names it."""

@@ -7,6 +7,8 @@ the logs of a day, or in the machine's folder, `config.yaml` is its configuratio
 
 from __future__ import annotations
 
+import os
+import stat
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -112,6 +114,7 @@ def _of_table(source: str) -> Manifest:
     logs: dict[tuple[str, str], list[str]] = {}
     others: dict[tuple[str, str], tuple[str, ...]] = {}
     seen: set[str] = set()
+    refused: list[InputError] = []
     for row in range(len(table.rows)):
         machine, day = (_name(table.column(name)[row], table.where(row, name)) for name in ("machine", "day"))
         log = table.column("log")[row]
@@ -125,29 +128,43 @@ def _of_table(source: str) -> Manifest:
         key = machine, day
         if others.setdefault(key, rest) != rest:
             raise InputError(table.where(row, "machine"), "differs from a row above of the day", f"one {', '.join(_OPTIONAL)}")
-        logs.setdefault(key, []).append(path)
+        if _may_be_read(path):
+            logs.setdefault(key, []).append(path)
+        else:
+            refused.append(InputError(table.where(row, "log"), f"{log} is no file", "a log"))
     if not logs:
-        raise InputError(source, "has no row", "a row for each log")
+        raise refused[0] if refused else InputError(source, "has no row", "a row for each log")
     found = []
     for key in sorted(logs):
         config, tickets = (_beside(source, name) if name else "" for name in others[key][:2])
         found.append(Partition(*key, tuple(logs[key]), config, tickets, others[key][2]))
-    return Manifest(tuple(found))
+    return Manifest(tuple(found), refused=tuple(refused))
 
 
 def _beside(source: str, name: str) -> str:
-    return name if is_remote(name) else str((Path(source).absolute().parent / name).resolve())
+    return name if is_remote(name) else os.path.realpath(Path(source).absolute().parent / name)
+
+
+def _may_be_read(path: str) -> bool:
+    """False for folders, pipes (of which one would be waited for without end) and links that lead nowhere but to themselves; a
+    file that is missing is its day's affair."""
+    if is_remote(path):
+        return True
+    try:
+        return stat.S_ISREG(os.stat(path).st_mode)
+    except OSError as error:
+        return isinstance(error, FileNotFoundError)
 
 
 def _of_tree(files: Any, root: str, source: str) -> Manifest:
     found: list[Partition] = []
     left_out, refused = _astray(files, root), list[InputError]()
-    for machine in _folders(files, root, left_out):
+    for machine in _folders(files, root, left_out, refused):
         try:
             name = _name(machine.rpartition("/")[2], machine)
             config = _present(files, f"{machine}/{CONFIG}")
             left_out += _astray(files, machine)
-            days = _folders(files, machine, left_out)
+            days = _folders(files, machine, left_out, refused)
             if not days:
                 left_out.append(machine)
         except (InputError, PermissionError) as error:
@@ -202,14 +219,19 @@ def _astray(files: Any, path: str) -> list[str]:
     return [name for name, kind in _entries(files, path) if kind != _FOLDER and _is_log(name)]
 
 
-def _folders(files: Any, path: str, left_out: list[str]) -> list[str]:
+def _folders(files: Any, path: str, left_out: list[str], refused: list[InputError]) -> list[str]:
     """The folders in one, by name."""
     entries = [(name, kind) for name, kind in _entries(files, path) if not name.rpartition("/")[2].startswith((".", "_"))]
     left_out += [name for name, kind in entries if kind == _OTHER and not _is_log(name)]
+    refused += [
+        InputError(name, "is a link that leads back to a folder it lies in", "a folder of its own")
+        for name, kind in entries
+        if kind == _LOOP
+    ]
     return [name for name, kind in entries if kind == _FOLDER]
 
 
-_FILE, _FOLDER, _OTHER = "file", "directory", "other"
+_FILE, _FOLDER, _LOOP, _OTHER = "file", "directory", "loop", "other"
 
 
 def _entries(files: Any, path: str) -> Iterator[tuple[str, str]]:
@@ -218,6 +240,8 @@ def _entries(files: Any, path: str) -> Iterator[tuple[str, str]]:
         name, kind = entry["name"].rstrip("/"), entry["type"]
         if entry.get("islink"):
             kind = _FOLDER if files.isdir(name) else _FILE if files.isfile(name) else _OTHER
+            if kind == _FOLDER and Path(os.path.realpath(name)) in (folder := Path(os.path.realpath(path)), *folder.parents):
+                kind = _LOOP
         yield name, kind
 
 

@@ -9,6 +9,8 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from yieldmon.bus.loading import iter_blocks
+from yieldmon.bus.logs import LogNotes
 from yieldmon.documents.process import ProcessSummary
 from yieldmon.engine.health import FaultEvent
 from yieldmon.engine.learning import ParametersChanged
@@ -48,10 +50,12 @@ class Measured:
 
 @dataclass(slots=True)
 class _Span:
-    """A log's frames in time, and the first of the rows that came while it was read."""
+    """A log's frames, in time and number, how many the engine took, and the first of the rows that came while it was read."""
 
     log: str
     first_row: int
+    frames: int = 0
+    ours: int = 0
     start_s: float = float("nan")
     end_s: float = float("nan")
 
@@ -76,6 +80,8 @@ class _Taken:
             self.spans.append(_Span("", len(self.rows)))
             return
         span = self.spans[-1]
+        span.frames += stretch.frames
+        span.ours += stretch.ours
         for run in stretch.runs:
             if not isfinite(span.start_s):
                 span.start_s = float(run.times_s[0])
@@ -143,8 +149,12 @@ def measure(
             culprit = _culprit(error, usable)
             if culprit is None or len(usable) == 1:
                 raise
-            usable.remove(culprit)
-            poisoned.append(Poisoned(names[culprit], by_name(str(error), names)))
+            later = usable[usable.index(culprit) + 1 :]
+            faulty = {culprit: error} | {log: problem for log in later if (problem := _problem(log)) is not None}
+            if len(faulty) == len(usable):
+                raise
+            usable = [log for log in usable if log not in faulty]
+            poisoned += [Poisoned(names[log], by_name(str(problem), names)) for log, problem in faulty.items()]
     rows = _log_rows(taken, names)
     covered, unmatched = _ticket_rows(rows, tickets, list(names.values()))
     tables.write(tables.LOADS, [*_load_rows(monitor), *rows, *covered], folder / "loads.parquet")
@@ -154,7 +164,7 @@ def measure(
     tables.write(tables.SWEEPS, taken.sweeps, folder / "sweeps.parquet")
     tables.write(tables.FAULTS, taken.faults, folder / "faults.parquet")
     crop = crop or configured.parameters.provenance.get("crop", "")
-    document["damages"] = [by_name(text, names) for text in document["damages"]]
+    document["damages"] = [by_name(text, names) for text in [*document["damages"], *_without_ours(taken)]]
     return Measured(document, crop, (*poisoned, *unmatched))
 
 
@@ -194,6 +204,24 @@ def _record(logs: Sequence[str], configured: Configuration, path: Path) -> tuple
 
         summary, monitor = log_record.measure(logs, configured, take, progress=taken.progress, take_results=taken.results)
     return taken, log_record.document(summary, monitor), monitor
+
+
+def _without_ours(taken: _Taken) -> list[str]:
+    """The logs that add nothing to the day, a line each."""
+    nothing = [span for span in taken.spans if span.log and not span.ours]
+    whys = (f"none of its {s.frames} frames is one that yieldmon takes in" if s.frames else "no frame at all" for s in nothing)
+    return [f"{span.log}: {why}" for span, why in zip(nothing, whys, strict=True)]
+
+
+def _problem(log: str) -> InputError | None:
+    """Why a log cannot be read; None where it can. Once one cannot, all are looked at, so as not to begin anew with each."""
+    notes = LogNotes(on_damage=lambda damage: None)
+    try:
+        for _ in iter_blocks(log, notes):
+            pass
+    except InputError as error:
+        return error
+    return None
 
 
 def _culprit(error: InputError, logs: Sequence[str]) -> str | None:

@@ -3,8 +3,8 @@ recorders' logs that overlap."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -54,9 +54,7 @@ def overlaps(query: Query) -> list[Overlap]:
     found = []
     for logs in by_machine.values():
         seconds: dict[tuple[str, int], NDArray[np.float64]] = {}
-        for first, second in combinations(logs, 2):
-            if min(first["to_s"], second["to_s"]) <= max(first["from_s"], second["from_s"]):
-                continue
+        for first, second in _meeting(logs):
             for log in (first, second):
                 if (log["day"], log["first_number"]) not in seconds:
                     seconds[log["day"], log["first_number"]] = _seconds(query, log)
@@ -67,6 +65,17 @@ def overlaps(query: Query) -> list[Overlap]:
                 where = second["machine"], second["day"], second["name"], first["day"], first["name"]
                 found.append(Overlap(*where, int(again.sum()), mass_kg))
     return found
+
+
+def _meeting(logs: Sequence[dict[str, Any]]) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+    """The pairs of logs whose first and last times overlap, in the logs' order."""
+    found, under_way = [], list[int]()
+    for i in sorted(range(len(logs)), key=lambda i: float(logs[i]["from_s"])):
+        under_way = [k for k in under_way if logs[k]["to_s"] > logs[i]["from_s"]]
+        found += [(min(i, k), max(i, k)) for k in under_way if logs[i]["to_s"] > logs[i]["from_s"]]
+        under_way.append(i)
+    for first, second in sorted(found):
+        yield logs[first], logs[second]
 
 
 def _seconds(query: Query, log: dict[str, Any]) -> NDArray[np.float64]:

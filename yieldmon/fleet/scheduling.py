@@ -19,7 +19,7 @@ from typing import Any
 
 from yieldmon.errors import InputError
 from yieldmon.fleet.dataset import Superseded
-from yieldmon.fleet.worker import Outcome, Task, failed, work
+from yieldmon.fleet.worker import Outcome, Task, failed, there, work
 
 _RETRIES = 2
 """Of a task that failed for other reasons than its inputs, a storage that did not answer for instance."""
@@ -196,6 +196,6 @@ def _answer(future: Any, task: Task) -> Outcome:
     try:
         if isinstance(problem, Superseded):
             raise problem
-        return failed(task, f"{type(problem).__name__}: {' '.join(str(problem).split())[:300]}")
+        return there(task) or failed(task, f"{type(problem).__name__}: {' '.join(str(problem).split())[:300]}")
     except Superseded:
         raise InputError(task.dataset, "was taken over by another `fleet run`", "one run at a time") from None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Iterable
 from math import sqrt
 from typing import Any
@@ -17,14 +18,19 @@ from yieldmon.fleet.querying import Query, opened
 Rows = list[dict[str, Any]]
 _TABLES = (tables.PROVENANCE, tables.FAULTS, tables.SWEEPS, tables.PARAMETERS, tables.LOADS, tables.RECORDS)
 
-_DAYS = """
+_DAYS = f"""
+WITH first AS (SELECT machine, day, arg_min(start_s, first_number) AS start_s FROM loads WHERE kind = '{tables.LOG}' GROUP BY ALL)
 SELECT machine, day, seconds, frames, total_mass_kg, crop, software_version, source_sha256, parameters_sha256, zero_known,
-  logs, damages FROM provenance ORDER BY machine, day
+  logs, damages, first.start_s AS start_s FROM provenance LEFT JOIN first USING (machine, day) ORDER BY machine, day
 """
-_FAULTS = """
-SELECT machine, day, code, count(*) AS count, sum(coalesce(end_s, begin_s) - begin_s) AS seconds FROM faults
+_FAULTS = f"""
+WITH last AS (SELECT machine, day, arg_max(end_s, first_number) AS end_s FROM loads WHERE kind = '{tables.LOG}' GROUP BY ALL)
+SELECT machine, day, code, count(*) AS count,
+  sum(least(greatest(coalesce(faults.end_s, last.end_s, begin_s) - begin_s, 0.0), provenance.seconds)) AS seconds
+FROM faults LEFT JOIN last USING (machine, day) JOIN provenance USING (machine, day)
 GROUP BY ALL ORDER BY machine, day, code
 """
+"""A fault that the day ends with lasts to the day's end; where the clock stepped meanwhile, no longer than the day."""
 _SWEEPS = "SELECT machine, state, count(*) AS count FROM sweeps GROUP BY ALL ORDER BY ALL"
 _PARAMETERS = """
 SELECT machine, name, day, arg_max(value, (coalesce(time_s, 0), version)) AS value,
@@ -36,6 +42,8 @@ WHERE kind = 'ticket' AND weighed_kg > 0 ORDER BY machine, day, name
 """
 
 
+_EARLIEST_DATE_S = 1e8
+"""Bus time before this (1973) counts from a recorder's start and is no date."""
 _OF_NOTHING = hashlib.sha256().hexdigest()
 """What empty logs have in common is no mass."""
 
@@ -60,8 +68,13 @@ def summarise(address: str) -> dict[str, Any]:
         There is no dataset, or nothing in it.
     """
     with opened(address, _TABLES) as query:
-        days = query.rows(_DAYS)
-        faults, sweeps, parameters, tickets = (query.rows(text) for text in (_FAULTS, _SWEEPS, _PARAMETERS, _TICKETS))
+        days = _in_order(query.rows(_DAYS))
+        places = {(row["machine"], row["day"]): place for place, row in enumerate(days)}
+        sweeps = query.rows(_SWEEPS)
+        faults, parameters, tickets = (
+            sorted(query.rows(text), key=lambda row: places[row["machine"], row["day"]])
+            for text in (_FAULTS, _PARAMETERS, _TICKETS)
+        )
         failed = query.dataset.failures()
         poisoned = _poisoned(query)
         overlapping = overlaps(query)
@@ -92,6 +105,19 @@ def summarise(address: str) -> dict[str, Any]:
         "poisoned": poisoned,
         "doubtful": _doubtful(days, overlapping, address),
     }  # fmt: skip
+
+
+def _in_order(rows: Rows) -> Rows:
+    """Days by machine and then by date, where a machine's logs tell it, else by name with numbers in it as such."""
+    ordered: Rows = []
+    for days in _by_machine(rows).values():
+        dated = all((row["start_s"] or 0.0) > _EARLIEST_DATE_S for row in days)
+        ordered += sorted(days, key=lambda row: (row["start_s"] if dated else 0.0, _natural(row["day"])))
+    return ordered
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    return [(int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"(\d+)", name)]
 
 
 def _doubtful(days: Rows, overlapping: Iterable[Overlap], address: str) -> Rows:

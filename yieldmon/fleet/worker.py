@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -34,13 +35,15 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a partition. status: DONE, SKIPPED (there already) or FAILED; frames: read for it."""
+    """What became of a partition. status: DONE, SKIPPED (there already) or FAILED; frames: read for it; damages: what of its logs
+    could not be read or is none of ours, a line each."""
 
     name: str
     status: str
     frames: int = 0
     seconds: int = 0
     poisoned: tuple[Poisoned, ...] = ()
+    damages: tuple[str, ...] = ()
 
 
 def work(task: Task) -> Outcome:
@@ -74,7 +77,33 @@ def refused(partition: Partition, dataset: Dataset, token: str, problem: str) ->
     return Outcome(partition.name, FAILED, poisoned=(Poisoned(partition.name, problem),))
 
 
-def _measured(task: Task, dataset: Dataset) -> Outcome:
+def there(task: Task) -> Outcome | None:
+    """The partition where the dataset has it from these inputs, parameters and software: a worker may have died, or have been
+    thought dead, between its commit and its answer. None where it is not there, or its inputs cannot be looked at."""
+    dataset = Dataset(task.dataset)
+    try:
+        with _inputs(task, dataset) as inputs:
+            return _skipped(task, dataset, inputs)
+    except (InputError, OSError):
+        return None
+
+
+@dataclass(frozen=True)
+class _Inputs:
+    """What a partition is to be measured from, on this machine. folder: to work in; names: of all logs, by path; hashes: name and
+    SHA-256 of those that are measured, usable: their paths; unreadable: name and reason."""
+
+    folder: Path
+    names: dict[str, str]
+    hashes: list[tuple[str, str]]
+    usable: list[str]
+    unreadable: list[tuple[str, InputError]]
+    tickets: str
+    identity: Identity
+
+
+@contextmanager
+def _inputs(task: Task, dataset: Dataset) -> Iterator[_Inputs]:
     partition = task.partition
     with ExitStack() as stack:
         folder = stack.enter_context(dataset.workspace())
@@ -89,35 +118,52 @@ def _measured(task: Task, dataset: Dataset) -> Outcome:
         hashes = [(name, state) for name, state in states if isinstance(state, str) and state != _COPY]
         unreadable = [(name, state) for name, state in states if isinstance(state, InputError)]
         measurable = {name for name, _ in hashes}
-        usable = [path for path in logs if names[path] in measurable]
-        if not usable:
-            problem = by_name(str(unreadable[0][1]), names) if unreadable else "each log repeats one of another day"
-            return failed(task, problem)
         inputs = inputs_sha256(
             [(name, state if isinstance(state, str) else _UNREADABLE) for name, state in states],
             digests.of_file(tickets) if tickets else "",
             partition.crop,
         )
         identity = Identity(task.software, task.parameters_sha256, inputs)
-        there = dataset.commit_of(partition.name)
-        if there is not None and there.key == identity.key:
-            return Outcome(partition.name, SKIPPED, poisoned=tuple(Poisoned(**item) for item in there.content["poisoned"]))
-        output = folder / "output"
+        usable = [path for path in logs if names[path] in measurable]
+        yield _Inputs(folder, names, hashes, usable, unreadable, tickets, identity)
+
+
+def _skipped(task: Task, dataset: Dataset, inputs: _Inputs) -> Outcome | None:
+    commit = dataset.commit_of(task.partition.name)
+    if commit is None or commit.key != inputs.identity.key:
+        return None
+    poisoned = tuple(Poisoned(**item) for item in commit.content["poisoned"])
+    return Outcome(task.partition.name, SKIPPED, poisoned=poisoned, damages=tuple(commit.content.get("damages", ())))
+
+
+def _measured(task: Task, dataset: Dataset) -> Outcome:
+    partition = task.partition
+    with _inputs(task, dataset) as inputs:
+        names, unreadable, identity = inputs.names, inputs.unreadable, inputs.identity
+        if not inputs.usable:
+            problem = by_name(str(unreadable[0][1]), names) if unreadable else "each log repeats one of another day"
+            return failed(task, problem)
+        skipped = _skipped(task, dataset, inputs)
+        if skipped is not None:
+            return skipped
+        output = inputs.folder / "output"
         output.mkdir()
         try:
-            measured = measure(usable, tickets, partition.crop, task.configured, output, names)
+            measured = measure(inputs.usable, inputs.tickets, partition.crop, task.configured, output, names)
         except InputError as error:
             raise InputError(by_name(error.where, names), by_name(error.problem, names), error.expected) from error
         left_out = tuple(Poisoned(name, by_name(str(error), names)) for name, error in unreadable)
         measured = replace(measured, poisoned=left_out + measured.poisoned)
-        write_provenance(measured, identity, hashes, task.configured, output)
+        write_provenance(measured, identity, inputs.hashes, task.configured, output)
         document = measured.document
         content = {
             "key": identity.key, "software": asdict(identity.software), "parameters_sha256": identity.parameters_sha256,
             "inputs_sha256": identity.inputs_sha256, "poisoned": [asdict(item) for item in measured.poisoned],
+            "damages": document["damages"],
         }  # fmt: skip
         dataset.commit(partition.name, output, content, task.token)
-        return Outcome(partition.name, DONE, document["frames"], document["windows"], measured.poisoned)
+        damages = tuple(document["damages"])
+        return Outcome(partition.name, DONE, document["frames"], document["windows"], measured.poisoned, damages)
 
 
 def _state(log: str) -> str | InputError:

@@ -81,6 +81,7 @@ def run(args: argparse.Namespace) -> int:
         _say(f"interrupted; {there} of {len(partitions)} days are in {args.out}, and the next run goes on from there")
         dataset.abandon(token)
         raise
+    dataset.withdraw_failures([outcome.name for outcome in outcomes if outcome.status == SKIPPED], token)
     dataset.end(token)
     document = _document(args.out, outcomes, looked_at, found.refused)
     if args.json:
@@ -173,6 +174,11 @@ def _document(
                 for item in outcome.poisoned
             ),
         ],
+        "doubtful": [
+            {"partition": outcome.name, "problem": problem}
+            for outcome in sorted(outcomes, key=lambda outcome: outcome.name)
+            for problem in outcome.damages
+        ],
     }
 
 
@@ -184,6 +190,7 @@ def _lines_of(document: dict[str, Any]) -> list[str]:
     for (machine, problem), names in poisoned.items():
         where = names[0] if len(names) == 1 else f"{machine} ({len(names)} days)"
         lines.append(f"poisoned: {where}: {problem}" if where else f"poisoned: {problem}")
+    lines += [f"doubtful: {item['partition']}: {item['problem']}" for item in document["doubtful"]]
     lines.append(
         f"{document['dataset']}: {document['done']} measured, {document['skipped']} there already, {document['failed']} failed; "
         f"{document['frames']} frames"
