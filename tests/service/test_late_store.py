@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import shutil
 import threading
 import time
@@ -17,7 +18,8 @@ from hypothesis import strategies as st
 from tests.service.bench import PATIENCE_S, START_S, Bench, encoded, running, traffic, wait_for
 from yieldmon.engine.budget import FlowBudget
 from yieldmon.engine.totals import Totals
-from yieldmon.service import configuration
+from yieldmon.errors import InputError
+from yieldmon.service import configuration, own_files
 from yieldmon.service import daemon as service
 from yieldmon.service.control import ControlError
 from yieldmon.service.daemon import Daemon
@@ -235,7 +237,37 @@ def test_a_reading_that_ends_with_an_error_ends_the_run_with_it(folder, disk):
 
 
 AMOUNTS = st.integers(0, 240).map(lambda number: number / 4.0)
+
+
 #: Wet and dry mass, noise and what the seconds share, whether the mass is contested.
+@pytest.mark.parametrize(
+    ("metrics", "refused"), [("m.prom", False), ("yieldmon.sqlite", True), ("./x/../yieldmon.sqlite-wal", True), ("link", False)]
+)
+def test_a_configuration_is_read_although_the_stores_disk_does_not_answer(tmp_path, monkeypatch, metrics, refused):
+    """Files are then told apart by their names alone."""
+    gate, real = threading.Event(), os.path.realpath
+    (tmp_path / "link").symlink_to(tmp_path / STORE)
+    path = tmp_path / "c.yaml"
+    path.write_text(f"status: {{prometheus_file: {metrics}}}")
+    environment = {"STATE_DIRECTORY": str(tmp_path), "RUNTIME_DIRECTORY": str(tmp_path)}
+
+    def hanging(name, **how):
+        if Path(name).name == STORE:
+            gate.wait(PATIENCE_S)
+        return real(name, **how)
+
+    monkeypatch.setattr(os.path, "realpath", hanging)
+    monkeypatch.setattr(own_files, "ANSWERS_WITHIN_S", 0.05)
+    try:
+        if refused:
+            with pytest.raises(InputError, match=r"status\.prometheus_file: .* is the store, or one beside it"):
+                configuration.load(path, environment)
+        else:
+            assert configuration.load(path, environment).store_path == tmp_path / STORE
+    finally:
+        gate.set()
+
+
 MASSES = st.lists(st.tuples(AMOUNTS, st.none() | AMOUNTS, AMOUNTS, AMOUNTS, st.booleans()), max_size=5)
 
 

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+import threading
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import Future
 from pathlib import Path
 
 from yieldmon.service.store_file import names_beside
 
+#: How long links are followed.
+ANSWERS_WITHIN_S = 2.0
 #: What is said of a key that names no file at all.
 _NAME = "the name of a file"
 
@@ -25,22 +29,40 @@ def file_conflicts(store: Path, socket: Path, prometheus: Path | None, read: Ite
     Returns
     -------
     list of (str, str, str)
+
+    Notes
+    -----
+    Where the disk of one of them does not answer, paths are compared as they are spelt: a start must not wait for it.
     """
     if not store.name:
         return [("store.path", f"'{store}'", _NAME)]
-    taken: dict[str, str] = {_place(path): "read for the configuration" for path in read}
-    taken |= {_place(path): "the store, or one beside it" for path in (store, *names_beside(store))}
+    read, stores = tuple(read), (store, *names_beside(store))
     written: Mapping[str, Path | None] = {"status.socket": socket, "status.prometheus_file": prometheus}
+    place = _places([*read, *stores, *(path for path in written.values() if path is not None)])
+    taken: dict[str, str] = {place[path]: "read for the configuration" for path in read}
+    taken |= {place[path]: "the store, or one beside it" for path in stores}
     problems = []
     for key, path in written.items():
         if path is None:
             continue
-        if _place(path) in taken:
-            problems.append((key, f"{path} is {taken[_place(path)]}", "a file of its own"))
-        taken.setdefault(_place(path), key)
+        if place[path] in taken:
+            problems.append((key, f"{path} is {taken[place[path]]}", "a file of its own"))
+        taken.setdefault(place[path], key)
     return problems
 
 
-def _place(path: Path) -> str:
-    """Where a path leads to, by whichever links."""
-    return os.path.realpath(path)
+def _places(paths: Sequence[Path]) -> Mapping[Path, str]:
+    """Where each leads to, by whichever links; for all as they are spelt where a disk does not answer in time."""
+    looking = Future[dict[Path, str]]()
+
+    def look() -> None:
+        try:
+            looking.set_result({path: os.path.realpath(path) for path in paths})
+        except Exception as error:  # noqa: BLE001 - raised on the caller's thread
+            looking.set_exception(error)
+
+    threading.Thread(target=look, name="own-files", daemon=True).start()
+    try:
+        return looking.result(ANSWERS_WITHIN_S)
+    except TimeoutError:
+        return {path: os.path.abspath(path) for path in paths}
