@@ -1,5 +1,5 @@
-"""One thread of linear algebra per process, a garbage collector that leaves alone what the
-collection of tests made, and logging as it was before each test."""
+"""One thread of linear algebra per process, asammdf imported only where it is used, a garbage collector
+that leaves alone what the collection of tests made, and logging as it was before each test."""
 
 from __future__ import annotations
 
@@ -9,6 +9,11 @@ import os
 from collections.abc import Iterator
 
 import pytest
+
+from yieldmon.bus import mf4
+
+# As every command does: python-can would import asammdf, and with it pandas and sympy, in each worker.
+mf4.defer()
 
 # Two workers on two cores: more threads wait for each other. Read when numpy is imported, here and in the tests' processes.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -9,7 +9,7 @@ import pytest
 
 from tests.golden import kept
 from tests.schema_check import SCHEMAS, problems
-from yieldmon.documents.schemas import DOCUMENTS
+from tools.reference.documents import DOCUMENTS
 
 KEPT = {
     "calibrate-dem": "calibrate", "calibrate-bench": "calibrate", "calibrate-corn": "calibrate", "diagnose-dem": "diagnose",

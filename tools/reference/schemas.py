@@ -9,7 +9,7 @@ import typing
 from pathlib import Path
 from typing import Any
 
-from yieldmon.documents.schemas import DOCUMENTS
+from tools.reference.documents import DOCUMENTS
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _PLAIN = {bool: "boolean", int: "integer", float: "number", str: "string", types.NoneType: "null"}

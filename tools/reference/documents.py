@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
-from .calibrate import CalibrationDocument, CurveCalibrationDocument, LoadCalibrationDocument, PulseShapeDocument, TapDocument
-from .diagnose import DiagnosisDocument
-from .process import ProcessSummary
-from .status import Status
+from yieldmon.documents.calibrate import (
+    CalibrationDocument,
+    CurveCalibrationDocument,
+    LoadCalibrationDocument,
+    PulseShapeDocument,
+    TapDocument,
+)
+from yieldmon.documents.diagnose import DiagnosisDocument
+from yieldmon.documents.process import ProcessSummary
+from yieldmon.documents.status import Status
 
 #: Name of the schema -> type.
 DOCUMENTS: dict[str, Any] = {
