@@ -158,6 +158,19 @@ def test_a_listening_socket_that_fails_is_made_anew(tmp_path: Path, monkeypatch:
     assert not path.exists()
 
 
+def test_a_stop_does_not_wait_for_the_next_look(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Patient(selectors.DefaultSelector):
+        def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+            return super().select(60.0)
+
+    monkeypatch.setattr(control.selectors, "DefaultSelector", Patient)
+    server = ControlServer(tmp_path / "s.sock", None, lambda request: {"fine": True})
+    server.start()
+    assert ask(server.path, {"command": "x"})["fine"]
+    server.stop()
+    wait_for(lambda: not server.alive, "the thread's end")
+
+
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_the_prometheus_file_is_written_again_after_a_thread_that_died(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write, dies, path = metrics.write, [True], tmp_path / "m.prom"

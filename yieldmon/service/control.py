@@ -88,7 +88,7 @@ class ControlServer:
     def restart(self) -> None:
         """Leave thread and socket to themselves and answer at a new one. Raises RuntimeError."""
         old = self._server
-        old.stopping = True
+        old.stop()
         if old.listening is not None:
             old.listening.socket.close()
         self._server = _Server(self.path, self._group, self._answer, None)
@@ -97,7 +97,7 @@ class ControlServer:
 
     def stop(self) -> None:
         """Stop answering and take the socket away."""
-        self._server.stopping = True
+        self._server.stop()
         self._thread.join(_STOP_S)
         # Left there it is replaced at the next start; what remains to be written at this stop is worth more.
         with suppress(OSError):
@@ -197,6 +197,8 @@ class _Server:
     ) -> None:
         """listening: None for one that `run` is to make."""
         self.stopping = False
+        self._waker: socket.socket | None = None
+        """Ends the wait for requests while they are served."""
         self.listening = listening
         self.round_s = monotonic()
         self._path = path
@@ -207,8 +209,16 @@ class _Server:
         self._asking: dict[int, _Asking] = {}
         self._answering = threading.BoundedSemaphore(_ANSWERS_AT_ONCE)
 
+    def stop(self) -> None:
+        """Have `run` end, without waiting for it; from any thread."""
+        self.stopping = True
+        # Closed where serving has ended already.
+        with suppress(OSError):
+            if self._waker is not None:
+                self._waker.send(b"\0")
+
     def run(self) -> None:
-        """Until `stopping`."""
+        """Until `stop`."""
         try:
             while not self.stopping:
                 try:
@@ -230,9 +240,11 @@ class _Server:
 
     def _serve(self, listening: _Listening) -> None:
         """Until `stopping`, or an error that was not foreseen; connections under way end with it."""
-        with selectors.DefaultSelector() as selector:
+        woken, self._waker = socket.socketpair()
+        with woken, self._waker, selectors.DefaultSelector() as selector:
             listening.socket.setblocking(False)
             selector.register(listening.socket, selectors.EVENT_READ)
+            selector.register(woken, selectors.EVENT_READ)
             try:
                 while not self.stopping:
                     self.round_s = monotonic()
