@@ -161,7 +161,7 @@ def test_a_listening_socket_that_fails_is_made_anew(tmp_path: Path, monkeypatch:
 def test_a_stop_does_not_wait_for_the_next_look(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Patient(selectors.DefaultSelector):
         def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-            return super().select(60.0)
+            return super().select(3600.0)
 
     monkeypatch.setattr(control.selectors, "DefaultSelector", Patient)
     server = ControlServer(tmp_path / "s.sock", None, lambda request: {"fine": True})
