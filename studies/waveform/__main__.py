@@ -10,6 +10,7 @@
     python -m studies.waveform cost                       # processor time, on and off
     python -m studies.waveform pictures --out DIR         # pulse.png, fill.png (of fill.json)
     python -m studies.waveform season --seeds 30          # load errors of a season by channel, estimators alone
+    python -m studies.waveform teaching --seeds 30        # the same where kernel noise teaches the parameters
     python -m studies.waveform daemon-season --seeds 30 --seed 17001 --out F.json   # through the monitor, with kernels; goes on
     python -m studies.waveform shape --out F.yaml         # the law of those pulses, with its range (config/pulse-shape.yaml)
     python -m studies.waveform pack LEDGER... --out F.npz # a campaign's forces at 10 kHz
@@ -91,6 +92,12 @@ def _season(args: argparse.Namespace) -> Any:
     return season.report(args.seeds, args.seed)
 
 
+def _teaching(args: argparse.Namespace) -> Any:
+    from studies.waveform import teaching
+
+    return teaching.report(args.seeds, args.seed)
+
+
 def _daemon_season(args: argparse.Namespace) -> Any:
     from studies.waveform import daemon_season
 
@@ -122,7 +129,7 @@ def _pack(args: argparse.Namespace) -> Any:
 _PARTS = {
     "information": _information, "fill": _fill, "attempts": _attempts, "kernels": _kernels, "hidden": _hidden, "cost": _cost,
     "pictures": _pictures, "season": _season, "daemon-season": _daemon_season, "verdicts": _verdicts, "shape": _shape,
-    "pack": _pack, "edges": _edges,
+    "pack": _pack, "edges": _edges, "teaching": _teaching,
 }  # fmt: skip
 
 

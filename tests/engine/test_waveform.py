@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import cache
 from pathlib import Path
 
@@ -12,11 +13,14 @@ import numpy as np
 import pytest
 
 from tests.service.bench import CODEC
+from yieldmon.engine.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.faults import FaultCode
+from yieldmon.engine.learning import ParametersChanged
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import WindowResult, records_in, windows_in
 from yieldmon.engine.settings import EngineSettings, SweepSettings, WaveformSettings
+from yieldmon.engine.state import EngineState
 from yieldmon.estimation.channel_combination import combine
 from yieldmon.estimation.kernel_noise import KernelVerdict
 from yieldmon.estimation.open_loop import OpenLoop
@@ -388,3 +392,54 @@ def test_a_reload_keeps_the_noise_that_was_heard_where_machine_and_settings_stay
     later = [frame._replace(time_s=frame.time_s + 5.0) for frame in struck(2e-4) if frame.time_s > 27.0]
     seen = [r.kernel_verdict for frame in later for r in records_in(after.feed(frame))]
     assert (KernelVerdict.USED in seen) is same
+
+
+def learner(parameters: ParameterSet, machine: Machine, **settings: object) -> Monitor:
+    """Kernel noise teaches every ten seconds of grain."""
+    given = {"thousand_kernel_weight_g": 350.0, "teach": True, "teach_windows": 10, "kernel_windows": 5, **settings}
+    waveform = replace(WaveformSettings(), shape=LAW, enabled=True, quiet_windows=2, **given)  # type: ignore[arg-type]
+    engine = replace(EngineSettings(), sweep=replace(SweepSettings(), enabled=False), waveform=waveform)
+    model = ForwardModel(machine, parameters.effects)
+    return Monitor(engine, machine, OpenLoop(model, parameters), ClosedLoopCalibrator(model))
+
+
+FAST = replace(MACHINE, sensor=replace(MACHINE.sensor, response_s=2e-4))
+DOUBTED = replace(
+    PARAMETERS, values={**VALUES, "density": 935.0, "restitution": 0.4675}, covariance=np.diag([0.02**2, 165.0**2, 0.08**2])
+)
+
+
+def listened(monitor: Monitor, frames: tuple[Frame, ...]) -> tuple[list[WindowRecord], list[ParametersChanged]]:
+    results = [r for frame in frames if frame.message != GRAIN_KERNELS for r in windows_in(monitor.feed(frame))]
+    return [r.record for r in results], [e for r in results for e in r.events if isinstance(e, ParametersChanged)]
+
+
+def test_kernels_teach_the_parameters_and_are_then_not_counted_a_second_time() -> None:
+    sure = {"kernel_bias_sd": 0.03}
+    records, changes = listened(learner(DOUBTED, FAST, **sure), stepping())
+    assert len(changes) >= 3
+    assert {change.origin for change in changes} == {"kernels"}
+    assert all(re.match(r"kernel noise moved the scale by [+-][\d.]+ %; its bias is known to", c.reason) for c in changes)
+    true_kg = 5.0 * sum(STEPS)
+    assert sum(r.mass_kg for r in records[-15:]) == pytest.approx(true_kg, rel=0.06)
+    assert sum(r.mass_kg for r in heard(DOUBTED, **sure)[0][-15:]) > 1.1 * true_kg
+    together, _ = listened(learner(DOUBTED, FAST, combine=True, stretch_sd=1.0, **sure), stepping())
+    assert sum(r.mass_kg for r in together[-15:]) == pytest.approx(sum(r.mass_kg for r in records[-15:]), rel=0.02)
+
+
+def test_the_bias_outlives_a_restart_with_the_parameters_that_it_taught() -> None:
+    monitor = learner(DOUBTED, FAST)
+    listened(monitor, stepping())
+    state, known = monitor.snapshot(), monitor.estimator.parameters
+    assert known.provenance["kernel_noise"] == "taught"
+    kept = EngineState.from_dict(json.loads(json.dumps(asdict(state))))
+    assert kept.calibrator is not None
+    assert kept.calibrator.bias[1] < 0.2**2
+    later = tuple(frame._replace(time_s=frame.time_s + 100.0) for frame in stepping())
+    for restored, changes_expected in ((kept, True), (replace(kept, calibrator=None), False)):
+        after = learner(known, FAST)
+        after.restore(restored)
+        _, changes = listened(after, later)
+        assert bool(changes) is changes_expected
+        # Where it is not known what of the parameters is the bias's, nothing that kernels say is taken as new.
+        assert ("teaches again after a weighed load" in (after.outcome.reason if after.outcome else "")) is not changes_expected

@@ -18,11 +18,13 @@ from yieldmon.engine.mass_anchors import mass_anchor, weighed
 from yieldmon.engine.records import CalibrationOutcome, CalibrationStep, CalibratorState, FlowEstimator, WindowRecord
 from yieldmon.engine.scale_alarm import ScaleCheck, as_stated, name_of
 from yieldmon.engine.weighings import Weighings
+from yieldmon.estimation import common_bias
 from yieldmon.estimation.admission import allowing_for, refusal
 from yieldmon.estimation.angle_pattern import EFFECT, with_pattern
 from yieldmon.estimation.closed_loop import self_calibrate, update_from_tickets
 from yieldmon.estimation.closed_loop_inputs import DensityAnchor, MassAnchor, Sweep
 from yieldmon.estimation.closed_loop_outcome import Outcome, ScaleReport
+from yieldmon.estimation.common_bias import CommonBias, KernelLesson
 from yieldmon.estimation.density_and_gain import widened
 from yieldmon.estimation.load_inputs import LoadSettings, WeighedLoad
 from yieldmon.estimation.loads import calibrate_loads, departure
@@ -33,6 +35,12 @@ from yieldmon.physics.model import ForwardModel
 
 _DRIFT_WIDENING = 16.0
 """Of the parameters' covariance: with up to so much of it, what a later ticket says is drift, and no other scale."""
+_TAUGHT = "kernel_noise"
+"""Key of the provenance of parameters that kernel noise has taught."""
+_WORSE = 1.5
+"""Of the bias's prior variance, the lasting one of a lesson beyond which it is not of that bias any more."""
+_LESSON_SDS = 3.0
+"""Deviations of a difference beyond which a lesson contradicts and teaches nothing."""
 _LEAST_LOAD_ERROR = 1e-4
 """Of a weighed load's measured mass."""
 
@@ -65,6 +73,8 @@ class ClosedLoopCalibrator:
         self._checked: frozenset[ReferenceMass] = frozenset()
         self._of_grain: dict[str, Weighings] = {}
         """Weighings of the crops before, by name."""
+        self._bias: tuple[CommonBias, ParameterSet] | None = None
+        """Of kernel noise, with the parameters that its covariance is with; None where it has taught none of these."""
         self.last: Outcome | None = None
 
     def update(self, records: Sequence[WindowRecord], estimator: FlowEstimator, *, use_sweep: bool = True) -> CalibrationOutcome:
@@ -127,6 +137,46 @@ class ClosedLoopCalibrator:
         self._used = frozenset(anchors)
         taken = self._taken(outcome, drifting, used, moment, step)
         return replace(taken, reason=f"{taken.reason}; {doubt}" if doubt else taken.reason, weighed=True, checks=checks)
+
+    def hear(self, record: WindowRecord, lesson: KernelLesson, estimator: FlowEstimator) -> CalibrationOutcome:
+        """See records.SelfCalibrator."""
+        used = self._in_use(estimator)
+        moment = (record.time_s, record.total_kg, record.moisture_pct if self._map is not None else float("nan"))
+        drifting, step = self._prior(used, moment[2], moment[0], moment[1])
+        bias = self._bias_of(used, step, record.total_kg)
+        if bias is None:
+            if _TAUGHT in used.provenance:
+                reason = "what kernel noise taught these parameters is not known any more; it teaches again after a weighed load"
+                return CalibrationOutcome(None, reason)
+            bias = common_bias.begin(lesson.lasting_sd, len(drifting.joint))
+        if lesson.lasting_sd**2 > _WORSE * bias.largest:
+            return CalibrationOutcome(None, "kernel noise is known worse than when it began to teach; the parameters stay")
+        try:
+            taught = common_bias.teach(self._model, drifting, bias, lesson)
+            refused = refusal(taught.drifting.parameters)
+        except ValueError as error:
+            return CalibrationOutcome(None, f"{error}; the parameters stay")
+        if refused or abs(taught.difference) > _LESSON_SDS * taught.sd:
+            off = f"kernel noise and mean force differ by {100.0 * taught.difference:+.0f} %"
+            return CalibrationOutcome(None, f"{off}; {refused or 'the parameters stay'}")
+        facts = {**used.provenance, _TAUGHT: "taught"}
+        known = replace(taught.drifting.parameters, version=used.version + 1, provenance=facts)
+        self._given = None
+        self._at_s, self._at_kg, self._moisture_pct = moment
+        self._history = [*self._history[-7:], (moment[0], used)]
+        self._updated, self._drifting = known, replace(taught.drifting, parameters=known)
+        self._bias = taught.bias, known
+        reason = (
+            f"kernel noise moved the scale by {100.0 * taught.moved:+.1f} %; its bias is known to "
+            f"{100.0 * taught.bias.variance**0.5:.1f} %"
+        )
+        return CalibrationOutcome(OpenLoop(self._model, known), reason)
+
+    def _bias_of(self, used: ParameterSet, step: Advance, total_kg: float) -> CommonBias | None:
+        """The bias as it is now; None where its covariance with these parameters is not known."""
+        if self._bias is None or self._bias[1] is not used or len(self._bias[0].cross) != len(step.transition):
+            return None
+        return common_bias.carried(self._bias[0], step.transition, total_kg - self._at_kg)
 
     def _in_use(self, estimator: FlowEstimator) -> ParameterSet:
         """The parameters in use; with other effects than those before, another model explains them."""
@@ -214,6 +264,7 @@ class ClosedLoopCalibrator:
         if not outcome.updated and prior.values == self._patterned(used).values:
             return CalibrationOutcome(None, outcome.reason, identifiable=False)
         # Without an update the moisture map or the drift alone has moved the values; the new prior is what is known.
+        bias = self._bias_of(used, step, moment[1])
         begun_s = self._at_s
         self._at_s, self._at_kg, self._moisture_pct = moment
         self._history = [*self._history[-7:], (moment[0], used)]
@@ -224,6 +275,14 @@ class ClosedLoopCalibrator:
         else:
             self._drifting = carried(drifting, replace(prior, version=used.version + 1))
         known = self._drifting.parameters
+        same = self._drifting.joint.shape == drifting.joint.shape and known.covariance_names == prior.covariance_names
+        if bias is not None and same and outcome.updated:
+            bias = common_bias.followed(bias, drifting, self._drifting, widening=outcome.prior_widening)
+        if (bias is None or not same) and outcome.scale.observable and _TAUGHT in known.provenance:
+            # What kernel noise taught is not known any more, and no longer matters.
+            known = replace(known, provenance={key: text for key, text in known.provenance.items() if key != _TAUGHT})
+            self._drifting = replace(self._drifting, parameters=known)
+        self._bias = (bias, known) if bias is not None and same else None
         reason = outcome.reason if outcome.updated else "moved by moisture or steady drift; the data add too little"
         self._updated = known
         follows = self._drifting.state.shape == step.after.shape and known.covariance_names == prior.covariance_names
@@ -276,7 +335,14 @@ class ClosedLoopCalibrator:
             at_s=self._at_s if isfinite(self._at_s) else self._before.at_s if self._before is not None else None,
             weighed=tuple(load.name for load in self._weighings.counted),
             doubted=self._weighings.doubted_name,
+            bias=self._kept_bias(),
         )
+
+    def _kept_bias(self) -> tuple[float, ...]:
+        if self._bias is None or self._drifting is None or self._bias[1] is not self._drifting.parameters:
+            return ()
+        bias = self._bias[0]
+        return (bias.value, bias.variance, bias.largest, *map(float, bias.cross))
 
     def restore(self, state: CalibratorState, parameters: ParameterSet, total_kg: float) -> None:
         """See records.SelfCalibrator."""
@@ -284,6 +350,9 @@ class ClosedLoopCalibrator:
         self._waited_s, self._at_kg = state.waited_s, total_kg - state.harvested_kg
         self._moisture_pct = float("nan") if state.moisture_pct is None else state.moisture_pct
         fresh = begin(parameters, self._settings.steady_per_kilotonne)
+        if len(state.bias) == 3 + len(fresh.joint) and fresh.parameters is parameters:
+            value, variance, largest, *cross = state.bias
+            self._bias = CommonBias(value, variance, np.array(cross), largest), parameters
         if not state.drifting or fresh.names != state.drifting or len(state.covariance[0]) != len(fresh.joint):
             return  # No rates, or others by now: they begin anew.
         rows, joint = np.array(state.covariance), fresh.joint.copy()

@@ -80,6 +80,9 @@ class Conclusion:
             parts.since_zero.add((replace(kept, zero_mv=zero_mv, load_number=number),))
         self._zero_mv = record.zero_mv
         learnt = learning.learn(window.end_s, record, sweep)
+        if parts.waveform is not None and not (sweep.driving or learnt):
+            lesson = parts.waveform.lessons.take()
+            learnt = learning.hear(lesson, record) if lesson is not None else ()
         ended = parts.plate.ended(learning.last_update, learning.estimator.parameters.version)
         zero: tuple[Event, ...] = (ZeroTaken(bus_s, record.zero_mv),) if reading.zero_taken else ()
         begun, self.begun_with = self.begun_with, ()

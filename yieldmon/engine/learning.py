@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite, nan
 
 from yieldmon.engine.anchors import AnchorSource, ReferenceMass, TankScale
@@ -23,6 +23,7 @@ from yieldmon.engine.state import TicketState
 from yieldmon.engine.sweep import SweepAbort, SweepMachine
 from yieldmon.engine.windows import Window
 from yieldmon.estimation.admission import refusal
+from yieldmon.estimation.common_bias import KernelLesson
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.frames import EstimateQuality
 from yieldmon.physics.machine import Machine
@@ -33,8 +34,8 @@ _KEPT_TICKETS = 12
 
 @dataclass(frozen=True, slots=True)
 class ParametersChanged:
-    """Other parameters from now on. origin: "sweep" or "ticket" (a reference mass alone); reason: one sentence; step: see
-    `records.CalibrationOutcome`."""
+    """Other parameters from now on. origin: "sweep", "ticket" (a reference mass alone) or "kernels"; reason: one sentence; step:
+    see `records.CalibrationOutcome`."""
 
     parameters: ParameterSet
     origin: str
@@ -299,6 +300,15 @@ class Learning:
         sweep.finish(at_s, bool(changed))
         return (*weighed, *changed)
 
+    def hear(self, lesson: KernelLesson, record: WindowRecord) -> tuple[ParametersChanged, ...]:
+        """A lesson of kernel noise, between sweeps."""
+        if self.calibrator is None:
+            return ()
+        outcome = self.calibrator.hear(record, lesson, self.estimator)
+        # What the last sweep determined stays as it was.
+        known = self.outcome is None or self.outcome.identifiable
+        return self._take(replace(outcome, identifiable=known), "kernels")
+
     def _learn_from_masses(self, record: WindowRecord) -> tuple[ParametersChanged, ...]:
         """Hand reference masses that have come since the last update to the calibrator."""
         if not self._masses_new:
@@ -316,13 +326,13 @@ class Learning:
         self._compared = frozenset(self.anchors)
         self.scale_alarm.see([check for check in checks if check is not None])
 
-    def _take(self, outcome: CalibrationOutcome) -> tuple[ParametersChanged, ...]:
+    def _take(self, outcome: CalibrationOutcome, by: str = "") -> tuple[ParametersChanged, ...]:
         self.outcome = outcome
         self.scale_alarm.see(outcome.checks)
         if outcome.estimator is None:
             return ()
         self.use(outcome.estimator, 0.0)
-        origin = "ticket" if outcome.weighed else "sweep"
+        origin = by or ("ticket" if outcome.weighed else "sweep")
         return (ParametersChanged(outcome.estimator.parameters, origin, outcome.reason, outcome.step),)
 
 

@@ -18,6 +18,7 @@ from yieldmon.engine.anchors import ReferenceMass
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.quick import maker_of
 from yieldmon.engine.scale_alarm import ScaleCheck
+from yieldmon.estimation.common_bias import KernelLesson
 from yieldmon.estimation.kernel_noise import KernelVerdict
 from yieldmon.estimation.open_loop import FlowEstimate
 from yieldmon.estimation.parameters import ParameterSet
@@ -288,7 +289,8 @@ class CalibratorState:
     waited_s, harvested_kg: since the last update. moisture_pct: of the grain for which the parameters hold. drifting: the r
     parameters that have a steady rate; rates: (r,), per kilotonne; covariance: (r, n + r) of the rates with the n parameters that
     have a variance, and with each other. at_s: bus time of the last update, None where it is not known. weighed: names of the
-    loads that a new one is held against; doubted: of the one that contradicts them, "" for none.
+    loads that a new one is held against; doubted: of the one that contradicts them, "" for none. bias: of kernel noise (value,
+    variance, largest variance, then its covariance with parameters and rates), empty where it has taught nothing.
     """
 
     waited_s: float
@@ -300,6 +302,7 @@ class CalibratorState:
     at_s: float | None = None
     weighed: tuple[str, ...] = ()
     doubted: str = ""
+    bias: tuple[float, ...] = ()
 
 
 class SelfCalibrator(Protocol):
@@ -313,6 +316,9 @@ class SelfCalibrator(Protocol):
 
     def weigh(self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator) -> CalibrationOutcome:
         """What reference masses change. record: the last window; anchors: all reference masses kept."""
+
+    def hear(self, record: WindowRecord, lesson: KernelLesson, estimator: FlowEstimator) -> CalibrationOutcome:
+        """What kernel noise changes. record: the last window."""
 
     def forget(self, load_numbers: frozenset[int], unused: Sequence[ReferenceMass]) -> None:
         """The weighings of these loads were wrong; those in `unused` have changed nothing that counts and may be used anew."""

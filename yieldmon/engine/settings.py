@@ -256,6 +256,10 @@ class WaveformSettings:
     enabled: bool = False
     combine: bool = False
     """Publish and count mean force, shape and kernel noise together, by their covariance."""
+    teach: bool = False
+    """Let kernel noise update the parameters, with one bias that all its lessons share; then it corrects nothing published."""
+    teach_windows: int = 1800
+    """Seconds of grain with a flow by kernel noise from one lesson to the next."""
     harmonics: int = 20
     """Harmonics of the paddle pattern that are fitted."""
     model_error: float = 0.1

@@ -122,7 +122,7 @@ def _scale_alarm(data: Mapping[str, Any]) -> ScaleAlarmState:
 
 
 def _calibrator(data: Mapping[str, Any]) -> CalibratorState:
-    lists = {name: tuple(data.get(name, ())) for name in ("drifting", "rates", "weighed")}
+    lists = {name: tuple(data.get(name, ())) for name in ("drifting", "rates", "weighed", "bias")}
     state = CalibratorState(**{**data, **lists, "covariance": tuple(tuple(row) for row in data["covariance"])})
     count = len(state.drifting)
     if len(state.rates) != count or len(state.covariance) != count or len({len(row) for row in state.covariance}) > 1:

@@ -14,6 +14,7 @@ from statistics import median
 
 from yieldmon.engine.flow import Flow
 from yieldmon.engine.kernel_channel import SEGMENT, KernelChannel
+from yieldmon.engine.kernel_lessons import KernelLessons
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.quick import changer_of
 from yieldmon.engine.records import FlowEstimator
@@ -124,6 +125,7 @@ class Waveform:
         self._settings = settings
         self._machine = machine
         self._kernel_channel = KernelChannel(settings, machine)
+        self.lessons = KernelLessons(settings)
         self._law = law_of(settings)
         self._pulses: PulseModel | None = None
         self._estimator: FlowEstimator | None = None
@@ -141,7 +143,7 @@ class Waveform:
     def go_on_with(self, before: Waveform) -> None:
         """Noise that was heard on the same machine by the same settings is heard no second time."""
         if (self._settings, self._machine) == (before._settings, before._machine):
-            self._kernel_channel = before._kernel_channel
+            self._kernel_channel, self.lessons = before._kernel_channel, before.lessons
 
     def prepare(self, readings: Sequence[Reading], rates_kg_s: Sequence[float], estimator: FlowEstimator) -> None:
         """Fit the pulses of these windows side by side, begun at the mean force's flow; `see` then takes them up one by one."""
@@ -255,6 +257,8 @@ class Waveform:
             over, sd = seen.kernels_kg_s / rate, seen.kernels_std_dev_kg_s / seen.kernels_kg_s
             self._of_kernels = _Scale(log(over), sd, 0.0, estimator, reading.window.end_s)
             seen = _with(seen, bias=self._agreeing_bias(over))
+            if reading.at_home and kernels is not None:
+                self.lessons.add(seen.kernels_kg_s, sd, kernels.random_sd, reading)
         elif seen.kernels is not KernelVerdict.TOO_EARLY:
             self._of_kernels = None
         return self._counted(seen, reading, mean_flow, estimator)
@@ -289,7 +293,8 @@ class Waveform:
             both = combine(rate, lasting, rate * exp(mean), shape_sd, exponent=exponent, parameters=parameters)
             flow, sd, corrected = both.mass_flow_kg_s, both.relative_sd, True
         kernels = self._held_kernels(now_s, estimator)
-        if kernels is not None and not self._kernels_contradict(kernels, mean_flow):
+        # What teaches the parameters is in the mean force's flow already.
+        if kernels is not None and not self._settings.teach and not self._kernels_contradict(kernels, mean_flow):
             over, over_sd = kernels.log_over_mean_force, kernels.lasting_sd
             weight = sd**2 / (sd**2 + over_sd**2)
             flow *= (rate * exp(over) / flow) ** weight

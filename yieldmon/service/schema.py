@@ -36,7 +36,7 @@ CREATE TABLE sweep (
 CREATE TABLE parameter_set (
     version INTEGER PRIMARY KEY,
     time_s REAL NOT NULL,
-    origin TEXT NOT NULL,          -- file, sweep, ticket
+    origin TEXT NOT NULL,          -- file, sweep, ticket, kernels
     document TEXT NOT NULL         -- JSON: values, covariance, provenance
 ) STRICT;
 CREATE TABLE fault (               -- a row each time a fault comes or goes
