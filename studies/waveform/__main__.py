@@ -1,6 +1,7 @@
 """What the waveform tells: the tables of README.md.
 
     python -m studies.waveform information --draws 1000   # Fisher information, and the estimator's scatter
+    python -m studies.waveform identifiability            # what mean, contrast, waveform, kernels and a sweep determine
     python -m studies.waveform fill                       # volume flow from discrete-element pulses, loads and angles left out
     python -m studies.waveform attempts                   # what limits that
     python -m studies.waveform edges                      # the same with pulses of loads and angles around those judged
@@ -34,6 +35,12 @@ def _information(args: argparse.Namespace) -> Any:
     from studies.waveform import information
 
     return {"table": information.table(), "monte_carlo": information.against_monte_carlo(args.draws, args.seed)}
+
+
+def _identifiability(args: argparse.Namespace) -> Any:
+    from studies.waveform import identifiability
+
+    return identifiability.report()
 
 
 def _fill(args: argparse.Namespace) -> Any:
@@ -130,6 +137,7 @@ _PARTS = {
     "information": _information, "fill": _fill, "attempts": _attempts, "kernels": _kernels, "hidden": _hidden, "cost": _cost,
     "pictures": _pictures, "season": _season, "daemon-season": _daemon_season, "verdicts": _verdicts, "shape": _shape,
     "pack": _pack, "edges": _edges, "teaching": _teaching,
+    "identifiability": _identifiability,
 }  # fmt: skip
 
 

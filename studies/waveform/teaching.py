@@ -51,8 +51,8 @@ def _forces(grain: Grain, flows: Array) -> Array:
     return np.asarray(impulse * speed / gaps.sum())
 
 
-def season(seed: int, *, teaches: bool, tickets: tuple[int, ...]) -> list[tuple[float, float]]:
-    """Error of each load before its own lesson and ticket, and the deviation stated, relative."""
+def season(seed: int, *, teaches: bool, tickets: tuple[int, ...], loads: int = LOADS) -> list[tuple[float, float]]:
+    """Error of each of the first loads before its own lesson and ticket, and the deviation stated, relative."""
     rng = np.random.default_rng(seed)
     signs, size, slope = rng.uniform(-1.0, 1.0, size=3), np.full(WINDOWS, 1.0), bias_slope()
     start = Grain()
@@ -65,7 +65,7 @@ def season(seed: int, *, teaches: bool, tickets: tuple[int, ...]) -> list[tuple[
     off = {name: rng.normal(0.0, KNOWN_SD[name]) for name in names}
     log_bias, bias = rng.normal(0.0, LASTING_SD), None
     out = []
-    for load in range(LOADS):
+    for load in range(loads):
         now = [(values[n] + off[n]) * (1.0 + DRIFT * s * (load + 0.5) / LOADS) for n, s in zip(names, signs, strict=True)]
         flows = rng.uniform(5.0, 12.0, WINDOWS)
         force = _forces(Grain(now[0], now[2], now[1], start.shape_ratio), flows)

@@ -1,0 +1,40 @@
+"""What the observables determine, and what seasons of a teacher say: the studies' own statements hold in small."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from studies.waveform import identifiability, teaching
+
+SCALE = np.array([1.0, 1.0, -1.0, 0.0])
+KEPT = json.loads((Path(identifiability.__file__).parent / "identifiability.json").read_text())
+
+
+@pytest.mark.parametrize("flow_kg_s", [5.0, 12.0])
+def test_only_kernels_speak_of_the_scale(flow_kg_s: float) -> None:
+    known = identifiability.rows(flow_kg_s, "as shipped", "as shipped")
+    for name, rows in known.items():
+        moved = float(np.abs(rows @ SCALE).max()) / float(np.abs(rows).max())
+        assert (moved > 0.1) is (name == "kernels"), name
+
+
+def test_the_kept_table_is_what_the_study_says_and_no_sweep_makes_anything_worse() -> None:
+    found = identifiability.report()
+    assert len(found["rows"]) == len(KEPT["rows"]) == 24
+    for row, kept in zip(found["rows"], KEPT["rows"], strict=True):
+        assert (row["observables"], row["scale_unobservable"]) == (kept["observables"], kept["scale_unobservable"])
+        assert row["at_home_pct"] == pytest.approx(kept["at_home_pct"], abs=0.02)
+        assert row["with_a_sweep_pct"] == pytest.approx(kept["with_a_sweep_pct"], abs=0.02)
+        assert row["scale_unobservable"] is ("kernels" not in row["observables"] and row["observables"] != "all four")
+        assert all(row["with_a_sweep_pct"][name] <= sd + 0.01 for name, sd in row["at_home_pct"].items())
+
+
+def test_a_season_s_first_load_is_measured_before_anything_teaches() -> None:
+    alone, taught = (teaching.season(7, teaches=teaches, tickets=(), loads=3) for teaches in (False, True))
+    assert alone[0] == taught[0]
+    assert len(alone) == 3
+    assert np.mean([sd for _, sd in taught]) < np.mean([sd for _, sd in alone])
