@@ -17,7 +17,7 @@ from studies.facility import facility
 from studies.season.combines import AS_MODELLED, Combine
 from studies.season.season import Season, SeasonSettings
 from yieldmon.engine.settings import SweepSettings
-from yieldmon.estimation.admission import allowing_for, refusal
+from yieldmon.estimation.admission import LARGEST_MODEL_ERROR, allowing_for, refusal
 from yieldmon.estimation.angle_pattern import with_pattern
 from yieldmon.estimation.calibration import calibrate
 from yieldmon.estimation.closed_loop import self_calibrate, update_from_tickets
@@ -29,6 +29,7 @@ from yieldmon.estimation.measurements import Measurements
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.steady_drift import Advance, advance, begin, learn, smoothed
+from yieldmon.estimation.stop_gap import with_stop_gap
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.plant.effects import MoistureDependence
@@ -189,8 +190,10 @@ def first_calibration(settings: SeasonSettings, machine: Machine, seed: int, com
     model = ForwardModel(machine, ("gravity",))
     start = {"friction": 0.3, "density": 1000.0, "shape_ratio": 2.0, "restitution": 0.5, "gravity.acceleration_m_s2": 9.81}
     data = Measurements(conditions, rows["force_n"] / passes, rows["sigma"] / passes)
-    found = calibrate(model, data, start, ("friction", "restitution", "density"), intervals=False)
-    return found.parameter_set
+    free = ("friction", "restitution", "density")
+    found = calibrate(model, data, start, free, intervals=False).parameter_set
+    # Above this calibrate advises --stop-gap.
+    return with_stop_gap(model, data, found, free) if found.model_error > LARGEST_MODEL_ERROR else found
 
 
 def run(

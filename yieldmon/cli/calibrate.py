@@ -23,6 +23,7 @@ from yieldmon.estimation.measurements import Measurements, copied_rows
 from yieldmon.estimation.moisture import fit as fit_moisture_map
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import EXCHANGED, Prior
+from yieldmon.estimation.stop_gap import sentence, with_stop_gap
 from yieldmon.files import digests, moisture_file, parameter_file, table, whole_file
 from yieldmon.physics.effects import get_effect
 from yieldmon.physics.grain import fitted
@@ -64,6 +65,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--response-scale", type=float, metavar="S", help="units of `response` in one kg m/s, where known")
     parser.add_argument("--plate-angle", type=float, metavar="DEG", help="use the rows at this angle only")
     parser.add_argument("--robust", action="store_true", help="soft-L1 loss: outliers lose weight")
+    parser.add_argument("--stop-gap", action="store_true", help="a smooth error of the model beside likely grain")
     parser.add_argument("--by-moisture", action="store_true", help="a fit for each moisture_pct and a map; --out names a folder")
     _flow_curve.add_argument(parser)
     _pulse_shape.add_argument(parser)
@@ -109,6 +111,10 @@ def _of_table(args: argparse.Namespace) -> int:
     if args.by_moisture:
         return _by_moisture(args, machine, data, rows)
     result = _fit(args, machine, data, rows)
+    written = result.parameter_set
+    if args.stop_gap:
+        written = _with_stop_gap(machine, rows, result)
+        result = replace(result, sentences=(*result.sentences, sentence(written)))
     document = report(result, data, rows)
     if args.compare:
         document["comparison"] = _compare(args, result, machine, rows)
@@ -123,7 +129,7 @@ def _of_table(args: argparse.Namespace) -> int:
     if args.profiles is not None:
         document["profiles"] = _profiles(args, result, machine, rows)
     if args.out is not None:
-        parameter_file.save(result.parameter_set, args.out)
+        parameter_file.save(written, args.out)
         document["written"] = args.out
     print_document(document, text, as_json=args.json, indent=1)
     return 0
@@ -135,6 +141,10 @@ def _check_options(args: argparse.Namespace) -> None:
         raise InputError("--starts", f"is {args.starts}", "1 or more")
     if args.seed < 0:
         raise InputError("--seed", f"is {args.seed}", "a whole number from 0")
+    if args.stop_gap:
+        for option, given in (("--prior", args.prior), ("--by-moisture", args.by_moisture), ("--robust", args.robust)):
+            if given:
+                raise InputError(option, "does not go with --stop-gap", "one of the two")
     if args.out is not None and not args.by_moisture:
         whole_file.check_place(args.out)
     if args.profiles is not None:
@@ -315,6 +325,16 @@ def _fit_form(
     except ValueError as error:
         raise InputError(data.path, str(error)) from error
     return replace(result, parameter_set=_with_provenance(result.parameter_set, args, data, known))
+
+
+def _with_stop_gap(machine: Machine, rows: Measurements, result: Calibration) -> ParameterSet:
+    """The parameters to be written; what is reported of the fit stays the physics' alone."""
+    plain = result.parameter_set
+    try:
+        found = with_stop_gap(ForwardModel(machine, plain.effects), rows, plain, result.names)
+    except ValueError as error:
+        raise InputError("--stop-gap", str(error), "a table that allows one") from error
+    return replace(found, provenance={**found.provenance, "stop_gap": "fitted with the grain"})
 
 
 def _with_provenance(

@@ -18,6 +18,7 @@ from yieldmon.discrepancy.fit import Fit
 from yieldmon.discrepancy.selection import Step
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.stop_gap import without_stop_gap
 from yieldmon.files import machine_file, parameter_file, table, whole_file
 from yieldmon.files.table import Table
 from yieldmon.files.whole_file import check_place
@@ -177,7 +178,7 @@ def _from_csv(args: argparse.Namespace) -> _Source:
         if value is not None:
             raise InputError(option, f"{args.data} is not a store", f"a name that ends in {', '.join(recorded.STORE_SUFFIXES)}")
     path = Path(args.params) if args.params is not None else shipped(parameter_file.DEFAULT)
-    return _Source(table.load(args.data), parameter_file.load(path), path, keep_effects=args.keep_effects)
+    return _Source(table.load(args.data), without_stop_gap(parameter_file.load(path)), path, keep_effects=args.keep_effects)
 
 
 def _from_store(args: argparse.Namespace, machine: Machine) -> _Source:
@@ -186,6 +187,7 @@ def _from_store(args: argparse.Namespace, machine: Machine) -> _Source:
         raise InputError("--sweeps", f"is {args.sweeps}", "at least 1")
     path = Path(args.params) if args.params is not None else None
     parameters = parameter_file.load(path) if path is not None else sweep_table.given_parameters(args.data)
+    parameters = without_stop_gap(parameters)
     found = sweep_table.read(args.data, machine, parameters, args.sweeps)
     if args.table is not None:
         whole_file.write(args.table, found.text)

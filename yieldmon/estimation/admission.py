@@ -17,7 +17,10 @@ from yieldmon.physics.grain import at_search_end
 from .closed_loop_settings import ClosedLoopSettings
 from .parameters import ParameterSet
 
-_LARGEST_MODEL_ERROR = 0.02
+STOP_GAP = "stop_gap"
+"""Effect that stands for what a calibration saw the model miss (`estimation.stop_gap`)."""
+
+LARGEST_MODEL_ERROR = 0.02
 """On angles and loads that a calibration left out, relative; twice what a sweep is read with by default."""
 
 
@@ -34,11 +37,13 @@ def refusal(parameters: ParameterSet) -> str:
     str
         One sentence, "" where sweeps may teach.
     """
-    if parameters.model_error > _LARGEST_MODEL_ERROR:
+    if parameters.model_error > LARGEST_MODEL_ERROR:
         return (
             f"the calibration missed angles and loads that it left out by {100.0 * parameters.model_error:.0f} %: sweeps change "
             "nothing (see yieldmon diagnose)"
         )
+    if STOP_GAP in parameters.effects:
+        return "the calibration rests on a stop-gap for what the model misses: sweeps change nothing (see yieldmon diagnose)"
     ends = at_search_end(parameters.values, parameters.covariance_names)
     if not ends:
         return ""
