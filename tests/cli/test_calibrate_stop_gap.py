@@ -41,7 +41,7 @@ def test_the_file_holds_the_stop_gap_and_the_report_says_so(table: Path, tmp_pat
     at = ("--mass-flow", 10, "--plate-angle", 70, "--elevator-speed", 400, "--json")
     predicted = program("yieldmon.cli.main", "predict", "--params", out, *at)
     assert json.loads(predicted.stdout)["rows"][0]["force_n"] == pytest.approx(
-        68.0 * (1.0 - 0.2 * np.cos(np.radians(70))), rel=0.01
+        68.0 * (1.0 - 0.2 * np.cos(np.radians(70))), rel=0.02
     )
 
 
