@@ -64,6 +64,7 @@ def compare(job: tuple[str, float, int, bool, float | None]) -> dict[str, Any]:
     from studies.season import season as seasons
     from studies.season import study
     from studies.season.combines import five
+    from yieldmon.estimation.admission import LARGEST_MODEL_ERROR, STOP_GAP
     from yieldmon.physics.machine import Machine
 
     name, hours, seed, is_reversed, pattern_sd = job
@@ -77,9 +78,14 @@ def compare(job: tuple[str, float, int, bool, float | None]) -> dict[str, Any]:
     if pattern_sd is not None:
         kept = replace(kept, pattern_sd=pattern_sd)
     found: dict[str, Any] = {"combine": name, "reversed": is_reversed, "seed": seed, "loads": len(season.loads.mass_kg)}
+    found |= {"model_error": round(first.model_error, 4), "stop_gap": STOP_GAP in first.effects}
+    # What no ticket takes away: then no sweep begins by schedule, and the season is the one without sweeps.
+    never = first.model_error > LARGEST_MODEL_ERROR or STOP_GAP in first.effects
+    outcomes: dict[int, study.Outcome] = {}
     for label, sweeps, tickets in (("map", False, 0), ("sweeps", True, 0), ("map_ticket", False, 1), ("sweeps_ticket", True, 1)):
         strategy = study.Strategy(label, moisture_map=True, sweeps=sweeps, tickets_per_day=tickets)
-        outcome = study.run(season, first, strategy, kept)
+        outcome = outcomes[tickets] if sweeps and never else study.run(season, first, strategy, kept)
+        outcomes[tickets] = outcome
         found[f"{label}_mean_abs_pct"] = round(outcome.mean_abs_load_error_pct, 3)
         found[f"{label}_live_within_1_pct"] = round(outcome.loads_within_1_pct, 3)
         found[f"{label}_posted_within_1_pct"] = round(outcome.posted_within_1_pct, 3)
