@@ -103,6 +103,19 @@ def test_only_the_daemons_user_or_its_group(tmp_path):
     server.stop()
 
 
+def test_another_user_is_told_how_to_ask(path):
+    """Whoever owns the socket: as somebody else, or without a right to it."""
+    path.chmod(0o000)
+    user = os.geteuid()
+    try:
+        if not user:
+            os.seteuid(pwd.getpwnam("nobody").pw_uid)
+        with pytest.raises(ControlError, match="Permission denied; expected sudo, or a user of the group"):
+            ask(path, {"command": "status"})
+    finally:
+        os.seteuid(user)
+
+
 def test_an_unknown_group_is_told(tmp_path):
     with pytest.raises(InputError, match=r"status\.group: 'no-such-group'; expected a group of this system"):
         ControlServer(tmp_path / "s.sock", "no-such-group", answer)

@@ -15,11 +15,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description=__doc__,
         epilog="example: yieldmon sweep start",
     )
-    parser.add_argument("action", choices=("start", "abort"), help="start: as soon as conditions hold; abort: plate goes home")
+    parser.add_argument("action", choices=("start", "abort"), help="start: sweep as soon as conditions hold; abort: end it, plate home")
     add_daemon_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Exit code 0 when the daemon took it."""
-    print(f"sweep: {ask_daemon(args, {'command': f'sweep-{args.action}'})['sweep']}")
+    said = ask_daemon(args, {"command": f"sweep-{args.action}"})["sweep"]
+    print(f"a sweep begins {said}" if args.action == "start" else f"sweep {said}")
     return 0

@@ -402,6 +402,8 @@ def ask(path: Path, request: Mapping[str, Any], timeout_s: float = 10.0) -> dict
                     raise TimeoutError("timed out")
     except (FileNotFoundError, ConnectionRefusedError) as error:
         raise ControlError(f"{path}: no daemon answers there; is the service running?") from error
+    except PermissionError as error:
+        raise ControlError(f"{path}: {reason(error)}; expected sudo, or a user of the group that status.group names") from error
     except OSError as error:
         raise ControlError(f"{path}: {reason(error)}") from error
     if not received:
