@@ -15,7 +15,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description=__doc__,
         epilog="example: yieldmon sweep start",
     )
-    parser.add_argument("action", choices=("start", "abort"), help="start: sweep as soon as conditions hold; abort: end it, plate home")
+    parser.add_argument(
+        "action", choices=("start", "abort"), help="start: sweep as soon as conditions hold; abort: end it, plate home"
+    )
     add_daemon_arguments(parser)
 
 
