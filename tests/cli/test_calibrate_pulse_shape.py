@@ -46,6 +46,9 @@ def test_the_shape_of_weighed_loads_gives_the_flow_of_a_load_left_out(loads, tmp
     for load in found["loads"]:
         assert load["before_error_pct"] < -15.0
         assert abs(load["left_out_error_pct"]) < abs(load["before_error_pct"])
+    # A per cent of stretch is about two of flow: what is stated is no less than what the loads left out show.
+    left_out = [0.01 * load["left_out_error_pct"] for load in found["loads"]]
+    assert found["std_dev"][0] >= 0.5 * (sum(error**2 for error in left_out) / len(left_out)) ** 0.5 * (1.0 - 1e-6)
     # The others lie on both sides of it.
     assert abs(found["loads"][2]["left_out_error_pct"]) < 8.0
     law = pulse_shape_file.load(out)

@@ -22,6 +22,8 @@ TERM_NAMES = ("1", "x", "c", "xc", "c^2")
 """Of an `ArrivalLaw` that one machine's loads may free."""
 _LOG_FILL, _ANGLE_RAD, _LOG_SPEED = 0.15, float(np.deg2rad(3.0)), 0.05
 """Within these, pulses are of one kind."""
+_FLOW_PER_STRETCH = 2.0
+"""d ln(volume flow by the shape) / d ln(stretch), about (docs/internals/waveform.md)."""
 _ROUNDS = 2
 _EACH = 5
 """Waves of a kind in a load that are fitted."""
@@ -105,6 +107,10 @@ def calibrate_machine_shape(pulses: PulseModel, waves: Sequence[WeighedWave]) ->
         other = _law(pulses, others, _terms([kind.point for kind in others]))
         before, left_out = (_error(pulses, arrival, own) for arrival in (pulses.settings.arrival, other))
         loads.append(LoadShape(name, sum(wave.load == name for wave in waves), before, left_out))
+    left_out_sd = float(np.sqrt(np.nanmean([load.left_out**2 for load in loads]))) / _FLOW_PER_STRETCH
+    if np.isfinite(left_out_sd):
+        # The points were moved until the law passes through them: how far it is off elsewhere only loads left out say.
+        law = replace(law, covariance=(max(law.covariance[0], left_out_sd**2), *law.covariance[1:]))
     return MachineShape(law, tuple(TERM_NAMES[place] for place in chosen), len(kinds), tuple(loads), _refusal(loads))
 
 
