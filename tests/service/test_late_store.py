@@ -19,7 +19,7 @@ from tests.service.bench import PATIENCE_S, START_S, Bench, encoded, running, tr
 from yieldmon.engine.budget import FlowBudget
 from yieldmon.engine.totals import Totals
 from yieldmon.errors import InputError
-from yieldmon.service import configuration, own_files
+from yieldmon.service import answering, configuration
 from yieldmon.service import daemon as service
 from yieldmon.service.control import ControlError
 from yieldmon.service.daemon import Daemon
@@ -257,7 +257,9 @@ def test_a_configuration_is_read_although_the_stores_disk_does_not_answer(tmp_pa
         return real(name, **how)
 
     monkeypatch.setattr(os.path, "realpath", hanging)
-    monkeypatch.setattr(own_files, "ANSWERS_WITHIN_S", 0.05)
+    is_symlink = Path.is_symlink
+    monkeypatch.setattr(Path, "is_symlink", lambda p: p.name == STORE and gate.wait(PATIENCE_S) and is_symlink(p))
+    monkeypatch.setattr(answering, "ANSWERS_WITHIN_S", 0.05)
     try:
         if refused:
             with pytest.raises(InputError, match=r"status\.prometheus_file: .* is the store, or one beside it"):
@@ -266,6 +268,15 @@ def test_a_configuration_is_read_although_the_stores_disk_does_not_answer(tmp_pa
             assert configuration.load(path, environment).store_path == tmp_path / STORE
     finally:
         gate.set()
+
+
+@pytest.mark.parametrize("error", [ValueError("no"), TimeoutError("its own")])
+def test_what_a_question_raises_is_raised_where_it_was_asked(error):
+    def question():
+        raise error
+
+    with pytest.raises(type(error), match=str(error)):
+        answering.answer_or(question, lambda: pytest.fail("it was answered"))
 
 
 MASSES = st.lists(st.tuples(AMOUNTS, st.none() | AMOUNTS, AMOUNTS, AMOUNTS, st.booleans()), max_size=5)

@@ -27,6 +27,7 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import flow_curve_file, machine_file, moisture_file, parameter_file, pulse_shape_file, strict_yaml
 from yieldmon.physics.machine import SAME_ANGLE_RAD, Machine
 from yieldmon.resources import shipped
+from yieldmon.service.answering import answer_or
 from yieldmon.service.contradictions import contradictions
 from yieldmon.service.document import ENGINE_SECTIONS, Document
 from yieldmon.service.document_text import problems_of
@@ -134,7 +135,8 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
         fixed_plate=document.plate.fixed_angle_deg is not None,
     )  # fmt: skip
     runtime, prometheus = runtime_folder(environment), document.status.prometheus_file
-    store_path = where_sqlite_writes(state_folder(environment) / document.store.path)
+    named_path = state_folder(environment) / document.store.path
+    store_path = answer_or(lambda: where_sqlite_writes(named_path), lambda: named_path)
     socket_path = runtime / document.status.socket
     prometheus_path = runtime / prometheus if prometheus is not None else None
     also_read = [path.parent / name for name in (document.estimator_file, named) if name is not None]

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import os
-import threading
 from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import Future
 from pathlib import Path
 
+from yieldmon.service.answering import answer_or
 from yieldmon.service.store_file import names_beside
 
-#: How long links are followed.
-ANSWERS_WITHIN_S = 2.0
 #: What is said of a key that names no file at all.
 _NAME = "the name of a file"
 
@@ -53,16 +50,6 @@ def file_conflicts(store: Path, socket: Path, prometheus: Path | None, read: Ite
 
 def _places(paths: Sequence[Path]) -> Mapping[Path, str]:
     """Where each leads to, by whichever links; for all as they are spelt where a disk does not answer in time."""
-    looking = Future[dict[Path, str]]()
-
-    def look() -> None:
-        try:
-            looking.set_result({path: os.path.realpath(path) for path in paths})
-        except Exception as error:  # noqa: BLE001 - raised on the caller's thread
-            looking.set_exception(error)
-
-    threading.Thread(target=look, name="own-files", daemon=True).start()
-    try:
-        return looking.result(ANSWERS_WITHIN_S)
-    except TimeoutError:
-        return {path: os.path.abspath(path) for path in paths}
+    return answer_or(
+        lambda: {path: os.path.realpath(path) for path in paths}, lambda: {path: os.path.abspath(path) for path in paths}
+    )
