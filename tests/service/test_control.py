@@ -7,6 +7,7 @@ import json
 import os
 import pwd
 import socket
+import threading
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -201,3 +202,33 @@ def test_peers_that_are_cut_off_while_they_speak_end_nothing(path):
     finally:
         for peer in peers:
             peer.close()
+
+
+def test_beyond_eight_at_once_an_asker_is_told_so(tmp_path):
+    gate, begun = threading.Event(), threading.Semaphore(0)
+
+    def slow(request: Mapping[str, Any]) -> Mapping[str, Any]:
+        if request["command"] == "wait":
+            begun.release()
+            gate.wait(60.0)
+        return {"done": request["command"]}
+
+    path = tmp_path / "s.sock"
+    server = ControlServer(path, None, slow)
+    server.start()
+    answers: list[Mapping[str, Any]] = []
+    askers = [threading.Thread(target=lambda: answers.append(ask(path, {"command": "wait"}, 60.0))) for _ in range(8)]
+    try:
+        for asker in askers:
+            asker.start()
+            assert begun.acquire(timeout=60.0)
+        with pytest.raises(ControlError, match=r"^8 requests are being answered; nothing was done, ask again$"):
+            ask(path, {"command": "status"}, 60.0)
+        gate.set()
+        for asker in askers:
+            asker.join(60.0)
+        assert answers == [{"done": "wait"}] * 8
+        assert ask(path, {"command": "status"}) == {"done": "status"}
+    finally:
+        gate.set()
+        server.stop()

@@ -43,6 +43,7 @@ _LOOK_EVERY_S = 2.0
 _WRONG_PATH = frozenset({errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP, errno.EINVAL})
 #: Connections whose requests are awaited, and requests that are answered, at the same time.
 _CONNECTIONS, _ANSWERS_AT_ONCE = 32, 8
+_BUSY = f'{{"ok": false, "error": "{_ANSWERS_AT_ONCE} requests are being answered; nothing was done, ask again"}}\n'.encode()
 #: From so many connections on the thread rests between two looks at them.
 _CROWDED, _CROWDED_PAUSE_S = 8, 0.02
 _PIECE_BYTES = 65_536
@@ -314,7 +315,10 @@ class _Server:
         if piece and b"\n" not in piece and len(asking.request) <= MAX_REQUEST_BYTES:
             return
         if not asking.request or not self._answering.acquire(blocking=False):
-            # Nothing was asked, or too many ask at once.
+            if asking.request:
+                # What the socket has no room for is not waited for.
+                with suppress(OSError):
+                    asking.connection.send(_BUSY)
             self._drop(selector, asking)
             return
         selector.unregister(asking.connection)
