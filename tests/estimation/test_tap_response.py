@@ -58,7 +58,7 @@ def test_a_plate_that_rings_is_refused_with_its_frequency():
 
 def test_a_cell_faster_than_the_samples_is_refused():
     found = tap_response([struck(0.0004)], 4e-3, full_scale_mv=4000.0)
-    assert "faster samples would tell" in found.refused
+    assert "faster samples would show it" in found.refused
 
 
 def test_taps_that_do_not_count_are_told_by_reason():

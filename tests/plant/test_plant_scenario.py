@@ -44,12 +44,12 @@ STEADY = {"kind": "steady", "duration_s": 5, "flow_kg_s": 3}
 @pytest.mark.parametrize(
     ("values", "parts"),
     [
-        ({"duraton_s": 5}, ["duraton_s", "no key"]),
+        ({"duraton_s": 5}, ["duraton_s", "not a key"]),
         ({"duration_s": "long"}, ["duration_s", "'long'", "number"]),
         ({"duration_s": -1}, ["duration_s", "-1", "greater than or equal to 1"]),
         ({"duration_s": float("nan")}, ["duration_s", "finite"]),
         ({"crop": {"friction": 1.5}}, ["crop.friction", "1.5", "less than or equal to 1"]),
-        ({"effects": {"ari_drag": "on"}}, ["effects.ari_drag", "no key"]),
+        ({"effects": {"ari_drag": "on"}}, ["effects.ari_drag", "not a key"]),
         ({"effects": {"air_drag": {"terminal_speed_m_s": 0}}}, ["effects.air_drag.terminal_speed_m_s", "0"]),
         ({"effects": {"air_drag": "yes"}}, ["effects.air_drag", "'yes'"]),
         ({"flow": {"pieces": []}}, ["flow.pieces"]),
