@@ -185,6 +185,9 @@ class _CombineBus(can.BusABC):
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         self.daemon.stepped = self.changed
+        # Before there is a monitor nobody says when a frame is due.
+        if not self.daemon.started.wait(timeout):
+            return None, True
         with self.changed:
             if self._due and not self._settled(timeout):
                 return None, True
