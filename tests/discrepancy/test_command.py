@@ -15,7 +15,7 @@ import pytest
 
 from tests.golden import kept
 from yieldmon.cli.main import main
-from yieldmon.discrepancy import diagnosis
+from yieldmon.discrepancy import diagnosis, report
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
 from yieldmon.files.table import Table
@@ -230,3 +230,15 @@ def test_effects_that_are_told_are_kept_and_not_looked_for(offset_table: Path, t
     assert main([*command, "--keep-effects"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["verdict"], found["effects"]) == ("none", [])
+
+
+@pytest.mark.parametrize(
+    ("noise", "error", "said"),
+    [(0.01, 0.0, "as well as they repeat"), (0.001, 0.002, "within the 0.2 % by which models of the same physics differ")],
+)
+def test_a_gap_within_the_model_s_own_error_is_said_to_be_one(make_rows, start, noise: float, error: float, said: str) -> None:
+    """`none` may have an F that is significant against the noise alone."""
+    rows = make_rows(noise=noise, alter=lambda force, angle, *_: force * (1.0 + error * np.sin(6.0 * angle)))
+    found = diagnosis.diagnose_rows(rows, start)
+    assert found.verdict == "none"
+    assert said in report.summary(found)

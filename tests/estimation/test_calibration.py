@@ -325,8 +325,28 @@ def test_density_of_thin_loads_is_not_determined() -> None:
     assert density.open_below
     assert density.open_above
     assert "density is not determined: every value from 750 to 2000" in " ".join(result.sentences)
-    anywhere = (2000.0 - 750.0) / np.sqrt(12.0)
+    # Root mean square distance of anywhere between the bounds from the value, which is a bound.
+    assert density.value in (750.0, 2000.0)
+    anywhere = (2000.0 - 750.0) / np.sqrt(3.0)
     assert 0.9 * anywhere < result.parameter_set.standard_deviation("density") <= anywhere
+
+
+def test_a_standard_deviation_covers_the_truth_where_the_fit_ends_at_a_bound() -> None:
+    """By a cap of width/sqrt(12), which holds for a value in the middle, density at its far bound is 2.5 from the truth here."""
+    angle, speed, flow = (v.ravel() for v in np.meshgrid(np.radians([45.0, 65.0, 85.0]), [34.0, 46.0], np.linspace(2.0, 14.0, 5)))
+    conditions = Conditions(angle, speed, mass_flow_kg_s=flow)
+    clean = np.real(MODEL.paddle_momentum(conditions, TRUE))
+    at_bound, z = 0, []
+    for seed in range(12):
+        rng = np.random.default_rng([seed, 5])
+        sd = np.full(clean.shape, 0.03 * float(clean.max()))
+        rows = Measurements(conditions, clean + sd * rng.standard_normal(clean.shape), sigma=sd)
+        found = calibrate(MODEL, rows, dict(START), FREE, starts=2, intervals=False)
+        known = found.parameter_set
+        at_bound += any(p.at_bound for p in found.parameters)
+        z += [abs(known.values[n] - TRUE[n]) / known.standard_deviation(n) for n in FREE]
+    assert at_bound >= 2
+    assert max(z) < 2.2
 
 
 @pytest.mark.parametrize(

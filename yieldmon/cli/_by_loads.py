@@ -137,6 +137,7 @@ def report(found: LoadCalibration, args: argparse.Namespace) -> LoadCalibrationD
         parameters[name] = {
             "value": value,
             "standard_error": sd,
+            "std_dev": sd,
             "interval": [value - _REACH * sd, value + _REACH * sd],
             "confidence": CONFIDENCE,
             "at_bound": None,

@@ -180,6 +180,7 @@ def report(result: Calibration, data: table.Table, rows: Measurements) -> Calibr
             p.name: {
                 "value": p.value,
                 "standard_error": p.standard_error,
+                "std_dev": result.parameter_set.standard_deviation(p.name),
                 "interval": list(p.interval),
                 "confidence": CONFIDENCE,
                 "at_bound": p.at_bound or None,

@@ -10,6 +10,7 @@ from math import degrees
 from pathlib import Path
 
 import numpy as np
+from scipy import stats
 
 from yieldmon.errors import InputError
 from yieldmon.files import whole_file
@@ -74,10 +75,7 @@ def summary(diagnosis: Diagnosis) -> str:
     """The finding in plain words."""
     before = diagnosis.before.rms_over_max_pct
     if diagnosis.verdict == "none":
-        return (
-            f"The model fits these measurements as well as they repeat (error {before:.1f} % of the largest reading). "
-            "Nothing to correct."
-        )
+        return f"The model fits these measurements {_how_well(diagnosis)}. Nothing to correct."
     if diagnosis.verdict == "unknown":
         return (
             f"The model misses these measurements by {before:.1f} % of the largest reading, more than they scatter. "
@@ -91,6 +89,16 @@ def summary(diagnosis: Diagnosis) -> str:
     if diagnosis.held_out is not None:
         text += f"; {unseen(diagnosis.held_out)}"
     return text + "."
+
+
+def _how_well(diagnosis: Diagnosis) -> str:
+    """As well as they repeat, or only as well as models agree."""
+    error = f"(error {diagnosis.before.rms_over_max_pct:.1f} % of the largest reading)"
+    f, base = diagnosis.before.lack_of_fit_f, diagnosis.base
+    if f is None or base.dof <= 0 or stats.f.sf(f, base.dof, diagnosis.noise.dof) >= diagnosis.options.policy.gap_p:
+        return f"as well as they repeat {error}"
+    own = 100.0 * base.frame.model_error
+    return f"within the {own:.1g} % by which models of the same physics differ {error}, though they repeat better (F = {f:.2f})"
 
 
 def _not_named(diagnosis: Diagnosis) -> str:

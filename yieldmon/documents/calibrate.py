@@ -8,10 +8,12 @@ from .common import Number
 
 
 class CalibratedParameter(TypedDict):
-    """A fitted parameter. confidence: of the interval, which is open where the data do not bound it."""
+    """A fitted parameter. standard_error, interval: by the rows' scatter; confidence: of the interval, which is open where the
+    data do not bound it. std_dev: with the model's own error, as the parameter file has it."""
 
     value: float
     standard_error: Number
+    std_dev: Number
     interval: list[Number]
     confidence: float
     at_bound: str | None

@@ -19,7 +19,16 @@ from yieldmon.physics.numerics import Array, span
 
 from . import model_error, multistart, profile_likelihood
 from .calibration_problem import CalibrationProblem, data_scale, residual_moments
-from .calibration_result import OUTLIER_SDS, Basin, Calibration, FittedParameter, ProfileCurve, Residuals, sentences
+from .calibration_result import (
+    OUTLIER_SDS,
+    Basin,
+    Calibration,
+    FittedParameter,
+    ProfileCurve,
+    Residuals,
+    of_model_error,
+    sentences,
+)
 from .fit_uncertainty import FitUncertainty, fit_uncertainty, wald_intervals
 from .measurements import Measurements
 from .parameters import CalibratedRange, ParameterSet
@@ -163,7 +172,7 @@ def _examined(
     predicted, slopes = value[0][problem.cell], jacobian[0][problem.cell]
     error = predicted - problem.data.momentum
     noise = problem.noise(error, slopes)
-    uncertainty = fit_uncertainty(problem, predicted, slopes, jacobian[0], noise)
+    uncertainty = fit_uncertainty(problem, theta, predicted, slopes, jacobian[0], noise)
     errors = uncertainty.standard_errors
     if intervals and theta.size:
         ends = profile_likelihood.intervals(problem, theta, uncertainty, noise)
@@ -171,8 +180,9 @@ def _examined(
         ends = wald_intervals(problem, theta, errors, noise.dof)
     fitted = _fitted(problem, theta, errors, ends)
     quality = _quality(problem, error, jacobian[0], noise.variance_factor)
+    known = _parameter_set(problem, theta, uncertainty, response_unit)
     return Calibration(
-        _parameter_set(problem, theta, uncertainty, response_unit),
+        known,
         fitted,
         uncertainty.correlation,
         basins,
@@ -180,7 +190,7 @@ def _examined(
         quality,
         predicted,
         slopes,
-        tuple(sentences(fitted, uncertainty.correlation, basins, starts, quality)),
+        (*sentences(fitted, uncertainty.correlation, basins, starts, quality), *of_model_error(fitted, known)),
     )
 
 

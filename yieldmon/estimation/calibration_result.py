@@ -16,6 +16,9 @@ CONFIDENCE = 0.95
 OUTLIER_SDS = 5.0
 """Residual, in robust standard deviations, from which a row is named as an outlier."""
 
+_WIDER = 1.5
+"""Standard deviation over standard error from which the difference is said."""
+
 
 @dataclass(frozen=True, slots=True)
 class FittedParameter:
@@ -148,6 +151,18 @@ def sentences(
     if quality.outlier_rows:
         rows = ", ".join(str(i + 1) for i in quality.outlier_rows[:10])
         yield f"rows {rows} lie more than {OUTLIER_SDS:g} robust standard deviations from the fit; look at them, or use --robust."
+
+
+def of_model_error(fitted: Sequence[FittedParameter], known: ParameterSet) -> Iterable[str]:
+    """That errors and intervals are by the rows' scatter, where the model's own error makes parameters less certain."""
+    sd = {p.name: known.standard_deviation(p.name) for p in fitted}
+    if known.model_error > 0.0 and any(sd[p.name] > _WIDER * p.standard_error for p in fitted):
+        each = ", ".join(f"{name} {value:.3g}" for name, value in sd.items())
+        own = f"the model's own error of {100.0 * known.model_error:.2g} %, by angles and loads left out,"
+        yield (
+            f"standard errors and intervals are by the rows' scatter alone; {own} makes the standard deviations {each}, as in "
+            "the parameter file."
+        )
 
 
 def _determination(p: FittedParameter) -> Iterable[str]:

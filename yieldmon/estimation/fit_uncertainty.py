@@ -14,6 +14,9 @@ from . import model_error
 from .calibration_problem import LEAST_PURE_DOF, CalibrationProblem, Noise
 from .calibration_result import CONFIDENCE
 
+_CLOSE = 0.05
+"""Share of the width between bounds within which a value counts as at one of them."""
+
 
 @dataclass(frozen=True, slots=True)
 class FitUncertainty:
@@ -30,9 +33,9 @@ class FitUncertainty:
 
 
 def fit_uncertainty(
-    problem: CalibrationProblem, predicted: Array, slopes: Array, cell_slopes: Array, noise: Noise
+    problem: CalibrationProblem, theta: Array, predicted: Array, slopes: Array, cell_slopes: Array, noise: Noise
 ) -> FitUncertainty:
-    """Uncertainty of the best fit. predicted (rows,), slopes (rows, n), cell_slopes (cells, n): the model there."""
+    """Uncertainty of the best fit. theta (n,); predicted (rows,), slopes (rows, n), cell_slopes (cells, n): the model there."""
     weighted = slopes * noise.weight[:, None]
     factor = max(noise.variance_factor, 1e-300)
     information = weighted.T @ weighted / factor
@@ -42,19 +45,28 @@ def fit_uncertainty(
     alike, singular = _inverse(information, problem.unit)
     free = _spread_out(alike, unlike)
     # In the file a parameter is never less certain than anywhere between its bounds.
-    bounded, _ = _inverse(information + np.diag(12.0 / (problem.upper - problem.lower) ** 2), problem.unit)
+    most = distance_within(problem.lower, problem.upper, theta)
+    bounded, _ = _inverse(information + np.diag(most**-2.0), problem.unit)
     if np.any(singular):
-        bounded = _bounded_inverse(information, problem.upper - problem.lower)
+        bounded = _bounded_inverse(information, most)
     covariance = _spread_out(bounded, unlike)
     size = _learnt_error(problem, predicted - problem.data.momentum, cell_slopes)
     if size > 0.0:
-        covariance = _with_model_error(problem, covariance, bounded, size, predicted, weighted, noise)
+        covariance = _with_model_error(problem, covariance, bounded, size, most, predicted, weighted, noise)
     deviation = np.sqrt(np.diag(free))
     with np.errstate(divide="ignore", invalid="ignore"):
         correlation = free / np.outer(deviation, deviation)
         stretch = np.where(np.diag(alike) > 0.0, deviation / np.sqrt(np.diag(alike)), 1.0)
     standard_errors = np.where(singular, np.inf, np.sqrt(np.maximum(np.diag(free), 0.0)))
     return FitUncertainty(covariance, standard_errors, correlation, stretch, size)
+
+
+def distance_within(lower: Array, upper: Array, at: Array) -> Array:
+    """Standard deviation of a value that may lie anywhere between the bounds; about `at` where that is at a bound, or close."""
+    width = upper - lower
+    about = np.sqrt(((upper - at) ** 3 + (at - lower) ** 3) / (3.0 * width))
+    inside = np.minimum(at - lower, upper - at) > _CLOSE * width
+    return np.asarray(np.where(inside, width / np.sqrt(12.0), about))
 
 
 def _spread_out(inverse: Array, unlike: Array | None) -> Array:
@@ -76,18 +88,18 @@ def _with_model_error(
     covariance: Array,
     inverse: Array,
     size: float,
+    most: Array,
     predicted: Array,
     weighted: Array,
     noise: Noise,
 ) -> Array:
-    """covariance: by noise. inverse: of the information, by which the fit follows an error."""
+    """covariance: by noise. inverse: of the information, by which the fit follows an error. most: standard deviations, (n,)."""
     angle, speed, load, _ = problem.data.columns()
     # A constant error is absorbed by the impact gain: it is none of the forces', but one of what they are made of.
     shapes = np.column_stack((model_error.basis(angle, load, speed), np.ones(load.size)))
     own = size * shapes * (model_error.level(predicted) * noise.weight)[:, None]
     moved = inverse @ (weighted.T / max(noise.variance_factor, 1e-300) @ own)
     widened = covariance + moved @ moved.T
-    most = (problem.upper - problem.lower) / np.sqrt(12.0)
     limit = np.minimum(1.0, most / np.sqrt(np.maximum(np.diag(widened), 1e-300)))
     return np.asarray(widened * np.outer(limit, limit))
 
@@ -134,12 +146,11 @@ def _inverse(information: Array, unit: Array) -> tuple[Array, NDArray[np.bool_]]
     return 0.5 * (covariance + covariance.T), loose
 
 
-def _bounded_inverse(information: Array, span: Array) -> Array:
-    """Covariance where the information leaves directions free: in those, that of anywhere between the bounds.
+def _bounded_inverse(information: Array, sd: Array) -> Array:
+    """Covariance where the information leaves directions free: in those, that of anywhere between the bounds, sd (n,).
 
     The information of rows without noise is so large that the bounds' own, added to it, would be lost in rounding.
     """
-    sd = span / np.sqrt(12.0)
     values, vectors = np.linalg.eigh(information * np.outer(sd, sd))
     values = np.where(values <= 1e-13 * max(float(values[-1]), 0.0), 0.0, values)
     covariance = (vectors / (1.0 + values)) @ vectors.T * np.outer(sd, sd)

@@ -123,7 +123,7 @@ def curves(problem: CalibrationProblem, fitted: Sequence[FittedParameter], point
     value, jacobian = problem.momentum(theta[None])
     predicted, slopes = value[0][problem.cell], jacobian[0][problem.cell]
     noise = problem.noise(predicted - problem.data.momentum, slopes)
-    stretch = fit_uncertainty(problem, predicted, slopes, jacobian[0], noise).stretch
+    stretch = fit_uncertainty(problem, theta, predicted, slopes, jacobian[0], noise).stretch
     row_sd, limit = noise.row_sd, _limit(noise.dof)
     grids = [_span(problem, p, points) for p in fitted]
     start = np.tile(theta, (width * points, 1))
