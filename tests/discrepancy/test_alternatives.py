@@ -13,7 +13,8 @@ from yieldmon.discrepancy.fit import fit
 from yieldmon.discrepancy.gap import lack_of_fit
 from yieldmon.discrepancy.observations import Rows, with_cells
 from yieldmon.discrepancy.policy import Policy
-from yieldmon.discrepancy.selection import Choice, Search, Step, merit, misfit
+from yieldmon.discrepancy.selection import Choice, Search, Step, left_by_own_law, merit, misfit
+from yieldmon.estimation import model_error
 
 NOTHING = diagnosis.Options(policy=Policy(most_effects=0), hold_out="none")
 COST = Policy().per_parameter
@@ -152,3 +153,17 @@ def test_no_other_shape_of_a_wrong_law_explains(make_rows, start) -> None:
     policy = Policy(own_law_share=1.0, unexplained_share=1.0)
     search = Search(base=base, noise=noise, effects=(), rng=np.random.default_rng(1), policy=policy)
     assert "something else is missing" in search.against(wrong, steps)
+
+
+def test_own_error_of_the_model_is_no_gap_of_a_law(make_rows, start) -> None:
+    """Rows so exact that the model's own error makes much of the chi-square: the law of an effect need not answer for it."""
+    effects, alter = by_speed("zero_offset", 4.0, 0.05)
+    base, noise = published(make_rows(effects, alter=alter, noise=0.0005), start)
+    alone = fit(base.frame, ("zero_offset",), base.values)
+    own = float(np.sum(model_error.off(alone.own_error, alone.tangent()) ** 2))
+    excess = base.chi2 - base.dof
+    share = (alone.chi2 - alone.dof - 0.5 * own) / excess
+    assert own > 0.05 * alone.chi2
+    steps = (Step("zero_offset", (), (), 1.0, "zero_offset", margin=50.0),)
+    assert left_by_own_law(alone, steps, noise, excess, Policy(own_law_share=share))
+    assert not left_by_own_law(alone, steps, noise, excess, Policy(own_law_share=share - own / excess))

@@ -70,6 +70,14 @@ def test_a_hidden_effect_is_named_and_the_gap_closes(make_rows, start, offset_se
     assert seen.held_out.closed_pct > 50.0
 
 
+def test_weight_in_proportion_to_the_flow_is_resting_grain_alone(make_rows, start) -> None:
+    """Whatever share of the grain the published model lets pass below the plate: m-dot g t, with t 0.1 s."""
+    rows = make_rows(alter=lambda force, angle, speed, flow: force + 0.1 * 9.81 * flow)
+    seen = diagnosis.examine(rows, start, QUICK)
+    assert seen.choice.named == ("resting_grain",)
+    assert seen.choice.best.values["resting_grain-whole_flow.time_s"] == pytest.approx(0.1, abs=0.03)
+
+
 @pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
 def test_clean_data_raise_no_alarm(make_rows, start, seed: int) -> None:
     assert diagnosis.examine(make_rows(seed=seed), start, QUICK).choice.verdict == "none"

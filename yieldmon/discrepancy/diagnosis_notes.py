@@ -56,7 +56,8 @@ def of_one_cell(choice: Choice, noise: Noise) -> list[str]:
 def of_own_law(choice: Choice, noise: Noise, policy: Policy) -> list[str]:
     """That a named effect leaves a gap which another shape of its law explains."""
     excess = max(choice.base.chi2 - choice.base.dof, 1e-9)
-    if choice.verdict != "effect" or not left_by_own_law(choice.best, choice.steps, noise, excess, policy):
+    large = choice.best_gap.p_value < policy.gap_p or choice.best_gap.f > policy.unexplained_f
+    if choice.verdict != "effect" or not large or not left_by_own_law(choice.best, choice.steps, noise, excess, policy):
         return []
     left = 100.0 * max(choice.best.chi2 - choice.best.dof, 0.0) / excess
     f = f"F = {choice.best_gap.f:.2f}, {left:.1f} % of the excess"

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from yieldmon.documents.diagnose import Verdict
+from yieldmon.estimation.model_error import off
 from yieldmon.physics.effects import family_of
 from yieldmon.physics.numerics import Array
 
@@ -398,13 +399,17 @@ class Search:
     ) -> tuple[Fit, tuple[Step, ...], tuple[Fit, ...]]:
         """The fit and its steps, less the further effects that are no name, being tied with too many.
 
-        None is left out whose absence the data refute, or which leaves the gap unexplained.
+        None is left out whose absence the data refute, or which leaves the gap unexplained, unless another shape of the first
+        one's law explains it.
         """
         steps, rivals = self._steps(current, by_weight(current, order), places, p_any)
         while crowded := [s.added for s in steps[1:] if 1 + len(s.equivalent) > self.policy.largest_class]:
             kept = [s.law for s in steps if s.added != crowded[-1]]
             fewer = fit(current.frame, kept, current.values)
-            if fewer is None or self._incomplete(fewer) or self._unexplained(fewer):
+            if fewer is None:
+                break
+            refuted = self._incomplete(fewer) or self._unexplained(fewer)
+            if refuted and not left_by_own_law(fewer, steps, self.noise, self.excess, self.policy):
                 break
             current, order, places = self._exchange(fewer, kept, {})
             steps, rivals = self._steps(current, by_weight(current, order), places, p_any)
@@ -446,13 +451,22 @@ class Search:
         return float(np.mean(np.array([True, *tied])[winner]))
 
 
+def far_ahead(found: Fit, steps: Sequence[Step], policy: Policy) -> bool:
+    """Whether one effect explains the rows, and every rival that is not tied is behind by very strong evidence."""
+    return len(found.effects) == 1 and steps[0].margin >= chosen_from_all(policy.per_parameter)
+
+
 def left_by_own_law(found: Fit, steps: Sequence[Step], noise: Noise, excess: float, policy: Policy) -> bool:
-    """Whether one effect, far ahead of all others, leaves a gap that is small and that another shape of its own law explains."""
-    if len(found.effects) != 1 or steps[0].margin < chosen_from_all(policy.per_parameter):
+    """Whether one effect, far ahead of all others, leaves a gap by its law as written, a small one that another shape explains.
+
+    What the model's own error makes of the chi-square is no part of the gap.
+    """
+    if not far_ahead(found, steps, policy):
         return False
-    small = found.chi2 - found.dof <= policy.own_law_share * excess
-    gap = lack_of_fit(found, noise)
-    return small and gap.p_value < policy.gap_p <= lack_of_fit(found, noise, beside=of_other_laws(found, FREE_SHAPE)).p_value
+    own = float(np.sum(off(found.own_error, found.tangent()) ** 2))
+    small = found.chi2 - found.dof - own <= policy.own_law_share * excess
+    written = lack_of_fit(found, noise, laws=False)
+    return small and written.p_value < policy.gap_p <= lack_of_fit(found, noise, beside=of_other_laws(found, FREE_SHAPE)).p_value
 
 
 def withdrawn(choice: Choice, policy: Policy) -> Choice:

@@ -32,6 +32,13 @@ def _across(reading: Reading, values: Values, setting: Setting) -> Reading:
     return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + across * np.sin(setting.plate_angle_rad))
 
 
+def _whole_flow(reading: Reading, values: Values, setting: Setting) -> Reading:
+    if setting.restitution is None:
+        return reading
+    weight = reading.impulse.arrival.jet.load.paddle_mass_kg * _GRAVITY_M_S2
+    return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + weight * values["time_s"])
+
+
 EFFECT = Effect(
     name="resting_grain",
     stage="impact",
@@ -51,5 +58,13 @@ LAWS = (
         law="only the part of the weight across the plate presses, and its horizontal part is read; where the model has gravity",
         source="statics of a body on an incline, m-dot t g cos(phi) across the plate",
         reading=_across,
+    ),
+    replace(
+        EFFECT,
+        name="resting_grain-whole_flow",
+        law="of all grain, also what is thought to pass below the plate; where the impact's gain is 1 + restitution",
+        source="m-dot t g as it is commonly written; dense granular jets deflect as a whole: Cheng et al., Physical Review "
+        "Letters 99, 188001 (2007)",
+        reading=_whole_flow,
     ),
 )
