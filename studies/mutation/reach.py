@@ -100,7 +100,8 @@ class Reach:
         whole = frozenset().union(*by_line.values()) - {""}
         changed = self._digests.get(mutant.path) != _digest(self._root / mutant.path)
         if changed or Path(mutant.path).stem.startswith(_COMPILED):
-            return self._ordered(mutant.path, whole)
+            at_import = statement_lines(self._root / mutant.path, mutant.at) is None
+            return self._ordered(mutant.path, whole | (self._declared() if at_import else frozenset()), declared=at_import)
         reaching = self._reaching(mutant)
         found = self._ordered(mutant.path, reaching - {""}, declared="" in reaching)
         return found + self._ordered(mutant.path, whole - reaching) if reaching and len(found) < _FEW else found
@@ -113,8 +114,12 @@ class Reach:
             readers: frozenset[str] = frozenset()
             for path, line in readers_of(self._root, mutant.path, mutant.at[0]):
                 readers |= self._lines(path).get(line, frozenset())
-            return readers | {""} | {test for test in self.cpu_s if test.startswith(DECLARED)}
+            return readers | {""} | self._declared()
         return frozenset().union(*(by_line.get(line, frozenset()) for line in range(spans[0], spans[1] + 1)))
+
+    def _declared(self) -> frozenset[str]:
+        """Tests of what is declared at import."""
+        return frozenset(test for test in self.cpu_s if test.startswith(DECLARED))
 
     def _ordered(self, path: str, tests: Iterable[str], *, declared: bool = False) -> list[str]:
         present = {test for test in tests if (self._root / test.split("::", 1)[0]).exists()}
