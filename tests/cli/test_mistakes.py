@@ -18,6 +18,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli import file_mistakes, more_mistakes
+from tests.extras import hide
 from yieldmon.cli.main import main
 from yieldmon.files import parameter_file
 
@@ -297,8 +298,7 @@ WITHOUT = {
 def test_a_file_without_its_package_names_the_extra(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], package: str, extra: str, words: str
 ) -> None:
-    for name in (package, f"{package}.parquet"):
-        monkeypatch.setitem(sys.modules, name, None)
+    hide(monkeypatch, package)
     Path("bytes.mf4").write_bytes(b"MDF     4.10")
     Path("bytes.parquet").write_bytes(b"PAR1")
     before = hashes(folder)
