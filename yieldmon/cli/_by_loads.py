@@ -15,6 +15,7 @@ from yieldmon.documents.calibrate import CalibratedParameter, LoadCalibrationDoc
 from yieldmon.errors import InputError
 from yieldmon.estimation.load_inputs import WeighedLoad
 from yieldmon.estimation.load_outcome import LoadCalibration
+from yieldmon.estimation.load_pattern import EFFECT
 from yieldmon.estimation.loads import calibrate_loads
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file, ticket_file, whole_file
@@ -124,7 +125,9 @@ def _prior(args: argparse.Namespace, measured: tuple[MeasuredLoad, ...], configu
     known = configured.parameters
     if args.prior is None and measured:
         newest = measured[-1]
-        known = newest.parameters.get(newest.seconds[-1].parameter_version, known)
+        used = newest.parameters.get(newest.seconds[-1].parameter_version, known)
+        # A curve that these loads have taught already is learnt anew beside the parameters that they began with.
+        known = known if EFFECT in used.effects and EFFECT not in known.effects else used
     return dataclasses.replace(known, curve=None)
 
 

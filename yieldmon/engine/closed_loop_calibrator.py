@@ -14,6 +14,7 @@ import numpy as np
 
 from yieldmon.engine.anchors import ReferenceMass
 from yieldmon.engine.calibrator_settings import CalibratorSettings
+from yieldmon.engine.curve_states import aligned
 from yieldmon.engine.mass_anchors import mass_anchor, weighed
 from yieldmon.engine.records import CalibrationOutcome, CalibrationStep, CalibratorState, FlowEstimator, WindowRecord
 from yieldmon.engine.scale_alarm import ScaleCheck, as_stated, name_of
@@ -27,6 +28,8 @@ from yieldmon.estimation.closed_loop_outcome import Outcome, ScaleReport
 from yieldmon.estimation.common_bias import CommonBias, KernelLesson
 from yieldmon.estimation.density_and_gain import widened
 from yieldmon.estimation.load_inputs import LoadSettings, WeighedLoad
+from yieldmon.estimation.load_outcome import LIKELY_ANOTHER, LoadCalibration
+from yieldmon.estimation.load_pattern import EFFECT as LOAD_PATTERN
 from yieldmon.estimation.loads import calibrate_loads, departure
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
@@ -41,6 +44,8 @@ _WORSE = 1.5
 """Of the bias's prior variance, the lasting one of a lesson beyond which it is not of that bias any more."""
 _LESSON_SDS = 3.0
 """Deviations of a difference beyond which a lesson contradicts and teaches nothing."""
+_KNOWN_SCALE = 0.1
+"""Relative standard deviation of a load up to which the parameters know the machine's scale."""
 _LEAST_LOAD_ERROR = 1e-4
 """Of a weighed load's measured mass."""
 
@@ -60,6 +65,8 @@ class ClosedLoopCalibrator:
         self._history: list[tuple[float, ParameterSet]] = []
         self._given: ParameterSet | None = None
         """As they came from outside, for as long as no reference mass has changed them since."""
+        self._origin: ParameterSet | None = None
+        """As they came from outside."""
         self._updated: ParameterSet | None = None
         """The last set that was handed back."""
         self._drifting: DriftingParameters | None = None
@@ -88,7 +95,7 @@ class ClosedLoopCalibrator:
         prior = drifting.parameters
         density = self._density(records, prior)
         if used is not self._updated:
-            self._given = used
+            self._given = self._origin = used
         if density is not None:
             self._given = None
         if not use_sweep and density is None:
@@ -112,6 +119,8 @@ class ClosedLoopCalibrator:
     def weigh(self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator) -> CalibrationOutcome:
         """See records.SelfCalibrator."""
         used = self._in_use(estimator)
+        if used is not self._updated:
+            self._origin = used
         moment = (record.time_s, record.total_kg, record.moisture_pct if self._map is not None else float("nan"))
         drifting, step = self._prior(used, moment[2], moment[0], moment[1])
         prior = drifting.parameters
@@ -197,6 +206,7 @@ class ClosedLoopCalibrator:
         outcome = update_from_tickets(self._model, prior, masses, settings=self._settings.closed_loop)
         doubtful = 1.0 if len(counted) <= len(masses) else _DRIFT_WIDENING
         near = outcome.consistent and outcome.prior_widening <= doubtful
+        near = near and self._without_curve(prior) is prior and self._knows_scale(prior, names)
         earlier = [load for load in counted if load.name not in names]
         if near and not self._leaves(earlier, prior, outcome.parameter_set):
             return outcome, drifting
@@ -204,12 +214,12 @@ class ClosedLoopCalibrator:
         # them, no longer holds: only the loads together know the scale.
         try:
             learnt = [load.name for load in earlier]
-            found = calibrate_loads(self._model, prior, counted, settings=self._load_settings, learnt=learnt)
+            found = calibrate_loads(self._model, self._without_curve(prior), counted, settings=self._load_settings, learnt=learnt)
         except ValueError:
             if near:
                 return outcome, drifting
             raise
-        if near and (found.refused or found.contradiction is not None):
+        if near and (found.refused or found.contradiction is not None) and not _is_another(found):
             return outcome, drifting
         reason = (
             f"weighed loads moved the scale by {100.0 * (found.scale - 1.0):+.1f} %; a next load is expected within "
@@ -217,16 +227,32 @@ class ClosedLoopCalibrator:
         )
         if found.refused:
             reason = " ".join(found.sentences)
+        elif _is_another(found):
+            reason = f"{reason}; {found.sentences[1]}"
         scale = ScaleReport(found.scale_sd, found.scale_sd, float(np.log(found.scale)), True, ())
         known, wide = found.parameter_set, widened(prior, self._load_settings)
-        if set(known.covariance_names) == set(prior.covariance_names) == set(wide.covariance_names):
-            names = prior.covariance_names
-            known = replace(known, covariance_names=names, covariance=known.covariance_of(names))
+        names = (*(n for n in prior.covariance_names if n in known.covariance_names),)
+        names = (*names, *(n for n in known.covariance_names if n not in names))
+        known = replace(known, covariance_names=names, covariance=known.covariance_of(names))
+        if names == prior.covariance_names and set(names) == set(wide.covariance_names):
             joint = drifting.joint.copy()
             joint[: len(names), : len(names)] = wide.covariance_of(names)
             drifting = replace(drifting, parameters=replace(prior, covariance=wide.covariance_of(names)), joint=joint)
         outcome = Outcome(known, not found.refused, True, reason, "", (), (), scale, 0.0, len(self._weighings.counted), 1.0, ())
         return outcome, drifting
+
+    def _knows_scale(self, prior: ParameterSet, names: Container[str]) -> bool:
+        """Whether the loads of these names were measured by parameters that know how much the machine weighs: of one that was
+        never calibrated the loads together are to say it, and how far its force follows the model's curve."""
+        new = [load for load in self._weighings.counted if load.name in names]
+        return all(departure(self._model, prior, load, self._load_settings)[1] < _KNOWN_SCALE for load in new)
+
+    def _without_curve(self, prior: ParameterSet) -> ParameterSet:
+        """What was known before weighed loads taught a curve of their own, to which all of them are to be fitted together."""
+        origin = self._origin
+        if LOAD_PATTERN not in prior.effects or origin is None or LOAD_PATTERN in origin.effects:
+            return prior
+        return replace(origin, version=prior.version)
 
     def _leaves(self, earlier: Sequence[WeighedLoad], before: ParameterSet, now: ParameterSet) -> bool:
         """Whether `now` measures a load otherwise than `before` by more than what `before` is uncertain by, drift included."""
@@ -260,11 +286,14 @@ class ClosedLoopCalibrator:
     ) -> CalibrationOutcome:
         """The new parameters, remembered with the moment (bus time s, total kg, moisture %) they hold from; step led to it."""
         self.last = outcome
+        came, known_before = step, drifting
+        if outcome.updated:
+            drifting, step = aligned(drifting, step, outcome.parameter_set)
         prior = drifting.parameters
         if not outcome.updated and prior.values == self._patterned(used).values:
             return CalibrationOutcome(None, outcome.reason, identifiable=False)
         # Without an update the moisture map or the drift alone has moved the values; the new prior is what is known.
-        bias = self._bias_of(used, step, moment[1])
+        bias = self._bias_of(used, came, moment[1]) if drifting is known_before else None
         begun_s = self._at_s
         self._at_s, self._at_kg, self._moisture_pct = moment
         self._history = [*self._history[-7:], (moment[0], used)]
@@ -285,6 +314,8 @@ class ClosedLoopCalibrator:
         self._bias = (bias, known) if bias is not None and same else None
         reason = outcome.reason if outcome.updated else "moved by moisture or steady drift; the data add too little"
         self._updated = known
+        if known.effects != self._model.effects:
+            self._model = self._model.with_effects(known.effects)
         follows = self._drifting.state.shape == step.after.shape and known.covariance_names == prior.covariance_names
         led = CalibrationStep(used.version, begun_s, moment[0], step, tuple(map(float, self._drifting.state)))
         return CalibrationOutcome(OpenLoop(self._model, known), reason, outcome.updated, step=led if follows else None)
@@ -453,6 +484,11 @@ class ClosedLoopCalibrator:
             settings.density_ratio,
             settings.density_ratio_std_dev,
         )
+
+
+def _is_another(found: LoadCalibration) -> bool:
+    """Whether the loads show another curve of the force than the model's."""
+    return found.another_law is not None and found.another_law.probability > LIKELY_ANOTHER
 
 
 def _median(values: Iterable[float]) -> float:

@@ -11,6 +11,7 @@ from yieldmon.engine.anchors import ReferenceMass
 from yieldmon.engine.scale_alarm import name_of
 from yieldmon.estimation.closed_loop_inputs import MassAnchor
 from yieldmon.estimation.load_inputs import WeighedLoad
+from yieldmon.estimation.load_pattern import following
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.model import ForwardModel
 
@@ -50,7 +51,7 @@ def mass_anchor(
                 anchor.reference_kg,
                 anchor.std_dev_kg,
                 share * anchor.measured_kg,
-                model=model,
+                model=following(model, parameters),
                 parameters=parameters,
                 mass_flow_kg_s=flow,
                 plate_angle_rad=machine.home_plate_angle_rad,

@@ -15,6 +15,7 @@ from dataclasses import replace
 from yieldmon.physics.grain import at_search_end
 
 from .closed_loop_settings import ClosedLoopSettings
+from .load_pattern import another_curve
 from .parameters import ParameterSet
 
 STOP_GAP = "stop_gap"
@@ -44,6 +45,11 @@ def refusal(parameters: ParameterSet) -> str:
         )
     if STOP_GAP in parameters.effects:
         return "the calibration rests on a stop-gap for what the model misses: sweeps change nothing (see yieldmon diagnose)"
+    if another_curve(parameters):
+        return (
+            "weighed loads show another curve of the force than the model's (load_pattern): sweeps, which rest on the model's, "
+            "change nothing"
+        )
     ends = at_search_end(parameters.values, parameters.covariance_names)
     if not ends:
         return ""

@@ -17,6 +17,7 @@ from yieldmon.physics.numerics import Array
 
 from .density_and_gain import DENSITY, gain_names, moved, shifted
 from .load_inputs import LoadSettings, WeighedLoad
+from .load_pattern import following
 from .open_loop import invert_force
 from .parameters import ParameterSet
 
@@ -51,9 +52,18 @@ class LoadProblem:
     """One calibration by loads; coordinates are ln density and ln gain relative to `start`."""
 
     def __init__(
-        self, model: ForwardModel, given: ParameterSet, start: ParameterSet, loads: Sequence[WeighedLoad], settings: LoadSettings
+        self,
+        model: ForwardModel,
+        given: ParameterSet,
+        start: ParameterSet,
+        loads: Sequence[WeighedLoad],
+        settings: LoadSettings,
+        beside: tuple[str, ...] = (),
     ) -> None:
-        self.model, self.given, self.start, self.loads, self.settings = model, given, start, tuple(loads), settings
+        """beside: parameters that are neither moved here nor held."""
+        self.beside = beside
+        self.model = following(model, start)
+        self.given, self.start, self.loads, self.settings = given, start, tuple(loads), settings
         self.own = np.array([load.measured_sd(settings.load_error) for load in loads])
         """(n,) relative standard deviation of each load's measured mass, where the parameters are right."""
         self.sd = np.hypot([load.relative_sd for load in loads], self.own)
@@ -77,7 +87,8 @@ class LoadProblem:
         """Names of what is held, and the covariance of (held..., ln density, ln gain)."""
         known = self.start
         gain = gain_names(known)
-        held = tuple(n for n in known.covariance_names if n != DENSITY and n not in gain and known.standard_deviation(n) > 0.0)
+        moving = (DENSITY, *gain, *self.beside)
+        held = tuple(n for n in known.covariance_names if n not in moving and known.standard_deviation(n) > 0.0)
         size = known.values[DENSITY], (1.0 + known.values["restitution"]) if len(gain) == 1 else known.values["k2"]
         names = (*held, DENSITY, gain[-1])
         scale = np.array([1.0] * len(held) + list(size))
@@ -115,6 +126,15 @@ class LoadProblem:
         )
         shifts = [(self.force - force) / by_flow for force in forces]
         return np.stack([self.total(shift) / self.total(flow) / step for shift, step in zip(shifts, steps, strict=True)], axis=1)
+
+    def held_slopes(self, centre: ParameterSet) -> Array:
+        """(n, held): change of ln mass with each held parameter."""
+        flow, by_flow = self.flow(centre)
+        if not self.held:
+            return np.zeros((len(self.loads), 0))
+        steps = [1e-2 * self.start.standard_deviation(name) for name in self.held]
+        each = [shifted(centre, name, step) for name, step in zip(self.held, steps, strict=True)]
+        return np.asarray(np.nan_to_num(self.slopes(each, flow, by_flow, steps)))
 
     def fit(self, active: NDArray[np.bool_], directions: int, near: LoadFit | None = None) -> LoadFit:
         """Most likely step from the active loads, along the best determined `directions` (0, 1 or 2). near: where to begin."""

@@ -11,6 +11,10 @@ _A_LOT = 0.3
 """Relative change of the scale that is pointed out."""
 _ENOUGH_LOADS = 3
 """That can be checked against each other at different flows."""
+LIKELY_ANOTHER = 0.8
+"""Probability of another curve from which it is said to be one."""
+_SCATTERS = 0.01
+"""Relative standard deviation of loads beside what is stated that is pointed out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +41,15 @@ class Contradiction:
     curve_rms: float
 
 
+@dataclass(frozen=True, slots=True)
+class AnotherLaw:
+    """The force may follow another curve over the flow than the model's: how likely that is by the loads, and the relative
+    standard deviation of loads beside what is stated."""
+
+    probability: float
+    scatter: float
+
+
 @dataclass(frozen=True)
 class LoadCalibration:
     """The result of `calibrate_loads`.
@@ -60,6 +73,7 @@ class LoadCalibration:
     sweeps_used: int
     constant: Constant | None = None
     contradiction: Contradiction | None = None
+    another_law: AnotherLaw | None = None
     sentences: tuple[str, ...] = field(default=())
 
     @property
@@ -78,16 +92,10 @@ def sentences(found: LoadCalibration, sweeps: int) -> list[str]:
                 "another truck's grain, a wrong number or a part of the load that was not measured?"
             )
     if found.refused:
-        out.append(
-            f"refused: on loads left out the new calibration errs by {100.0 * found.rms_left_out:.2f} %, the present one by "
-            f"{100.0 * found.rms_before:.2f} %; the parameters stay."
-        )
-        if len(found.loads) - len(found.outliers) < _ENOUGH_LOADS:
-            out.append("two loads cannot be checked against each other; weigh a third, at another flow, and give all three.")
-        return out
-    a_lot = abs(found.scale - 1.0) > _A_LOT
-    question = ", which is a lot: are the tickets in the unit of their column, and of these loads?" if a_lot else "."
-    out.append(f"the loads weigh {100.0 * (found.scale - 1.0):+.2f} % against what was measured{question}")
+        return out + _refused(found)
+    if found.another_law is not None:
+        return out + _another_law(found, found.another_law, sweeps)
+    out.append(_scale(found))
     if found.load_dependence:
         out.append("they also determine how the error changes with the flow: density and impact gain moved apart.")
         if found.constant is not None:
@@ -108,6 +116,54 @@ def sentences(found: LoadCalibration, sweeps: int) -> list[str]:
         out.append("one load alone cannot be checked against others; weigh two more.")
     if found.contradiction is not None:
         out += _contradiction(found.contradiction, bool(found.outliers))
+    out.append(f"a next load like these is expected within {100.0 * found.next_load_sd:.2f} % (one standard deviation).")
+    return out
+
+
+def _refused(found: LoadCalibration) -> list[str]:
+    out = [
+        f"refused: on loads left out the new calibration errs by {100.0 * found.rms_left_out:.2f} %, the present one by "
+        f"{100.0 * found.rms_before:.2f} %; the parameters stay."
+    ]
+    if len(found.loads) - len(found.outliers) < _ENOUGH_LOADS:
+        out.append("two loads cannot be checked against each other; weigh a third, at another flow, and give all three.")
+    return out
+
+
+def _scale(found: LoadCalibration) -> str:
+    a_lot = abs(found.scale - 1.0) > _A_LOT
+    question = ", which is a lot: are the tickets in the unit of their column, and of these loads?" if a_lot else "."
+    return f"the loads weigh {100.0 * (found.scale - 1.0):+.2f} % against what was measured{question}"
+
+
+def _another_law(found: LoadCalibration, law: AnotherLaw, sweeps: int) -> list[str]:
+    """Where the force may follow another curve over the flow than the model's."""
+    out = [_scale(found)]
+    known = found.parameter_set
+    exponent, std_dev = known.values["load_pattern.exponent"], known.standard_deviation("load_pattern.exponent")
+    chance = f"{100.0 * min(law.probability, 0.99):.0f} %"
+    if law.probability > LIKELY_ANOTHER:
+        out.append(
+            f"the force follows another curve over the flow than the model's (probability {chance}): beside it goes a power of "
+            f"the flow, {exponent:+.2f} (sd {std_dev:.2f}), learnt with density and impact gain (effect load_pattern)."
+        )
+    else:
+        out.append(
+            "these loads do not show whether the force follows the model's curve over the flow (probability of another one "
+            f"{chance}): both count, in the values and in the standard deviation at other flows; weigh loads at other flows."
+        )
+    if found.constant is not None:
+        constant = f"a constant of {found.constant.kg:+.0f} kg (sd {found.constant.sd_kg:.0f}) in every weighed mass"
+        out.append(f"{constant} would explain the loads as well: is the tare right? Loads of one flow and unlike masses tell.")
+    if law.scatter > _SCATTERS:
+        out.append(
+            f"the loads scatter by more than their tickets' deviations, about {100.0 * law.scatter:.1f} %: a ticket is wrong, or "
+            "the machine or the grain changes from load to load."
+        )
+    if sweeps:
+        out.append("sweeps of the plate are left out: what they teach rests on the model's curve.")
+    if len(found.loads) == 1:
+        out.append("one load alone cannot be checked against others; weigh two more.")
     out.append(f"a next load like these is expected within {100.0 * found.next_load_sd:.2f} % (one standard deviation).")
     return out
 

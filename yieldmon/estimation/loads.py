@@ -25,16 +25,24 @@ from yieldmon.physics.numerics import Array
 from .closed_loop import self_calibrate
 from .closed_loop_inputs import MassAnchor, Sweep
 from .closed_loop_settings import ClosedLoopSettings
-from .density_and_gain import DENSITY, gain_names, moved, shifted, widened
+from .density_and_gain import DENSITY, gain_names, moved, widened
 from .flow_curve_fit import fit_loads
 from .load_constant import constant_in_weighed
 from .load_fit import LoadFit, LoadProblem
 from .load_inputs import LoadSettings, WeighedLoad
-from .load_outcome import Contradiction, LoadCalibration, LoadResult, sentences
+from .load_law import LawAverage, against_others, average, carrying, inliers, law_problem, left_out, placed
+from .load_outcome import AnotherLaw, Contradiction, LoadCalibration, LoadResult, sentences
+from .load_pattern import EFFECT
 from .parameters import ParameterSet
 
 LEAST_LOADS = 3
 """Fewer weighed loads say nothing against a further one."""
+_MODELS_OWN = 0.2
+"""Probability of another curve up to which the model's own is used."""
+_MOST_STRAIN, _MOST_LEFT = 5.0, 0.3
+"""Standard deviations of density, gain and curve, all together, and ln error of a load, beyond which no machine explains them."""
+_CONTRADICTED = 2.0
+"""Standard deviations, rms, by which loads left out are further off than another curve or scatter explains."""
 _LEFT_OUT_WEIGHT = 0.632
 _PRIOR_LOADS = 4.0
 """What the stated deviations count for, in loads, beside the scatter that the loads themselves show."""
@@ -78,10 +86,19 @@ def calibrate_loads(
     if not loads:
         raise ValueError("no weighed load to learn from")
     settings = LoadSettings() if settings is None else settings
-    problem = LoadProblem(model, prior, widened(prior, settings), [load.condensed() for load in loads], settings)
-    if sweep_settings is None:
-        sweep_settings = ClosedLoopSettings(flow="process", model_error=0.01)
-    return _calibration(problem, sweeps, sweep_settings, learnt)
+    condensed = [load.condensed() for load in loads]
+    problem = LoadProblem(model, prior, widened(prior, settings), condensed, settings)
+    law = law_problem(problem)
+    active = inliers(problem, law)
+    found = average(law, active)
+    if found is None or found.strain > _MOST_STRAIN or np.max(np.abs(found.error[active])) > _MOST_LEFT:
+        # In words with the masses where the model's own curve does not explain them either.
+        problem.fit(active, 2)
+    if found is None or not _is_another(found, problem, active):
+        if sweep_settings is None:
+            sweep_settings = ClosedLoopSettings(flow="process", model_error=0.01)
+        return _calibration(problem, active, sweeps, sweep_settings, learnt)
+    return _by_another_law(problem, law, active, found, learnt, len(sweeps))
 
 
 def contradicted(
@@ -101,7 +118,17 @@ def contradicted(
         return None
     settings = LoadSettings() if settings is None else settings
     problem = LoadProblem(model, prior, widened(prior, settings), [w.condensed() for w in (*before, load)], settings)
-    return problem.last_against_others()
+    others = np.arange(len(problem.loads)) < len(before)
+    try:
+        error = None if EFFECT in prior.effects else problem.last_against_others()
+        if error is None and EFFECT not in prior.effects:
+            return None
+    except ValueError:
+        error = None
+    said = against_others(law_problem(problem), others, len(before))
+    if said.away < settings.outlier_sds:
+        return None
+    return float(np.expm1(-said.error)) if error is None else error
 
 
 def departure(
@@ -118,9 +145,12 @@ def departure(
 
 
 def _calibration(
-    problem: LoadProblem, sweeps: Sequence[Sweep], sweep_settings: ClosedLoopSettings, learnt: Container[str]
+    problem: LoadProblem,
+    active: NDArray[np.bool_],
+    sweeps: Sequence[Sweep],
+    sweep_settings: ClosedLoopSettings,
+    learnt: Container[str],
 ) -> LoadCalibration:
-    active = problem.inliers()
     fit, directions, errors, full = _fitted(problem, active)
     against = problem.contradicts(fit, active, max(directions, 1))
     shown = float(np.nan_to_num(_expected_rms(fit.error[active], errors[active]))) if against else 0.0
@@ -160,6 +190,67 @@ def _calibration(
         contradiction=_contradiction(problem, errors) if (against or not active.all()) and together is None else None,
     )
     return replace(calibration, sentences=tuple(sentences(calibration, len(sweeps))))
+
+
+def _is_another(found: LawAverage, problem: LoadProblem, active: NDArray[np.bool_]) -> bool:
+    """Whether what the loads say of the curve is to be used: not where enough loads have shown that it is the model's."""
+    return EFFECT in problem.given.effects or active.sum() < LEAST_LOADS or found.law > _MODELS_OWN
+
+
+def _by_another_law(
+    problem: LoadProblem, law: LoadProblem, active: NDArray[np.bool_], found: LawAverage, learnt: Container[str], sweeps: int
+) -> LoadCalibration:
+    """The calibration where the force may follow another curve over the flow than the model's."""
+    errors, away = left_out(law, active, found.step)
+    after = problem.weighed * np.exp(found.error)
+    before = problem.mass(problem.given)
+    unseen = active & np.array([load.name not in learnt for load in problem.loads])
+    judges = unseen if np.any(unseen) else active
+    rms_before, rms_after = _rms(np.log(before / problem.weighed)[judges]), _rms(errors[judges])
+    expected = _expected_rms(found.error[judges], errors[judges])
+    # A load that another curve may well put there says nothing against the calibration, however far it is.
+    refused = bool(active.sum() > 1 and expected > rms_before and _rms(away[judges]) > _CONTRADICTED)
+    chosen = problem.given if refused else _as_law_set(law, found)
+    after = before if refused else after
+    try:
+        constant = constant_in_weighed(problem, active, problem.fit(active, 2))
+    except ValueError:  # The model's own curve has no flow for these forces.
+        constant = None
+    information = problem.information(LoadFit(found.step[:2], found.error, found.by_step[:, :2]), active)
+    rows = np.column_stack((found.by_held, found.by_step))[active]
+    spread = np.einsum("ki,ij,kj->k", rows, found.covariance, rows)
+    own = np.mean(problem.own[active] ** 2) + found.scatter**2
+    mean = rows.mean(axis=0)
+    results = tuple(
+        LoadResult(load.name, load.weighed_kg, float(b), float(a), float(np.expm1(e)), not bool(ok))
+        for load, b, a, e, ok in zip(problem.loads, before, after, errors, active, strict=True)
+    )
+    moving = () if refused else tuple(n for n, v in chosen.values.items() if problem.given.values.get(n) != v)
+    calibration = LoadCalibration(
+        parameter_set=chosen,
+        names=moving,
+        held=tuple(n for n in chosen.values if n not in moving),
+        loads=results,
+        scale=float(after[active].sum() / before[active].sum()),
+        scale_sd=float(np.sqrt(mean @ found.covariance @ mean)),
+        load_dependence=bool(not refused and np.all(information >= problem.settings.least_information)),
+        next_load_sd=float(np.sqrt(np.mean(spread) + own)),
+        rms_before=rms_before,
+        rms_left_out=rms_after,
+        refused=refused,
+        sweeps_used=0,
+        constant=constant,
+        another_law=AnotherLaw(found.law, found.scatter),
+    )
+    return replace(calibration, sentences=tuple(sentences(calibration, sweeps)))
+
+
+def _as_law_set(law: LoadProblem, found: LawAverage) -> ParameterSet:
+    """With the pattern's weights, and what loads scatter by in the gain: it is common to a load's seconds."""
+    count = len(law.held)
+    covariance = found.covariance.copy()
+    covariance[count + 1, count + 1] += (found.scatter / float(np.mean(found.by_step[:, 1]))) ** 2
+    return carrying(_as_set(law, placed(law.start, found.step), covariance[: count + 2, : count + 2]), law, covariance)
 
 
 def _fitted(problem: LoadProblem, active: NDArray[np.bool_]) -> tuple[LoadFit, int, Array, LoadFit | None]:
@@ -221,7 +312,7 @@ def _posterior(
     other counts in the covariance, with the distance between the fits as an error of its own.
     """
     centre = moved(problem.start, *map(float, fit.step))
-    h = np.column_stack((_held_slopes(problem, centre), fit.by_step))
+    h = np.column_stack((problem.held_slopes(centre), fit.by_step))
     rows = h[active]
     determined = directions if full is None else 2
     basis = np.zeros((h.shape[1], determined))
@@ -243,16 +334,6 @@ def _posterior(
     next_sd = float(np.sqrt(np.mean(spread) + inflation * own))
     mean = rows.mean(axis=0)
     return _as_set(problem, centre, covariance), next_sd, float(np.sqrt(mean @ covariance @ mean))
-
-
-def _held_slopes(problem: LoadProblem, centre: ParameterSet) -> Array:
-    """(n, held): change of ln mass with each held parameter."""
-    flow, by_flow = problem.flow(centre)
-    if not problem.held:
-        return np.zeros((len(problem.loads), 0))
-    steps = [1e-2 * problem.start.standard_deviation(name) for name in problem.held]
-    each = [shifted(centre, name, step) for name, step in zip(problem.held, steps, strict=True)]
-    return np.asarray(np.nan_to_num(problem.slopes(each, flow, by_flow, steps)))
 
 
 def _as_set(problem: LoadProblem, centre: ParameterSet, covariance: Array) -> ParameterSet:

@@ -16,6 +16,7 @@ from yieldmon.physics.numerics import AnyArray, Array, chebyshev_points
 from yieldmon.physics.throw import Throw
 
 from .load_curves import LoadCurves
+from .load_pattern import following
 from .parameters import ParameterSet
 
 _GRID = chebyshev_points(24)
@@ -199,7 +200,7 @@ class OpenLoop:
     Parameters
     ----------
     model : ForwardModel
-        With the effects that the parameters speak of.
+        With the effects that the parameters speak of; `load_pattern`, which weighed loads add to a set, is added to it.
     parameters : ParameterSet
         Their covariance and model_error enter the standard deviation of the flow.
 
@@ -226,6 +227,7 @@ class OpenLoop:
     """
 
     def __init__(self, model: ForwardModel, parameters: ParameterSet) -> None:
+        model = following(model, parameters)
         if set(parameters.effects) != set(model.effects):
             raise ValueError(f"the parameters name the effects {parameters.effects}; the model has {model.effects}")
         self.model = model

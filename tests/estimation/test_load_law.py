@@ -1,0 +1,84 @@
+"""Weighed loads of machines whose force follows laws that the model does not have: right loads, or a deviation that says so."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from yieldmon.estimation.load_inputs import WeighedLoad
+from yieldmon.estimation.load_pattern import EFFECT, another_curve
+from yieldmon.estimation.loads import calibrate_loads, departure
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.physics.machine import Machine
+from yieldmon.physics.model import ForwardModel
+
+MACHINE = Machine()
+MODEL = ForwardModel(MACHINE)
+SHIPPED = ParameterSet(
+    {"friction": 0.19, "density": 1075.0, "shape_ratio": 2.0, "restitution": 0.55},
+    ("friction", "density", "restitution"),
+    np.diag([0.004**2, 10.0**2, 0.001**2]),
+)
+SHARE: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "power 0.75": lambda flow: flow**0.75,
+    "power 1.2": lambda flow: flow**1.2,
+    "logarithm": lambda flow: np.log1p(flow / 6.0),
+    "quadratic": lambda flow: flow + 0.025 * flow**2,
+}
+
+
+def load(law: str, flow: float, seed: int, size: float = 90.0, speed_power: float = 0.8, factor: float = 1.0) -> WeighedLoad:
+    """400 s about a flow, the elevator up to 2 % off its speed, weighed to 0.3 %; size: N at 10 kg/s."""
+    rng = np.random.default_rng([916, seed, round(100.0 * flow)])
+    flows = flow * np.exp(0.2 * rng.standard_normal(400))
+    speed = MACHINE.nominal_elevator_speed_rad_s * np.full(400, 1.0 + 0.02 * rng.uniform(-1.0, 1.0))
+    at_ten = float(SHARE[law](np.array([10.0]))[0])
+    force = size * SHARE[law](flows) / at_ten * (speed / MACHINE.nominal_elevator_speed_rad_s) ** speed_power
+    kg = float(flows.sum())
+    weighed = kg * factor * (1.0 + 0.003 * rng.standard_normal())
+    return WeighedLoad(f"{flow:g}", weighed, 0.003 * kg, np.ones(400), force, np.full(400, MACHINE.home_plate_angle_rad), speed)
+
+
+@pytest.mark.parametrize("law", SHARE)
+def test_three_loads_teach_the_curve_of_a_sensor_that_is_not_the_models(law):
+    found = calibrate_loads(MODEL, SHIPPED, [load(law, flow, 1) for flow in (4.5, 10.0, 17.0)])
+    assert not found.refused
+    errors = np.array([departure(MODEL, found.parameter_set, load(law, flow, 2)) for flow in (5.0, 7.0, 12.0, 15.0, 18.0)])
+    assert np.sqrt(np.mean(errors[:, 0] ** 2)) < 0.03
+    assert np.max(np.abs(errors[:, 0]) / errors[:, 1]) < 3.0
+    assert found.another_law is not None
+
+
+def test_a_curve_of_its_own_is_said_and_keeps_sweeps_from_teaching():
+    found = calibrate_loads(MODEL, SHIPPED, [load("power 1.2", flow, 1) for flow in (4.5, 10.0, 17.0, 7.0)])
+    assert any("another curve over the flow than the model's" in sentence for sentence in found.sentences)
+    assert EFFECT in found.parameter_set.effects
+    assert another_curve(found.parameter_set)
+    assert not another_curve(SHIPPED)
+
+
+@pytest.mark.parametrize("law", SHARE)
+def test_two_loads_carry_the_error_of_the_curve_at_other_flows(law):
+    found = calibrate_loads(MODEL, SHIPPED, [load(law, flow, 3) for flow in (9.0, 12.0)])
+    near, far = (departure(MODEL, found.parameter_set, load(law, flow, 4)) for flow in (10.5, 20.0))
+    assert abs(near[0]) < 3.0 * near[1]
+    assert abs(far[0]) < 3.0 * far[1]
+    assert far[1] > 2.0 * near[1]
+
+
+@pytest.mark.parametrize("law", SHARE)
+def test_of_four_right_loads_none_is_dropped_and_of_a_wrong_one_all_learn_nothing(law):
+    flows = (4.5, 10.0, 17.0)
+    three = [load(law, flow, 5) for flow in flows]
+    assert calibrate_loads(MODEL, SHIPPED, [*three, load(law, 13.0, 5)]).outliers == ()
+    assert calibrate_loads(MODEL, SHIPPED, [*three, load(law, 13.0, 5, factor=1.35)]).outliers == ("13",)
+
+
+def test_loads_that_scatter_by_more_than_their_tickets_say_so():
+    rng = np.random.default_rng(11)
+    loads = [load("power 0.75", flow, 6, factor=1.0 + 0.03 * rng.standard_normal()) for flow in (4.5, 10.0, 17.0, 7.0, 13.0, 9.0)]
+    found = calibrate_loads(MODEL, SHIPPED, loads)
+    assert len(found.outliers) < 2
+    assert found.next_load_sd > 0.015

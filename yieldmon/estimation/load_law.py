@@ -1,0 +1,268 @@
+"""Density, impact gain and the curve of the force over the load from weighed loads, averaged over how far a machine may be from
+the model and how much its loads may scatter.
+
+The model's curve of force over flow is that of one geometry. Another sensor's is met by the weights of the effect
+`load_pattern`, whose prior is either none (the model's own curve) or one of two sizes; beside the stated scatter of scale and
+windows loads may scatter by more, such as where the machine drifts between them. Each combination counts by its evidence.
+
+Sources: Hoeting, Madigan, Raftery and Volinsky, "Bayesian model averaging: a tutorial", Statistical Science 14 (1999); Kennedy
+and O'Hagan, J. R. Stat. Soc. B 63 (2001), for the model's error as a quantity with a prior.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yieldmon.physics.effects import get_effect
+from yieldmon.physics.numerics import Array
+
+from .density_and_gain import DENSITY, moved
+from .load_fit import LoadProblem
+from .load_pattern import EFFECT, NAMES, with_weights
+from .parameters import ParameterSet
+
+_WEIGHT_SD = np.array([parameter.prior_sd for parameter in get_effect(EFFECT).parameters])
+_SIZES = ((0.0, 0.6), (1.0, 0.25), (2.0, 0.15))
+"""Of the weights' prior over `_WEIGHT_SD`, and how likely each is before any load."""
+_SCATTERS = ((0.0, 0.9), (0.01, 0.08), (0.03, 0.02))
+"""Of a load's mass beside what is stated, relative, and how likely each is."""
+_REST = 0.004
+"""Of a load's mass, relative, where the curve is another: what the pattern's weights leave."""
+_ITERATIONS = 25
+_SETTLED = 1e-4
+_MOST_STEP = 1.0
+_GAIN_STEP, _GAIN_STEPS = 0.1, 25
+
+
+@dataclass(frozen=True)
+class LawAverage:
+    """What the loads say, in the model that follows `load_pattern`.
+
+    step: (5,) ln density, ln gain and the pattern's weights relative to the start. covariance: of (held..., step).
+    error, by_step, by_held: (n,) ln of measured over weighed mass there, and its slopes.
+    law: probability that the force follows another curve than the model's.
+    scatter: relative standard deviation of loads beside what is stated, rms over what it may be.
+    strain: standard deviations of the widest prior to the step.
+    """
+
+    step: Array
+    covariance: Array
+    error: Array
+    by_step: Array
+    by_held: Array
+    law: float
+    scatter: float
+    strain: float
+
+
+def placed(start: ParameterSet, step: Array) -> ParameterSet:
+    """The set with density, gain and the pattern's weights moved."""
+    there = moved(start, float(step[0]), float(step[1]))
+    return replace(
+        there, values=dict(there.values) | {n: start.values[n] + float(s) for n, s in zip(NAMES, step[2:], strict=True)}
+    )
+
+
+def average(problem: LoadProblem, active: NDArray[np.bool_], near: Array | None = None) -> LawAverage | None:
+    """What the active loads say; None where no flow explains their forces.
+
+    Parameters
+    ----------
+    problem : LoadProblem
+        Of a model with `load_pattern`, its start from `load_pattern.with_weights`.
+    active : ndarray (n,)
+    near : ndarray (5,), optional
+        Where to begin.
+    """
+    step = _begin(problem) if near is None else near
+    if step is None:
+        return None
+    error, slope = _slopes(problem, step)
+    if not np.all(np.isfinite(error)):
+        return None
+    for _ in range(_ITERATIONS):
+        wanted, _, _, _ = _mixture(problem, active, step, error, slope)
+        change = np.clip(wanted - step, -_MOST_STEP, _MOST_STEP)
+        for _ in range(8):
+            after, after_slope = _slopes(problem, step + change)
+            if np.all(np.isfinite(after)) and np.all(np.isfinite(after_slope)):
+                break
+            change = 0.5 * change
+        else:
+            break
+        step, error, slope = step + change, after, after_slope
+        if float(np.max(np.abs(change))) < _SETTLED:
+            break
+    _, covariance, law, scatter = _mixture(problem, active, step, error, slope)
+    held = problem.held_slopes(placed(problem.start, step))
+    whole = _with_held(problem, active, slope, held, covariance, scatter)
+    strain = float(np.sqrt(step @ np.linalg.solve(_prior(problem, _SIZES[-1][0]), step)))
+    return LawAverage(step, whole, error, slope, held, law, scatter, strain)
+
+
+def _prior(problem: LoadProblem, size: float) -> Array:
+    """Covariance of the step."""
+    prior = np.diag(np.concatenate((np.zeros(2), size * _WEIGHT_SD)) ** 2)
+    prior[:2, :2] = problem.prior[-2:, -2:]
+    return prior
+
+
+def _begin(problem: LoadProblem) -> Array | None:
+    """A step at which every force has a flow."""
+    for k in range(_GAIN_STEPS):
+        step = np.zeros(2 + len(NAMES))
+        step[1] = _GAIN_STEP * k
+        if np.all(np.isfinite(problem.mass(placed(problem.start, step)))):
+            return step
+    return None
+
+
+def _slopes(problem: LoadProblem, step: Array) -> tuple[Array, Array]:
+    known = placed(problem.start, step)
+    flow, by_flow = problem.flow(known)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error = np.log(problem.total(flow) / problem.weighed)
+        size = 1e-4
+        beside = [placed(problem.start, step + size * d) for d in np.eye(step.size)]
+        return error, problem.slopes(beside, flow, by_flow, (size,) * step.size)
+
+
+def _mixture(
+    problem: LoadProblem, active: NDArray[np.bool_], step: Array, error: Array, slope: Array
+) -> tuple[Array, Array, float, float]:
+    """Mean and covariance of the step over all combinations in the model that is linear about `step`, the probability of another
+    curve, and the rms scatter."""
+    h, target = slope[active], slope[active] @ step - error[active]
+    steps, covariances, logs, laws, scatters = [], [], [], [], []
+    for size, likely in _SIZES:
+        prior = _prior(problem, size)
+        by_prior = h @ prior
+        for scatter, probable in _SCATTERS:
+            rest = _REST if size > 0.0 else 0.0
+            spread = by_prior @ h.T + np.diag(problem.sd[active] ** 2 + scatter**2 + rest**2)
+            gain = np.linalg.solve(spread, by_prior).T
+            steps.append(gain @ target)
+            covariances.append(prior - gain @ by_prior)
+            _, log_det = np.linalg.slogdet(spread)
+            logs.append(np.log(likely * probable) - 0.5 * (target @ np.linalg.solve(spread, target) + log_det))
+            laws.append(size > 0.0)
+            scatters.append(float(np.hypot(scatter, rest)))
+    weight = np.exp(np.array(logs) - max(logs))
+    weight /= weight.sum()
+    each, mean = np.array(steps), weight @ np.array(steps)
+    away = each - mean
+    covariance = np.einsum("k,kij->ij", weight, np.array(covariances)) + np.einsum("k,ki,kj->ij", weight, away, away)
+    return mean, covariance, float(weight @ np.array(laws)), float(np.sqrt(weight @ np.array(scatters) ** 2))
+
+
+def _with_held(
+    problem: LoadProblem, active: NDArray[np.bool_], slope: Array, held: Array, covariance: Array, scatter: float
+) -> Array:
+    """Covariance of (held..., step): the held ones shift the step by what the loads make of them (Schmidt)."""
+    count = held.shape[1]
+    h, noise = slope[active], problem.sd[active] ** 2 + scatter**2
+    gain = covariance @ h.T / noise
+    out = np.zeros((count + slope.shape[1],) * 2)
+    known = problem.prior[:count, :count]
+    follows = -gain @ held[active]
+    out[:count, :count] = known
+    out[count:, :count] = follows @ known
+    out[:count, count:] = out[count:, :count].T
+    out[count:, count:] = covariance + follows @ known @ follows.T
+    return out
+
+
+def law_problem(problem: LoadProblem) -> LoadProblem:
+    """The same loads in the model with `load_pattern`."""
+    start = with_weights(problem.start)
+    return LoadProblem(problem.model, with_weights(problem.given), start, problem.loads, problem.settings, beside=NAMES)
+
+
+def left_out(law: LoadProblem, active: NDArray[np.bool_], near: Array) -> tuple[Array, Array]:
+    """(n,) ln error of each load as the other active ones have it, and how many standard deviations of that it is; nan where
+    there is no other."""
+    errors, away = np.full((2, len(law.loads)), np.nan)
+    for k in range(len(law.loads)):
+        others = active & (np.arange(len(law.loads)) != k)
+        if np.any(others):
+            said = against_others(law, others, k, near)
+            errors[k], away[k] = said.error, said.away
+    return errors, away
+
+
+@dataclass(frozen=True)
+class Against:
+    """A load as others have it: ln error, its standard deviation, and how many of these it is; 0 where they say nothing."""
+
+    error: float
+    std_dev: float
+    away: float
+
+
+def against_others(law: LoadProblem, others: NDArray[np.bool_], k: int, near: Array | None = None) -> Against:
+    """Load k as the others have it."""
+    found = average(law, others, near)
+    if found is None:
+        return Against(float("nan"), 1.0, 0.0)
+    row = np.concatenate((found.by_held[k], found.by_step[k]))
+    std_dev = float(np.sqrt(row @ found.covariance @ row + law.sd[k] ** 2 + found.scatter**2))
+    return Against(float(found.error[k]), std_dev, float(abs(found.error[k])) / std_dev)
+
+
+def inliers(problem: LoadProblem, law: LoadProblem) -> NDArray[np.bool_]:
+    """Loads that the others do not contradict, by whatever curve; at least three, and more than half of them, are left.
+
+    The one to go is that without which the others agree best.
+    """
+    settings = problem.settings
+    active = np.ones(len(problem.loads), dtype=bool)
+    while active.sum() >= settings.outlier_least and 2 * (active.sum() - 1) > active.size:
+        suspects = np.flatnonzero(active).tolist()
+        try:
+            found = problem.left_out(active, 2)
+            worst = int(np.argmin(np.where(active, found.cost, np.inf)))
+            if found.away[worst] < settings.outlier_sds:
+                break
+            others = active & (np.arange(active.size) != worst)
+            if not problem.contradicts(problem.fit(others, 2), others, 2):
+                suspects = [worst]
+        except ValueError:  # The model's own curve has no flow for a force.
+            pass
+        said = {k: against_others(law, active & (np.arange(active.size) != k), k) for k in suspects}
+        # The least likely by the others, not the furthest: what these say of it may be little.
+        worst = max(said, key=lambda k: 0.5 * said[k].away ** 2 + np.log(said[k].std_dev))
+        if said[worst].away < settings.outlier_sds:
+            break
+        active[worst] = False
+    return active
+
+
+def carrying(known: ParameterSet, law: LoadProblem, covariance: Array) -> ParameterSet:
+    """The set of density and gain with the pattern's weights in its covariance.
+
+    Parameters
+    ----------
+    known : ParameterSet
+        Its values are those to keep, its covariance that of what is held, density and gain.
+    law : LoadProblem
+    covariance : ndarray
+        Of (held..., ln density, ln gain, weights).
+    """
+    count = len(law.held)
+    names = known.covariance_names
+    # d(known's names) / d(held..., ln density, ln gain): known from the values.
+    to = np.zeros((len(names) + len(NAMES), covariance.shape[0]))
+    for i, name in enumerate(names):
+        if name in law.held:
+            to[i, law.held.index(name)] = 1.0
+        elif name == DENSITY:
+            to[i, count] = known.values[name]
+        else:
+            to[i, count + 1] = 1.0 + known.values[name] if name == "restitution" else known.values[name]
+    to[len(names) :, count + 2 :] = np.eye(len(NAMES))
+    full = to @ covariance @ to.T
+    full[: len(names), : len(names)] = known.covariance
+    return replace(known, covariance_names=(*names, *NAMES), covariance=0.5 * (full + full.T))
