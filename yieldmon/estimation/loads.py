@@ -41,6 +41,8 @@ _MODELS_OWN = 0.2
 """Probability of another curve up to which the model's own is used."""
 _MOST_STRAIN, _MOST_LEFT = 5.0, 0.3
 """Standard deviations of density, gain and curve, all together, and ln error of a load, beyond which no machine explains them."""
+_DOUBTFUL = 2.5
+"""Standard deviations by any curve beyond which a load that contradicts the model's own is not believed at once."""
 _CONTRADICTED = 2.0
 """Standard deviations, rms, by which loads left out are further off than another curve or scatter explains."""
 _LEFT_OUT_WEIGHT = 0.632
@@ -126,7 +128,7 @@ def contradicted(
     except ValueError:
         error = None
     said = against_others(law_problem(problem), others, len(before))
-    if said.away < settings.outlier_sds:
+    if said.away < (settings.outlier_sds if error is None else _DOUBTFUL):
         return None
     return float(np.expm1(-said.error)) if error is None else error
 
