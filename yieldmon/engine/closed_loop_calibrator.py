@@ -16,7 +16,14 @@ from yieldmon.engine.anchors import ReferenceMass
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.curve_states import aligned
 from yieldmon.engine.mass_anchors import mass_anchor, weighed
-from yieldmon.engine.records import CalibrationOutcome, CalibrationStep, CalibratorState, FlowEstimator, WindowRecord
+from yieldmon.engine.records import (
+    CalibrationOutcome,
+    CalibrationStep,
+    CalibratorState,
+    FlowEstimator,
+    PriorState,
+    WindowRecord,
+)
 from yieldmon.engine.scale_alarm import ScaleCheck, as_stated, name_of
 from yieldmon.engine.weighings import Weighings
 from yieldmon.estimation import common_bias
@@ -35,6 +42,7 @@ from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.steady_drift import Advance, DriftingParameters, advance, begin, carried, learn
 from yieldmon.physics.model import ForwardModel
+from yieldmon.physics.numerics import Array
 
 _DRIFT_WIDENING = 16.0
 """Of the parameters' covariance: with up to so much of it, what a later ticket says is drift, and no other scale."""
@@ -67,6 +75,8 @@ class ClosedLoopCalibrator:
         """As they came from outside, for as long as no reference mass has changed them since."""
         self._origin: ParameterSet | None = None
         """As they came from outside."""
+        self._restored: ParameterSet | None = None
+        """Those in use at a restart, where it is known what weighed loads made them of."""
         self._updated: ParameterSet | None = None
         """The last set that was handed back."""
         self._drifting: DriftingParameters | None = None
@@ -95,7 +105,8 @@ class ClosedLoopCalibrator:
         prior = drifting.parameters
         density = self._density(records, prior)
         if used is not self._updated:
-            self._given = self._origin = used
+            self._given = used
+        self._know_origin(used)
         if density is not None:
             self._given = None
         if not use_sweep and density is None:
@@ -119,8 +130,7 @@ class ClosedLoopCalibrator:
     def weigh(self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator) -> CalibrationOutcome:
         """See records.SelfCalibrator."""
         used = self._in_use(estimator)
-        if used is not self._updated:
-            self._origin = used
+        self._know_origin(used)
         moment = (record.time_s, record.total_kg, record.moisture_pct if self._map is not None else float("nan"))
         drifting, step = self._prior(used, moment[2], moment[0], moment[1])
         prior = drifting.parameters
@@ -247,6 +257,10 @@ class ClosedLoopCalibrator:
         new = [load for load in self._weighings.counted if load.name in names]
         return all(departure(self._model, prior, load, self._load_settings)[1] < _KNOWN_SCALE for load in new)
 
+    def _know_origin(self, used: ParameterSet) -> None:
+        if used is not self._updated and used is not self._restored:
+            self._origin = used
+
     def _without_curve(self, prior: ParameterSet) -> ParameterSet:
         """What was known before weighed loads taught a curve of their own, to which all of them are to be fitted together."""
         origin = self._origin
@@ -362,11 +376,12 @@ class ClosedLoopCalibrator:
             moisture_pct=self._moisture_pct if isfinite(self._moisture_pct) else None,
             drifting=() if known is None else known.names,
             rates=() if known is None else tuple(map(float, known.rates)),
-            covariance=() if known is None else tuple(tuple(map(float, row)) for row in known.joint[count:]),
+            covariance=() if known is None else _as_tuples(known.joint[count:]),
             at_s=self._at_s if isfinite(self._at_s) else self._before.at_s if self._before is not None else None,
             weighed=tuple(load.name for load in self._weighings.counted),
             doubted=self._weighings.doubted_name,
             bias=self._kept_bias(),
+            origin=self._kept_origin(),
         )
 
     def _kept_bias(self) -> tuple[float, ...]:
@@ -375,8 +390,19 @@ class ClosedLoopCalibrator:
         bias = self._bias[0]
         return (bias.value, bias.variance, bias.largest, *map(float, bias.cross))
 
+    def _kept_origin(self) -> PriorState | None:
+        origin, known = self._origin, self._updated or self._restored
+        if origin is None or known is None or LOAD_PATTERN in origin.effects or LOAD_PATTERN not in known.effects:
+            return None
+        return PriorState(known.version, tuple(origin.values.items()), origin.covariance_names, _as_tuples(origin.covariance))
+
     def restore(self, state: CalibratorState, parameters: ParameterSet, total_kg: float) -> None:
         """See records.SelfCalibrator."""
+        if state.origin is not None and state.origin.version == parameters.version:
+            before = state.origin
+            names, covariance = before.covariance_names, np.reshape(before.covariance, (len(before.covariance_names),) * 2)
+            self._restored = parameters
+            self._origin = replace(parameters, values=dict(before.values), covariance_names=names, covariance=covariance)
         self._before = state
         self._waited_s, self._at_kg = state.waited_s, total_kg - state.harvested_kg
         self._moisture_pct = float("nan") if state.moisture_pct is None else state.moisture_pct
@@ -489,6 +515,11 @@ class ClosedLoopCalibrator:
 def _is_another(found: LoadCalibration) -> bool:
     """Whether the loads show another curve of the force than the model's."""
     return found.another_law is not None and found.another_law.probability > LIKELY_ANOTHER
+
+
+def _as_tuples(rows: Array) -> tuple[tuple[float, ...], ...]:
+    """As a state has a matrix."""
+    return tuple(tuple(map(float, row)) for row in rows)
 
 
 def _median(values: Iterable[float]) -> float:

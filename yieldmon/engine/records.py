@@ -283,6 +283,16 @@ class CalibrationOutcome:
 
 
 @dataclass(frozen=True, slots=True)
+class PriorState:
+    """What was known of the parameters before those of this version: values by name; covariance: (n, n) of covariance_names."""
+
+    version: int
+    values: tuple[tuple[str, float], ...]
+    covariance_names: tuple[str, ...]
+    covariance: tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
 class CalibratorState:
     """What self-calibration knows beside the parameters.
 
@@ -290,7 +300,8 @@ class CalibratorState:
     parameters that have a steady rate; rates: (r,), per kilotonne; covariance: (r, n + r) of the rates with the n parameters that
     have a variance, and with each other. at_s: bus time of the last update, None where it is not known. weighed: names of the
     loads that a new one is held against; doubted: of the one that contradicts them, "" for none. bias: of kernel noise (value,
-    variance, largest variance, then its covariance with parameters and rates), empty where it has taught nothing.
+    variance, largest variance, then its covariance with parameters and rates), empty where it has taught nothing. origin: the
+    parameters before weighed loads taught a curve of their own, None where they have not.
     """
 
     waited_s: float
@@ -303,6 +314,7 @@ class CalibratorState:
     weighed: tuple[str, ...] = ()
     doubted: str = ""
     bias: tuple[float, ...] = ()
+    origin: PriorState | None = None
 
 
 class SelfCalibrator(Protocol):

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from math import isfinite
 from typing import Any
 
 from yieldmon.engine.budget import MassBudget
 from yieldmon.engine.disagreement import DisagreementState, SweepPattern
-from yieldmon.engine.records import CalibratorState
+from yieldmon.engine.records import CalibratorState, PriorState
 from yieldmon.engine.scale_alarm import ScaleAlarmState, ScaleCheck
 from yieldmon.engine.totals import Totals
 from yieldmon.engine.zero import ZeroState
@@ -123,8 +123,22 @@ def _scale_alarm(data: Mapping[str, Any]) -> ScaleAlarmState:
 
 def _calibrator(data: Mapping[str, Any]) -> CalibratorState:
     lists = {name: tuple(data.get(name, ())) for name in ("drifting", "rates", "weighed", "bias")}
-    state = CalibratorState(**{**data, **lists, "covariance": tuple(tuple(row) for row in data["covariance"])})
+    origin = data.get("origin")
+    parts = {"covariance": _rows(data["covariance"]), "origin": None if origin is None else _prior(origin)}
+    state = CalibratorState(**{**data, **lists, **parts})
     count = len(state.drifting)
     if len(state.rates) != count or len(state.covariance) != count or len({len(row) for row in state.covariance}) > 1:
         raise ValueError(f"engine state: rates {state.rates} do not fit the parameters {state.drifting}")
     return state
+
+
+def _prior(data: Mapping[str, Any]) -> PriorState:
+    values, names = tuple((str(name), float(value)) for name, value in data["values"]), tuple(data["covariance_names"])
+    state = PriorState(int(data["version"]), values, names, _rows(data["covariance"]))
+    if {len(state.covariance), *map(len, state.covariance)} - {len(names)} or not set(names) <= dict(values).keys():
+        raise ValueError(f"engine state: the covariance of the parameters before does not fit {list(names)}")
+    return state
+
+
+def _rows(data: Sequence[Sequence[float]]) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(row) for row in data)
