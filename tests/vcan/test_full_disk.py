@@ -58,6 +58,9 @@ def test_a_full_disk_is_a_fault_and_nothing_is_lost(small_disk: Path, tmp_path: 
         kept_kg = bench.status["total"]["mass_kg"]
         assert 0.0 < kept_kg <= measured_kg + 10.0, "the state is read from a full disk"
         bench.play(4, 60.0)
+        wait_for(lambda: bench.daemon.writer.health().failing, "a write that fails")
+        # Faults are judged with each window.
+        bench.play(1, 60.0)
         wait_for(lambda: "StoreFailing" in bench.faults, "StoreFailing after a start on a full disk")
         ballast.unlink()
         wait_for(lambda: not bench.daemon.writer.health().failing, "recovery")
