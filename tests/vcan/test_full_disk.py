@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.service import bench as service_bench
-from tests.service.bench import START_S, running, wait_for
+from tests.service.bench import START_S, Bench, running, wait_for
 from yieldmon.service.store import Store
 
 pytestmark = pytest.mark.vcan
@@ -38,6 +38,13 @@ def fill(folder: Path) -> Path:
             return ballast
 
 
+def play_on(bench: Bench) -> None:
+    """Windows in which a failed write shows: what is found after one is judged with the next."""
+    for _ in range(3):
+        bench.play(1, 60.0)
+        bench.played()
+
+
 def test_a_full_disk_is_a_fault_and_nothing_is_lost(small_disk: Path, tmp_path: Path) -> None:
     with running(tmp_path, SETTINGS, state=small_disk) as bench:
         bench.play(4, 0.0)
@@ -50,7 +57,7 @@ def test_a_full_disk_is_a_fault_and_nothing_is_lost(small_disk: Path, tmp_path: 
             bench.played()
             if bench.daemon.writer.health().failing:
                 break
-        bench.play(3, 60.0)
+        play_on(bench)
         wait_for(lambda: "StoreFailing" in bench.faults, "StoreFailing")
         measured_kg = bench.status["total"]["mass_kg"]
     fill(small_disk)
@@ -59,8 +66,7 @@ def test_a_full_disk_is_a_fault_and_nothing_is_lost(small_disk: Path, tmp_path: 
         assert 0.0 < kept_kg <= measured_kg + 10.0, "the state is read from a full disk"
         bench.play(4, 60.0)
         wait_for(lambda: bench.daemon.writer.health().failing, "a write that fails")
-        # Faults are judged with each window.
-        bench.play(1, 60.0)
+        play_on(bench)
         wait_for(lambda: "StoreFailing" in bench.faults, "StoreFailing after a start on a full disk")
         ballast.unlink()
         wait_for(lambda: not bench.daemon.writer.health().failing, "recovery")
