@@ -170,11 +170,8 @@ def _calibration(
     expected = _expected_rms(np.log(after / problem.weighed)[judges], errors[judges])
     refused = bool(active.sum() > 1 and expected > rms_before)
     chosen, after = (problem.given, before) if refused else (posterior, after)
-    results = tuple(
-        LoadResult(load.name, load.weighed_kg, float(b), float(a), float(np.expm1(e)), not bool(ok))
-        for load, b, a, e, ok in zip(problem.loads, before, after, errors, active, strict=True)
-    )
-    moving = () if refused else tuple(n for n, v in chosen.values.items() if problem.given.values.get(n) != v)
+    results = _results(problem, before, after, errors, active)
+    moving = _moved_names(problem.given, chosen)
     calibration = LoadCalibration(
         parameter_set=chosen,
         names=moving,
@@ -192,6 +189,20 @@ def _calibration(
         contradiction=_contradiction(problem, errors) if (against or not active.all()) and together is None else None,
     )
     return replace(calibration, sentences=tuple(sentences(calibration, len(sweeps))))
+
+
+def _results(
+    problem: LoadProblem, before: Array, after: Array, errors: Array, active: NDArray[np.bool_]
+) -> tuple[LoadResult, ...]:
+    return tuple(
+        LoadResult(load.name, load.weighed_kg, float(b), float(a), float(np.expm1(e)), not bool(ok))
+        for load, b, a, e, ok in zip(problem.loads, before, after, errors, active, strict=True)
+    )
+
+
+def _moved_names(given: ParameterSet, chosen: ParameterSet) -> tuple[str, ...]:
+    """Of a refused calibration none, since the set given is the one chosen."""
+    return tuple(n for n, v in chosen.values.items() if given.values.get(n) != v)
 
 
 def _is_another(found: LawAverage, problem: LoadProblem, active: NDArray[np.bool_]) -> bool:
@@ -223,11 +234,8 @@ def _by_another_law(
     spread = np.einsum("ki,ij,kj->k", rows, found.covariance, rows)
     own = np.mean(problem.own[active] ** 2) + found.scatter**2
     mean = rows.mean(axis=0)
-    results = tuple(
-        LoadResult(load.name, load.weighed_kg, float(b), float(a), float(np.expm1(e)), not bool(ok))
-        for load, b, a, e, ok in zip(problem.loads, before, after, errors, active, strict=True)
-    )
-    moving = () if refused else tuple(n for n, v in chosen.values.items() if problem.given.values.get(n) != v)
+    results = _results(problem, before, after, errors, active)
+    moving = _moved_names(problem.given, chosen)
     calibration = LoadCalibration(
         parameter_set=chosen,
         names=moving,
