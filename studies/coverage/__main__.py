@@ -1,11 +1,14 @@
 """Whether the published standard deviations of flow and load mass hold: z over scenarios of the virtual combine.
 
     python -m studies.coverage                            # all scenarios; table here as results.json
-    python -m studies.coverage --seeds 2 --duration 200   # quicker
+    python -m studies.coverage --machines 4               # quicker
     python -m studies.coverage --only slip lively --out F
+    python -m studies.coverage --fixed                    # sizes fixed, the shipped parameters as they are
 
-z = (published - true) / published standard deviation. Flow: every second from 4 kg/s. Load: every load of a minute. In the slip
-scenario the first load is weighed; there the alarm counts and not z.
+z = (published - true) / published standard deviation. Flow: every second from 4 kg/s. Load: every load of a minute. An error that
+all seconds of a run share is one draw, however long the run: so every run is a machine of its own, whose parameters are the
+combine's grain and an error drawn from the stated covariance, and whose effect has a size drawn from a distribution. Rows "after"
+count from the first whole sweep (sweeps) or the first ticket (slip) on: what nothing has shown yet, no budget can hold.
 """
 
 from __future__ import annotations
@@ -14,15 +17,20 @@ import argparse
 import json
 import subprocess
 import sys
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon import frames as bus
 from yieldmon.engine.faults import FaultCode
-from yieldmon.engine.results import frames_in, records_in
+from yieldmon.engine.plate import SweepEnded
+from yieldmon.engine.results import events_in, frames_in, records_in
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.frames import SweepState
 from yieldmon.physics.machine import RPM
 from yieldmon.plant.combine import VirtualCombine
 from yieldmon.plant.effects import ChainSlip, Effects, MoistureDependence, PlateFriction
@@ -37,99 +45,190 @@ FIRST_SEED = 41000
 EMPTY_S = 8.0
 LOAD_S = 60.0
 LEAST_KG_S = 4.0
-LINE = "{scenario:>10} {of}: {count} z, mean {mean:+.2f}, sd {sd:.2f}, {within_1:.0%} / {within_2:.0%}"
+LINE = "{scenario:>10} {of:>10}: {count} z of {machines}, mean {mean:+.2f}, sd {sd:.2f}, {within_1:.0%} / {within_2:.0%}"
 SETTLING_S = 15.0
 """Of harvest, before the first second that counts."""
 
 
 @dataclass(frozen=True)
-class Case:
-    """What differs from the ordinary harvest. sweep_every_s: 0 for none; weighs: the first load gets its ticket."""
+class Sizes:
+    """What differs from the ordinary harvest in one run. sweep_every_s: 0 for none; weighs: the first load gets its ticket."""
 
-    name: str
-    effects: dict[str, Any] = field(default_factory=dict)
+    plate_friction: float = 0.0
+    slip: float = 0.0
+    moisture: MoistureDependence | None = None
     scatter_pct: float = 7.0
     variation_pct: float = 1.5
     variation_time_s: float = 20.0
+    moisture_pct: float = 15.0
     end_moisture_pct: float | None = None
+    moisture_measured: bool = True
+    swings: bool = True
     sweep_every_s: float = 0.0
     weighs: bool = False
 
+    @property
+    def effects(self) -> Effects:
+        """Of the combine."""
+        own: dict[str, Any] = {"moisture_dependence": self.moisture}
+        if self.plate_friction:
+            own["plate_friction"] = PlateFriction(friction=self.plate_friction)
+        if self.slip:
+            own["chain_slip"] = ChainSlip(share=self.slip)
+        return Effects().model_copy(update=own)
+
+
+def _slopes(rng: np.random.Generator) -> MoistureDependence:
+    """Of a variety: published slopes of friction, restitution and density (config/crops.yaml), spread by half."""
+    friction, restitution, density = rng.normal((0.030, -0.020, -0.007), (0.012, 0.008, 0.004))
+    return MoistureDependence(
+        friction_per_pct=float(np.clip(friction, -0.2, 0.2)),
+        restitution_per_pct=float(np.clip(restitution, -0.1, 0.1)),
+        density_per_pct=float(np.clip(density, -0.05, 0.05)),
+    )
+
+
+def _dried(rng: np.random.Generator) -> Sizes:
+    slopes = _slopes(rng)
+    return Sizes(moisture=slopes, end_moisture_pct=float(rng.uniform(8.0, 22.0)))
+
+
+def _unmeasured(rng: np.random.Generator) -> Sizes:
+    slopes = _slopes(rng)
+    return Sizes(moisture=slopes, moisture_pct=float(np.clip(rng.normal(15.0, 2.0), 6.0, 24.0)), moisture_measured=False)
+
+
+def _friction(rng: np.random.Generator) -> float:
+    """Of grain on the plate: half normal, 0.15 in the rms, as large as the fixed one."""
+    return float(min(abs(rng.normal(0.0, 0.15)), 0.6))
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scenario: sizes of one run, drawn; and the sizes as they are fixed."""
+
+    name: str
+    drawn: Callable[[np.random.Generator], Sizes]
+    fixed: Sizes
+
 
 CASES = (
-    Case("ordinary"),
-    Case("scatter", scatter_pct=12.0),
-    Case("lively", variation_pct=8.0, variation_time_s=6.0),
-    Case("moisture", effects={"moisture_dependence": MoistureDependence()}, end_moisture_pct=22.0),
-    Case("sweeps", effects={"plate_friction": PlateFriction(friction=0.15)}, sweep_every_s=90.0),
-    Case("slip", effects={"chain_slip": ChainSlip(share=0.06)}, weighs=True),
+    Case("ordinary", lambda rng: Sizes(), Sizes()),
+    Case("scatter", lambda rng: Sizes(scatter_pct=float(rng.uniform(8.0, 16.0))), Sizes(scatter_pct=12.0)),
+    Case(
+        "lively",
+        lambda rng: Sizes(variation_pct=float(rng.uniform(5.0, 11.0)), variation_time_s=float(rng.uniform(4.0, 9.0))),
+        Sizes(variation_pct=8.0, variation_time_s=6.0),
+    ),
+    Case("moisture", _dried, Sizes(moisture=MoistureDependence(), end_moisture_pct=22.0)),
+    Case("unmeasured", _unmeasured, Sizes(moisture=MoistureDependence(), moisture_pct=17.0, moisture_measured=False)),
+    Case(
+        "sweeps",
+        lambda rng: Sizes(plate_friction=_friction(rng), sweep_every_s=90.0),
+        Sizes(plate_friction=0.15, sweep_every_s=90.0),
+    ),
+    Case(
+        "steady",
+        lambda rng: Sizes(plate_friction=_friction(rng), sweep_every_s=30.0, swings=False),
+        Sizes(plate_friction=0.15, sweep_every_s=30.0, swings=False),
+    ),
+    Case(
+        "clean",
+        lambda rng: Sizes(sweep_every_s=30.0, swings=False),
+        Sizes(sweep_every_s=30.0, swings=False),
+    ),
+    Case("slip", lambda rng: Sizes(slip=float(rng.uniform(0.03, 0.09)), weighs=True), Sizes(slip=0.06, weighs=True)),
 )
 
 
 @dataclass(frozen=True)
 class Found:
-    """z of seconds and loads of one run, and whether the alarm of scale was shown after the first ticket."""
+    """z of seconds and loads of one run, all and those after the first whole sweep or ticket, and whether the alarm of scale was
+    shown after the first ticket."""
 
     flow: NDArray[np.float64]
     load: NDArray[np.float64]
+    flow_after: NDArray[np.float64]
+    load_after: NDArray[np.float64]
     alarm: bool
 
 
-def scenario_of(case: Case, duration_s: float) -> Scenario:
-    """The case's harvest: steady at 10 kg/s, then swinging about 12 kg/s by 3 in 60 s."""
-    pieces: list[Any] = [
-        Steady(kind="steady", duration_s=EMPTY_S, flow_kg_s=0.0),
-        Steady(kind="steady", duration_s=60.0, flow_kg_s=10.0),
-        Oscillating(kind="oscillating", duration_s=duration_s, mean_kg_s=12.0, amplitude_kg_s=3.0, period_s=60.0),
-    ]
-    flow = FlowProfile(pieces=pieces, variation_pct=case.variation_pct, variation_time_s=case.variation_time_s, smoothing_s=0.7)
-    crop = Crop(end_moisture_pct=case.end_moisture_pct)
-    effects = Effects().model_copy(update=case.effects)
-    return Scenario(duration_s=duration_s, crop=crop, effects=effects, flow=flow, paddle_scatter_pct=case.scatter_pct)
+def scenario_of(sizes: Sizes, duration_s: float) -> Scenario:
+    """The harvest: steady at 10 kg/s, then swinging about 12 kg/s by 3 in 60 s, or steady at 11 kg/s."""
+    pieces: list[Any] = [Steady(kind="steady", duration_s=EMPTY_S, flow_kg_s=0.0)]
+    if sizes.swings:
+        pieces += [
+            Steady(kind="steady", duration_s=60.0, flow_kg_s=10.0),
+            Oscillating(kind="oscillating", duration_s=duration_s, mean_kg_s=12.0, amplitude_kg_s=3.0, period_s=60.0),
+        ]
+    else:
+        pieces += [Steady(kind="steady", duration_s=duration_s, flow_kg_s=11.0)]
+    flow = FlowProfile(pieces=pieces, variation_pct=sizes.variation_pct, variation_time_s=sizes.variation_time_s, smoothing_s=0.7)
+    crop = Crop(moisture_pct=sizes.moisture_pct, end_moisture_pct=sizes.end_moisture_pct)
+    return Scenario(duration_s=duration_s, crop=crop, effects=sizes.effects, flow=flow, paddle_scatter_pct=sizes.scatter_pct)
 
 
-def one(case: Case, duration_s: float, seed: int) -> Found:
-    """One run with the shipped configuration."""
+def parameters_of(shipped_set: ParameterSet, rng: np.random.Generator) -> ParameterSet:
+    """A machine's: the combine's own grain, and an error drawn from the covariance that the shipped set states."""
+    crop, names = Crop(), shipped_set.covariance_names
+    grain = {"friction": crop.friction, "density": crop.bulk_density_kg_m3, "restitution": crop.restitution}
+    error = rng.multivariate_normal(np.zeros(len(names)), shipped_set.covariance)
+    moved = {name: grain[name] + float(by) for name, by in zip(names, error, strict=True)}
+    return replace(shipped_set, values={**shipped_set.values, **moved})
+
+
+def one(case: Case, duration_s: float, seed: int, *, fixed: bool) -> Found:
+    """One run with the shipped configuration. fixed: the shipped parameters and the case's fixed sizes."""
     settings = configuration.load(shipped("config/yieldmon.yaml"))
-    sweep = replace(
-        settings.engine.sweep,
-        enabled=case.sweep_every_s > 0.0,
-        first_after_s=case.sweep_every_s or 600.0,
-        interval_s=case.sweep_every_s or 1800.0,
-    )
-    monitor = build_monitor(replace(settings.engine, sweep=sweep), settings.machine, settings.parameters, settings.calibrator)
-    scenario = scenario_of(case, duration_s)
+    rng = np.random.default_rng((seed, 16))
+    sizes = case.fixed if fixed else case.drawn(rng)
+    parameters = settings.parameters if fixed else parameters_of(settings.parameters, rng)
+    every_s = sizes.sweep_every_s
+    sweep = replace(settings.engine.sweep, enabled=every_s > 0.0, first_after_s=every_s or 600.0, interval_s=every_s or 1800.0)
+    monitor = build_monitor(replace(settings.engine, sweep=sweep), settings.machine, parameters, settings.calibrator)
+    scenario = scenario_of(sizes, duration_s)
     combine = VirtualCombine(scenario, settings.machine, seed)
     records, ends = [], np.arange(EMPTY_S - 1.0, duration_s, LOAD_S)
-    loads: list[float] = []
+    loads: list[tuple[float, float]] = []
     delay_s = 0.5 * settings.machine.pattern_length_m / settings.machine.paddle_speed_m_s(scenario.elevator.speed_rpm * RPM)
-    alarm = False
+    alarm, known_s = False, np.inf
     for number, end_s in enumerate((*ends.tolist(), duration_s)):
         for frame in combine.frames_until(end_s):
+            if frame.message == bus.GRAIN_CONDITION and not sizes.moisture_measured:
+                continue
             found = monitor.feed(frame)
             for answer in frames_in(found):
                 combine.handle(answer)
             records += records_in(found)
+            ended = [e for e in events_in(found) if isinstance(e, SweepEnded) and e.state is not SweepState.ABORTED]
+            known_s = min(known_s, frame.time_s) if ended else known_s
         load, alarm = monitor.open_load, alarm or monitor.faults.is_active(FaultCode.SCALE_DISAGREES)
         if number and load is not None and load.measured_kg > 100.0:
             times = np.array([records[-round(LOAD_S)].time_s - 1.0, records[-1].time_s]) - delay_s
             if end_s - times[0] < LOAD_S + 2.0 and number <= ends.size - 1:
                 true_kg = float(np.diff(combine.delivered_kg(times))[0])
-                loads.append((load.measured_kg - true_kg) / load.std_dev_kg)
-                if case.weighs and number == 1:
+                # A load that was open when it became known is told of as well.
+                loads.append((end_s, (load.measured_kg - true_kg) / load.std_dev_kg))
+                if sizes.weighs and number == 1:
                     monitor.ticket(load.number, true_kg, 0.002 * true_kg)
+                    known_s = end_s + 1.0
         monitor.start_load()
     time_s = np.array([r.time_s for r in records])
     true = combine.delivered_kg(time_s - delay_s) - combine.delivered_kg(np.maximum(time_s - delay_s - 1.0, 0.0))
     flow, sd = (np.array([getattr(r, name) for r in records]) for name in ("mass_flow_kg_s", "std_dev_kg_s"))
     counts = (true >= LEAST_KG_S) & np.isfinite(flow) & (time_s > EMPTY_S + SETTLING_S)
-    return Found(((flow - true) / sd)[counts], np.array(loads), alarm)
+    z, load_z = (flow - true) / sd, np.array([value for _, value in loads])
+    after = np.array([at > known_s for at, _ in loads], dtype=bool)
+    return Found(z[counts], load_z, z[counts & (time_s > known_s)], load_z[after], alarm)
 
 
-def row(name: str, values: NDArray[np.float64]) -> dict[str, Any]:
-    """Mean, standard deviation and shares within one and two of it."""
+def row(name: str, runs: list[NDArray[np.float64]]) -> dict[str, Any]:
+    """Mean, standard deviation about 0 and about the mean, and shares within one and two."""
+    values = np.concatenate(runs)
     return {
-        "of": name, "count": int(values.size), "mean": round(float(values.mean()), 2), "sd": round(float(values.std()), 2),
+        "of": name, "machines": sum(run.size > 0 for run in runs), "count": int(values.size),
+        "mean": round(float(values.mean()), 2), "sd": round(float(values.std()), 2),
+        "rms": round(float(np.sqrt(np.mean(values**2))), 2),
         "within_1": round(float(np.mean(np.abs(values) <= 1.0)), 3), "within_2": round(float(np.mean(np.abs(values) <= 2.0)), 3),
     }  # fmt: skip
 
@@ -137,23 +236,26 @@ def row(name: str, values: NDArray[np.float64]) -> dict[str, Any]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--first", type=int, default=FIRST_SEED, help="first seed (default: %(default)s)")
-    parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--duration", type=float, default=370.0, help="of a run, s")
+    parser.add_argument("--machines", type=int, default=24, help="runs of each scenario (default: %(default)s)")
+    parser.add_argument("--duration", type=float, default=190.0, help="of a run, s (default: %(default)s)")
     parser.add_argument("--only", nargs="+", choices=[case.name for case in CASES], default=[case.name for case in CASES])
+    parser.add_argument("--fixed", action="store_true", help="sizes fixed and the shipped parameters, in place of machines drawn")
     parser.add_argument("--out", type=Path, default=FOLDER / "results.json")
     args = parser.parse_args()
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False).stdout.strip()
     rows: list[dict[str, Any]] = []
     for case in (case for case in CASES if case.name in args.only):
-        runs = [one(case, args.duration, args.first + k) for k in range(args.seeds)]
-        for what in ("flow", "load"):
-            rows.append({"scenario": case.name, **row(what, np.concatenate([getattr(run, what) for run in runs]))})
-            print(LINE.format(**rows[-1]), flush=True)
-        if case.weighs:
+        runs = [one(case, args.duration, args.first + k, fixed=args.fixed) for k in range(args.machines)]
+        for what in ("flow", "load", "flow_after", "load_after"):
+            values = [getattr(run, what) for run in runs]
+            if any(part.size for part in values):
+                rows.append({"scenario": case.name, **row(what, values)})
+                print(LINE.format(**rows[-1]), flush=True)
+        if case.fixed.weighs:
             rows[-1]["alarm"] = [run.alarm for run in runs]
             print(f"{case.name:>10} alarm after the first ticket: {sum(run.alarm for run in runs)} of {len(runs)}", flush=True)
-    found = {"commit": commit, "first_seed": args.first, "seeds": args.seeds, "duration_s": args.duration, "rows": rows}
-    args.out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    found = {"commit": commit, "first_seed": args.first, "machines": args.machines, "duration_s": args.duration}
+    args.out.write_text(json.dumps({**found, "fixed": args.fixed, "rows": rows}, indent=1) + "\n", encoding="utf-8")
     return 0
 
 

@@ -6,6 +6,7 @@ import re
 from dataclasses import replace
 from math import hypot, isnan, nan, sqrt
 
+import numpy as np
 import pytest
 from engine_bench import ZERO_MV, Bench, ForceProportional, feed, monitor
 from hypothesis import given
@@ -52,39 +53,75 @@ def test_the_zero_is_less_sure_the_longer_it_was_not_seen(since_empty_s: float, 
 
 
 @pytest.mark.parametrize(
-    ("seen", "calibrated", "followed", "expected"),
+    ("seen", "calibrated", "followed", "expected_pct"),
     [
         ([15.0], None, False, 0.0),
-        ([15.0, 18.0], None, False, 0.03),
+        ([15.0] * 6 + [18.0] * 60, None, False, 3.0),
+        ([18.0] * 6 + [15.0] * 60, None, False, 3.0),
         ([15.0, 18.0], None, True, 0.0),
-        ([18.0], (14.0, 16.0), False, 0.02),
-        ([13.0], (14.0, 16.0), False, 0.01),
+        ([18.0], (14.0, 16.0), False, 2.0),
+        ([13.0], (14.0, 16.0), False, 1.0),
         ([15.0], (14.0, 16.0), False, 0.0),
-        ([nan], None, False, 0.02),
+        ([nan], None, False, 2.0),
         ([nan, 20.0], None, False, 0.0),
+        ([15.0] * 6 + [18.0] * 60 + [nan], None, False, hypot(3.0, 2.0)),
     ],
 )
 def test_moisture_that_moves_without_a_map_widens(
-    seen: list[float], calibrated: tuple[float, float] | None, followed: bool, expected: float
+    seen: list[float], calibrated: tuple[float, float] | None, followed: bool, expected_pct: float
 ) -> None:
     reference = MoistureReference(SETTINGS)
     found = [reference.relative_std_dev(value, 1, calibrated, followed=followed) for value in seen][-1]
-    assert found == pytest.approx(expected)
+    assert found == pytest.approx(SETTINGS.moisture_per_pct * expected_pct, rel=1e-3)
+
+
+def test_a_moisture_sensor_that_scatters_widens_little() -> None:
+    """Readings 0.2 points about a steady moisture: a tenth of a point is left."""
+    rng = np.random.default_rng(4)
+    found = []
+    for _ in range(50):
+        reference = MoistureReference(SETTINGS)
+        readings = (15.0 + 0.2 * rng.standard_normal(60)).tolist()
+        found.append([reference.relative_std_dev(value, 1, None, followed=False) for value in readings][-1])
+    assert float(np.mean(found)) < 0.15 * SETTINGS.moisture_per_pct
+
+
+def _after(*readings: float) -> MoistureReference:
+    reference = MoistureReference(SETTINGS)
+    for value in readings:
+        reference.relative_std_dev(value, 1, None, followed=False)
+    return reference
 
 
 def test_other_parameters_have_a_moisture_of_their_own() -> None:
-    reference = MoistureReference(SETTINGS)
-    reference.relative_std_dev(15.0, 1, None, followed=False)
-    assert reference.relative_std_dev(20.0, 1, None, followed=False) == pytest.approx(0.05)
+    reference = _after(*[15.0] * 6, *[20.0] * 60)
+    assert reference.relative_std_dev(20.0, 1, None, followed=False) == pytest.approx(5.0 * SETTINGS.moisture_per_pct, rel=1e-3)
     assert reference.relative_std_dev(20.0, 2, None, followed=False) == 0.0
+
+
+@pytest.mark.parametrize(("grain_pct", "away_pct"), [(nan, 5.0), (18.0, 2.0), (20.0, 0.0)])
+def test_parameters_that_hold_for_known_grain_keep_its_moisture(grain_pct: float, away_pct: float) -> None:
+    """A sweep leaves the scale at the moisture it was set at; a ticket sets it at that of its load."""
+    reference = _after(*[15.0] * 6, *[20.0] * 60)
+    reference.hold(2, grain_pct)
+    found = reference.relative_std_dev(20.0, 2, None, followed=False)
+    assert found == pytest.approx(away_pct * SETTINGS.moisture_per_pct, rel=1e-3, abs=1e-5)
+
+
+def test_the_moisture_of_the_parameters_outlives_a_restart() -> None:
+    state = EngineState(moisture=_after(15.0, 16.0).state)
+    assert EngineState.from_dict(state.as_dict()) == state
+    document = state.as_dict()
+    del document["moisture"]
+    assert EngineState.from_dict(document).moisture is None
 
 
 def test_records_and_frames_carry_the_standard_deviation_of_the_masses() -> None:
     target = monitor(estimator=ForceProportional(relative_std_dev=0.04))
     sent = feed(target, STEADY.run(60))
     record = target.records[-1]
-    # 4 % is common to all seconds; the unmeasured moisture adds its 2 %.
-    assert record.load_std_dev_kg / record.load_kg == pytest.approx(hypot(0.04, 0.02), rel=0.1)
+    # 4 % is common to all seconds; the unmeasured moisture adds its 4 %.
+    assert record.load_std_dev_kg / record.load_kg == pytest.approx(hypot(0.04, 0.04), rel=0.1)
     assert record.noise_std_dev_kg_s < record.std_dev_kg_s
     shown = [frame.signals for frame in sent if frame.message == "MassStdDev"][-1]
     assert shown == {"LoadMassStdDev": record.load_std_dev_kg, "TotalMassStdDev": record.total_std_dev_kg}

@@ -7,7 +7,7 @@ which is right within a load and an upper bound beyond it (JCGM 100:2008, 5.2.2 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot, isfinite, sqrt
 
 from yieldmon.engine.quick import maker_of
@@ -100,6 +100,10 @@ class MassBudget:
         factor = after_kg / before_kg
         return MassBudget(self.noise_kg2 * factor, self.parameters_kg * factor, self.zero_kg * factor, self.moisture_kg * factor)
 
+    def with_common(self, parameters_kg: float) -> MassBudget:
+        """The budget of a mass whose parameters turn out to be less sure than they were taken to be, by so much at least."""
+        return replace(self, parameters_kg=max(self.parameters_kg, parameters_kg))
+
     @property
     def std_dev_kg(self) -> float:
         """All causes together."""
@@ -114,21 +118,31 @@ class MassBudget:
 _made = maker_of(MassBudget)
 EMPTY = MassBudget()
 """Of no mass."""
+_AVERAGED_READINGS = 6
 
 
 @dataclass(frozen=True, slots=True)
-class _Moisture:
+class MoistureState:
+    """The moisture for which parameters hold. version: of the parameters. low_pct, high_pct: the moisture, or its range, %.
+    now_pct: mean of the newest readings, %. readings: of which low_pct and high_pct are the mean; 0: they are stated."""
+
     version: int
     low_pct: float
     high_pct: float
+    now_pct: float
+    readings: int = 0
 
 
 class MoistureReference:
-    """The moisture for which the parameters hold: their calibrated range, or what was first measured with them."""
+    """The moisture for which the parameters hold: their calibrated range, that of the load which set their scale, or what was
+    first measured with them. A sweep does not change it, since it leaves the scale as it was.
+
+    Readings are averaged, about the newest six: a moisture sensor scatters by some tenths of a point.
+    """
 
     def __init__(self, settings: BudgetSettings) -> None:
         self._settings = settings
-        self._reference: _Moisture | None = None
+        self.state: MoistureState | None = None
 
     def relative_std_dev(
         self, moisture_pct: float, version: int, calibrated: tuple[float, float] | None, *, followed: bool
@@ -152,14 +166,41 @@ class MoistureReference:
         """
         if followed:
             return 0.0
+        known = self.state if self.state is not None and self.state.version == version else None
         if not isfinite(moisture_pct):
-            return self._settings.moisture_per_pct * self._settings.unmeasured_moisture_pct
-        reference = self._reference
-        if reference is None or reference.version != version:
-            low, high = calibrated if calibrated is not None else (moisture_pct, moisture_pct)
-            reference = self._reference = _Moisture(version, low, high)
-        away_pct = max(reference.low_pct - moisture_pct, moisture_pct - reference.high_pct, 0.0)
-        return self._settings.moisture_per_pct * away_pct
+            unmeasured_pct = self._settings.unmeasured_moisture_pct
+            return self._settings.moisture_per_pct * hypot(unmeasured_pct, 0.0 if known is None else _away_pct(known))
+        known = _begun(version, moisture_pct, calibrated) if known is None else _with_reading(known, moisture_pct)
+        self.state = known
+        return self._settings.moisture_per_pct * _away_pct(known)
+
+    def hold(self, version: int, moisture_pct: float) -> None:
+        """Other parameters come, which hold for grain of this moisture, %; nan: for that of those before."""
+        if isfinite(moisture_pct):
+            now_pct = moisture_pct if self.state is None else self.state.now_pct
+            self.state = MoistureState(version, moisture_pct, moisture_pct, now_pct)
+        elif self.state is not None:
+            self.state = replace(self.state, version=version)
+
+
+def _begun(version: int, moisture_pct: float, calibrated: tuple[float, float] | None) -> MoistureState:
+    if calibrated is not None:
+        return MoistureState(version, *calibrated, moisture_pct)
+    return MoistureState(version, moisture_pct, moisture_pct, moisture_pct, 1)
+
+
+def _with_reading(known: MoistureState, moisture_pct: float) -> MoistureState:
+    """One reading more: the reference itself is the mean of the first few."""
+    if 0 < known.readings < _AVERAGED_READINGS:
+        count = known.readings + 1
+        mean = known.low_pct + (moisture_pct - known.low_pct) / count
+        return MoistureState(known.version, mean, mean, mean, count)
+    now = known.now_pct + (moisture_pct - known.now_pct) / _AVERAGED_READINGS
+    return MoistureState(known.version, known.low_pct, known.high_pct, now, known.readings)
+
+
+def _away_pct(known: MoistureState) -> float:
+    return max(known.low_pct - known.now_pct, known.now_pct - known.high_pct, 0.0)
 
 
 def zero_std_dev_mv(settings: BudgetSettings, since_empty_s: float) -> float:

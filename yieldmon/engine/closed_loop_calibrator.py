@@ -332,7 +332,9 @@ class ClosedLoopCalibrator:
             self._model = self._model.with_effects(known.effects)
         follows = self._drifting.state.shape == step.after.shape and known.covariance_names == prior.covariance_names
         led = CalibrationStep(used.version, begun_s, moment[0], step, tuple(map(float, self._drifting.state)))
-        return CalibrationOutcome(OpenLoop(self._model, known), reason, outcome.updated, step=led if follows else None)
+        moved = self._map is not None
+        step_taken = led if follows else None
+        return CalibrationOutcome(OpenLoop(self._model, known), reason, outcome.updated, step=step_taken, moved_by_moisture=moved)
 
     def _without_sweeps(self, used: ParameterSet, now_s: float) -> CalibrationOutcome:
         """The model lacks something, so updates from sweeps were wrong: back to what was given, unless changed otherwise.

@@ -10,6 +10,7 @@ from math import isfinite, nan
 from yieldmon.engine.faults import FAULTS, FaultCode, Observation, Severity
 from yieldmon.engine.flow import Circumstances, Estimate, Flow
 from yieldmon.engine.health import conditions
+from yieldmon.engine.learning import ParametersChanged
 from yieldmon.engine.loads import LoadEvents
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.parts import Parts
@@ -17,9 +18,11 @@ from yieldmon.engine.publishing import Published
 from yieldmon.engine.quick import maker_of
 from yieldmon.engine.records import FlowEstimator, Second, record_of
 from yieldmon.engine.results import Event, Result, WindowResult, ZeroTaken
+from yieldmon.engine.scale_alarm import ScaleCheck
 from yieldmon.engine.since_zero import NO_LOAD, KeptSecond, MissedMass
 from yieldmon.engine.sweep import SweepWindow, support_start_s
 from yieldmon.engine.waveform import NOTHING, WaveformReading
+from yieldmon.estimation.sweep_model_error import ModelError
 from yieldmon.frames import OperatingState
 
 _result = maker_of(WindowResult)
@@ -49,6 +52,8 @@ class Conclusion:
         """Of the windows that `completed` has not had yet."""
         self.windows = 0
         self.publishing = True
+        self._away = 0, 0.0
+        """Number of the open load, and mass of it, kg, that was measured with the plate away from home."""
         self._zero_mv = nan
         """With which the next window is measured; nan where that is not known yet."""
         self.begun_with: LoadEvents = ()
@@ -68,6 +73,7 @@ class Conclusion:
         area_m2 = parts.area.second(window.end_s, window.weight_s, reading.inputs, grain_comes=flow.measured)
         mass_kg = loads.count(window, flow, reading.inputs.fresh["moisture"], area_m2)
         self._weigh(reading, flow, mass_kg)
+        self._count_away(mass_kg, at_home=reading.at_home)
         step = sweep.window(self._sweep_window(reading, flow))
         shown = parts.faults.observe_all(conditions(self._observation(reading, flow)), bus_s)
         published = parts.flow_meter.published(flow, plate_rests_at_home=reading.still and reading.at_home)
@@ -79,7 +85,10 @@ class Conclusion:
             number = kept.load_number if loads.totals.load_open else NO_LOAD
             parts.since_zero.add((replace(kept, zero_mv=zero_mv, load_number=number),))
         self._zero_mv = record.zero_mv
+        believed = learning.model_error, learning.scale_alarm.state.contradiction
         learnt = learning.learn(window.end_s, record, sweep)
+        self._widen(*believed)
+        self._hold_moisture(learnt)
         if parts.waveform is not None and not (sweep.driving or learnt):
             lesson = parts.waveform.lessons.take()
             learnt = learning.hear(lesson, record) if lesson is not None else ()
@@ -118,7 +127,8 @@ class Conclusion:
 
     def _by_mean_force(self, reading: Reading, estimate: Estimate | None, estimator: FlowEstimator) -> Flow:
         parts = self._parts
-        circumstances = Circumstances(parts.plate.sweep.visiting, parts.faults.is_active(FaultCode.CALIBRATION_OLD))
+        old = parts.faults.is_active(FaultCode.CALIBRATION_OLD)
+        circumstances = Circumstances(parts.plate.sweep.visiting, old, parts.learning.model_error)
         return parts.flow_meter.flow(reading, estimate, estimator, circumstances)
 
     def _corrected(self, by_mean_force: Flow, end_s: float, estimator: FlowEstimator) -> Flow:
@@ -152,6 +162,28 @@ class Conclusion:
             loads.correct({number: MissedMass().plus(missed_kg, None, area_known=True)})
         if totals.load_open:
             learning.measured(totals.load_number, reading, flow, mass_kg)
+
+    def _widen(self, model_error: ModelError, contradiction: ScaleCheck | None) -> None:
+        """What the open load holds is as unsure as sweeps or a weighed mass have just shown it to be. Before: the model's error,
+        and the mass that contradicted."""
+        loads, learning, flow_error = self._parts.loads, self._parts.learning, self._parts.flow_meter.flow_error
+        error, mass_kg = learning.model_error, loads.totals.load_kg
+        if error.home > model_error.home or error.away > model_error.away:
+            loads.widen(flow_error(error.home) * mass_kg + flow_error(error.away) * self._away[1])
+        found = learning.scale_alarm.state.contradiction
+        if found is not None and found is not contradiction:
+            loads.widen(abs(found.error_pct) / 100.0 * mass_kg)
+
+    def _count_away(self, mass_kg: float, *, at_home: bool) -> None:
+        totals = self._parts.loads.totals
+        number, away_kg = self._away
+        self._away = totals.load_number, (away_kg if number == totals.load_number else 0.0) + (0.0 if at_home else mass_kg)
+
+    def _hold_moisture(self, learnt: Sequence[ParametersChanged]) -> None:
+        """The moisture for which changed parameters hold; where none is known, the one before."""
+        for change in learnt:
+            if change.moisture_pct is not None:
+                self._parts.flow_meter.moisture.hold(change.parameters.version, change.moisture_pct)
 
     def _observation(self, reading: Reading, flow: Flow) -> Observation:
         parts, learning = self._parts, self._parts.learning

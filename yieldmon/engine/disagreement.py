@@ -13,6 +13,7 @@ from yieldmon.engine.settings import DisagreementSettings
 from yieldmon.estimation.angle_pattern import without_pattern
 from yieldmon.estimation.misfit import NO_MISFIT, Misfit, ReducedSweep, common_misfit, pooled_residuals, reduce_sweep
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.sweep_model_error import NO_ERROR, ModelError, model_error
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
@@ -107,6 +108,13 @@ class Disagreement:
         misfit = self._misfit(kept, parameters)
         self._state = replace(kept, present=misfit.disagrees)
         self._region = _in_words(misfit, len(kept.patterns))
+
+    def model_error(self, parameters: ParameterSet) -> ModelError:
+        """How far the force by these parameters may be off, by the patterns kept."""
+        sweeps = [pattern.reduced() for pattern in self._state.patterns]
+        if not sweeps:
+            return NO_ERROR
+        return model_error(self._model(parameters), parameters, sweeps, tolerance=self._settings.tolerance)
 
     def _model(self, parameters: ParameterSet) -> ForwardModel:
         return ForwardModel(self._machine, parameters.effects)

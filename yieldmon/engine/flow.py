@@ -17,6 +17,7 @@ from yieldmon.engine.records import FlowEstimator
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.windows import Window
 from yieldmon.estimation.open_loop import FlowStatus
+from yieldmon.estimation.sweep_model_error import NO_ERROR, ModelError
 from yieldmon.frames import EstimateQuality
 
 _NAN = float("nan")
@@ -56,10 +57,12 @@ class Estimate(NamedTuple):
 
 
 class Circumstances(NamedTuple):
-    """What bears on the quality of a flow beside its window: a sweep is under way, the fault CalibrationOld is shown."""
+    """What bears on a flow beside its window: a sweep is under way, the fault CalibrationOld is shown; the model's error
+    by what sweeps show."""
 
     sweeping: bool
     calibration_old: bool
+    model_error: ModelError = NO_ERROR
 
 
 def estimates(estimator: FlowEstimator, readings: Sequence[Reading]) -> list[Estimate | None]:
@@ -90,7 +93,9 @@ class FlowMeter:
         self._settings = settings
         self._gain_n_per_mv = gain_n_per_mv
         self._filter = FlowFilter(settings.flow_filter)
-        self._moisture = MoistureReference(settings.budget)
+        self.moisture = MoistureReference(settings.budget)
+        self._flow_per_force = _NAN
+        """Relative error of flow from one of force, at the newest flow."""
 
     def flow(self, reading: Reading, estimate: Estimate | None, estimator: FlowEstimator, circumstances: Circumstances) -> Flow:
         """The flow of a window, as it is counted."""
@@ -106,7 +111,7 @@ class FlowMeter:
         saturated = status is FlowStatus.SATURATED or reading.window.saturated_share >= self._settings.windows.saturated_share
         outside = status is FlowStatus.OUTSIDE_CALIBRATION
         quality = self._quality(reading, saturated, outside, circumstances)
-        budget = self._budget(reading, rate, std_dev, own, estimator)
+        budget = self._budget(reading, rate, std_dev, own, estimator, circumstances.model_error)
         return _flow(rate, budget.std_dev_kg_s, quality, reading.force_n, reading.force_std_dev_n, outside, saturated, budget)
 
     def published(self, flow: Flow, *, plate_rests_at_home: bool) -> Flow:
@@ -123,6 +128,10 @@ class FlowMeter:
             rate, spread, flow.quality, flow.force_n, flow.force_std_dev_n, flow.out_of_calibration, flow.saturated, flow.budget
         )
 
+    def flow_error(self, force_error: float) -> float:
+        """Relative error of the newest flow from one of the force; of 0 before there is one."""
+        return force_error * self._flow_per_force if isfinite(self._flow_per_force) else 0.0
+
     def _widened(self, reading: Reading, rate: float, std_dev: float, estimator: FlowEstimator) -> float:
         """The standard deviation with what a held angle and a plate away from home add to it."""
         if reading.inputs.angle_stale:
@@ -131,19 +140,33 @@ class FlowMeter:
             std_dev *= self._settings.sweep.max_std_dev_factor
         return std_dev
 
-    def _budget(self, reading: Reading, rate: float, std_dev: float, own: float | None, estimator: FlowEstimator) -> FlowBudget:
+    def _budget(
+        self,
+        reading: Reading,
+        rate: float,
+        std_dev: float,
+        own: float | None,
+        estimator: FlowEstimator,
+        model_error: ModelError,
+    ) -> FlowBudget:
         """The flow's standard deviation by cause. std_dev: of noise and parameters; own: the estimator's word on the noise."""
         settings, parameters = self._settings.budget, estimator.parameters
         noise = _noise(rate, own, reading)
         zero_n = zero_std_dev_mv(settings, reading.zero_age_s) * self._gain_n_per_mv
         per_n = noise / reading.force_std_dev_n if reading.force_std_dev_n > 0.0 else _NAN
-        relative = self._moisture.relative_std_dev(
+        relative = self.moisture.relative_std_dev(
             reading.inputs.fresh["moisture"],
             parameters.version,
             parameters.calibrated.moisture_pct,
             followed="moisture_dependence" in parameters.effects,
         )
-        return _flow_budget(noise, max(0.0, std_dev**2 - noise**2) ** 0.5, zero_n * per_n, relative * rate)
+        parameters_kg_s = max(0.0, std_dev**2 - noise**2) ** 0.5
+        if rate > 0.0 and reading.force_n > 0.0:
+            self._flow_per_force = per_n * reading.force_n / rate
+        error = model_error.home if reading.at_home else hypot(model_error.home, model_error.away)
+        if error > 0.0 and reading.force_n > 0.0:
+            parameters_kg_s = hypot(parameters_kg_s, error * reading.force_n * per_n)
+        return _flow_budget(noise, parameters_kg_s, zero_n * per_n, relative * rate)
 
     def _quality(self, reading: Reading, saturated: bool, outside: bool, circumstances: Circumstances) -> EstimateQuality:
         if saturated:

@@ -7,6 +7,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite, nan
 
+import numpy as np
+
 from yieldmon.engine.anchors import AnchorSource, ReferenceMass, TankScale
 from yieldmon.engine.budget import MassBudget
 from yieldmon.engine.disagreement import Disagreement
@@ -25,6 +27,7 @@ from yieldmon.engine.windows import Window
 from yieldmon.estimation.admission import refusal
 from yieldmon.estimation.common_bias import KernelLesson
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.sweep_model_error import ModelError
 from yieldmon.frames import EstimateQuality
 from yieldmon.physics.machine import Machine
 
@@ -35,12 +38,14 @@ _KEPT_TICKETS = 12
 @dataclass(frozen=True, slots=True)
 class ParametersChanged:
     """Other parameters from now on. origin: "sweep", "ticket" (a reference mass alone) or "kernels"; reason: one sentence; step:
-    see `records.CalibrationOutcome`."""
+    see `records.CalibrationOutcome`. moisture_pct: of the grain for which they hold, nan where it is not known; None: as measured
+    now."""
 
     parameters: ParameterSet
     origin: str
     reason: str
     step: CalibrationStep | None = None
+    moisture_pct: float | None = None
 
 
 class Learning:
@@ -50,10 +55,10 @@ class Learning:
         self, settings: EngineSettings, machine: Machine, estimator: FlowEstimator, calibrator: SelfCalibrator | None
     ) -> None:
         self.calibrator = calibrator
+        self.disagreement = Disagreement(settings.disagreement, machine)
         self.use(estimator, None)
         self.outcome: CalibrationOutcome | None = None
         """What the last whole sweep or weighed mass changed."""
-        self.disagreement = Disagreement(settings.disagreement, machine)
         self.scale_alarm = ScaleAlarm(settings.faults)
         self._scale = TankScale(settings.anchors)
         self._tickets: deque[ReferenceMass] = deque(maxlen=settings.anchors.keep)
@@ -105,9 +110,24 @@ class Learning:
 
     def use(self, estimator: FlowEstimator, calibration_age_s: float | None) -> None:
         """Other parameters; calibration_age_s: time since they were calibrated, None where it is not known."""
+        self._put(estimator, calibration_age_s, weighed=False)
+
+    def _put(self, estimator: FlowEstimator, calibration_age_s: float | None, *, weighed: bool) -> None:
         self.estimator = estimator
         self.calibration_age_s = calibration_age_s
         self._sweeps_teach = not refusal(estimator.parameters)
+        self._weighed = weighed
+        self.judge_model()
+
+    def judge_model(self, *, weighed: bool | None = None) -> None:
+        """Ask the sweeps' patterns how far the force of the parameters in use may be off. weighed: whether a weighed mass has set
+        them; None: as before."""
+        self._weighed = self._weighed if weighed is None else weighed
+        parameters = self.estimator.parameters
+        found = self.disagreement.model_error(parameters)
+        home = 0.0 if self._weighed else max(found.home**2 - parameters.model_error**2, 0.0) ** 0.5
+        self.model_error = ModelError(home, found.away)
+        """By what sweeps show; at home beyond the parameters' own model_error, and none once a weighed mass has set the scale."""
 
     def change_grain(self, before: str, now: str) -> None:
         """Another crop from now on: weighed masses of the one before teach its parameters alone, when it is back."""
@@ -291,6 +311,7 @@ class Learning:
             sweep.abort(at_s, SweepAbort.FORCE_DOES_NOT_FOLLOW)
             return ()
         self.disagreement.add(records, self.estimator.parameters)
+        self.judge_model()
         weighed: tuple[ParametersChanged, ...] = ()
         changed: tuple[ParametersChanged, ...] = ()
         if self.calibrator is not None:
@@ -331,9 +352,19 @@ class Learning:
         self.scale_alarm.see(outcome.checks)
         if outcome.estimator is None:
             return ()
-        self.use(outcome.estimator, 0.0)
+        self._put(outcome.estimator, 0.0, weighed=outcome.weighed or self._weighed)
         origin = by or ("ticket" if outcome.weighed else "sweep")
-        return (ParametersChanged(outcome.estimator.parameters, origin, outcome.reason, outcome.step),)
+        # What a sweep teaches leaves the scale as it was; a weighed mass's scale is that of its own grain.
+        moisture_pct = None if outcome.moved_by_moisture or by else self._weighed_moisture_pct() if outcome.weighed else nan
+        return (ParametersChanged(outcome.estimator.parameters, origin, outcome.reason, outcome.step, moisture_pct),)
+
+    def _weighed_moisture_pct(self) -> float:
+        """Of the grain that was weighed last, mean over its time; nan where it is not known."""
+        anchors = self.anchors
+        forces = anchors[-1].forces if anchors else None
+        if forces is None:
+            return nan
+        return float(np.average(forces.moisture_pct, weights=forces.duration_s))
 
 
 def _ticket(load: LoadSummary, forces: LoadForces | None, mass_kg: float, std_dev_kg: float, now_s: float) -> ReferenceMass:

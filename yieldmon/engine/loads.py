@@ -133,6 +133,16 @@ class Loads:
         self.totals = self.totals.with_mass(mass_kg, dry_kg, flow.budget, seconds, area_m2)
         return mass_kg
 
+    def widen(self, error_kg: float) -> None:
+        """What the open load holds turns out to be less sure: by error_kg at least, one standard deviation, by its parameters."""
+        totals = self.totals
+        if not (totals.load_open and error_kg > 0.0):
+            return
+        load = totals.load_budget.with_common(error_kg)
+        more_kg = load.parameters_kg - totals.load_budget.parameters_kg
+        total = totals.total_budget.with_common(totals.total_budget.parameters_kg + more_kg)
+        self.totals = replace(totals, load_budget=load, total_budget=total)
+
     def doubt(self) -> None:
         """What was counted last may be wrong: the load is no reference."""
         self._complete = False

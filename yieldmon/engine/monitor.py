@@ -400,6 +400,8 @@ class Monitor:
         calibration_age_s : float or None
             Time since they were calibrated, s; None where it is not known.
         """
+        if dict(estimator.parameters.values) != dict(self._parts.learning.estimator.parameters.values):
+            self._parts.flow_meter.moisture.state = None
         self._parts.learning.use(estimator, calibration_age_s)
         self._parts.learning.scale_alarm.accept()
 

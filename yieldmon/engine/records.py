@@ -272,6 +272,7 @@ class CalibrationOutcome:
     reason: one sentence for the operator. identifiable: what was to be determined was narrowed. weighed: a reference mass alone
     changed it, no sweep. checks: masses weighed since the last call, held against the parameters as they were before it.
     step: what a smoother needs to correct the time before; None where the update does not follow on the one before it.
+    moved_by_moisture: the parameters hold at the moisture of the last window, to which a map has moved them.
     """
 
     estimator: FlowEstimator | None
@@ -280,6 +281,7 @@ class CalibrationOutcome:
     weighed: bool = False
     checks: tuple[ScaleCheck, ...] = ()
     step: CalibrationStep | None = None
+    moved_by_moisture: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,6 +23,7 @@ def snapshot(parts: Parts, windows: int) -> EngineState:
         calibrator=calibrator.snapshot(parts.bus_now, totals.total_kg) if calibrator is not None else None,
         zero_undo=_zero_undo(parts),
         tickets=learning.ticket_states,
+        moisture=parts.flow_meter.moisture.state,
     )
 
 
@@ -40,6 +41,9 @@ def restore(parts: Parts, state: EngineState) -> None:
     # Where other parameters came from outside meanwhile, the patterns seen so far say nothing about them.
     if state.parameter_version == parameters.version:
         learning.disagreement.restore(state.disagreement, parameters)
+        learning.judge_model(weighed=state.calibrator is not None and bool(state.calibrator.weighed))
+        if state.moisture is not None:
+            parts.flow_meter.moisture.state = state.moisture
         learning.scale_alarm.state = state.scale_alarm
         if state.calibrator is not None and learning.calibrator is not None:
             learning.calibrator.restore(state.calibrator, parameters, state.totals.total_kg)

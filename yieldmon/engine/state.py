@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field, fields
 from math import isfinite
 from typing import Any
 
-from yieldmon.engine.budget import MassBudget
+from yieldmon.engine.budget import MassBudget, MoistureState
 from yieldmon.engine.disagreement import DisagreementState, SweepPattern
 from yieldmon.engine.records import CalibratorState, PriorState
 from yieldmon.engine.scale_alarm import ScaleAlarmState, ScaleCheck
@@ -40,7 +40,8 @@ class TicketState:
 @dataclass(frozen=True, slots=True)
 class EngineState:
     """windows: closed so far. sweep_due_in_s and calibration_age_s (None: not known) count from the moment of the snapshot.
-    zero_undo: None where there is no zero calibration to take back. tickets: the newest, in the order they were entered."""
+    zero_undo: None where there is no zero calibration to take back. tickets: the newest, in the order they were entered.
+    moisture: of the grain for which the parameters hold, None where none was measured."""
 
     totals: Totals = field(default_factory=Totals)
     zero: ZeroState | None = None
@@ -54,6 +55,7 @@ class EngineState:
     scale_alarm: ScaleAlarmState = field(default_factory=ScaleAlarmState)
     zero_undo: ZeroUndo | None = None
     tickets: tuple[TicketState, ...] = ()
+    moisture: MoistureState | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Nested plain dict of numbers, fit for JSON."""
@@ -68,9 +70,9 @@ class EngineState:
     def from_dict(cls, data: Mapping[str, Any]) -> EngineState:
         """Inverse of `as_dict`. Raises ValueError when a key is missing, unknown or of the wrong kind.
 
-        A state from before sweeps' patterns, the calibrator's or the scale's alarm were kept has none.
+        A state from before sweeps' patterns, the calibrator's, the scale's alarm or the moisture were kept has none.
         """
-        later: dict[str, Any] = {"calibrator": None, "scale_alarm": {}, "zero_undo": None, "tickets": ()}
+        later: dict[str, Any] = {"calibrator": None, "scale_alarm": {}, "zero_undo": None, "tickets": (), "moisture": None}
         data = {"disagreement": {"patterns": (), "present": False}, **later, **data}
         known = {item.name for item in fields(cls)}
         if set(data) != known:
@@ -92,6 +94,7 @@ class EngineState:
                 "calibrator": calibrator,
                 "scale_alarm": _scale_alarm(data["scale_alarm"]),
                 "tickets": tuple(TicketState(**ticket) for ticket in data["tickets"]),
+                "moisture": None if data["moisture"] is None else MoistureState(**data["moisture"]),
             }
             return cls(**{**data, **parts, "zero_undo": undo})
         except (KeyError, TypeError) as error:

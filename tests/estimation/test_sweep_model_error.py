@@ -1,0 +1,85 @@
+"""What a sweep's pattern says of the model's error at home, from forces of other effects than the parameters know."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from yieldmon.estimation.misfit import ReducedSweep
+from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.sweep_model_error import NO_ERROR, ModelError, model_error
+from yieldmon.files import parameter_file
+from yieldmon.physics.machine import RPM, Machine
+from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.resources import shipped
+
+PARAMETERS = parameter_file.load(shipped("config/parameters/corn.yaml"))
+MODEL = ForwardModel(Machine(), PARAMETERS.effects)
+ANGLES = np.radians([40.0, 50.0, 60.0, 70.0, 80.0, 90.0])
+FLOW_KG_S, SPEED_RAD_S = 11.0, 400.0 * RPM
+SD = 0.012
+
+
+def _log_force(model: ForwardModel, values: Mapping[str, float]) -> np.ndarray:
+    return np.log(np.asarray(model.force(Conditions(ANGLES, SPEED_RAD_S, mass_flow_kg_s=FLOW_KG_S), values)))
+
+
+def _sweep(change: np.ndarray, seed: int) -> ReducedSweep:
+    """A sweep of a machine whose force is exp(change) times the model's: at home the flow absorbs it."""
+    noise = SD * np.random.default_rng(seed).standard_normal(ANGLES.size)
+    log_force = _log_force(MODEL, PARAMETERS.values) + change - change[3] + noise
+    return ReducedSweep(ANGLES, log_force, np.full(ANGLES.size, SD), FLOW_KG_S, SPEED_RAD_S)
+
+
+def _found(change: np.ndarray, seeds: range, known: ParameterSet = PARAMETERS) -> ModelError:
+    return model_error(MODEL, known, [_sweep(change, seed) for seed in seeds], tolerance=0.005)
+
+
+def test_without_sweeps_nothing_is_said() -> None:
+    assert model_error(MODEL, PARAMETERS, []) == NO_ERROR
+
+
+def test_a_machine_that_follows_the_model_is_widened_by_less_than_its_parameters_are_unsure() -> None:
+    found = [_found(np.zeros(6), range(seed, seed + 2)) for seed in range(100, 140, 2)]
+    assert np.mean([error.home for error in found]) < 0.004
+    assert np.median([error.away for error in found]) < 0.01
+
+
+@pytest.mark.parametrize("coefficient", [0.1, 0.2, 0.3])
+def test_friction_on_the_plate_is_covered(coefficient: float) -> None:
+    """Tangential impulse mu cot(phi) of the normal one, without a cap: another law than the library's."""
+    change = np.log(1.0 + coefficient / np.tan(ANGLES))
+    found = _found(change, range(4))
+    assert 0.5 < abs(change[3]) / found.home < 2.0
+    assert found.away > 0.5 * np.sqrt(np.mean(np.delete(change - change[3], 3) ** 2))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        pytest.param(0.5 * (ANGLES - ANGLES[3]) + 0.06, id="rising with the angle"),
+        pytest.param(-0.25 * np.sin(2.0 * ANGLES), id="largest at 45 deg"),
+        pytest.param(np.log(np.sin(ANGLES + 0.06) / np.sin(ANGLES)) * 2.0, id="turned feedback"),
+    ],
+)
+def test_other_patterns_widen_by_per_cents(change: np.ndarray) -> None:
+    assert 0.01 < _found(change, range(4)).home < 0.25
+
+
+def test_what_the_covariance_explains_is_no_error_of_the_model() -> None:
+    """Friction known to a tenth and as far off: the pattern is the parameters'."""
+    friction = PARAMETERS.values["friction"]
+    other = {**PARAMETERS.values, "friction": 1.5 * friction}
+    change = _log_force(MODEL, other) - _log_force(MODEL, PARAMETERS.values)
+    wide = replace(PARAMETERS, covariance_names=("friction",), covariance=np.array([[(0.5 * friction) ** 2]]))
+    sure, unsure = _found(change, range(6)), _found(change, range(6), wide)
+    assert unsure.home < 0.5 * sure.home
+
+
+def test_more_sweeps_say_it_the_more_surely() -> None:
+    change = np.log(1.0 + 0.04 / np.tan(ANGLES))
+    assert _found(change, range(12)).away > 0.0
+    assert _found(change, range(12)).home > _found(np.zeros(6), range(12)).home

@@ -1,0 +1,175 @@
+"""How far the model's force may be off at the home angle, from how far it is off at the angles of sweeps.
+
+A sweep shows the model's error against that at home; the error at home itself the flow absorbs. But an effect that changes the
+force over the angle changes it at home as well. So the pattern that the sweeps show is held against that of each effect of the
+library, of a size that is likely (normal, its typical size as standard deviation), and against no effect at all; what they would
+change at home, each by its probability, is the error that is to be expected there. Nothing is named and nothing corrected by it.
+Effects that act on the scale more than on the pattern (slip, wear, air drag) are not among them: a weighed mass shows those.
+Source: Bayesian model averaging, Hoeting et al., Statistical Science 14 (1999) 382.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from yieldmon.physics.effects import registry
+from yieldmon.physics.machine import SAME_ANGLE_RAD
+from yieldmon.physics.model import ForwardModel
+from yieldmon.physics.numerics import Array
+
+from .clusters import cluster
+from .misfit import ReducedSweep
+from .parameters import ParameterSet
+from .sweep_flow import force_n
+
+_NONE = 0.5
+"""Probability, before any sweep, that no effect is missing."""
+_STEP = 1e-3
+"""Of a standard deviation, for the derivatives by the parameters."""
+_LAW_ERROR = 0.1
+"""By which a law of the library misses the effect that it stands for, as a share of it."""
+_LEAST_PATTERN = 0.5
+"""The rms of an effect's pattern over what it changes at home, below which it acts on the scale."""
+_NOT_HIDDEN = ("angle_pattern", "load_pattern", "moisture_dependence")
+"""Effects that stand for no cause, or for one that is seen elsewhere."""
+
+
+@dataclass(frozen=True, slots=True)
+class ModelError:
+    """Relative standard deviation of the model's force: at the home angle, and beside that at the other angles of the sweeps."""
+
+    home: float = 0.0
+    away: float = 0.0
+
+
+NO_ERROR = ModelError()
+
+
+@dataclass(frozen=True, slots=True)
+class _Pattern:
+    """What sweeps show at angles away from home, (n,): ln of the model's force over the measured one, against that at home.
+    covariance: (n, n), noise and the parameters' own."""
+
+    plate_angle_rad: Array
+    error: Array
+    covariance: Array
+
+
+def model_error(
+    model: ForwardModel, parameters: ParameterSet, sweeps: Sequence[ReducedSweep], *, tolerance: float = 0.0
+) -> ModelError:
+    """The model's error by what sweeps show.
+
+    Parameters
+    ----------
+    model : ForwardModel
+        With the parameters' effects.
+    parameters : ParameterSet
+        In use; what their covariance explains of the pattern is no error of the model.
+    sweeps : sequence of ReducedSweep
+        Whole sweeps; one whose moisture the model needs and that has none is passed over.
+    tolerance : float
+        Relative error at each angle, standard deviation, that is nobody's concern.
+
+    Returns
+    -------
+    ModelError
+    """
+    from scipy.special import ndtr
+
+    known = [s for s in sweeps if not model.needs_moisture or np.isfinite(s.moisture_pct)]
+    pattern = _shared_pattern(model, parameters, known, tolerance)
+    if pattern is None:
+        return NO_ERROR
+    angles = np.append(pattern.plate_angle_rad, model.machine.home_plate_angle_rad)
+    at = [
+        float(np.mean([getattr(s, name) for s in known])) for name in ("elevator_speed_rad_s", "mass_flow_kg_s", "moisture_pct")
+    ]
+    without = np.log(force_n(model, parameters.values, angles, *at))
+    weights, squares = [np.log(_NONE) + _log_density(pattern.error, pattern.covariance)], [0.0]
+    missing = [effect for name, effect in registry().items() if name not in (*parameters.effects, *_NOT_HIDDEN)]
+    for effect in missing:
+        values = dict(parameters.values) | {f"{effect.name}.{p.name}": p.typical for p in effect.parameters}
+        with_it = force_n(model.with_effects((*parameters.effects, effect.name)), values, angles, *at)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            change = without - np.log(with_it)
+        if not np.all(np.isfinite(change)):
+            continue
+        shape, home = change[:-1] - change[-1], float(change[-1])
+        if _rms(shape) < _LEAST_PATTERN * abs(home) or _rms(shape) == 0.0:
+            continue
+        noise = pattern.covariance + np.diag((_LAW_ERROR * shape) ** 2)
+        information = float(shape @ np.linalg.solve(noise, shape)) + 1.0
+        size = float(shape @ np.linalg.solve(noise, pattern.error)) / information
+        # Of an effect that acts in one direction alone, the other's share of the probability.
+        first = effect.parameters[0]
+        one_sided = first.null in (first.lower, first.upper)
+        possible = 2.0 * ndtr(size * np.sqrt(information)) if one_sided else 1.0
+        density = _log_density(pattern.error, noise + np.outer(shape, shape))
+        weights.append(float(np.log((1.0 - _NONE) / len(missing) * max(possible, 1e-300)) + density))
+        squares.append(home**2 * (size**2 + 1.0 / information))
+    share = np.exp(np.array(weights) - max(weights))
+    share /= share.sum()
+    away = float(np.mean(pattern.error**2 - np.diag(pattern.covariance)))
+    return ModelError(float(np.sqrt(share @ squares)), float(np.sqrt(max((1.0 - share[0]) * away, 0.0))))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _log_density(error: Array, covariance: Array) -> float:
+    """Of a normal distribution about 0, but for a constant."""
+    return float(-0.5 * (error @ np.linalg.solve(covariance, error) + np.linalg.slogdet(covariance)[1]))
+
+
+def _shared_pattern(
+    model: ForwardModel, parameters: ParameterSet, sweeps: Sequence[ReducedSweep], tolerance: float
+) -> _Pattern | None:
+    """The sweeps' patterns as one, averaged at each angle; None where they have no angle away from home."""
+    parts = [part for sweep in sweeps if (part := _pattern(model, parameters, sweep)) is not None]
+    if not parts:
+        return None
+    angle, error, sd, slopes = (np.concatenate([part[k] for part in parts]) for k in range(4))
+    numbers = cluster(angle, SAME_ANGLE_RAD)
+    weight = 1.0 / sd**2
+    total = np.bincount(numbers, weight)
+
+    def mean(column: Array) -> Array:
+        found: Array = np.bincount(numbers, weight * column) / total
+        return found
+
+    rows = np.stack([mean(column) for column in slopes.T], axis=-1) if slopes.shape[1] else np.zeros((total.size, 0))
+    covariance = np.diag(1.0 / total + tolerance**2) + rows @ parameters.covariance @ rows.T
+    return _Pattern(mean(angle), mean(error), covariance)
+
+
+def _pattern(model: ForwardModel, parameters: ParameterSet, sweep: ReducedSweep) -> tuple[Array, Array, Array, Array] | None:
+    """Of the angles away from home: angle, ln of the model's force over the measured one against that at home, its sd, and its
+    derivatives by the parameters of the covariance, (n, p); None where there are none."""
+    home_rad = model.machine.home_plate_angle_rad
+    away = np.abs(sweep.plate_angle_rad - home_rad) > SAME_ANGLE_RAD
+    angles = np.append(sweep.plate_angle_rad[away], home_rad)
+
+    def log_force(values: dict[str, float]) -> Array:
+        at = sweep.elevator_speed_rad_s, sweep.mass_flow_kg_s, sweep.moisture_pct
+        with np.errstate(invalid="ignore", divide="ignore"):
+            found: Array = np.log(force_n(model, values, angles, *at))
+        return found
+
+    values = dict(parameters.values)
+    here = log_force(values)
+    slopes = np.zeros((here.size, len(parameters.covariance_names)))
+    for k, name in enumerate(parameters.covariance_names):
+        step = _STEP * parameters.standard_deviation(name)
+        if step > 0.0:
+            slopes[:, k] = (log_force({**values, name: values[name] + step}) - here) / step
+    # A sweep's forces stand for its flow at home by the same parameters, so that the error at home is 0.
+    error, sd = here[:-1] - sweep.log_force[away], sweep.sd[away]
+    good = np.isfinite(error) & np.isfinite(sd) & (sd > 0.0)
+    if not np.any(good):
+        return None
+    return angles[:-1][good], error[good], sd[good], (slopes[:-1] - slopes[-1])[good]
