@@ -7,7 +7,7 @@
 
 z = (published - true) / published standard deviation. Flow: every second from 4 kg/s. Load: every load of a minute. An error that
 all seconds of a run share is one draw, however long the run: so every run is a machine of its own, whose parameters are the
-combine's grain and an error drawn from the stated covariance, and whose effect has a size drawn from a distribution. Rows "after"
+shipped ones with an error drawn from their covariance, and whose effect has a size drawn from a distribution. Rows "after"
 count from the first whole sweep (sweeps) or the first ticket (slip) on: what nothing has shown yet, no budget can hold.
 """
 
@@ -169,11 +169,10 @@ def scenario_of(sizes: Sizes, duration_s: float) -> Scenario:
 
 
 def parameters_of(shipped_set: ParameterSet, rng: np.random.Generator) -> ParameterSet:
-    """A machine's: the combine's own grain, and an error drawn from the covariance that the shipped set states."""
-    crop, names = Crop(), shipped_set.covariance_names
-    grain = {"friction": crop.friction, "density": crop.bulk_density_kg_m3, "restitution": crop.restitution}
+    """A machine's: the shipped set, which was fitted to this combine, with an error drawn from the covariance that it states."""
+    names = shipped_set.covariance_names
     error = rng.multivariate_normal(np.zeros(len(names)), shipped_set.covariance)
-    moved = {name: grain[name] + float(by) for name, by in zip(names, error, strict=True)}
+    moved = {name: shipped_set.values[name] + float(by) for name, by in zip(names, error, strict=True)}
     return replace(shipped_set, values={**shipped_set.values, **moved})
 
 
