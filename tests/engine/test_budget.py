@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from yieldmon.engine.budget import EMPTY, FlowBudget, MassBudget, MoistureReference, zero_std_dev_mv
 from yieldmon.engine.faults import FaultCode
+from yieldmon.engine.loads import Loads
 from yieldmon.engine.settings import BudgetSettings, EngineSettings
 from yieldmon.engine.state import EngineState
 from yieldmon.engine.totals import Totals
@@ -180,3 +181,39 @@ def test_a_quiet_start_is_none() -> None:
     target = monitor(QUICK)
     feed(target, STEADY.run(30))
     assert not any(FaultCode.ZERO_MISSING in record.faults for record in target.records)
+
+
+def test_a_ticket_that_contradicts_widens_what_the_open_load_holds() -> None:
+    target = monitor(estimator=ForceProportional(relative_std_dev=0.01))
+    frames = STEADY.frames(60)
+    first, load, ticket = (round(share * len(frames)) for share in (0.2, 0.5, 0.8))
+    feed(target, frames[:first])
+    target.start_load()
+    feed(target, frames[first:load])
+    weighed = target.open_load
+    target.start_load()
+    feed(target, frames[load:ticket])
+    before = target.open_load
+    assert weighed is not None
+    assert before is not None
+    target.ticket(weighed.number, 1.25 * weighed.measured_kg, 5.0)
+    feed(target, frames[ticket:])
+    after = target.open_load
+    assert after is not None
+    assert FaultCode.SCALE_DISAGREES in target.records[-1].faults
+    assert before.std_dev_kg < 0.06 * before.measured_kg
+    # Measured 20 % less than weighed: what the load held then is unsure by as much.
+    assert after.budget.parameters_kg == pytest.approx(0.2 * before.measured_kg, rel=0.2)
+
+
+@pytest.mark.parametrize("error_kg", [0.0, 0.5, 50.0])
+def test_a_load_is_widened_once_by_what_is_found_out(error_kg: float) -> None:
+    loads = Loads(EngineSettings())
+    loads.totals = Totals().with_mass(100.0, None, FlowBudget(1.0, 1.0), 1.0)
+    for _ in range(2):
+        loads.widen(error_kg)
+    assert loads.totals.load_budget.parameters_kg == max(1.0, error_kg)
+    assert loads.totals.total_budget.parameters_kg == max(1.0, error_kg)
+    loads.stop(0.0)
+    loads.widen(1000.0)
+    assert loads.totals.load_budget.parameters_kg == max(1.0, error_kg)
