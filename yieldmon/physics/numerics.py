@@ -53,8 +53,11 @@ def maximum(a: AnyArray, b: AnyArray) -> AnyArray:
 
 
 def _carried(x: AnyArray, value: Array, slope: Array) -> AnyArray:
-    """A function's value at the real part of x, with the perturbation of x carried to first order."""
-    out = np.empty(value.shape, dtype=np.complex128)
+    """A function's value at the real part of x, with the perturbation of x carried to first order.
+
+    value, slope: at `distinct` of that real part.
+    """
+    out = np.empty(x.shape, dtype=np.complex128)
     out.real = value
     np.multiply(slope, x.imag, out=out.imag)
     return out
@@ -72,7 +75,8 @@ def sin_cos(x: AnyArray) -> tuple[AnyArray, AnyArray]:
     """Sine and cosine, as `exp`."""
     if not perturbed(x):
         return np.sin(x), np.cos(x)
-    sin, cos = np.sin(x.real), np.cos(x.real)
+    at = distinct(x.real)
+    sin, cos = np.sin(at), np.cos(at)
     return _carried(x, sin, cos), _carried(x, cos, -sin)
 
 
@@ -80,9 +84,10 @@ def arccos(x: AnyArray) -> AnyArray:
     """Inverse cosine, as `exp`; at 1, where the slope has no bound, a perturbation is lost."""
     if not perturbed(x):
         return np.asarray(np.arccos(x))
-    square = 1.0 - x.real * x.real
+    at = distinct(x.real)
+    square = 1.0 - at * at
     slope = -1.0 / np.sqrt(np.where(square > 0.0, square, np.inf))
-    return _carried(x, np.arccos(x.real), slope)
+    return _carried(x, np.arccos(at), slope)
 
 
 def erf(x: AnyArray) -> AnyArray:
@@ -91,7 +96,7 @@ def erf(x: AnyArray) -> AnyArray:
 
     if not perturbed(x):
         return np.asarray(of_real(x))
-    at = x.real
+    at = distinct(x.real)
     return _carried(x, of_real(at), 2.0 / np.sqrt(np.pi) * np.exp(-at * at))
 
 
@@ -99,7 +104,7 @@ def arctan(x: AnyArray) -> AnyArray:
     """Inverse tangent, as `exp`."""
     if not perturbed(x):
         return np.asarray(np.arctan(x))
-    at = x.real
+    at = distinct(x.real)
     return _carried(x, np.arctan(at), 1.0 / (1.0 + at * at))
 
 
