@@ -9,6 +9,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
+from functools import lru_cache
 from pathlib import Path
 
 import can
@@ -270,7 +271,8 @@ def sweep(count: int, force_at: Callable[[float], float]) -> Callable[[Bench], N
 
     def provoke(bench: Bench) -> None:
         table = np.array([force_at(float(angle)) for angle in range(38, 93)])
-        plate = PlateNode(lambda angle: float(np.interp(angle, np.arange(38.0, 93.0), table)))
+        # Asked for with each frame of samples, of which many come at one angle.
+        plate = PlateNode(lru_cache(lambda angle: float(np.interp(angle, np.arange(38.0, 93.0), table))))
         warm_up(bench)
         for number in range(1, count + 1):
             bench.daemon.monitor.request_sweep()
