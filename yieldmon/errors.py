@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -50,6 +52,39 @@ def brief(what: object, most: int = 160) -> str:
 def reason(error: BaseException) -> str:
     """What went wrong, without the name of the file that the text of an OSError begins or ends with."""
     return getattr(error, "strerror", None) or str(error)
+
+
+def remedy(error: OSError) -> str:
+    """What would be right where the system refuses a file; empty where its own words say all there is to say.
+
+    >>> remedy(OSError(errno.ENOSPC, "No space left on device"))
+    'room for the file: free some, or name a place on another medium'
+    """
+    if error.errno in (errno.EACCES, errno.EPERM):
+        return f"a file or folder that {this_user()} may use (`ls -ld` shows its owner and mode), another one, or sudo"
+    return _REMEDIES.get(error.errno or 0, "")
+
+
+def this_user() -> str:
+    """Whom the system asks for permission, as a person knows it."""
+    import pwd
+
+    user = os.geteuid()
+    try:
+        return f"user {pwd.getpwuid(user).pw_name}"
+    except KeyError:
+        return f"user {user}"
+
+
+_REMEDIES = {
+    errno.EROFS: "a place on a medium that takes writing",
+    errno.ENOSPC: "room for the file: free some, or name a place on another medium",
+    errno.EDQUOT: "room for the file: free some, or name a place on another medium",
+    errno.EFBIG: "a medium and a user that may have a file of this size (`ulimit -f`)",
+    errno.ENOTDIR: "a path whose folders are folders: one of them is a file",
+    errno.ENAMETOOLONG: "a shorter name",
+    errno.ELOOP: "a path whose links do not lead back to themselves",
+}
 
 
 @contextmanager

@@ -46,6 +46,18 @@ def test_what_is_no_file_is_written_to_and_stays_what_it_is(tmp_path: Path) -> N
     assert pipe.is_fifo()
 
 
+def test_standard_output_that_is_a_pipe_is_written_to() -> None:
+    """/dev/stdout leads to a pipe, which has no path of its own."""
+    reads, writes = os.pipe()
+    try:
+        with scratch_for(f"/dev/fd/{writes}") as scratch:
+            scratch.write_text("through")
+        assert os.read(reads, 100) == b"through"
+    finally:
+        os.close(reads)
+        os.close(writes)
+
+
 def test_a_link_is_followed(tmp_path: Path) -> None:
     kept = tmp_path / "real" / "corn.yaml"
     kept.parent.mkdir()

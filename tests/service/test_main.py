@@ -56,7 +56,16 @@ def test_exit_code_is_the_verbs(verb_named_probe, code):
 ERRORS = [
     ("raise InputError('f.yaml', 'a\\nb', 'c')", 2, "yieldmon: f.yaml: a b; expected c\n"),
     ("open('/nonexistent/file')", 2, "yieldmon: /nonexistent/file: No such file or directory\n"),
-    ("raise OSError(28, 'No space left on device', 'out.csv')", 1, "yieldmon: out.csv: No space left on device\n"),
+    (
+        "raise OSError(28, 'No space left on device', 'out.csv')",
+        1,
+        "yieldmon: out.csv: No space left on device; expected room for the file: free some, or name a place on another medium\n",
+    ),
+    (
+        "raise OSError(30, 'Read-only file system', 'out.csv')",
+        1,
+        "yieldmon: out.csv: Read-only file system; expected a place on a medium that takes writing\n",
+    ),
     ("raise can.CanError('no such interface')", 1, "yieldmon: no such interface\n"),
     ("raise KeyboardInterrupt", 130, ""),
 ]

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, this_user
 from yieldmon.files import whole_file
 
 
@@ -17,7 +18,7 @@ def add_force(parser: argparse.ArgumentParser, *names: str) -> None:
 
 
 def check(args: argparse.Namespace) -> None:
-    """To be asked before the work: raises InputError for an output that is an input, exists, or has no folder."""
+    """To be asked before the work: raises InputError for an output that is an input, exists, has no folder, or whose folder is closed."""
     names: tuple[str, ...] = getattr(args, "output_arguments", ())
     inputs = {path.resolve() for key, value in vars(args).items() if key not in names for path in _files(value)}
     written: dict[Path, str] = {}
@@ -39,7 +40,8 @@ def check_folder(folder: Path, names: Iterable[str], option: str, *, force: bool
 
 
 def refuse(path: Path, option: str, *, force: bool, inputs: set[Path] = frozenset()) -> None:  # type: ignore[assignment]
-    """Raises InputError for a file that is one of the inputs, or that exists already and is not to be replaced."""
+    """Raises InputError for a file that is one of the inputs, that exists already and is not to be replaced, or whose folder this
+    user may not write in."""
     if path.is_dir():
         return
     if path.resolve() in inputs:
@@ -47,6 +49,16 @@ def refuse(path: Path, option: str, *, force: bool, inputs: set[Path] = frozense
     whole_file.check_place(path)
     if path.is_file() and not force:
         raise InputError(f"{option} {path}", "exists already", "another name, or --force to replace it")
+    require_writable(path, option)
+
+
+def require_writable(path: Path, option: str) -> None:
+    """Raises InputError for a file that is not there yet, or not writable itself, in a folder that this user may not write in."""
+    folder = path.resolve().parent
+    taken = path.exists() and (not path.is_file() or os.access(path, os.W_OK, effective_ids=True))
+    if not taken and folder.is_dir() and not os.access(folder, os.W_OK | os.X_OK, effective_ids=True):
+        expected = "another folder, sudo, or rights to this one (`ls -ld` shows its owner and mode)"
+        raise InputError(f"{option} {path}", f"{this_user()} may not write in the folder {folder}", expected)
 
 
 def _files(value: object) -> Iterator[Path]:

@@ -23,7 +23,7 @@ from types import ModuleType
 from yieldmon import __version__
 from yieldmon.bus import mf4
 from yieldmon.cli import _outputs
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, remedy
 from yieldmon.files.plain_text import plain
 
 EXIT_FAILED = 1
@@ -113,6 +113,7 @@ def _print_error(error: object) -> None:
     text = str(error)
     if isinstance(error, OSError) and error.strerror:
         text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+        text += f"; expected {expected}" if (expected := remedy(error)) else ""
     print(f"yieldmon: {plain(' '.join(text.split()))}", file=sys.stderr)
 
 

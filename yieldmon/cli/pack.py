@@ -13,6 +13,7 @@ from yieldmon.bus.loading import iter_blocks
 from yieldmon.bus.logs import PACKED_SUFFIX, LogNotes, require_log
 from yieldmon.bus.packed import pack
 from yieldmon.cli._json import print_json
+from yieldmon.cli._outputs import require_writable
 from yieldmon.errors import InputError
 from yieldmon.files.whole_file import scratch_for
 from yieldmon.identifiers import CLASSIC_BYTES
@@ -40,6 +41,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--out", f"is {out}", f"a name that ends in {PACKED_SUFFIX}")
     if out.exists() and not args.force:
         raise InputError("--out", f"{out} exists already", "another name, or --force to overwrite it")
+    require_writable(out, "--out")
     for log in args.logs:
         require_log(log)
         if out.exists() and out.samefile(log):

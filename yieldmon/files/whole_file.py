@@ -54,8 +54,9 @@ def scratch_for(path: str | Path, *, durable: bool = False, mode: int | None = N
     `check_place`; an OSError names `path`.
     """
     check_place(path)
-    target = Path(path).resolve()
-    in_place = target.exists() and not target.is_file()
+    in_place = Path(path).exists() and not Path(path).is_file()
+    # What /dev/stdout leads to has no path of its own where it is a pipe.
+    target = Path(path) if in_place else Path(path).resolve()
     folder = None if in_place else _private_folder(target, path)
     scratch = target if folder is None else folder / target.name
     try:
