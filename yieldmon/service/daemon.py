@@ -63,6 +63,8 @@ _log = logging.getLogger(__name__)
 
 _BATCH_FRAMES = 512
 _WAIT_S = 0.05
+#: The same while an address is being claimed, which takes several rounds and holds back all frames.
+_CLAIMING_WAIT_S = 0.005
 _LAST_ROWS = 10
 #: From this age on what `status` says is marked as stale.
 _STALE_S = 5.0
@@ -358,7 +360,7 @@ class Daemon:
     def _round(self) -> None:
         # Read before the queue: what came by then is in there.
         empty_until_s = self._receiver.empty_until_s
-        items = self._receiver.get_many(_BATCH_FRAMES, _WAIT_S)
+        items = self._receiver.get_many(_BATCH_FRAMES, _CLAIMING_WAIT_S if self._link.claiming else _WAIT_S)
         windows = 0
         heard_bus_s: float | None = None
         for item in items:

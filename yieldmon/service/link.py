@@ -23,6 +23,7 @@ from yieldmon.engine.totals import Totals, dry_mass
 from yieldmon.finite import finite
 from yieldmon.frames import OperatingState
 from yieldmon.identifiers import FORMAT_MASK, GLOBAL_ADDRESS, SOURCE_MASK
+from yieldmon.network.claim import ClaimState
 from yieldmon.network.diagnostics import Lamp, TroubleCode
 from yieldmon.network.identifier import (
     ACKNOWLEDGEMENT,
@@ -96,6 +97,10 @@ class Link(Protocol):
     def address(self) -> int | None:
         """Our address; None while nothing of ours may be sent."""
 
+    @property
+    def claiming(self) -> bool:
+        """Whether an address is being claimed, for which poll() is to be called every few milliseconds."""
+
     def filters(self) -> list[CanFilter]:
         """What the link wants to hear."""
 
@@ -157,6 +162,11 @@ class FixedLink:
     def address(self) -> int | None:
         """See Link."""
         return self._address
+
+    @property
+    def claiming(self) -> bool:
+        """See Link."""
+        return False
 
     def filters(self) -> list[CanFilter]:
         """See Link."""
@@ -253,6 +263,11 @@ class NetworkLink:
     def address(self) -> int | None:
         """See Link."""
         return self._address
+
+    @property
+    def claiming(self) -> bool:
+        """See Link."""
+        return self._node.claim_state in (ClaimState.LISTENING, ClaimState.CLAIMING)
 
     def concerns(self, message: can.Message) -> bool:
         """See Link."""
