@@ -1,4 +1,4 @@
-"""Errors that a user can mend: one line that says where, what is wrong and what was expected."""
+"""Errors that a user can correct: one line that says where, what is wrong and what was expected."""
 
 from __future__ import annotations
 

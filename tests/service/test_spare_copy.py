@@ -75,7 +75,7 @@ HARM = {
 @pytest.mark.parametrize("harm", HARM)
 @pytest.mark.parametrize("journal", [False, True])
 def test_a_damaged_store_that_cannot_be_set_aside_stops_no_measuring(tmp_path, monkeypatch, harm, journal):
-    monkeypatch.setattr("yieldmon.service.writer._MEND_AGAIN_S", 0.0)
+    monkeypatch.setattr("yieldmon.service.writer._REPAIR_AGAIN_S", 0.0)
     monkeypatch.setattr("yieldmon.service.daemon.StoreWriter", partial(StoreWriter, retry_s=0.05))
     state = tmp_path / "state"
     with running(tmp_path, state=state) as bench:

@@ -325,7 +325,7 @@ def _read_candump(lines: _Lines, notes: LogNotes) -> Iterator[can.Message]:
 
 def _read_with_python_can(lines: _Lines, suffix: str) -> Iterator[can.Message]:
     reader: can.io.generic.MessageReader = cast("Any", can.io.player.MESSAGE_READERS[suffix])(lines)
-    told = -1
+    reported = -1
     while True:
         try:
             for message in reader:
@@ -336,10 +336,10 @@ def _read_with_python_can(lines: _Lines, suffix: str) -> Iterator[can.Message]:
                     lines.damage(problem)
             return
         except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
-            if lines.number == told:
+            if lines.number == reported:
                 # No line has come since: it is the end of the file that the reader cannot do with.
                 return
-            told = lines.number
+            reported = lines.number
             counted = _UNPACKED.search(str(error))
             lines.damage(
                 f"is not {counted[1]} fields, as a line of a {suffix} log is" if counted else f"not as {suffix} has it: {error}"

@@ -248,12 +248,12 @@ def dropped_by_recorder(path: Path | str) -> int:
 
     try:
         with parquet.ParquetFile(path) as source:
-            told = (source.metadata.metadata or {}).get(_DROPPED, b"0")
+            count_text = (source.metadata.metadata or {}).get(_DROPPED, b"0")
     except (pa.ArrowException, OSError) as error:
         raise InputError(str(path), f"damaged: {brief(error)}", _EXPECTED) from error
-    if not told.isdigit() or len(told) > _MOST_DIGITS:
-        raise InputError(str(path), f"damaged: {told[:20]!r} frames lost by the recorder", _EXPECTED)
-    return int(told)
+    if not count_text.isdigit() or len(count_text) > _MOST_DIGITS:
+        raise InputError(str(path), f"damaged: {count_text[:20]!r} frames lost by the recorder", _EXPECTED)
+    return int(count_text)
 
 
 def _count(table: pa.Table, counted: Callable[[int, int], None]) -> None:

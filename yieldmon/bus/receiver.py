@@ -167,7 +167,7 @@ class Receiver:
 
     @property
     def waiting(self) -> int:
-        """Frames and events that nobody has taken yet."""
+        """Frames and events that have not been taken yet."""
         return len(self._queue)
 
     @property

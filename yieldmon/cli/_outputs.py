@@ -18,7 +18,7 @@ def add_force(parser: argparse.ArgumentParser, *names: str) -> None:
 
 
 def check(args: argparse.Namespace) -> None:
-    """To be asked before the work: raises InputError for an output that is an input, exists, has no folder, or whose folder is closed."""
+    """Before the work: raises InputError for an output that is an input, exists, has no folder, or may not be written."""
     names: tuple[str, ...] = getattr(args, "output_arguments", ())
     inputs = {path.resolve() for key, value in vars(args).items() if key not in names for path in _files(value)}
     written: dict[Path, str] = {}

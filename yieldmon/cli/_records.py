@@ -11,7 +11,7 @@ from rich.table import Column, Table
 
 
 def when(time_s: float | None) -> str:
-    """A Unix time as a person reads it, in local time; "-" where it is not known (0: before the bus told the time)."""
+    """A Unix time as a person reads it, in local time; "-" where it is not known (0: before the bus gave the time)."""
     if time_s is None or time_s <= 0.0:
         return "-"
     return datetime.fromtimestamp(time_s).astimezone().strftime("%Y-%m-%d %H:%M")

@@ -224,10 +224,10 @@ def check_force(data: Table, rows: Measurements, machine: Machine) -> None:
     known = parameter_file.load(shipped(parameter_file.DEFAULT))
     predicted = ForwardModel(machine, known.effects).paddle_momentum(rows.conditions, known.values, overfull="nan").real
     load = rows.columns()[2]
-    told = np.isfinite(predicted) & (load > 0.0) & (np.abs(predicted) > _LEAST_MOMENTUM_KG_M_S)
-    if not np.any(told):
+    usable = np.isfinite(predicted) & (load > 0.0) & (np.abs(predicted) > _LEAST_MOMENTUM_KG_M_S)
+    if not np.any(usable):
         return
-    ratio = float(np.median(rows.momentum[told] / predicted[told]))
+    ratio = float(np.median(rows.momentum[usable] / predicted[usable]))
     if 1.0 / _FORCE_FACTOR <= ratio <= _FORCE_FACTOR:
         return
     unit = {"force_n": "newtons", "momentum_kg_m_s": "kg m/s for each paddle"}[data.reading]

@@ -141,7 +141,7 @@ def _may_ask(args: argparse.Namespace) -> bool:
 
 
 class _Cab:
-    """The cab's view: the daemon's status, or what the frames tell, with the dialog of its keys."""
+    """The cab's view: the daemon's status, or what the frames report, with the dialog of its keys."""
 
     def __init__(self, args: argparse.Namespace, view: View, daemon: DaemonLink | None) -> None:
         self.view = view

@@ -32,7 +32,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run until a signal ends it. Exit code 2, on which the unit is not started again, is for what only a person can mend."""
+    """Run until a signal ends it. Exit code 2, on which the unit is not started again, is for what only a person can correct."""
     early: list[int] = []
     for ignored in _IGNORED:
         signal.signal(ignored, signal.SIG_IGN)

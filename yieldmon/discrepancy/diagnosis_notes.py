@@ -21,7 +21,7 @@ _GAINS = (0.5, 4.0)
 MOST_SCATTER = 0.2
 """Scatter of repetitions, as a share of the median reading, from which nothing is named."""
 _MANY = 0.05
-"""Share of outliers from which they are told."""
+"""Share of outliers from which they are reported."""
 
 
 def refuted(names: tuple[str, ...], proof: Proof) -> str:

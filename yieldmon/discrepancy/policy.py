@@ -16,7 +16,7 @@ class Policy:
     """The same for each further effect, where the model so far may be complete."""
     least_confidence: float = 0.2
     """Probability of being right below which the first effect is a leading candidate and no name: so many effects fit such rows
-    that one of them says nothing. A name carries its probability; what tells wrong names from right ones is `Search.against`."""
+    that one of them says nothing. A name carries its probability; what separates wrong from right ones is `Search.against`."""
     complete_f: float = 2.0
     """Lack of fit up to which it may be: above, p below `gap_p`, that is refuted, and `first_p` holds for a further effect."""
     gap_p: float = 0.01

@@ -20,7 +20,7 @@ from yieldmon.physics.machine import Implement
 
 
 class _Cut(NamedTuple):
-    """What the header did in a second. rate_m2_s: nan where it is not known. by_header: whether the bus told that it cut."""
+    """What the header did in a second. rate_m2_s: nan where it is not known. by_header: whether the bus reported that it cut."""
 
     end_s: float
     rate_m2_s: float

@@ -29,7 +29,7 @@ class Reading:
     """What is known of a window before its flow is estimated.
 
     quality: why there is no flow, None where an estimate decides. force_n, force_std_dev_n: nan where not known. speed_rad_s: of
-    the window, nan where no frame told it; speed_known: at the window's end; in_range: at a speed at which grain is measured.
+    the window, nan where no frame reported it; speed_known: at the window's end; in_range: at a speed at which grain is measured.
     stuck_s: how long no sample has changed. still: the plate rested. sampled_before: the window before had samples.
     windows_since_jump: closed since the bus's clock jumped. zero_taken: a zero was learnt with this window. zero_age_s: since the
     zero was last taken or followed, or since the start. zero_refusal: why there is no first zero.

@@ -124,7 +124,7 @@ class SinceZero:
         for second, rate in zip(rows, flow.tolist(), strict=True):
             seconds = second.duration_s if second.coverage >= min_coverage else second.duration_s * second.coverage
             kg = rate * seconds - second.mass_kg
-            # Where the bus tells nothing of the header, a second without grain has no area.
+            # Where the bus reports nothing of the header, a second without grain has no area.
             known = missed.get(second.load_number, MissedMass())
             missed[second.load_number] = known.plus(kg, dry_kg(kg, second.moisture_pct), area_known=second.area_m2 > 0.0)
         return missed

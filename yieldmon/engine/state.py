@@ -27,7 +27,7 @@ class ZeroUndo:
 
 @dataclass(frozen=True, slots=True)
 class TicketState:
-    """A ticket for a load, kg. waits: it has not been handed to the calibrator. crop: that it waits for or has taught; None: the
+    """A ticket for a load, kg. waits: it has not been handed to the calibrator. crop: that it waits for or has updated; None: the
     one in use."""
 
     load_number: int

@@ -43,7 +43,7 @@ _WHOLE = 0.98
 _FLOW_SD = 10.0
 _ITERATIONS = 10
 _SCALE_HOLDS_S = 600.0
-"""How long the scale that shape or kernels have found counts where they tell nothing, as in a sweep."""
+"""How long the scale that shape or kernels have found counts where they determine nothing, as in a sweep."""
 _SEARCH_EVERY = 10
 """Windows from one search for pulses that fit nowhere to the next."""
 
@@ -120,7 +120,7 @@ class Waveform:
 
     def __init__(self, settings: WaveformSettings, machine: Machine) -> None:
         self.kernel_weight_g = settings.thousand_kernel_weight_g
-        """Of a thousand kernels, as last told; 0: not known. What a frame says goes before it."""
+        """Of a thousand kernels, as last entered; 0: not known. What a frame says goes before it."""
         self.last = NOTHING
         self._settings = settings
         self._machine = machine
@@ -345,7 +345,7 @@ class Waveform:
         return self._law.outside(fill, reading.window.plate_angle_rad, speed)
 
     def _weight_g(self, reading: Reading) -> float:
-        """Of a thousand kernels: as a frame says of late, else as last told; 0: not known."""
+        """Of a thousand kernels: as a frame says of late, else as last entered; 0: not known."""
         heard = reading.inputs.fresh["thousand_kernel_weight"]
         return heard if isfinite(heard) else self.kernel_weight_g
 
@@ -468,7 +468,7 @@ def law_of(settings: WaveformSettings) -> ArrivalLaw:
 
 
 def _usable(found: PulseEstimate) -> bool:
-    """Steps that have not settled among parameters hardly told apart are no reason to throw a fit away; its residual is."""
+    """Steps that have not settled among nearly collinear parameters do not reject a fit; its residual does."""
     return found.converged or (isfinite(found.misfit) and found.misfit < _FITS)
 
 

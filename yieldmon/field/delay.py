@@ -113,7 +113,7 @@ def estimate_delay(
     quantity : str
         "flow" or "moisture".
     default_s : float
-        What is kept when the data cannot tell, s.
+        What is kept when the data do not decide, s.
     declared_s : float or None
         The machine's own.
     generator : numpy.random.Generator

@@ -144,7 +144,7 @@ def make_map(table: HarvestTable, options: MapOptions, progress: Callable[[str],
     options : MapOptions
         What a person says.
     progress : callable
-        Told each step.
+        Called with each step.
 
     Raises
     ------

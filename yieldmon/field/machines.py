@@ -1,6 +1,6 @@
 """Delays of each machine of a harvest: two combines in one field, or two fields' files, need not have the same.
 
-A machine whose own passes do not tell takes what its other files tell, where those agree; else it keeps its default.
+A machine whose own passes decide nothing takes the delay of its other files, where those agree; else it keeps its default.
 """
 
 from __future__ import annotations

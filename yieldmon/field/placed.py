@@ -97,9 +97,9 @@ def place(
 def _moisture(table: HarvestTable, steps: Tracks, delay_s: float) -> Array:
     """Of the grain cut at each row; where no row comes to it, of the row whose interval holds the time when it was measured."""
     target = _targets(table, steps, delay_s)
-    told = (target >= 0) & np.isfinite(table["moisture_pct"])
+    located = (target >= 0) & np.isfinite(table["moisture_pct"])
     moisture = np.full(len(table), np.nan)
-    moisture[target[told]] = table["moisture_pct"][told]
+    moisture[target[located]] = table["moisture_pct"][located]
     lacking = np.flatnonzero(np.isnan(moisture))
     step = steps.step_of_row[lacking]
     found = steps.holding(steps.time_s[step] + delay_s, steps.stream[step])

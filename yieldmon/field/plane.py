@@ -113,7 +113,7 @@ class Sites:
         return cls(tuple(planes), tuple(offsets), tuple(lefts), tuple(reaches))
 
     def to_m(self, longitude_deg: Array, latitude_deg: Array) -> tuple[Array, Array]:
-        """East and north, m; `astray` tells which points are of no site."""
+        """East and north, m; `astray` marks the points that are of no site."""
         site = self._site_of(longitude_deg, latitude_deg)
         if site is None:
             return self.planes[0].to_m(longitude_deg, latitude_deg)

@@ -1,4 +1,4 @@
-"""SHA-256 of files, by which what was made of one can be told from what was made of another."""
+"""SHA-256 of files, which identify what a result was made from."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ def load(path: str | Path | None = None) -> ParameterSet:
 
 
 def digest(parameters: ParameterSet) -> str:
-    """Tells one parameter file's content from another's."""
+    """Identifies a parameter file's content."""
     text = json.dumps(to_document(parameters), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 

@@ -194,7 +194,7 @@ def load(path: Path | str) -> Any:
 def _content(path: str, most: int) -> bytes:
     """A file's first bytes, or a pipe's. Raises OSError, and InputError for what gives nothing and does not end."""
     end_s = time.monotonic() + PATIENCE_S
-    # A pipe into which nobody writes is empty; opening it the usual way would wait for ever, and so would reading a terminal.
+    # A pipe without a writer is empty; opening it the usual way would wait for ever, and so would reading a terminal.
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
         content = bytearray()

@@ -21,7 +21,7 @@ _MASSES = ("weighed", "mass", "weight", "weighed_mass", "net", "net_weight", "ne
 _DEVIATIONS = ("std_dev", "sd", "sigma")
 _MIN_KG, _MAX_KG = 1.0, 1e6
 _UNIT_FACTOR = 5.0
-"""Between a weighed and a measured mass: machines that nobody calibrated are off by half (studies/setup)."""
+"""Between a weighed and a measured mass: machines that were never calibrated are off by half (studies/setup)."""
 
 
 @dataclass(frozen=True, slots=True)

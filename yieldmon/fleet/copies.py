@@ -1,7 +1,7 @@
 """Logs of one machine that hold the same: under a second name, in another day's folder, or once plain and once compressed.
 
 Measured twice, a copy would count its mass twice. Logs of other machines are not looked at: which of two one belongs to cannot be
-told, and `fleet report` names it.
+reported, and `fleet report` names it.
 """
 
 from __future__ import annotations

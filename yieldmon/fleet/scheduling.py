@@ -93,7 +93,7 @@ def run_all(tasks: Sequence[Task], cluster: Cluster, take: Callable[[Outcome], N
 
 
 class _SchedulerLost(Exception):
-    """Futures were cancelled, which nobody here did."""
+    """Futures were cancelled, which this process did not ask for."""
 
 
 def _lost() -> tuple[type[BaseException], ...]:

@@ -108,7 +108,7 @@ def summarise(address: str) -> dict[str, Any]:
 
 
 def _in_order(rows: Rows) -> Rows:
-    """Days by machine and then by date, where a machine's logs tell it, else by name with numbers in it as such."""
+    """Days by machine and then by date, where a machine's logs hold it, else by name with numbers in it as such."""
     ordered: Rows = []
     for days in _by_machine(rows).values():
         dated = all((row["start_s"] or 0.0) > _EARLIEST_DATE_S for row in days)

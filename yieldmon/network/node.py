@@ -40,7 +40,7 @@ _CLAIMS_PER_S, _CLAIMS_AT_ONCE = 5.0, 20.0
 _SESSIONS_PER_S, _SESSIONS_AT_ONCE = 1.0, 5.0
 _VIOLATIONS_PER_S, _VIOLATIONS_AT_ONCE = 0.1, 1.0
 _COMMAND_BYTES = 9
-#: How long a lost address is told: long enough for somebody to look.
+#: How long a lost address is reported: long enough to be read.
 _LOST_SHOWN_S = 60.0
 _NOT_WANTED = frozenset({diagnostics.DM3, diagnostics.DM11})
 

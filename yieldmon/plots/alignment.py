@@ -23,7 +23,7 @@ def shift_s(time_s: Array, measured_kg_s: Array, true_time_s: Array, true_kg_s: 
     Returns
     -------
     float
-        Where flows do not tell, the shift that lets both end together.
+        Where flows do not determine it, the shift that lets both end together.
     """
     start, true_start = float(np.floor(time_s[0])), float(np.floor(true_time_s[0]))
     ends = float(np.round(time_s[-1] - true_time_s[-1]))

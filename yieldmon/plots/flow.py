@@ -47,11 +47,11 @@ def draw(
         flow.plot(minutes, factory_kg_s / rate.si, color=FACTORY, lw=1.0, label="factory monitor")
     mass.plot(minutes, total_kg / weight.si, color=MEASURED, lw=1.4, label="measured")
     levels = _levels([(end_s - start_s) / 60.0 for end_s, _, _ in weighed or []], float(minutes[-1]) if len(minutes) else 0.0)
-    told = False
+    labelled = False
     for (end_s, measured_kg, weighed_kg), level in zip(weighed or [], levels, strict=True):
         place = (end_s - start_s) / 60.0
-        mass.axvline(place, color="gray", lw=0.6, label=None if told else "ticket: weighed mass, error of the measured")
-        told = True
+        mass.axvline(place, color="gray", lw=0.6, label=None if labelled else "ticket: weighed mass, error of the measured")
+        labelled = True
         text = f"{weight.of(weighed_kg):.0f} {weight.name}\n{100.0 * (measured_kg / weighed_kg - 1.0):+.1f} %"
         mass.annotate(text, (place, level), xycoords=("data", "axes fraction"), fontsize=7, ha="right", rotation=90)
     if truth is not None and len(truth[2]) and truth[2][-1] > 0.0:

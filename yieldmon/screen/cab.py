@@ -1,6 +1,6 @@
 """The cab's screen: load, yield, flow, moisture, and each fault with its remedy; drawn from what a daemon's status says.
 
-Without a daemon on this computer the same is read off the frames on the bus, as far as they tell it.
+Without a daemon on this computer the same is read off the frames on the bus, as far as they report it.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _GOOD = ("harvesting", "sweeping", "not_harvesting")
 
 
 class Cab:
-    """Renderable: the status of a daemon, or what the bus tells of one.
+    """Renderable: the status of a daemon, or what the bus reports of one.
 
     Parameters
     ----------
@@ -135,15 +135,15 @@ class Cab:
         faults = self._status["faults"]
         if not faults:
             return [Text(" no faults", style="green")]
-        told = []
+        paragraphs = []
         for fault in faults:
             detail = f" ({fault['detail']})" if fault["detail"] else ""
-            told.append(wrapped(f"{fault['code']}{detail}: {fault['effect']} {fault['remedy']}", width))
-            told[-1][0].highlight_words([fault["code"]], "bold red")
+            paragraphs.append(wrapped(f"{fault['code']}{detail}: {fault['effect']} {fault['remedy']}", width))
+            paragraphs[-1][0].highlight_words([fault["code"]], "bold red")
         for shown in range(len(faults), -1, -1):
             names = ", ".join(fault["code"] for fault in faults[shown:])
             rest = wrapped(f"also {names}; `yieldmon status` has all", width, style="bold red") if names else []
-            lines = [line for one in told[:shown] for line in one] + rest
+            lines = [line for one in paragraphs[:shown] for line in one] + rest
             if len(lines) <= room:
                 break
         return lines
@@ -158,7 +158,7 @@ class Cab:
 
 
 def from_frames(traffic: Traffic) -> Status:
-    """What frames tell of a monitor on the bus, in the shape of a daemon's status."""
+    """What frames report of a monitor on the bus, in the shape of a daemon's status."""
     flow, mass, state = (traffic.latest(name) for name in (MASS_FLOW, ACCUMULATED_MASS, YIELD_MONITOR_STATUS))
     plate, grain, moving = (traffic.latest(name) for name in (PLATE_ACTUATOR_FEEDBACK, GRAIN_CONDITION, VEHICLE_DIRECTION_SPEED))
     lesson = traffic.latest(SELF_CALIBRATION_STATUS)
@@ -168,10 +168,10 @@ def from_frames(traffic: Traffic) -> Status:
         return float(value) if isinstance(value, int | float) else None
 
     codes = [code for code in FaultCode if state is not None and state.signals.get(code.value) == 1]
-    number, told = signal(mass, "LoadNumber"), signal(state, "OperatingState")
+    number, operating = signal(mass, "LoadNumber"), signal(state, "OperatingState")
     speed_km_h = signal(moving, "NavigationSpeed")
     return {
-        "state": "no monitor on the bus" if told is None else OperatingState(int(told)).name.lower(),
+        "state": "no monitor on the bus" if operating is None else OperatingState(int(operating)).name.lower(),
         "stale": False,
         "age_s": 0.0,
         "zero_waits_for": None,

@@ -105,8 +105,8 @@ class Screen:
             lines += wrapped(state, width)
         else:
             on = [name for name, value in status.signals.items() if name != "OperatingState" and value == 1]
-            told = f"faults: {', '.join(on)}" if on else "no faults"
-            lines += wrapped(f"{state}   {told}", width, style="bold red" if on else "green")
+            active = f"faults: {', '.join(on)}" if on else "no faults"
+            lines += wrapped(f"{state}   {active}", width, style="bold red" if on else "green")
         return [*lines, rule(width, plain=plain)]
 
     def _flow(self) -> tuple[float | None, str]:

@@ -1,4 +1,4 @@
-"""What operators told and what the monitor learnt, in order, with who and when; nothing in it is changed, only taken back."""
+"""What operators entered and what the monitor learnt, in order, with who and when; nothing in it is changed, only taken back."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class ActionLog:
         return iter(self._actions)
 
     def add(self, kind: str, who: str, document: Mapping[str, Any], now_s: float | None = None) -> Action:
-        """Something that was told or taken back. kind: of `ledger`. who: as `Action` has it. now_s: when, Unix time; None: as
+        """Something that was entered or taken back. kind: of `ledger`. who: as `Action` has it. now_s: when, Unix time; None: as
         the attribute of that name."""
         number = self._actions[-1].number + 1 if self._actions else 1
         action = Action(number, self.now_s if now_s is None else now_s, kind, who, document)

@@ -81,7 +81,7 @@ def _load_start(order: _Order) -> Answer:
     field, name = request.name("field"), request.name("crop")
     crop = name and (shipped_name(name) or name.strip())
     if weight_g is not None or (crop is not None and crop != journal.crop):
-        # What was told of one crop's kernels does not hold for another's.
+        # What was entered for one crop's kernels does not hold for another's.
         journal.kernel_weight_g = weight_g
     in_use = monitor.estimator.parameters
     # A curve is one grain's: another crop's parameters would not give the flow.

@@ -39,7 +39,7 @@ _STOP_S = 0.5
 _RETRY_S = 0.02
 _BACKLOG = 64
 _LOOK_EVERY_S = 2.0
-#: What only another configuration mends; a medium that is full or a file that is in the way may pass.
+#: What only another configuration corrects; a medium that is full or a file that is in the way may pass.
 _WRONG_PATH = frozenset({errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP, errno.EINVAL})
 #: Connections whose requests are awaited, and requests that are answered, at the same time.
 _CONNECTIONS, _ANSWERS_AT_ONCE = 32, 8
@@ -129,7 +129,7 @@ class _Listening:
     file: tuple[int, int]
 
     def there(self) -> bool:
-        """Whether the file is still there; without it nobody finds the socket."""
+        """Whether the file is still there; without it no client finds the socket."""
         with suppress(OSError):
             return _identity(self.path) == self.file
         return False
@@ -225,7 +225,7 @@ class _Server:
                 try:
                     self.listening = self.listening or _listen(self._path, self._group)
                     self._serve(self.listening)
-                except Exception:  # noqa: BLE001 - without this thread nobody learns how the daemon does
+                except Exception:  # noqa: BLE001 - without this thread no status is answered
                     _log.exception("control")
                     self._shut()
                     sleep(_POLL_S)

@@ -76,7 +76,7 @@ _READ_AT_ONCE = 2
 _SENDING_FIRST_S = 0.01
 #: After a store that came late, before the first sweep.
 _REST_S = 60.0
-#: How long an answer waits for the disk to have what was told.
+#: How long an answer waits for the disk to have what was entered.
 TELLING_S = 2.0
 #: How long a stop waits for the disk; with the other steps it is over within 5 s.
 STOP_WRITING_S = 1.5

@@ -133,11 +133,11 @@ def _occupied(path: Path, names: int, holder: int | None) -> OccupiedError:
 
 
 def _holder(path: Path) -> int | None:
-    """Number of a process that has the store open, by whichever name; 0 where the system does not say which, None for nobody."""
+    """Number of a process that has the store open, by whichever name; 0 where the system does not say which, None for none."""
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
     except OSError:
-        return None  # on a medium that takes no writing nobody writes
+        return None  # on a medium that takes no writing no process writes
     try:
         asked = struct.pack(_FLOCK, fcntl.F_WRLCK, os.SEEK_SET, _LOCKED_FROM, 0, 0)
         kind, _, _, _, process = struct.unpack(_FLOCK, fcntl.fcntl(descriptor, fcntl.F_GETLK, asked))

@@ -27,8 +27,8 @@ from yieldmon.service.rows import SecondRow, second_row
 class Journal:
     """Numbers batches and seconds, and collects what the monitor hands back until the next batch.
 
-    actions: what operators told. parameters: those in use and before. loads: as measured. field, crop: names of the loads from
-    now on. kernel_weight_g: of a thousand kernels, as an operator told it.
+    actions: what operators entered. parameters: those in use and before. loads: as measured. field, crop: names of the loads from
+    now on. kernel_weight_g: of a thousand kernels, as an operator entered it.
     """
 
     def __init__(self, memory: Memory, configured: ParameterSet, field: str = "", crop: str = "", *, now_s: float) -> None:
@@ -64,12 +64,12 @@ class Journal:
         second = int(earlier[-1].document["second"]) if earlier else self._second
         self.actions.add(ledgers.ZERO, who, {"second": second, "signs": signs}, now_s)
 
-    def zero_undone(self, who: str, restored: Mapping[int, MissedMass], told: Iterable[int], now_s: float) -> None:
-        """It was taken back. restored: by load number, what it had missed; told: loads whose new mass the monitor told itself."""
+    def zero_undone(self, who: str, restored: Mapping[int, MissedMass], reported: Iterable[int], now_s: float) -> None:
+        """It was taken back. restored: by load number, what it had missed; reported: loads whose new mass it reported."""
         last = max((action.number for action in self.actions if action.kind == ledgers.ZERO), default=0)
         restored_kg = sum(missed.kg for missed in restored.values())
         self.actions.add(ledgers.ZERO_UNDO, who, {"action": last, "restored_kg": restored_kg}, now_s)
-        for number in set(restored) - set(told):
+        for number in set(restored) - set(reported):
             self.loads.corrected(number, restored[number])
 
     def load_table(self) -> list[dict[str, Any]]:

@@ -44,7 +44,7 @@ class Memory:
     field: str = ""
     crop: str = ""
     kernel_weight_g: float | None = None
-    """Of a thousand kernels, as an operator told it."""
+    """Of a thousand kernels, as an operator entered it."""
     faults: tuple[str, ...] = ()
     counters: Mapping[str, int] | None = None
     of_crop: Mapping[str, ParameterSet] = field_of(default_factory=dict)
@@ -101,8 +101,8 @@ def _since_zero(store: Store, actions: Sequence[Action], first_load: int) -> tup
     last = next((a for a in reversed(actions) if a.kind == ledgers.ZERO), None)
     if last is None:
         return ()
-    newest, told = store.last_second(), int(last.document["second"])
-    first = max(told + 1, (newest.number if newest is not None else 0) - KEPT_S)
+    newest, recorded = store.last_second(), int(last.document["second"])
+    first = max(recorded + 1, (newest.number if newest is not None else 0) - KEPT_S)
     kept, zero_mv = [], None
     ended_s = {load.number: load.ended_s for load in store.loads() if load.ended_s is not None}
     for row in store.seconds(first - 1, on_damage=lambda number: None):

@@ -106,7 +106,7 @@ class MetricsFile:
 
 
 def _version(path: Path) -> tuple[int, int] | None:
-    """Tells one writing of the file from the next; None where there is no file."""
+    """Identifies one writing of the file; None where there is no file."""
     try:
         found = path.stat()
     except FileNotFoundError:

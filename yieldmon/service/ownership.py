@@ -57,7 +57,7 @@ class Ownership:
             self._lock = None
 
     def keep(self) -> None:
-        """To be asked before each commit: a lock whose file was removed keeps nobody off, and is taken anew.
+        """To be asked before each commit: a lock whose file was removed excludes no other process, and is taken anew.
 
         Raises StoreError when another daemon has taken it meanwhile.
         """

@@ -41,7 +41,7 @@ class ParameterHistory:
         self._shipped_digest = parameter_file.digest(parameter_file.load())
 
     def crop_of(self, parameters: ParameterSet, named: str) -> str:
-        """Whose crop parameters are, "" where nobody said. named: the crop that an operator named last."""
+        """Whose crop parameters are, "" where none was named. named: the crop that an operator named last."""
         return parameters.provenance.get("crop", named) or (_SHIPPED_CROP if self.digest == self._shipped_digest else "")
 
     def change_crop(self, crop: str, in_use: ParameterSet, named: str, who: str = "") -> ParameterSet | None:

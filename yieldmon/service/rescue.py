@@ -98,7 +98,7 @@ def reattach(store: Store, label: str) -> Path | None:
     return aside if there else None
 
 
-def mend(store: Store | None, path: Path, error: StoreError) -> str:
+def repair(store: Store | None, path: Path, error: StoreError) -> str:
     """Makes a store that failed in use fit to be opened again; returns what is to be said of it. Raises StoreError or OSError."""
     label = f"{int(time())}"
     if store is not None and isinstance(error, StoreDetachedError):
@@ -124,7 +124,7 @@ def replacement(path: Path) -> Path | None:
 
 
 def _remove(scratch: Path) -> None:
-    """The files of a store of our own that was never finished. What has their names and is no file is nobody's to remove."""
+    """The files of a store of our own that was never finished. What has their names and is no file stays."""
     make_way(parts(scratch))
     for part in parts(scratch):
         part.unlink(missing_ok=True)
@@ -160,7 +160,7 @@ def _opened(path: Path, model: Path) -> Iterator[sqlite3.Connection | None]:
 
     model: an empty store. Tables of one that was made by this version begin at the same pages.
     """
-    mended = path.with_name(f"{path.name}.mended")
+    repaired = path.with_name(f"{path.name}.mended")
     try:
         orphaned = is_orphaned(path)
         database = _readable(path) if header_problem(path) is None and not orphaned else None
@@ -168,19 +168,19 @@ def _opened(path: Path, model: Path) -> Iterator[sqlite3.Connection | None]:
             # Under a journal without its file lies an empty store: tables begin at the same pages.
             content = model.read_bytes() if orphaned else path.read_bytes()
             for candidate in (content, _with_the_schema_of(model.read_bytes(), content)):
-                _remove(mended)
-                _write_new(mended, _with_a_sound_header(candidate))
+                _remove(repaired)
+                _write_new(repaired, _with_a_sound_header(candidate))
                 journal = parts(path)[1]
                 if journal.exists():
-                    _write_new(parts(mended)[1], journal.read_bytes())
-                database = database or _readable(mended)
+                    _write_new(parts(repaired)[1], journal.read_bytes())
+                database = database or _readable(repaired)
         try:
             yield database
         finally:
             if database is not None:
                 database.close()
     finally:
-        _remove(mended)
+        _remove(repaired)
 
 
 def _write_new(path: Path, content: bytes) -> None:
@@ -210,12 +210,12 @@ def _tables(database: sqlite3.Connection) -> set[str]:
 
 def _with_the_schema_of(model: bytes, content: bytes) -> bytes:
     """The file with the pages of another one's schema table: the first page and, where that points to others, those."""
-    mended = bytearray(content)
+    repaired = bytearray(content)
     for page in (1, *_schema_pages(model)):
         if page * _PAGE_BYTES <= len(content):
             place = slice((page - 1) * _PAGE_BYTES, page * _PAGE_BYTES)
-            mended[place] = model[place]
-    return bytes(mended)
+            repaired[place] = model[place]
+    return bytes(repaired)
 
 
 def _schema_pages(model: bytes) -> list[int]:

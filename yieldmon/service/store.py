@@ -86,7 +86,7 @@ class Store:
     ) -> None:
         """Open the store at `path`, making or migrating it when needed.
 
-        timeout_s: how long a commit waits for another process that holds the file. exclusive: nobody else may read
+        timeout_s: how long a commit waits for another process that holds the file. exclusive: no other process may read
         meanwhile, which takes no room on the medium: a store on a full one can be opened and read this way. immutable: only
         read, from a medium that takes no writing at all; not a store with a journal, whose last seconds would be missed. copied:
         only read, from a copy in memory, which is what is migrated: for one of an older version, or one that was never made to
@@ -315,7 +315,7 @@ class Store:
                 raise StoreDetachedError(f"{part}: replaced while in use")
             if found.st_size < self._sizes.get(part, 0):
                 cut = f"{part}: cut to {found.st_size} bytes while in use"
-                # A journal may have been written into the file by another process: opening them anew tells.
+                # A journal may have been written into the file by another process: opening them anew shows it.
                 raise StoreDamagedError(cut) if part == self.path else StoreError(cut)
 
     def copy_to(self, target: Path) -> None:
@@ -464,7 +464,7 @@ class Store:
         return [] if self._version() < 2 else self._of_kind(Ticket, self._checked("ticket"))
 
     def actions(self) -> list[Action]:
-        """What was told, learnt and taken back, in order."""
+        """What was entered, learnt and taken back, in order."""
         return self._with_documents(Action, "action")
 
     def steps(self) -> list[Step]:

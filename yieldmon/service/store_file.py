@@ -123,7 +123,7 @@ def witness(path: Path, batch: int, identity: int = 0) -> None:
 
 
 def note_beginning(path: Path) -> None:
-    """Note that a store is kept here, before its first commit: whatever becomes of its file, it is ours to mend."""
+    """Note that a store is kept here, before its first commit: whatever becomes of its file, it is ours to repair."""
     if not os.path.lexists(_witness(path)):
         witness(path, 0)
 
@@ -292,7 +292,7 @@ def set_aside(path: Path, label: str) -> Path:
 
 
 def refuse_stranger(path: Path, fstab: Path = Path("/etc/fstab")) -> None:
-    """To be asked before a daemon makes or mends its store: nothing of somebody else's is touched.
+    """To be asked before a daemon makes or repairs its store: nothing of somebody else's is touched.
 
     Raises InputError for a file that is no store and never was one, and for a path below a mount point of `fstab` where nothing
     is mounted: the medium would come later and hide what was written.

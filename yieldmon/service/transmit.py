@@ -19,7 +19,7 @@ _SEND_TIMEOUT_S = 0.2
 ECHO_S = 1.0
 #: The same where the interface was asked to show them: a frame waits in the driver while the bus is busy.
 ASKED_ECHO_S = 10.0
-#: So many frames sent, and none come back in time, tell of an interface that shows a node no frame of its own.
+#: So many frames sent, and none come back in time, indicate an interface that shows a node no frame of its own.
 _ENOUGH_WITHOUT_ECHO = 20
 _FAILURE_HOLD_S = 2.0
 #: How long a stop waits for the frame that is being sent.

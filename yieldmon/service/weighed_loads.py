@@ -39,7 +39,7 @@ _KEPT_SWEEPS = 20
 
 @dataclass(frozen=True)
 class MeasuredLoad:
-    """Seconds of one load, with the parameters that measured each version's. crop: "" where nobody said. is_open: more grain may
+    """Seconds of one load, with the parameters that measured each version's. crop: "" where none was named. is_open: more may
     come."""
 
     name: str

@@ -14,7 +14,7 @@ from time import monotonic, time
 from yieldmon.errors import reason
 from yieldmon.service.batch import Batch
 from yieldmon.service.in_the_way import make_way
-from yieldmon.service.rescue import finish, mend
+from yieldmon.service.rescue import finish, repair
 from yieldmon.service.store import Store
 from yieldmon.service.store_errors import BatchRefusedError, StoreDamagedError, StoreDetachedError, StoreError
 from yieldmon.service.store_file import beside, set_aside
@@ -23,9 +23,9 @@ _log = logging.getLogger(__name__)
 
 _RETRY_S = 2.0
 #: A medium that damages what is written to it would be filled with stores set aside.
-_MEND_EVERY_S = 60.0
-#: For files that were removed or replaced again, and for another try where mending failed on a medium without room, say.
-_MEND_AGAIN_S = 10.0
+_REPAIR_EVERY_S = 60.0
+#: For files that were removed or replaced again, and for another try where a repair failed on a medium without room, say.
+_REPAIR_AGAIN_S = 10.0
 #: Commits between two rounds of making room.
 _PRUNE_EVERY = 60
 #: Events carried along from a batch whose record had to be given up.
@@ -75,7 +75,7 @@ class StoreWriter:
         self._last_submitted = 0
         self._there = False
         """There is a store already: a file that is missing has been removed."""
-        self._mended_s = float("-inf")
+        self._repaired_s = float("-inf")
         self._thread = threading.Thread(target=self._run, name="store-writer", daemon=True)
 
     def start(self) -> None:
@@ -83,7 +83,7 @@ class StoreWriter:
         self._thread.start()
 
     def expect(self, last_batch: int) -> None:
-        """Say, before the start, which batch is the last in the store: one that lacks it when opened is told as replaced."""
+        """Say, before the start, which batch is the last in the store: one that lacks it when opened is reported as replaced."""
         self._last_committed = self._last_submitted = last_batch
         self._there = True
 
@@ -170,14 +170,14 @@ class StoreWriter:
             return False
         detached = isinstance(error, StoreDetachedError)
         # At a stop what waits has no other time.
-        if not self._stopping and monotonic() - self._mended_s < (_MEND_AGAIN_S if detached else _MEND_EVERY_S):
+        if not self._stopping and monotonic() - self._repaired_s < (_REPAIR_AGAIN_S if detached else _REPAIR_EVERY_S):
             return False
-        self._mended_s = monotonic()
+        self._repaired_s = monotonic()
         try:
-            note = mend(store, path, error)
+            note = repair(store, path, error)
         except (StoreError, OSError) as failure:
             _log.error("%s: %s", path, failure)
-            self._mended_s = float("-inf") if detached else self._mended_s + _MEND_AGAIN_S - _MEND_EVERY_S
+            self._repaired_s = float("-inf") if detached else self._repaired_s + _REPAIR_AGAIN_S - _REPAIR_EVERY_S
             return False
         self._report_replaced(path, note)
         return True
@@ -189,7 +189,7 @@ class StoreWriter:
             self._health = replace(self._health, replacements=count, replaced_because=note)
 
     def _opened(self) -> Store:
-        """The store, opened; whether it is still the one that was written is told. Raises StoreError."""
+        """The store, opened; whether it is still the one that was written is reported. Raises StoreError."""
         removed = self._there and self._path is not None and not self._found(self._path)
         if self._path is not None:
             with suppress(OSError):

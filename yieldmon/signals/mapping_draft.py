@@ -14,7 +14,7 @@ _CHANNELS = re.compile(r"(input|chan(nel)?|ch|ain|port)_?\d+", re.IGNORECASE)
 _GUESS = "ratio: 0.2"
 _EXCITATION = "scale: 5"
 TELLING = ("manufacturer_code", "function", "function_instance", "ecu_instance", "identity_number")
-"""Fields of a NAME that tell a node from all others, as `source` of a mapping takes them."""
+"""Fields of a NAME that identify a node, as `source` of a mapping takes them."""
 
 
 def mapping_text(survey: Survey, paths: Mapping[str, str]) -> str:

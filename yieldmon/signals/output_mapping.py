@@ -122,7 +122,7 @@ def build(
     machine
         For the range of its plate.
     inputs
-        What is taken in, which nobody may send under the same identifier.
+        What is taken in, whose identifiers no output may use.
     shipped
         Whether the messages of the shipped DBC are sent as well.
     network

@@ -183,7 +183,7 @@ class Survey:
 
     def _claimed(self, address: int, name: Name) -> None:
         self._table.claimed(address, name)
-        # Who had it from time to time is nobody's name.
+        # An address that changed hands identifies no sender.
         self._claims[address] = name if self._claims.get(address, name) == name else None
 
     def _add(self, identifier: int, times: Array, lengths: NDArray[np.uint8], payloads: NDArray[np.uint64]) -> None:

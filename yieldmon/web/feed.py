@@ -1,4 +1,4 @@
-"""What all live pages see: two looks at the daemon a second, however many watch, and none when nobody does.
+"""What all live pages see: two looks at the daemon a second, however many watch, and none when no page is open.
 
 The daemon's own answer holds its last ten seconds; a page that comes later, or time that goes faster, gets the others from the
 store.
@@ -33,7 +33,7 @@ _ASK_S = 3.0
 _PERIOD_S, _AFTER_S, _LEAST_S, _MOST_S = 1.0, 0.1, 0.25, 0.5
 #: A page that hears nothing for longer than a few of these says so itself.
 _HEARTBEAT_S = 2.0
-#: A look at daemon and store that takes longer is told; the daemon's answer is awaited for less.
+#: A look at daemon and store that takes longer is reported; the daemon's answer is awaited for less.
 _HANGS_S = 8.0
 #: How long seconds that the daemon has shown to be missing are awaited from its store.
 _STORE_PATIENCE_S = 5.0

@@ -1,4 +1,4 @@
-"""HTTP connections that nobody can hold open for nothing.
+"""HTTP connections that no peer can hold open without use.
 
 uvicorn gives a request as long as it likes to arrive and an answer as long as it likes to be taken. Here a request has to be
 whole, and what was sent has to be taken, within PATIENCE_S; of more than CONNECTIONS the one that has asked nothing for longest

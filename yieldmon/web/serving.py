@@ -78,7 +78,7 @@ def serve(access: Access, build: Callable[[Access], Guard], ready: Callable[[str
     build : callable
         Makes the application, once the port is known.
     ready : callable
-        Told the page's address once it can be opened.
+        Called with the page's address once it can be opened.
 
     Raises
     ------

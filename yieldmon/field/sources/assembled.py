@@ -166,16 +166,16 @@ def _time(raw: Raw, options: ReadOptions, where: str) -> tuple[Array, bool, list
         numbers = raw.numbers[column.name]
     if column.unit in _TIME_UNITS:
         numbers = numbers * factor(column.unit, "time", where)
-    numbers, told = clocks.of_unix(numbers)
-    unix = bool(told) or "unix" in column.name.lower()
+    numbers, time_unit = clocks.of_unix(numbers)
+    unix = bool(time_unit) or "unix" in column.name.lower()
     out, notes = clocks.unwrapped(numbers)
     if options.first_date is not None and not unix:
         return clocks.dated(out, options.first_date), True, list(notes)
-    return out, unix, [*notes] if column.unit else [*notes, f"{column.name} is taken as {told or 'seconds'}"]
+    return out, unix, [*notes] if column.unit else [*notes, f"{column.name} is taken as {time_unit or 'seconds'}"]
 
 
 def _dated_column(raw: Raw) -> Column | None:
-    """The column of days, where it tells the time as well."""
+    """The column of days, where it holds the time as well."""
     day = raw.columns.get("day")
     if day is None or day.name not in raw.texts:
         return None

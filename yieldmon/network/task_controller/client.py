@@ -34,7 +34,7 @@ SERVER_TIMEOUT_S = 6.0
 TASK_INTERVAL_S = 2.0
 ANSWER_TIMEOUT_S = 6.0
 UPLOAD_TIMEOUT_S = 30.0
-#: After a refusal that will not mend itself: no memory, an error in the pool.
+#: After a refusal that does not pass by itself: no memory, an error in the pool.
 REFUSED_REST_S = 60.0
 NEWEST_VERSION = 4
 _NEVER_S = float("inf")
