@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-import subprocess
-import sys
+import signal
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -13,6 +12,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from tests import forked
 from yieldmon.engine.records import COLUMNS
 from yieldmon.errors import InputError
 from yieldmon.frames import EstimateQuality, OperatingState
@@ -150,18 +150,24 @@ def standing_in(folder: Path, **how: Any) -> Iterator[StandIn]:
         daemon.stop()
 
 
+class Site(str):
+    """A page's address, and the process that serves it."""
+
+    pid: int
+
+
 @contextmanager
-def page(socket: Path, *options: str) -> Iterator[str]:
-    """`yieldmon web` as a process of its own at a free port; yields its address."""
-    command = [sys.executable, "-m", "yieldmon", "web", "--socket", str(socket), "--listen", "127.0.0.1:0", *options]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stderr is not None
+def page(socket: Path, *options: str) -> Iterator[Site]:
+    """`yieldmon web` as a process of its own at a free port, forked from one with its packages; yields its address."""
+    with forked.running("web", "--socket", str(socket), "--listen", "127.0.0.1:0", *options) as process:
         line = process.stderr.readline()
+        assert "http://" in line, line + process.stderr.read()
         try:
-            assert "http://" in line, line + process.stderr.read()
-            yield line.split()[-1].rstrip("/")
+            site = Site(line.split()[-1].rstrip("/"))
+            site.pid = process.pid
+            yield site
         finally:
-            process.terminate()
+            process.send_signal(signal.SIGTERM)
             said = process.stderr.read()
-            assert process.wait(10) == 0, said
+            assert process.wait() == 0, said
             assert said == ""
