@@ -35,11 +35,11 @@ class Forked:
         What it writes to standard error.
     """
 
-    def __init__(self, words: tuple[str, ...]) -> None:
+    def __init__(self, words: tuple[str, ...], before: str = "") -> None:
         status_reads, status_writes = os.pipe()
         error_reads, error_writes = os.pipe()
         try:
-            socket.send_fds(_parent()[0], [json.dumps(words).encode()], [error_writes, status_writes])
+            socket.send_fds(_parent()[0], [json.dumps([before, *words]).encode()], [error_writes, status_writes])
         finally:
             os.close(error_writes)
             os.close(status_writes)
@@ -58,9 +58,9 @@ class Forked:
 
 
 @contextlib.contextmanager
-def running(*words: str) -> Iterator[Forked]:
-    """`yieldmon words` as a process of its own; killed at the end where it still runs."""
-    process = Forked(words)
+def running(*words: str, before: str = "") -> Iterator[Forked]:
+    """`yieldmon words` as a process of its own; killed at the end where it still runs. before: Python that it runs first."""
+    process = Forked(words, before)
     try:
         yield process
     finally:
@@ -89,7 +89,7 @@ def _serve(requests: socket.socket) -> None:
             os.close(file)
 
 
-def _watch(words: list[str], error: int, status: int) -> None:
+def _watch(message: list[str], error: int, status: int) -> None:
     """In a process between: the command's number, and its exit code once it has ended."""
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     child = os.fork()
@@ -99,7 +99,7 @@ def _watch(words: list[str], error: int, status: int) -> None:
         os.close(error)
         # Anew: what the stream found out about the file that was there does not hold for a pipe.
         sys.stderr = open(2, "w", encoding="utf-8", buffering=1, closefd=False)  # noqa: SIM115 - as long as the process
-        _be(words)
+        _be(*message)
     os.close(error)
     os.write(status, f"{child}\n".encode())
     _, ended = os.waitpid(child, 0)
@@ -108,12 +108,13 @@ def _watch(words: list[str], error: int, status: int) -> None:
     os._exit(0)
 
 
-def _be(words: list[str]) -> None:
+def _be(before: str, *words: str) -> None:
     from yieldmon.cli.main import main
 
     sys.argv = ["yieldmon", *words]
     code = 1
     try:
+        exec(before)  # noqa: S102 - the test's own
         code = main()
     except SystemExit as stop:
         code = int(stop.code or 0)

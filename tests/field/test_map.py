@@ -7,13 +7,13 @@ import json
 import shutil
 import sqlite3
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.in_process import program
 from tests.seconds import measured_second
 from yieldmon.cli import main as cli
 from yieldmon.field.products import FILES, FORMATS, picture
@@ -38,12 +38,8 @@ def mapped(capsys: pytest.CaptureFixture[str], out: Path, *words: str | Path) ->
 def corn_map(corn: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     """All products of the real corn, dated."""
     out = tmp_path_factory.mktemp("map")
-    done = subprocess.run(
-        [sys.executable, "-m", "yieldmon", "map", str(corn), "--out", str(out), "--json", "--date", "2001-10-10"],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    done = program("yieldmon.cli.main", "map", corn, "--out", out, "--json", "--date", "2001-10-10")
+    assert done.returncode == 0, done.stderr
     return out, json.loads(done.stdout)
 
 

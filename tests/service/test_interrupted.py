@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import signal
 import subprocess
 import sys
@@ -11,15 +12,13 @@ from pathlib import Path
 
 import pytest
 
+from tests import forked
 from tests.service.bench import CODEC, START_S, traffic
 
 ROOT = Path(__file__).parents[2]
 LIMIT_S = 60.0
 #: Shells start background jobs with the signal ignored, and what they start inherits that.
-INTERRUPTIBLE = (
-    "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
-    "runpy.run_module('yieldmon', run_name='__main__', alter_sys=True)"
-)
+INTERRUPTIBLE = "import os, signal; os.setsid(); signal.signal(signal.SIGINT, signal.default_int_handler)"
 
 
 def lines(duration_s: float) -> bytes:
@@ -57,15 +56,12 @@ def test_process_interrupted(words, endless, tmp_path):
     log, taken = endless
     folder = tmp_path / "out"
     folder.mkdir()
-    command = [sys.executable, "-c", INTERRUPTIBLE, "process", str(log), "--out", str(folder / words[0]), *words[1:]]
-    running = subprocess.Popen(command, cwd=ROOT, start_new_session=True, text=True, stderr=subprocess.PIPE)
-    try:
+    command = ["process", str(log), "--out", str(folder / words[0]), *words[1:]]
+    with forked.running(*command, before=INTERRUPTIBLE) as running:
         assert taken.wait(LIMIT_S)
         os.killpg(running.pid, signal.SIGINT)
-        _, said = running.communicate(timeout=LIMIT_S)
-    finally:
-        running.kill()
-    assert (running.returncode, said) == (130, f"yieldmon: interrupted; {folder / words[0]} is not written\n")
+        assert select.select([running.stderr], [], [], LIMIT_S)[0], "it goes on"
+        assert (running.stderr.read(), running.wait()) == (f"yieldmon: interrupted; {folder / words[0]} is not written\n", 130)
     assert list(folder.iterdir()) == [], "a table under way leaves nothing"
 
 

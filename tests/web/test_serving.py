@@ -6,8 +6,6 @@ import http.client
 import json
 import signal
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -16,6 +14,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from tests import forked
 from tests.web.standin import StandIn, page, standing_in
 
 pytest.importorskip("uvicorn")
@@ -52,26 +51,24 @@ def status(address: tuple[str, int], path: str = "/api/page", **headers: str) ->
 
 #: As under the unit, which lets a process send no signal, not even to itself.
 NO_SIGNALS = """
-import signal, sys
+import signal
 def refused(*_): raise PermissionError(1, "Operation not permitted")
 signal.raise_signal = refused
-from yieldmon.cli.main import main
-sys.exit(main(sys.argv[1:]))
+signal.signal(signal.SIGINT, signal.default_int_handler)
 """
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 0), (signal.SIGINT, 130)])
 def test_a_process_that_may_send_no_signal_ends_by_one(daemon: StandIn, number: int, code: int) -> None:
     words = ["web", "--socket", str(daemon.socket), "--listen", "127.0.0.1:0"]
-    with subprocess.Popen([sys.executable, "-c", NO_SIGNALS, *words], stderr=subprocess.PIPE, text=True) as process:
-        assert process.stderr is not None
+    with forked.running(*words, before=NO_SIGNALS) as process:
         told = urlsplit(process.stderr.readline().removeprefix("yieldmon: ").strip())
         assert told.hostname is not None
         assert told.port is not None
         # The first answer comes from a server that listens to signals.
         assert status((told.hostname, told.port)) == 200
         process.send_signal(number)
-        assert (process.wait(PATIENT_S), process.stderr.read()) == (code, "")
+        assert (process.stderr.read(), process.wait()) == ("", code)
 
 
 def ends(connection: socket.socket) -> bool:
