@@ -92,7 +92,7 @@ class Bench:
         machine, gain = self.machine, N_PER_KG_S / self.machine.sensor.gain_n_per_mv
         generator = np.random.default_rng(self.seed)
         grid = np.arange(times_s[0] - 0.5, times_s[-1] + 0.5, 0.001)
-        chain = np.cumsum([machine.paddle_speed_m_s(self.rpm(t) * RPM) for t in grid]) * 0.001
+        chain = np.cumsum(machine.paddle_speed_m_s(np.array([self.rpm(t) for t in grid.tolist()]) * RPM)) * 0.001
         voltage = np.zeros_like(times_s)
         marks = []
         position = 0.0
@@ -121,7 +121,7 @@ class Bench:
         times = self.start_s + 0.004 * np.arange(1, count + 1)
         sample_times = self.start_s + 0.001 * np.arange(1, 4 * count + 1)
         generator = np.random.default_rng(self.seed + 1)
-        zero = np.array([self.zero(t) for t in times]).repeat(4)
+        zero = np.array([self.zero(t) for t in times.tolist()]).repeat(4)
         values = self.force_mv(sample_times) + zero + self.noise_mv * generator.standard_normal(4 * count)
         quantised = np.round(values * 2.0) / 2.0
         keep = np.array([not self.drop(i) for i in range(count)])
