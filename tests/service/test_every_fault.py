@@ -16,7 +16,7 @@ import can
 import numpy as np
 import pytest
 
-from tests.service.bench import CODEC, ZERO_MV, Bench, encoded, running, traffic, wait_for
+from tests.service.bench import CODEC, ZERO_MV, Bench, encoded, retry_writing_soon, running, traffic, wait_for
 from yieldmon import frames
 from yieldmon.engine.faults import FAULTS, FaultCode
 from yieldmon.engine.totals import Totals
@@ -378,7 +378,8 @@ def trouble_codes(bench: Bench) -> set[tuple[int, int]]:
 
 
 @pytest.mark.parametrize(("code", "case"), CASES)
-def test_fault_is_on_the_bus_in_status_and_in_the_store(folder, code, case):
+def test_fault_is_on_the_bus_in_status_and_in_the_store(folder, monkeypatch, code, case):
+    retry_writing_soon(monkeypatch)
     with ExitStack() as stack:
         text = f"{case.configuration}\nbus: {{transmit_max_age_s: 60, {case.bus}}}"
         bench = stack.enter_context(running(folder, text, silence_s=case.silence_s))

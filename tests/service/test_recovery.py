@@ -9,7 +9,7 @@ from pathlib import Path
 import can
 import pytest
 
-from tests.service.bench import CODEC, START_S, Bench, running, traffic, wait_for
+from tests.service.bench import CODEC, START_S, Bench, retry_writing_soon, running, traffic, wait_for
 from yieldmon import frames
 from yieldmon.errors import InputError
 from yieldmon.service import configuration
@@ -121,6 +121,7 @@ def test_a_medium_that_takes_no_writing_is_read_and_measuring_goes_on(tmp_path, 
         raise sqlite3.OperationalError("unable to open database file")
 
     monkeypatch.setattr(Store, "_prepare", refuse)
+    retry_writing_soon(monkeypatch)
     with running(tmp_path, start_s=START_S + 60.0) as bench:
         assert bench.status["total"]["mass_kg"] == pytest.approx(before_kg, abs=10.0)
         bench.play(2, GRAIN_MV)
@@ -162,6 +163,7 @@ def test_a_medium_that_is_full_before_there_is_a_store_does_not_stop_the_measuri
     if left is not None:
         path.write_bytes(left)
     monkeypatch.setattr(Store, "_prepare", no_room)
+    retry_writing_soon(monkeypatch)
     with running(tmp_path) as bench:
         warm_up(bench)
         wait_for(lambda: "StoreFailing" in bench.faults, "StoreFailing")

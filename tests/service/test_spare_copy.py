@@ -9,12 +9,11 @@ import sqlite3
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 
 import pytest
 
-from tests.service.bench import START_S, running, wait_for
+from tests.service.bench import START_S, retry_writing_soon, running, wait_for
 from tests.service.test_store import second
 from yieldmon.engine.state import EngineState
 from yieldmon.engine.totals import Totals
@@ -26,7 +25,6 @@ from yieldmon.service.retention import DEFAULT_RETENTION
 from yieldmon.service.spare_copy import spare_copy
 from yieldmon.service.store import Store
 from yieldmon.service.store_errors import StoreError
-from yieldmon.service.writer import StoreWriter
 
 EMPTY_MV, GRAIN_MV = 0.0, 60.0
 _GET_FLAGS, _SET_FLAGS, _IMMUTABLE = 0x80086601, 0x40086602, 0x10
@@ -76,7 +74,7 @@ HARM = {
 @pytest.mark.parametrize("journal", [False, True])
 def test_a_damaged_store_that_cannot_be_set_aside_stops_no_measuring(tmp_path, monkeypatch, harm, journal):
     monkeypatch.setattr("yieldmon.service.writer._REPAIR_AGAIN_S", 0.0)
-    monkeypatch.setattr("yieldmon.service.daemon.StoreWriter", partial(StoreWriter, retry_s=0.05))
+    retry_writing_soon(monkeypatch)
     state = tmp_path / "state"
     with running(tmp_path, state=state) as bench:
         bench.play(14, EMPTY_MV)
