@@ -54,10 +54,11 @@ REVERSED: dict[str, Any] = {
 """A season that drifts the other way: what errors cancel in one direction add up in the other."""
 
 
-def compare(job: tuple[str, float, int, bool, float | None]) -> dict[str, Any]:
+def compare(job: tuple[str, float, int, bool, float | None], *, without_tickets: bool = True) -> dict[str, Any]:
     """A season of one combine at the daemon's defaults, without and with sweeps, without and with a ticket a day.
 
-    job: name, hours, seed, whether reversed, the pattern's size where it is not the daemon's.
+    job: name, hours, seed, whether reversed, the pattern's size where it is not the daemon's. without_tickets: False leaves out
+    the two strategies that never weigh a load.
     """
     from dataclasses import replace
 
@@ -82,13 +83,15 @@ def compare(job: tuple[str, float, int, bool, float | None]) -> dict[str, Any]:
     # What no ticket takes away: then no sweep begins by schedule, and the season is the one without sweeps.
     never = first.model_error > LARGEST_MODEL_ERROR or STOP_GAP in first.effects
     outcomes: dict[int, study.Outcome] = {}
-    for label, sweeps, tickets in (("map", False, 0), ("sweeps", True, 0), ("map_ticket", False, 1), ("sweeps_ticket", True, 1)):
+    strategies = [("map", False, 0), ("sweeps", True, 0), ("map_ticket", False, 1), ("sweeps_ticket", True, 1)]
+    for label, sweeps, tickets in strategies if without_tickets else strategies[2:]:
         strategy = study.Strategy(label, moisture_map=True, sweeps=sweeps, tickets_per_day=tickets)
         outcome = outcomes[tickets] if sweeps and never else study.run(season, first, strategy, kept)
         outcomes[tickets] = outcome
         found[f"{label}_mean_abs_pct"] = round(outcome.mean_abs_load_error_pct, 3)
         found[f"{label}_live_within_1_pct"] = round(outcome.loads_within_1_pct, 3)
         found[f"{label}_posted_within_1_pct"] = round(outcome.posted_within_1_pct, 3)
+        found[f"{label}_posted_mean_abs_pct"] = round(float(abs(outcome.posted_error_pct).mean()), 3)
         found[f"{label}_sweeps"], found[f"{label}_updates"] = outcome.sweeps, outcome.updates
     return found
 
@@ -104,11 +107,13 @@ def combines(args: argparse.Namespace) -> int:
     path = args.out / ("combines-reversed.json" if args.reversed else "combines.json")
     for seed in range(args.seed, args.seed + args.seeds):
         for name in names:
-            rows.append(compare((name, args.hours, seed, args.reversed, args.pattern_sd)))
+            job = (name, args.hours, seed, args.reversed, args.pattern_sd)
+            rows.append(compare(job, without_tickets=not args.tickets))
             print(json.dumps(rows[-1]), flush=True)
             found = {"hours": args.hours, "commit": commit, "pattern_sd": args.pattern_sd, "seasons": rows}
             path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    return int(any(row["sweeps_mean_abs_pct"] > row["map_mean_abs_pct"] for row in rows))
+    kind = "_ticket" if args.tickets else ""
+    return int(any(row[f"sweeps{kind}_mean_abs_pct"] > row[f"map{kind}_mean_abs_pct"] for row in rows))
 
 
 def document(outcomes: Sequence[Outcome], hours: float, seed: int, took_s: float) -> dict[str, Any]:
@@ -190,6 +195,7 @@ def main() -> int:
     )
     parser.add_argument("--combines", nargs="+", metavar="NAME", help='map and sweeps compared on these combines; "all": five')
     parser.add_argument("--seeds", type=int, default=1, help="with --combines: seasons of each, from --seed on")
+    parser.add_argument("--tickets", action="store_true", help="with --combines: only the two strategies with a ticket a day")
     parser.add_argument("--reversed", action="store_true", help="with --combines: everything drifts the other way")
     parser.add_argument("--pattern-sd", type=float, help="with --combines: `learning.pattern_sd` instead of the daemon's default")
     args = parser.parse_args()

@@ -24,6 +24,7 @@ from yieldmon.estimation.closed_loop import self_calibrate, update_from_tickets
 from yieldmon.estimation.closed_loop_inputs import MassAnchor, Sweep
 from yieldmon.estimation.closed_loop_outcome import Outcome as Lesson
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
+from yieldmon.estimation.drift_lessons import DriftLesson, by_weighed_masses, ending
 from yieldmon.estimation.drift_rates import DriftRates
 from yieldmon.estimation.measurements import Measurements
 from yieldmon.estimation.open_loop import OpenLoop
@@ -34,10 +35,14 @@ from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.plant.effects import MoistureDependence
 from yieldmon.plant.scenario import Crop, Scenario
+from yieldmon.service import posting
 from yieldmon.service.configuration import calibrator_settings
 from yieldmon.service.document import Document
+from yieldmon.units import S_PER_DAY
 
 Array = NDArray[np.float64]
+_POSTED_DAYS = posting.SPAN_S / S_PER_DAY
+"""Days of harvest that a ticket's posting reaches back over, as the daemon's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,7 +234,7 @@ class Keeper:
             self.parameters = with_pattern(self.parameters, settings.pattern_sd)
         self.model = ForwardModel(self.machine, self.parameters.effects)
         self.drifting = begin(self.parameters, settings.steady_per_kilotonne)
-        self.steps: list[Advance] = []
+        self.lessons: list[DriftLesson] = []
         loop = ClosedLoopSettings(
             flow="process", flow_process_sd=settings.flow_process_sd, flow_process_time_s=settings.flow_process_time_s,
             model_error=settings.model_error,
@@ -245,6 +250,8 @@ class Keeper:
         self.sweeps = self.updates = 0
         self.told_day = 0
         self.posted_kg = np.full(season.loads.mass_kg.size, np.nan)
+        self.posted_with: dict[int, ParameterSet] = {}
+        """By load, as the newest posting that reached it has them."""
         self.ticketed = 0
         self.load_of_day: list[int] = []
         self.rows: list[tuple[float, ...]] = []
@@ -279,6 +286,9 @@ class Keeper:
     def outcome(self) -> Outcome:
         season = self.season
         measured = np.add.reduceat(np.nan_to_num(self.flow), season.loads.start)
+        for number, parameters in self.posted_with.items():
+            windows = slice(int(season.loads.start[number]), int(season.loads.end[number]))
+            self.posted_kg[number] = float(np.sum(self._flow(windows, parameters)))
         posted = np.where(np.isfinite(self.posted_kg), self.posted_kg, measured)
         rated = season.mass_flow_kg_s >= 4.0
         relative = 100.0 * np.abs(self.flow[rated] / season.mass_flow_kg_s[rated] - 1.0)
@@ -296,17 +306,18 @@ class Keeper:
         )
 
     def _post(self, end: int) -> None:
-        """Measure the loads since the last ticket again, with the parameters as the day's lessons together have them."""
-        known = smoothed(self.steps, self.drifting)
+        """The last days' loads are to be measured again, with the parameters as the weighed masses together have them."""
+        lessons = by_weighed_masses(self.lessons)
+        known = smoothed([lesson.advance for lesson in lessons], ending(self.drifting, lessons[-1]))
         hours = np.array([*self.step_h, float(self.season.time_s[self.season.loads.end[end - 1] - 1]) / 3600.0])
         names = self.parameters.covariance_names
         rows = np.array([[values[name] for name in names] for values in known])
-        for number in range(self.ticketed, end):
+        begin_s = 3600.0 * hours[-1] - _POSTED_DAYS * self.settings.day_s
+        for number in range(int(np.searchsorted(self.season.loads.start, begin_s)), end):
             windows = slice(int(self.season.loads.start[number]), int(self.season.loads.end[number]))
             hour = float(np.mean(self.season.time_s[windows])) / 3600.0
             here = {n: float(np.interp(hour, hours, rows[:, i])) for i, n in enumerate(names)}
-            parameters = replace(self.parameters, values={**self.parameters.values, **here})
-            self.posted_kg[number] = float(np.sum(self._flow(windows, parameters)))
+            self.posted_with[number] = replace(self.parameters, values={**self.parameters.values, **here})
         self.ticketed = end
 
     def _moisture(self, windows: Array | slice) -> Array | None:
@@ -363,7 +374,7 @@ class Keeper:
     def _swept(self, used: Array, place: int, length: int) -> None:
         """What a sweep of `length` windows from `place` on teaches; used: the windows in which the plate stood still."""
         hour = float(self.season.time_s[place + length - 1]) / 3600.0
-        self._grow(place + length)
+        came = self._grow(place + length)
         moisture = self._moisture(slice(place, place + length))
         sweep = Sweep(
             self.season.time_s[used],
@@ -374,12 +385,11 @@ class Keeper:
             None if moisture is None else np.full(used.size, float(np.mean(moisture))),
         )
         if not self.settings.refuse_corners:
-            self._take(self_calibrate(self.model, self.parameters, [sweep], settings=self.loop), hour)
+            self._take(self_calibrate(self.model, self.parameters, [sweep], settings=self.loop), came, hour, sweep_alone=True)
             return
         allowed = allowing_for(self.loop, self.parameters)
         lesson = self_calibrate(self.model, self.parameters, [sweep], settings=allowed)
-        if not refusal(lesson.parameter_set):
-            self._take(lesson, hour)
+        self._take(lesson, came, hour, sweep_alone=True, admitted=not refusal(lesson.parameter_set))
 
     def _weigh(self, number: int, mass_kg: float, sd_kg: float, hour: float) -> None:
         start, end = int(self.season.loads.start[number]), int(self.season.loads.end[number])
@@ -395,26 +405,30 @@ class Keeper:
         if self.strategy.moisture_map:
             moisture = float(np.mean(self.season.moisture_reading_pct[used]))
             anchor = replace(anchor, moisture_pct=np.full(anchor.force_n.shape, moisture))
-        self._grow(end)
-        self._take(update_from_tickets(self.model, self.parameters, [anchor], settings=self.loop), hour)
+        came = self._grow(end)
+        self._take(update_from_tickets(self.model, self.parameters, [anchor], settings=self.loop), came, hour)
 
-    def _take(self, lesson: Lesson, hour: float) -> None:
-        if lesson.updated:
-            self.drifting = learn(self.drifting, lesson.parameter_set, widening=lesson.prior_widening)
+    def _take(self, lesson: Lesson, came: Advance, hour: float, *, sweep_alone: bool = False, admitted: bool = True) -> None:
+        """came: the time before the lesson."""
+        taken = lesson.updated and admitted
+        widening = lesson.prior_widening if taken else 1.0
+        if taken:
+            self.drifting = learn(self.drifting, lesson.parameter_set, widening=widening)
             self.parameters = self.drifting.parameters
             self.updates += 1
+        self.lessons.append(DriftLesson(came, self.drifting.state, self.drifting.joint, widening, sweep_alone))
         self._remember(hour)
 
-    def _grow(self, stop: int) -> None:
-        """What is known at the end of window `stop` - 1."""
+    def _grow(self, stop: int) -> Advance:
+        """What is known at the end of window `stop` - 1, and how it came."""
         hour_before, window_before = self.grown_to
         hour = float(self.season.time_s[stop - 1]) / 3600.0
         harvested_kg = float(np.nansum(self.flow[window_before:stop]))
         self.step_h.append(hour_before)
-        self.drifting, step = advance(self.drifting, self.settings.wandering, hour - hour_before, harvested_kg)
-        self.steps.append(step)
+        self.drifting, came = advance(self.drifting, self.settings.wandering, hour - hour_before, harvested_kg)
         self.parameters = self.drifting.parameters
         self.grown_to = (hour, stop)
+        return came
 
     def _remember(self, hour: float) -> None:
         row = [hour]

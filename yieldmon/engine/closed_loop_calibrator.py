@@ -125,7 +125,8 @@ class ClosedLoopCalibrator:
                 return CalibrationOutcome(None, f"the sweep would put {leads}", identifiable=False)
         except ValueError as error:
             return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False)
-        return self._taken(outcome, drifting, used, (now_s, total_kg, moisture_pct), step)
+        moment = (now_s, total_kg, moisture_pct)
+        return self._taken(outcome, drifting, used, moment, step, sweep_alone=density is None)
 
     def weigh(self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator) -> CalibrationOutcome:
         """See records.SelfCalibrator."""
@@ -297,6 +298,8 @@ class ClosedLoopCalibrator:
         used: ParameterSet,
         moment: tuple[float, float, float],
         step: Advance,
+        *,
+        sweep_alone: bool = False,
     ) -> CalibrationOutcome:
         """The new parameters, remembered with the moment (bus time s, total kg, moisture %) they hold from; step led to it."""
         self.last = outcome
@@ -331,7 +334,9 @@ class ClosedLoopCalibrator:
         if known.effects != self._model.effects:
             self._model = self._model.with_effects(known.effects)
         follows = self._drifting.state.shape == step.after.shape and known.covariance_names == prior.covariance_names
-        led = CalibrationStep(used.version, begun_s, moment[0], step, tuple(map(float, self._drifting.state)))
+        state = tuple(map(float, self._drifting.state))
+        widening = outcome.prior_widening if outcome.updated else 1.0
+        led = CalibrationStep(used.version, begun_s, moment[0], step, state, widening, sweep_alone)
         moved = self._map is not None
         step_taken = led if follows else None
         return CalibrationOutcome(OpenLoop(self._model, known), reason, outcome.updated, step=step_taken, moved_by_moisture=moved)

@@ -255,7 +255,8 @@ class CalibrationStep:
     """From one update to the next, as a smoother needs it to correct the time between.
 
     from_version: parameters in use between them. begin_s, end_s: bus time. advance: states (parameters, then their rates) and
-    covariances at both ends, before the second update; state: what that made of them.
+    covariances at both ends, before the second update; state: what that made of them. widening: what it multiplied the covariance
+    before it by. sweep_alone: whether a sweep has taught it, without a weighed mass or a known density.
     """
 
     from_version: int
@@ -263,6 +264,8 @@ class CalibrationStep:
     end_s: float
     advance: Advance
     state: tuple[float, ...]
+    widening: float = 1.0
+    sweep_alone: bool = False
 
 
 @dataclass(frozen=True, slots=True)

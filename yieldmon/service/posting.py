@@ -1,9 +1,10 @@
 """Posting: loads of the last days measured again with what was learnt after them.
 
-A ticket in the evening, and every sweep, also says something of the hours and days before it: a day whose one ticket is of a
-load at low flow learns from the next evening's what its grain was at high flow. The updates' steps, kept in the store, are
-smoothed (`estimation.steady_drift.smoothed`), and each load's seconds are measured again with the parameters as all updates
-together have them at its time. What was measured at first stays as it is: a posting is a factor for each load.
+A ticket in the evening also says something of the hours and days before it: a day whose one ticket is of a load at low flow
+learns from the next evening's what its grain was at high flow. The updates' steps, kept in the store, are taken without those of
+sweeps (`estimation.drift_lessons`) and smoothed (`estimation.steady_drift.smoothed`), and each load's seconds are measured again
+with the parameters as the weighed masses together have them at its time. What was measured at first stays as it is: a posting is
+a factor for each load.
 """
 
 from __future__ import annotations
@@ -18,9 +19,10 @@ import numpy as np
 
 from yieldmon.engine.records import CalibrationStep
 from yieldmon.errors import InputError
+from yieldmon.estimation.drift_lessons import DriftLesson, by_weighed_masses, ending
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.steady_drift import Advance, DriftingParameters, smoothed
+from yieldmon.estimation.steady_drift import Advance, DriftingParameters, learn, smoothed
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
@@ -57,7 +59,7 @@ class Timeline:
     holds_from_s: float = -np.inf
 
     def at(self, time_s: float) -> ParameterSet:
-        """The parameters at a time, as all updates together have them."""
+        """The parameters at a time, as the weighed masses together have them."""
         here = {name: float(np.interp(time_s, self.times_s, self.values[:, i])) for i, name in enumerate(self.names)}
         return replace(self.parameters, values={**self.parameters.values, **here})
 
@@ -80,14 +82,30 @@ def timeline(steps: Sequence[Step], parameters: ParameterSet) -> Timeline:
     chain.reverse()
     state = np.array(chain[-1].state)
     rates = tuple(names[: len(state) - len(names)])  # Only their number counts here.
+    lessons = by_weighed_masses(_lessons(chain, parameters, rates))
     last = DriftingParameters(parameters, rates, state[len(names) :], np.zeros((state.size,) * 2))
-    known = smoothed([step.advance for step in chain], last)
+    known = smoothed([lesson.advance for lesson in lessons], ending(last, lessons[-1]))
     times = np.array([*(step.begin_s for step in chain), chain[-1].end_s])
     values = np.array([[point[name] for name in names] for point in known])
     versions = frozenset({parameters.version, *(step.from_version for step in chain)})
-    after = [*(step.advance.before for step in chain[1:]), last.state]
-    broken = [step.begin_s for step, state in zip(chain, after, strict=True) if _contradicts(step.advance, state)]
+    broken = [step.begin_s for step, lesson in zip(chain, lessons, strict=True) if _contradicts(lesson.advance, lesson.state)]
     return Timeline(parameters, names, np.maximum.accumulate(times), values, versions, max(broken, default=-np.inf))
+
+
+def _lessons(chain: Sequence[CalibrationStep], parameters: ParameterSet, rates: tuple[str, ...]) -> list[DriftLesson]:
+    """What each lesson made of the state: where the next step begins, and after the last the parameters in use."""
+    end, names = chain[-1], parameters.covariance_names
+    after = end.advance.after
+    values = dict(zip(names, map(float, after), strict=False))
+    covariance = end.advance.covariance_after
+    prior = replace(parameters, values={**parameters.values, **values}, covariance=covariance[: len(names), : len(names)])
+    known = DriftingParameters(prior, rates, after[len(names) :], covariance)
+    states = [*(step.advance.before for step in chain[1:]), np.array(end.state)]
+    covariances = [*(step.advance.covariance_before for step in chain[1:]), learn(known, parameters, widening=end.widening).joint]
+    return [
+        DriftLesson(step.advance, state, covariance, step.widening, step.sweep_alone)
+        for step, state, covariance in zip(chain, states, covariances, strict=True)
+    ]
 
 
 def _contradicts(expected: Advance, state: Array) -> bool:

@@ -1,0 +1,150 @@
+"""Lessons of a drifting state taken again without those of sweeps: what weighed masses alone say of the time before.
+
+A sweep is read through the model's profile over the plate angle. Its scatter, and a model error that comes back with each sweep,
+go into friction and with it into the flow at home; the drift of friction that the estimator expects lets them. While the machine
+harvests that is worth it, since nothing else speaks. Once a weighed mass has spoken, masses measured again by the weighed masses
+alone have neither. What a lesson said apart from what was known before it follows from the state and covariance before and after
+it, so that nothing is measured anew.
+
+Sources: Rauch, Tung and Striebel, AIAA Journal 3 (1965), on the smoother that this serves; Brynjarsdottir and O'Hagan, Inverse
+Problems 30 (2014), on what is learnt through a model with an error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from yieldmon.physics.numerics import Array
+
+from .steady_drift import Advance, DriftingParameters
+
+_ROUNDING = 1e-6
+"""Share of a variance by which an update may miss its prior."""
+_SINGULAR = 1e-12
+"""Of the largest eigenvalue of a correlation matrix."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriftLesson:
+    """A lesson and the time before it.
+
+    Parameters
+    ----------
+    advance : Advance
+        How the state came to the lesson.
+    state : ndarray (n,)
+        What the lesson made of it.
+    covariance : ndarray (n, n)
+        Its covariance then.
+    widening : float
+        Factor on the covariance before the lesson (`Outcome.prior_widening`).
+    sweep_alone : bool
+        Whether a sweep alone has taught, without a weighed mass or a known density.
+    """
+
+    advance: Advance
+    state: Array
+    covariance: Array
+    widening: float = 1.0
+    sweep_alone: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class _Readings:
+    """Independent readings of rows @ state, with their variances: what a lesson says whatever was known before it."""
+
+    rows: Array
+    values: Array
+    variances: Array
+
+
+def by_weighed_masses(lessons: Sequence[DriftLesson]) -> list[DriftLesson]:
+    """The same lessons at the same times, where sweeps have taught nothing.
+
+    Parameters
+    ----------
+    lessons : sequence of DriftLesson
+        In order, each beginning where the one before it ended.
+
+    Returns
+    -------
+    list of DriftLesson
+        Up to the first lesson of a sweep as given. A lesson that replaced what was known, where others update it, replaces it
+        here too.
+
+    Examples
+    --------
+    Smoothed parameters without the sweeps: ``smoothed([l.advance for l in by_weighed_masses(lessons)], last)``, with
+    `ending` for `last`.
+    """
+    found: list[DriftLesson] = []
+    apart = False
+    for lesson in lessons:
+        if not apart and not lesson.sweep_alone:
+            found.append(lesson)
+            continue
+        if not found and not apart:
+            before, covariance_before = lesson.advance.before, lesson.advance.covariance_before
+        else:
+            before, covariance_before = found[-1].state, found[-1].covariance
+        apart = True
+        advance = _continued(lesson.advance, before, covariance_before)
+        state, covariance = advance.after, advance.covariance_after
+        if not lesson.sweep_alone:
+            covariance = lesson.widening * covariance
+            readings = _readings(lesson)
+            if readings is None:
+                state, covariance = lesson.state, lesson.covariance
+            else:
+                state, covariance = _read(state, covariance, readings)
+        found.append(replace(lesson, advance=advance, state=state, covariance=covariance))
+    return found
+
+
+def ending(last: DriftingParameters, lesson: DriftLesson) -> DriftingParameters:
+    """`last` with the state and covariance that a lesson led to."""
+    names = last.parameters.covariance_names
+    count = len(names)
+    values = {**last.parameters.values, **{n: float(v) for n, v in zip(names, lesson.state[:count], strict=True)}}
+    parameters = replace(last.parameters, values=values, covariance=lesson.covariance[:count, :count])
+    return DriftingParameters(parameters, last.names, lesson.state[count:], lesson.covariance)
+
+
+def _continued(advance: Advance, before: Array, covariance_before: Array) -> Advance:
+    """The same time from another state: linear about the one on record, with the same random walk."""
+    move = advance.transition
+    walk = advance.covariance_after - move @ advance.covariance_before @ move.T
+    after = advance.after + move @ (before - advance.before)
+    covariance = move @ covariance_before @ move.T + walk
+    return Advance(before, covariance_before, move, after, 0.5 * (covariance + covariance.T))
+
+
+def _readings(lesson: DriftLesson) -> _Readings | None:
+    """None where the lesson left something less certain than it was, which no reading does."""
+    prior = lesson.widening * lesson.advance.covariance_after
+    scale = np.sqrt(np.maximum(np.diag(prior), 1e-300))
+    sizes, axes = np.linalg.eigh(prior / np.outer(scale, scale))
+    used = sizes > _SINGULAR * sizes[-1]
+    white = (axes[:, used] / np.sqrt(sizes[used])).T / scale
+    left, turned = np.linalg.eigh(white @ lesson.covariance @ white.T)
+    if left[-1] > 1.0 + _ROUNDING:
+        return None
+    told = left < 1.0 - _ROUNDING
+    left = np.maximum(left[told], _SINGULAR)
+    rows = turned[:, told].T @ white
+    # A reading z of a unit prior variance moves by (1 - left) (z - prior).
+    values = rows @ lesson.advance.after + rows @ (lesson.state - lesson.advance.after) / (1.0 - left)
+    return _Readings(rows, values, left / (1.0 - left))
+
+
+def _read(state: Array, covariance: Array, readings: _Readings) -> tuple[Array, Array]:
+    for row, value, variance in zip(readings.rows, readings.values, readings.variances, strict=True):
+        tie = covariance @ row
+        gain = tie / (row @ tie + variance)
+        state = state + gain * (value - row @ state)
+        left = np.eye(state.size) - np.outer(gain, row)
+        covariance = left @ covariance @ left.T + variance * np.outer(gain, gain)
+    return state, 0.5 * (covariance + covariance.T)
