@@ -116,6 +116,24 @@ def combines(args: argparse.Namespace) -> int:
     return int(any(row[f"sweeps{kind}_mean_abs_pct"] > row[f"map{kind}_mean_abs_pct"] for row in rows))
 
 
+def bounds(args: argparse.Namespace) -> int:
+    """A line for each season of the combine as modelled: what the best estimator could have right live."""
+    from studies.season import season as seasons
+    from studies.season import study
+    from studies.season.best_live import best_live
+    from yieldmon.physics.machine import Machine
+    from yieldmon.plant.scenario import Scenario
+
+    settings, machine = seasons.SeasonSettings(hours=args.hours), Machine()
+    scenario = study.scenario_of(settings).model_copy(update={"effects": Scenario().effects})
+    for seed in range(args.seed, args.seed + args.seeds):
+        season = seasons.simulate(settings, machine, scenario, seed)
+        first = study.first_calibration(settings, machine, seed)
+        found = best_live(season, first, settings, study.StudySettings.of_daemon())
+        print(json.dumps({"seed": seed, "loads": len(season.loads.mass_kg)} | found), flush=True)
+    return 0
+
+
 def document(outcomes: Sequence[Outcome], hours: float, seed: int, took_s: float) -> dict[str, Any]:
     """The table as plain values."""
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False).stdout.strip()
@@ -194,13 +212,16 @@ def main() -> int:
         help="strategy (c) alone, kept and posted by the daemon's own code, for N seeds from --seed on; posted.json",
     )
     parser.add_argument("--combines", nargs="+", metavar="NAME", help='map and sweeps compared on these combines; "all": five')
-    parser.add_argument("--seeds", type=int, default=1, help="with --combines: seasons of each, from --seed on")
+    parser.add_argument("--seeds", type=int, default=1, help="with --combines and --best-live: seasons of each, from --seed on")
     parser.add_argument("--tickets", action="store_true", help="with --combines: only the two strategies with a ticket a day")
+    parser.add_argument("--best-live", action="store_true", help="the most that any estimator could have right live")
     parser.add_argument("--reversed", action="store_true", help="with --combines: everything drifts the other way")
     parser.add_argument("--pattern-sd", type=float, help="with --combines: `learning.pattern_sd` instead of the daemon's default")
     args = parser.parse_args()
     if args.posted_by_daemon is not None:
         return posted_by_daemon(args)
+    if args.best_live:
+        return bounds(args)
     if args.combines:
         return combines(args)
     begun = time.monotonic()

@@ -234,7 +234,7 @@ class Keeper:
             self.parameters = with_pattern(self.parameters, settings.pattern_sd)
         self.model = ForwardModel(self.machine, self.parameters.effects)
         self.drifting = begin(self.parameters, settings.steady_per_kilotonne)
-        self.lessons: list[DriftLesson] = []
+        self.taught: list[DriftLesson] = []
         loop = ClosedLoopSettings(
             flow="process", flow_process_sd=settings.flow_process_sd, flow_process_time_s=settings.flow_process_time_s,
             model_error=settings.model_error,
@@ -307,7 +307,7 @@ class Keeper:
 
     def _post(self, end: int) -> None:
         """The last days' loads are to be measured again, with the parameters as the weighed masses together have them."""
-        lessons = by_weighed_masses(self.lessons)
+        lessons = by_weighed_masses(self.taught)
         known = smoothed([lesson.advance for lesson in lessons], ending(self.drifting, lessons[-1]))
         hours = np.array([*self.step_h, float(self.season.time_s[self.season.loads.end[end - 1] - 1]) / 3600.0])
         names = self.parameters.covariance_names
@@ -416,7 +416,7 @@ class Keeper:
             self.drifting = learn(self.drifting, lesson.parameter_set, widening=widening)
             self.parameters = self.drifting.parameters
             self.updates += 1
-        self.lessons.append(DriftLesson(came, self.drifting.state, self.drifting.joint, widening, sweep_alone))
+        self.taught.append(DriftLesson(came, self.drifting.state, self.drifting.joint, widening, sweep_alone))
         self._remember(hour)
 
     def _grow(self, stop: int) -> Advance:

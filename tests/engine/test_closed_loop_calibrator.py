@@ -157,6 +157,21 @@ def test_a_ticket_teaches_between_sweeps_and_counts_once() -> None:
     assert calibrator.weigh(now, anchors, outcome.estimator).estimator is None
 
 
+@pytest.mark.parametrize("ratio", [None, 1.6])
+def test_a_step_says_whether_a_sweep_alone_has_taught(ratio: float | None) -> None:
+    """A known density and a weighed mass speak of the scale, as no sweep does."""
+    calibrator = ClosedLoopCalibrator(MODEL, dataclasses.replace(EXACT, density_ratio=ratio))
+    prior = OpenLoop(MODEL, PRIOR)
+    swept = calibrator.update([dataclasses.replace(r, test_weight_kg_m3=720.0) for r in records(12.0)], prior)
+    assert swept.step is not None
+    assert (swept.step.sweep_alone, swept.step.widening) == (ratio is None, 1.0)
+    after = swept.estimator
+    assert isinstance(after, OpenLoop)
+    weighed = calibrator.weigh(records(12.0, start_s=1000.0)[-1], (ticket(after, 12.0, 300.0, 900.0),), after)
+    assert weighed.step is not None
+    assert not weighed.step.sweep_alone
+
+
 def test_a_late_ticket_for_an_earlier_load_still_counts() -> None:
     before = OpenLoop(MODEL, PRIOR)
     calibrator = ClosedLoopCalibrator(MODEL, EXACT)

@@ -77,6 +77,44 @@ def test_a_step_is_the_same_after_the_store() -> None:
     assert step_document(found) == step.document
     assert step_from_document({**step.document, "state": [1.0, 2.0]}) is None
     assert step_from_document({}) is None
+    taught = replace(found, widening=4.0, sweep_alone=True)
+    assert step_document(step_from_document(json.loads(json.dumps(step_document(taught))))) == step_document(taught)
+
+
+@pytest.mark.parametrize("widening", [0.5, float("inf"), float("nan"), None, "wide"])
+def test_a_step_with_a_widening_that_makes_no_sense_is_none(widening: float | str | None) -> None:
+    assert step_from_document({**lesson(3.0, 0.02, known(2, 830.0)).document, "widening": widening}) is None
+
+
+def test_a_step_of_a_store_before_0_2_counts_whatever_taught_it() -> None:
+    document = dict(lesson(3.0, 0.02, known(2, 830.0)).document)
+    del document["widening"], document["sweep_alone"]
+    found = step_from_document(document)
+    assert found is not None
+    assert (found.widening, found.sweep_alone) == (1.0, False)
+
+
+def test_what_a_sweep_taught_is_not_posted() -> None:
+    """A sweep moves the density by far, a ticket brings it to 840 kg/m3: loads are as the ticket alone has them."""
+    _, before = advance(begin(known(), {}), DriftRates({"density": 0.01}, {}, {}), 2.0, 0.0)
+    swept = replace(known(2, 950.0), covariance=np.array([[1.0]]))
+    _, between = advance(begin(swept, {}), DriftRates({"density": 0.01}, {}, {}), 2.0, 0.0)
+    learnt = replace(known(3, 840.0), covariance=np.array([[1e-3]]))
+    lines = []
+    for alone in (True, False):
+        steps = [
+            CalibrationStep(1, 0.0, 2.0 * HOUR_S, before, (950.0,), sweep_alone=alone),
+            CalibrationStep(2, 2.0 * HOUR_S, 4.0 * HOUR_S, between, (840.0,)),
+        ]
+        told = [Step(version, step.end_s, step_document(step)) for version, step in zip((2, 3), steps, strict=True)]
+        lines.append(posting.timeline(told, learnt))
+    for line in lines:
+        assert line.versions == {1, 2, 3}
+        assert line.at(4.0 * HOUR_S).values["density"] == pytest.approx(840.0, abs=0.01)
+    # The walk is as it was recorded, relative to what the sweep had made of the density.
+    expected = 30.0**2 / (30.0**2 + 2.0 * 8.0**2 + 2.0 * 9.5**2)
+    assert lines[0].at(0.0).values["density"] == pytest.approx(800.0 + 40.0 * expected, abs=0.01)
+    assert lines[0].at(0.0).values["density"] < 840.0 < lines[1].at(0.0).values["density"]
 
 
 @pytest.mark.parametrize("wandering", [0.0, 0.02, 0.2])

@@ -72,7 +72,9 @@ def timeline(steps: Sequence[Step], parameters: ParameterSet) -> Timeline:
     while version in by_version:
         # Each once: versions of a store that was tampered with may lead to themselves.
         found = step_from_document(by_version.pop(version).document)
-        if found is None or found.advance.after.shape != (chain[-1] if chain else found).advance.after.shape:
+        if found is None or len(found.state) < len(parameters.covariance_names):
+            break
+        if chain and len(found.state) != len(chain[-1].state):
             break
         chain.append(found)
         version = found.from_version
