@@ -24,6 +24,9 @@ VERBS = {
     "plot": "plot flow day.sqlite --out {}/a.png",
     "signals": "signals a.log --write {}/m.yaml",
     "demo": "demo --picture {}/a.png",
+    "map": "map day.sqlite --width 9 --out {}/map",
+    "setup": "setup --out {}/set-up",
+    "task data": "export day.sqlite --format taskdata --swath 9 --out {}/task",
 }
 
 

@@ -34,6 +34,7 @@ def check(args: argparse.Namespace) -> None:
 
 def check_folder(folder: Path, names: Iterable[str], option: str, *, force: bool, inputs: Iterable[str | Path] = ()) -> None:
     """As `check`, for files of these names in a folder, which need not be there."""
+    require_writable_folder(folder, option)
     read = {Path(path).resolve() for path in inputs}
     for name in names if folder.is_dir() else ():
         refuse(folder / name, option, force=force, inputs=read)
@@ -54,11 +55,25 @@ def refuse(path: Path, option: str, *, force: bool, inputs: set[Path] = frozense
 
 def require_writable(path: Path, option: str) -> None:
     """Raises InputError for a file that is not there yet, or not writable itself, in a folder that this user may not write in."""
-    folder = path.resolve().parent
     taken = path.exists() and (not path.is_file() or os.access(path, os.W_OK, effective_ids=True))
-    if not taken and folder.is_dir() and not os.access(folder, os.W_OK | os.X_OK, effective_ids=True):
+    folder = path.resolve().parent
+    if not taken and folder.is_dir():
+        _require_rights(folder, f"{option} {path}")
+
+
+def require_writable_folder(folder: Path, option: str) -> None:
+    """Raises InputError for a folder in which this user may not write, or which this user may not make."""
+    there = folder.resolve()
+    while not there.exists():
+        there = there.parent
+    if there.is_dir():
+        _require_rights(there, f"{option} {folder}")
+
+
+def _require_rights(folder: Path, where: str) -> None:
+    if not os.access(folder, os.W_OK | os.X_OK, effective_ids=True):
         expected = "another folder, sudo, or rights to this one (`ls -ld` shows its owner and mode)"
-        raise InputError(f"{option} {path}", f"{this_user()} may not write in the folder {folder}", expected)
+        raise InputError(where, f"{this_user()} may not write in the folder {folder}", expected)
 
 
 def _files(value: object) -> Iterator[Path]:

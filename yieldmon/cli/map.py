@@ -11,6 +11,7 @@ from datetime import date
 from math import isfinite
 from pathlib import Path
 
+from yieldmon.cli import _outputs
 from yieldmon.cli._json import print_json
 from yieldmon.cli._limits import within_if_given
 from yieldmon.cli._units import add_units
@@ -83,6 +84,7 @@ def run(args: argparse.Namespace) -> int:
     read_options, map_options = _read_options(args), _map_options(args)
     if out.exists() and not out.is_dir():
         raise InputError("--out", f"{out} is a file", "a folder")
+    _outputs.require_writable_folder(out, "--out")
     _spare_sources([Path(name).resolve() for name in args.sources], out.resolve(), formats)
 
     def progress(text: str) -> None:

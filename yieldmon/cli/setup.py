@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from yieldmon.cli import _provenance
+from yieldmon.cli import _outputs, _provenance
 from yieldmon.cli._json import print_document
 from yieldmon.cli._setup import derive, session
 from yieldmon.cli._setup.questions import QUESTIONS, bolted
@@ -49,6 +49,7 @@ def run(args: argparse.Namespace) -> int:
     nearest = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if not nearest.is_dir():
         raise InputError("--out", f"{nearest} is not a folder", "a folder, or a name that does not exist yet")
+    _outputs.require_writable_folder(folder, "--out")
     answers = session.from_file(args.answers) if args.answers else {}
     kept = folder / session.KEPT
     if kept.is_file():
