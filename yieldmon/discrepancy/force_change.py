@@ -44,12 +44,23 @@ class Guess:
         moved = {p.name: p.start + self.share * (v - p.start) for p, v in zip(c.parameters, c.points[self.point], strict=True)}
         return {p.name: float(np.clip(moved[p.name], p.lower, p.upper)) for p in c.parameters}
 
-    @property
-    def surprise(self) -> float:
-        """-2 log of how likely it is beforehand: its distance in wide prior widths, as in `selection.merit`, and its kind."""
-        far = [(self.values[p.name] - p.start) / (5.0 * p.prior_sd) for p in self.change.parameters if np.isfinite(p.prior_sd)]
-        of_grain = get_effect(family_of(self.change.law)).of_grain
-        return float(sum(min(distance**2, 4.0) for distance in far)) + of_grain * _UNLIKELY
+    def surprise(self, length: float) -> float:
+        """-2 log of how likely it is beforehand.
+
+        length: of its change, in standard deviations, from which the width of its likelihood over size. Sizes follow a Cauchy
+        distribution of the effect's prior width (Jeffreys), and the likelihood is integrated over them (Laplace): where little is
+        seen, effects that rarely do more come before those that mostly do a hundred times as much. Effects of grain are unlikely
+        at one machine.
+        """
+        cost = get_effect(family_of(self.change.law)).of_grain * _UNLIKELY
+        for p, value in zip(self.change.parameters, self.change.points[self.point], strict=True):
+            size = abs(self.share * (value - p.start))
+            if size == 0.0 or not np.isfinite(p.prior_sd):
+                continue
+            sides = 1.0 if p.lower < p.start < p.upper else 2.0
+            density = sides / (np.pi * p.prior_sd * (1.0 + (size / p.prior_sd) ** 2))
+            cost -= 2.0 * np.log(density * np.sqrt(2.0 * np.pi) * size / max(length, 1e-9))
+        return float(cost)
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,11 @@ class Residual:
         """(1 + C'C)^-1, of Woodbury's inverse."""
         return np.asarray(np.linalg.inv(np.eye(self.columns.shape[1]) + self.columns.T @ self.columns))
 
+    def length(self, change: Array) -> float:
+        """Of a change beside the columns, in standard deviations."""
+        inside = self.columns.T @ change
+        return float(np.sqrt(max(change @ change - inside @ self.inner @ inside, 0.0)))
+
     def without(self, change: Array, error: Array) -> tuple[float, float]:
         """Chi-square less a change whose law may be off by columns of error, and the log determinant that those add."""
         left = np.concatenate(((self.residual - change)[:, None], error), axis=1)

@@ -94,13 +94,19 @@ class Comparison:
         return (*self._known.effects, *lawful(e for e in library(frame) if e not in others))
 
     def settled(self, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Which machines are like the others: the one that differs most is left out until none is, then those alike come back."""
+        """Which machines are like the others.
+
+        Backward first: the one that differs most is left out until none does. What is left may still hide machines that pass as
+        scatter of grain because they made that scatter wide; so the more alike half then judges all others, with the scatter
+        that it shows, and those that it takes in judge with it until no more change (forward search, Atkinson and Riani 2000).
+        """
+        return self._grown(self._without_outlying(kept))
+
+    def _without_outlying(self, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
         kept = kept.copy()
         most = (len(kept) - 1) // 2
         for _ in range(2 * most):
-            state = self.state(kept)
-            gains = [float(self._gains(i, state)[0].max()) for i in range(len(kept))]
-            limit = self.tail(state).limit(self._policy.next_p / len(kept))
+            gains, limit = self._largest(kept)
             away = [i for i in np.flatnonzero(kept) if gains[i] > limit]
             back = [i for i in np.flatnonzero(~kept) if gains[i] <= limit]
             if back:
@@ -112,6 +118,26 @@ class Comparison:
             else:
                 break
         return kept
+
+    def _grown(self, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        least = len(kept) // 2 + 1
+        gains, limit = self._largest(kept)
+        like = np.zeros(len(kept), dtype=bool)
+        tried: set[bytes] = set()
+        while True:
+            like = like & (gains <= limit)
+            like[np.argsort(gains, kind="stable")[:least]] = True
+            if like.tobytes() in tried:
+                return like
+            tried.add(like.tobytes())
+            gains, limit = self._largest(like)
+            like = gains <= limit
+
+    def _largest(self, kept: NDArray[np.bool_]) -> tuple[Array, float]:
+        """Each machine's largest gain against the kept ones, and the limit of machines like them."""
+        state = self.state(kept)
+        gains = np.array([float(self._gains(i, state)[0].max()) for i in range(len(kept))])
+        return gains, self.tail(state).limit(self._policy.next_p / len(kept))
 
     def state(self, kept: NDArray[np.bool_]) -> State:
         """What the kept machines say of their grain's differences and of the visits' noise."""
@@ -221,7 +247,7 @@ class Comparison:
         return Own(min(1.0, len(self._machines) * tail.p_value(best)), best, self._explained(i, state, found))
 
     def _explained(self, i: int, state: State, found: Sequence[Guess]) -> tuple[Explanation, ...]:
-        """-2 log evidence of guesses, each effect's law off by `LAW_SD`; each family by its best."""
+        """-2 log evidence of guesses, over sizes and with each effect's law off by `LAW_SD`; each family by its best."""
         judge, placed = self._judge(i, state), self._machines[i]
         smooth = self._smooth[placed.cell]
         judged = []
@@ -229,11 +255,11 @@ class Comparison:
             change = guess.share * guess.change.change[guess.point][placed.cell]
             white = placed.whitened(np.concatenate((change[:, None], LAW_SD * smooth * change[:, None]), axis=1))
             white /= np.sqrt(state.misfit)
-            judged.append((guess, *judge.without(white[:, 0], white[:, 1:])))
-        scale = max(min((chi2 for _, chi2, _ in judged), default=0.0) / len(judge.residual), 1.0)
+            judged.append((guess, judge.length(white[:, 0]), *judge.without(white[:, 0], white[:, 1:])))
+        scale = max(min((chi2 for *_, chi2, _ in judged), default=0.0) / len(judge.residual), 1.0)
         merits: dict[str, tuple[float, Guess]] = {}
-        for guess, chi2, volume in judged:
-            merit = chi2 / scale + volume + self._policy.per_parameter * len(guess.change.parameters) + guess.surprise
+        for guess, length, chi2, volume in judged:
+            merit = chi2 / scale + volume + guess.surprise(length)
             family = family_of(guess.change.law)
             if family not in merits or merit < merits[family][0]:
                 merits[family] = (merit, guess)
