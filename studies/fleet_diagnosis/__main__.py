@@ -1,6 +1,7 @@
 """Does `yieldmon fleet diagnose` name what all machines share as the model's, and what one has at that machine?
 
     python -m studies.fleet_diagnosis run --out draws.jsonl [--draws N] [--workers N]    # resumable; one line a draw
+    python -m studies.fleet_diagnosis run --out fresh.jsonl --seed N                     # other draws
     python -m studies.fleet_diagnosis run --out strong.jsonl --strong                    # with machines' own effects that show
     python -m studies.fleet_diagnosis report draws.jsonl                                 # the table
 
@@ -150,18 +151,18 @@ def _window(**given: Any) -> WindowRecord:
     return WindowRecord(**values)
 
 
-def hidden_of(draw: int) -> tuple[str, dict[str, str]]:
+def hidden_of(draw: int, seed: int = SEED) -> tuple[str, dict[str, str]]:
     """The shared effect of a draw, and machine -> its own effect."""
-    rng = np.random.default_rng([SEED, draw])
+    rng = np.random.default_rng([seed, draw])
     shared = str(rng.choice(list(SHARED)))
     own = rng.choice([name for name in OWN if name != shared], SINGLE, replace=False)
     machines = rng.choice(MACHINES, SINGLE, replace=False)
     return shared, {f"m{number:02d}": str(name) for number, name in zip(machines, own, strict=True)}
 
 
-def fleet_of(draw: int, *, strong: bool) -> list[MachineSweeps]:
+def fleet_of(draw: int, *, strong: bool, seed: int = SEED) -> list[MachineSweeps]:
     """The machines of a draw."""
-    shared, own = hidden_of(draw)
+    shared, own = hidden_of(draw, seed)
     sizes = OWN_STRONG if strong else OWN
     machine, shipped = Machine(), parameter_file.load()
     common = {shared: SHARED[shared]}
@@ -170,14 +171,14 @@ def fleet_of(draw: int, *, strong: bool) -> list[MachineSweeps]:
     for number in range(MACHINES):
         name = f"m{number:02d}"
         force = forces[own.get(name, "")]
-        days = tuple(day_of(machine, force, np.random.default_rng([SEED, draw, number, day])) for day in range(DAYS))
+        days = tuple(day_of(machine, force, np.random.default_rng([seed, draw, number, day])) for day in range(DAYS))
         fleet.append(MachineSweeps(name, machine, calibrated(machine, shipped, force), days))
     return fleet
 
 
-def record(draw: int, found: FleetDiagnosis) -> dict[str, Any]:
+def record(draw: int, found: FleetDiagnosis, seed: int = SEED) -> dict[str, Any]:
     """What was hidden beside what was said."""
-    shared, own = hidden_of(draw)
+    shared, own = hidden_of(draw, seed)
     said = {verdict.name: verdict for verdict in found.machines if verdict.verdict != "none"}
 
     def own_named(name: str, effect: str) -> bool:
@@ -195,18 +196,18 @@ def record(draw: int, found: FleetDiagnosis) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _draw(draw: int, strong: bool) -> dict[str, Any]:
-    return record(draw, diagnose(fleet_of(draw, strong=strong)))
+def _draw(draw: int, strong: bool, seed: int) -> dict[str, Any]:
+    return record(draw, diagnose(fleet_of(draw, strong=strong, seed=seed)), seed)
 
 
-def run(out: Path, draws: Sequence[int], workers: int, *, strong: bool) -> None:
+def run(out: Path, draws: Sequence[int], workers: int, *, strong: bool, seed: int = SEED) -> None:
     """Append the draws that are not in the file yet."""
     done = {line["draw"] for line in read(out)} if out.exists() else set()
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False).stdout.strip()
     with ProcessPoolExecutor(workers) as pool:
-        for found in pool.map(_draw, *zip(*((draw, strong) for draw in draws if draw not in done), strict=True)):
+        for found in pool.map(_draw, *zip(*((draw, strong, seed) for draw in draws if draw not in done), strict=True)):
             with out.open("a", encoding="utf-8") as file:
-                file.write(json.dumps({**found, "strong": strong, "seed": SEED, "commit": commit}) + "\n")
+                file.write(json.dumps({**found, "strong": strong, "seed": seed, "commit": commit}) + "\n")
             print(_line(found), file=sys.stderr, flush=True)
 
 
@@ -248,13 +249,14 @@ def main() -> int:
     running.add_argument("--out", type=Path, required=True)
     running.add_argument("--draws", type=int, default=20)
     running.add_argument("--first", type=int, default=0)
+    running.add_argument("--seed", type=int, default=SEED)
     running.add_argument("--workers", type=int, default=2)
     running.add_argument("--strong", action="store_true", help="machines' own effects of OWN_STRONG")
     reporting = verbs.add_parser("report", help="the table")
     reporting.add_argument("results", type=Path)
     args = parser.parse_args()
     if args.verb == "run":
-        run(args.out, range(args.first, args.first + args.draws), args.workers, strong=args.strong)
+        run(args.out, range(args.first, args.first + args.draws), args.workers, strong=args.strong, seed=args.seed)
         return 0
     return 0 if report(read(args.results)) else 1
 

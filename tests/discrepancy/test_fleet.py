@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
+from scipy import integrate, stats
 
+from yieldmon.discrepancy.fit import effect_parameters
 from yieldmon.discrepancy.fleet import examine
-from yieldmon.discrepancy.force_change import Visible
+from yieldmon.discrepancy.force_change import ForceChange, Guess, Visible
 from yieldmon.discrepancy.lattice import Lattice, lay
 from yieldmon.discrepancy.policy import Policy
 from yieldmon.estimation.home_flow import AwayVisits
@@ -22,10 +26,12 @@ FORCE_VARIANCE, FLOW_VARIANCE = 1e-4, 3e-4
 SEARCH_NOTHING = Policy(most_effects=0)
 
 
-def alike(correlation: float, rng: np.random.Generator, machines: int = 5, sweeps: int = 24, offset_rad: float = 0.0) -> Lattice:
+def alike(
+    correlation: float, rng: np.random.Generator, machines: int = 5, sweeps: int = 24, offsets_rad: Sequence[float] = ()
+) -> Lattice:
     """Machines that are the model's own but for noise, of which visits of one sweep share a part of that in their flow.
 
-    offset_rad: by how much the plate of the first is turned from what it says.
+    offsets_rad: by how much the plates of the first machines are turned from what they say.
     """
     shared = FLOW_VARIANCE * (correlation + (1.0 - correlation) * np.eye(ANGLE.size))
     made = []
@@ -33,7 +39,7 @@ def alike(correlation: float, rng: np.random.Generator, machines: int = 5, sweep
         of_machine = []
         for sweep in range(sweeps):
             speed, flow = np.full(ANGLE.size, (380.0, 420.0)[sweep % 2] * RPM), np.full(ANGLE.size, rng.uniform(5.0, 14.0))
-            turned = offset_rad * (number == 0)
+            turned = offsets_rad[number] if number < len(offsets_rad) else 0.0
             at = [Conditions(a, speed, mass_flow_kg_s=flow, moisture_pct=15.0) for a in (ANGLE + turned, HOME + turned, HOME)]
             away, home, known = (np.real(MODEL.force(where, SHIPPED.values)) for where in at)
             # Flow is what the force at home says; the gain is brought to one by tickets.
@@ -66,5 +72,39 @@ def visible_offset() -> Visible:
 
 @pytest.mark.parametrize(("times", "deviating"), [(2.0, ("m0",)), (0.3, ())])
 def test_an_effect_shows_from_the_size_that_is_stated(visible_offset: Visible, times: float, deviating: tuple[str, ...]) -> None:
-    bent = alike(0.0, np.random.default_rng(7), sweeps=12, offset_rad=times * visible_offset.size)
+    bent = alike(0.0, np.random.default_rng(7), sweeps=12, offsets_rad=[times * visible_offset.size])
     assert examine(bent, np.random.default_rng(1), SEARCH_NOTHING).deviating == deviating
+
+
+@pytest.mark.parametrize("offset_rad", [0.008, 0.02])
+def test_machines_do_not_hide_behind_the_scatter_of_grain_that_they_make(offset_rad: float) -> None:
+    """Each turned plate alone would pass as grain of its own where the others' are taken for that as well."""
+    offsets = [offset_rad, offset_rad, -offset_rad]
+    bent = alike(0.0, np.random.default_rng(7), machines=9, sweeps=12, offsets_rad=offsets)
+    assert examine(bent, np.random.default_rng(1), SEARCH_NOTHING).deviating == ("m0", "m1", "m2")
+
+
+def guess_of(law: str, size: float) -> Guess:
+    (parameter,) = effect_parameters(law, 1.0)
+    return Guess(ForceChange(law, (parameter,), np.array([[parameter.start + size]]), np.zeros((1, 1))), 0, 1.0)
+
+
+@pytest.mark.parametrize(("law", "sides"), [("lever_arm", 1.0), ("plate_friction", 2.0)])
+@pytest.mark.parametrize("size", [0.02, 0.2, 0.8])
+def test_a_size_costs_what_its_prior_gives_to_the_width_of_its_likelihood(law: str, sides: float, size: float) -> None:
+    length = 40.0
+    (prior,) = (p.prior_sd for p in effect_parameters(law, 1.0))
+    sd = size / length
+
+    def both(x: float) -> float:
+        return sides * stats.cauchy.pdf(x, scale=prior) * np.exp(-0.5 * ((x - size) / sd) ** 2)
+
+    expected, _ = integrate.quad(both, size - 8.0 * sd, size + 8.0 * sd)
+    assert guess_of(law, size).surprise(length) == pytest.approx(-2.0 * np.log(expected), abs=0.02)
+
+
+def test_grain_of_its_own_is_unlikely_at_one_machine() -> None:
+    common, own = (guess_of(law, 0.1) for law in ("residual_radial_speed", "plate_friction"))
+    ratio = [p.prior_sd for g in (common, own) for p in g.change.parameters]
+    by_width = 2.0 * np.log((1.0 + (0.1 / ratio[0]) ** 2) * ratio[0] / ((1.0 + (0.1 / ratio[1]) ** 2) * ratio[1]))
+    assert common.surprise(40.0) - own.surprise(40.0) - by_width == pytest.approx(2.0 * np.log(20.0))

@@ -194,6 +194,20 @@ def test_logs_outside_the_folders_of_days_are_named(tmp_path: Path) -> None:
     assert {Path(path).relative_to(tmp_path).as_posix() for path in found.left_out} == {*left_out, "m 0/d2", "m1"}
 
 
+@pytest.mark.parametrize("name", ["b.log.zst", "b.ASC.bz2", "b.blf.xz", "b.log.zip"])
+def test_a_log_that_is_compressed_in_another_way_is_named(tmp_path: Path, name: str) -> None:
+    day = tmp_path / "m" / "d"
+    day.mkdir(parents=True)
+    for each in ("a.log", name, "letter.zip"):
+        (day / each).touch()
+    found = manifest.load(str(tmp_path))
+    assert [str(error).partition(": ")[2] for error in found.refused] == [
+        f"is compressed as {Path(name).suffix}, which is not read; expected the log as it is, or as .gz"
+    ]
+    assert [Path(path).name for path in found.left_out] == ["letter.zip"]
+    assert [Path(log).name for log in found.partitions[0].logs] == ["a.log"]
+
+
 def test_a_manifest_is_a_tree_in_a_table(tree: Path, tmp_path: Path) -> None:
     table = tmp_path / "fleet.csv"
     rows = [f"{m},{d},{tree / m / d / 'a.log'}" for m in ("m0", "m1") for d in ("2026-10-01", "2026-10-02")]

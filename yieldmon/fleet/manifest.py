@@ -21,6 +21,7 @@ from yieldmon.files import delimited
 from yieldmon.fleet.filesystem import filesystem_of, is_remote
 
 CONFIG, TICKETS = "config.yaml", "tickets.csv"
+_UNREAD_COMPRESSIONS = (".zst", ".bz2", ".xz", ".lz4", ".7z", ".zip")
 _MOST_BYTES = 200
 """Of a name as a folder's."""
 _REQUIRED = ("machine", "day", "log")
@@ -205,7 +206,9 @@ def _logs(files: Any, day: str, left_out: list[str], refused: list[InputError]) 
         name = path.rpartition("/")[2]
         if name in (CONFIG, TICKETS) or (kind == _FOLDER and name.startswith((".", "_"))):
             continue
-        if not _is_log(name):
+        if other := _unread_compression(name):
+            refused.append(InputError(path, f"is compressed as {other}, which is not read", "the log as it is, or as .gz"))
+        elif not _is_log(name):
             left_out.append(path)
         elif kind == _FILE:
             logs.append(path)
@@ -251,6 +254,12 @@ def _present(files: Any, path: str) -> str:
 
 def _address(files: Any, source: str, path: str) -> str:
     return files.unstrip_protocol(path) if path and is_remote(source) else path
+
+
+def _unread_compression(name: str) -> str:
+    """Of a log; "" for all else."""
+    stem, dot, suffix = name.lower().rpartition(".")
+    return dot + suffix if dot + suffix in _UNREAD_COMPRESSIONS and stem.endswith(SUFFIXES) else ""
 
 
 def _is_log(name: str) -> bool:
