@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yieldmon.physics.effects import asked_laws, family_of, get_effect, laws, registry
+from yieldmon.physics.effects import family_of, get_effect, laws, registry
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import COMPLEX_STEP
 
-FURTHER = (*(law for name in registry() for law in laws(name)[1:]), *asked_laws())
+FURTHER = tuple(law for name in registry() for law in laws(name)[1:])
 GRAIN = {"friction": 0.3, "density": 1150.0, "shape_ratio": 2.0, "restitution": 0.5, "gravity.acceleration_m_s2": 9.81}
 ANGLE, SPEED, FLOW = np.meshgrid(
     np.radians([40.0, 55.0, 70.0, 90.0]), np.array([340.0, 460.0]) * RPM, [2.0, 8.0, 16.0], indexing="ij"
@@ -40,20 +40,6 @@ def test_a_law_belongs_to_an_effect_and_says_how_it_differs(name: str) -> None:
     assert law.law
     assert law.stage == registry()[law.family].stage
     assert law.source != registry()[law.family].source
-
-
-def test_a_law_to_be_asked_for_is_in_no_search_by_itself() -> None:
-    assert asked_laws()
-    assert not {*asked_laws()} & {law for name in registry() for law in laws(name)}
-
-
-def test_an_even_fan_is_a_gaussian_one_of_its_variance_where_the_edge_cuts_none() -> None:
-    half_width = 0.2
-    even = _force("stream_spread-even", {"stream_spread-even.half_width_rad": half_width})
-    gaussian = _force("stream_spread", {"stream_spread.spread_rad": half_width / np.sqrt(3.0)})
-    ratio = (even / gaussian).reshape(ANGLE.shape)
-    assert ratio[-1] == pytest.approx(1.0, abs=3e-3)
-    assert np.nanmax(np.abs(ratio[0] - 1.0)) > 5e-3
 
 
 @pytest.mark.parametrize("name", FURTHER)

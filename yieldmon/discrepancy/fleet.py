@@ -14,8 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.physics.effects import asked_laws
-
 from .candidates import library
 from .fit import Frame, fit_base
 from .force_change import Visible
@@ -27,11 +25,6 @@ from .policy import Policy
 from .selection import Choice, choose
 
 LEAST_MACHINES = 3
-_CELL_ERROR = 0.003
-"""Relative error of any effect's law in one cell by itself, where no single law explains the mean as it is stated: many machines'
-mean is known better than laws are true."""
-_LEFT = 0.5
-"""Share of the excess that may remain then (`Policy.unexplained_share`): chance alone is a fifth, significance decides."""
 _STATED = 1e6
 """Degrees of freedom of a stated noise: it is known."""
 
@@ -70,19 +63,12 @@ def examine(lattice: Lattice, rng: np.random.Generator, policy: Policy) -> Found
 
 
 def _shared(lattice: Lattice, kept: NDArray[np.bool_], misfit: float, rng: np.random.Generator, policy: Policy) -> Choice:
-    """What the library's laws explain of the mean; where no single one does, one of the laws that must be asked for may."""
-    frame, noise = _consensus(lattice, kept, misfit), Noise(0.0, 1.0, _STATED, "stated")
-    found = choose(fit_base(frame), noise, library(frame), rng, policy)
-    if policy.most_effects == 0 or (found.verdict != "unknown" and len(found.steps) < 2):
-        return found
-    rough = _consensus(lattice, kept, misfit, _CELL_ERROR)
-    tolerant = replace(policy, unexplained_share=max(policy.unexplained_share, _LEFT))
-    other = choose(fit_base(rough), noise, (*library(rough), *asked_laws()), rng, tolerant)
-    names = [step.law for step in other.steps if 1 + len(step.equivalent) <= policy.largest_class]
-    return other if other.verdict == "effect" and len(names) == 1 and names[0] in asked_laws() else found
+    frame = _consensus(lattice, kept, misfit)
+    base = fit_base(frame)
+    return choose(base, Noise(0.0, 1.0, _STATED, "stated"), library(frame), rng, policy)
 
 
-def _consensus(lattice: Lattice, kept: NDArray[np.bool_], misfit: float, cell_error: float = 0.0) -> Frame:
+def _consensus(lattice: Lattice, kept: NDArray[np.bool_], misfit: float) -> Frame:
     """The lattice's frame with the mean force of the machines that are kept, in the cells that they measured."""
     machines = [m for m, keep in zip(lattice.machines, kept, strict=True) if keep]
     frame = lattice.frame
@@ -102,6 +88,6 @@ def _consensus(lattice: Lattice, kept: NDArray[np.bool_], misfit: float, cell_er
     rows = frame.cells.rows
     value = np.where(seen, np.exp(np.divide(total, weight, out=np.zeros(count), where=seen)), rows.value)
     # A cell that none of them measured says nothing.
-    sigma = value * np.where(seen, np.hypot(np.sqrt(misfit * spread) / np.where(seen, weight, 1.0), cell_error), 1e3)
+    sigma = value * np.where(seen, np.sqrt(misfit * spread) / np.where(seen, weight, 1.0), 1e3)
     grouped = cells(replace(rows, value=value, sigma=sigma))
     return replace(frame, cells=grouped, sd=sigma)

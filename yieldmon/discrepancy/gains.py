@@ -26,7 +26,7 @@ class Residual:
     def length(self, change: Array) -> float:
         """Of a change beside the columns, in standard deviations."""
         inside = self.columns.T @ change
-        return float(np.sqrt(max(change @ change - inside @ self.inner @ inside, 0.0)))
+        return float(np.sqrt(np.maximum(change @ change - inside @ self.inner @ inside, 0.0)))
 
     def without(self, change: Array, error: Array) -> tuple[float, float]:
         """Chi-square less a change whose law may be off by columns of error, and the log determinant that those add."""

@@ -295,7 +295,7 @@ class Search:
 
     def _others(self, current: Fit) -> tuple[str, ...]:
         present = {family_of(e) for e in current.effects}
-        return tuple(e for e in self.effects if family_of(e) not in present)
+        return tuple(e for e in self.effects if e not in present)
 
     def _unexplained(self, current: Fit) -> bool:
         """Whether what is left is significant, and too much to call the gap explained, whatever the effects' laws are."""

@@ -17,7 +17,7 @@ from yieldmon.errors import InputError
 
 from .effect import Effect, EffectParameter
 
-__all__ = ["Effect", "EffectParameter", "asked_laws", "effect_parameter", "family_of", "get_effect", "laws", "registry"]
+__all__ = ["Effect", "EffectParameter", "effect_parameter", "family_of", "get_effect", "laws", "registry"]
 
 
 GROUP = "yieldmon.effects"
@@ -79,15 +79,8 @@ def registry() -> MappingProxyType[str, Effect]:
 
 
 def laws(family: str) -> tuple[str, ...]:
-    """Names of the laws by which an effect may act: its own, then the others, such as `jet_shielding-by_fill`, without those that
-    must be asked for."""
-    others = _other_laws().items()
-    return (family, *sorted(name for name, effect in others if effect.family == family and not effect.asked))
-
-
-def asked_laws() -> tuple[str, ...]:
-    """Names of the laws that `laws` leaves out."""
-    return tuple(sorted(name for name, effect in _other_laws().items() if effect.asked))
+    """Names of the laws by which an effect may act: its own, then the others, such as `jet_shielding-by_fill`."""
+    return (family, *sorted(name for name, effect in _other_laws().items() if effect.family == family))
 
 
 def family_of(name: str) -> str:

@@ -71,8 +71,6 @@ class Effect:
         True for what no diagnosis names: a dimension that one measures, or the model's own error, for which there is no cause.
     law : str
         Name of an alternative law of the effect; "" for the first.
-    asked : bool
-        True for a law that a search takes only where it is asked for by name.
     of_grain : bool
         True for how the grain itself moves, which machines of one geometry share when they cut one crop.
     unit_follows_response : bool
@@ -101,7 +99,6 @@ class Effect:
     rank: int = 2
     measured: bool = False
     law: str = ""
-    asked: bool = False
     of_grain: bool = False
     unit_follows_response: bool = False
 

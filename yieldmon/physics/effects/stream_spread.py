@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -25,14 +24,6 @@ def _gaussian(edge: AnyArray, spread: AnyArray) -> tuple[AnyArray, AnyArray, Any
     return lands, -spread * hazard, spread * spread * (1.0 - z * hazard - hazard * hazard)
 
 
-def _even(edge: AnyArray, half_width: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
-    """The same of directions that are equally likely within `half_width`."""
-    outside = np.abs(real(edge)) > real(half_width)
-    within = np.where(outside, np.sign(real(edge)) * half_width, edge)
-    width = within + half_width
-    return width / (2.0 * half_width), 0.5 * (within - half_width), width * width / 12.0
-
-
 def _to_edge(arrival: Arrival, setting: Setting) -> AnyArray:
     """By how much a path must be turned at the tip, towards the low edge, to end at the low edge."""
     jet, length = arrival.jet, setting.machine.plate_length_m
@@ -45,10 +36,8 @@ def _to_edge(arrival: Arrival, setting: Setting) -> AnyArray:
     return arctan(2.0 * (y - drop) / (x + root)) - arctan(jet.vy_m_s / jet.vx_m_s)
 
 
-_Fan = Callable[[AnyArray, AnyArray], tuple[AnyArray, AnyArray, AnyArray]]
-
-
-def _arrival(arrival: Arrival, spread: AnyArray, setting: Setting, fan_below: _Fan) -> Arrival:
+def _arrival(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
+    spread = values["spread_rad"]
     meets = np.isfinite(real(arrival.from_low_edge_m)) & (real(arrival.normal_speed_m_s) > 0.0)
     fans_out = real(spread) > 0.0
     normal = np.where(meets, arrival.normal_speed_m_s, 1.0)
@@ -57,7 +46,7 @@ def _arrival(arrival: Arrival, spread: AnyArray, setting: Setting, fan_below: _F
     incidence = arctan(tangential / normal)
     edge = _to_edge(arrival, setting)
     # What lands is turned towards the top.
-    lands, turn, variance = fan_below(edge, np.where(fans_out, spread, 1.0))
+    lands, turn, variance = _gaussian(edge, np.where(fans_out, spread, 1.0))
     kept = speed * exp(-0.5 * variance)
     sin, cos = sin_cos(incidence + turn)
     fan = meets & fans_out
@@ -71,14 +60,6 @@ def _arrival(arrival: Arrival, spread: AnyArray, setting: Setting, fan_below: _F
     )
 
 
-def _gaussian_arrival(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
-    return _arrival(arrival, values["spread_rad"], setting, _gaussian)
-
-
-def _even_arrival(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
-    return _arrival(arrival, values["half_width_rad"], setting, _even)
-
-
 EFFECT = Effect(
     name="stream_spread",
     stage="flight",
@@ -86,18 +67,7 @@ EFFECT = Effect(
     signature="smeared low edge: gain at low plate angles where grain misses, loss where it hits; a uniform loss of s^2/2",
     source="Gaussian fan of directions about the path of [8.17], cut by the plate's low edge; moments of a truncated normal",
     parameters=(EffectParameter("spread_rad", "rad", 0.0, 0.0, 0.5, 0.1, "standard deviation of direction", 0.15),),
-    arrival=_gaussian_arrival,
+    arrival=_arrival,
     needs_misses=True,
     rank=1,
-)
-LAWS = (
-    replace(
-        EFFECT,
-        name="stream_spread-even",
-        law="directions equally likely within a fan",
-        source="moments of a uniform distribution cut by the plate's low edge",
-        parameters=(EffectParameter("half_width_rad", "rad", 0.0, 0.0, 0.87, 0.17, "half the fan's angle", 0.26),),
-        arrival=_even_arrival,
-        asked=True,
-    ),
 )
