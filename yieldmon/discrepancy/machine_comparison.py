@@ -121,11 +121,10 @@ class Comparison:
 
     def _grown(self, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
         least = len(kept) // 2 + 1
-        gains, limit = self._largest(kept)
+        gains, _ = self._largest(kept)
         like = np.zeros(len(kept), dtype=bool)
         tried: set[bytes] = set()
         while True:
-            like = like & (gains <= limit)
             like[np.argsort(gains, kind="stable")[:least]] = True
             if like.tobytes() in tried:
                 return like
