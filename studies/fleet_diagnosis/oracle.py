@@ -70,9 +70,9 @@ class Visits:
 def visits_of(sweeps: Sequence[AwayVisits], power: float) -> Visits:
     """power: of force by flow."""
     names = "plate_angle_rad", "elevator_speed_rad_s", "mass_flow_kg_s"
-    columns = (np.concatenate([getattr(s, name) for s in sweeps]) for name in names)
+    angle, speed, flow = (np.concatenate([getattr(s, name) for s in sweeps]) for name in names)
     covariances = (np.diag(s.force_variance) + power**2 * s.flow_covariance for s in sweeps)
-    return Visits(*columns, tuple(np.linalg.inv(np.linalg.cholesky(c)) for c in covariances))
+    return Visits(angle, speed, flow, tuple(np.linalg.inv(np.linalg.cholesky(c)) for c in covariances))
 
 
 def signature(machine: Machine, own: Force, common: Force, visits: Visits) -> Array:
