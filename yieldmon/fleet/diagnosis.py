@@ -29,9 +29,7 @@ from yieldmon.physics.model import ForwardModel
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.sweep_table import away_of_seconds
 
-_SECONDS = """
-SELECT * EXCLUDE (machine, day) FROM records WHERE usable_for_calibration = 1 AND machine = ? AND day = ? ORDER BY number
-"""
+_SECONDS = "SELECT * FROM {} WHERE usable_for_calibration = 1 ORDER BY number"
 _LEAST_ANGLES = 3
 """Away from home."""
 _LEAST_VISITS = 40
@@ -216,7 +214,7 @@ def sweeps_of(address: str) -> tuple[MachineSweeps, ...]:
 def _machines(query: Query) -> Iterable[MachineSweeps]:
     days: dict[str, list[tuple[SecondRow, ...]]] = {}
     for commit in query.commits:
-        rows = query.rows(_SECONDS, (commit.machine, commit.day))
+        rows = query.rows(_SECONDS.format(query.of_partition("records", commit.machine, commit.day)))
         if rows:
             days.setdefault(commit.machine, []).append(tuple(SecondRow(**row) for row in rows))
     statement = "SELECT machine_document, parameters_document FROM provenance WHERE machine = ? ORDER BY day LIMIT 1"

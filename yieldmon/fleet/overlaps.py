@@ -17,9 +17,7 @@ _LOGS = f"""
 SELECT machine, day, name, first_number, last_number, least(start_s, end_s) AS from_s, greatest(start_s, end_s) AS to_s FROM loads
 WHERE kind = '{tables.LOG}' AND seconds > 0 AND start_s IS NOT NULL AND end_s IS NOT NULL ORDER BY machine, day, first_number
 """
-_SECONDS = """
-SELECT time_s, duration_s, mass_kg FROM records WHERE machine = ? AND day = ? AND number BETWEEN ? AND ? ORDER BY number
-"""
+_SECONDS = "SELECT time_s, duration_s, mass_kg FROM {} WHERE number BETWEEN ? AND ? ORDER BY number"
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +78,8 @@ def _meeting(logs: Sequence[dict[str, Any]]) -> Iterator[tuple[dict[str, Any], d
 
 def _seconds(query: Query, log: dict[str, Any]) -> NDArray[np.float64]:
     """End, duration and mass of a log's seconds in the order of their ends, shape (n, 3)."""
-    rows = query.rows(_SECONDS, (log["machine"], log["day"], log["first_number"], log["last_number"]))
+    records = query.of_partition("records", log["machine"], log["day"])
+    rows = query.rows(_SECONDS.format(records), (log["first_number"], log["last_number"]))
     found = np.array([(row["time_s"], row["duration_s"], row["mass_kg"]) for row in rows], np.float64).reshape(-1, 3)
     return found[np.argsort(found[:, 0], kind="stable")]
 

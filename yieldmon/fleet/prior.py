@@ -22,7 +22,7 @@ from yieldmon.service.rows import SecondRow
 
 _DAYS = "SELECT machine, day, machine_document FROM provenance WHERE lower(crop) = lower(?) ORDER BY machine, day"
 _TICKETS = "SELECT * FROM loads WHERE kind = 'ticket' AND machine = ? AND day = ? ORDER BY first_number"
-_RECORDS = "SELECT * EXCLUDE (machine, day) FROM records WHERE machine = ? AND day = ? AND number BETWEEN ? AND ? ORDER BY number"
+_RECORDS = "SELECT * FROM {} WHERE number BETWEEN ? AND ? ORDER BY number"
 _VERSIONS = "SELECT version, name, value FROM parameters WHERE machine = ? AND day = ? ORDER BY version, name"
 
 
@@ -92,7 +92,7 @@ def _machines(query: Query, name: str, start: ParameterSet) -> tuple[list[Machin
 
 def _weighed(query: Query, day: dict[str, Any], ticket: dict[str, Any], machine: Machine) -> WeighedLoad:
     where = (day["machine"], day["day"])
-    rows = query.rows(_RECORDS, (*where, ticket["first_number"], ticket["last_number"]))
+    rows = query.rows(_RECORDS.format(query.of_partition("records", *where)), (ticket["first_number"], ticket["last_number"]))
     measured = weighed_loads.MeasuredLoad(
         ticket["name"], "", tuple(SecondRow(**row) for row in rows if row["mass_kg"] > 0.0), dict(_versions(query, where))
     )

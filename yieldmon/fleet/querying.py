@@ -26,6 +26,11 @@ class Query:
             names = [column[0] for column in found.description]
             return [dict(zip(names, row, strict=True)) for row in found.fetchall()]
 
+    def of_partition(self, table: str, machine: str, day: str) -> str:
+        """A table of one partition, to stand behind FROM: without a look at the files of all others, as a view takes."""
+        [commit] = (commit for commit in self.commits if (commit.machine, commit.day) == (machine, day))
+        return f"read_parquet({_quoted(_located(self.dataset, commit, table))}, hive_partitioning=false)"
+
     def table(self, statement: str, values: Sequence[Any] = ()) -> Any:
         """The same as a pyarrow table."""
         with _readable(self.dataset.address):
