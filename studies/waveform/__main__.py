@@ -105,6 +105,18 @@ def _teaching(args: argparse.Namespace) -> Any:
     return teaching.report(args.seeds, args.seed)
 
 
+def _scheduling(args: argparse.Namespace) -> Any:
+    from studies.waveform import scheduling
+
+    return scheduling.report(args.seeds, args.seed)
+
+
+def _between(args: argparse.Namespace) -> Any:
+    from studies.waveform import fill
+
+    return fill.between()
+
+
 def _daemon_season(args: argparse.Namespace) -> Any:
     from studies.waveform import daemon_season
 
@@ -136,7 +148,7 @@ def _pack(args: argparse.Namespace) -> Any:
 _PARTS = {
     "information": _information, "fill": _fill, "attempts": _attempts, "kernels": _kernels, "hidden": _hidden, "cost": _cost,
     "pictures": _pictures, "season": _season, "daemon-season": _daemon_season, "verdicts": _verdicts, "shape": _shape,
-    "pack": _pack, "edges": _edges, "teaching": _teaching,
+    "pack": _pack, "edges": _edges, "teaching": _teaching, "scheduling": _scheduling, "between": _between,
     "identifiability": _identifiability,
 }  # fmt: skip
 

@@ -32,6 +32,8 @@ FRICTIONS = (0.3, 0.15)
 TABLES = tuple((rpm, friction) for rpm in (400.0, 500.0) for friction in FRICTIONS)
 FOLDER = Path(__file__).resolve().parent
 EDGES = FOLDER / "edge_forces.csv.gz"
+BETWEEN = FOLDER / "between_forces.csv.gz"
+BETWEEN_SEED = "411"
 FORCES = FOLDER / "kernel_forces.npz"
 OTHER_RPM = 400.0
 ANGLES_DEG = (40.0, 55.0, 70.0, 80.0, 90.0)
@@ -42,16 +44,16 @@ CELL_S = 0.008
 MACHINE = replace(Machine(), paddle_spacings_m=(Machine().paddle_spacing_m,))
 
 
-def histories(file: Path = DATA) -> dict[tuple[float, float, float, float], Array]:
-    """Force over time (n, 2) of the first seed by (rpm, friction, load, plate angle); time from the paddle's pointing up.
+def histories(file: Path = DATA, seed: str = "1") -> dict[tuple[float, float, float, float], Array]:
+    """Force over time (n, 2) of one seed by (rpm, friction, load, plate angle); time from the paddle's pointing up.
 
-    file: a campaign's forces at 1 kHz: the reference campaign, or `EDGES`, loads and plate angles around it.
+    file: a campaign's forces at 1 kHz: the reference campaign, or `EDGES`, loads and plate angles around it, or `BETWEEN`.
     """
     rows: dict[tuple[float, float, float, float], list[tuple[float, float]]] = defaultdict(list)
     lead = TOP_RAD - start_angle_rad(Throw(paddle_mass_kg=1.0))
     with gzip.open(file, "rt", encoding="utf-8") as stream:
         for row in csv.DictReader(stream):
-            if row["trial"] == "1":
+            if row["trial"] == seed:
                 rpm = float(row["elevator_speed_rpm"])
                 key = (rpm, float(row["friction"]), float(row["paddle_mass_kg"]), float(row["plate_angle_deg"]))
                 rows[key].append((float(row["time_s"]) + 5e-4 - lead / (rpm * RPM), float(row["force_total_n"])))
@@ -193,6 +195,23 @@ def other_grain(judge: Judge) -> list[dict[str, Any]]:
             }
         )  # fmt: skip
     return rows
+
+
+def between(model_error: float = 0.1) -> dict[str, Any]:
+    """Pulses of `BETWEEN`, whose loads, plate angles and heaps the reference campaign lacks, by the law of all of its own."""
+    found: dict[str, Any] = {}
+    for indexed in (True, False):
+        judge, rows = Judge(model_error, indexed, pooled=True), []
+        for (rpm, friction, load, angle), history in histories(BETWEEN, BETWEEN_SEED).items():
+            seen = judge.estimate(wave(history, rpm, angle), rpm, friction, load, angle)
+            error = float(np.log(seen.volume_flow_m3_s / volume_flow_m3_s(load, rpm)))
+            rows.append((error, seen.relative_sd, not seen.outside, rpm, friction, load, angle))
+        errors, stated, told = (np.array([row[part] for row in rows]) for part in range(3))
+        found["index" if indexed else "no index"] = {
+            **_row(errors, stated, told.astype(bool)),
+            "pulses": [[*row[3:], round(100.0 * row[0], 1)] for row in rows],
+        }
+    return found
 
 
 def report(model_error: float) -> dict[str, Any]:

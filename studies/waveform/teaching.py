@@ -82,11 +82,11 @@ def season(seed: int, *, teaches: bool, tickets: tuple[int, ...], loads: int = L
             taught = common_bias.teach(MODEL, known, bias, lesson)
             known, bias = taught.drifting, taught.bias
         if load in tickets:
-            known, bias = _ticket(known, bias, weighed, LOAD_KG / flows.sum(), force)
+            known, bias = ticketed(known, bias, weighed, LOAD_KG / flows.sum(), force)
     return out
 
 
-def _ticket(
+def ticketed(
     known: DriftingParameters, bias: CommonBias | None, weighed_kg: float, seconds: float, force: Array
 ) -> tuple[DriftingParameters, CommonBias | None]:
     size = np.ones(WINDOWS)

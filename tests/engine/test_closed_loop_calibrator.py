@@ -19,13 +19,13 @@ from yieldmon.engine.loads import LoadSummary
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.state import EngineState
-from yieldmon.engine.sweep import SweepMachine
+from yieldmon.engine.sweep import PlateReading, SweepMachine, SweepWindow
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.drift_rates import DriftRates
 from yieldmon.estimation.moisture import MoistureMap
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.frames import EstimateQuality, OperatingState, SweepState
+from yieldmon.frames import ActuatorState, EstimateQuality, OperatingState, SweepState
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 
@@ -467,6 +467,44 @@ def test_sweeps_that_would_teach_nothing_are_not_begun_by_schedule(friction: flo
     learning = Learning(settings, MACHINE, used, ClosedLoopCalibrator(MODEL, EXACT) if learns else None)
     learning.learn(0.0, records(10.0)[0], sweep)
     assert sweep.by_schedule is by_schedule
+
+
+KNOWN_WELL = dataclasses.replace(PRIOR, covariance=np.diag([0.002**2, 0.01**2, 10.0**2]))
+
+
+@pytest.mark.parametrize(
+    ("when", "known", "flow", "begins", "declined"),
+    [
+        ("interval", KNOWN_WELL, 12.0, True, 0),
+        ("information", KNOWN_WELL, 12.0, False, 1),
+        ("information", PRIOR, 16.0, True, 0),
+        ("information", PRIOR, 3.0, False, 0),
+    ],
+    ids=["by interval", "tells too little", "tells enough", "less than the least flow"],
+)
+def test_a_sweep_that_is_due_begins_where_it_would_tell_enough(
+    when: str, known: ParameterSet, flow: float, begins: bool, declined: int
+) -> None:
+    home_deg, settings = float(np.degrees(MACHINE.home_plate_angle_rad)), EngineSettings()
+    settings = dataclasses.replace(settings, sweep=dataclasses.replace(settings.sweep, when=when, first_after_s=20.0))
+    sweep = SweepMachine(settings.sweep, settings.plate, home_deg)
+    learning = Learning(settings, MACHINE, OpenLoop(MODEL, known), ClosedLoopCalibrator(MODEL, CalibratorSettings()))
+    home = float(np.real(MODEL.force(Conditions(MACHINE.home_plate_angle_rad, SPEED, mass_flow_kg_s=flow), known.values)))
+    for second in range(40):
+        sweep.tick(PlateReading(float(second), home_deg, ActuatorState.IDLE))
+        row = dataclasses.replace(
+            records(flow)[0], time_s=float(second), force_n=home, force_std_dev_n=0.01 * home, usable_for_calibration=False,
+            plate_angle_rad=MACHINE.home_plate_angle_rad,
+        )  # fmt: skip
+        sweep.window(SweepWindow(float(second), second - 1.2, flow, home, SPEED, home_deg, whole=True, still=True, trend=0.0))
+        learning.learn(float(second), row, sweep)
+    assert bool(sweep.sweep_id) is begins
+    assert sweep.declined == declined
+    assert bool(sweep.declined_because) is bool(declined)
+    sweep.abort(40.0)
+    sweep.request()
+    sweep.tick(PlateReading(41.0, home_deg, ActuatorState.IDLE))
+    assert sweep.driving or sweep.state is SweepState.WAITING
 
 
 @pytest.mark.parametrize(

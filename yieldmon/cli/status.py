@@ -145,6 +145,8 @@ def _sweep(sweep: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     yield "sweep", f"{_words(sweep['state'])}, {_due(sweep['due_in_s'])}, {sweep['sweeps']} so far"
     if sweep["aborted_because"] is not None:
         yield "", f"the last one was aborted: {sweep['aborted_because']}"
+    if sweep.get("declined_because") is not None:
+        yield "", f"{sweep['declined']} that were due not made; of the last: {sweep['declined_because']}"
     if sweep["last_update"] is not None:
         yield "", f"last update: {sweep['last_update']}"
 

@@ -97,13 +97,15 @@ class StatusWaveform(TypedDict):
 
 class StatusSweep(TypedDict):
     """Sweeps of the plate. due_in_s: null where none comes by schedule. last_update: what the last whole sweep or weighed mass
-    changed, or why nothing."""
+    changed, or why nothing. declined: sweeps that were due and would not have told enough (`sweep.when: information`)."""
 
     state: str
     progress_pct: float
     sweeps: int
     due_in_s: Number
     aborted_because: str | None
+    declined: int
+    declined_because: str | None
     last_update: str | None
 
 

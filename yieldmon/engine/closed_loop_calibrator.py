@@ -41,6 +41,7 @@ from yieldmon.estimation.loads import calibrate_loads, departure
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.steady_drift import Advance, DriftingParameters, advance, begin, carried, learn
+from yieldmon.estimation.sweep_worth import OtherChannels, SweepPlan, SweepWorth, sweep_worth, window_times_s
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 
@@ -191,6 +192,32 @@ class ClosedLoopCalibrator:
             f"{100.0 * taught.bias.variance**0.5:.1f} %"
         )
         return CalibrationOutcome(OpenLoop(self._model, known), reason)
+
+    def sweep_worth(
+        self, record: WindowRecord, stops_deg: Sequence[float], channels: OtherChannels, estimator: FlowEstimator
+    ) -> SweepWorth | None:
+        """See records.SelfCalibrator. Drift counts from the first time that it is asked for, as from a first update."""
+        used = self._in_use(estimator)
+        if refusal(used) or not (record.mass_flow_kg_s > 0.0 and record.force_n > 0.0):
+            return None
+        drifting, step = self._prior(used, record.moisture_pct, record.time_s, record.total_kg)
+        known, bias = drifting.parameters, self._bias_of(used, step, record.total_kg)
+        if bias is not None and isfinite(channels.kernels_sd):
+            cross = tuple(float(v) for v in bias.cross[: len(known.covariance_names)])
+            channels = replace(channels, kernels_sd=bias.variance**0.5, kernels_cross=cross)
+        plan = SweepPlan(
+            time_s=window_times_s(stops_deg),
+            plate_angle_rad=np.radians(stops_deg),
+            home_angle_rad=record.plate_angle_rad,
+            elevator_speed_rad_s=record.elevator_speed_rad_s,
+            mass_flow_kg_s=record.mass_flow_kg_s,
+            noise_sd=record.force_std_dev_n / record.force_n,
+            moisture_pct=record.moisture_pct,
+        )
+        try:
+            return sweep_worth(self._model, known, plan, channels, allowing_for(self._settings.closed_loop, known))
+        except ValueError:
+            return None
 
     def _bias_of(self, used: ParameterSet, step: Advance, total_kg: float) -> CommonBias | None:
         """The bias as it is now; None where its covariance with these parameters is not known."""

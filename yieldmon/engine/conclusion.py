@@ -86,7 +86,10 @@ class Conclusion:
             parts.since_zero.add((replace(kept, zero_mv=zero_mv, load_number=number),))
         self._zero_mv = record.zero_mv
         believed = learning.model_error, learning.scale_alarm.state.contradiction
-        learnt = learning.learn(window.end_s, record, sweep)
+        channels = None
+        if parts.waveform is not None and parts.settings.sweep.when == "information":
+            channels = parts.waveform.channels(window.end_s, estimator)
+        learnt = learning.learn(window.end_s, record, sweep, channels)
         self._widen(*believed)
         self._hold_moisture(learnt)
         if parts.waveform is not None and not (sweep.driving or learnt):

@@ -28,7 +28,8 @@ from yieldmon.estimation.admission import refusal
 from yieldmon.estimation.common_bias import KernelLesson
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.sweep_model_error import ModelError
-from yieldmon.frames import EstimateQuality
+from yieldmon.estimation.sweep_worth import OtherChannels
+from yieldmon.frames import EstimateQuality, SweepState
 from yieldmon.physics.machine import Machine
 
 _KEPT_TICKETS = 12
@@ -56,6 +57,7 @@ class Learning:
     ) -> None:
         self.calibrator = calibrator
         self.disagreement = Disagreement(settings.disagreement, machine)
+        self._sweeps = settings.sweep
         self.use(estimator, None)
         self.outcome: CalibrationOutcome | None = None
         """What the last whole sweep or weighed mass changed."""
@@ -293,12 +295,15 @@ class Learning:
         """After a restart: the same of a crop that is not harvested now."""
         self._of_grain[crop] = list(tickets), list(waiting)
 
-    def learn(self, at_s: float, record: WindowRecord, sweep: SweepMachine) -> tuple[ParametersChanged, ...]:
+    def learn(
+        self, at_s: float, record: WindowRecord, sweep: SweepMachine, channels: OtherChannels | None = None
+    ) -> tuple[ParametersChanged, ...]:
         """Collect a sweep's windows, and at its end hand them to the calibrator; between sweeps reference masses update.
 
-        Where sweeps update nothing they are not begun by schedule: away from home such a model misses the most.
+        Where sweeps update nothing they are not begun by schedule: away from home such a model misses the most. channels: what
+        gives the flow beside the mean force, for `sweep.when: information`.
         """
-        sweep.by_schedule = self.calibrator is None or self._sweeps_teach
+        sweep.by_schedule = self.calibrator is None or (self._sweeps_teach and self._worth_making(at_s, record, sweep, channels))
         if not sweep.visiting and not sweep.completed:
             self._sweep_records = [*self._sweep_records, record][-sweep.lead :] if sweep.lead else []
             return self._learn_from_masses(record)
@@ -320,6 +325,21 @@ class Learning:
             changed = self._take(self.calibrator.update(records, self.estimator, use_sweep=not self.disagreement.present))
         sweep.finish(at_s, bool(changed))
         return (*weighed, *changed)
+
+    def _worth_making(self, at_s: float, record: WindowRecord, sweep: SweepMachine, channels: OtherChannels | None) -> bool:
+        """Whether a sweep may begin by schedule; one that is due and not worth making is declined."""
+        settings = self._sweeps
+        if settings.when == "interval" or self.calibrator is None or sweep.state is SweepState.WAITING:
+            return True
+        if not sweep.could_begin(at_s):
+            return False
+        stops = [angle for angle in sweep.sequence for _ in range(settings.windows_per_step)]
+        worth = self.calibrator.sweep_worth(record, stops, channels or OtherChannels(), self.estimator)
+        if worth is None or worth.ratio >= settings.worth_ratio:
+            return True
+        at_home, swept = 100.0 * worth.at_home_sd, 100.0 * worth.with_sweep_sd
+        sweep.decline(at_s, f"a sweep would leave {swept:.2g} % on the flow, as long at home {at_home:.2g} %")
+        return False
 
     def hear(self, lesson: KernelLesson, record: WindowRecord) -> tuple[ParametersChanged, ...]:
         """A lesson of kernel noise, between sweeps."""

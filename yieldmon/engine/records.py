@@ -24,6 +24,7 @@ from yieldmon.estimation.open_loop import FlowEstimate
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.shape_verdict import ShapeVerdict
 from yieldmon.estimation.steady_drift import Advance
+from yieldmon.estimation.sweep_worth import OtherChannels, SweepWorth
 from yieldmon.frames import EstimateQuality, OperatingState
 from yieldmon.physics.machine import RPM
 
@@ -336,6 +337,12 @@ class SelfCalibrator(Protocol):
 
     def hear(self, record: WindowRecord, lesson: KernelLesson, estimator: FlowEstimator) -> CalibrationOutcome:
         """What kernel noise changes. record: the last window."""
+
+    def sweep_worth(
+        self, record: WindowRecord, stops_deg: Sequence[float], channels: OtherChannels, estimator: FlowEstimator
+    ) -> SweepWorth | None:
+        """What a sweep would tell that begins now. record: the last window, at home; stops_deg: plate angle of each window of
+        the sweep; None: not known."""
 
     def forget(self, load_numbers: frozenset[int], unused: Sequence[ReferenceMass]) -> None:
         """The weighings of these loads were wrong; those in `unused` have changed nothing that counts and may be used anew."""

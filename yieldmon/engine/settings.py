@@ -165,6 +165,10 @@ class SweepSettings:
     """Self-calibration sweeps of the plate."""
 
     enabled: bool = True
+    when: str = "interval"
+    """`interval`: whenever that has passed; `information`: only where it would then tell more of the flow than harvesting on."""
+    worth_ratio: float = 1.05
+    """The flow's standard deviation after as long at home over that after the sweep, from which a sweep is worth making."""
     interval_s: float = 1800.0
     first_after_s: float = 600.0
     """Time from the start to the first sweep."""

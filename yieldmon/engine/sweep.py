@@ -124,6 +124,10 @@ class SweepMachine:
         """Whether a sweep begins when it is due; one that is asked for begins anyway."""
         self.first_after_s = settings.first_after_s
         """Time from the first tick to the first sweep, s."""
+        self.declined = 0
+        """Sweeps that were due and not worth making."""
+        self.declined_because = ""
+        """The last of them, in a sentence."""
         self._due_s: float | None = None
         self._requested = False
         self._aborts = 0
@@ -168,6 +172,17 @@ class SweepMachine:
     def schedule(self, now_s: float, after_s: float) -> None:
         """The next sweep is due after_s from now."""
         self._due_s = now_s + after_s
+
+    def could_begin(self, now_s: float) -> bool:
+        """Whether the next sweep of the schedule is due, and flow and elevator speed at home are steady."""
+        due = self.state in RESTING and self._due_s is not None and now_s >= self._due_s
+        return due and self._steady_at_home()
+
+    def decline(self, now_s: float, reason: str) -> None:
+        """The sweep that is due is not worth making; the next one is due an interval later."""
+        self.declined += 1
+        self.declined_because = reason
+        self.schedule(now_s, self._settings.interval_s)
 
     @property
     def requested(self) -> bool:
@@ -303,10 +318,15 @@ class SweepMachine:
         return rested and plate.time_s - self._home_try_s >= self._settings.home_retry_s
 
     def _ready(self, plate: PlateReading) -> bool:
-        settings = self._settings
-        if plate_trouble(plate) is not None or len(self._flows) < settings.steady_windows:
+        if plate_trouble(plate) is not None:
             return False
         if abs(plate.angle_deg - self._home_deg) > 2.0 * self._plate.at_target_tolerance_deg:
+            return False
+        return self._steady_at_home()
+
+    def _steady_at_home(self) -> bool:
+        settings = self._settings
+        if len(self._flows) < settings.steady_windows:
             return False
         return steady(self._flows, settings.min_flow_kg_s, settings.steady_cv) and steady(
             self._speeds, 0.0, 0.5 * settings.speed_change

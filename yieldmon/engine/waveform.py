@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import exp, hypot, isfinite, log, sqrt
+from math import exp, hypot, inf, isfinite, log, sqrt
 from statistics import median
 
 from yieldmon.engine.flow import Flow
@@ -30,6 +30,7 @@ from yieldmon.estimation.pulse_fit import PulseEstimate
 from yieldmon.estimation.pulse_model import PulseModel, PulseSettings
 from yieldmon.estimation.pulse_shape import estimate, estimate_near
 from yieldmon.estimation.shape_verdict import ShapeVerdict
+from yieldmon.estimation.sweep_worth import OtherChannels
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 
@@ -300,6 +301,18 @@ class Waveform:
             flow *= (rate * exp(over) / flow) ** weight
             sd, corrected = sd * over_sd / hypot(sd, over_sd), True
         return (flow, flow * hypot(sd, _noise(mean_flow))) if corrected else None
+
+    def channels(self, now_s: float, estimator: FlowEstimator) -> OtherChannels:
+        """What shape and kernels are worth to the published flow now; nothing of what contradicts the mean force."""
+        if self.last.contradiction:
+            return OtherChannels()
+        shapes = [scale for scale in self._of_shapes if self._holds(scale, now_s, estimator)]
+        kernels = self._held_kernels(now_s, estimator)
+        by_shape, by_kernels = self._settings.combine and shapes, self._settings.combine or self._settings.teach
+        return OtherChannels(
+            shape_sd=shapes[-1].lasting_sd if by_shape else inf,
+            kernels_sd=kernels.lasting_sd if kernels is not None and by_kernels else inf,
+        )
 
     @staticmethod
     def _holds(scale: _Scale, now_s: float, estimator: FlowEstimator) -> bool:

@@ -37,6 +37,12 @@ class Sweep(Section):
     """Self-calibration sweeps of the plate."""
 
     enabled: bool = choice(_S.enabled, "drive the plate at all")
+    when: Literal["interval", "information"] = choice(
+        _S.when, "begin one whenever the interval has passed, or only where it would tell more of the flow than harvesting on"
+    )
+    worth_ratio: float = quantity(
+        _S.worth_ratio, 1.0, 10.0, "1", "with information: flow's std dev after as long at home over that after a sweep, at least"
+    )
     interval_s: float = quantity(_S.interval_s, 60.0, 1e6, "s", "between sweeps")
     first_after_s: float = quantity(_S.first_after_s, 0.0, 1e6, "s", "harvesting time before the first sweep")
     angles_deg: list[float] = Field(
