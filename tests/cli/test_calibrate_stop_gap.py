@@ -10,6 +10,7 @@ import pytest
 
 from tests.in_process import program
 from yieldmon.files import parameter_file
+from yieldmon.physics.machine import Machine
 
 SEED = 60118
 
@@ -59,3 +60,27 @@ def test_rows_without_noise_are_refused(table: Path, tmp_path: Path) -> None:
     done = program("yieldmon.cli.main", "calibrate", bare, "--impact", "restitution", "--starts", 1, "--stop-gap")
     assert done.returncode == 2
     assert "--stop-gap: a stop-gap needs the rows' noise: a sigma column" in done.stderr
+
+
+def test_the_published_table_takes_one_although_its_own_fit_leaves_one_plus_e(tmp_path: Path) -> None:
+    published, out = Path(__file__).parents[1] / "data/dem_table.csv", tmp_path / "p.yaml"
+    done = program("yieldmon.cli.main", "calibrate", published, "--starts", 1, "--stop-gap", "--out", out)
+    assert done.returncode == 0, done.stderr
+    values = parameter_file.load(out).values
+    assert 0.0 <= values["restitution"] <= 1.0
+    rows, machine = np.genfromtxt(published, delimiter=",", names=True), Machine()
+    per_s = float(machine.passes_per_s(machine.nominal_elevator_speed_rad_s))
+    for angle, mass in ((50.0, 0.6), (70.0, 1.0), (90.0, 1.4)):
+        here = (rows["plate_angle_deg"] == angle) & (rows["paddle_mass_kg"] == mass)
+        words = ("--params", out, "--plate-angle", angle, "--mass-flow", mass * per_s, "--json")
+        predicted = program("yieldmon.cli.main", "predict", *words)
+        assert predicted.returncode == 0, predicted.stderr
+        momentum = json.loads(predicted.stdout)["rows"][0]["paddle_momentum_kg_m_s"]
+        assert momentum == pytest.approx(rows["momentum_kg_m_s"][here].mean(), rel=0.05)
+
+
+def test_a_response_without_a_scale_takes_none_and_says_what_to_give() -> None:
+    published = Path(__file__).parents[1] / "data/bench_table.csv"
+    done = program("yieldmon.cli.main", "calibrate", published, "--starts", 1, "--stop-gap")
+    assert done.returncode == 2
+    assert "of a `response`: --response-scale S" in done.stderr

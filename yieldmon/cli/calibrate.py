@@ -243,9 +243,12 @@ def text(document: CalibrationDocument) -> str:
 
 
 def _fit(args: argparse.Namespace, machine: Machine, data: table.Table, rows: Measurements) -> Calibration:
-    """The fit that the arguments ask for; with the exchange coefficients where 1 + e, unasked for, ends at its physical bound."""
+    """The fit that the arguments ask for; with the exchange coefficients where 1 + e, unasked for, ends at its physical bound.
+
+    A stop-gap takes up what drives it there, and knows nothing of exchange coefficients.
+    """
     result = _with_copies_named(_fit_form(args, machine, data, rows, args.impact), data, rows)
-    asked = args.impact or args.free or args.prior or args.by_moisture
+    asked = args.impact or args.free or args.prior or args.by_moisture or args.stop_gap
     asked = asked or any("restitution" in text for text in (*args.fix, *args.bounds))
     if asked or not any(p.name == "restitution" and p.at_bound for p in result.parameters):
         return result

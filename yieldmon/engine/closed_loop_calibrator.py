@@ -33,7 +33,7 @@ from yieldmon.estimation.closed_loop import self_calibrate, update_from_tickets
 from yieldmon.estimation.closed_loop_inputs import DensityAnchor, MassAnchor, Sweep
 from yieldmon.estimation.closed_loop_outcome import Outcome, ScaleReport
 from yieldmon.estimation.common_bias import CommonBias, KernelLesson
-from yieldmon.estimation.density_and_gain import widened
+from yieldmon.estimation.density_and_gain import in_form_of, widened
 from yieldmon.estimation.load_inputs import LoadSettings, WeighedLoad
 from yieldmon.estimation.load_outcome import LIKELY_ANOTHER, LoadCalibration
 from yieldmon.estimation.load_pattern import EFFECT as LOAD_PATTERN
@@ -77,7 +77,7 @@ class ClosedLoopCalibrator:
         self._origin: ParameterSet | None = None
         """As they came from outside."""
         self._restored: ParameterSet | None = None
-        """Those in use at a restart, where it is known what weighed loads made them of."""
+        """Those in use at a restart or at a crop's return, where it is known what weighed loads made them of."""
         self._updated: ParameterSet | None = None
         """The last set that was handed back."""
         self._drifting: DriftingParameters | None = None
@@ -91,6 +91,8 @@ class ClosedLoopCalibrator:
         self._checked: frozenset[ReferenceMass] = frozenset()
         self._of_grain: dict[str, Weighings] = {}
         """Weighings of the crops before, by name."""
+        self._origin_of_grain: dict[str, tuple[ParameterSet, ParameterSet]] = {}
+        """Of the crops before, by name: parameters as they came from outside, and those that weighed loads made of them."""
         self._bias: tuple[CommonBias, ParameterSet] | None = None
         """Of kernel noise, with the parameters that its covariance is with; None where it has taught none of these."""
         self.last: Outcome | None = None
@@ -287,14 +289,14 @@ class ClosedLoopCalibrator:
 
     def _know_origin(self, used: ParameterSet) -> None:
         if used is not self._updated and used is not self._restored:
-            self._origin = used
+            self._origin, self._restored = used, None
 
     def _without_curve(self, prior: ParameterSet) -> ParameterSet:
         """What was known before weighed loads taught a curve of their own, to which all of them are to be fitted together."""
         origin = self._origin
         if LOAD_PATTERN not in prior.effects or origin is None or LOAD_PATTERN in origin.effects:
             return prior
-        return replace(origin, version=prior.version)
+        return in_form_of(replace(origin, version=prior.version), prior)
 
     def _leaves(self, earlier: Sequence[WeighedLoad], before: ParameterSet, now: ParameterSet) -> bool:
         """Whether `now` measures a load otherwise than `before` by more than what `before` is uncertain by, drift included."""
@@ -387,8 +389,15 @@ class ClosedLoopCalibrator:
             weighings.forget(names)
         self._used = self._used - frozenset(unused)
 
-    def change_grain(self, before: str, now: str, used: Sequence[ReferenceMass]) -> None:
+    def change_grain(self, before: str, now: str, used: Sequence[ReferenceMass], estimator: FlowEstimator | None = None) -> None:
         """See records.SelfCalibrator."""
+        known = self._updated or self._restored
+        if self._origin is not None and known is not None:
+            self._origin_of_grain[before] = self._origin, known
+        self._origin, self._restored, self._updated = None, None, None
+        origin, left = self._origin_of_grain.pop(now, (None, None))
+        if estimator is not None and left is not None and _says_as(estimator.parameters, left):
+            self._origin, self._restored = origin, estimator.parameters
         self._of_grain[before] = self._weighings
         self._weighings = self._of_grain.pop(now, Weighings(self._load_settings))
         self._used = self._checked = frozenset(used)
@@ -549,6 +558,12 @@ class ClosedLoopCalibrator:
 def _is_another(found: LoadCalibration) -> bool:
     """Whether the loads show another curve of the force than the model's."""
     return found.another_law is not None and found.another_law.probability > LIKELY_ANOTHER
+
+
+def _says_as(known: ParameterSet, other: ParameterSet) -> bool:
+    """Whether two sets are the same, whatever their versions and provenance."""
+    same = known.effects == other.effects and known.values == other.values
+    return same and known.covariance_names == other.covariance_names and np.array_equal(known.covariance, other.covariance)
 
 
 def _as_tuples(rows: Array) -> tuple[tuple[float, ...], ...]:

@@ -131,8 +131,9 @@ class Learning:
         self.model_error = ModelError(home, found.away)
         """By what sweeps show; at home beyond the parameters' own model_error, and none once a weighed mass has set the scale."""
 
-    def change_grain(self, before: str, now: str) -> None:
-        """Another crop from now on: weighed masses of the one before teach its parameters alone, when it is back."""
+    def change_grain(self, before: str, now: str, estimator: FlowEstimator | None = None) -> None:
+        """Another crop from now on: weighed masses of the one before teach its parameters alone, when it is back. estimator: in
+        use from now on."""
         self._of_grain[before] = list(self._tickets), self._waiting
         tickets, self._waiting = self._of_grain.pop(now, ([], []))
         self._tickets = deque(tickets, maxlen=self._tickets.maxlen)
@@ -140,7 +141,7 @@ class Learning:
         self._scale.anchors.clear()
         self._masses_new = bool(self._waiting)
         if self.calibrator is not None:
-            self.calibrator.change_grain(before, now, [a for a in tickets if a not in self._waiting])
+            self.calibrator.change_grain(before, now, [a for a in tickets if a not in self._waiting], estimator)
 
     def totals_reset(self, before_kg: float) -> None:
         """The total begins anew at 0; it was before_kg."""

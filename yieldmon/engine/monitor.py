@@ -416,7 +416,7 @@ class Monitor:
             Names of the crops.
         """
         self.abort_sweep()
-        self._parts.learning.change_grain(before, now)
+        self._parts.learning.change_grain(before, now, estimator)
         self.set_estimator(estimator, calibration_age_s)
 
     def ticket(self, load_number: int, mass_kg: float, std_dev_kg: float) -> ReferenceMass:

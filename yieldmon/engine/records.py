@@ -347,9 +347,9 @@ class SelfCalibrator(Protocol):
     def forget(self, load_numbers: frozenset[int], unused: Sequence[ReferenceMass]) -> None:
         """The weighings of these loads were wrong; those in `unused` have changed nothing that counts and may be used anew."""
 
-    def change_grain(self, before: str, now: str, used: Sequence[ReferenceMass]) -> None:
-        """Another crop from now on: what was weighed of the one before is kept for its return. used: masses of the new one that
-        were handed over before."""
+    def change_grain(self, before: str, now: str, used: Sequence[ReferenceMass], estimator: FlowEstimator | None = None) -> None:
+        """Another crop from now on: what was weighed of the one before is kept for its return, and what its parameters were
+        before that. used: masses of the new one that were handed over before; estimator: in use from now on."""
 
     def totals_reset(self, before_kg: float) -> None:
         """The total begins anew at 0; it was before_kg."""

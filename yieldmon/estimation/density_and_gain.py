@@ -50,3 +50,12 @@ def moved(known: ParameterSet, ln_density: float, ln_gain: float) -> ParameterSe
     del values["restitution"]
     names = tuple("k2" if n == "restitution" else n for n in known.covariance_names)
     return replace(known, values=values | {"k1": 0.0, "k2": gain}, covariance_names=names)
+
+
+def in_form_of(known: ParameterSet, other: ParameterSet) -> ParameterSet:
+    """The set with its impact gain as k1 and k2 where the other has it so; as given where both have the same form."""
+    if "restitution" not in known.values or "k2" not in other.values:
+        return known
+    values = {name: value for name, value in known.values.items() if name != "restitution"}
+    names = tuple("k2" if n == "restitution" else n for n in known.covariance_names)
+    return replace(known, values=values | {"k1": 0.0, "k2": 1.0 + known.values["restitution"]}, covariance_names=names)

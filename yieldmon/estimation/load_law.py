@@ -3,7 +3,8 @@ the model and how much its loads may scatter.
 
 The model's curve of force over flow is that of one geometry. Another sensor's is met by the weights of the effect
 `load_pattern`, whose prior is either none (the model's own curve) or one of two sizes; beside the stated scatter of scale and
-windows loads may scatter by more, such as where the machine drifts between them. Each combination counts by its evidence.
+windows loads may scatter by more, such as where the machine drifts between them; and tickets may be wrong (`ticket_slips`). Each
+combination counts by its evidence.
 
 Sources: Hoeting, Madigan, Raftery and Volinsky, "Bayesian model averaging: a tutorial", Statistical Science 14 (1999); Kennedy
 and O'Hagan, J. R. Stat. Soc. B 63 (2001), for the model's error as a quantity with a prior.
@@ -11,6 +12,7 @@ and O'Hagan, J. R. Stat. Soc. B 63 (2001), for the model's error as a quantity w
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +25,7 @@ from .density_and_gain import DENSITY, moved
 from .load_fit import LoadProblem
 from .load_pattern import EFFECT, NAMES, with_weights
 from .parameters import ParameterSet
+from .ticket_slips import Slip, slips
 
 _WEIGHT_SD = np.array([parameter.prior_sd for parameter in get_effect(EFFECT).parameters])
 _SIZES = ((0.0, 0.6), (1.0, 0.25), (2.0, 0.15))
@@ -31,6 +34,8 @@ _SCATTERS = ((0.0, 0.9), (0.01, 0.08), (0.03, 0.02))
 """Of a load's mass beside what is stated, relative, and how likely each is."""
 _REST = 0.004
 """Of a load's mass, relative, where the curve is another: what the pattern's weights leave."""
+_RIGHT = 0.5
+"""Probability that the tickets are right above which values and standard deviations are those that hold if they are."""
 _ITERATIONS = 25
 _SETTLED = 1e-4
 _MOST_STEP = 1.0
@@ -46,6 +51,7 @@ class LawAverage:
     law: probability that the force follows another curve than the model's.
     scatter: relative standard deviation of loads beside what is stated, rms over what it may be.
     strain: standard deviations of the widest prior to the step.
+    wrong: probability that a ticket is wrong. slips: of the active loads, each with its probability.
     """
 
     step: Array
@@ -56,6 +62,19 @@ class LawAverage:
     law: float
     scatter: float
     strain: float
+    wrong: float
+    slips: tuple[tuple[Slip, float], ...]
+
+
+@dataclass(frozen=True)
+class _Mixture:
+    """Over all combinations, in the model that is linear about a step; of_slip: (h,) probabilities, no wrong ticket first."""
+
+    step: Array
+    covariance: Array
+    law: float
+    scatter: float
+    of_slip: Array
 
 
 def placed(start: ParameterSet, step: Array) -> ParameterSet:
@@ -83,8 +102,9 @@ def average(problem: LoadProblem, active: NDArray[np.bool_], near: Array | None 
     error, slope = _slopes(problem, step)
     if not np.all(np.isfinite(error)):
         return None
+    wrong = slips(problem.weighed[active])
     for _ in range(_ITERATIONS):
-        wanted, _, _, _ = _mixture(problem, active, step, error, slope)
+        wanted = _mixture(problem, active, step, error, slope, wrong).step
         change = np.clip(wanted - step, -_MOST_STEP, _MOST_STEP)
         for _ in range(8):
             after, after_slope = _slopes(problem, step + change)
@@ -96,11 +116,13 @@ def average(problem: LoadProblem, active: NDArray[np.bool_], near: Array | None 
         step, error, slope = step + change, after, after_slope
         if float(np.max(np.abs(change))) < _SETTLED:
             break
-    _, covariance, law, scatter = _mixture(problem, active, step, error, slope)
+    found = _mixture(problem, active, step, error, slope, wrong)
     held = problem.held_slopes(placed(problem.start, step))
-    whole = _with_held(problem, active, slope, held, covariance, scatter)
+    whole = _with_held(problem, active, slope, held, found.covariance, found.scatter)
     strain = float(np.sqrt(step @ np.linalg.solve(_prior(problem, _SIZES[-1][0]), step)))
-    return LawAverage(step, whole, error, slope, held, law, scatter, strain)
+    each = tuple(zip(wrong, found.of_slip[1:].tolist(), strict=True))
+    right = float(found.of_slip[0])
+    return LawAverage(step, whole, error, slope, held, found.law, found.scatter, strain, 1.0 - right, each)
 
 
 def _prior(problem: LoadProblem, size: float) -> Array:
@@ -131,31 +153,46 @@ def _slopes(problem: LoadProblem, step: Array) -> tuple[Array, Array]:
 
 
 def _mixture(
-    problem: LoadProblem, active: NDArray[np.bool_], step: Array, error: Array, slope: Array
-) -> tuple[Array, Array, float, float]:
-    """Mean and covariance of the step over all combinations in the model that is linear about `step`, the probability of another
-    curve, and the rms scatter."""
+    problem: LoadProblem, active: NDArray[np.bool_], step: Array, error: Array, slope: Array, wrong: Sequence[Slip]
+) -> _Mixture:
+    """Mean and covariance of the step over all combinations in the model that is linear about `step`."""
     h, target = slope[active], slope[active] @ step - error[active]
-    steps, covariances, logs, laws, scatters = [], [], [], [], []
+    right = Slip((), np.zeros(target.size), np.zeros(target.size), 1.0 - sum(slip.prior for slip in wrong), "")
+    every = (right, *wrong)
+    variances, of_variance = np.unique(np.array([slip.variance for slip in every]), axis=0, return_inverse=True)
+    shifted = target[:, None] - np.array([slip.shift for slip in every]).T
+    steps, covariances, logs, laws, scatters, places = [], [], [], [], [], []
     for size, likely in _SIZES:
         prior = _prior(problem, size)
         by_prior = h @ prior
         for scatter, probable in _SCATTERS:
             rest = _REST if size > 0.0 else 0.0
-            spread = by_prior @ h.T + np.diag(problem.sd[active] ** 2 + scatter**2 + rest**2)
-            gain = np.linalg.solve(spread, by_prior).T
-            steps.append(gain @ target)
-            covariances.append(prior - gain @ by_prior)
-            _, log_det = np.linalg.slogdet(spread)
-            logs.append(np.log(likely * probable) - 0.5 * (target @ np.linalg.solve(spread, target) + log_det))
-            laws.append(size > 0.0)
-            scatters.append(float(np.hypot(scatter, rest)))
-    weight = np.exp(np.array(logs) - max(logs))
+            noise = problem.sd[active] ** 2 + scatter**2 + rest**2
+            for i, variance in enumerate(variances):
+                here = np.flatnonzero(of_variance.ravel() == i)
+                spread = by_prior @ h.T + np.diag(noise + variance)
+                gain = np.linalg.solve(spread, by_prior).T
+                targets = shifted[:, here]
+                _, log_det = np.linalg.slogdet(spread)
+                misfit = np.sum(targets * np.linalg.solve(spread, targets), axis=0)
+                steps.append((gain @ targets).T)
+                covariances += [prior - gain @ by_prior] * here.size
+                logs.append(np.log(likely * probable) + np.log([every[k].prior for k in here]) - 0.5 * (misfit + log_det))
+                laws += [size > 0.0] * here.size
+                scatters += [float(np.hypot(scatter, rest))] * here.size
+                places.append(here)
+    log = np.concatenate(logs)
+    weight = np.exp(log - log.max())
     weight /= weight.sum()
-    each, mean = np.array(steps), weight @ np.array(steps)
+    slip = np.concatenate(places)
+    of_slip = np.bincount(slip, weight, minlength=len(every)).astype(float)
+    if of_slip[0] > _RIGHT:
+        weight = np.where(slip == 0, weight, 0.0) / of_slip[0]
+    each = np.concatenate(steps)
+    mean = weight @ each
     away = each - mean
     covariance = np.einsum("k,kij->ij", weight, np.array(covariances)) + np.einsum("k,ki,kj->ij", weight, away, away)
-    return mean, covariance, float(weight @ np.array(laws)), float(np.sqrt(weight @ np.array(scatters) ** 2))
+    return _Mixture(mean, covariance, float(weight @ np.array(laws)), float(np.sqrt(weight @ np.array(scatters) ** 2)), of_slip)
 
 
 def _with_held(

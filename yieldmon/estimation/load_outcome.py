@@ -50,6 +50,23 @@ class AnotherLaw:
     scatter: float
 
 
+@dataclass(frozen=True, slots=True)
+class WrongTicket:
+    """A ticket that contradicts the others, or two that are exchanged.
+
+    probability: that a ticket is wrong; None where the force changes between two loads as on no plate. loads: names of those it
+    may be of, the likeliest first; both of two exchanged ones. exchanged: whether the tickets of two loads are. ratio, apart_kg:
+    of the first's ticket to what the other loads make of it. what: the known slip that explains it, "" for none.
+    """
+
+    probability: float | None
+    loads: tuple[str, ...]
+    exchanged: bool
+    ratio: float
+    apart_kg: float
+    what: str
+
+
 @dataclass(frozen=True)
 class LoadCalibration:
     """The result of `calibrate_loads`.
@@ -74,6 +91,9 @@ class LoadCalibration:
     constant: Constant | None = None
     contradiction: Contradiction | None = None
     another_law: AnotherLaw | None = None
+    wrong_ticket: WrongTicket | None = None
+    slips: tuple[tuple[str, str], ...] = ()
+    """Names of loads and the known slip that explains the ticket of each."""
     sentences: tuple[str, ...] = field(default=())
 
     @property
@@ -84,18 +104,25 @@ class LoadCalibration:
 
 def sentences(found: LoadCalibration, sweeps: int) -> list[str]:
     """One for each thing to know. sweeps: those that were offered."""
-    out = []
-    for load in found.loads:
-        if load.outlier:
-            out.append(
-                f"load {load.name} contradicts the others by {-100.0 * load.left_out_error:+.1f} % and counts for nothing: "
-                "another truck's grain, a wrong number or a part of the load that was not measured?"
-            )
+    out = [
+        f"{_load(load.name)} contradicts the others by {100.0 / (1.0 + load.left_out_error) - 100.0:+.1f} % and counts for "
+        f"nothing: {_cause(found, load.name)}"
+        for load in found.loads
+        if load.outlier
+    ]
+    if found.wrong_ticket is not None:
+        out += _wrong_ticket(found.wrong_ticket, len(found.loads), found.refused)
+    elif found.refused:
+        out += _refused(found)
     if found.refused:
-        return out + _refused(found)
-    if found.another_law is not None:
-        return out + _another_law(found, found.another_law, sweeps)
+        return out
     out.append(_scale(found))
+    return out + (_another_law(found, found.another_law, sweeps) if found.another_law is not None else _by_model(found, sweeps))
+
+
+def _by_model(found: LoadCalibration, sweeps: int) -> list[str]:
+    """Where the force follows the model's curve over the flow."""
+    out = []
     if found.load_dependence:
         out.append("they also determine how the error changes with the flow: density and impact gain moved apart.")
         if found.constant is not None:
@@ -120,6 +147,40 @@ def sentences(found: LoadCalibration, sweeps: int) -> list[str]:
     return out
 
 
+def _load(name: str) -> str:
+    """A load as a sentence has it; a daemon's are named so already."""
+    return name if name.startswith("load ") else f"load {name}"
+
+
+def _cause(found: LoadCalibration, name: str) -> str:
+    """What may be wrong with a load that the others contradict."""
+    what = dict(found.slips).get(name, "")
+    if what:
+        return f"it looks as if {what}; correct the ticket."
+    return "another truck's grain, a wrong number or a part of the load that was not measured?"
+
+
+def _wrong_ticket(wrong: WrongTicket, count: int, refused: bool) -> list[str]:
+    chance = "the force would change with the flow as on no plate"
+    if wrong.probability is not None:
+        chance = f"probability {100.0 * min(wrong.probability, 0.99):.0f} %"
+    begin = f"refused: a ticket is wrong ({chance})" if refused else f"a ticket may be wrong ({chance})"
+    if wrong.exchanged:
+        return [f"{begin}: those of {' and '.join(map(_load, wrong.loads))} seem to be exchanged; correct them."]
+    first, *others = map(_load, wrong.loads)
+    apart = f"weighs {wrong.ratio:.2f} times ({wrong.apart_kg:+.0f} kg) what"
+    if not others:
+        said = f"{first} {apart} the others make of it"
+    elif count == 2:
+        said = f"{first} {apart} {others[0]} makes of it, and one of the two is wrong"
+    else:
+        said = f"{first} or {' or '.join(others)}; {first} {apart} the others make of it"
+    cause = f", as if {wrong.what}" if wrong.what else ""
+    check = "" if wrong.what else " Another truck's grain, the tare, a wrong number, or a part of the load that was not measured?"
+    left = "correct it or leave that load out" if count > 2 else "correct it, or weigh a third load"
+    return [f"{begin}: {said}{cause}.{check} Check the tickets; {left}."]
+
+
 def _refused(found: LoadCalibration) -> list[str]:
     out = [
         f"refused: on loads left out the new calibration errs by {100.0 * found.rms_left_out:.2f} %, the present one by "
@@ -138,7 +199,7 @@ def _scale(found: LoadCalibration) -> str:
 
 def _another_law(found: LoadCalibration, law: AnotherLaw, sweeps: int) -> list[str]:
     """Where the force may follow another curve over the flow than the model's."""
-    out = [_scale(found)]
+    out = []
     known = found.parameter_set
     exponent, std_dev = known.values["load_pattern.exponent"], known.standard_deviation("load_pattern.exponent")
     chance = f"{100.0 * min(law.probability, 0.99):.0f} %"
@@ -147,6 +208,10 @@ def _another_law(found: LoadCalibration, law: AnotherLaw, sweeps: int) -> list[s
             f"the force follows another curve over the flow than the model's (probability {chance}): beside it goes a power of "
             f"the flow, {exponent:+.2f} (sd {std_dev:.2f}), learnt with density and impact gain (effect load_pattern)."
         )
+        if 1 < len(found.loads) - len(found.outliers) <= _ENOUGH_LOADS:
+            out.append(
+                "so few loads cannot tell another curve from one ticket that is 10 to 20 % wrong: weigh one more to check."
+            )
     else:
         out.append(
             "these loads do not show whether the force follows the model's curve over the flow (probability of another one "

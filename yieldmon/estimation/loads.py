@@ -31,14 +31,25 @@ from .load_constant import constant_in_weighed
 from .load_fit import LoadFit, LoadProblem
 from .load_inputs import LoadSettings, WeighedLoad
 from .load_law import LawAverage, against_others, average, carrying, inliers, law_problem, left_out, placed
-from .load_outcome import AnotherLaw, Contradiction, LoadCalibration, LoadResult, sentences
+from .load_outcome import AnotherLaw, Contradiction, LoadCalibration, LoadResult, WrongTicket, sentences
 from .load_pattern import EFFECT
 from .parameters import ParameterSet
+from .ticket_slips import slips
 
 LEAST_LOADS = 3
 """Fewer weighed loads say nothing against a further one."""
 _MODELS_OWN = 0.2
 """Probability of another curve up to which the model's own is used."""
+_WRONG, _PERHAPS_WRONG = 0.5, 0.1
+"""Probability of a wrong ticket from which nothing is learnt, and from which it is asked about."""
+_WRONG_OF_TWO = 0.25
+"""The former of two loads, where a third is soon weighed."""
+_EXPONENTS, _BESIDE = (0.55, 1.6), 0.1
+"""Powers of the flow with which a plate's force may grow, and ln mass by which two loads may be further apart."""
+_EXPLAINED_SDS, _LARGE_SDS = 2.0, 6.0
+"""Standard deviations up to which a known slip explains a load that the others contradict, and from which it is far off."""
+_NAMED = 0.8
+"""Share of that probability that the loads named have together."""
 _MOST_STRAIN, _MOST_LEFT = 5.0, 0.3
 """Standard deviations of density, gain and curve, all together, and ln error of a load, beyond which no machine explains them."""
 _DOUBTFUL = 2.5
@@ -91,16 +102,27 @@ def calibrate_loads(
     condensed = [load.condensed() for load in loads]
     problem = LoadProblem(model, prior, widened(prior, settings), condensed, settings)
     law = law_problem(problem)
-    active = inliers(problem, law)
-    found = average(law, active)
-    if found is None or found.strain > _MOST_STRAIN or np.max(np.abs(found.error[active])) > _MOST_LEFT:
+    every = np.ones(len(loads), dtype=bool)
+    whole = average(law, every)
+    active = every if _are_exchanged(whole) else inliers(problem, law)
+    found = whole if np.all(active) else average(law, active)
+    if found is None or found.strain > _MOST_STRAIN:
         # In words with the masses where the model's own curve does not explain them either.
+        problem.fit(active, 2)
+    likely = _WRONG if active.sum() >= LEAST_LOADS else _WRONG_OF_TWO
+    if found is not None and (found.wrong > likely or _by_no_plate(problem)):
+        return _with_wrong_ticket(problem, law, active, found, len(sweeps))
+    if found is not None and np.max(np.abs(found.error[active])) > _MOST_LEFT:
         problem.fit(active, 2)
     if found is None or not _is_another(found, problem, active):
         if sweep_settings is None:
             sweep_settings = ClosedLoopSettings(flow="process", model_error=0.01)
-        return _calibration(problem, active, sweeps, sweep_settings, learnt)
-    return _by_another_law(problem, law, active, found, learnt, len(sweeps))
+        calibration = _calibration(problem, active, sweeps, sweep_settings, learnt)
+    else:
+        calibration = _by_another_law(problem, law, active, found, learnt)
+    wrong = _wrong_ticket(law, active, found) if found is not None and found.wrong > _PERHAPS_WRONG else None
+    calibration = replace(calibration, wrong_ticket=wrong, slips=_known_slips(law, active))
+    return replace(calibration, sentences=tuple(sentences(calibration, len(sweeps))))
 
 
 def contradicted(
@@ -188,7 +210,7 @@ def _calibration(
         constant=constant_in_weighed(problem, active, fit) if directions == 2 and together is None else None,
         contradiction=_contradiction(problem, errors) if (against or not active.all()) and together is None else None,
     )
-    return replace(calibration, sentences=tuple(sentences(calibration, len(sweeps))))
+    return calibration
 
 
 def _results(
@@ -211,7 +233,7 @@ def _is_another(found: LawAverage, problem: LoadProblem, active: NDArray[np.bool
 
 
 def _by_another_law(
-    problem: LoadProblem, law: LoadProblem, active: NDArray[np.bool_], found: LawAverage, learnt: Container[str], sweeps: int
+    problem: LoadProblem, law: LoadProblem, active: NDArray[np.bool_], found: LawAverage, learnt: Container[str]
 ) -> LoadCalibration:
     """The calibration where the force may follow another curve over the flow than the model's."""
     errors, away = left_out(law, active, found.step)
@@ -230,10 +252,7 @@ def _by_another_law(
     except ValueError:  # The model's own curve has no flow for these forces.
         constant = None
     information = problem.information(LoadFit(found.step[:2], found.error, found.by_step[:, :2]), active)
-    rows = np.column_stack((found.by_held, found.by_step))[active]
-    spread = np.einsum("ki,ij,kj->k", rows, found.covariance, rows)
-    own = np.mean(problem.own[active] ** 2) + found.scatter**2
-    mean = rows.mean(axis=0)
+    mean = np.column_stack((found.by_held, found.by_step))[active].mean(axis=0)
     results = _results(problem, before, after, errors, active)
     moving = _moved_names(problem.given, chosen)
     calibration = LoadCalibration(
@@ -244,13 +263,99 @@ def _by_another_law(
         scale=float(after[active].sum() / before[active].sum()),
         scale_sd=float(np.sqrt(mean @ found.covariance @ mean)),
         load_dependence=bool(not refused and np.all(information >= problem.settings.least_information)),
-        next_load_sd=float(np.sqrt(np.mean(spread) + own)),
+        next_load_sd=_next_sd(problem, active, found),
         rms_before=rms_before,
         rms_left_out=rms_after,
         refused=refused,
         sweeps_used=0,
         constant=constant,
         another_law=AnotherLaw(found.law, found.scatter),
+    )
+    return calibration
+
+
+def _next_sd(problem: LoadProblem, active: NDArray[np.bool_], found: LawAverage) -> float:
+    """Relative standard deviation of a further load like the active ones."""
+    rows = np.column_stack((found.by_held, found.by_step))[active]
+    spread = np.einsum("ki,ij,kj->k", rows, found.covariance, rows)
+    return float(np.sqrt(np.mean(spread) + np.mean(problem.own[active] ** 2) + found.scatter**2))
+
+
+def _by_no_plate(problem: LoadProblem) -> bool:
+    """Whether between two loads the force changes with the flow as on no plate."""
+    if len(problem.loads) != LEAST_LOADS - 1:
+        return False
+    seconds = np.bincount(problem.of_load, problem.duration)
+    force = np.bincount(problem.of_load, problem.duration * problem.force / problem.speed) / seconds
+    by_flow, by_force = (float(np.diff(np.log(v))[0]) for v in (problem.weighed / seconds, force))
+    nearest = min(max(by_force * by_flow / max(by_flow**2, 1e-12), _EXPONENTS[0]), _EXPONENTS[1])
+    return abs(by_force - nearest * by_flow) > _BESIDE
+
+
+def _are_exchanged(found: LawAverage | None) -> bool:
+    """Whether two tickets are, by all loads together."""
+    return found is not None and sum(likely for slip, likely in found.slips if len(slip.loads) == 2) > _WRONG
+
+
+def _known_slips(law: LoadProblem, active: NDArray[np.bool_]) -> tuple[tuple[str, str], ...]:
+    """Names of the loads left out whose ticket a known slip explains, and that slip."""
+    out = []
+    for k in np.flatnonzero(~active).tolist():
+        said = against_others(law, active, k)
+        known = [slip for slip in slips(law.weighed) if slip.loads == (k,) and slip.what]
+        away = [abs(said.error + slip.shift[k]) / said.std_dev for slip in known]
+        best = int(np.argmin(away))
+        if away[best] < _EXPLAINED_SDS and abs(said.error) > _LARGE_SDS * said.std_dev:
+            out.append((law.loads[k].name, known[best].what))
+    return tuple(out)
+
+
+def _wrong_ticket(law: LoadProblem, active: NDArray[np.bool_], found: LawAverage) -> WrongTicket:
+    """Which ticket is likely to be wrong, and how."""
+    where = np.flatnonzero(active).tolist()
+    by_loads: dict[tuple[int, ...], float] = {}
+    for slip, likely in found.slips:
+        by_loads[slip.loads] = by_loads.get(slip.loads, 0.0) + likely
+    first = max(by_loads, key=lambda loads: by_loads[loads])
+    exchanged = len(first) == 2
+    likely, what = max((likely, slip.what) for slip, likely in found.slips if slip.loads == first)
+    what = what if likely > _WRONG * by_loads[first] else ""
+    of_load = {k: sum(likely for loads, likely in by_loads.items() if k in loads) for k in range(len(where))}
+    suspects = list(first) if exchanged else sorted(of_load, key=lambda k: (k != first[0], -of_load[k]))
+    count = 1 if len(where) > LEAST_LOADS - 1 else len(where)
+    while not exchanged and sum(of_load[k] for k in suspects[:count]) < _NAMED * found.wrong:
+        count += 1
+    named = tuple(law.loads[where[k]].name for k in (suspects if exchanged else suspects[:count]))
+    k = where[first[0]]
+    said = against_others(law, active & (np.arange(active.size) != k), k)
+    ratio = float(np.exp(-said.error))
+    weighed_kg = float(law.weighed[k])
+    probability = found.wrong if not _by_no_plate(law) else None
+    return WrongTicket(probability, named, exchanged, ratio, weighed_kg * (1.0 - 1.0 / ratio), what)
+
+
+def _with_wrong_ticket(
+    problem: LoadProblem, law: LoadProblem, active: NDArray[np.bool_], found: LawAverage, sweeps: int
+) -> LoadCalibration:
+    """Nothing learnt: a ticket is wrong."""
+    errors, _ = left_out(law, active, found.step)
+    before = problem.mass(problem.given)
+    error = np.log(before / problem.weighed)[active]
+    mean = np.column_stack((found.by_held, found.by_step))[active].mean(axis=0)
+    calibration = LoadCalibration(
+        parameter_set=problem.given,
+        names=(),
+        held=tuple(problem.given.values),
+        loads=_results(problem, before, before, errors, active),
+        scale=1.0,
+        scale_sd=float(np.sqrt(mean @ found.covariance @ mean)),
+        load_dependence=False,
+        next_load_sd=_next_sd(problem, active, found),
+        rms_before=_rms(error),
+        rms_left_out=_rms(errors[active]),
+        refused=True,
+        sweeps_used=0,
+        wrong_ticket=_wrong_ticket(law, active, found),
     )
     return replace(calibration, sentences=tuple(sentences(calibration, sweeps)))
 

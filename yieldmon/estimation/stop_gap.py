@@ -70,7 +70,10 @@ def with_stop_gap(model: ForwardModel, data: Measurements, found: ParameterSet, 
         Where the rows do not show their noise, lie at fewer than three loads, or a free parameter is in the reading's own unit.
     """
     if any(name in GRAIN and GRAIN[name].follows_response for name in free):
-        raise ValueError("a stop-gap needs a reading in N or kg m/s and the impact gain as 1 + e: nothing is known of k1 and k2")
+        raise ValueError(
+            "a stop-gap needs a reading in N or kg m/s (of a `response`: --response-scale S) and the impact gain as 1 + e "
+            "(--impact restitution): nothing is known of k1 and k2"
+        )
     problem = CalibrationProblem(model, data, found.values, tuple(free), prior=None, bounds=None, robust=False)
     if not problem.given_sigma and problem.pure_dof < LEAST_PURE_DOF:
         raise ValueError(f"a stop-gap needs the rows' noise: a sigma column, or {LEAST_PURE_DOF} rows that repeat others")
