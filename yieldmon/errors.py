@@ -7,6 +7,10 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+_LONGEST_PART = 500
+"""Characters of a problem that are shown; a value may be a whole file."""
+_LONGEST_PLACE = 1000
+
 
 class InputError(ValueError):
     """A file, key, row or argument that cannot be used.
@@ -22,7 +26,7 @@ class InputError(ValueError):
 
     Notes
     -----
-    The text is always one line; the command line prints it and exits with 2.
+    The text is always one line of printable characters; the command line prints it and exits with 2.
 
     Examples
     --------
@@ -32,10 +36,12 @@ class InputError(ValueError):
 
     def __init__(self, where: str, problem: str, expected: str = "") -> None:
         self.where = where
-        self.problem = problem
+        self.problem = brief(problem, _LONGEST_PART)
         self.expected = expected
-        text = f"{where}: {problem}" + (f"; expected {expected}" if expected else "")
-        super().__init__(" ".join(text.split()))
+        text = f"{brief(where, _LONGEST_PLACE)}: {self.problem}" + (
+            f"; expected {brief(expected, _LONGEST_PLACE)}" if expected else ""
+        )
+        super().__init__("".join(c if c.isprintable() else repr(c)[1:-1] for c in " ".join(text.split())))
 
 
 def brief(what: object, most: int = 160) -> str:

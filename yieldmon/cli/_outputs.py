@@ -20,7 +20,7 @@ def add_force(parser: argparse.ArgumentParser, *names: str) -> None:
 def check(args: argparse.Namespace) -> None:
     """Before the work: raises InputError for an output that is an input, exists, has no folder, or may not be written."""
     names: tuple[str, ...] = getattr(args, "output_arguments", ())
-    inputs = {path.resolve() for key, value in vars(args).items() if key not in names for path in _files(value)}
+    inputs = {whole_file.real_path(path) for key, value in vars(args).items() if key not in names for path in _files(value)}
     written: dict[Path, str] = {}
     for name in names:
         value = getattr(args, name)
@@ -28,14 +28,15 @@ def check(args: argparse.Namespace) -> None:
             path, option = Path(value), f"--{name.replace('_', '-')}"
             refuse(path, option, force=args.force, inputs=inputs)
             # Standard output and the like take what several write.
-            if (other := written.setdefault(path.resolve(), option)) != option and (path.is_file() or not path.exists()):
+            other = written.setdefault(whole_file.real_path(path), option)
+            if other != option and (path.is_file() or not path.exists()):
                 raise InputError(f"{option} {value}", f"is the file of {other} as well", "another name")
 
 
 def check_folder(folder: Path, names: Iterable[str], option: str, *, force: bool, inputs: Iterable[str | Path] = ()) -> None:
     """As `check`, for files of these names in a folder, which need not be there."""
     require_writable_folder(folder, option)
-    read = {Path(path).resolve() for path in inputs}
+    read = {whole_file.real_path(path) for path in inputs}
     for name in names if folder.is_dir() else ():
         refuse(folder / name, option, force=force, inputs=read)
 
@@ -45,7 +46,7 @@ def refuse(path: Path, option: str, *, force: bool, inputs: set[Path] = frozense
     user may not write in."""
     if path.is_dir():
         return
-    if path.resolve() in inputs:
+    if whole_file.real_path(path) in inputs:
         raise InputError(f"{option} {path}", "is a file that is read as well", "another name")
     whole_file.check_place(path)
     if path.is_file() and not force:

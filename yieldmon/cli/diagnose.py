@@ -21,7 +21,7 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.stop_gap import without_stop_gap
 from yieldmon.files import machine_file, parameter_file, table, whole_file
 from yieldmon.files.table import Table
-from yieldmon.files.whole_file import check_place
+from yieldmon.files.whole_file import check_place, real_path
 from yieldmon.physics.effects import registry
 from yieldmon.physics.machine import Machine
 from yieldmon.resources import shipped
@@ -154,9 +154,9 @@ def _check_adopt(args: argparse.Namespace, source: _Source) -> None:
     if args.adopt is None:
         return
     out = Path(args.adopt)
-    in_place = source.parameter_path is not None and out.resolve() == source.parameter_path.resolve()
+    in_place = source.parameter_path is not None and real_path(out) == real_path(source.parameter_path)
     if not in_place:
-        _outputs.refuse(out, "--adopt", force=args.force, inputs={Path(args.data).resolve()})
+        _outputs.refuse(out, "--adopt", force=args.force, inputs={real_path(args.data)})
     copy = adoption.parent_copy(out, source.parameters.version)
     if copy.is_file() and (source.parameter_path is None or copy.read_bytes() != source.parameter_path.read_bytes()):
         _outputs.refuse(copy, "--adopt", force=args.force)

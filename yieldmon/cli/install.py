@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 from yieldmon.errors import InputError
+from yieldmon.files.whole_file import real_path
 from yieldmon.service.installation import Installer, check_interface, install, package_source, roll_back, uninstall
 
 _TEXT = """
@@ -49,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--rollback", "with --uninstall", "one of the two")
     if args.purge and not args.uninstall:
         raise InputError("--purge", "without --uninstall", "both")
-    root = args.root.resolve()
+    root = real_path(args.root)
     if root == Path("/") and os.geteuid() != 0 and not args.dry_run:
         raise InputError("install", "a service needs root", "sudo yieldmon install")
     installer = Installer(root, args.dry_run)

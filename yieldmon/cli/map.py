@@ -22,6 +22,7 @@ from yieldmon.field.products import FILES, FORMATS, write_products
 from yieldmon.field.sources.options import ReadOptions
 from yieldmon.field.swath import HeaderPlace
 from yieldmon.field.table import HarvestTable, Skipped, joined
+from yieldmon.files.whole_file import real_path
 from yieldmon.units import UnitSystem
 
 
@@ -85,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
     if out.exists() and not out.is_dir():
         raise InputError("--out", f"{out} is a file", "a folder")
     _outputs.require_writable_folder(out, "--out")
-    _spare_sources([Path(name).resolve() for name in args.sources], out.resolve(), formats)
+    _spare_sources([real_path(name) for name in args.sources], real_path(out), formats)
 
     def progress(text: str) -> None:
         print(f"{time.monotonic() - started:6.1f} s  {text}", file=sys.stderr, flush=True)

@@ -21,6 +21,7 @@ from yieldmon.documents.process import ProcessSummary, ReprocessSummary
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file
 from yieldmon.files.units import units_of
+from yieldmon.files.whole_file import real_path
 from yieldmon.repeats import repeated
 from yieldmon.resources import shipped
 from yieldmon.service import configuration, log_record, recorded
@@ -118,7 +119,7 @@ def _check(args: argparse.Namespace) -> None:
         raise InputError("--zero-mv", f"is {args.zero_mv:g}", "0 to 100000 mV, as a table of an earlier log has it (zero_mv)")
     for log in args.logs:
         # Here, where a package that is not installed costs one line: processes that read would print tracebacks.
-        require_package(Path(log).resolve())
+        require_package(real_path(log))
     if args.jobs < 1:
         raise InputError("--jobs", f"is {args.jobs}", "a whole number from 1")
 

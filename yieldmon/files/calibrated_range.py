@@ -12,10 +12,10 @@ from yieldmon.physics.machine import RPM
 from .checked import known_keys, span
 
 _RANGES = {
-    "mass_flow_kg_s": ("mass_flow_kg_s", "kg/s", 1.0),
-    "plate_angle_deg": ("plate_angle_rad", "deg", radians(1.0)),
-    "elevator_speed_rpm": ("elevator_speed_rad_s", "rpm", RPM),
-    "moisture_pct": ("moisture_pct", "%", 1.0),
+    "mass_flow_kg_s": ("mass_flow_kg_s", "kg/s", 1.0, 0.0, 1e6),
+    "plate_angle_deg": ("plate_angle_rad", "deg", radians(1.0), 0.0, 180.0),
+    "elevator_speed_rpm": ("elevator_speed_rad_s", "rpm", RPM, 0.0, 1e6),
+    "moisture_pct": ("moisture_pct", "%", 1.0, 0.0, 100.0),
 }
 
 
@@ -26,8 +26,8 @@ def calibrated_range(document: Any, where: str) -> CalibratedRange:
     known_keys(document, f"{where}: calibrated_range.", _RANGES)
     limits: dict[str, tuple[float, float]] = {}
     for key, value in document.items():
-        attribute, unit, scale = _RANGES[key]
-        low, high = span(value, f"{where}: calibrated_range.{key}", unit, -1e6, 1e6)
+        attribute, unit, scale, least, most = _RANGES[key]
+        low, high = span(value, f"{where}: calibrated_range.{key}", unit, least, most)
         limits[attribute] = (low * scale, high * scale)
     return CalibratedRange(**limits)
 
@@ -36,7 +36,7 @@ def calibrated_document(calibrated: CalibratedRange) -> dict[str, list[float]]:
     """The mapping that `calibrated_range` reads back to an equal range."""
     return {
         key: [float(_outward(v, scale)) for v in limits]
-        for key, (attribute, _, scale) in _RANGES.items()
+        for key, (attribute, _, scale, *_) in _RANGES.items()
         if (limits := getattr(calibrated, attribute)) is not None
     }
 

@@ -12,6 +12,7 @@ from yieldmon.errors import InputError
 from . import strict_yaml
 
 _log = logging.getLogger(__name__)
+_LONGEST_NAME = 200
 
 
 def load_mapping(path: str | Path) -> dict[str, Any]:
@@ -63,9 +64,31 @@ def known_keys(document: Mapping[str, Any], before: str, known: Collection[str])
             raise InputError(f"{before}{key}", "unknown key", f"one of {', '.join(known)}")
 
 
+def known_format(document: Mapping[str, Any], known: int, where: str) -> None:
+    """Raises InputError for a document of another format; one that names none is of this."""
+    found = document.get("format", known)
+    if isinstance(found, bool) or found != known:
+        raise InputError(f"{where}: format", f"is {found!r}", f"{known}")
+
+
+def mapping(document: Mapping[str, Any], key: str, where: str) -> dict[str, Any]:
+    """What a key holds, empty where it is missing or null. Raises InputError for anything but a mapping."""
+    found = document.get(key)
+    if found is not None and not isinstance(found, dict):
+        raise InputError(f"{where}: {key}", f"is {found!r}", "a mapping of names to values")
+    return found or {}
+
+
+def name(value: Any, where: str) -> str:
+    """A text that is shown to people: not empty, one line of at most 200 characters. Raises InputError."""
+    if not isinstance(value, str) or not 0 < len(value) <= _LONGEST_NAME or not value.isprintable():
+        raise InputError(where, f"is {value!r}", f"a text of 1 to {_LONGEST_NAME} printable characters")
+    return value
+
+
 def texts(value: Any, where: str) -> dict[str, str]:
     """A mapping of texts, numbers and the like as texts; nothing is an empty one. Raises InputError."""
-    if not value:
+    if value is None:
         return {}
     if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
         raise InputError(where, f"is {value!r}", "a mapping of texts")

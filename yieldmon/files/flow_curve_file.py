@@ -12,7 +12,7 @@ from yieldmon.files.calibrated_range import calibrated_document, calibrated_rang
 from yieldmon.physics.machine import RPM
 
 from . import strict_yaml, whole_file
-from .checked import known_keys, load_mapping, number, numbers, texts
+from .checked import known_format, known_keys, load_mapping, mapping, number, numbers, texts
 
 FORMAT = 1
 _LAWS = {
@@ -39,17 +39,16 @@ def from_document(document: Any, where: str) -> FlowCurve:
     if not isinstance(document, dict):
         raise InputError(where, f"is {document!r}", "a mapping")
     kind = document.get("estimator")
-    if kind not in _LAWS:
+    if not isinstance(kind, str) or kind not in _LAWS:
         raise InputError(f"{where}: estimator", f"is {kind!r}", f"one of {', '.join(_LAWS)}")
     known_keys(document, f"{where}: ", (*_KEYS, *_LAWS[kind]))
-    if document.get("format", FORMAT) != FORMAT:
-        raise InputError(f"{where}: format", f"is {document['format']!r}", f"{FORMAT}")
+    known_format(document, FORMAT, where)
     provenance = texts(document.get("provenance"), f"{where}: provenance")
     law = _alpha_beta(document, where) if kind == AlphaBeta.kind else _table(document, where)
     return FlowCurve(
         law,
         number(document.get("relative_std_dev"), f"{where}: relative_std_dev", "", 0.0, 10.0),
-        calibrated_range(document.get("calibrated_range") or {}, where),
+        calibrated_range(mapping(document, "calibrated_range", where), where),
         provenance,
     )
 

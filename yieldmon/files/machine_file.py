@@ -11,7 +11,7 @@ from yieldmon.errors import InputError
 from yieldmon.physics.machine import LONGEST_RESPONSE_S, RPM, ImpactSensor, Implement, Machine
 from yieldmon.resources import shipped
 
-from .checked import known_keys, load_mapping, number, numbers
+from .checked import known_keys, load_mapping, name, number, numbers
 
 DEFAULT = "config/machines/sprocket-8.yaml"
 
@@ -83,10 +83,9 @@ def from_document(document: Mapping[str, Any], path: str | Path) -> Machine:
     values["plate_travel_m"] = _travel(document.get("plate_travel_m", [0.0, 0.0]), f"{path}: plate_travel_m")
     values["sensor"] = _sensor(document["sensor"], path)
     values["implement"] = _implement(document.get("implement", {}), path)
-    if not isinstance(document["name"], str):
-        raise InputError(f"{path}: name", f"is {document['name']!r}", "a text")
+    machine_name = name(document["name"], f"{path}: name")
     try:
-        return Machine(name=document["name"], **values)
+        return Machine(name=machine_name, **values)
     except ValueError as error:
         raise InputError(str(path), str(error)) from error
 

@@ -16,13 +16,13 @@ import numpy as np
 
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.physics.effects import effect_parameter
+from yieldmon.physics.effects import effect_parameter, get_effect
 from yieldmon.physics.grain import GRAIN
 from yieldmon.resources import shipped
 
 from . import flow_curve_file, strict_yaml, whole_file
 from .calibrated_range import calibrated_document, calibrated_range
-from .checked import known_keys, load_mapping, number, texts
+from .checked import known_format, known_keys, load_mapping, mapping, number, texts
 
 DEFAULT = "config/parameters/corn.yaml"
 FORMAT = 1
@@ -34,6 +34,9 @@ GRAIN_LIMITS: Mapping[str, tuple[str, float, float]] = {
 }
 _LEAST_DENSITY_KG_M3 = 20.0
 """No grain is lighter; a number below it is in another unit."""
+_BEYOND_BOUNDS = 0.05
+"""Share of an effect's range by which a value that was learnt may lie beyond it."""
+_LARGEST_CORRELATION = 1.0 + 1e-6
 _KEYS = ("format", "version", "effects", "covariance", "calibrated_range", "response_unit", "model_error", "curve", "provenance")
 
 
@@ -63,6 +66,8 @@ def load(path: str | Path | None = None) -> ParameterSet:
     known = from_document(load_mapping(path), str(path))
     if known.values["density"] < _LEAST_DENSITY_KG_M3:
         raise InputError(f"{path}: density", f"is {known.values['density']:g}", "kg/m3; this looks like g/cm3 or t/m3")
+    _check_effects(known, str(path))
+    _check_correlations(known, str(path))
     return known
 
 
@@ -78,10 +83,9 @@ def from_document(document: Mapping[str, Any], where: str) -> ParameterSet:
         expected = "a parameter file; the configuration takes a curve as estimator_file, `estimate` and `process` as --estimator"
         raise InputError(where, f"is a curve ({document['estimator']})", expected)
     known_keys(document, f"{where}: ", (*GRAIN_LIMITS, *_KEYS))
-    if document.get("format", FORMAT) != FORMAT:
-        raise InputError(f"{where}: format", f"is {document['format']!r}", f"{FORMAT}")
+    known_format(document, FORMAT, where)
     values = {k: number(document[k], f"{where}: {k}", *GRAIN_LIMITS[k]) for k in GRAIN_LIMITS if k in document}
-    values |= _effect_values(document.get("effects") or {}, where)
+    values |= _effect_values(mapping(document, "effects", where), where)
     names, covariance = _covariance(document.get("covariance"), where)
     provenance = texts(document.get("provenance"), f"{where}: provenance")
     unit = document.get("response_unit", "N")
@@ -92,7 +96,7 @@ def from_document(document: Mapping[str, Any], where: str) -> ParameterSet:
         raise InputError(f"{where}: version", f"is {version!r}", f"a whole number from 1 to {_LARGEST_VERSION}")
     model_error = number(document.get("model_error", 0.0), f"{where}: model_error", "", 0.0, 10.0)
     curve = flow_curve_file.from_document(document["curve"], f"{where}: curve") if "curve" in document else None
-    calibrated = calibrated_range(document.get("calibrated_range") or {}, where)
+    calibrated = calibrated_range(mapping(document, "calibrated_range", where), where)
     try:
         return ParameterSet(
             values=values,
@@ -162,9 +166,30 @@ def save(parameters: ParameterSet, path: str | Path) -> None:
     whole_file.write(path, text, durable=True, mode=whole_file.READABLE)
 
 
-def _effect_values(effects: Any, where: str) -> dict[str, float]:
-    if not isinstance(effects, dict):
-        raise InputError(f"{where}: effects", f"is {effects!r}", "a mapping of effect names to parameters")
+def _check_effects(known: ParameterSet, where: str) -> None:
+    """Raises InputError for an effect's parameter beyond its physical bounds; those in a unit of the reading have none."""
+    for name, value in known.values.items():
+        if "." not in name:
+            continue
+        parameter = effect_parameter(name)
+        beyond = _BEYOND_BOUNDS * (parameter.upper - parameter.lower)
+        in_other_unit = known.response_unit != "N" and get_effect(name.partition(".")[0]).unit_follows_response
+        if not in_other_unit and not parameter.lower - beyond <= value <= parameter.upper + beyond:
+            expected = f"a number from {parameter.lower:g} to {parameter.upper:g} {parameter.unit}".rstrip()
+            raise InputError(f"{where}: effects.{name}", f"is {value:g}", expected)
+
+
+def _check_correlations(known: ParameterSet, where: str) -> None:
+    """Raises InputError for a covariance that no two quantities can have."""
+    std_dev = np.sqrt(np.diag(known.covariance))
+    excess = np.abs(known.covariance) > _LARGEST_CORRELATION * np.outer(std_dev, std_dev)
+    for i, j in np.argwhere(excess):
+        first, second = (known.covariance_names[k] for k in sorted((i, j)))
+        problem = f"{first} and {second}: {known.covariance[i, j]:g} with variances {std_dev[i] ** 2:g} and {std_dev[j] ** 2:g}"
+        raise InputError(f"{where}: covariance.matrix", problem, "a correlation from -1 to 1")
+
+
+def _effect_values(effects: Mapping[str, Any], where: str) -> dict[str, float]:
     values: dict[str, float] = {}
     for effect, parameters in effects.items():
         if not isinstance(parameters, dict):

@@ -21,9 +21,16 @@ _NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """What only writing can meet, and a write's error does not name its file."""
 
 
+def real_path(path: str | Path) -> Path:
+    """Where a path leads, links followed; links that lead in a circle are left as they are."""
+    return Path(os.path.realpath(path))
+
+
 def check_place(path: str | Path) -> None:
     """To be asked before the work: raises InputError for a folder, or a name in a folder that does not exist."""
-    target = Path(path).resolve()
+    target = real_path(path)
+    if target.is_symlink():
+        raise InputError(str(path), "is a link that leads back to itself", "the name of a file to write")
     if target.is_dir():
         raise InputError(str(path), "is a folder", "the name of a file to write")
     if not target.parent.is_dir():
@@ -56,7 +63,7 @@ def scratch_for(path: str | Path, *, durable: bool = False, mode: int | None = N
     check_place(path)
     in_place = Path(path).exists() and not Path(path).is_file()
     # What /dev/stdout leads to has no path of its own where it is a pipe.
-    target = Path(path) if in_place else Path(path).resolve()
+    target = Path(path) if in_place else real_path(path)
     folder = None if in_place else _private_folder(target, path)
     scratch = target if folder is None else folder / target.name
     try:

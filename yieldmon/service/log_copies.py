@@ -8,13 +8,14 @@ from pathlib import Path
 
 from yieldmon.bus.logs import open_bytes
 from yieldmon.errors import InputError
+from yieldmon.files.whole_file import real_path
 
 _BEGINNING_BYTES = 1 << 16
 
 
 def refuse_named_twice(logs: Sequence[str]) -> None:
     """Raises InputError for a log that is named twice, by whatever path."""
-    resolved = [Path(log).resolve() for log in logs]
+    resolved = [real_path(log) for log in logs]
     for index, path in enumerate(resolved):
         if path in resolved[:index]:
             raise InputError(logs[index], "is named twice, which would double its mass", "each log once")

@@ -69,10 +69,10 @@ class MetricsFile:
     def _take_away(path: Path) -> None:
         try:
             # A link is followed, as in writing; a pipe or a device is not ours to take away.
-            target = path.resolve()
+            target = whole_file.real_path(path)
             if target.is_file():
                 target.unlink()
-        except (OSError, RuntimeError) as error:
+        except OSError as error:
             _log.warning("metrics: %s", error)
 
     def _run(self, stop: threading.Event) -> None:
