@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -16,6 +18,8 @@ from yieldmon.engine.scale_alarm import ScaleAlarmState, ScaleCheck
 from yieldmon.engine.state import EngineState, TicketState, ZeroUndo
 from yieldmon.engine.totals import Totals
 from yieldmon.engine.zero import ZeroState
+from yieldmon.service import configuration
+from yieldmon.service.assembly import build_monitor
 
 NUMBERS = st.floats(-1e12, 1e12)
 MASSES = st.floats(0.0, 1e9)
@@ -122,3 +126,23 @@ def test_rows_of_a_covariance_are_of_one_length() -> None:
     document["calibrator"]["covariance"] = [[1.0], [2.0, 3.0]]
     with pytest.raises(ValueError, match="do not fit the parameters"):
         EngineState.from_dict(document)
+
+
+@settings(max_examples=25, deadline=None)
+@given(STATES, st.booleans())
+def test_a_monitor_goes_on_from_what_it_was_given(state: EngineState, same_parameters: bool) -> None:
+    """What another part knows (the calibrator's document, tickets, the moisture of the market) is not looked at here."""
+    loaded = configuration.build({}, Path("c.yaml"), {})
+    monitor = build_monitor(loaded.engine, loaded.machine, loaded.parameters, None)
+    fresh = monitor.snapshot()
+    version = loaded.parameters.version if same_parameters else loaded.parameters.version + 1
+    monitor.restore(replace(state, parameter_version=version))
+    found = monitor.snapshot()
+    for name in ("windows", "sweep_id", "calibration_age_s", "zero"):
+        assert getattr(found, name) == getattr(state, name)
+    assert replace(found.totals, market_moisture_pct=0.0) == replace(state.totals, market_moisture_pct=0.0)
+    assert found.scale_alarm == (state.scale_alarm if same_parameters else fresh.scale_alarm)
+    kept = state.zero_undo
+    assert (found.zero_undo is None) == (kept is None)
+    if found.zero_undo is not None and kept is not None:
+        assert (found.zero_undo.before, found.zero_undo.suspect) == (kept.before, kept.suspect)

@@ -6,10 +6,13 @@ import logging
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from yieldmon.errors import InputError, reading
+from yieldmon.errors import InputError, read_whole
 
 if TYPE_CHECKING:
     from cantools.database.can import Database, Message
+
+#: Makers' largest files have some ten megabytes.
+LARGEST_BYTES = 64_000_000
 
 
 def read(path: Path | str, *, strict: bool = True) -> Database:
@@ -23,8 +26,7 @@ def read(path: Path | str, *, strict: bool = True) -> Database:
     from cantools.database.errors import Error as DbcError
 
     where = str(path)
-    with reading(path, "a readable DBC file"):
-        data = Path(path).read_bytes()
+    data = read_whole(path, "a readable DBC file", LARGEST_BYTES)
     if b"\x00" in data:
         raise InputError(where, "is in UTF-16 or no text at all", "a DBC file in UTF-8 or Windows-1252")
     try:

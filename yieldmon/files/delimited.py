@@ -16,12 +16,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from yieldmon.errors import InputError, brief, reading
+from yieldmon.errors import InputError, brief, read_whole
 from yieldmon.repeats import repeated
 
 UNKNOWN = ("", "-", "nan", "na", "n/a", "null")
 """Cells that say "not known", in lower case."""
 WORKBOOK = ".xlsx"
+LARGEST_BYTES = 256_000_000
+"""Of a table; its cells take ten times as much memory."""
 _GZIP, _ZIP, _OLD_EXCEL = b"\x1f\x8b", b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
 _SEPARATORS = ",;\t"
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
@@ -62,8 +64,7 @@ def plain_number(cell: str) -> float:
 def read(path: str | Path) -> TextTable:
     """A table with a header line; empty lines and lines that begin with # are passed over. Raises InputError."""
     where = str(path)
-    with reading(path, "a readable CSV file"):
-        raw = Path(path).read_bytes()
+    raw = read_whole(path, "a readable CSV file", LARGEST_BYTES)
     cells = _workbook(raw, where) if raw.startswith(_ZIP) else _separated(raw, where)
     if not cells:
         raise InputError(where, "is empty", "a header line and rows")
