@@ -37,6 +37,8 @@ _LEAST_DENSITY_KG_M3 = 20.0
 _BEYOND_BOUNDS = 0.05
 """Share of an effect's range by which a value that was learnt may lie beyond it."""
 _LARGEST_CORRELATION = 1.0 + 1e-6
+_ROUNDING = 1e-9
+"""Of a covariance, over the largest variance."""
 _KEYS = ("format", "version", "effects", "covariance", "calibrated_range", "response_unit", "model_error", "curve", "provenance")
 
 
@@ -181,8 +183,10 @@ def _check_effects(known: ParameterSet, where: str) -> None:
 
 def _check_correlations(known: ParameterSet, where: str) -> None:
     """Raises InputError for a covariance that no two quantities can have."""
-    std_dev = np.sqrt(np.diag(known.covariance))
-    excess = np.abs(known.covariance) > _LARGEST_CORRELATION * np.outer(std_dev, std_dev)
+    variance = np.diag(known.covariance)
+    std_dev = np.sqrt(variance)
+    rounding = _ROUNDING * variance.max(initial=0.0)
+    excess = np.abs(known.covariance) > _LARGEST_CORRELATION * np.outer(std_dev, std_dev) + rounding
     for i, j in np.argwhere(excess):
         first, second = (known.covariance_names[k] for k in sorted((i, j)))
         problem = f"{first} and {second}: {known.covariance[i, j]:g} with variances {std_dev[i] ** 2:g} and {std_dev[j] ** 2:g}"
