@@ -57,14 +57,14 @@ def refuse(path: Path, option: str, *, force: bool, inputs: set[Path] = frozense
 def require_writable(path: Path, option: str) -> None:
     """Raises InputError for a file that is not there yet, or not writable itself, in a folder that this user may not write in."""
     taken = path.exists() and (not path.is_file() or os.access(path, os.W_OK, effective_ids=True))
-    folder = path.resolve().parent
+    folder = whole_file.real_path(path).parent
     if not taken and folder.is_dir():
         _require_rights(folder, f"{option} {path}")
 
 
 def require_writable_folder(folder: Path, option: str) -> None:
     """Raises InputError for a folder in which this user may not write, or which this user may not make."""
-    there = folder.resolve()
+    there = whole_file.real_path(folder)
     while not there.exists():
         there = there.parent
     if there.is_dir():
