@@ -86,13 +86,7 @@ def one_angle_off(base: Fit, scale: float, per_parameter: float) -> OneAngle | N
         constant, share = inside / base.frame.sd, inside * base.level
         varying = [share * (v - v.mean()) for v in (cells.load, cells.elevator_speed_rad_s)]
         for columns in ([constant], [share], [constant, share], [constant, share, *varying]):
-            tangent = model_error.orthonormal(np.column_stack((base.tangent(), *columns)))
-            left, error = model_error.off(base.residual, tangent), model_error.off(base.own_error, tangent)
-            small = np.eye(error.shape[1]) + error.T @ error
-            along = error.T @ left
-            chi2 = float(left @ left - along @ np.linalg.solve(small, along))
-            cost = float(np.linalg.slogdet(small)[1]) + per_parameter * (len(base.parameters) + len(columns))
-            found.append(OneAngle(at, chi2 / scale + cost))
+            found.append(OneAngle(at, base.beside(np.column_stack(columns), scale, per_parameter)))
     return min(found, key=lambda one: one.merit, default=None)
 
 

@@ -237,6 +237,19 @@ class Fit:
         along = free.T @ self.residual
         return self.chi2 - float(along @ np.linalg.solve(small, along)), float(np.linalg.slogdet(small)[1])
 
+    def beside(self, columns: Array, scale: float, per_parameter: float) -> float:
+        """-2 log evidence of the model with further whitened columns, of free size, shape (cells, columns).
+
+        scale: unit of differences in chi-square. per_parameter: what each parameter and column costs.
+        """
+        tangent = model_error.orthonormal(np.column_stack((self.tangent(), columns)))
+        left, error = model_error.off(self.residual, tangent), model_error.off(self.error, tangent)
+        small = np.eye(error.shape[1]) + error.T @ error
+        along = error.T @ left
+        chi2 = float(left @ left - along @ np.linalg.solve(small, along))
+        cost = per_parameter * float(len(self.parameters) + columns.shape[1])
+        return chi2 / scale + float(np.linalg.slogdet(small)[1]) + cost
+
     @cached_property
     def integrated(self) -> tuple[float, float]:
         """`marginal` over `error`."""

@@ -27,7 +27,8 @@ class Rows:
     """One entry a measurement, arrays of shape (rows,); SI and radians.
 
     load_name: mass_flow_kg_s or paddle_mass_kg. of: what is measured, "force" or "momentum" (per paddle). moisture_pct is nan
-    where unknown, sigma nan where the table states none. cell: number of the condition that the row repeats.
+    where unknown, sigma nan where the table states none. cell: number of the condition that the row repeats. order: when each
+    row was measured, `timed` where the table says so in s, else its place in the table; None: not known.
     """
 
     machine: Machine
@@ -42,6 +43,8 @@ class Rows:
     sigma: Array
     trial: tuple[str, ...]
     cell: NDArray[np.int64]
+    order: Array | None = None
+    timed: bool = False
 
     def __len__(self) -> int:
         return len(self.value)
@@ -67,6 +70,8 @@ class Rows:
             self.sigma[chosen],
             tuple(t for t, keep in zip(self.trial, chosen, strict=True) if keep),
             cell,
+            None if self.order is None else self.order[chosen],
+            self.timed,
         )
 
     def conditions(self) -> Conditions:
@@ -143,6 +148,8 @@ def from_table(table: Table, machine: Machine) -> Rows:
     count = len(table)
     nothing = np.full(count, np.nan)
     usable = np.isfinite(columns[table.load]) & np.isfinite(columns[table.reading])
+    time_s = columns.get("time_s", nothing)
+    timed = bool(np.all(np.isfinite(time_s[usable])))
     if np.count_nonzero(usable) < 8:
         raise InputError(table.path, f"has {np.count_nonzero(usable)} rows with load and reading", "at least 8")
     rows = Rows(
@@ -158,6 +165,8 @@ def from_table(table: Table, machine: Machine) -> Rows:
         columns.get("sigma", nothing),
         table.text.get("trial", ("",) * count),
         np.zeros(count, dtype=np.int64),
+        time_s if timed else np.arange(float(count)),
+        timed,
     ).take(usable)
     column = f"{table.path}: {table.reading}"
     stated = int(np.count_nonzero(rows.sigma > 0.0))

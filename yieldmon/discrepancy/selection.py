@@ -36,6 +36,7 @@ from .gap import LackOfFit, lack_of_fit, lack_of_fit_but_one
 from .noise import Noise
 from .pairs import screen
 from .policy import DEFAULT, Policy
+from .run_order import of_order
 
 
 @dataclass(frozen=True)
@@ -192,7 +193,7 @@ class Search:
             return f"{100.0 * left:.1f} % of the excess is left with it {searched}, more than {most:.0f} %"
         if not other_law and self._unexplained(current):
             return f"F = {gap.f:.2f} is left with it {searched}, more than what its law may be off explains"
-        return self._other_laws(current) or self._of_one_angle(current)
+        return self._other_laws(current) or self._of_one_angle(current) or self._of_order(current)
 
     def _other_laws(self, current: Fit) -> str:
         """Why other laws of the others may be at work instead of one of several effects; "" where none may."""
@@ -223,6 +224,18 @@ class Search:
             return ""
         at = f"{np.degrees(alone.plate_angle_rad):.0f} deg"
         return f"an error of the rows at {at} alone explains the gap as well"
+
+    def _of_order(self, current: Fit) -> str:
+        """Why the order in which the rows were measured may be at work in the place of an effect; "" where it may not."""
+        scale = misfit([current])
+        most = merit(current, scale, self.policy) + self.policy.tie
+        for effect in current.effects:
+            without = fit(current.frame, tuple(e for e in current.effects if e != effect), current.values)
+            other = of_order(without, scale, self.policy.per_parameter) if without is not None else None
+            if other is not None and other.merit <= most:
+                how = "`time_s` shows" if current.frame.cells.rows.timed else "the table has its rows speed by speed"
+                return f"{other.what} explains the rows as well as {family_of(effect)} ({how})"
+        return ""
 
     def candidates(
         self,

@@ -33,6 +33,7 @@ _LIMITS = {
     "moisture_pct": (0.0, 100.0, "%"),
     "plate_position_m": (-2.0, 2.0, "m"),
     "sigma": (0.0, 1e12, "the reading's unit"),
+    "time_s": (-1e12, 1e12, "s"),
 }
 
 
@@ -50,8 +51,8 @@ class Table:
     reading : {"force_n", "momentum_kg_m_s", "response"}
         Which of them the table gives; of force and momentum, the force.
     columns : mapping of str to ndarray
-        (n,) each, by name: plate_angle_deg (deg), elevator_speed_rpm (rpm), moisture_pct (%), plate_position_m (m), load and
-        reading; nan for unknown.
+        (n,) each, by name: plate_angle_deg (deg), elevator_speed_rpm (rpm), moisture_pct (%), plate_position_m (m), time_s
+        (s), load and reading; nan for unknown.
     text : mapping of str to tuple of str
         Trial, group and unknown columns.
     notes : tuple of str

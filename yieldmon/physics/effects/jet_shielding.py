@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from yieldmon.physics import settling
+from yieldmon.physics.numerics import exp
 from yieldmon.physics.stages import Impulse, Setting
 
 from .effect import Effect, EffectParameter, Values
@@ -22,6 +23,11 @@ def _impulse(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
 def _by_fill(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
     fill = impulse.arrival.jet.load.paddle_mass_kg / setting.full_paddle_mass_kg
     return replace(impulse, normal_gain=scale_restitution(impulse, 1.0 / (1.0 + values["rate"] * fill), setting))
+
+
+def _free_path(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
+    fill = impulse.arrival.jet.load.paddle_mass_kg / setting.full_paddle_mass_kg
+    return replace(impulse, normal_gain=scale_restitution(impulse, exp(-values["rate"] * fill), setting))
 
 
 EFFECT = Effect(
@@ -43,5 +49,13 @@ LAWS = (
         source="the stream as one body, its thickness in proportion to the load",
         parameters=(EffectParameter("rate", "", 0.0, 0.0, 20.0, 1.0, "1 / fill that halves rebound", 1.5),),
         impulse=_by_fill,
+    ),
+    replace(
+        EFFECT,
+        name="jet_shielding-free_path",
+        law="the share of grain that rebounds through the stream without meeting any, exponential in the fill of the paddle",
+        source="free path in a gas of grains: the chance to meet none of a mean number of n is exp(-n)",
+        parameters=(EffectParameter("rate", "", 0.0, 0.0, 20.0, 1.0, "grains met on the way out, per fill", 1.5),),
+        impulse=_free_path,
     ),
 )

@@ -25,6 +25,12 @@ def _overfull(load: Load, values: Values, setting: Setting) -> Load:
     return replace(load, paddle_mass_kg=load.paddle_mass_kg / (1.0 + values["loss_at_full"] * fill * fill))
 
 
+def _orifice(load: Load, values: Values, setting: Setting) -> Load:
+    slowness = setting.machine.nominal_elevator_speed_rad_s / setting.elevator_speed_rad_s
+    mass = load.paddle_mass_kg
+    return replace(load, paddle_mass_kg=mass * mass / (mass + values["loss_kg"] * slowness + 1e-30))
+
+
 EFFECT = Effect(
     name="paddle_leakage",
     stage="fill",
@@ -52,5 +58,14 @@ LAWS = (
         source="height above the edge times width of the heap, each in proportion to fill",
         parameters=(EffectParameter("loss_at_full", "", 0.0, 0.0, 2.0, 0.1, "mass lost over mass kept, at full", 0.3),),
         load=_overfull,
+    ),
+    replace(
+        EFFECT,
+        name="paddle_leakage-orifice",
+        law="one mass from each paddle, whatever its load, in proportion to the time on the way up; never more than there is",
+        source="discharge of grain through an opening does not depend on the head: Beverloo, Leniger and van de Velde, Chemical "
+        "Engineering Science 15 (1961)",
+        parameters=(EffectParameter("loss_kg", "kg", 0.0, 0.0, 0.3, 0.03, "mass lost a paddle at the nominal speed", 0.05),),
+        load=_orifice,
     ),
 )

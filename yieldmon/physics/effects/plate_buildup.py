@@ -22,6 +22,11 @@ def _zeroed(reading: Reading, values: Values, setting: Setting) -> Reading:
     return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + force / setting.passes_per_s)
 
 
+def _zeroed_across(reading: Reading, values: Values, setting: Setting) -> Reading:
+    force = values["weight_n"] * (np.cos(setting.plate_angle_rad) - np.cos(setting.machine.home_plate_angle_rad))
+    return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + force / setting.passes_per_s)
+
+
 EFFECT = Effect(
     name="plate_buildup",
     stage="sensor",
@@ -40,5 +45,12 @@ LAWS = (
         law="the horizontal part of the weight across the plate, less what the zero at home took away",
         source="statics: W cos(phi) across the plate, sin(phi) of that horizontal; zero taken at home with what sticks there",
         reading=_zeroed,
+    ),
+    replace(
+        EFFECT,
+        name="plate_buildup-zeroed_across",
+        law="the weight across the plate, less what the zero at home took away",
+        source="statics: W cos(phi) across the plate; zero taken at home with what sticks there",
+        reading=_zeroed_across,
     ),
 )

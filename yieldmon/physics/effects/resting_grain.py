@@ -32,6 +32,13 @@ def _across(reading: Reading, values: Values, setting: Setting) -> Reading:
     return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + across * np.sin(setting.plate_angle_rad))
 
 
+def _by_slope(reading: Reading, values: Values, setting: Setting) -> Reading:
+    if setting.restitution is None:
+        return reading
+    across = _pressing(reading, values, _GRAVITY_M_S2) * np.cos(setting.plate_angle_rad)
+    return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + across)
+
+
 def _whole_flow(reading: Reading, values: Values, setting: Setting) -> Reading:
     if setting.restitution is None:
         return reading
@@ -58,6 +65,13 @@ LAWS = (
         law="only the part of the weight across the plate presses, and its horizontal part is read; where the model has gravity",
         source="statics of a body on an incline, m-dot t g cos(phi) across the plate",
         reading=_across,
+    ),
+    replace(
+        EFFECT,
+        name="resting_grain-by_slope",
+        law="only the part of the weight across the plate is read; where the impact's gain is 1 + restitution",
+        source="statics of a body on an incline, m-dot t g cos(phi) across the plate, on a cell that turns with it",
+        reading=_by_slope,
     ),
     replace(
         EFFECT,

@@ -13,20 +13,38 @@ from .effect import Effect, EffectParameter, Values
 
 _FAR = 7.0
 """Standard deviations beyond which the low edge no longer cuts the fan (1e-12 of the grain)."""
+_LEAST_SHARE = 1e-9
+"""Share of the fan between the edges below which none is taken to land."""
 
 
 def _gaussian(edge: AnyArray, spread: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
     """Share, mean and variance of what lies below `edge` of a normal distribution of directions."""
-    z = edge / spread
-    z = np.where(real(z) > _FAR, _FAR, np.where(real(z) < -_FAR, -_FAR, z))
+    z = _standard(edge / spread)
     lands = 0.5 * (1.0 + erf(z / np.sqrt(2.0)))
     hazard = exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) / lands
     return lands, -spread * hazard, spread * spread * (1.0 - z * hazard - hazard * hazard)
 
 
-def _to_edge(arrival: Arrival, setting: Setting) -> AnyArray:
-    """By how much a path must be turned at the tip, towards the low edge, to end at the low edge."""
-    jet, length = arrival.jet, setting.machine.plate_length_m
+def _between(top: AnyArray, edge: AnyArray, spread: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
+    """The same of what lies above `top` as well; a share below 1e-9 has the mean of the nearer bound."""
+    high, low = _standard(edge / spread), _standard(top / spread)
+    lands = 0.5 * (erf(high / np.sqrt(2.0)) - erf(low / np.sqrt(2.0)))
+    some = real(lands) > _LEAST_SHARE
+    share = np.where(some, lands, 1.0)
+    at_high, at_low = (exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi) for z in (high, low))
+    shift = np.where(some, (at_low - at_high) / share, 0.0)
+    narrower = np.where(some, (high * at_high - low * at_low) / share, 1.0)
+    return np.where(some, lands, 0.0), spread * shift, spread * spread * (1.0 - narrower - shift * shift)
+
+
+def _standard(z: AnyArray) -> AnyArray:
+    bounded: AnyArray = np.where(real(z) > _FAR, _FAR, np.where(real(z) < -_FAR, -_FAR, z))
+    return bounded
+
+
+def _to_edge(arrival: Arrival, setting: Setting, length_m: float) -> AnyArray:
+    """By how much a path must be turned at the tip, towards the low edge, to end `length_m` below the plate's top edge."""
+    jet, length = arrival.jet, length_m
     sin, cos = sin_cos(setting.plate_angle_rad)
     x = setting.plate_pivot_x_m + length * cos - jet.x_m
     y = setting.plate_pivot_y_m + length * sin - jet.y_m
@@ -37,6 +55,14 @@ def _to_edge(arrival: Arrival, setting: Setting) -> AnyArray:
 
 
 def _arrival(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
+    return _fanned(arrival, values, setting, both=False)
+
+
+def _both_edges(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
+    return _fanned(arrival, values, setting, both=True)
+
+
+def _fanned(arrival: Arrival, values: Values, setting: Setting, *, both: bool) -> Arrival:
     spread = values["spread_rad"]
     meets = np.isfinite(real(arrival.from_low_edge_m)) & (real(arrival.normal_speed_m_s) > 0.0)
     fans_out = real(spread) > 0.0
@@ -44,9 +70,9 @@ def _arrival(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
     tangential = np.where(meets, arrival.tangential_speed_m_s, 0.0)
     speed = sqrt(normal * normal + tangential * tangential)
     incidence = arctan(tangential / normal)
-    edge = _to_edge(arrival, setting)
-    # What lands is turned towards the top.
-    lands, turn, variance = _gaussian(edge, np.where(fans_out, spread, 1.0))
+    edge, width = _to_edge(arrival, setting, setting.machine.plate_length_m), np.where(fans_out, spread, 1.0)
+    # What lands is turned towards the middle of what the edges leave.
+    lands, turn, variance = _between(_to_edge(arrival, setting, 0.0), edge, width) if both else _gaussian(edge, width)
     kept = speed * exp(-0.5 * variance)
     sin, cos = sin_cos(incidence + turn)
     fan = meets & fans_out
@@ -70,4 +96,15 @@ EFFECT = Effect(
     arrival=_arrival,
     needs_misses=True,
     rank=1,
+)
+
+LAWS = (
+    replace(
+        EFFECT,
+        name="stream_spread-both_edges",
+        law="cut by the plate's top edge as well as by the low one",
+        source="moments of a normal distribution truncated at both ends: Johnson, Kotz and Balakrishnan, Continuous Univariate "
+        "Distributions 1 (1994), chapter 13",
+        arrival=_both_edges,
+    ),
 )

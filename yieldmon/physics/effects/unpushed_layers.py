@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -22,17 +23,36 @@ def _free_share(angle_rad: AnyArray, rate_per_rad: AnyArray) -> AnyArray:
     return share
 
 
+def _beyond_reach(angle_rad: AnyArray, rate_per_rad: AnyArray) -> AnyArray:
+    ahead = rate_per_rad * np.where(real(angle_rad) > 0.0, angle_rad, 0.0)
+    far = real(ahead) > 1.0
+    share: AnyArray = np.where(far, 1.0 - 1.0 / np.where(far, ahead, 1.0), 0.0)
+    return share
+
+
 def _both(carried: AnyArray, free: AnyArray) -> AnyArray:
     return np.concatenate(np.broadcast_arrays(carried, free), axis=-1)
 
 
 def _jet(jet: Jet, values: Values, setting: Setting) -> Jet:
+    return _freed(jet, values, setting, _free_share, _DRAWN_ALONG)
+
+
+def _jet_beyond_reach(jet: Jet, values: Values, setting: Setting) -> Jet:
+    return _freed(jet, values, setting, _beyond_reach, _DRAWN_ALONG)
+
+
+def _jet_own_speed(jet: Jet, values: Values, setting: Setting) -> Jet:
+    return _freed(jet, values, setting, _beyond_reach, 0.0)
+
+
+def _freed(jet: Jet, values: Values, setting: Setting, law: Callable[[AnyArray, AnyArray], AnyArray], drawn_along: float) -> Jet:
     angle = settling.opening_angle(jet.release_radius, jet.inner_radius, setting.shape_ratio)
-    share = _free_share(angle, values["rate_per_rad"])
+    share = law(angle, values["rate_per_rad"])
     start = release.start_angle(setting)
     sin, cos = np.sin(start), np.cos(start)
     radius = setting.paddle_length_m * jet.release_radius
-    around = setting.elevator_speed_rad_s * (radius + _DRAWN_ALONG * (setting.paddle_length_m - radius))
+    around = setting.elevator_speed_rad_s * (radius + drawn_along * (setting.paddle_length_m - radius))
     outward = 0.0 if setting.radial_speed is None else setting.radial_speed * around
     fall = 0.0 if setting.gravity_m_s2 is None else setting.gravity_m_s2
     # Where free grain is at the moment at which the paddle would have thrown it.
@@ -56,6 +76,11 @@ def _arrival(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
     return blur_low_edge(arrival, KERNEL_M * _free_share(reach, values["rate_per_rad"]))
 
 
+def _arrival_beyond_reach(arrival: Arrival, values: Values, setting: Setting) -> Arrival:
+    reach = setting.shape_ratio * (1.0 - arrival.jet.inner_radius)
+    return blur_low_edge(arrival, KERNEL_M * _beyond_reach(reach, values["rate_per_rad"]))
+
+
 EFFECT = Effect(
     name="unpushed_layers",
     stage="release",
@@ -74,4 +99,31 @@ EFFECT = Effect(
     arrival=_arrival,
     needs_misses=True,
     rank=0,
+)
+
+_REACH = (
+    EffectParameter(
+        "rate_per_rad", "1/rad", 0.0, 0.0, 10.0, 2.0, "1 / angle up to which grain ahead of the paddle is pushed", 3.0
+    ),
+)
+
+LAWS = (
+    replace(
+        EFFECT,
+        name="unpushed_layers-beyond_reach",
+        law="all grain further ahead of the paddle than one angle, and none nearer",
+        source="geometry: a layer of opening angle psi has the share 1 - psi_0 / psi beyond psi_0",
+        parameters=_REACH,
+        jet=_jet_beyond_reach,
+        arrival=_arrival_beyond_reach,
+    ),
+    replace(
+        EFFECT,
+        name="unpushed_layers-own_speed",
+        law="all grain further ahead of the paddle than one angle, at the speed of its own layer",
+        source="geometry, as beyond_reach; free flight from the housing's edge, not drawn along by what follows",
+        parameters=_REACH,
+        jet=_jet_own_speed,
+        arrival=_arrival_beyond_reach,
+    ),
 )
