@@ -173,7 +173,8 @@ def test_a_bound_that_the_data_do_not_refute_is_no_reason_to_refuse(make_rows, s
 
 def test_a_pair_whose_first_step_misleads_is_found_by_screening(make_rows, start) -> None:
     rows = make_rows({"residual_radial_speed": 0.06, "secondary_impact": 0.8})
-    options = diagnosis.Options(policy=Policy(refits=12, beam=3, pairs=6), hold_out="none")
+    # By one of its laws miss_capture alone explains the two so far that no pair is looked for.
+    options = diagnosis.Options(policy=Policy(refits=12, beam=3, pairs=6), hold_out="none", without=("miss_capture",))
     choice = diagnosis.examine(rows, start, options).choice
     classes = [{s.added, *s.equivalent} for s in choice.steps]
     assert any("residual_radial_speed" in c for c in classes)

@@ -23,6 +23,8 @@ def _zeroed(reading: Reading, values: Values, setting: Setting) -> Reading:
 
 
 def _zeroed_across(reading: Reading, values: Values, setting: Setting) -> Reading:
+    if setting.restitution is None:
+        return reading
     force = values["weight_n"] * (np.cos(setting.plate_angle_rad) - np.cos(setting.machine.home_plate_angle_rad))
     return replace(reading, momentum_kg_m_s=reading.momentum_kg_m_s + force / setting.passes_per_s)
 
@@ -49,7 +51,7 @@ LAWS = (
     replace(
         EFFECT,
         name="plate_buildup-zeroed_across",
-        law="the weight across the plate, less what the zero at home took away",
+        law="the weight across the plate, less what the zero at home took away; where the impact's gain is 1 + restitution",
         source="statics: W cos(phi) across the plate; zero taken at home with what sticks there",
         reading=_zeroed_across,
     ),
