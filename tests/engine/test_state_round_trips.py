@@ -131,12 +131,12 @@ def test_rows_of_a_covariance_are_of_one_length() -> None:
 @settings(max_examples=25, deadline=None)
 @given(STATES, st.booleans())
 def test_a_monitor_goes_on_from_what_it_was_given(state: EngineState, same_parameters: bool) -> None:
-    """What another part knows (the calibrator's document, tickets, the moisture of the market) is not looked at here."""
+    """What another part knows (sweeps' patterns, the calibrator's document, tickets, the market's moisture) is not looked at."""
     loaded = configuration.build({}, Path("c.yaml"), {})
     monitor = build_monitor(loaded.engine, loaded.machine, loaded.parameters, None)
     fresh = monitor.snapshot()
     version = loaded.parameters.version if same_parameters else loaded.parameters.version + 1
-    monitor.restore(replace(state, parameter_version=version))
+    monitor.restore(replace(state, parameter_version=version, disagreement=DisagreementState()))
     found = monitor.snapshot()
     for name in ("windows", "sweep_id", "calibration_age_s", "zero"):
         assert getattr(found, name) == getattr(state, name)
