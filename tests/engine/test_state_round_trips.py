@@ -38,10 +38,15 @@ TOTALS = st.builds(
     Totals, **dict.fromkeys(MASS_FIELDS, MASSES), total_kg=st.floats(1e-3, 1e9), load_kg=st.floats(1e-3, 1e9), load_number=COUNTS,
     load_open=st.booleans(), first_load=COUNTS, total_budget=BUDGETS, load_budget=BUDGETS,
 )  # fmt: skip
-PATTERNS = st.builds(
-    SweepPattern, time_s=NUMBERS, plate_angle_deg=SOME, log_force=SOME, sd=SOME, mass_flow_kg_s=NUMBERS,
-    elevator_speed_rad_s=NUMBERS, moisture_pct=st.none() | NUMBERS,
-)  # fmt: skip
+
+
+@st.composite
+def patterns(draw: st.DrawFn) -> SweepPattern:
+    angles = draw(SOME)
+    of_each = st.lists(NUMBERS, min_size=len(angles), max_size=len(angles)).map(tuple)
+    return SweepPattern(
+        draw(NUMBERS), angles, draw(of_each), draw(of_each), draw(NUMBERS), draw(NUMBERS), draw(st.none() | NUMBERS)
+    )
 
 
 @st.composite
@@ -64,7 +69,7 @@ TICKETS = st.builds(
 STATES = st.builds(
     EngineState, totals=TOTALS, zero=st.none() | ZEROS, windows=COUNTS, sweep_id=COUNTS, sweep_due_in_s=NUMBERS,
     calibration_age_s=st.none() | NUMBERS, parameter_version=COUNTS,
-    disagreement=st.builds(DisagreementState, patterns=st.lists(PATTERNS, max_size=2).map(tuple), present=st.booleans()),
+    disagreement=st.builds(DisagreementState, patterns=st.lists(patterns(), max_size=2).map(tuple), present=st.booleans()),
     calibrator=st.none() | calibrators(),
     scale_alarm=st.builds(ScaleAlarmState, contradiction=st.none() | CHECKS, since_s=NUMBERS, since=NAMES, agreed=NAMES),
     zero_undo=st.none() | st.builds(
@@ -120,6 +125,15 @@ def test_rates_that_do_not_fit_their_parameters_are_refused(changes: dict[str, o
         EngineState.from_dict(document)
 
 
+@pytest.mark.parametrize("column", ["plate_angle_deg", "log_force", "sd"])
+def test_a_sweep_pattern_has_columns_of_one_length(column: str) -> None:
+    pattern = SweepPattern(5.0, (40.0, 50.0), (3.0, 3.1), (0.01, 0.01), 10.0, 42.0, None)
+    document = EngineState(disagreement=DisagreementState((pattern,))).as_dict()
+    document["disagreement"]["patterns"][0][column] = [1.0]
+    with pytest.raises(ValueError, match="a sweep's pattern has"):
+        EngineState.from_dict(document)
+
+
 def test_rows_of_a_covariance_are_of_one_length() -> None:
     document = EngineState(calibrator=CalibratorState(1.0, 2.0, None, ("a", "b"), (1.0, 2.0), ((1.0,), (2.0,)))).as_dict()
     assert EngineState.from_dict(document).calibrator is not None
@@ -131,12 +145,12 @@ def test_rows_of_a_covariance_are_of_one_length() -> None:
 @settings(max_examples=25, deadline=None)
 @given(STATES, st.booleans())
 def test_a_monitor_goes_on_from_what_it_was_given(state: EngineState, same_parameters: bool) -> None:
-    """What another part knows (sweeps' patterns, the calibrator's document, tickets, the market's moisture) is not looked at."""
+    """What another part knows (the calibrator's document, tickets, the moisture of the market) is not looked at here."""
     loaded = configuration.build({}, Path("c.yaml"), {})
     monitor = build_monitor(loaded.engine, loaded.machine, loaded.parameters, None)
     fresh = monitor.snapshot()
     version = loaded.parameters.version if same_parameters else loaded.parameters.version + 1
-    monitor.restore(replace(state, parameter_version=version, disagreement=DisagreementState()))
+    monitor.restore(replace(state, parameter_version=version))
     found = monitor.snapshot()
     for name in ("windows", "sweep_id", "calibration_age_s", "zero"):
         assert getattr(found, name) == getattr(state, name)

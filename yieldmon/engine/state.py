@@ -116,7 +116,11 @@ def _totals(data: Mapping[str, Any]) -> Totals:
 
 def _pattern(data: Mapping[str, Any]) -> SweepPattern:
     plain: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in data.items()}
-    return SweepPattern(**plain)
+    pattern = SweepPattern(**plain)
+    lengths = len(pattern.plate_angle_deg), len(pattern.log_force), len(pattern.sd)
+    if len(set(lengths)) != 1:
+        raise ValueError("engine state: a sweep's pattern has {} plate angles, {} forces and {} standard deviations".format(*lengths))
+    return pattern
 
 
 def _scale_alarm(data: Mapping[str, Any]) -> ScaleAlarmState:

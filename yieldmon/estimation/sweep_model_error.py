@@ -72,7 +72,7 @@ def model_error(
     sweeps : sequence of ReducedSweep
         Whole sweeps; one whose moisture the model needs and that has none is passed over.
     tolerance : float
-        Relative error at each angle, standard deviation, that is nobody's concern.
+        Relative error at each angle, standard deviation, that is tolerated.
 
     Returns
     -------
@@ -166,10 +166,12 @@ def _pattern(model: ForwardModel, parameters: ParameterSet, sweep: ReducedSweep)
     for k, name in enumerate(parameters.covariance_names):
         step = _STEP * parameters.standard_deviation(name)
         if step > 0.0:
-            slopes[:, k] = (log_force({**values, name: values[name] + step}) - here) / step
+            with np.errstate(invalid="ignore"):
+                slopes[:, k] = (log_force({**values, name: values[name] + step}) - here) / step
     # A sweep's forces stand for its flow at home by the same parameters, so that the error at home is 0.
     error, sd = here[:-1] - sweep.log_force[away], sweep.sd[away]
-    good = np.isfinite(error) & np.isfinite(sd) & (sd > 0.0)
+    against_home = slopes[:-1] - slopes[-1]
+    good = np.isfinite(error) & np.isfinite(sd) & (sd > 0.0) & np.all(np.isfinite(against_home), axis=1)
     if not np.any(good):
         return None
-    return angles[:-1][good], error[good], sd[good], (slopes[:-1] - slopes[-1])[good]
+    return angles[:-1][good], error[good], sd[good], against_home[good]
