@@ -117,9 +117,9 @@ def _totals(data: Mapping[str, Any]) -> Totals:
 def _pattern(data: Mapping[str, Any]) -> SweepPattern:
     plain: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in data.items()}
     pattern = SweepPattern(**plain)
-    lengths = len(pattern.plate_angle_deg), len(pattern.log_force), len(pattern.sd)
-    if len(set(lengths)) != 1:
-        raise ValueError("engine state: a sweep's pattern has {} plate angles, {} forces and {} standard deviations".format(*lengths))
+    angles, forces, sds = len(pattern.plate_angle_deg), len(pattern.log_force), len(pattern.sd)
+    if not angles == forces == sds:
+        raise ValueError(f"engine state: a sweep's pattern has {angles} angles, {forces} forces and {sds} standard deviations")
     return pattern
 
 

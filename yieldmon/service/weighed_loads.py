@@ -202,8 +202,8 @@ def _weighed(name: str, ticket: WeighedTicket, covered: Sequence[MeasuredLoad], 
     parts, total_kg = [], sum(load.mass_kg for load in covered)
     if slip := unit_slip(ticket.mass_kg, total_kg):
         expected = (
-            "the masses in the unit of their column: weighed_kg, _t or _lb; or, where all loads are off by one factor, the force cell's "
-            "own sensor.gain_n_per_mv in the machine file"
+            "the masses in the unit of their column: weighed_kg, _t or _lb; or, where all loads are off by one factor, "
+            "the force cell's own sensor.gain_n_per_mv in the machine file"
         )
         raise InputError(ticket.where, f"load {name} {slip}", expected)
     for load in covered:
