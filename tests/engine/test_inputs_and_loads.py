@@ -11,7 +11,7 @@ from engine_bench import MACHINE, Bench, ForceProportional, Kept
 
 from yieldmon import frames as bus
 from yieldmon.engine.inputs import Inputs
-from yieldmon.engine.loads import Loads
+from yieldmon.engine.loads import Loads, Opening
 from yieldmon.engine.runs import run_of
 from yieldmon.engine.settings import EngineSettings, InputSettings, TotalsSettings
 from yieldmon.engine.since_zero import MissedMass
@@ -77,6 +77,29 @@ def test_missed_mass_joins_its_own_load_and_no_other() -> None:
     assert [(load.number, load.measured_kg, load.unknown_moisture_kg) for load in corrected] == [(1, 105.0, 105.0), (2, 0.0, 0.0)]
     assert [(load.number, load.measured_kg) for load in loads.all] == [(1, 105.0), (2, 0.0), (3, 7.0)]
     assert (loads.totals.total_kg, loads.totals.total_unknown_moisture_kg) == (102.0, 102.0)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "whole"),
+    [
+        ("", True),
+        ("available", True),
+        (["silent"] * 60 + ["available"], True),
+        (["silent"] * 61, False),
+        (["silent"] * 5 + ["waking"] * 3 + ["available"] * 2, True),
+        (["silent"] * 5 + ["waking"] * 4, False),
+        (["silent", "waking", "silent", "silent", "silent"], False),
+        (["waking"], False),
+        (["available", "silent"], False),
+        (["silent", "available", "silent"], False),
+        (["silent", "available", "waking"], False),
+    ],
+    ids=str,
+)
+def test_a_load_may_begin_before_its_sensors_send(seconds: list[str] | str, whole: bool) -> None:
+    opening, taken = Opening(), [seconds] if seconds == "available" else seconds
+    found = [opening.lacks_nothing(1.0, available=second == "available", silent=second == "silent") for second in taken]
+    assert all(found) is whole
 
 
 @pytest.mark.parametrize("is_open", [True, False])

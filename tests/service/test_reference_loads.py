@@ -28,6 +28,7 @@ def whole(changes: dict[int, dict[str, Any]] | None = None, doubted: bool = Fals
 
 
 NOT_MEASURED = {"mass_flow_kg_s": None, "quality": int(EstimateQuality.NOT_AVAILABLE)}
+SILENT = NOT_MEASURED | {"coverage": 0.0, "elevator_speed_rpm": None, "mass_kg": 0.0}
 NOT_HARVESTING = {"mass_flow_kg_s": None, "quality": int(EstimateQuality.NOT_HARVESTING)}
 
 
@@ -40,6 +41,12 @@ NOT_HARVESTING = {"mass_flow_kg_s": None, "quality": int(EstimateQuality.NOT_HAR
         ({3: {"surplus_frames": 1}}, {}, False),
         ({3: NOT_MEASURED}, {}, False),
         ({3: NOT_HARVESTING}, {}, True),
+        ({1: SILENT, 2: SILENT}, {"mass_kg": 0.6 * MASS_KG}, True),
+        ({1: SILENT, 2: NOT_MEASURED | {"mass_kg": 0.0}}, {"mass_kg": 0.6 * MASS_KG}, True),
+        ({1: SILENT | {"elevator_speed_rpm": 0.0}}, {"mass_kg": 0.8 * MASS_KG}, True),
+        ({1: SILENT | {"elevator_speed_rpm": 1.0}}, {"mass_kg": 0.8 * MASS_KG}, False),
+        ({1: SILENT | {"coverage": 0.1}}, {"mass_kg": 0.8 * MASS_KG}, False),
+        ({2: SILENT}, {"mass_kg": 0.8 * MASS_KG}, False),
         ({3: NOT_HARVESTING | {"coverage": 0.0, "surplus_frames": 1}}, {}, True),
         ({}, {"mass_kg": MASS_KG * 1.00009}, True),
         ({}, {"mass_kg": MASS_KG * 1.0002}, False),

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import isfinite
+from math import inf, isfinite
 
 from yieldmon.engine.budget import EMPTY, MassBudget
 from yieldmon.engine.flow import Flow
@@ -23,6 +23,7 @@ from yieldmon.frames import EstimateQuality
 
 _NAN = float("nan")
 _KEPT_LOADS = 256
+_LONGEST_SILENCE_S, _LONGEST_WAKING_S = 60.0, 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +59,26 @@ class LoadClosed:
     load: LoadSummary
 
 
+class Opening:
+    """The seconds at a load's begin in which no sensor sends yet, because its node wakes later than the bus, and the next few in
+    which one does and the other not: they are taken for time without grain."""
+
+    def __init__(self) -> None:
+        self._silent_s = self._waking_s = 0.0
+
+    def lacks_nothing(self, duration_s: float, *, available: bool, silent: bool) -> bool:
+        """Whether a further second leaves the load whole. available: its inputs were there. silent: no impact sample, and no
+        elevator speed above 0."""
+        if available:
+            self._silent_s = inf
+            return True
+        if silent and self._waking_s == 0.0:
+            self._silent_s += duration_s
+        else:
+            self._waking_s += duration_s
+        return 0.0 < self._silent_s <= _LONGEST_SILENCE_S and self._waking_s <= _LONGEST_WAKING_S
+
+
 LoadEvents = tuple[LoadOpened | LoadClosed, ...]
 
 
@@ -70,6 +91,7 @@ class Loads:
         self._closed: deque[LoadSummary] = deque(maxlen=_KEPT_LOADS)
         self._start_s = _NAN
         self._complete = True
+        self._opening = Opening()
 
     @property
     def open(self) -> LoadSummary | None:
@@ -94,7 +116,7 @@ class Loads:
         closed = self._close(now_s)
         self.totals = self.totals.start_load()
         self._start_s = now_s
-        self._complete = True
+        self._complete, self._opening = True, Opening()
         return (*closed, LoadOpened(self._summary(_NAN)))
 
     def reset(self, now_s: float) -> LoadEvents:
@@ -103,7 +125,7 @@ class Loads:
         number = self.totals.load_number + 1
         self.totals = Totals(load_number=number, first_load=number, market_moisture_pct=self.totals.market_moisture_pct)
         self._start_s = now_s
-        self._complete = True
+        self._complete, self._opening = True, Opening()
         return (*closed, LoadOpened(self._summary(_NAN)))
 
     def stop(self, now_s: float) -> LoadEvents:
@@ -112,11 +134,12 @@ class Loads:
         self.totals = self.totals.stop_load()
         return closed
 
-    def count(self, window: Window, flow: Flow, moisture_pct: float, area_m2: float = _NAN) -> float:
-        """Add a window and its area to the totals; returns its mass, kg."""
+    def count(self, window: Window, flow: Flow, moisture_pct: float, area_m2: float = _NAN, *, silent: bool = False) -> float:
+        """Add a window and its area to the totals; returns its mass, kg. silent: neither samples nor speed above 0."""
+        available = flow.measured or flow.quality is not EstimateQuality.NOT_AVAILABLE
+        if not self._opening.lacks_nothing(window.end_s - window.start_s, available=available, silent=silent):
+            self._complete = False
         if not flow.measured:
-            if flow.quality is EstimateQuality.NOT_AVAILABLE:
-                self._complete = False
             self.totals = self.totals.with_area(area_m2, 0.0)
             return 0.0
         enough = window.coverage >= self._settings.windows.min_coverage
@@ -150,7 +173,7 @@ class Loads:
     def restore(self, totals: Totals) -> None:
         """Go on from totals that were kept; what passed since was not measured."""
         self.totals = self._at_market(totals)
-        self._complete = not (totals.load_open and totals.load_kg > 0.0)
+        self._complete, self._opening = not (totals.load_open and totals.load_kg > 0.0), Opening()
 
     def correct(self, missed: Mapping[int, MissedMass]) -> LoadEvents:
         """Mass that was missed, by load, joins its loads and, where it came since they were reset, the totals; closed loads are

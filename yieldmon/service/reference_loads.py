@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from yieldmon.engine.budget import MassBudget
-from yieldmon.engine.loads import LoadSummary
+from yieldmon.engine.loads import LoadSummary, Opening
 from yieldmon.engine.since_zero import KeptSecond
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.parameters import ParameterSet
@@ -115,9 +115,12 @@ def _whole(load: Load, seconds: Sequence[SecondRow], min_coverage: float) -> boo
     counted_kg = sum(s.mass_kg for s in seconds)
     if not load.mass_kg > 0.0 or abs(counted_kg - load.mass_kg) > _SAME_MASS * load.mass_kg:
         return False
+    opening = Opening()
     for second in seconds:
         measured = second.mass_flow_kg_s is not None
-        if not measured and second.quality == EstimateQuality.NOT_AVAILABLE:
+        available = measured or second.quality != EstimateQuality.NOT_AVAILABLE
+        silent = not (second.coverage > 0.0 or (second.elevator_speed_rpm or 0.0) > 0.0)
+        if not opening.lacks_nothing(second.duration_s, available=available, silent=silent):
             return False
         if measured and (second.coverage < min_coverage or second.surplus_frames > 0):
             return False
