@@ -72,7 +72,7 @@ class Conclusion:
         flow = self._corrected(by_mean_force, window.end_s, estimator)
         area_m2 = parts.area.second(window.end_s, window.weight_s, reading.inputs, grain_comes=flow.measured)
         silent = not (window.samples or reading.speed_rad_s > 0.0)
-        mass_kg = loads.count(window, flow, reading.inputs.fresh["moisture"], area_m2, silent=silent)
+        mass_kg = loads.count(window, flow, reading.inputs.fresh["moisture"], area_m2, silent)
         self._weigh(reading, flow, mass_kg)
         self._count_away(mass_kg, at_home=reading.at_home)
         step = sweep.window(self._sweep_window(reading, flow))

@@ -134,7 +134,7 @@ class Loads:
         self.totals = self.totals.stop_load()
         return closed
 
-    def count(self, window: Window, flow: Flow, moisture_pct: float, area_m2: float = _NAN, *, silent: bool = False) -> float:
+    def count(self, window: Window, flow: Flow, moisture_pct: float, area_m2: float = _NAN, silent: bool = False) -> float:
         """Add a window and its area to the totals; returns its mass, kg. silent: neither samples nor speed above 0."""
         available = flow.measured or flow.quality is not EstimateQuality.NOT_AVAILABLE
         if not self._opening.lacks_nothing(window.end_s - window.start_s, available=available, silent=silent):
