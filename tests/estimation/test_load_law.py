@@ -6,21 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from shipped_grain import MACHINE, MODEL, SHIPPED
 
 from yieldmon.estimation.load_inputs import WeighedLoad
 from yieldmon.estimation.load_pattern import EFFECT, another_curve
 from yieldmon.estimation.loads import calibrate_loads, departure
-from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.physics.machine import Machine
-from yieldmon.physics.model import ForwardModel
 
-MACHINE = Machine()
-MODEL = ForwardModel(MACHINE)
-SHIPPED = ParameterSet(
-    {"friction": 0.19, "density": 1075.0, "shape_ratio": 2.0, "restitution": 0.55},
-    ("friction", "density", "restitution"),
-    np.diag([0.004**2, 10.0**2, 0.001**2]),
-)
 SHARE: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "power 0.75": lambda flow: flow**0.75,
     "power 1.2": lambda flow: flow**1.2,

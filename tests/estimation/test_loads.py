@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shipped_grain import MACHINE, MODEL, SHIPPED
 
 from yieldmon.estimation.closed_loop_inputs import Sweep
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
@@ -15,16 +16,8 @@ from yieldmon.estimation.load_inputs import LoadSettings, WeighedLoad
 from yieldmon.estimation.loads import calibrate_loads, contradicted, departure
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.physics.machine import Machine
-from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.physics.model import Conditions
 
-MACHINE = Machine()
-MODEL = ForwardModel(MACHINE)
-SHIPPED = ParameterSet(
-    {"friction": 0.19, "density": 1075.0, "shape_ratio": 2.0, "restitution": 0.55},
-    ("friction", "density", "restitution"),
-    np.diag([0.004**2, 10.0**2, 0.001**2]),
-)
 FAR = {"friction": 0.21, "density": 1075.0 * 1.18, "shape_ratio": 2.0, "restitution": 1.55 * 0.87 - 1.0}
 
 

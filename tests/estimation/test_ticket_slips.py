@@ -7,21 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from shipped_grain import MACHINE, MODEL, SHIPPED
 
 from yieldmon.estimation.load_inputs import WeighedLoad
 from yieldmon.estimation.load_outcome import LoadCalibration
 from yieldmon.estimation.loads import calibrate_loads
-from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.physics.machine import Machine
-from yieldmon.physics.model import ForwardModel
 
-MACHINE = Machine()
-MODEL = ForwardModel(MACHINE)
-SHIPPED = ParameterSet(
-    {"friction": 0.19, "density": 1075.0, "shape_ratio": 2.0, "restitution": 0.55},
-    ("friction", "density", "restitution"),
-    np.diag([0.004**2, 10.0**2, 0.001**2]),
-)
 FLOWS, MASSES_KG = (11.0, 5.5, 17.5, 8.0), (6200.0, 3400.0, 8100.0, 4300.0)
 LAWS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "power 0.9 with an offset": lambda flow: 79.0 * (flow / 10.0) ** 0.9 + 0.8,

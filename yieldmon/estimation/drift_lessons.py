@@ -132,9 +132,9 @@ def _readings(lesson: DriftLesson) -> _Readings | None:
     left, turned = np.linalg.eigh(white @ lesson.covariance @ white.T)
     if left[-1] > 1.0 + _ROUNDING:
         return None
-    told = left < 1.0 - _ROUNDING
-    left = np.maximum(left[told], _SINGULAR)
-    rows = turned[:, told].T @ white
+    informed = left < 1.0 - _ROUNDING
+    left = np.maximum(left[informed], _SINGULAR)
+    rows = turned[:, informed].T @ white
     # A reading z of a unit prior variance moves by (1 - left) (z - prior).
     values = rows @ lesson.advance.after + rows @ (lesson.state - lesson.advance.after) / (1.0 - left)
     return _Readings(rows, values, left / (1.0 - left))
