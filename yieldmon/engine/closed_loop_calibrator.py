@@ -6,16 +6,17 @@ Between sweeps the parameters' covariance grows (drift), and moisture moves the 
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from math import hypot, isfinite
+from math import isfinite
 
 import numpy as np
 
 from yieldmon.engine.anchors import ReferenceMass
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.curve_states import aligned
-from yieldmon.engine.mass_anchors import mass_anchor, weighed
+from yieldmon.engine.load_update import LoadUpdate
+from yieldmon.engine.mass_anchors import checked, mass_anchor, weighed
 from yieldmon.engine.records import (
     CalibrationOutcome,
     CalibrationStep,
@@ -24,20 +25,18 @@ from yieldmon.engine.records import (
     PriorState,
     WindowRecord,
 )
-from yieldmon.engine.scale_alarm import ScaleCheck, as_stated, name_of
+from yieldmon.engine.scale_alarm import ScaleCheck, name_of
+from yieldmon.engine.sweep_records import density_anchor, median_moisture_pct, sweep_of
 from yieldmon.engine.weighings import Weighings
 from yieldmon.estimation import common_bias
 from yieldmon.estimation.admission import allowing_for, refusal
 from yieldmon.estimation.angle_pattern import EFFECT, with_pattern
 from yieldmon.estimation.closed_loop import self_calibrate, update_from_tickets
-from yieldmon.estimation.closed_loop_inputs import DensityAnchor, MassAnchor, Sweep
-from yieldmon.estimation.closed_loop_outcome import Outcome, ScaleReport
+from yieldmon.estimation.closed_loop_inputs import MassAnchor
+from yieldmon.estimation.closed_loop_outcome import Outcome
 from yieldmon.estimation.common_bias import CommonBias, KernelLesson
-from yieldmon.estimation.density_and_gain import in_form_of, widened
-from yieldmon.estimation.load_inputs import LoadSettings, WeighedLoad
-from yieldmon.estimation.load_outcome import LIKELY_ANOTHER, LoadCalibration
+from yieldmon.estimation.load_inputs import LoadSettings
 from yieldmon.estimation.load_pattern import EFFECT as LOAD_PATTERN
-from yieldmon.estimation.loads import calibrate_loads, departure
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.steady_drift import Advance, DriftingParameters, advance, begin, carried, learn
@@ -45,16 +44,12 @@ from yieldmon.estimation.sweep_worth import OtherChannels, SweepPlan, SweepWorth
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 
-_DRIFT_WIDENING = 16.0
-"""Of the parameters' covariance: with up to so much of it, what a later ticket says is drift, and no other scale."""
 _TAUGHT = "kernel_noise"
 """Key of the provenance of parameters that kernel noise has taught."""
 _WORSE = 1.5
 """Of the bias's prior variance, the lasting one of a lesson beyond which it is not of that bias any more."""
 _LESSON_SDS = 3.0
 """Deviations of a difference beyond which a lesson contradicts and teaches nothing."""
-_KNOWN_SCALE = 0.1
-"""Relative standard deviation of a load up to which the parameters know the machine's scale."""
 _LEAST_LOAD_ERROR = 1e-4
 """Of a weighed load's measured mass."""
 
@@ -103,10 +98,10 @@ class ClosedLoopCalibrator:
             return CalibrationOutcome(None, "the sweep has no usable window; the parameters stay", identifiable=False)
         now_s, total_kg = records[-1].time_s, records[-1].total_kg
         used = self._in_use(estimator)
-        moisture_pct = _median(r.moisture_pct for r in records)
+        moisture_pct = median_moisture_pct(records)
         drifting, step = self._prior(used, moisture_pct, now_s, total_kg)
         prior = drifting.parameters
-        density = self._density(records, prior)
+        density = density_anchor(records, prior, self._settings)
         if used is not self._updated:
             self._given = used
         self._know_origin(used)
@@ -118,7 +113,7 @@ class ClosedLoopCalibrator:
         if refused and density is None:
             return CalibrationOutcome(None, refused, identifiable=False)
         try:
-            sweeps = [_sweep(records)] if use_sweep and not refused else []
+            sweeps = [sweep_of(records)] if use_sweep and not refused else []
             settings = allowing_for(self._settings.closed_loop, prior)
             outcome = self_calibrate(self._model, prior, sweeps, density=density, settings=settings)
             leads = refusal(outcome.parameter_set) if sweeps and outcome.updated else ""
@@ -154,7 +149,9 @@ class ClosedLoopCalibrator:
             return CalibrationOutcome(None, "no weighed mass that was measured whole; the parameters stay")
         self._given = None
         try:
-            outcome, drifting = self._updated_by(drifting, masses, {name_of(reference) for reference, _ in found})
+            closed_loop, counted = self._settings.closed_loop, self._weighings.counted
+            update = LoadUpdate(self._model, closed_loop, self._load_settings, counted, self._origin)
+            outcome, drifting = update.of(drifting, masses, {name_of(reference) for reference, _ in found})
         except ValueError as error:
             return CalibrationOutcome(None, f"{error}; the parameters stay", identifiable=False, checks=checks)
         self._used = frozenset(anchors)
@@ -237,74 +234,9 @@ class ClosedLoopCalibrator:
     def _patterned(self, parameters: ParameterSet) -> ParameterSet:
         return with_pattern(parameters, self._settings.pattern_sd) if self._settings.pattern_sd > 0.0 else parameters
 
-    def _updated_by(
-        self, drifting: DriftingParameters, masses: Sequence[MassAnchor], names: Container[str]
-    ) -> tuple[Outcome, DriftingParameters]:
-        """What weighed masses of these names say, and what was known before as they leave it: less certain where they
-        contradict it."""
-        prior, counted = drifting.parameters, self._weighings.counted
-        outcome = update_from_tickets(self._model, prior, masses, settings=self._settings.closed_loop)
-        doubtful = 1.0 if len(counted) <= len(masses) else _DRIFT_WIDENING
-        near = outcome.consistent and outcome.prior_widening <= doubtful
-        near = near and self._without_curve(prior) is prior and self._knows_scale(prior, names)
-        earlier = [load for load in counted if load.name not in names]
-        if near and not self._leaves(earlier, prior, outcome.parameter_set):
-            return outcome, drifting
-        # Further off than the parameters' own doubts reach, or so far that what they know of the loads before, a plane about
-        # them, no longer holds: only the loads together know the scale.
-        try:
-            learnt = [load.name for load in earlier]
-            found = calibrate_loads(self._model, self._without_curve(prior), counted, settings=self._load_settings, learnt=learnt)
-        except ValueError:
-            if near:
-                return outcome, drifting
-            raise
-        if near and (found.refused or found.contradiction is not None) and not _is_another(found):
-            return outcome, drifting
-        reason = (
-            f"weighed loads moved the scale by {100.0 * (found.scale - 1.0):+.1f} %; a next load is expected within "
-            f"{100.0 * found.next_load_sd:.1f} %"
-        )
-        if found.refused:
-            reason = " ".join(found.sentences)
-        elif _is_another(found):
-            reason = f"{reason}; {found.sentences[1]}"
-        scale = ScaleReport(found.scale_sd, found.scale_sd, float(np.log(found.scale)), True, ())
-        known, wide = found.parameter_set, widened(prior, self._load_settings)
-        names = (*(n for n in prior.covariance_names if n in known.covariance_names),)
-        names = (*names, *(n for n in known.covariance_names if n not in names))
-        known = replace(known, covariance_names=names, covariance=known.covariance_of(names))
-        if names == prior.covariance_names and set(names) == set(wide.covariance_names):
-            joint = drifting.joint.copy()
-            joint[: len(names), : len(names)] = wide.covariance_of(names)
-            drifting = replace(drifting, parameters=replace(prior, covariance=wide.covariance_of(names)), joint=joint)
-        outcome = Outcome(known, not found.refused, True, reason, "", (), (), scale, 0.0, len(self._weighings.counted), 1.0, ())
-        return outcome, drifting
-
-    def _knows_scale(self, prior: ParameterSet, names: Container[str]) -> bool:
-        """Whether the loads of these names were measured by parameters that know how much the machine weighs: of one that was
-        never calibrated the loads together are to say it, and how far its force follows the model's curve."""
-        new = [load for load in self._weighings.counted if load.name in names]
-        return all(departure(self._model, prior, load, self._load_settings)[1] < _KNOWN_SCALE for load in new)
-
     def _know_origin(self, used: ParameterSet) -> None:
         if used is not self._updated and used is not self._restored:
             self._origin, self._restored = used, None
-
-    def _without_curve(self, prior: ParameterSet) -> ParameterSet:
-        """What was known before weighed loads taught a curve of their own, to which all of them are to be fitted together."""
-        origin = self._origin
-        if LOAD_PATTERN not in prior.effects or origin is None or LOAD_PATTERN in origin.effects:
-            return prior
-        return in_form_of(replace(origin, version=prior.version), prior)
-
-    def _leaves(self, earlier: Sequence[WeighedLoad], before: ParameterSet, now: ParameterSet) -> bool:
-        """Whether `now` measures a load otherwise than `before` by more than what `before` is uncertain by, drift included."""
-        for load in earlier:
-            (was, std_dev), (error, _) = (departure(self._model, known, load, self._load_settings) for known in (before, now))
-            if not abs(error - was) < self._load_settings.outlier_sds * std_dev:
-                return True
-        return False
 
     def _accepted(self, found: Sequence[tuple[ReferenceMass, MassAnchor]], prior: ParameterSet) -> tuple[list[MassAnchor], str]:
         """The masses to update from, and one sentence about one that the loads before it contradict ("" where there is none)."""
@@ -509,24 +441,9 @@ class ClosedLoopCalibrator:
         """New masses held against what is known now; each mass once, although a refused update may come again."""
         new = [pair for pair in found if pair[0] not in self._checked]
         self._checked = frozenset((*self._used, *(reference for reference, _ in found)))
-        return tuple(check for check in (self._check(*pair, prior) for pair in new) if check is not None)
-
-    def _check(self, reference: ReferenceMass, mass: MassAnchor, prior: ParameterSet) -> ScaleCheck | None:
-        moisture = self._moisture_pct if mass.moisture_pct is None else mass.moisture_pct
-        flow = OpenLoop(self._model, prior).estimate(
-            mass.force_n, mass.plate_angle_rad, mass.elevator_speed_rad_s, moisture_pct=moisture
-        )
-        measured_kg = float(mass.duration_s @ flow.mass_flow_kg_s)
-        if not isfinite(measured_kg):
-            return as_stated(reference)
-        shared_kg = hypot(reference.budget.zero_kg, reference.budget.moisture_kg)
-        std_dev_kg = hypot(
-            mass.std_dev_kg,
-            float(mass.duration_s @ flow.std_dev_kg_s),
-            self._settings.closed_loop.model_error * measured_kg,
-            shared_kg if isfinite(shared_kg) else 0.0,
-        )
-        return ScaleCheck(name_of(reference), reference.start_s, mass.reference_kg, measured_kg, std_dev_kg)
+        model_error = self._settings.closed_loop.model_error
+        checks = (checked(*p, self._model, prior, moisture_pct=self._moisture_pct, model_error=model_error) for p in new)
+        return tuple(check for check in checks if check is not None)
 
     def _mass_anchors(self, anchors: Sequence[ReferenceMass], used: ParameterSet) -> list[tuple[ReferenceMass, MassAnchor]]:
         """Those that have not been used, each with the forces over it."""
@@ -542,23 +459,6 @@ class ClosedLoopCalibrator:
         spans = ((until_s, self._patterned(known)) for until_s, known in (*self._history, (float("inf"), used)))
         return mass_anchor(anchor, self._model, spans, self._settings.anchor_error)
 
-    def _density(self, records: Sequence[WindowRecord], prior: ParameterSet) -> DensityAnchor | None:
-        settings = self._settings
-        weight = _median(r.test_weight_kg_m3 for r in records)
-        if settings.density_ratio is None or not isfinite(weight) or "density" not in prior.covariance_names:
-            return None
-        return DensityAnchor.from_test_weight(
-            weight,
-            settings.test_weight_std_dev_kg_m3,
-            settings.density_ratio,
-            settings.density_ratio_std_dev,
-        )
-
-
-def _is_another(found: LoadCalibration) -> bool:
-    """Whether the loads show another curve of the force than the model's."""
-    return found.another_law is not None and found.another_law.probability > LIKELY_ANOTHER
-
 
 def _says_as(known: ParameterSet, other: ParameterSet) -> bool:
     """Whether two sets are the same, whatever their versions and provenance."""
@@ -569,27 +469,3 @@ def _says_as(known: ParameterSet, other: ParameterSet) -> bool:
 def _as_tuples(rows: Array) -> tuple[tuple[float, ...], ...]:
     """As a state has a matrix."""
     return tuple(tuple(map(float, row)) for row in rows)
-
-
-def _median(values: Iterable[float]) -> float:
-    """Of the finite values; nan where there is none."""
-    known = [v for v in values if isfinite(v)]
-    return float(np.median(known)) if known else float("nan")
-
-
-def _sweep(records: Sequence[WindowRecord]) -> Sweep:
-    rows = [
-        r
-        for r in records
-        if isfinite(r.force_n) and isfinite(r.plate_angle_rad) and isfinite(r.elevator_speed_rad_s) and r.force_std_dev_n > 0.0
-    ]
-    if not rows:
-        raise ValueError("the sweep has no window with force, angle and speed")
-    column = {
-        name: np.array([getattr(r, name) for r in rows])
-        for name in ("time_s", "plate_angle_rad", "elevator_speed_rad_s", "force_n", "force_std_dev_n", "moisture_pct")
-    }
-    moisture = column.pop("moisture_pct")
-    # Within a sweep the grain stays the same; what its reading scatters by would count as friction.
-    same = np.full(moisture.shape, np.mean(moisture)) if np.all(np.isfinite(moisture)) else None
-    return replace(Sweep(**column), moisture_pct=same)

@@ -8,10 +8,11 @@ from math import hypot, isfinite, sqrt
 import numpy as np
 
 from yieldmon.engine.anchors import ReferenceMass
-from yieldmon.engine.scale_alarm import name_of
+from yieldmon.engine.scale_alarm import ScaleCheck, as_stated, name_of
 from yieldmon.estimation.closed_loop_inputs import MassAnchor
 from yieldmon.estimation.load_inputs import WeighedLoad
 from yieldmon.estimation.load_pattern import following
+from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.model import ForwardModel
 
@@ -87,3 +88,32 @@ def weighed(anchor: ReferenceMass, mass: MassAnchor) -> WeighedLoad:
         mass.moisture_pct,
         _noise_kg(anchor) / anchor.measured_kg,
     )
+
+
+def checked(
+    reference: ReferenceMass,
+    mass: MassAnchor,
+    model: ForwardModel,
+    known: ParameterSet,
+    *,
+    moisture_pct: float,
+    model_error: float,
+) -> ScaleCheck | None:
+    """A mass held against what the parameters make of the forces over it; None where it was not measured
+    whole and they make no number.
+
+    moisture_pct: for a mass without its own, wet basis, %. model_error: relative standard deviation of the model.
+    """
+    moisture = moisture_pct if mass.moisture_pct is None else mass.moisture_pct
+    flow = OpenLoop(model, known).estimate(mass.force_n, mass.plate_angle_rad, mass.elevator_speed_rad_s, moisture_pct=moisture)
+    measured_kg = float(mass.duration_s @ flow.mass_flow_kg_s)
+    if not isfinite(measured_kg):
+        return as_stated(reference)
+    shared_kg = hypot(reference.budget.zero_kg, reference.budget.moisture_kg)
+    std_dev_kg = hypot(
+        mass.std_dev_kg,
+        float(mass.duration_s @ flow.std_dev_kg_s),
+        model_error * measured_kg,
+        shared_kg if isfinite(shared_kg) else 0.0,
+    )
+    return ScaleCheck(name_of(reference), reference.start_s, mass.reference_kg, measured_kg, std_dev_kg)
