@@ -46,10 +46,13 @@ class Named:
 
 
 NAMED = (
-    Named("reported faults are kept at a reload", "yieldmon/service/daemon.py", "        self._faults.report_all_anew()\n", ""),
     Named(
-        "a dead thread is passed over", "yieldmon/service/daemon.py",
-        "            if not is_alive:\n", "            if False:\n",
+        "reported faults are kept at a reload", "yieldmon/service/daemon.py",
+        "        self._bus.faults.report_all_anew()\n", "",
+    ),
+    Named(
+        "a dead thread is passed over", "yieldmon/service/supervision.py",
+        "        if not alive:\n", "        if False:\n",
         ("tests/service/test_stalls.py", "tests/service/test_signs_of_life.py"),
     ),
     Named(

@@ -169,13 +169,14 @@ def running(
     stop_writing_s: float = 60.0,
     reading_s: float = PATIENCE_S,
     store_patience_s: float = PATIENCE_S,
+    answers_within_s: float = PATIENCE_S,
     **how: Any,
 ) -> Iterator[Bench]:
     """A running daemon whose state lies in `state` or `folder`, with the configuration `text` in folder/c.yaml.
 
     On a virtual bus, or on the SocketCAN interface that its configuration then has to name. A stop waits stop_writing_s for the
     disk, which other tests may keep busy. A configuration that is read anew has reading_s, the store at the start
-    store_patience_s. how: what else the daemon is given.
+    store_patience_s, a command answers_within_s. how: what else the daemon is given.
     """
     channel = socketcan or f"service-{next(_channels)}"
     path = folder / "c.yaml"
@@ -198,6 +199,7 @@ def running(
         stop_writing_s=stop_writing_s,
         reading_s=reading_s,
         store_patience_s=store_patience_s,
+        answers_within_s=answers_within_s,
         **how,
     )
     if socketcan:

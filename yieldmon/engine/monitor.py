@@ -12,13 +12,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from yieldmon.engine import operator_zero
 from yieldmon.engine.anchors import ReferenceMass
 from yieldmon.engine.disagreement import Disagreement
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.loads import LoadEvents, LoadSummary
 from yieldmon.engine.parts import Parts
 from yieldmon.engine.records import CalibrationOutcome, FlowEstimator, SelfCalibrator
-from yieldmon.engine.restart import restore, snapshot
+from yieldmon.engine.restart import remember_tickets, restore, snapshot
 from yieldmon.engine.results import Result
 from yieldmon.engine.runs import FrameRun
 from yieldmon.engine.settings import EngineSettings
@@ -257,11 +258,7 @@ class Monitor:
         bool
             True where an earlier calibration is suspect, so that an undo restores the zero before that one.
         """
-        zero, against = self._parts.measurement.zero, bool(self.signs_of_grain)
-        goes_on = zero.calibrate(against_signs=against, despite_signs=despite_signs)
-        if not goes_on:
-            self._parts.since_zero.clear()
-        return goes_on
+        return operator_zero.calibrate(self._parts, despite_signs=despite_signs)
 
     def undo_zero(self) -> tuple[dict[int, MissedMass], LoadEvents]:
         """Restore the zero before the operator's last calibration.
@@ -278,17 +275,7 @@ class Monitor:
         ValueError
             When there is no such zero.
         """
-        parts, zero = self._parts, self._parts.measurement.zero
-        known = zero.before
-        if known is None:
-            raise ValueError("there is no zero calibration by an operator that could be undone")
-        gain, on_n = self.machine.sensor.gain_n_per_mv, self.settings.gate.grain_on_n
-        least = self.settings.windows.min_coverage
-        found = parts.since_zero.missed(known.zero_mv, self.estimator, gain, on_n, least, parts.loads.dry_kg)
-        parts.since_zero.clear()
-        zero.undo()
-        parts.learning.zero_undone()
-        return found, parts.loads.correct(found)
+        return operator_zero.undo(self._parts)
 
     def remember_since_zero(self, seconds: Sequence[KeptSecond]) -> None:
         """After a restart: what was measured since the operator's last zero calibration.
@@ -317,18 +304,7 @@ class Monitor:
         ----------
         tickets : sequence of TicketState
         """
-        learning = self._parts.learning
-        of_crop: dict[str | None, list[tuple[ReferenceMass, bool]]] = {None: []}
-        for ticket in tickets:
-            known = learning.of_earlier_load(ticket.load_number, ticket.weighed_kg, ticket.std_dev_kg)
-            if known is not None:
-                of_crop.setdefault(ticket.crop, []).append((known, ticket.waits))
-        for crop, pairs in of_crop.items():
-            masses, waiting = [a for a, _ in pairs], [a for a, waits in pairs if waits]
-            if crop is None:
-                learning.remember_tickets(masses, waiting)
-            else:
-                learning.remember_tickets_of(crop, masses, waiting)
+        remember_tickets(self._parts, tickets)
 
     def take_tickets_of(self, before: Monitor) -> None:
         """After `restore` from the monitor that measured until now: its tickets.

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from yieldmon.engine.anchors import ReferenceMass
 from yieldmon.engine.parts import Parts
-from yieldmon.engine.state import EngineState, ZeroUndo
+from yieldmon.engine.state import EngineState, TicketState, ZeroUndo
 
 
 def snapshot(parts: Parts, windows: int) -> EngineState:
@@ -47,6 +50,22 @@ def restore(parts: Parts, state: EngineState) -> None:
         learning.scale_alarm.state = state.scale_alarm
         if state.calibrator is not None and learning.calibrator is not None:
             learning.calibrator.restore(state.calibrator, parameters, state.totals.total_kg)
+
+
+def remember_tickets(parts: Parts, tickets: Sequence[TicketState]) -> None:
+    """Tickets of the state, after it and the loads that they are for; see `Monitor.remember_tickets`."""
+    learning = parts.learning
+    of_crop: dict[str | None, list[tuple[ReferenceMass, bool]]] = {None: []}
+    for ticket in tickets:
+        known = learning.of_earlier_load(ticket.load_number, ticket.weighed_kg, ticket.std_dev_kg)
+        if known is not None:
+            of_crop.setdefault(ticket.crop, []).append((known, ticket.waits))
+    for crop, pairs in of_crop.items():
+        masses, waiting = [a for a, _ in pairs], [a for a, waits in pairs if waits]
+        if crop is None:
+            learning.remember_tickets(masses, waiting)
+        else:
+            learning.remember_tickets_of(crop, masses, waiting)
 
 
 def _zero_undo(parts: Parts) -> ZeroUndo | None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import queue
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import Any
 
+from yieldmon.errors import InputError
 from yieldmon.service.control import Answer, ControlError
 from yieldmon.service.reference_loads import StoredLoad
 
@@ -25,7 +26,7 @@ class Job:
 
 
 class CommandQueue:
-    """`ask` is called on any thread, `take` on the engine's."""
+    """`ask` is called on any thread, `carry_out` on the engine's."""
 
     def __init__(self, patience_s: float = PATIENCE_S) -> None:
         self._jobs: queue.SimpleQueue[Job] = queue.SimpleQueue()
@@ -50,3 +51,16 @@ class CommandQueue:
             job = self._jobs.get()
             if job.answer.set_running_or_notify_cancel():
                 yield job
+
+    def carry_out(self, execute: Callable[[Job], Answer]) -> list[tuple[Job, Answer]]:
+        """Takes and executes those that wait; returns those done, whose answers the caller sets.
+
+        execute: raises InputError for one that is refused, which answers it.
+        """
+        done = []
+        for job in self.take():
+            try:
+                done.append((job, execute(job)))
+            except InputError as error:
+                job.answer.set_exception(error)
+        return done

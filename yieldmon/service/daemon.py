@@ -15,32 +15,26 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from time import monotonic
-from typing import Any, cast
+from typing import Any
 
 import can
 
 from yieldmon import frames
-from yieldmon.bus.codec import Codec, FrameError
-from yieldmon.bus.opening import open_bus
-from yieldmon.bus.receiver import BusEvent, BusEventKind, Receiver
+from yieldmon.bus.receiver import BusEvent, Receiver
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord
-from yieldmon.engine.results import Result, frames_in, records_in
+from yieldmon.engine.results import Result, records_in
 from yieldmon.errors import InputError
 from yieldmon.service import commands
 from yieldmon.service.assembly import monitor_of
-from yieldmon.service.bus_time import SILENCE_S, BusTime
-from yieldmon.service.bus_traffic import BusTraffic, FrameRate
-from yieldmon.service.command_queue import CommandQueue, Job
+from yieldmon.service.bus_node import BusNode
+from yieldmon.service.bus_time import SILENCE_S
+from yieldmon.service.command_queue import PATIENCE_S, CommandQueue, Job
 from yieldmon.service.configuration import Configuration
 from yieldmon.service.control import Answer, ControlError, ControlServer
-from yieldmon.service.frame_sender import FrameSender
 from yieldmon.service.identity import this_computer
-from yieldmon.service.input_frames import InputFrames
 from yieldmon.service.journal import Journal
 from yieldmon.service.late_store import KEPT_FRAMES, STORE_ANSWERS_WITHIN_S, KeptInput, StoreReading, without_sweeps_for
-from yieldmon.service.link import link_for
-from yieldmon.service.mapped_outputs import MappedOutputs
 from yieldmon.service.memory import Memory, choose_parameters
 from yieldmon.service.metrics import MetricsFile
 from yieldmon.service.notify import ServiceManager
@@ -50,32 +44,22 @@ from yieldmon.service.recovery import Recovery, recover
 from yieldmon.service.reference_loads import StoredLoad, of_path
 from yieldmon.service.reload_check import at_next_start, usable_now
 from yieldmon.service.reloading import READING_S, Reloading
+from yieldmon.service.reloads import Reloads
 from yieldmon.service.resumption import resume, successor
 from yieldmon.service.rows import SecondRow
-from yieldmon.service.service_faults import ServiceFaults
 from yieldmon.service.snapshot import snapshot
 from yieldmon.service.store import Store
-from yieldmon.service.supervision import Supervisor
-from yieldmon.service.transmit import ASKED_ECHO_S, ECHO_S, Transmitter
+from yieldmon.service.supervision import Supervisor, ended, require_alive
+from yieldmon.service.transmit import Transmitter
 from yieldmon.service.writer import StoreWriter
 
 _log = logging.getLogger(__name__)
 
-_BATCH_FRAMES = 512
-_WAIT_S = 0.05
-#: The same while an address is being claimed, which takes several rounds and holds back all frames.
-_CLAIMING_WAIT_S = 0.005
 _LAST_ROWS = 10
 #: From this age on what `status` says is marked as stale.
 _STALE_S = 5.0
-#: A thread that gives no sign of life for so long is a reason to have the daemon started anew.
-_HANGS_FOR_GOOD_S = 8.0
 #: Requests that may read the store at the same time.
 _READ_AT_ONCE = 2
-#: How long what a window leaves to be done waits for its frames.
-_SENDING_FIRST_S = 0.01
-#: After a store that came late, before the first sweep.
-_REST_S = 60.0
 #: How long an answer waits for the disk to have what was entered.
 TELLING_S = 2.0
 #: How long a stop waits for the disk; with the other steps it is over within 5 s.
@@ -98,55 +82,34 @@ class Daemon:
         reading_s: float = READING_S,
         store_patience_s: float = STORE_ANSWERS_WITHIN_S,
         kept_frames: int = KEPT_FRAMES,
+        answers_within_s: float = PATIENCE_S,
     ) -> None:
         """reload: reads the configuration anew, on a thread of its own; raises InputError when it cannot be used. bus_factory:
         opens the bus, by default the configured one. silence_s: see SILENCE_S; infinite for traffic not sent in real time.
         network_clock: times the address claim and what else the network's protocols time. stop_writing_s: see STOP_WRITING_S.
         reading_s: how long `reload` may take. store_patience_s: see STORE_ANSWERS_WITHIN_S.
-        kept_frames: see KEPT_FRAMES."""
+        kept_frames: see KEPT_FRAMES. answers_within_s: how long a command waits for the engine."""
         self.configuration = configuration
         self._at_start = configuration
-        self._reloading = Reloading(reload, reading_s)
         self._manager = ServiceManager(environment)
-        self._codec = Codec()
-        self._inputs = InputFrames(self._codec, configuration.signals)
-        self._link = link_for(configuration)
-        self._outputs = MappedOutputs(configuration.outputs, configuration.engine.totals)
-        self._network_clock = network_clock
-        self._address: int | None = None
+        self._reloads = Reloads(Reloading(reload, reading_s), self._manager)
+        self._bus = BusNode(configuration, bus_factory=bus_factory, silence_s=silence_s, clock=network_clock)
         self._stop_writing_s = stop_writing_s
         self.started = threading.Event()
         """Set once frames are taken and commands answered."""
-        # Plain flags: a signal handler runs between any two instructions of this thread, where it may hold any lock.
+        # A plain flag: a signal handler runs between any two instructions of this thread, where it may hold any lock.
         self._stop_wanted = False
-        self._reload_wanted = False
-        self._reloads = 0
-        self._commands = CommandQueue()
-        self._faults = ServiceFaults()
-        self._reload_note = "none since the start"
+        self._commands = CommandQueue(answers_within_s)
         self._rows: deque[SecondRow] = deque(maxlen=_LAST_ROWS)
         self._record: WindowRecord | None = None
         """Of the last window of the monitor in use."""
-        self._malformed = 0
         self._started_s = monotonic()
         self._store_note = ""
-        self._origin = "file"
         self._answer: Answer = {}
-        settings = configuration.document.bus
-        self._time = BusTime(silence_s, settings.idle_after_s, self._started_s)
-        self._receiver = Receiver(bus_factory or self._open_bus, capacity=settings.receive_queue_frames)
-        self._transmitter = Transmitter(
-            self._receiver.send, settings.transmit_queue_frames, settings.transmit_max_age_s,
-            echo_s=ASKED_ECHO_S if bus_factory is None and settings.interface == "socketcan" else ECHO_S,
-        )  # fmt: skip
-        self._sender = FrameSender(self._codec, self._link, self._transmitter, network_clock)
         self._ownership = Ownership(configuration.store_path)
-        self._writer = StoreWriter(
-            self._open_store, configuration.document.store.pending_seconds, path=configuration.store_path,
-            keep=self._ownership.keep,
-        )  # fmt: skip
+        pending_seconds, keep = configuration.document.store.pending_seconds, self._ownership.keep
+        self._writer = StoreWriter(self._open_store, pending_seconds, path=configuration.store_path, keep=keep)
         self._poster = Poster(configuration.store_path, self._writer.wait_until_written)
-        self._rate = FrameRate()
         self._answered_s = monotonic()
         self._replacements = 0
         self._computer = this_computer()
@@ -165,12 +128,12 @@ class Daemon:
     @property
     def receiver(self) -> Receiver:
         """Takes frames off the bus."""
-        return self._receiver
+        return self._bus.receiver
 
     @property
     def transmitter(self) -> Transmitter:
         """Sends frames."""
-        return self._transmitter
+        return self._bus.transmitter
 
     @property
     def writer(self) -> StoreWriter:
@@ -180,7 +143,7 @@ class Daemon:
     @property
     def heard_bus_s(self) -> float | None:
         """Bus time of the last frame that the engine has taken, s; None before the first."""
-        return self._time.last_s
+        return self._bus.time.last_s
 
     @property
     def snapshot(self) -> Answer:
@@ -193,7 +156,7 @@ class Daemon:
 
     def request_reload(self) -> None:
         """Read the configuration anew soon."""
-        self._reload_wanted = True
+        self._reloads.request()
 
     def run(self) -> int:
         """Run until asked to stop; returns the exit code.
@@ -208,28 +171,28 @@ class Daemon:
 
     def _run(self) -> int:
         # Frames are kept from here on, however long the disk takes.
-        self._receiver.start()
+        self._bus.receiver.start()
         try:
             self._reading_store = reading = StoreReading(self._take_store)
             reading.wait(self._store_patience_s, lambda: self._stop_wanted)
             if not reading.done and self._stop_wanted:
                 _log.error("%s: the disk has not answered since the start", self.configuration.store_path)
-                self._receiver.stop()
+                self._bus.receiver.stop()
                 return 0
             self._begin(reading)
             self._answer = self._snapshot()
             status = self.configuration.document.status
             control = ControlServer(self.configuration.socket_path, status.group, self.command)
         except BaseException:
-            self._receiver.stop()
+            self._bus.receiver.stop()
             raise
         metrics = MetricsFile(self.configuration.prometheus_path, status.prometheus_interval_s, self._status)
         self._supervisors = [Supervisor("control", control), Supervisor("metrics", metrics)]
-        helpers = (self._transmitter, *(() if self._reading_store else (self._writer,)), control, metrics)
+        helpers = (self._bus.transmitter, *(() if self._reading_store else (self._writer,)), control, metrics)
         for helper in helpers:
             helper.start()
         self._report_faults()
-        self._sender.send(self._link.start(self._network_clock()))
+        self._bus.claim_address()
         self.started.set()
         self._manager.ready()
         for note in self.configuration.notes:
@@ -244,8 +207,7 @@ class Daemon:
         return 0 if whole else 1
 
     def _end(self, metrics: MetricsFile, control: ControlServer) -> bool:
-        """Each step is taken whatever became of the one before, and none takes for ever. False when one failed."""
-        whole = True
+        """Everything is stopped and written; False where a step failed. None takes for ever."""
 
         def write() -> None:
             if self._reading_store is not None:
@@ -259,16 +221,15 @@ class Daemon:
                 self._writer.work()
                 self._writer.close()
 
-        steps = (
-            self._manager.stopping, self._transmitter.stop, self._receiver.stop, self._commit, write, metrics.stop, control.stop,
-        )  # fmt: skip
-        for step in steps:
-            try:
-                step()
-            except Exception:  # noqa: BLE001 - the disk is still to be written to when anything else fails
-                _log.exception("stopping")
-                whole = False
-        return whole
+        return ended(
+            self._manager.stopping,
+            self._bus.transmitter.stop,
+            self._bus.receiver.stop,
+            self._commit,
+            write,
+            metrics.stop,
+            control.stop,
+        )
 
     # Start
 
@@ -296,11 +257,11 @@ class Daemon:
     def _remember(self, memory: Memory) -> None:
         """A journal and a monitor that go on from what a store remembers."""
         configured = self.configuration.parameters
-        parameters, self._origin = choose_parameters(memory, configured)
+        parameters, origin = choose_parameters(memory, configured)
         self._journal = Journal(memory, configured, now_s=time.time())
-        self._journal.new_monitor(parameters, self._origin)
+        self._journal.new_monitor(parameters, origin)
         self._monitor = monitor_of(self.configuration, parameters, waveform_later=True)
-        resume(self._monitor, memory, self._origin, configured, time.time())
+        resume(self._monitor, memory, origin, configured, time.time())
         commands.set_crop(self._monitor, self._journal)
 
     def _take_late_store(self, reading: StoreReading) -> None:
@@ -309,7 +270,7 @@ class Daemon:
         self._reading_store, self._kept = None, KeptInput(0)
         self._rows.clear()
         self._record = None
-        self._go_on_from(replace(recovery, memory=without_sweeps_for(recovery.memory, kept.duration_s + _REST_S)))
+        self._go_on_from(replace(recovery, memory=without_sweeps_for(recovery.memory, kept.duration_s)))
         self._writer.start()
         for results in kept.into(self._monitor):
             rows = self._journal.take(results)
@@ -326,7 +287,7 @@ class Daemon:
             self._record = None
         self._store_note = "; ".join(part for part in (recovery.note, note if kept.full else "") if part)
         _log.warning("%s: %s", self.configuration.store_path, note)
-        self._faults.report_all_anew()
+        self._bus.faults.report_all_anew()
         self._report_faults()
         self._commit()
         self._answer = self._snapshot()
@@ -338,53 +299,29 @@ class Daemon:
             # What these count now is what cannot be measured again.
             self._journal.happened(self._monitor.reset_totals())
 
-    def _open_bus(self) -> can.BusABC:
-        settings = self.configuration.document.bus
-        # Our own messages are let through as well: seen from another node they are a conflict.
-        return open_bus(
-            settings.interface,
-            settings.channel,
-            settings.bitrate_bit_s,
-            filters=[*self._inputs.filters(), *self._outputs.filters(), *self._link.filters()],
-            # A copy that comes back once is our own; without it, another node's first copy would pass for it.
-            receive_own=settings.interface == "socketcan",
-            receive_buffer_bytes=settings.receive_buffer_bytes,
-            **cast("dict[str, Any]", settings.options),
-        )
-
     def _open_store(self) -> Store:
         return Store(self.configuration.store_path, self.configuration.retention, computer=self._computer)
 
     # The engine's thread
 
     def _round(self) -> None:
-        # Read before the queue: what came by then is in there.
-        empty_until_s = self._receiver.empty_until_s
-        items = self._receiver.get_many(_BATCH_FRAMES, _CLAIMING_WAIT_S if self._link.claiming else _WAIT_S)
+        items, empty_until_s = self._bus.items()
         windows = 0
         heard_bus_s: float | None = None
         for item in items:
             if isinstance(item, BusEvent):
-                self._take_event(item)
+                self._bus.take_event(item)
             else:
-                windows += self._take_message(item)
+                for frame in self._bus.hear(item):
+                    windows += self._feed(frame)
                 heard_bus_s = item.timestamp
         if heard_bus_s is not None:
-            self._time.heard(heard_bus_s, monotonic())
-        windows += self._tick_if_silent(empty_until_s if not items else float("-inf"))
-        self._receiver.due_s = self._monitor.due_s
-        self._sender.send(self._link.poll(self._network_clock()))
-        self._sender.send_mapped(self._outputs.poll(self._network_clock()))
-        if self._link.address != self._address:
-            self._address = self._link.address
+            self._bus.time.heard(heard_bus_s, monotonic())
+        silent_until_s = self._bus.silent_until_s(empty_until_s)
+        if silent_until_s is not None:
+            windows += self._feed(silent_until_s)
+        if self._bus.poll(self._monitor.due_s):
             self._answer = self._snapshot()
-            preferred = self.configuration.document.network.preferred_address
-            if self._address is None:
-                _log.warning("network: our address was taken, another one is claimed")
-            elif self._address != preferred:
-                _log.warning("network: our address is %d, the preferred %d is another node's", self._address, preferred)
-            else:
-                _log.info("network: our address is %d", self._address)
         self._report_faults()
         self._do_commands()
         if windows:
@@ -392,69 +329,27 @@ class Daemon:
         between_windows = bool(windows or not items)
         if self._reading_store is not None and self._reading_store.done and between_windows:
             self._take_late_store(self._reading_store)
-        self._look_after_reload(between_windows=between_windows)
-        self._require_threads()
+        # A quiet bus has no window to miss.
+        if self._reloads.look(self._use, between_windows=between_windows):
+            self._answer = self._snapshot()
+            self._manager.ready()
+        require_alive(self._threads())
 
-    def _require_threads(self) -> None:
-        """Raises RuntimeError where one has died."""
-        alive = {"receive": self._receiver.alive, "transmit": self._transmitter.alive}
-        if self._reading_store is None:
-            alive["store"] = self._writer.alive
-        for name, is_alive in alive.items():
-            if not is_alive:
-                raise RuntimeError(f"the {name} thread has died")
+    def _threads(self) -> dict[str, bool]:
+        """Those without which measuring is of no use, and whether they are alive."""
+        own = {} if self._reading_store is not None else {"store": self._writer.alive}
+        return {"receive": self._bus.receiver.alive, "transmit": self._bus.transmitter.alive, **own}
 
-    def _take_message(self, message: can.Message) -> int:
-        """One message; returns how many windows it closed."""
-        heard: Sequence[frames.Frame] = ()
-        published: Sequence[str] = ()
-        try:
-            heard, published = self._inputs.heard(message)
-        except FrameError as error:
-            # To the network it may still be a frame, the last one of a message that is too short for the mapping.
-            self._malformed += 1
-            if self._malformed == 1:
-                _log.warning("%s", error)
-        concerned = self._link.concerns(message)
-        mapped = self._outputs.name_of(message, self._link.address) if self._outputs.sends else None
-        if (concerned or published or mapped) and self._transmitter.is_echo(message):
-            return 0
-        if concerned:
-            self._sender.send(self._link.hear(message, self._network_clock()))
-        windows = 0
-        for frame in heard:
-            self._time.ours_s = frame.time_s
-            if self._reading_store is not None:
-                self._keep(frame)
-            results = self._monitor.feed(frame)
-            if results:
-                windows += self._happened(results)
-        if published and self.configuration.outputs.shipped:
-            for name in published:
-                self._faults.conflict(name, monotonic())
-        if mapped:
-            self._faults.conflict(mapped, monotonic())
-        return windows
-
-    def _tick_if_silent(self, empty_until_s: float) -> int:
-        """Lets the engine's time go on where no frame of ours does; returns how many windows that closed."""
-        bus_s = self._time.without_ours(empty_until_s, monotonic(), time.time())
-        if bus_s is None:
-            return 0
+    def _feed(self, item: frames.Frame | float) -> int:
+        """A frame, or a bus time up to which there is none; returns how many windows that closed."""
         if self._reading_store is not None:
-            self._keep(bus_s)
-        return self._happened(self._monitor.tick(bus_s))
+            self._keep(item)
+        results = self._monitor.feed(item) if isinstance(item, frames.Frame) else self._monitor.tick(item)
+        return self._happened(results) if results else 0
 
     def _happened(self, results: Sequence[Result]) -> int:
         """Frames go out, records and events to the journal; with a window the second is done. Returns the windows closed."""
-        if not results:
-            return 0
-        if self.configuration.outputs.shipped:
-            self._sender.send_frames(frames_in(results))
-        self._sender.send_mapped(self._outputs.take(results, self._monitor.totals, self._network_clock()))
-        if records_in(results):
-            # What follows would keep the interpreter from the transmit thread for as long as it takes.
-            self._transmitter.wait_until_sent(_SENDING_FIRST_S)
+        self._bus.send(results, self._monitor.totals)
         completed = self._monitor.completed(results)
         rows = self._journal.take(completed)
         if rows:
@@ -466,14 +361,14 @@ class Daemon:
     def _second_done(self) -> None:
         """A window has closed: the engine lives, its frames are out, and the second goes to the store."""
         self._fill_new_store()
-        self._report_on_network()
+        self._bus.report_second(self._record, self._monitor.faults.active, self._monitor.totals)
         self._commit()
-        if max(self._receiver.hangs_s(), self._transmitter.hangs_s()) < _HANGS_FOR_GOOD_S:
+        if self._bus.lives:
             # A daemon that hears or says nothing any more is one to start anew.
             self._manager.alive()
         for supervisor in self._supervisors:
             supervisor.look(monotonic())
-        self._rate.second(monotonic(), self._receiver.counters().received)
+        self._bus.count_second()
         self._answer = self._snapshot()
         self._manager.status(commands.summary(self._answer))
 
@@ -486,45 +381,23 @@ class Daemon:
             self._journal.report_all()
         return replaced
 
-    def _report_on_network(self) -> None:
-        """Trouble codes, and the second's values for a task controller."""
-        now_s = self._network_clock()
-        if self.configuration.document.diagnostics.dm1_enabled:
-            self._sender.send(self._link.report_trouble(self._monitor.faults.active, now_s))
-        if self._record is not None:
-            self._sender.send(self._link.report_second(self._record, self._monitor.totals, now_s))
-
     def _commit(self) -> None:
-        batch = self._journal.batch(self._monitor, time.time(), self._traffic().counters())
+        batch = self._journal.batch(self._monitor, time.time(), self._bus.traffic().counters())
         if self._reading_store is None:
             self._writer.submit(batch)
         # Else it has the number of a batch that the store may have already.
 
-    def _traffic(self) -> BusTraffic:
-        return BusTraffic(
-            received=self._receiver.counters(),
-            sent=self._transmitter.counters(),
-            frames_per_s=self._rate.frames_per_s,
-            malformed=self._malformed,
-            incomplete=self._inputs.incomplete,
-        )
-
     # Faults that only the service sees
-
-    def _take_event(self, event: BusEvent) -> None:
-        self._faults.bus_event(event, monotonic())
-        if event.kind is BusEventKind.INTERFACE_RESTORED:
-            self._sender.send(self._link.start(self._network_clock()))
 
     def _report_faults(self) -> None:
         """Reports to the monitor each condition that came, went or changed."""
-        changed = self._faults.changes(
+        changed = self._bus.faults.changes(
             monotonic(),
-            sent=self._transmitter.counters(),
-            hangs_s={"receive": self._receiver.hangs_s(), "transmit": self._transmitter.hangs_s()},
+            sent=self._bus.transmitter.counters(),
+            hangs_s=self._bus.hangs_s(),
             store=self._writer.health(),
             store_note=self._store_note,
-            network=self._link.troubles(self._network_clock()),
+            network=self._bus.network_troubles(),
         )
         for code, detail in changed.items():
             self._monitor.report_fault(code, bool(detail), detail)
@@ -567,12 +440,10 @@ class Daemon:
             self._reading.release()
 
     def _do_commands(self) -> None:
-        done: list[tuple[Job, Answer]] = []
-        for job in self._commands.take():
-            try:
-                done.append((job, commands.execute(job.request, self._monitor, self._journal, time.time(), job.stored)))
-            except InputError as error:
-                job.answer.set_exception(error)
+        def execute(job: Job) -> Answer:
+            return commands.execute(job.request, self._monitor, self._journal, time.time(), job.stored)
+
+        done = self._commands.carry_out(execute)
         if done:
             self._commit()
             self._answer = self._snapshot()
@@ -593,29 +464,8 @@ class Daemon:
             open_load = totals.load_number if totals.load_open else None
             self._poster.start(self._monitor.machine, self._journal.actions.take_waiting(), version, open_load, now_s)
 
-    def _look_after_reload(self, *, between_windows: bool) -> None:
-        if self._reload_wanted and not self._reloading.under_way:
-            # Before the reading: what is written from now on may need another one.
-            self._reload_wanted = False
-            self._manager.reloading()
-            self._reloading.begin()
-        # Between two windows a new monitor has least to miss; a quiet bus has none.
-        if between_windows and self._reloading.due():
-            self._do_reload()
-
-    def _do_reload(self) -> None:
-        """Takes the configuration that was read anew, or goes on with the old one and says so."""
-        self._reloads += 1
-        try:
-            self._use(self._reloading.result())
-        except (InputError, OSError) as error:
-            # A file that could not be read this time is no reason to stop measuring.
-            self._reload_note = f"refused: {error}"
-            _log.error("reload refused, the old configuration stays in use: %s", error)
-        self._answer = self._snapshot()
-        self._manager.ready()
-
-    def _use(self, new: Configuration) -> None:
+    def _use(self, new: Configuration) -> list[str]:
+        """Goes on with a configuration; returns its sections that will be taken at the next start only."""
         later = at_next_start(self._at_start, new)
         new = usable_now(self._at_start, new)
         fresh = self._journal.parameters.unlike(new.parameters)
@@ -626,15 +476,11 @@ class Daemon:
         # The next batch brings both: the file's name alone would make a start take the parameters before it for the file's.
         self._journal.parameters.configure(new.parameters)
         self._journal.new_monitor(monitor.estimator.parameters, "file")
-        self._faults.report_all_anew()
+        self._bus.faults.report_all_anew()
         self.configuration = new
-        self._outputs.use(new.engine.totals)
-        self._link.use(new.machine, new.engine.totals, self._network_clock())
+        self._bus.use(new)
         logging.getLogger("yieldmon").setLevel(new.document.logging.level.upper())
-        self._reload_note = "taken" + (f"; {', '.join(later)} will be at the next start" if later else "")
-        _log.info("configuration reloaded: %s", self._reload_note)
-        for note in new.notes:
-            _log.warning("%s", note)
+        return later
 
     def _snapshot(self) -> Answer:
         self._answered_s = monotonic()
@@ -644,11 +490,11 @@ class Daemon:
             record=self._record,
             journal=self._journal,
             rows=tuple(self._rows),
-            traffic=self._traffic(),
+            traffic=self._bus.traffic(),
             store=self._writer.health(),
             store_note=self._store_note,
-            reload_note=self._reload_note,
-            reloads=self._reloads,
+            reload_note=self._reloads.note,
+            reloads=self._reloads.count,
             uptime_s=monotonic() - self._started_s,
-            network=self._link.status(),
+            network=self._bus.network_status(),
         )

@@ -18,6 +18,8 @@ from yieldmon.service.recovery import Recovery
 #: How long a start waits for the store; frames are kept meanwhile, and measured afterwards.
 STORE_ANSWERS_WITHIN_S = 20.0
 _LOOK_EVERY_S = 0.1
+#: After what was measured again, before the first sweep.
+_REST_S = 60.0
 #: Kept beyond that for as long as the disk does not answer: three minutes of nominal traffic, 25 MB.
 KEPT_FRAMES = 50_000
 
@@ -98,20 +100,20 @@ class KeptInput:
     @property
     def duration_s(self) -> float:
         """From the first to the last, s."""
-        times = [item if isinstance(item, float) else item.time_s for item in (*self._kept[:1], *self._kept[-1:])]
+        times = [item.time_s if isinstance(item, Frame) else item for item in (*self._kept[:1], *self._kept[-1:])]
         return max(times) - min(times) if times else 0.0
 
     def into(self, monitor: Monitor) -> Iterator[Sequence[Result]]:
         """What a monitor makes of it, result by result."""
         for item in self._kept:
-            results = monitor.tick(item) if isinstance(item, float) else monitor.feed(item)
+            results = monitor.feed(item) if isinstance(item, Frame) else monitor.tick(item)
             if results:
                 yield monitor.completed(results)
 
 
 def without_sweeps_for(memory: Memory, duration_s: float) -> Memory:
-    """The same, with no sweep due within duration_s: what is measured again moves no plate."""
+    """The same, with no sweep due within duration_s, nor in the minute after it: what is measured again moves no plate."""
     if memory.engine is None:
         return memory
-    due_in_s = max(memory.engine.sweep_due_in_s, duration_s)
+    due_in_s = max(memory.engine.sweep_due_in_s, duration_s + _REST_S)
     return replace(memory, engine=replace(memory.engine, sweep_due_in_s=due_in_s))

@@ -1,8 +1,9 @@
-"""Helper threads of the daemon, restarted when they die or hang: measuring goes on meanwhile, and an operator needs them."""
+"""Threads of the daemon: helpers, restarted when they die or hang while measuring goes on, and the end of all of them."""
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable, Mapping
 from typing import Protocol
 
 _log = logging.getLogger(__name__)
@@ -68,3 +69,22 @@ class Supervisor:
             return ""
         self._looks += 1
         return "hangs" if self._looks >= HANGS_LOOKS and now_s - since_s >= HANGS_S else ""
+
+
+def require_alive(threads: Mapping[str, bool]) -> None:
+    """Raises RuntimeError where a thread, by its name, is not alive."""
+    for name, alive in threads.items():
+        if not alive:
+            raise RuntimeError(f"the {name} thread has died")
+
+
+def ended(*steps: Callable[[], object]) -> bool:
+    """Takes each step, whatever became of the one before; False where one failed."""
+    whole = True
+    for step in steps:
+        try:
+            step()
+        except Exception:  # noqa: BLE001 - the disk is still to be written to when anything else fails
+            _log.exception("stopping")
+            whole = False
+    return whole

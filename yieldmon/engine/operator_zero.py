@@ -1,0 +1,30 @@
+"""The operator's zero calibration across the parts: what is kept for an undo, and the mass that an undo gives back."""
+
+from __future__ import annotations
+
+from yieldmon.engine.loads import LoadEvents
+from yieldmon.engine.parts import Parts
+from yieldmon.engine.since_zero import MissedMass
+
+
+def calibrate(parts: Parts, *, despite_signs: bool) -> bool:
+    """See `Monitor.calibrate_zero`."""
+    zero, against = parts.measurement.zero, bool(parts.measurement.signs_of_grain)
+    goes_on = zero.calibrate(against_signs=against, despite_signs=despite_signs)
+    if not goes_on:
+        parts.since_zero.clear()
+    return goes_on
+
+
+def undo(parts: Parts) -> tuple[dict[int, MissedMass], LoadEvents]:
+    """See `Monitor.undo_zero`."""
+    zero, settings = parts.measurement.zero, parts.settings
+    known = zero.before
+    if known is None:
+        raise ValueError("there is no zero calibration by an operator that could be undone")
+    gain, on_n, least = parts.machine.sensor.gain_n_per_mv, settings.gate.grain_on_n, settings.windows.min_coverage
+    found = parts.since_zero.missed(known.zero_mv, parts.learning.estimator, gain, on_n, least, parts.loads.dry_kg)
+    parts.since_zero.clear()
+    zero.undo()
+    parts.learning.zero_undone()
+    return found, parts.loads.correct(found)
