@@ -13,6 +13,8 @@
     python -m studies.waveform season --seeds 30          # load errors of a season by channel, estimators alone
     python -m studies.waveform teaching --seeds 30        # the same where kernel noise teaches the parameters
     python -m studies.waveform daemon-season --seeds 30 --seed 17001 --out F.json   # through the monitor, with kernels; goes on
+    python -m studies.waveform season-causes              # what the errors of those seasons come from, by regression
+    python -m studies.waveform noise-by-force             # noise of kernels along the pulse of discrete elements
     python -m studies.waveform shape --out F.yaml         # the law of those pulses, with its range (config/pulse-shape.yaml)
     python -m studies.waveform pack LEDGER... --out F.npz # a campaign's forces at 10 kHz
 
@@ -130,6 +132,18 @@ def _daemon_season(args: argparse.Namespace) -> Any:
     return found
 
 
+def _season_causes(args: argparse.Namespace) -> Any:
+    from studies.waveform import season_causes
+
+    return season_causes.report()
+
+
+def _noise_by_force(args: argparse.Namespace) -> Any:
+    from studies.waveform import kernels
+
+    return kernels.by_force(kernels.heaps(kernels.FORCES, kernels.MORE_FORCES))
+
+
 def _shape(args: argparse.Namespace) -> Any:
     from studies.waveform import fill
     from yieldmon.files import pulse_shape_file
@@ -149,7 +163,7 @@ _PARTS = {
     "information": _information, "fill": _fill, "attempts": _attempts, "kernels": _kernels, "hidden": _hidden, "cost": _cost,
     "pictures": _pictures, "season": _season, "daemon-season": _daemon_season, "verdicts": _verdicts, "shape": _shape,
     "pack": _pack, "edges": _edges, "teaching": _teaching, "scheduling": _scheduling, "between": _between,
-    "identifiability": _identifiability,
+    "identifiability": _identifiability, "season-causes": _season_causes, "noise-by-force": _noise_by_force,
 }  # fmt: skip
 
 

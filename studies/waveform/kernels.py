@@ -307,6 +307,38 @@ def other_ways(pulses: Heaps, seeds_sd: dict[tuple[float, ...], float]) -> list[
     return rows
 
 
+def by_force(pulses: Heaps) -> list[dict[str, Any]]:
+    """Noise at 200 to 400 Hz along the pulse (1 kHz behind 0.2 ms) over that of kernels in proportion to the force, by its level.
+
+    1 throughout: `noise_by_phase` rests on it. Levels: force as the band follows it, over its largest.
+    """
+    interval = 1e-3
+    shown = _through(pulses.force_n, 0.0002, round(interval / INTERVAL_S))
+    frequency = np.fft.rfftfreq(shown.shape[1], interval)
+    weights = np.where((frequency > 200.0) & (frequency < 400.0), np.sin(np.pi * (frequency - 200.0) / 200.0), 0.0)
+    answer = np.fft.irfft(weights, shown.shape[1]) ** 2
+    rows = []
+    for group in np.unique(pulses.keys[:, :2], axis=0):
+        power, force = np.zeros(shown.shape[1]), np.zeros(shown.shape[1])
+        for key in np.unique(pulses.keys[np.all(pulses.keys[:, :2] == group, axis=1)], axis=0):
+            those = shown[np.all(pulses.keys == key, axis=1)]
+            if len(those) < 3:
+                continue
+            left = (those - those.mean(axis=0)) * np.sqrt(len(those) / (len(those) - 1.0))
+            in_band = np.fft.irfft(np.fft.rfft(left, axis=1) * weights, shown.shape[1], axis=1)
+            power += (in_band**2).sum(axis=0)
+            force += those.sum(axis=0)
+        followed = np.fft.irfft(np.fft.rfft(force) * np.fft.rfft(answer), shown.shape[1])
+        followed *= power.sum() / followed.sum()
+        level = followed / followed.max()
+        row: dict[str, Any] = {"kernel_g": float(group[0]), "load_kg": float(group[1])}
+        for low, high in ((0.0, 0.05), (0.05, 0.15), (0.15, 0.3), (0.3, 0.5), (0.5, 0.7), (0.7, 1.0)):
+            at = (level > low) & (level <= high)
+            row[f"{low:g}_to_{high:g}"] = round(float(power[at].sum() / followed[at].sum()), 2)
+        rows.append(row)
+    return rows
+
+
 def coverage(pulses: Heaps, seed: int) -> list[dict[str, Any]]:
     """Flow by the shipped bias and band in each group of pulses, through cells: error over the deviation stated with it."""
     rows = []

@@ -122,6 +122,34 @@ def test_a_line_that_only_harvesting_has_is_covered_or_refused(line_hz: float) -
             assert found.impulse_n_s == pytest.approx(IMPULSE_N_S, rel=2.0 * found.relative_sd)
 
 
+@pytest.mark.parametrize("stated_s", [1e-4, 2e-4, 8e-4])
+def test_a_cell_far_from_what_is_stated_is_covered_or_refused(stated_s: float) -> None:
+    """Of 0.4 ms: with a quarter of it stated the impulse comes out half as large."""
+    samples = felt(60.0, 4e-4, 1e-3, 41)
+    found = kernel_impulse(
+        density(samples, 1e-3),
+        density(quiet(samples.size, 42), 1e-3),
+        FORCE_N,
+        cell_response_s=stated_s,
+        sample_interval_s=1e-3,
+    )
+    assert not found.usable
+    assert found.verdict is KernelVerdict.UNEVEN
+    assert "response_s" in found.reason
+
+
+def test_what_stays_between_the_pulses_is_taken_off_and_half_of_it_doubted() -> None:
+    samples = felt(60.0, 2e-4, 1e-3, 43)
+    given = density(samples, 1e-3), density(quiet(samples.size, 44), 1e-3), FORCE_N
+    plain, less, much = (
+        kernel_impulse(*given, cell_response_s=2e-4, sample_interval_s=1e-3, steady_share=share) for share in (0.0, 0.2, 0.6)
+    )
+    assert less.impulse_n_s == pytest.approx(0.8 * plain.impulse_n_s, rel=0.02)
+    assert less.usable
+    assert less.lasting_sd == pytest.approx(0.125, abs=0.03)
+    assert much.verdict is KernelVerdict.BACKGROUND
+
+
 @pytest.mark.parametrize("crest", [1.0, 4.0])
 def test_random_deviation_is_the_scatter_over_seeds(crest: float) -> None:
     """Kernels strike evenly, or for a quarter of the time."""

@@ -12,8 +12,9 @@ from yieldmon.engine.measurement import Reading
 from yieldmon.engine.records import FlowEstimator
 from yieldmon.engine.settings import WaveformSettings
 from yieldmon.engine.windows import Trace
-from yieldmon.estimation import kernel_noise
+from yieldmon.estimation import kernel_noise, noise_by_phase
 from yieldmon.estimation.kernel_noise import Density, KernelImpulse, KernelNoiseSettings
+from yieldmon.estimation.noise_by_phase import PhaseNoise
 from yieldmon.estimation.pattern_fold import residual_of_pulses
 from yieldmon.estimation.running_pulses import RunningPulses
 from yieldmon.physics.machine import Machine
@@ -35,6 +36,7 @@ class _Noise:
     """Of one window with grain; flow_kg_s: by the mean force, of the estimator in use."""
 
     density: Density
+    by_phase: PhaseNoise
     force_n: float
     plate_angle_rad: float
     speed_rad_s: float
@@ -131,7 +133,28 @@ class KernelChannel:
             cell_response_s=self._machine.sensor.response_s,
             sample_interval_s=interval_s,
             settings=self.noise,
+            steady_share=self._steady_share(interval_s),
         )
+
+    def _steady_share(self, interval_s: float) -> float:
+        """What of the windows' noise beyond the empty machine's stays between the pulses."""
+        low_hz, high_hz = self._band_hz(interval_s)
+        if not high_hz > low_hz:
+            return 0.0
+        empty = self._empty_noise()
+        speeds = [noise.speed_rad_s for noise in self._loaded]
+        return noise_by_phase.steady_noise(
+            [noise.by_phase for noise in self._loaded],
+            [noise.impulse_per_kg for noise in self._loaded],
+            quiet_n2=noise_by_phase.band_power(empty.frequency_hz, empty.density, low_hz, high_hz),
+            pattern_s=self._machine.pattern_length_m / self._machine.paddle_speed_m_s(sum(speeds) / len(speeds)),
+            interval_s=interval_s,
+            low_hz=low_hz,
+            high_hz=high_hz,
+        ).share
+
+    def _band_hz(self, interval_s: float) -> tuple[float, float]:
+        return self.noise.low_hz, min(self.noise.high_hz, kernel_noise.CLEAR_OF_ALIASES / interval_s)
 
     def _hear(self, force_n: Array, trace: Trace, reading: Reading, flow_kg_s: float) -> None:
         """Keep the noise of a window whose flow does not just change."""
@@ -150,9 +173,15 @@ class KernelChannel:
         crest = float(np.mean(mean.mean_n**2) / np.mean(mean.mean_n) ** 2)
         shown = kernel_noise.in_pulses(kernel_noise.density(left, trace.interval_s, segment=SEGMENT), crest)
         shown = replace(shown, density=shown.density / (1.0 + own))
+        low_hz, high_hz = self._band_hz(trace.interval_s)
+        by_phase = noise_by_phase.noise_by_phase(
+            left / (1.0 + own) ** 0.5, force_n, trace.phase, interval_s=trace.interval_s, low_hz=low_hz, high_hz=high_hz
+        )
         moisture_pct = reading.inputs.fresh["moisture"]
         self._heard += 1
-        self._loaded.append(_Noise(shown, reading.force_n, window.plate_angle_rad, window.speed_rad_s, moisture_pct, flow_kg_s))
+        self._loaded.append(
+            _Noise(shown, by_phase, reading.force_n, window.plate_angle_rad, window.speed_rad_s, moisture_pct, flow_kg_s)
+        )
 
     def _estimate_anew(self, estimator: FlowEstimator) -> None:
         """The flows of the windows kept, by another estimator."""

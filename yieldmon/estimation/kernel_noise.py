@@ -21,9 +21,13 @@ from yieldmon.physics.numerics import Array
 _ALIASES = 64
 _CONTACT_HZ = 2000.0
 """From which on a kernel's contact, of some tenths of a millisecond, passes on an unknown share of its noise."""
-_CLEAR_OF_ALIASES = 0.4
+CLEAR_OF_ALIASES = 0.4
 """Share of the sampling rate up to which what the sampler folds back is small beside what is there."""
 _ITERATIONS = 6
+_SHORTEST_CELL_S = 1e-5
+_TINY = 1e-9
+_PUSHING = -0.4
+"""Exponent of the frequency by which the noise of kernels falls at most, for a push lasts (studies/waveform, `kernels`)."""
 _HANN_NEIGHBOURS = 1.0 + 2.0 * ((2.0 / 3.0) ** 2 + (1.0 / 6.0) ** 2)
 """Variance of a sum over frequencies over that of independent ones: correlation of a Hann spectrum with its next neighbours."""
 
@@ -255,6 +259,7 @@ def kernel_impulse(
     cell_response_s: float,
     sample_interval_s: float,
     settings: KernelNoiseSettings | None = None,
+    steady_share: float = 0.0,
 ) -> KernelImpulse:
     """Impulse of one kernel from densities measured while harvesting and while empty.
 
@@ -266,6 +271,9 @@ def kernel_impulse(
         Of the grain.
     cell_response_s, sample_interval_s : float
         As in `power_gain`.
+    steady_share : float
+        What of the noise beyond `quiet` stays between the pulses (`noise_by_phase.steady_noise`) and so is not the kernels'; half
+        of it counts as a deviation.
 
     Returns
     -------
@@ -274,7 +282,7 @@ def kernel_impulse(
         the deviation above `settings.largest_sd`.
     """
     s = settings or KernelNoiseSettings()
-    band = (loaded.frequency_hz >= s.low_hz) & (loaded.frequency_hz <= min(s.high_hz, _CLEAR_OF_ALIASES / sample_interval_s))
+    band = (loaded.frequency_hz >= s.low_hz) & (loaded.frequency_hz <= min(s.high_hz, CLEAR_OF_ALIASES / sample_interval_s))
     if not band.any():
         return _unusable(KernelVerdict.NO_BAND, f"no frequency of the samples lies in {s.low_hz:g} to {s.high_hz:g} Hz")
     if not mean_force_n > 0.0:
@@ -286,13 +294,14 @@ def kernel_impulse(
     if not s.averaged and folded > s.largest_sd:
         return _unusable(KernelVerdict.NO_BAND, f"{100.0 * folded:.0f} % of the band is aliases from above {_CONTACT_HZ:g} Hz")
     ground = quiet.density[band]
-    above = loaded.density[band] - ground
+    above = (1.0 - steady_share) * (loaded.density[band] - ground)
     impulse, weight, variance = _least_squares(above, ground, gain, (loaded.averages, quiet.averages), s.quiet_error)
     if impulse <= 0.0:
         return _unusable(KernelVerdict.NO_NOISE, "no noise above that of the empty machine")
     slope = float((weight * gain).sum()) * impulse
     random = float(np.sqrt((weight**2 * variance).sum())) / slope
-    background = s.quiet_error * float((weight * ground).sum()) / slope
+    steady = 0.5 * steady_share / max(1.0 - steady_share, _TINY)
+    background = float(np.hypot(s.quiet_error * float((weight * ground).sum()) / slope, steady))
     turned = (2.0 * np.pi * frequency * cell_response_s) ** 2
     cell = s.response_error * float((weight * gain * 4.0 * turned / (1.0 + turned)).sum() / (weight * gain).sum())
     if not s.averaged:
@@ -300,7 +309,8 @@ def kernel_impulse(
         cell = float(np.hypot(cell, float((weight * beyond).sum() / (weight * shares).sum())))
     cell_sd = s.response_error * 4.0 * turned / (1.0 + turned)
     per_half = _halves(above, gain, weight, variance, s.quiet_error * ground, cell_sd)
-    uneven = _unevenness(per_half / impulse)
+    middles_hz, lever = _as_another_cell_tilts(frequency, weight * gain, cell_response_s)
+    uneven = max(_unevenness(per_half / impulse), lever * _beyond_kernels(per_half / impulse, middles_hz))
     lasting = float(np.hypot(np.hypot(background, cell), uneven))
     total = float(np.hypot(random, lasting))
     if total <= s.largest_sd:
@@ -333,9 +343,9 @@ def _least_squares(
 
 _CAUSES = {
     KernelVerdict.TOO_RANDOM: "chance",
-    KernelVerdict.BACKGROUND: "the empty machine's noise, behind which the cell leaves too little",
+    KernelVerdict.BACKGROUND: "noise that is not the kernels': of the empty machine, or between the pulses",
     KernelVerdict.SLOW_CELL: "the cell's response, which is not known well enough",
-    KernelVerdict.UNEVEN: "noise that is not even over the band, as that of kernels is",
+    KernelVerdict.UNEVEN: "noise that is not even over the band, as that of kernels is (is sensor.response_s right?)",
 }
 
 
@@ -356,6 +366,36 @@ def _unevenness(per_half: Array) -> float:
     apart = per_half[1] - per_half[0]
     expected = float((per_half[:, 1] ** 2).sum() + apart[2] ** 2 + apart[3] ** 2)
     return 0.5 * float(np.sqrt(max(0.0, float(apart[0]) ** 2 - expected)))
+
+
+def _as_another_cell_tilts(frequency_hz: Array, weight: Array, cell_response_s: float) -> tuple[Array, float]:
+    """Middles of the band's halves, Hz, and by what share of the impulse another time constant errs for what it tilts them.
+
+    weight: of the frequencies in the impulse. The lever is the mean over the band of the change of ln(gain) over the difference
+    of its means over the halves.
+    """
+    turned = (2.0 * np.pi * frequency_hz * max(cell_response_s, _SHORTEST_CELL_S)) ** 2
+    change = turned / (1.0 + turned)
+    half = frequency_hz.size // 2
+    means = [
+        (float((w * f).sum() / w.sum()), float((w * c).sum() / w.sum()))
+        for f, c, w in zip(*((v[:half], v[half:]) for v in (frequency_hz, change, weight)), strict=True)
+    ]
+    (low_hz, low), (high_hz, high) = means
+    return np.array([low_hz, high_hz]), float((weight * change).sum() / weight.sum()) / (high - low)
+
+
+def _beyond_kernels(per_half: Array, middles_hz: Array) -> float:
+    """By how much ln(impulse) differs between two halves of a band beyond what kernels and 1.5 deviations explain.
+
+    Kernels that strike and leave differ by nothing, those that go on pushing as the frequency to the power of `_PUSHING`.
+    """
+    if not per_half[:, 0].min() > 0.0:
+        return 0.0
+    apart = per_half[1] - per_half[0]
+    chance = float(np.sqrt((per_half[:, 1] ** 2).sum() + apart[2] ** 2 + apart[3] ** 2))
+    tilt, pushing = (float(np.log(v[1] / v[0])) for v in (per_half[:, 0], middles_hz**_PUSHING))
+    return max(0.0, max(tilt, pushing - tilt) - 1.5 * chance)
 
 
 def _unusable(verdict: KernelVerdict, reason: str) -> KernelImpulse:

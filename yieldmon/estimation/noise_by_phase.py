@@ -1,0 +1,151 @@
+"""How much of the noise does not rise and fall with the force, as the noise of kernels does.
+
+Kernels that strike one by one make noise in proportion to how many of them strike, so that its local power follows the force
+over the paddle pattern (Campbell's theorem, locally). Vibration of the machine goes on between the pulses. What is left of the
+noise where no grain strikes, beyond that of the empty machine, is the harvesting machine's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from yieldmon.physics.numerics import AnyArray, Array
+
+BINS = 64
+_OF_THE_PATTERN = 4
+"""The part of the pattern with the least force, one in so many, is where steady noise is looked for."""
+_MOST_FORCE = 0.2
+"""Of the mean force, what may be there."""
+_BANDWIDTH = 2.0 / 3.0
+"""Of a half sine's width, the width of an even band whose mean power scatters as much."""
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseNoise:
+    """Sums over a window's samples by the phase of the paddle pattern.
+
+    Attributes
+    ----------
+    power_n2, force_n, samples : ndarray (b,)
+        Squares of the samples in the band, the force, and how many samples.
+    """
+
+    power_n2: Array
+    force_n: Array
+    samples: Array
+
+
+@dataclass(frozen=True, slots=True)
+class SteadyNoise:
+    """Noise that stays between the pulses, beyond that of the empty machine.
+
+    Attributes
+    ----------
+    share : float
+        Of the noise beyond that of the empty machine, less where chance explains it; 0 where pulses leave no time to see it in.
+    sd : float
+        Its standard deviation by chance; inf where it cannot be seen.
+    """
+
+    share: float
+    sd: float
+
+
+_UNSEEN = SteadyNoise(0.0, float("inf"))
+
+
+def _weights(frequency_hz: AnyArray, low_hz: float, high_hz: float) -> Array:
+    """Of amplitudes: a half sine over the band, whose answer in time ends soon; 0 throughout an empty band."""
+    if not high_hz > low_hz:
+        return np.zeros(frequency_hz.shape)
+    place = (frequency_hz - low_hz) / (high_hz - low_hz)
+    return np.where((place > 0.0) & (place < 1.0), np.sin(np.pi * place), 0.0)
+
+
+def noise_by_phase(
+    left_n: Array, force_n: Array, phase: Array, *, interval_s: float, low_hz: float, high_hz: float
+) -> PhaseNoise:
+    """Power of noise in a band, and the force, by phase.
+
+    Parameters
+    ----------
+    left_n : ndarray (n,)
+        Samples less the mean pulses.
+    force_n, phase : ndarray (n,)
+        The samples themselves, and their phase in turns of the pattern.
+    interval_s, low_hz, high_hz : float
+
+    Returns
+    -------
+    PhaseNoise
+    """
+    waves = np.fft.rfft(left_n)
+    waves *= _weights(np.fft.rfftfreq(left_n.size, interval_s), low_hz, high_hz)
+    in_band = np.fft.irfft(waves, left_n.size)
+    place = ((phase - np.floor(phase)) * BINS).astype(np.intp) % BINS
+    sums = (np.bincount(place, weights=weights, minlength=BINS) for weights in (in_band * in_band, force_n, None))
+    return PhaseNoise(*(np.asarray(values, dtype=np.float64) for values in sums))
+
+
+def band_power(frequency_hz: Array, density: Array, low_hz: float, high_hz: float) -> float:
+    """Mean square that noise of a two-sided density (k,) at evenly spaced frequencies has in the band."""
+    spacing_hz = float(frequency_hz[1] - frequency_hz[0])
+    return 2.0 * spacing_hz * float((_weights(frequency_hz, low_hz, high_hz) ** 2 * density).sum())
+
+
+def steady_noise(
+    parts: Sequence[PhaseNoise],
+    impulses: Sequence[float],
+    *,
+    quiet_n2: float,
+    pattern_s: float,
+    interval_s: float,
+    low_hz: float,
+    high_hz: float,
+) -> SteadyNoise:
+    """Share of noise that does not follow the force: what is there with the least force, less what kernels make of that force.
+
+    Parameters
+    ----------
+    parts, impulses : sequence
+        Windows, and what a kernel's impulse goes with in each.
+    quiet_n2 : float
+        `band_power` of the empty machine.
+    pattern_s : float
+        Time of a turn of the pattern.
+    interval_s, low_hz, high_hz : float
+        As in `noise_by_phase`.
+
+    Returns
+    -------
+    SteadyNoise
+    """
+    samples = np.sum([part.samples for part in parts], axis=0)
+    power = np.sum([part.power_n2 for part in parts], axis=0)
+    force = np.sum([impulse * part.force_n for impulse, part in zip(impulses, parts, strict=True)], axis=0)
+    beyond = float(power.sum() / samples.sum()) - quiet_n2
+    if not (samples.min() > 0.0 and beyond > 0.0):
+        return _UNSEEN
+    seen = _as_the_band_sees(force / samples, pattern_s, high_hz - low_hz)
+    valley = np.argsort(seen)[: BINS // _OF_THE_PATTERN]
+    follows = max(float(seen[valley].mean() / seen.mean()), 0.0)
+    if not follows < _MOST_FORCE:
+        return _UNSEEN
+    count = float(samples[valley].sum())
+    there = float(power[valley].sum()) / count
+    share = ((there - quiet_n2) / beyond - follows) / (1.0 - follows)
+    sd = there / beyond / (1.0 - follows) / np.sqrt(_BANDWIDTH * (high_hz - low_hz) * interval_s * count)
+    if not share > 0.0:
+        return SteadyNoise(0.0, float(sd))
+    return SteadyNoise(min(share, 1.0) * share**2 / (share**2 + sd**2), float(sd))
+
+
+def _as_the_band_sees(force_n: Array, pattern_s: float, width_hz: float) -> Array:
+    """The force over the phase as the power of noise in a band follows it: the band's answer squared smooths it."""
+    lag = np.minimum(np.arange(BINS // 2 + 1) / (pattern_s * width_hz), 1.0)
+    # Of a half sine over the band, with itself moved by so many of its width.
+    like = (1.0 - lag) * np.cos(np.pi * lag) + np.sin(np.pi * lag) / np.pi
+    return np.asarray(np.fft.irfft(np.fft.rfft(force_n) * like, BINS))
