@@ -7,6 +7,7 @@ season, which goes with restitution as in discrete elements, with 1 % of chance 
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -16,11 +17,12 @@ from studies.waveform.season import DRIFT, HOME_RAD, MACHINE, SPEED_RAD_S, bias_
 from yieldmon.estimation import common_bias
 from yieldmon.estimation.closed_loop import update_from_tickets
 from yieldmon.estimation.closed_loop_inputs import MassAnchor
+from yieldmon.estimation.closed_loop_outcome import Outcome
 from yieldmon.estimation.common_bias import CommonBias, KernelLesson
 from yieldmon.estimation.drift_rates import DriftRates
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.steady_drift import DriftingParameters, advance, begin, learn
+from yieldmon.estimation.steady_drift import advance, begin, learn
 from yieldmon.physics.model import ForwardModel
 from yieldmon.plant.effects import Effects
 from yieldmon.plant.grain import Grain
@@ -43,63 +45,106 @@ WAYS = {
 MODEL = ForwardModel(MACHINE, ("gravity",))
 
 
-def _forces(grain: Grain, flows: Array) -> Array:
+def forces(grain: Grain, flows: Array, angles_rad: Array) -> Array:
+    """Mean force on the plate, N, of flows (m,), kg/s, at angles (m,)."""
     gaps, speed = np.asarray(MACHINE.paddle_spacings_m), MACHINE.paddle_speed_m_s(SPEED_RAD_S)
-    masses = np.outer(flows, gaps) / speed
-    parcels = throw(MACHINE, grain, Effects(), masses.ravel(), HOME_RAD, SPEED_RAD_S, cells=150)
-    impulse = np.asarray(parcels.impulse_n_s).reshape((*masses.shape, -1)).sum(axis=(1, 2))
-    return np.asarray(impulse * speed / gaps.sum())
-
-
-def season(seed: int, *, teaches: bool, tickets: tuple[int, ...], loads: int = LOADS) -> list[tuple[float, float]]:
-    """Error of each of the first loads before its own lesson and ticket, and the deviation stated, relative."""
-    rng = np.random.default_rng(seed)
-    signs, size, slope = rng.uniform(-1.0, 1.0, size=3), np.full(WINDOWS, 1.0), bias_slope()
-    start = Grain()
-    values = {
-        "friction": start.friction, "density": start.bulk_density_kg_m3, "shape_ratio": start.shape_ratio,
-        "restitution": start.restitution, "gravity.acceleration_m_s2": 9.81,
-    }  # fmt: skip
-    names = tuple(KNOWN_SD)
-    known = begin(ParameterSet(values, names, np.diag([KNOWN_SD[name] ** 2 for name in names])), {})
-    off = {name: rng.normal(0.0, KNOWN_SD[name]) for name in names}
-    log_bias, bias = rng.normal(0.0, LASTING_SD), None
-    out = []
-    for load in range(loads):
-        now = [(values[n] + off[n]) * (1.0 + DRIFT * s * (load + 0.5) / LOADS) for n, s in zip(names, signs, strict=True)]
-        flows = rng.uniform(5.0, 12.0, WINDOWS)
-        force = _forces(Grain(now[0], now[2], now[1], start.shape_ratio), flows)
-        found = OpenLoop(MODEL, known.parameters).estimate(force, HOME_RAD * size, SPEED_RAD_S * size)
-        measured, sd = np.asarray(found.mass_flow_kg_s), np.asarray(found.std_dev_kg_s)
-        out.append((float(measured.sum() / flows.sum() - 1.0), float(np.mean(sd / measured))))
-        known, step = advance(known, DriftRates(), LOAD_KG / flows.mean() / 3600.0, LOAD_KG)
-        bias = common_bias.carried(bias, step.transition, LOAD_KG) if bias is not None else None
-        heard = flows * np.exp(log_bias + slope * (now[2] - values["restitution"]) + rng.normal(0.0, CHANCE_SD))
-        weighed = LOAD_KG * (1.0 + rng.normal(0.0, TICKET_SD))
-        if teaches:
-            bias = bias or common_bias.begin(LASTING_SD, len(known.joint))
-            lesson = KernelLesson(heard, force, HOME_RAD * size, SPEED_RAD_S * size, np.nan * size, CHANCE_SD, LASTING_SD)
-            taught = common_bias.teach(MODEL, known, bias, lesson)
-            known, bias = taught.drifting, taught.bias
-        if load in tickets:
-            known, bias = ticketed(known, bias, weighed, LOAD_KG / flows.sum(), force)
+    out = np.empty(flows.size)
+    for angle in np.unique(angles_rad):
+        here = angles_rad == angle
+        masses = np.outer(flows[here], gaps) / speed
+        parcels = throw(MACHINE, grain, Effects(), masses.ravel(), float(angle), SPEED_RAD_S, cells=150)
+        impulse = np.asarray(parcels.impulse_n_s).reshape((*masses.shape, -1)).sum(axis=(1, 2))
+        out[here] = impulse * speed / gaps.sum()
     return out
 
 
-def ticketed(
-    known: DriftingParameters, bias: CommonBias | None, weighed_kg: float, seconds: float, force: Array
-) -> tuple[DriftingParameters, CommonBias | None]:
-    size = np.ones(WINDOWS)
-    anchor = MassAnchor.from_windows(
-        weighed_kg, TICKET_SD * weighed_kg, seconds * size, force, HOME_RAD * size, SPEED_RAD_S * size
-    )
-    outcome = update_from_tickets(MODEL, known.parameters, [anchor])
-    if not outcome.updated:
-        return known, bias
-    after = learn(known, outcome.parameter_set, widening=outcome.prior_widening)
-    if bias is not None:
-        bias = common_bias.followed(bias, known, after, widening=outcome.prior_widening)
-    return after, bias
+class DriftingSeason:
+    """Loads of one season: grain that drifts away from the calibration, and what the daemon knows of it.
+
+    Parameters
+    ----------
+    seed : int
+    stops_deg : collection of float
+        Plate angles of a sweep that falls due in each load; none by default.
+    model_error : float
+        Relative standard deviation of the model's error at each of these angles, which is drawn once.
+
+    Attributes
+    ----------
+    known : DriftingParameters
+    bias : CommonBias or None
+        Of kernel noise, once it has taught.
+    error_at : dict of float to float
+        The model's relative error by stop, deg.
+    grain : Grain
+        Of the last load.
+    sweep_flow_kg_s : float
+        Flow of the last load's sweep; nan without stops.
+    """
+
+    def __init__(self, seed: int, stops_deg: Collection[float] = (), model_error: float = 0.0) -> None:
+        self._rng = rng = np.random.default_rng(seed)
+        self._signs, self._slope = rng.uniform(-1.0, 1.0, size=3), bias_slope()
+        self.grain = start = Grain()
+        self._values = {
+            "friction": start.friction, "density": start.bulk_density_kg_m3, "shape_ratio": start.shape_ratio,
+            "restitution": start.restitution, "gravity.acceleration_m_s2": 9.81,
+        }  # fmt: skip
+        names = tuple(KNOWN_SD)
+        self.known = begin(ParameterSet(self._values, names, np.diag([KNOWN_SD[name] ** 2 for name in names])), {})
+        self._off = {name: rng.normal(0.0, KNOWN_SD[name]) for name in names}
+        self.error_at = {angle: rng.normal(0.0, model_error) for angle in sorted(set(stops_deg))}
+        self._log_bias = rng.normal(0.0, LASTING_SD)
+        self.bias: CommonBias | None = None
+        self.sweep_flow_kg_s = float("nan")
+
+    def load(self, number: int, *, teaches: bool, ticket: bool) -> tuple[float, float]:
+        """The load's relative error and stated deviation, before its own lesson of kernel noise and its ticket are learnt."""
+        rng, size, values, start = self._rng, np.ones(WINDOWS), self._values, Grain()
+        now = [
+            (values[name] + off) * (1.0 + DRIFT * sign * (number + 0.5) / LOADS)
+            for (name, off), sign in zip(self._off.items(), self._signs, strict=True)
+        ]
+        self.grain = Grain(now[0], now[2], now[1], start.shape_ratio)
+        flows = rng.uniform(5.0, 12.0, WINDOWS)
+        if self.error_at:
+            self.sweep_flow_kg_s = float(rng.uniform(5.0, 12.0))
+        force = forces(self.grain, flows, HOME_RAD * size)
+        found = OpenLoop(MODEL, self.known.parameters).estimate(force, HOME_RAD * size, SPEED_RAD_S * size)
+        measured = np.asarray(found.mass_flow_kg_s)
+        error, stated = float(measured.sum() / flows.sum() - 1.0), float(np.mean(np.asarray(found.std_dev_kg_s) / measured))
+        self.known, step = advance(self.known, DriftRates(), LOAD_KG / flows.mean() / 3600.0, LOAD_KG)
+        if self.bias is not None:
+            self.bias = common_bias.carried(self.bias, step.transition, LOAD_KG)
+        chance = rng.normal(0.0, CHANCE_SD)
+        heard = flows * np.exp(self._log_bias + self._slope * (now[2] - values["restitution"]) + chance)
+        weighed_kg = LOAD_KG * (1.0 + rng.normal(0.0, TICKET_SD))
+        if teaches:
+            bias = self.bias or common_bias.begin(LASTING_SD, len(self.known.joint))
+            lesson = KernelLesson(heard, force, HOME_RAD * size, SPEED_RAD_S * size, np.nan * size, CHANCE_SD, LASTING_SD)
+            taught = common_bias.teach(MODEL, self.known, bias, lesson)
+            self.known, self.bias = taught.drifting, taught.bias
+        if ticket:
+            anchor = MassAnchor.from_windows(
+                weighed_kg, TICKET_SD * weighed_kg, LOAD_KG / flows.sum() * size, force, HOME_RAD * size, SPEED_RAD_S * size
+            )
+            self.learn(update_from_tickets(MODEL, self.known.parameters, [anchor]))
+        return error, stated
+
+    def learn(self, outcome: Outcome) -> None:
+        """Take what a ticket or a sweep changed."""
+        if not outcome.updated:
+            return
+        after = learn(self.known, outcome.parameter_set, widening=outcome.prior_widening)
+        if self.bias is not None:
+            self.bias = common_bias.followed(self.bias, self.known, after, widening=outcome.prior_widening)
+        self.known = after
+
+
+def season(seed: int, *, teaches: bool, tickets: tuple[int, ...], loads: int = LOADS) -> list[tuple[float, float]]:
+    """Relative error and stated deviation of each of the first loads, before its own lesson and ticket."""
+    of = DriftingSeason(seed)
+    return [of.load(load, teaches=teaches, ticket=load in tickets) for load in range(loads)]
 
 
 def report(seeds: int, seed: int) -> dict[str, Any]:
