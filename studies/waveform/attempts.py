@@ -18,23 +18,18 @@ from studies.dem.job import TOP_RAD, Throw
 from studies.dem.script import start_angle_rad
 from studies.waveform.fill import (
     ANGLES_DEG,
-    CELL_S,
     DATA,
-    DENSITY_KG_M3,
-    HARMONICS,
     LOADS_KG,
-    MACHINE,
-    SHAPE_RATIO,
+    pulse_model,
     volume_flow_m3_s,
     wave,
 )
 from yieldmon.estimation.arrival_calibration import calibrate_arrival
 from yieldmon.estimation.arrival_law import ArrivalLaw
 from yieldmon.estimation.pattern_fold import PatternWave
-from yieldmon.estimation.pulse_model import PulseModel, PulseSettings
+from yieldmon.estimation.pulse_model import PulseModel
 from yieldmon.estimation.pulse_shape import estimate
 from yieldmon.physics.machine import RPM
-from yieldmon.physics.model import ForwardModel
 
 Array = NDArray[np.float64]
 Waves = dict[tuple[float, float], PatternWave]
@@ -65,18 +60,6 @@ def mean_of_seeds(first: Waves, second: Waves) -> Waves:
     }
 
 
-def _base(friction: float, model_error: float = 0.1) -> PulseModel:
-    grain = {
-        "friction": friction, "density": DENSITY_KG_M3, "shape_ratio": SHAPE_RATIO, "restitution": 0.3,
-        "gravity.acceleration_m_s2": 9.81,
-    }  # fmt: skip
-    sd = {**PulseSettings().sd, "log_friction": 0.03, "log_shape_ratio": 0.02, "log_cell": 0.02}
-    settings = PulseSettings(
-        harmonics=HARMONICS, model_error=model_error, cell_response_s=CELL_S, vibration_n=0.0, sd=sd, indexed=True
-    )
-    return PulseModel(ForwardModel(MACHINE, ("gravity",)), grain, settings)
-
-
 def _with(base: PulseModel, law: ArrivalLaw) -> PulseModel:
     return PulseModel(base.model, base.parameters, replace(base.settings, arrival=law))
 
@@ -90,7 +73,7 @@ def by_law(waves: Waves, shown: Waves, rpm: float, friction: float, terms: int, 
 
     same_angle: the calibration is of the judged angle alone, at other loads, as that of a machine at home is.
     """
-    base, errors = _base(friction), np.full((len(LOADS_KG), len(ANGLES_DEG)), np.nan)
+    base, errors = pulse_model(friction, 0.1, indexed=True), np.full((len(LOADS_KG), len(ANGLES_DEG)), np.nan)
     for i, load in enumerate(LOADS_KG):
         for j, angle in enumerate(ANGLES_DEG):
             known = [k for k in waves if k[0] != load and k[1] == angle] if same_angle else _learnt_without(waves, load, angle)
@@ -112,7 +95,7 @@ def by_response(waves: Waves, rpm: float, friction: float) -> Array:
     A response at each harmonic (logarithm of size and phase, three terms: 1, ln load, cos angle) is divided out, with the load
     from the estimate before, four times.
     """
-    base = _base(friction)
+    base = pulse_model(friction, 0.1, indexed=True)
     errors = np.full((len(LOADS_KG), len(ANGLES_DEG)), np.nan)
     for i, load in enumerate(LOADS_KG):
         for j, angle in enumerate(ANGLES_DEG):

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
+from yieldmon.bus.databases import SOUND_MESSAGE, MessageBits
 from yieldmon.engine.sources import QUANTITIES
 from yieldmon.errors import InputError
 from yieldmon.network.name import NameMatch
@@ -63,6 +64,22 @@ class Binding:
     def refuse(self, key: str, problem: str, expected: str) -> InputError:
         """The error that names a key of this binding."""
         return InputError(f"{self.where}.{key}" if key else self.where, problem, expected)
+
+
+def named_message(
+    name: str, dbc: str | None, messages: Mapping[str, MessageBits], refuse: Callable[[str, str, str], InputError]
+) -> MessageBits:
+    """The message that a binding names. dbc: for the error; "" or None: the shipped one. refuse: see `Binding.refuse`.
+
+    Raises InputError where it is not among the messages, or contradicts itself.
+    """
+    message, named = messages.get(name), dbc or "the shipped DBC"
+    if message is None:
+        near = difflib.get_close_matches(name, messages, n=3) or sorted(messages)[:5]
+        raise refuse("message", f"{name} is not in {named}", f"one of its messages, such as {', '.join(near)}")
+    if message.contradiction:
+        raise refuse("message", f"in {named}: {message.contradiction}", SOUND_MESSAGE)
+    return message
 
 
 def check_quantity(name: str, where: str) -> None:

@@ -10,13 +10,13 @@ import difflib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from yieldmon.bus.databases import SOUND_MESSAGE, MessageBits, SignalBits
+from yieldmon.bus.databases import MessageBits, SignalBits
 from yieldmon.engine.sources import DEFAULT_SOURCES, QUANTITIES, InputSource, SampleSource, Sources
 from yieldmon.errors import InputError
 from yieldmon.identifiers import GROUP_MASK, IDENTITY_MASK, NULL_ADDRESS
 from yieldmon.network.assembly import MAX_BYTES
 from yieldmon.physics.machine import Machine
-from yieldmon.signals.binding import IMPACT, Binding, Source, check
+from yieldmon.signals.binding import IMPACT, Binding, Source, check, named_message
 from yieldmon.signals.extraction import Extraction
 from yieldmon.signals.units import accepted, factor
 
@@ -179,17 +179,7 @@ def _never_together(pages: Pages, others: Pages) -> bool:
 
 def _message(binding: Binding, messages: Mapping[str, MessageBits]) -> MessageBits:
     assert binding.message is not None, "checked"
-    message = messages.get(binding.message)
-    if message is None:
-        near = difflib.get_close_matches(binding.message, messages, n=3) or sorted(messages)[:5]
-        absent = f"{binding.message} is not in {binding.dbc or 'the shipped DBC'}"
-        raise binding.refuse("message", absent, f"one of its messages, such as {', '.join(near)}")
-    if message.contradiction:
-        raise binding.refuse(
-            "message",
-            f"in {binding.dbc or 'the shipped DBC'}: {message.contradiction}",
-            SOUND_MESSAGE,
-        )
+    message = named_message(binding.message, binding.dbc, messages, binding.refuse)
     alike = [m.name for m in messages.values() if (m.frame_id, m.extended) == (message.frame_id, message.extended)]
     if len(alike) > 1:
         problem = f"{' and '.join(alike)} have one identifier, 0x{message.frame_id:X}"

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import degrees
 
-from yieldmon.bus.databases import SOUND_MESSAGE, MessageBits, SignalBits
+from yieldmon.bus.databases import MessageBits, SignalBits
 from yieldmon.errors import InputError
 from yieldmon.identifiers import GROUP_MASK, IDENTITY_MASK, NULL_ADDRESS, SOURCE_MASK, group_of
 from yieldmon.network.identifier import (
@@ -19,6 +19,7 @@ from yieldmon.network.identifier import (
 )
 from yieldmon.network.process_data import PROCESS_DATA
 from yieldmon.physics.machine import Machine
+from yieldmon.signals.binding import named_message
 from yieldmon.signals.mapping import Load, SignalMap, any_of, any_source
 from yieldmon.signals.packing import Packing, encoded, span
 from yieldmon.signals.published import PUBLISHED, Published
@@ -155,17 +156,7 @@ def build(
 
 
 def _message(binding: OutputBinding, messages: Mapping[str, MessageBits]) -> MessageBits:
-    message = messages.get(binding.message)
-    if message is None:
-        near = difflib.get_close_matches(binding.message, messages, n=3) or sorted(messages)[:5]
-        absent = f"{binding.message} is not in {binding.dbc}"
-        raise binding.refuse("message", absent, f"one of its messages, such as {', '.join(near)}")
-    if message.contradiction:
-        raise binding.refuse(
-            "message",
-            f"in {binding.dbc}: {message.contradiction}",
-            SOUND_MESSAGE,
-        )
+    message = named_message(binding.message, binding.dbc, messages, binding.refuse)
     if not 1 <= message.length <= 8:
         expected = "a message of one frame, 1 to 8 bytes: longer ones are not sent in parts"
         raise binding.refuse("message", f"{message.name} has {message.length} bytes", expected)
