@@ -157,9 +157,10 @@ class Site(str):
 
 
 @contextmanager
-def page(socket: Path, *options: str) -> Iterator[Site]:
-    """`yieldmon web` as a process of its own at a free port, forked from one with its packages; yields its address."""
-    with forked.running("web", "--socket", str(socket), "--listen", "127.0.0.1:0", *options) as process:
+def page(socket: Path, *options: str, before: str = "") -> Iterator[Site]:
+    """`yieldmon web` as a process of its own at a free port, forked from one with its packages; yields its address.
+    before: Python that it runs first."""
+    with forked.running("web", "--socket", str(socket), "--listen", "127.0.0.1:0", *options, before=before) as process:
         line = process.stderr.readline()
         assert "http://" in line, line + process.stderr.read()
         try:

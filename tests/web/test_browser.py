@@ -1,4 +1,4 @@
-"""The page in a real browser: every button, faults, markup in names, accessibility, a large map, and sixty times the pace."""
+"""The page in a real browser: every button, faults, markup in names, accessibility, a large map, and 120 times the pace."""
 
 from __future__ import annotations
 
@@ -326,7 +326,7 @@ def test_110_000_points_are_drawn_and_moved(browser: Browser, tmp_path: Path) ->
             same_site(watched, site)
 
 
-def test_sixty_times_as_fast_no_second_is_missed(browser: Browser, tmp_path: Path) -> None:
+def test_at_120_times_the_pace_no_second_is_missed(browser: Browser, tmp_path: Path) -> None:
     with standing_in(tmp_path) as daemon:
         daemon.seconds(3600)
         with page(daemon.socket) as site, Watched(browser) as watched:
@@ -336,7 +336,7 @@ def test_sixty_times_as_fast_no_second_is_missed(browser: Browser, tmp_path: Pat
 
             def play() -> None:
                 while not stop.wait(0.25):
-                    daemon.seconds(15)
+                    daemon.seconds(30)
 
             playing = threading.Thread(target=play)
             playing.start()
@@ -367,6 +367,9 @@ def test_a_daemon_that_ends_and_comes_back(browser: Browser, tmp_path: Path) -> 
             watched.wait(f"{TEXT}.includes('harvesting') && !document.body.classList.contains('stale')")
 
 
+AHEAD_MS = 5500
+
+
 def test_a_server_that_hangs_is_no_harvest(browser: Browser, tmp_path: Path) -> None:
     """Its connections stay open, and what it said last would pass for what is."""
     with standing_in(tmp_path) as daemon:
@@ -375,6 +378,8 @@ def test_a_server_that_hangs_is_no_harvest(browser: Browser, tmp_path: Path) -> 
             watched.page.goto(site)
             watched.wait(f"{TEXT}.includes('harvesting')")
             os.kill(site.pid, signal.SIGSTOP)
+            # The page's clock goes ahead by less than its patience beyond what a server that lives leaves between two events.
+            watched.page.evaluate(f"const real = performance.now.bind(performance); performance.now = () => real() + {AHEAD_MS};")
             try:
                 watched.wait(f"{TEXT}.includes('no news for') && document.body.classList.contains('stale')")
             finally:

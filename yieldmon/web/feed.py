@@ -32,7 +32,7 @@ _ASK_S = 3.0
 #: The daemon makes its answer anew each second, and after a command; it is asked so long after, and at least so often.
 _PERIOD_S, _AFTER_S, _LEAST_S, _MOST_S = 1.0, 0.1, 0.25, 0.5
 #: A page that hears nothing for longer than a few of these says so itself.
-_HEARTBEAT_S = 2.0
+HEARTBEAT_S = 2.0
 #: A look at daemon and store that takes longer is reported; the daemon's answer is awaited for less.
 _HANGS_S = 8.0
 #: How long seconds that the daemon has shown to be missing are awaited from its store.
@@ -46,11 +46,20 @@ Row = list[float | int | None]
 class Feed:
     """The live state, shared by all who watch. Belongs to one event loop."""
 
-    def __init__(self, daemon: Path, store: Path | None = None, clock: Callable[[], float] = monotonic) -> None:
-        """daemon: its control socket. store: its store, None for the one that it names. clock: monotonic time."""
+    def __init__(
+        self,
+        daemon: Path,
+        store: Path | None = None,
+        clock: Callable[[], float] = monotonic,
+        *,
+        heartbeat_s: float = HEARTBEAT_S,
+    ) -> None:
+        """daemon: its control socket. store: its store, None for the one that it names. clock: monotonic time. heartbeat_s: see
+        HEARTBEAT_S."""
         self._daemon = daemon
         self._given_store = store
         self._clock = clock
+        self._heartbeat_s = heartbeat_s
         self._rows: deque[Row] = deque(maxlen=HOUR)
         self._state: dict[str, Any] = {"problem": "waiting for the daemon"}
         self._generation = 0
@@ -96,7 +105,7 @@ class Feed:
             self._keep_looking()
             while not self._stopping:
                 try:
-                    await asyncio.wait_for(news.wait(), _HEARTBEAT_S)
+                    await asyncio.wait_for(news.wait(), self._heartbeat_s)
                 except TimeoutError:
                     yield self._without_news()
                     continue
