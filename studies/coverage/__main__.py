@@ -206,7 +206,7 @@ def one(case: Case, duration_s: float, seed: int, *, fixed: bool) -> Found:
             times = np.array([records[-round(LOAD_S)].time_s - 1.0, records[-1].time_s]) - delay_s
             if end_s - times[0] < LOAD_S + 2.0 and number <= ends.size - 1:
                 true_kg = float(np.diff(combine.delivered_kg(times))[0])
-                # A load that was open when it became known is told of as well.
+                # A load that was open when it became known is reported as well.
                 loads.append((end_s, (load.measured_kg - true_kg) / load.std_dev_kg))
                 if sizes.weighs and number == 1:
                     monitor.ticket(load.number, true_kg, 0.002 * true_kg)

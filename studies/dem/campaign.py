@@ -257,7 +257,7 @@ def _one(ledger: Ledger, throw: Throw, angles: list[float]) -> None:
 
 
 def provenance(campaign: Campaign) -> dict[str, Any]:
-    """What a stranger needs to repeat the campaign."""
+    """What is needed to repeat the campaign."""
     return {
         "campaign": campaign.name,
         "source_sha256": campaign.source_sha256,

@@ -613,29 +613,29 @@ READINGS = {"momentum_kg_m_s": "normal only", "momentum_total_kg_m_s": "total"}
 
 
 @cache
-def diagnosed(friction: float, column: str, accuracy: float, *, told: bool) -> diagnosis.Diagnosis:
+def diagnosed(friction: float, column: str, accuracy: float, *, given: bool) -> diagnosis.Diagnosis:
     """The workflow on one crop and one reading, seed and split as by default.
 
-    told: what is known without a throw, gravity and the thickness of the plate's end, belongs to the model from the start.
+    given: what is known without a throw, gravity and the thickness of the plate's end, belongs to the model from the start.
     """
     with tempfile.TemporaryDirectory() as folder:
         data = table.load(campaign_table(friction, column, Path(folder), accuracy))
     start = parameter_file.load(None)
-    if told:
+    if given:
         start = replace(start, values={**start.values, **stages.KNOWN})
-    return diagnosis.diagnose(data, MACHINE, start, diagnosis.Options(keep_effects=told))
+    return diagnosis.diagnose(data, MACHINE, start, diagnosis.Options(keep_effects=given))
 
 
 def section_diagnosis() -> dict[str, str]:
     body = []
-    for told, accuracy in product((False, True), (0.0, ENGINE_ACCURACY)):
+    for given, accuracy in product((False, True), (0.0, ENGINE_ACCURACY)):
         for friction in np.unique(read("dem_campaign.csv")["friction"]):
             for column, name in READINGS.items():
-                found = diagnosed(float(friction), column, accuracy, told=told)
+                found = diagnosed(float(friction), column, accuracy, given=given)
                 held, gap = found.held_out, found.choice
                 body.append(
                     (
-                        "gravity, plate's end" if told else "-",
+                        "gravity, plate's end" if given else "-",
                         f"{100 * accuracy:g} %" if accuracy else "seeds",
                         f"{friction:.2f}",
                         name,
@@ -748,7 +748,7 @@ def transferred(sizes: dict[str, float], learnt_at: float, used_at: float, colum
 
 def open_loop_models(friction: float, other: float, column: str) -> list[tuple[str, dict[str, float], dict[str, float]]]:
     """Models to judge: name, values for the crop judged, and values on the other crop, on which the angle is chosen."""
-    found = diagnosed(other, column, ENGINE_ACCURACY, told=True)
+    found = diagnosed(other, column, ENGINE_ACCURACY, given=True)
     learnt = {k: float(v) for k, v in found.choice.best.values.items() if k not in ("k1", "k2", "restitution")} | stages.KNOWN
     what = "named" if found.verdict == "effect" else "partial"
     sizes = recorded_sizes(other)

@@ -106,7 +106,7 @@ def friction_on_plate(coefficient: float, learnt_at: float, used_at: float) -> f
     """The plate's coefficient for grain of another friction.
 
     It goes with the grain's own where grain slides, and no further than to rolling, 2/7 of the tangential speed, met half way
-    between (in squares) at the lowest plate angle, where friction tells most.
+    between (in squares) at the lowest plate angle, where friction matters most.
     """
     rolling = 2.0 / 7.0 / tan(radians(LOWEST_ANGLE_DEG))
     slides = [friction / sqrt(1.0 + (friction / rolling) ** 2) for friction in (learnt_at, used_at)]

@@ -15,12 +15,12 @@ _HARMONICS = 24
 
 
 def true_speed_rad_s(effects: Effects, reported_rad_s: Array) -> Array:
-    """Sprocket speed that the paddles follow, from the speed that the frame tells."""
+    """Sprocket speed that the paddles follow, from the speed in the frame."""
     return np.asarray(reported_rad_s * (1.0 - (effects.chain_slip.share if effects.chain_slip else 0.0)))
 
 
 def true_angle_rad(effects: Effects, reported_rad: Array | float) -> Array:
-    """Plate angle, from the angle that the feedback tells."""
+    """Plate angle, from the angle in the feedback."""
     offset = effects.plate_angle_offset.angle_deg if effects.plate_angle_offset else 0.0
     return np.asarray(reported_rad + np.deg2rad(offset))
 
@@ -36,7 +36,7 @@ def shown_force_n(
 ) -> Array:
     """Mean force that the cell shows, N, with its zero taken at the home plate angle and the elevator empty.
 
-    plate_angle_rad, speed_rad_s: as the frames tell them. Arrays broadcast. Raises ValueError outside the table.
+    plate_angle_rad, speed_rad_s: as the frames have them. Arrays broadcast. Raises ValueError outside the table.
     """
     machine = table.machine
     angle, speed = true_angle_rad(effects, plate_angle_rad), true_speed_rad_s(effects, speed_rad_s)

@@ -1,4 +1,4 @@
-"""What could be seen of a machine's own effect, and told from others, by one who knows the virtual combine's laws.
+"""What could be seen of a machine's own effect, and distinguished from others, by one who knows the virtual combine's laws.
 
     python -m studies.fleet_diagnosis.oracle [SHARED ...]
 

@@ -68,10 +68,10 @@ class SteppedDaemon:
 
     def reload(self) -> str:
         """What the daemon made of its configuration, read anew as on SIGHUP."""
-        before = self.daemon.reloads
+        before = self.daemon.reload_count
         self.daemon.request_reload()
         with self._bus.changed:
-            while self.daemon.reloads == before:
+            while self.daemon.reload_count == before:
                 self._bus.changed.wait(0.05)
                 self._raise_failure()
         return self.daemon.reload_note
@@ -108,7 +108,7 @@ class _CountingDaemon(Daemon):
         super().__init__(configured, reload, environment=environment, bus_factory=bus_factory, silence_s=math.inf)
         self.taken = 0
         self.submitted = 0
-        self.reloads = 0
+        self.reload_count = 0
         self.stepped: threading.Condition | None = None
         submit = self.transmitter.submit
 
@@ -126,7 +126,7 @@ class _CountingDaemon(Daemon):
     @property
     def reload_note(self) -> str:
         """Of the last reload."""
-        return self._reload_note
+        return self._reloads.note
 
     def written(self, timeout_s: float) -> bool:
         """Whether all records are in the store within timeout_s."""
@@ -140,7 +140,7 @@ class _CountingDaemon(Daemon):
 
     def _do_reload(self) -> None:
         super()._do_reload()
-        self.reloads += 1
+        self.reload_count += 1
         self._report()
 
     def _report(self) -> None:

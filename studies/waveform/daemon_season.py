@@ -144,7 +144,7 @@ class Strategy:
 
 
 def _frames(combine: VirtualCombine, until_s: float, later_s: float) -> Iterator[Frame]:
-    """Without the kernels' weight, which is told, and the tank's scale."""
+    """Without the kernels' weight, which is entered, and the tank's scale."""
     for frame in combine.frames_until(until_s):
         if frame.message not in (GRAIN_KERNELS, TANK_SCALE):
             yield frame._replace(time_s=frame.time_s + later_s)

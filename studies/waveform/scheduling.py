@@ -1,4 +1,4 @@
-"""Load errors of a season whose sweeps are made by interval, where they would tell enough (`sweep.when`), or not at all.
+"""Load errors of a season whose sweeps are made by interval, where their information suffices (`sweep.when`), or not at all.
 
 Seasons are those of `teaching`: forces of the virtual combine's parcels, grain that drifts by up to 15 %, updates of the daemon.
 In each load one sweep falls due, at a flow of its own. A sweep's windows have 1 % of noise, the model's error at each angle is

@@ -41,7 +41,7 @@ PATTERNS = 6.0
 NOISE_N = 1.33
 FRICTION_SD = 0.03
 WEIGHT_SD, WEIGHT_LOADS = 0.02, 8
-"""Of the kernels' weight as told, and for how many loads it is told."""
+"""Of the kernels' weight as entered, and for how many loads it is."""
 KERNEL_RANDOM_SD = 0.01
 TICKETS = (8, 16)
 MACHINE = Machine()

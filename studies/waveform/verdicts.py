@@ -29,7 +29,7 @@ PARAMETERS = ParameterSet(VALUES, ("friction", "density", "restitution"), np.dia
 
 
 def verdict(response_s: float, flows_kg_s: tuple[float, ...], seed: int) -> dict[str, Any]:
-    """The last window's, and the mass of a minute of grain behind 20 s of the empty machine; weight of kernels told by frames."""
+    """The last window's, and the mass of a minute of grain behind 20 s of the empty machine; weight of kernels from frames."""
     step_s = 5.0 * len(flows_kg_s)
     harvest = {"kind": "step", "duration_s": step_s, "flows_kg_s": list(flows_kg_s)}
     pieces = [{"kind": "steady", "duration_s": EMPTY_S, "flow_kg_s": 0}, *[harvest] * round((END_S - EMPTY_S) / step_s)]

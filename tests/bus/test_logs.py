@@ -89,7 +89,7 @@ def test_a_long_log_is_written_to_its_last_frame(tmp_path: Path, suffix: str) ->
     assert essence(read(write(tmp_path / f"drive{suffix}", messages))[0]) == essence(messages)
 
 
-def test_a_full_medium_is_told_with_the_logs_name(tmp_path: Path) -> None:
+def test_a_full_medium_is_reported_with_the_logs_name(tmp_path: Path) -> None:
     path = tmp_path / "full.log"
     path.symlink_to("/dev/full")
     with pytest.raises(OSError, match="No space left") as caught:
@@ -195,7 +195,7 @@ def test_candump_parser_takes_any_text(line: str) -> None:
     parse_line(line)
 
 
-def test_damaged_candump_lines_are_told_and_the_rest_is_read(tmp_path: Path) -> None:
+def test_damaged_candump_lines_are_reported_and_the_rest_is_read(tmp_path: Path) -> None:
     path = tmp_path / "drive.log"
     good = b"(1.000000) can0 123#01\n"
     path.write_bytes(
@@ -290,9 +290,9 @@ def test_ends_of_gzip(tmp_path: Path, content: bytes, problem: str | None) -> No
 
 
 @pytest.mark.parametrize(
-    ("lines", "told"), [("rain\nhail\n", 0), ("rain\nhail\n(1.0) can0 123#11\n", 2), ("(1.0) can0 123#11\nrain\n", 1)]
+    ("lines", "reported"), [("rain\nhail\n", 0), ("rain\nhail\n(1.0) can0 123#11\n", 2), ("(1.0) can0 123#11\nrain\n", 1)]
 )
-def test_damage_of_a_file_that_is_no_log_is_told_in_its_error_alone(tmp_path: Path, lines: str, told: int) -> None:
+def test_damage_of_a_file_that_is_no_log_is_reported_in_its_error_alone(tmp_path: Path, lines: str, reported: int) -> None:
     path, seen = tmp_path / "drive.log", []
     path.write_text(lines)
     for read_frames in (read_log, iter_blocks):
@@ -300,7 +300,7 @@ def test_damage_of_a_file_that_is_no_log_is_told_in_its_error_alone(tmp_path: Pa
         notes = LogNotes(on_damage=seen.append)
         with contextlib.suppress(InputError):
             list(read_frames(path, notes))
-        assert [len(seen), notes.damaged_places] == [told, lines.count("\n") - notes.frames]
+        assert [len(seen), notes.damaged_places] == [reported, lines.count("\n") - notes.frames]
 
 
 def damaged(content: bytes, how: str) -> bytes:
@@ -333,7 +333,7 @@ def whole(long_log: list[can.Message], tmp_path_factory: pytest.TempPathFactory)
 
 @pytest.mark.parametrize("how", ["cut off", "junk in the middle", "junk at the end"])
 @pytest.mark.parametrize("suffix", [".blf", ".db", ".blf.gz", ".db.gz"])
-def test_damaged_binary_format_is_told_with_its_place(
+def test_damaged_binary_format_is_reported_with_its_place(
     tmp_path: Path, long_log: list[can.Message], whole: dict[str, bytes], suffix: str, how: str
 ) -> None:
     content = damaged(whole[suffix.removesuffix(".gz")], how)

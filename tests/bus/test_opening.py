@@ -83,7 +83,7 @@ def test_no_interface_named(monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:
     "open_it",
     [lambda: open_bus("socketcan", "nocan9"), lambda: open_bus_from(parsed("-i", "socketcan", "-c", "nocan9"))],
 )
-def test_absent_device_is_told_in_one_line(open_it) -> None:
+def test_absent_device_is_reported_in_one_line(open_it) -> None:
     with pytest.raises(BusUnavailable, match="socketcan channel nocan9: ") as caught:
         open_it()
     assert "\n" not in str(caught.value)

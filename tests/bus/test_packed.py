@@ -119,7 +119,7 @@ def test_frames_out_of_time_order_keep_their_places(tmp_path: Path) -> None:
     assert content(load_frames(tmp_path / "f.parquet")) == content(block_of(messages))
 
 
-def test_what_the_recorder_lost_is_told_of_the_packed_log_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_the_recorder_lost_is_reported_of_the_packed_log_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text, packed = tmp_path / "day.log", tmp_path / "day.parquet"
     lines = logs.text().splitlines(keepends=True)
     lost = "DROPCOUNT: dropped {} CAN frames on 'can0' socket (total drops {})\n"

@@ -155,7 +155,7 @@ def test_interface_goes_and_comes_back(loss: Exception) -> None:
     assert receiver.counters().interface_losses == 1
 
 
-def test_an_error_nobody_foresaw_is_told_and_survived(caplog: pytest.LogCaptureFixture) -> None:
+def test_an_unexpected_error_is_reported_and_survived(caplog: pytest.LogCaptureFixture) -> None:
     with Receiver(opener(ScriptedBus(frame(1), ZeroDivisionError("boom")), ScriptedBus(frame(2)))) as receiver:
         items = [receiver.get(WAIT_S) for _ in range(4)]
     kinds = [item.kind for item in items if isinstance(item, BusEvent)]
@@ -224,7 +224,7 @@ class BusWhoseSenderIsTold(can.BusABC):
         return None, False
 
 
-def test_interface_loss_that_only_sending_was_told_of_is_seen():
+def test_interface_loss_that_only_sending_meets_is_seen():
     opened: list[can.BusABC] = []
 
     def open_bus() -> can.BusABC:

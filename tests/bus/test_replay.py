@@ -102,7 +102,7 @@ def test_lateness_is_counted() -> None:
     assert progress.worst_lateness_s == pytest.approx(0.03)
 
 
-def test_time_spent_before_the_first_frame_counts_for_nobody() -> None:
+def test_time_spent_before_the_first_frame_is_not_counted() -> None:
     clock = FakeClock()
 
     def slow_to_open():

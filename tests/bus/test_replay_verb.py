@@ -79,7 +79,7 @@ def test_loop_until_interrupted(drive: Path, monkeypatch: pytest.MonkeyPatch, ca
     assert (summary["frames"], summary["passes"]) == (2 * FRAMES + 50, 2)
 
 
-def test_damage_is_told_and_passed_over(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_damage_is_reported_and_skipped(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = drive.read_text().splitlines(keepends=True)
     drive.write_text("".join([*lines[:10], *["junk\n"] * 15, *lines[10:]]))
     assert main(["replay", str(drive), "-i", "virtual", "-c", "verb-5", "--speed", "0"]) == 0
@@ -113,7 +113,7 @@ def test_bad_input_is_one_line(drive: Path, options: list[str], problem: str, ca
     assert len(err.splitlines()) == 1
 
 
-def test_a_missing_second_log_is_told_before_the_first_is_sent(drive: Path) -> None:
+def test_a_missing_second_log_is_reported_before_the_first_is_sent(drive: Path) -> None:
     with can.Bus("verb-7", interface="virtual") as listener:
         assert main(["replay", str(drive), "absent.log", "-i", "virtual", "-c", "verb-7"]) == 2
         assert received(listener) == []

@@ -17,7 +17,7 @@ PATIENCE_S = 60.0
 
 
 class ObedientBus(can.BusABC):
-    """Silent unless given frames, and waits exactly as long as it is told to."""
+    """Silent unless given frames, and waits exactly as long as it is asked to."""
 
     def __init__(self) -> None:
         super().__init__(channel="obedient")
@@ -44,7 +44,7 @@ def clock_that_runs_back(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("can.bus.time", lambda: 1.8e9 - 3600.0 * next(hours))
 
 
-def test_a_clock_that_is_set_back_holds_up_nobody_who_waits(clock_that_runs_back):
+def test_a_clock_that_is_set_back_delays_no_waiting_call(clock_that_runs_back):
     bus = ObedientBus()
     assert receive(bus, 0.05) is None
     assert max(bus.waits_s) <= 0.05

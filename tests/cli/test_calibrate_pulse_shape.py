@@ -82,7 +82,7 @@ def test_the_shape_of_weighed_loads_gives_the_flow_of_a_load_left_out(loads, tmp
         (["--loads", "A", "B", "--tickets", "T"], "A, B: 2 loads with pulses, expected 3 or more; expected loads at flows that "),
     ],
 )
-def test_what_is_missing_is_said_in_a_line(words, line, loads, tmp_path, capsys) -> None:
+def test_what_is_missing_is_reported_in_a_line(words, line, loads, tmp_path, capsys) -> None:
     logs, tickets = loads
     two = tmp_path / "two.csv"
     two.write_text("".join(Path(tickets).read_text().splitlines(keepends=True)[:3]))

@@ -204,17 +204,17 @@ def stamps(folder: Path) -> dict[str, tuple[int, ...]]:
 
 
 ROWS = [(name, *row) for name, row in MISTAKES.items()]
-ROWS += [(words, words, told) for words, told in (more_mistakes.MISTAKES | file_mistakes.MISTAKES).items()]
+ROWS += [(words, words, reported) for words, reported in (more_mistakes.MISTAKES | file_mistakes.MISTAKES).items()]
 
 
-@pytest.mark.parametrize(("words", "told"), [row[1:] for row in ROWS], ids=[row[0] for row in ROWS])
+@pytest.mark.parametrize(("words", "reported"), [row[1:] for row in ROWS], ids=[row[0] for row in ROWS])
 @pytest.mark.usefixtures("untouched")
-def test_a_mistake_costs_a_line_and_no_file(capsys: pytest.CaptureFixture[str], words: str, told: str) -> None:
+def test_a_mistake_costs_a_line_and_no_file(capsys: pytest.CaptureFixture[str], words: str, reported: str) -> None:
     assert main(words.split()) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.count("\n") == 1, err
-    assert told in err
+    assert reported in err
     assert err.startswith("yieldmon: ")
 
 

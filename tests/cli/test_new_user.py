@@ -82,14 +82,14 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize(("words", "told"), MISTAKES.items(), ids=list(MISTAKES))
-def test_a_mistake_costs_a_line_and_no_file(folder: Path, capsys: pytest.CaptureFixture[str], words: str, told: str) -> None:
+@pytest.mark.parametrize(("words", "reported"), MISTAKES.items(), ids=list(MISTAKES))
+def test_a_mistake_costs_a_line_and_no_file(folder: Path, capsys: pytest.CaptureFixture[str], words: str, reported: str) -> None:
     before = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir() if path.is_file()}
     assert main(words.split()) == 2
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1), err
     assert err.startswith("yieldmon: ")
-    assert told in err
+    assert reported in err
     assert {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in folder.iterdir() if p.is_file()} == before
 
 

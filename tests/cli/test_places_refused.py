@@ -59,7 +59,7 @@ def closed(tmp_path: Path) -> Iterator[Path]:
 
 
 @pytest.mark.parametrize("words", VERBS.values(), ids=VERBS)
-def test_it_is_said_before_the_work(closed: Path, capsys: pytest.CaptureFixture[str], words: str) -> None:
+def test_it_is_reported_before_the_work(closed: Path, capsys: pytest.CaptureFixture[str], words: str) -> None:
     assert main(words.format(closed).split()) == 2
     said = capsys.readouterr().err
     option = words.split()[-2]

@@ -191,7 +191,7 @@ def test_parameters_of_a_file_measure_a_log(capsys, tmp_path, logs, own) -> None
     assert read_seconds(tmp_path / "out.csv")[-1].total_kg > 1.05 * first
 
 
-def test_a_log_whose_plate_stays_at_home_has_no_fault_about_commands_that_nobody_sent(capsys, tmp_path) -> None:
+def test_a_log_whose_plate_stays_at_home_has_no_fault_about_commands_that_were_not_sent(capsys, tmp_path) -> None:
     config = tmp_path / "soon.yaml"
     config.write_text("sweep: {first_after_s: 0}\n", encoding="utf-8")
     log = write(tmp_path / "home.log", (0.0, 14.0, 0.0), (14.0, 22.0, 120.0))

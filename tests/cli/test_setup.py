@@ -309,7 +309,7 @@ def in_a_terminal(monkeypatch: pytest.MonkeyPatch, given: list[str]) -> list[str
 
 
 @pytest.mark.parametrize(
-    ("changes", "given", "told"),
+    ("changes", "given", "reported"),
     [
         ({"plate_pivot_x_m": 0.15}, ["0.4"], "beyond the paddles' tips"),
         ({"cell_readings_mv": [500, 402, 305]}, ["500 597.6 695.1"], "falls as weight is added"),
@@ -318,12 +318,12 @@ def in_a_terminal(monkeypatch: pytest.MonkeyPatch, given: list[str]) -> list[str
     ],
     ids=["with others", "by itself, from a file", "by itself, at once", "of the actuator, at once"],
 )
-def test_in_a_terminal_an_answer_that_does_not_fit_is_asked_again(tmp_path, capsys, monkeypatch, changes, given, told):
+def test_in_a_terminal_an_answer_that_does_not_fit_is_asked_again(tmp_path, capsys, monkeypatch, changes, given, reported):
     prompts = in_a_terminal(monkeypatch, given)
     assert main(["setup", "--answers", answers(tmp_path, **changes), "--out", str(tmp_path / "new")]) == 0
     assert len(prompts) == len(given)
     shown = capsys.readouterr().out
-    assert told in " ".join(shown.split())
+    assert reported in " ".join(shown.split())
     assert max(map(len, shown.partition("force cell:")[0].splitlines())) < 80
     known = configuration.load(tmp_path / "new" / "yieldmon.yaml")
     assert known.machine.plate_pivot_x_m == 0.4

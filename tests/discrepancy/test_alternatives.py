@@ -107,7 +107,7 @@ def test_true_effects_need_each_other_whatever_their_laws(make_rows, start) -> N
     ],
     ids=["evidence", "terms of a series"],
 )
-def test_an_effect_that_only_mends_the_law_of_another_is_none(make_rows, start, policy, says) -> None:
+def test_an_effect_that_only_corrects_the_law_of_another_is_none(make_rows, start, policy, says) -> None:
     """A zero that moves by 40 % with the speed (warm bearings, say) is taken for a zero and a shape that depends on speed."""
     effects, alter = by_speed("zero_offset", 4.0, 0.4)
     base, noise = published(make_rows(effects, alter=alter), start)

@@ -77,7 +77,7 @@ def test_the_same_seed_says_the_same_in_any_process(offset_table: Path, capsys) 
 
 @pytest.mark.parametrize(("name", "f_before", "f_after"), [("dem", 12.0, 1.6), ("bench", 12.0, 3.0)])
 def test_published_tables(name: str, f_before: float, f_after: float) -> None:
-    """Two effects close the published model's gap; how sure their names are is told."""
+    """Two effects close the published model's gap; the confidence of their names is reported."""
     # The command's output, as tests/golden holds it.
     found = json.loads(kept.load(f"diagnose-{name}"))
     assert found["verdict"] == "effect"
@@ -218,13 +218,13 @@ def test_bad_input_gets_one_line(arguments: list[str], says: str, offset_table: 
     assert len(error.splitlines()) == 1
 
 
-def test_effects_that_are_told_are_kept_and_not_looked_for(offset_table: Path, tmp_path: Path, capsys) -> None:
+def test_effects_that_are_given_are_kept_and_not_searched(offset_table: Path, tmp_path: Path, capsys) -> None:
     """A zero offset that the parameters already have is found again unless it is kept; then nothing is missing."""
     shipped_set = parameter_file.load(None)
-    told = tmp_path / "told.yaml"
+    reported = tmp_path / "told.yaml"
     grain = {name: value for name, value in shipped_set.values.items() if "." not in name}
-    parameter_file.save(replace(shipped_set, values={**grain, "zero_offset.force_n": 4.0}), told)
-    command = ["diagnose", str(offset_table), "--params", str(told), "--json"]
+    parameter_file.save(replace(shipped_set, values={**grain, "zero_offset.force_n": 4.0}), reported)
+    command = ["diagnose", str(offset_table), "--params", str(reported), "--json"]
     assert main(command) == 0
     assert [effect["name"] for effect in json.loads(capsys.readouterr().out)["effects"]] == ["zero_offset"]
     assert main([*command, "--keep-effects"]) == 0
@@ -236,7 +236,9 @@ def test_effects_that_are_told_are_kept_and_not_looked_for(offset_table: Path, t
     ("noise", "error", "said"),
     [(0.01, 0.0, "as well as they repeat"), (0.001, 0.002, "within the 0.2 % by which models of the same physics differ")],
 )
-def test_a_gap_within_the_model_s_own_error_is_said_to_be_one(make_rows, start, noise: float, error: float, said: str) -> None:
+def test_a_gap_within_the_model_s_own_error_is_reported_to_be_one(
+    make_rows, start, noise: float, error: float, said: str
+) -> None:
     """`none` may have an F that is significant against the noise alone."""
     rows = make_rows(noise=noise, alter=lambda force, angle, *_: force * (1.0 + error * np.sin(6.0 * angle)))
     found = diagnosis.diagnose_rows(rows, start)

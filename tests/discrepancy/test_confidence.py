@@ -46,7 +46,7 @@ def test_a_map_survives_its_file() -> None:
     assert {"generators", "cases", "commit", "salt"} <= set(shipped.provenance)
 
 
-def test_what_ships_never_says_certain() -> None:
+def test_shipped_texts_never_say_certain() -> None:
     best = {
         "stability": 1.0, "margin": np.log1p(60.0), "misfit": 0.0, "left_share": 0.0, "strength": 4.0, "ties": 0.0,
         "further": 0.0, "effects": 1.0, "against": 0.0,

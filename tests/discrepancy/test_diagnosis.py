@@ -160,7 +160,7 @@ def test_the_stop_gap_takes_up_what_it_says_on_cells_left_out(make_rows, start, 
     assert surface.closed_pct == pytest.approx(100.0 * (1.0 - after / before), rel=1e-3)
 
 
-def test_where_nothing_is_named_the_best_candidates_are_told_apart(make_rows, start) -> None:
+def test_where_nothing_is_named_the_best_candidates_are_distinguished(make_rows, start) -> None:
     none = replace(QUICK, policy=replace(QUICK.policy, first_p=0.0))
     found = diagnosis.diagnose_rows(
         make_rows(alter=OUTSIDE["bracket that yields in one range of angle"], **ONE_SPEED), start, none
@@ -170,8 +170,8 @@ def test_where_nothing_is_named_the_best_candidates_are_told_apart(make_rows, st
     assert set(found.plan.separates) == {(first, second), (first, third)}
     assert len(found.plan.powers) == 2
     assert min(found.plan.powers) == found.plan.power
-    told = report.plan_lines(found.plan)
-    table = told[told.index(next(line for line in told if "power at the 5 % level" in line)) + 1 :]
+    reported = report.plan_lines(found.plan)
+    table = reported[reported.index(next(line for line in reported if "power at the 5 % level" in line)) + 1 :]
     assert [tuple(line.split()[:2]) for line in table] == list(found.plan.separates)
     assert [float(line.split()[2]) for line in table] == pytest.approx(found.plan.powers, abs=0.005)
 
@@ -206,7 +206,7 @@ def test_loads_that_hardly_differ_are_no_wrong_column(make_rows, start) -> None:
     assert power < 0.999
 
 
-def test_trials_that_differ_as_a_whole_are_told(make_rows, start) -> None:
+def test_trials_that_differ_as_a_whole_are_reported(make_rows, start) -> None:
     rows = make_rows()
     drifted = replace(rows, value=rows.value * (0.98 + 0.02 * np.array([float(t) for t in rows.trial])))
     notes = diagnosis.examine(drifted, start, QUICK).notes
@@ -217,23 +217,23 @@ def test_a_clean_table_has_no_note_on_its_repetitions(clean_found) -> None:
     assert not any("repetitions" in note for note in clean_found.notes)
 
 
-def test_a_gap_that_only_all_rows_together_show_is_told(make_rows, offset_seen) -> None:
+def test_a_gap_that_only_all_rows_together_show_is_reported(make_rows, offset_seen) -> None:
     """The search saw none: its rows do not show what the sealed ones have."""
     rows = make_rows({"zero_offset": 4.0})
     assert offset_seen.choice.best_gap.p_value > 0.01
     bent = replace(rows, value=rows.value * np.where(offset_seen.sealed, 1.05, 1.0))
-    told = [diagnosis.conclude(offset_seen, of, QUICK).notes for of in (rows, bent)]
-    assert [any("all rows together leave F = " in note for note in notes) for notes in told] == [False, True]
+    reported = [diagnosis.conclude(offset_seen, of, QUICK).notes for of in (rows, bent)]
+    assert [any("all rows together leave F = " in note for note in notes) for notes in reported] == [False, True]
 
 
-@pytest.mark.parametrize(("factor", "told"), [(1.0, False), (0.102, True), (100.0, True)])
-def test_a_gain_that_is_none_of_grain_asks_for_the_unit(make_rows, start, factor: float, told: bool) -> None:
+@pytest.mark.parametrize(("factor", "reported"), [(1.0, False), (0.102, True), (100.0, True)])
+def test_a_gain_that_is_none_of_grain_asks_for_the_unit(make_rows, start, factor: float, reported: bool) -> None:
     rows = make_rows()
     notes = diagnosis.examine(replace(rows, value=factor * rows.value), start, QUICK).notes
-    assert any("in the units that their columns say" in note for note in notes) == told
+    assert any("in the units that their columns say" in note for note in notes) == reported
 
 
-def test_a_shuffled_column_is_told(make_rows, start) -> None:
+def test_a_shuffled_column_is_reported(make_rows, start) -> None:
     """Rows of one condition are no longer of one condition."""
     rows = make_rows()
     shuffled = np.random.default_rng(3).permutation(rows.plate_angle_rad)
@@ -243,7 +243,7 @@ def test_a_shuffled_column_is_told(make_rows, start) -> None:
     assert seen.choice.named == ()
 
 
-def test_columns_that_are_a_row_off_are_told(make_rows, start) -> None:
+def test_columns_that_are_a_row_off_are_reported(make_rows, start) -> None:
     rows = make_rows()
     off = np.roll(rows.load, 1)
     notes = diagnosis.examine(with_cells(replace(rows, load=off)), start, QUICK).notes
@@ -262,7 +262,7 @@ SHARED = "repetitions share an error"
 
 
 @pytest.mark.parametrize("wrong", ["shared error", "sigma too small"])
-def test_conditions_that_scatter_more_than_repetitions_are_told(make_rows, start, wrong: str) -> None:
+def test_conditions_that_scatter_more_than_repetitions_are_reported(make_rows, start, wrong: str) -> None:
     rows = make_rows()
     if wrong == "shared error":
         shared = np.random.default_rng(11).standard_normal(72)
@@ -405,7 +405,7 @@ def test_adopted_parameters_predict_what_was_fitted(offset_found, start) -> None
     assert abs(adopted.values["zero_offset.force_n"] - 4.0) < 4.0 * sd
 
 
-def test_what_is_adopted_is_as_uncertain_as_what_is_said(offset_found, start) -> None:
+def test_what_is_adopted_is_as_uncertain_as_what_is_reported(offset_found, start) -> None:
     found = offset_found
     found = replace(found, best=replace(found.best, chi2=3.0 * found.best.dof))
     said = to_document(found)["effects"][0]["parameters"]["force_n"]["sd"]
@@ -422,7 +422,7 @@ def test_loads_that_share_an_error_leave_the_scale_uncertain(offset_found, start
     np.testing.assert_allclose(shared.covariance - exact.covariance, added, rtol=1e-6, atol=1e-12)
 
 
-def test_a_wild_row_among_the_sealed_is_left_out_and_counted(make_rows, start, offset_seen) -> None:
+def test_an_outlier_among_the_sealed_rows_is_left_out_and_counted(make_rows, start, offset_seen) -> None:
     rows, first = make_rows({"zero_offset": 4.0}), offset_seen
     value = rows.value.copy()
     value[np.flatnonzero(first.sealed)[4]] += 0.5 * value.max()
@@ -432,7 +432,7 @@ def test_a_wild_row_among_the_sealed_is_left_out_and_counted(make_rows, start, o
     assert second.held_out.closed_pct == pytest.approx(first.held_out.closed_pct, abs=10.0)
 
 
-def test_sealed_loads_that_overfill_what_was_fitted_without_them_are_told(make_rows, start) -> None:
+def test_sealed_loads_that_overfill_what_was_fitted_without_them_are_reported(make_rows, start) -> None:
     """Short paddles that the lighter loads fill to 0.86 kg of 1.0; the sealed ones hold 1.2 kg."""
     machine = replace(Machine(), paddle_length_m=0.0615)
     rows = make_rows(speeds_rpm=(400.0,))
@@ -487,7 +487,7 @@ def test_nothing_is_adopted_without_a_name(clean_found, start) -> None:
         adoption.adopted(clean_found, start, {})
 
 
-def test_what_no_size_would_show_is_said(make_rows, start) -> None:
+def test_what_no_size_would_show_is_reported(make_rows, start) -> None:
     """Slip at one speed is another density and gain; an offset of the zero is seen at once."""
     found = diagnosis.diagnose_rows(make_rows(speeds_rpm=(400.0,)), start, QUICK)
     assert "chain_slip" in found.undetectable
@@ -519,7 +519,7 @@ def test_a_gap_that_is_not_there_is_not_closed_by_nothing(clean_found) -> None:
     assert to_document(clean_found)["gap"]["closed_pct"] is None
 
 
-def test_held_out_rows_within_their_scatter_do_not_tell(offset_found, capsys) -> None:
+def test_held_out_rows_within_their_scatter_decide_nothing(offset_found, capsys) -> None:
     found = offset_found
     assert re.search(r"rows kept aside F = [0-9.]+ \([0-9.]+ to [0-9.]+\) before and", report.summary(found))
     held = replace(found.held_out, closed_pct=diagnosis.share_closed_pct(before=1.0, after=0.9, floor=1.1))

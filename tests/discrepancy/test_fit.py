@@ -174,7 +174,7 @@ def test_where_is_silent_on_clean_data(make_rows, start) -> None:
 
 
 def test_what_one_measures_is_no_candidate(frame) -> None:
-    """The plate's thickness is told with the parameters; readings are not asked for it."""
+    """The plate's thickness is given with the parameters; it is not fitted."""
     assert "top_edge" in registry()
     assert set(candidates.library(frame)) == {
         name for name, effect in registry().items() if effect.stage != "crop" and not effect.measured

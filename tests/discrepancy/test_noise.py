@@ -80,7 +80,7 @@ def test_an_outlier_in_damp_grain_is_judged_by_damp_grain(make_rows, drier: bool
     assert np.flatnonzero(outlier).tolist() == [wild]
 
 
-def test_without_replicates_a_smooth_surface_tells_the_noise(make_rows) -> None:
+def test_without_replicates_a_smooth_surface_gives_the_noise(make_rows) -> None:
     rows = make_rows({"release_angle": 0.1}, repeats=1, noise=0.02)
     found, _ = noise.estimate(rows)
     assert found.how == "smooth"

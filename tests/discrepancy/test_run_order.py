@@ -45,7 +45,7 @@ def against(rows: Rows, start, effect: str) -> str:
     [(PLACE, False), (PLACE[::-1], False), (RANDOM, True), (PLACE % 72, True), (None, True)],
     ids=["speed by speed", "the same backwards", "at random", "three rounds", "not known"],
 )
-def test_speeds_that_were_returned_to_are_told_from_blocks(make_rows, order, in_turn) -> None:
+def test_speeds_that_were_returned_to_are_distinguished_from_blocks(make_rows, order, in_turn) -> None:
     assert speeds_in_turn(replace(make_rows(), order=order)) == in_turn
 
 
@@ -86,7 +86,7 @@ def test_drag_in_rows_that_were_measured_in_turn_stands(make_rows, start) -> Non
     assert against(ordered(rows, RANDOM, timed=True), start, "air_drag-by_time") == ""
 
 
-def test_a_table_tells_its_order(tmp_path) -> None:
+def test_a_table_states_its_order(tmp_path) -> None:
     def read(head: str, cells: str) -> Rows:
         path = tmp_path / "t.csv"
         lines = [f"{40 + 5 * i},{3 + i},{20 + 7 * i}{cells.format(100 - i)}" for i in range(9)]

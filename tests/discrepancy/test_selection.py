@@ -199,7 +199,7 @@ def test_a_cause_leaves_no_gap_and_a_small_share(published, left_f, excess, says
 
 
 @pytest.mark.parametrize(("cells", "says"), [((5,), ""), ((5, 20), "something else is missing")])
-def test_one_bad_cell_does_not_speak_against_a_cause(published, cells, says) -> None:
+def test_one_bad_cell_does_not_refute_a_cause(published, cells, says) -> None:
     base, noise = published({"zero_offset": 4.0})
     sound = _scaled(fit(base.frame, ("zero_offset",), base.values), 1.0)
     residual = sound.residual.copy()

@@ -35,7 +35,7 @@ def test_every_document_has_a_schema() -> None:
      (lambda d: d["candidates"].append({}), "has no name"),
      (lambda d: d["notes"].append(True), "not string")],
 )  # fmt: skip
-def test_a_spoilt_document_is_seen(spoil, said: str) -> None:
+def test_a_corrupt_document_is_detected(spoil, said: str) -> None:
     document = copy.deepcopy(json.loads(kept.load("diagnose-dem")))
     spoil(document)
     assert any(said in problem for problem in problems(document, "diagnose"))

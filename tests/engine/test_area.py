@@ -16,11 +16,11 @@ from yieldmon.physics.machine import Implement
 WIDTH_M, SPEED_M_S = 9.0, 2.0
 
 
-def drive(implement: Implement, told: list[dict[str, float]], grain: list[bool]) -> list[float]:
+def drive(implement: Implement, reported: list[dict[str, float]], grain: list[bool]) -> list[float]:
     """Areas of seconds with these inputs at their ends."""
     counter, inputs = AreaCounter(implement, GateSettings()), Inputs(InputSettings())
     found = []
-    for second, (values, comes) in enumerate(zip(told, grain, strict=True), 1):
+    for second, (values, comes) in enumerate(zip(reported, grain, strict=True), 1):
         for name in ("ground_speed", "header_down", "work_state"):
             inputs.held[name].set(float(second), values.get(name, nan))
         found.append(counter.second(float(second), 1.0, inputs.snapshot(float(second)), grain_comes=comes))
@@ -29,8 +29,8 @@ def drive(implement: Implement, told: list[dict[str, float]], grain: list[bool])
 
 def test_area_is_that_of_the_grain_at_the_plate() -> None:
     cutting = {"ground_speed": SPEED_M_S, "header_down": 1.0}
-    told = [cutting] * 20 + [{"ground_speed": SPEED_M_S, "header_down": 0.0}] * 20
-    areas = drive(Implement(working_width_m=WIDTH_M, grain_delay_s=12.0), told, [False] * 12 + [True] * 20 + [False] * 8)
+    reported = [cutting] * 20 + [{"ground_speed": SPEED_M_S, "header_down": 0.0}] * 20
+    areas = drive(Implement(working_width_m=WIDTH_M, grain_delay_s=12.0), reported, [False] * 12 + [True] * 20 + [False] * 8)
     assert all(isnan(area) for area in areas[:12])
     assert areas[12:32] == [WIDTH_M * SPEED_M_S] * 20
     assert areas[32:] == [0.0] * 8

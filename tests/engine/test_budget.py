@@ -49,7 +49,7 @@ def test_mass_of_a_flow_without_a_budget_has_no_standard_deviation() -> None:
 @pytest.mark.parametrize(
     ("since_empty_s", "expected_mv"), [(0.0, 0.2), (-5.0, 0.2), (3600.0, hypot(0.2, 1.0)), (4 * 3600.0, hypot(0.2, 2.0))]
 )
-def test_the_zero_is_less_sure_the_longer_it_was_not_seen(since_empty_s: float, expected_mv: float) -> None:
+def test_the_zero_is_less_certain_the_longer_it_was_not_measured(since_empty_s: float, expected_mv: float) -> None:
     assert zero_std_dev_mv(SETTINGS, since_empty_s) == pytest.approx(expected_mv)
 
 

@@ -29,7 +29,7 @@ def test_a_step(step_s, engine_step_s, now_step_s, jumps):
     assert clock.engine_time(1000.0 + step_s) == pytest.approx(1000.0 + engine_step_s)
     assert clock.now_s == pytest.approx(1000.0 + now_step_s)
     assert clock.jumps == jumps
-    # After a jump time goes on from where it was, and bus times are told by the new clock.
+    # After a jump time goes on from where it was, and bus times are those of the new clock.
     assert clock.engine_time(1001.0 + step_s + (-engine_step_s + now_step_s)) == pytest.approx(1001.0 + now_step_s)
     assert clock.bus_time(clock.now_s) == pytest.approx(1001.0 + step_s + (-engine_step_s + now_step_s))
 

@@ -147,7 +147,7 @@ def test_a_ticket_is_no_better_than_its_weighing_and_what_is_not_the_scales_toge
     assert found[0][2, 2] > found[2][2, 2]
 
 
-def test_a_ticket_teaches_between_sweeps_and_counts_once() -> None:
+def test_a_ticket_updates_between_sweeps_and_counts_once() -> None:
     before = OpenLoop(MODEL, PRIOR)
     calibrator = ClosedLoopCalibrator(MODEL, EXACT)
     now = dataclasses.replace(records(12.0)[0], time_s=700.0)
@@ -160,7 +160,7 @@ def test_a_ticket_teaches_between_sweeps_and_counts_once() -> None:
 
 
 @pytest.mark.parametrize("ratio", [None, 1.6])
-def test_a_step_says_whether_a_sweep_alone_has_taught(ratio: float | None) -> None:
+def test_a_step_states_whether_it_came_of_a_sweep_alone(ratio: float | None) -> None:
     """A known density and a weighed mass speak of the scale, as no sweep does."""
     calibrator = ClosedLoopCalibrator(MODEL, dataclasses.replace(EXACT, density_ratio=ratio))
     prior = OpenLoop(MODEL, PRIOR)
@@ -186,7 +186,7 @@ def test_a_late_ticket_for_an_earlier_load_still_counts() -> None:
     assert abs(home_error_pct(second.estimator, 12.0)) < 0.3  # type: ignore[arg-type]
 
 
-def test_a_scale_that_contradicts_certain_parameters_is_believed() -> None:
+def test_a_scale_that_contradicts_certain_parameters_is_accepted() -> None:
     certain = dataclasses.replace(PRIOR, covariance=np.array(PRIOR.covariance) / 400.0)
     before = OpenLoop(MODEL, certain)
     now = dataclasses.replace(records(12.0)[0], time_s=700.0)
@@ -230,7 +230,7 @@ def test_windows_that_no_parameters_explain_change_nothing_and_are_named() -> No
     assert "55 deg" in outcome.reason
 
 
-def test_a_sweep_that_is_not_believed_teaches_nothing_and_takes_earlier_lessons_back() -> None:
+def test_a_rejected_sweep_updates_nothing_and_undoes_earlier_updates() -> None:
     before = OpenLoop(MODEL, PRIOR)
     calibrator = ClosedLoopCalibrator(MODEL, EXACT)
     learnt = calibrator.update(records(12.0), before)
@@ -242,7 +242,7 @@ def test_a_sweep_that_is_not_believed_teaches_nothing_and_takes_earlier_lessons_
     assert calibrator.update(records(12.0, start_s=5000.0), back.estimator, use_sweep=False).estimator is None
 
 
-def test_what_a_reference_mass_has_taught_is_not_taken_back() -> None:
+def test_an_update_by_a_reference_mass_is_not_undone() -> None:
     before = OpenLoop(MODEL, PRIOR)
     calibrator = ClosedLoopCalibrator(MODEL, EXACT)
     anchored = taken_in(calibrator, records(12.0), (ticket(before, 12.0, 0.0, 500.0),), before)
@@ -250,7 +250,7 @@ def test_what_a_reference_mass_has_taught_is_not_taken_back() -> None:
     assert calibrator.update(records(12.0, start_s=3000.0), anchored, use_sweep=False).estimator is None
 
 
-def test_a_reference_mass_teaches_beside_a_sweep_that_is_not_believed() -> None:
+def test_a_reference_mass_updates_beside_a_rejected_sweep() -> None:
     before = OpenLoop(MODEL, PRIOR)
     wrong = [dataclasses.replace(r, force_n=1.2 * r.force_n) if r.plate_angle_rad < 1.0 else r for r in records(12.0)]
     calibrator = ClosedLoopCalibrator(MODEL, EXACT)
@@ -399,7 +399,7 @@ def test_a_ticket_that_moves_the_scale_keeps_the_order_of_the_parameters() -> No
 
 
 @pytest.mark.parametrize("factor", [0.7, 0.93, 1.07, 1.3])
-def test_a_first_ticket_far_off_is_believed(factor: float) -> None:
+def test_a_first_ticket_far_off_is_accepted(factor: float) -> None:
     _, scale = weighings([factor])
     assert scale[0] == pytest.approx(100.0 * np.log(factor), abs=1.0)
 
@@ -440,7 +440,7 @@ def test_two_that_agree_are_another_grain() -> None:
 
 
 @pytest.mark.parametrize(("name", "value"), [("friction", 0.01), ("density", 755.0)])
-def test_a_sweep_teaches_nothing_to_parameters_at_an_end_of_their_range(name: str, value: float) -> None:
+def test_a_sweep_updates_no_parameters_at_an_end_of_their_range(name: str, value: float) -> None:
     used = OpenLoop(MODEL, dataclasses.replace(PRIOR, values={**PRIOR.values, name: value}))
     outcome = ClosedLoopCalibrator(MODEL, EXACT).update(records(10.0), used)
     assert outcome.estimator is None
@@ -448,7 +448,7 @@ def test_a_sweep_teaches_nothing_to_parameters_at_an_end_of_their_range(name: st
     assert f"{name} at an end of the physical range" in outcome.reason
 
 
-def test_a_sweep_that_would_put_a_parameter_at_its_end_teaches_nothing() -> None:
+def test_a_sweep_that_would_put_a_parameter_at_its_end_updates_nothing() -> None:
     smooth = {**TRUE, "friction": 0.0}
     before = dataclasses.replace(PRIOR, values={**PRIOR.values, "friction": 0.08})
     outcome = ClosedLoopCalibrator(MODEL, EXACT).update(records(14.0, values=smooth, noise=0.002), OpenLoop(MODEL, before))
@@ -456,14 +456,14 @@ def test_a_sweep_that_would_put_a_parameter_at_its_end_teaches_nothing() -> None
     assert "the sweep would put friction at an end of the physical range" in outcome.reason
 
 
-def test_a_weighed_mass_teaches_parameters_at_an_end_of_their_range() -> None:
+def test_a_weighed_mass_updates_parameters_at_an_end_of_their_range() -> None:
     used = OpenLoop(MODEL, dataclasses.replace(PRIOR, values={**PRIOR.values, "friction": 0.01}))
     outcome = ClosedLoopCalibrator(MODEL, EXACT).weigh(records(10.0)[0], (ticket(used, 10.0, 0.0, 600.0),), used)
     assert outcome.estimator is not None
 
 
 @pytest.mark.parametrize(("friction", "learns", "by_schedule"), [(0.2, True, True), (0.01, True, False), (0.01, False, True)])
-def test_sweeps_that_would_teach_nothing_are_not_begun_by_schedule(friction: float, learns: bool, by_schedule: bool) -> None:
+def test_sweeps_that_would_update_nothing_are_not_begun_by_schedule(friction: float, learns: bool, by_schedule: bool) -> None:
     settings, used = EngineSettings(), OpenLoop(MODEL, dataclasses.replace(PRIOR, values={**PRIOR.values, "friction": friction}))
     sweep = SweepMachine(settings.sweep, settings.plate, float(np.degrees(MACHINE.home_plate_angle_rad)))
     learning = Learning(settings, MACHINE, used, ClosedLoopCalibrator(MODEL, EXACT) if learns else None)
@@ -484,7 +484,7 @@ KNOWN_WELL = dataclasses.replace(PRIOR, covariance=np.diag([0.002**2, 0.01**2, 1
     ],
     ids=["by interval", "tells too little", "tells enough", "less than the least flow"],
 )
-def test_a_sweep_that_is_due_begins_where_it_would_tell_enough(
+def test_a_sweep_that_is_due_begins_where_its_information_suffices(
     when: str, known: ParameterSet, flow: float, begins: bool, declined: int
 ) -> None:
     home_deg, settings = float(np.degrees(MACHINE.home_plate_angle_rad)), EngineSettings()
@@ -513,7 +513,7 @@ def test_a_sweep_that_is_due_begins_where_it_would_tell_enough(
     ("usable", "flows", "factor"),
     [(True, (12.0, 12.0, 12.0), 1.01), (False, (6.0, 6.5, 18.0), 1.0)],
 )
-def test_a_ticket_that_waits_during_a_sweep_teaches_as_one_before_it(
+def test_a_ticket_that_waits_during_a_sweep_updates_as_one_before_it(
     usable: bool, flows: tuple[float, ...], factor: float
 ) -> None:
     """factor: the third weighed mass over the true one."""
@@ -592,7 +592,7 @@ def learn_at(learning: Learning, sweep: SweepMachine, at_s: float) -> int:
     return len(learning.learn(at_s, dataclasses.replace(records(12.0)[0], time_s=at_s, usable_for_calibration=False), sweep))
 
 
-def test_a_ticket_that_waits_when_the_crop_changes_teaches_its_own_crop_alone() -> None:
+def test_a_ticket_that_waits_when_the_crop_changes_updates_its_own_crop_alone() -> None:
     wheat, rapeseed = OpenLoop(MODEL, PRIOR), OpenLoop(MODEL, PRIOR)
     learning, sweep = learning_with(wheat)
     at_s = enter(learning, 1, 1.1)
@@ -607,7 +607,7 @@ def test_a_ticket_that_waits_when_the_crop_changes_teaches_its_own_crop_alone() 
     assert learn_at(learning, sweep, at_s + 2.0) == 0
 
 
-def test_a_ticket_of_another_crop_taken_back_teaches_the_present_one_nothing_again() -> None:
+def test_a_ticket_of_another_crop_taken_back_leaves_the_present_one() -> None:
     wheat, rapeseed = OpenLoop(MODEL, PRIOR), OpenLoop(MODEL, PRIOR)
     learning, sweep = learning_with(wheat)
     for number in (1, 2):
@@ -646,7 +646,7 @@ def curve_ticket(known: OpenLoop, number: int, flow: float) -> tuple[WindowRecor
 
 
 @pytest.mark.parametrize("restart", [False, True])
-def test_a_curve_that_tickets_taught_is_taught_on_after_another_crop_and_a_restart(restart: bool) -> None:
+def test_a_curve_that_tickets_fitted_is_updated_after_another_crop_and_a_restart(restart: bool) -> None:
     def calibrated(away: bool) -> ParameterSet:
         calibrator = ClosedLoopCalibrator(MODEL, CalibratorSettings(closed_loop=ClosedLoopSettings()))
         known = OpenLoop(MODEL, PRIOR)

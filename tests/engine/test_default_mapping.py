@@ -55,8 +55,8 @@ def heard() -> list[Frame]:
         {"kind": "steady", "duration_s": 12.0, "flow_kg_s": 0.0},
         {"kind": "steady", "duration_s": 100.0, "flow_kg_s": 12.0},
     ]
-    told = scenario.from_mapping({"duration_s": float(SECONDS), "flow": {"pieces": pieces}}, "default-mapping")
-    return list(VirtualCombine(told, machine_file.load(None), 3).frames_until(float(SECONDS)))
+    reported = scenario.from_mapping({"duration_s": float(SECONDS), "flow": {"pieces": pieces}}, "default-mapping")
+    return list(VirtualCombine(reported, machine_file.load(None), 3).frames_until(float(SECONDS)))
 
 
 def results(frames: list[Frame], sources: Sources, *, in_bulk: bool) -> list[Result]:

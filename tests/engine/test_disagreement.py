@@ -57,7 +57,7 @@ def test_quiet_over_a_season_without_a_hidden_effect(seed: int) -> None:
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
 )
-def test_a_hidden_effect_is_said_with_its_region_and_after_several_sweeps(effects: Effects, angle_deg: str) -> None:
+def test_a_hidden_effect_is_reported_with_its_region_and_after_several_sweeps(effects: Effects, angle_deg: str) -> None:
     target = Disagreement(SETTINGS, MACHINE)
     said = harvest(target, effects, SETTINGS.keep_sweeps)
     assert not any(said[: SETTINGS.least_sweeps - 1])
@@ -66,7 +66,7 @@ def test_a_hidden_effect_is_said_with_its_region_and_after_several_sweeps(effect
     assert "too low" in target.region
 
 
-def test_the_pattern_goes_when_the_machine_is_mended() -> None:
+def test_the_pattern_goes_when_the_machine_is_repaired() -> None:
     target = Disagreement(SETTINGS, MACHINE)
     target.restore(twelve_strong(), SHIPPED)
     assert target.region != ""

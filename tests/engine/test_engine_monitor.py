@@ -169,7 +169,7 @@ def test_lost_samples_degrade_their_second_and_are_filled(
 
 
 @pytest.mark.parametrize("paused_s", [0.1, 0.3])
-def test_a_sensor_that_pauses_is_said_by_what_it_leaves_uncovered(paused_s: float) -> None:
+def test_a_sensor_that_pauses_is_reported_by_what_it_leaves_uncovered(paused_s: float) -> None:
     """By its counter no frame is missing, so how many are lost says nothing."""
     target = monitor()
     feed(target, [f._replace(time_s=f.time_s + paused_s) if f.time_s > 1012.5 else f for f in STEADY_FRAMES])
@@ -195,7 +195,7 @@ def test_missing_speed() -> None:
     assert not any(unknown[:14] + unknown[22:])
 
 
-def test_a_speed_that_no_frame_ever_told_is_not_the_machines_nominal_one() -> None:
+def test_a_speed_that_no_frame_reported_is_not_the_machines_nominal_one() -> None:
     target = monitor()
     feed(target, without(bus.ELEVATOR_SPEED, 0.0, 1e9))
     assert all(math.isnan(record.elevator_speed_rad_s) for record in target.records)
@@ -410,7 +410,7 @@ class Scales:
         raise AssertionError("nothing was kept")
 
 
-def test_a_ticket_teaches_when_the_window_under_way_ends() -> None:
+def test_a_ticket_updates_when_the_window_under_way_ends() -> None:
     scales = Scales()
     target = monitor(calibrator=scales)
     frames = replace(STEADY, scatter=0.0).frames(30)

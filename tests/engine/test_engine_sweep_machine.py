@@ -62,7 +62,7 @@ class Rig:
         self.step = self.machine.window(replace(window, **change))  # type: ignore[arg-type]
 
     def follow(self) -> None:
-        """The plate goes where it is told at once."""
+        """The plate follows a command at once."""
         self.tick()
         if self.demand is not None and self.demand.mode is CommandMode.GO_TO_ANGLE:
             self.angle = self.demand.target_deg
@@ -303,7 +303,7 @@ def test_off_schedule_only_a_sweep_that_is_asked_for_begins() -> None:
 
 
 @pytest.mark.parametrize("start", [S.IDLE, S.WAITING, S.ABORTED, S.UPDATED, S.NOT_LEARNED])
-def test_nobody_drives_a_plate_at_rest(start: SweepState) -> None:
+def test_a_plate_at_rest_is_not_driven(start: SweepState) -> None:
     rig = STARTS[start]()
     rig.tick()
     assert not rig.machine.driving
@@ -383,7 +383,7 @@ def test_a_plate_that_never_moved_is_found_out() -> None:
     assert (rig.state, machine.abort_reason, machine.not_following) == (S.ABORTED, A.FORCE_DOES_NOT_FOLLOW, True)
 
 
-def test_an_honest_plate_is_believed() -> None:
+def test_a_plate_with_true_feedback_is_plausible() -> None:
     assert not complete().machine.implausible_feedback()
 
 

@@ -61,7 +61,7 @@ def sweep_states(out: list[Frame]) -> list[SweepState]:
     return [state for i, state in enumerate(seen) if i == 0 or state is not seen[i - 1]]
 
 
-def test_a_whole_sweep_teaches_and_measuring_goes_on() -> None:
+def test_a_whole_sweep_updates_and_measuring_goes_on() -> None:
     better = ForceProportional(parameters=replace(ForceProportional().parameters, version=7))
     teacher = Teacher(CalibrationOutcome(better, "learnt"))
     target, actuator = monitor(SETTINGS, calibrator=teacher), Actuator()
@@ -117,7 +117,7 @@ def test_commands_come_ten_times_a_second_with_a_counter_and_within_the_rate() -
         (CalibrationOutcome(None, "as wide as before", identifiable=False), SweepState.NOT_LEARNED, {FaultCode.NOT_IDENTIFIABLE}),
     ],
 )
-def test_what_a_sweep_did_not_teach(outcome: CalibrationOutcome, state: SweepState, faults: set[FaultCode]) -> None:
+def test_what_a_sweep_did_not_update(outcome: CalibrationOutcome, state: SweepState, faults: set[FaultCode]) -> None:
     target = monitor(SETTINGS, calibrator=Teacher(outcome))
     out = run_with_actuator(target, BENCH, Actuator(), SWEEP_S)
     assert sweep_states(out)[-1] is state
@@ -153,7 +153,7 @@ def test_a_failing_actuator_ends_the_sweep_and_the_plate_goes_home(
     assert set(qualities(out)[-3:]) == {EstimateQuality.OK}
 
 
-def test_a_lying_actuator_is_found_out_by_the_force() -> None:
+def test_implausible_plate_feedback_is_found_by_the_force() -> None:
     teacher = Teacher(CalibrationOutcome(ForceProportional(), "must not be asked"))
     target = monitor(SETTINGS, calibrator=teacher)
     run_with_actuator(target, BENCH, Actuator(fault="lying"), SWEEP_S)

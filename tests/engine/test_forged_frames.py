@@ -126,7 +126,7 @@ def forged(name: str) -> list[Frame]:
 
 
 @pytest.mark.parametrize("name", FORGERIES)
-def test_a_forgery_is_said_within_two_seconds_and_its_mass_is_apart(name: str) -> None:
+def test_a_forgery_is_reported_within_two_seconds_and_its_mass_is_apart(name: str) -> None:
     target = monitor()
     feed(target, forged(name))
     begun = [e.time_s for e in target.fault_events if e.code is FaultCode.FRAMES_LOST and e.active]
@@ -168,7 +168,7 @@ def by_scale(kind: str = "tank_scale") -> EngineSettings:
 
 @pytest.mark.parametrize("forged_kg", [8000.0, 500.0])
 @pytest.mark.parametrize("in_runs", [False, True])
-def test_a_second_tank_scale_is_said_and_weighs_nothing(forged_kg: float, in_runs: bool) -> None:
+def test_a_second_tank_scale_is_reported_and_weighs_nothing(forged_kg: float, in_runs: bool) -> None:
     added = [tank(START_S + 0.8 + k, forged_kg) for k in range(14, 19)]
     frames = sorted([*TRUE, *added], key=lambda f: f.time_s)
     target = monitor(by_scale())

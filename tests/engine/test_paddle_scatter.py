@@ -51,7 +51,7 @@ def test_one_window_moves_it_little(seen: list[tuple[float, float]]) -> None:
 
 
 @pytest.mark.parametrize("scatter", [0.03, 0.12])
-def test_force_is_as_sure_as_the_paddles_are_alike(scatter: float) -> None:
+def test_force_is_as_precise_as_the_paddles_are_alike(scatter: float) -> None:
     target = monitor()
     feed(target, Bench(flow=lambda t: 12.0 if t >= 1005.0 else 0.0, noise_mv=0.5, scatter=scatter).run(90))
     records = target.records[40:]  # type: ignore[attr-defined]

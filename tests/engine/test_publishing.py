@@ -110,6 +110,6 @@ def test_masses_near_the_largest_that_their_signals_carry() -> None:
     totals.load_kg -= 1.0
     assert publisher.mass_near_end(totals, 0.5) is None
     totals.total_kg = totals.load_kg = most_total
-    told = publisher.mass_near_end(totals, 0.5)
-    assert told is not None
-    assert told.endswith(f"; TotalMass {most_total:.0f} kg of at most {most_total:.0f} kg: totals archive")
+    reported = publisher.mass_near_end(totals, 0.5)
+    assert reported is not None
+    assert reported.endswith(f"; TotalMass {most_total:.0f} kg of at most {most_total:.0f} kg: totals archive")

@@ -120,7 +120,7 @@ def test_more_frames_than_their_interval_allows_are_of_a_second_sender(more: int
 
 
 @pytest.mark.parametrize(("gap_s", "lost"), [(0.004, 0), (0.0189, 0), (0.0191, 4), (0.4, 99)])
-def test_without_a_counter_a_gap_tells_of_lost_frames(gap_s: float, lost: int) -> None:
+def test_without_a_counter_a_gap_shows_lost_frames(gap_s: float, lost: int) -> None:
     """Frames that come up to 15 ms late are no gap."""
     target = buffer(replace(SOURCE, counter=None))
     target.rows.extend((time_s, math.nan, 0.0, 1.0, 2.0) for time_s in (0.1, 0.104, 0.104 + gap_s))

@@ -131,7 +131,7 @@ def weighed(target: Monitor, factor: float, seconds: float = 60.0) -> str:
 
 
 @pytest.mark.parametrize(("factor", "shown"), [(1.0, False), (0.95, False), (1.15, True), (0.85, True)])
-def test_a_monitor_that_may_not_learn_still_tells(factor: float, shown: bool) -> None:
+def test_a_monitor_that_may_not_learn_still_reports(factor: float, shown: bool) -> None:
     said = weighed(monitor(estimator=ForceProportional(relative_std_dev=0.02)), factor)
     assert bool(said) is shown
 
@@ -144,7 +144,7 @@ CERTAIN = ParameterSet(
 
 
 @pytest.mark.parametrize(("spread", "shown"), [(1.0, True), (1000.0, False)])
-def test_the_calibrators_own_doubt_decides(spread: float, shown: bool) -> None:
+def test_the_calibrators_own_deviation_decides(spread: float, shown: bool) -> None:
     """10 % off is a contradiction for parameters that claim 1 % and none for those that claim next to nothing."""
     known = replace(CERTAIN, covariance=spread * np.array(CERTAIN.covariance))
     model = ForwardModel(MACHINE)

@@ -107,7 +107,7 @@ def test_a_key_that_is_missing_is_refused_unless_it_came_later(key: str) -> None
             EngineState.from_dict(document)
 
 
-def test_a_key_that_nobody_knows_is_refused() -> None:
+def test_an_unknown_key_is_refused() -> None:
     with pytest.raises(ValueError, match=r"engine state has keys .*'surprise'"):
         EngineState.from_dict({**EngineState().as_dict(), "surprise": 1})
 

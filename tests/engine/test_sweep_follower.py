@@ -70,7 +70,7 @@ def followed(frames: list[Frame], settings: EngineSettings = SETTINGS) -> tuple[
     return target, teacher, [event for event in events_in(target.results) if isinstance(event, SweepEnded)]
 
 
-def test_a_sweep_of_the_log_teaches_the_windows_that_it_taught_live() -> None:
+def test_a_sweep_of_the_log_updates_from_the_same_windows_as_live() -> None:
     frames, _, given_live = live()
     target, given, ended = followed(frames)
     (live_windows,), (windows,) = given_live.given, given.given
@@ -146,14 +146,14 @@ def test_a_plate_that_stays_where_it_was_put_is_no_sweep() -> None:
     assert (target.sweep.state, given.given, ended) == (SweepState.IDLE, [], [])
 
 
-def test_sweeps_that_are_switched_off_teach_nothing() -> None:
+def test_sweeps_that_are_switched_off_update_nothing() -> None:
     frames, _, _ = live()
     off = EngineSettings(sweep=replace(SETTINGS.sweep, enabled=False))
     target, given, ended = followed(frames, off)
     assert (target.sweep.sweep_id, given.given, ended) == (0, [], [])
 
 
-def test_a_sweep_cut_short_in_the_log_says_why_and_teaches_nothing() -> None:
+def test_a_sweep_cut_short_in_the_log_says_why_and_updates_nothing() -> None:
     log = Log(visits(*VISITS), flow=lambda t: 0.0 if t < 1004 else 10.0 if t < 1027 else 19.0)
     target, given, ended = followed(list(log.frames(55.0)))
     assert given.given == []

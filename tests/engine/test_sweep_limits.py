@@ -244,7 +244,7 @@ def test_a_request_is_withdrawn_by_an_abort_and_a_waiting_sweep_put_off() -> Non
         (SweepAbort.FORCE_DOES_NOT_FOLLOW, True),
     ],
 )
-def test_a_plate_that_did_not_follow_is_told_until_it_follows(how: SweepAbort, stays: bool) -> None:
+def test_a_plate_that_did_not_follow_is_reported_until_it_follows(how: SweepAbort, stays: bool) -> None:
     """However it came home; the next movement that arrives ends it."""
     sweep = moving().tick(3.875 + BEYOND, 50.0)
     assert (sweep.machine.not_following, sweep.machine.abort_reason) == (True, SweepAbort.NOT_FOLLOWING)

@@ -18,7 +18,7 @@ SETTINGS = AnchorSettings(min_increment_kg=50.0, unloading_kg=40.0, scale_std_de
 
 
 class Tank:
-    """Seconds of 10 kg, measured unless told otherwise, and the scale's readings at their ends."""
+    """Seconds of 10 kg, measured unless stated otherwise, and the scale's readings at their ends."""
 
     def __init__(self) -> None:
         self.scale = TankScale(SETTINGS)

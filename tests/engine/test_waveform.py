@@ -109,7 +109,7 @@ def test_the_terms_of_the_file_move_the_flow() -> None:
 
 
 def test_a_slow_cell_hides_the_kernels() -> None:
-    """The virtual combine's 8 ms cell: a thousand-kernel weight is told, and still no flow is published from kernels."""
+    """The virtual combine's 8 ms cell: a thousand-kernel weight is reported, and still no flow is published from kernels."""
     assert all(np.isnan(r.kernel_flow_kg_s) for r in harvested(enabled=True, thousand_kernel_weight_g=350.0))
 
 
@@ -147,14 +147,14 @@ def struck(response_s: float) -> tuple[Frame, ...]:
 
 
 @cache
-def monitored(response_s: float, weight_g: float = 0.0, *, told: bool = False) -> Monitor:
-    """At the end of that traffic. told: by the frames."""
+def monitored(response_s: float, weight_g: float = 0.0, *, reported: bool = False) -> Monitor:
+    """At the end of that traffic. reported: the weight comes in frames."""
     waveform = replace(WaveformSettings(), shape=LAW, enabled=True, thousand_kernel_weight_g=weight_g, quiet_windows=2)
     engine = replace(EngineSettings(), sweep=replace(SweepSettings(), enabled=False), waveform=waveform)
     machine = replace(MACHINE, sensor=replace(MACHINE.sensor, response_s=response_s))
     monitor = Monitor(engine, machine, OpenLoop(ForwardModel(machine, PARAMETERS.effects), PARAMETERS))
     for frame in struck(response_s):
-        if told or frame.message != GRAIN_KERNELS:
+        if reported or frame.message != GRAIN_KERNELS:
             monitor.feed(frame)
     return monitor
 
@@ -175,13 +175,13 @@ def test_says_whether_the_cell_lets_kernels_through(response_s: float, verdict: 
     assert seen.volume_m3_s * VALUES["density"] == pytest.approx(seen.shape_kg_s)
 
 
-def test_a_frame_s_kernel_weight_goes_before_what_was_told() -> None:
-    """In the frame 350 g, told 175 g; flow is in proportion."""
-    heard, told = monitored(2e-4, 175.0, told=True), monitored(2e-4, 175.0)
+def test_a_frame_s_kernel_weight_takes_precedence() -> None:
+    """In the frame 350 g, entered 175 g; flow is in proportion."""
+    heard, reported = monitored(2e-4, 175.0, reported=True), monitored(2e-4, 175.0)
     assert heard.waveform is not None
-    assert told.waveform is not None
-    assert (heard.waveform.kernel_weight_g, told.waveform.kernel_weight_g) == (350.0, 175.0)
-    assert heard.waveform.kernels_kg_s == pytest.approx(2.0 * told.waveform.kernels_kg_s, rel=0.02)
+    assert reported.waveform is not None
+    assert (heard.waveform.kernel_weight_g, reported.waveform.kernel_weight_g) == (350.0, 175.0)
+    assert heard.waveform.kernels_kg_s == pytest.approx(2.0 * reported.waveform.kernels_kg_s, rel=0.02)
     assert abs(heard.waveform.kernels_kg_s - FLOW_KG_S) < 2.0 * heard.waveform.kernels_std_dev_kg_s
 
 
@@ -226,7 +226,7 @@ def test_kernel_noise_gives_the_flow_where_the_flow_changes() -> None:
     assert monitor.waveform.bias == pytest.approx(1.2 * by_force[-30:].sum() / by_kernels[-30:].sum(), rel=0.05)
 
 
-def test_where_density_and_gain_are_doubted_the_kernels_scale_is_counted() -> None:
+def test_where_density_and_gain_are_uncertain_the_kernels_scale_is_counted() -> None:
     wrong = replace(PARAMETERS, values={**VALUES, "density": 935.0, "restitution": 0.4675})
     doubted = replace(wrong, covariance=np.diag([0.02**2, 165.0**2, 0.08**2]))
     records, _ = heard(doubted, combine=True, kernel_bias_sd=0.03, stretch_sd=0.2)
@@ -280,8 +280,8 @@ def test_a_scale_by_kernels_that_the_mean_force_cannot_have_is_a_contradiction()
 @pytest.mark.parametrize("weight_g", [0.35, 770.0])
 def test_a_scale_that_contradicts_the_mean_force_corrects_nothing(weight_g: float) -> None:
     """A kernel's weight in place of a thousand's, or another crop's."""
-    told = {"thousand_kernel_weight_g": weight_g, "kernel_bias_sd": 0.03, "contradiction_windows": 500}
-    together = heard(combine=True, **told)[0]
+    reported = {"thousand_kernel_weight_g": weight_g, "kernel_bias_sd": 0.03, "contradiction_windows": 500}
+    together = heard(combine=True, **reported)[0]
     assert all(FaultCode.WAVEFORM_CONTRADICTS in r.faults for r in together[-15:])
     # The shape, which does not contradict, still corrects: the flow lies between those two.
     for r in together[-15:]:
@@ -290,8 +290,15 @@ def test_a_scale_that_contradicts_the_mean_force_corrects_nothing(weight_g: floa
 
 
 def test_a_shape_that_contradicts_the_mean_force_corrects_nothing() -> None:
-    told = {"enabled": True, "stretch": 1.6, "stretch_sd": 0.01, "tail_sd": 0.01, "model_error": 0.01, "contradiction_windows": 5}
-    apart, together = harvested(**told), harvested(combine=True, **told)
+    reported = {
+        "enabled": True,
+        "stretch": 1.6,
+        "stretch_sd": 0.01,
+        "tail_sd": 0.01,
+        "model_error": 0.01,
+        "contradiction_windows": 5,
+    }
+    apart, together = harvested(**reported), harvested(combine=True, **reported)
     assert all(FaultCode.WAVEFORM_CONTRADICTS in r.faults for r in together[-4:])
     assert [r.mass_kg for r in together[-4:]] == [r.mass_kg for r in apart[-4:]]
 
@@ -365,7 +372,7 @@ def test_windows_that_close_together_are_completed_as_if_one_after_the_other() -
     assert several >= 3
 
 
-def test_results_that_nobody_completes_leave_the_later_ones_as_they_are() -> None:
+def test_results_that_are_not_completed_leave_the_later_ones_as_they_are() -> None:
     at_once, later = monitor_with_both(), monitor_with_both(waveform_later=True)
     for frame in traffic():
         expected, handed_out = at_once.feed(frame), later.feed(frame)
@@ -446,7 +453,7 @@ def listened(monitor: Monitor, frames: tuple[Frame, ...]) -> tuple[list[WindowRe
     return [r.record for r in results], [e for r in results for e in r.events if isinstance(e, ParametersChanged)]
 
 
-def test_kernels_teach_the_parameters_and_are_then_not_counted_a_second_time() -> None:
+def test_kernels_update_the_parameters_and_are_then_not_counted_a_second_time() -> None:
     sure = {"kernel_bias_sd": 0.03}
     records, changes = listened(learner(DOUBTED, FAST, **sure), stepping())
     assert len(changes) >= 3
@@ -459,7 +466,7 @@ def test_kernels_teach_the_parameters_and_are_then_not_counted_a_second_time() -
     assert sum(r.mass_kg for r in together[-15:]) == pytest.approx(sum(r.mass_kg for r in records[-15:]), rel=0.02)
 
 
-def test_the_bias_outlives_a_restart_with_the_parameters_that_it_taught() -> None:
+def test_the_bias_outlives_a_restart_with_the_parameters_that_it_updated() -> None:
     monitor = learner(DOUBTED, FAST)
     listened(monitor, stepping())
     state, known = monitor.snapshot(), monitor.estimator.parameters

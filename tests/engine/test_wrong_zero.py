@@ -1,4 +1,4 @@
-"""A zero calibration while grain runs: told before, a fault after, and undone without loss."""
+"""A zero calibration while grain runs: warned of before, a fault after, and undone without loss."""
 
 from __future__ import annotations
 

@@ -204,7 +204,7 @@ def test_what_lies_before_an_interruption_or_a_window_without_a_mean_does_not_co
         assert not loaded.tracker.looks_empty
 
 
-def test_nothing_is_said_of_pulses_before_vibration_is_learnt() -> None:
+def test_nothing_is_reported_of_pulses_before_vibration_is_learnt() -> None:
     machine = Machine().sees(*[ZERO_MV] * 2).sees(*[ZERO_MV] * 2, harmonics=(90.0,), empty=False)
     assert (machine.tracker.looks_empty, machine.tracker.looks_loaded, machine.tracker.drifted) == (False, False, False)
     assert (Machine().tracker.drifted, Machine().tracker.below_empty, Machine().tracker.taken_from_s) == (False, False, inf)

@@ -222,7 +222,7 @@ def test_profile_curves_are_those_of_fits_with_the_parameter_held() -> None:
             assert curve.rise[at] ** 2 == pytest.approx(rise / variance, rel=1e-3), name
 
 
-def test_given_sigma_is_believed() -> None:
+def test_a_given_sigma_is_used() -> None:
     rows = noisy(8)
     given = Measurements(rows.conditions, rows.momentum, np.full(rows.momentum.shape, 0.02))
     doubled = Measurements(rows.conditions, rows.momentum, np.full(rows.momentum.shape, 0.04))
@@ -304,7 +304,7 @@ def test_a_prior_counts_as_one_more_measurement() -> None:
 # What is not known
 
 
-def test_at_bound_and_undetermined_parameters_are_said_in_words() -> None:
+def test_at_bound_and_undetermined_parameters_are_reported_in_words() -> None:
     result = fit(published("dem", 70.0))
     by_name = {p.name: p for p in result.parameters}
     assert by_name["friction"].at_bound == "upper"

@@ -83,7 +83,7 @@ def test_the_scale_is_named_and_rests_on_the_prior_with_exchange_coefficients(k1
     assert outcome.reason.endswith("rests on the prior")
 
 
-def test_a_thin_stream_that_all_lands_tells_two_numbers_only() -> None:
+def test_a_thin_stream_that_all_lands_determines_two_numbers_only() -> None:
     # Without misses the force is sin(phi) (A sin(phi) - B cos(phi)): two of four unknowns stay open.
     found = sweep_directions(MODEL, Conditions(ANGLES, SPEED, mass_flow_kg_s=1.0), CENTRE, NAMES, 0.1)
     assert sum(not np.isfinite(d.relative_sd) for d in found) == 2
@@ -98,7 +98,7 @@ def test_known_loads_fix_the_scale_and_the_report_says_so() -> None:
     assert found.document()["remedies"]
 
 
-def test_the_remedies_do_what_they_say() -> None:
+def test_the_remedies_work() -> None:
     angle, flow = np.radians([70.0, 70.0, 70.0]), np.array([5.0, 12.0, 20.0])
     known = ParameterSet(CENTRE)
     found = report(MODEL, Conditions(angle, SPEED, mass_flow_kg_s=flow), known, NAMES, 0.05)
@@ -107,8 +107,8 @@ def test_the_remedies_do_what_they_say() -> None:
     relative, _ = relative_jacobian(MODEL, Conditions(angle, SPEED, mass_flow_kg_s=flow), CENTRE, NAMES, 0.05)
     kinds = set()
     for remedy in found.remedies:
-        if told := re.match(r"three more rows at (\S+) deg, (\S+) rpm, (\S+) kg/s", remedy.measurement):
-            at_deg, rpm, load = map(float, told.groups())
+        if reported := re.match(r"three more rows at (\S+) deg, (\S+) rpm, (\S+) kg/s", remedy.measurement):
+            at_deg, rpm, load = map(float, reported.groups())
             more = Conditions(
                 np.append(angle, np.full(3, np.radians(at_deg))),
                 np.append(np.full(3, SPEED), np.full(3, rpm * RPM)),
@@ -116,8 +116,8 @@ def test_the_remedies_do_what_they_say() -> None:
             )
             after = report(MODEL, more, known, NAMES, 0.05).known_load[0].relative_sd
         else:
-            told = re.match(r"know (.+) within 5 %", remedy.measurement)
-            row = np.array([[20.0 if name == told[1].removeprefix("1 + ") else 0.0 for name in NAMES]])
+            reported = re.match(r"know (.+) within 5 %", remedy.measurement)
+            row = np.array([[20.0 if name == reported[1].removeprefix("1 + ") else 0.0 for name in NAMES]])
             after = 1.0 / np.linalg.svd(np.vstack((relative, row)), compute_uv=False)[-1]
         kinds.add(remedy.measurement[:4])
         assert remedy.worst_sd_after == pytest.approx(after, rel=1e-3)
@@ -157,7 +157,7 @@ def test_the_posterior_along_the_scale_is_the_prior() -> None:
     assert values["friction"] == pytest.approx(0.25, abs=0.02)
 
 
-def test_pooling_narrows_what_single_sweeps_tell() -> None:
+def test_pooling_narrows_the_estimates_of_single_sweeps() -> None:
     sweeps = [sweep(f, noise=0.01) for f in (6.0, 10.0, 14.0, 18.0)]
     one = self_calibrate(MODEL, prior(), sweeps[:1])
     four = self_calibrate(MODEL, prior(), sweeps)
@@ -217,7 +217,7 @@ def test_a_linear_trend_is_estimated() -> None:
     assert trend.flows[0].mass_flow_kg_s == pytest.approx(12.0, rel=0.02)
 
 
-def test_a_wandering_flow_is_believed_as_a_process_and_its_mean_found() -> None:
+def test_a_wandering_flow_is_fitted_as_a_process_and_its_mean_found() -> None:
     rng = np.random.default_rng(21)
     angles = np.tile(np.concatenate(([np.radians(70.0)], ANGLES)), 2)
     z, known = [], prior(widths=(0.05, 0.01, 0.03))
@@ -276,7 +276,7 @@ def test_a_weighed_load_fixes_the_scale() -> None:
     assert measured == pytest.approx(test_load.reference_kg, rel=0.004)
 
 
-def test_a_weighed_load_alone_teaches_too() -> None:
+def test_a_weighed_load_alone_updates_too() -> None:
     truth = dict(CENTRE, restitution=0.70)
     outcome = self_calibrate(MODEL, prior(), (), anchors=[load(10.0, truth, 10.0)])
     assert outcome.updated
@@ -308,7 +308,7 @@ def test_a_weighed_load_counts_by_its_own_deviation_however_little_it_says(share
     [((0.05, 0.002, 0.005), 256.0), ((0.05, 0.002, 0.2), 4.0), ((1.5, 0.002, 0.005), 1.0), ((0.05, 0.5, 0.005), 1.0)],
     ids=["narrow", "density 220 of 625 kg/m3", "friction 0.3 of 0.5", "restitution 0.3 of 0.5"],
 )
-def test_doubts_are_doubled_no_further_than_half_of_the_physical_range(
+def test_deviations_are_doubled_no_further_than_half_of_the_physical_range(
     widths: tuple[float, float, float], expected: float
 ) -> None:
     """Two masses of one force: no parameters explain both, and every doubling is asked for."""
@@ -340,7 +340,7 @@ def test_a_known_density_moves_the_answer_along_the_scale() -> None:
     assert outcome.flows[0].log_sd < 0.75 * self_calibrate(MODEL, prior(), sweeps).flows[0].log_sd
 
 
-def test_a_test_weight_carries_the_doubt_about_its_ratio() -> None:
+def test_a_test_weight_carries_the_uncertainty_of_its_ratio() -> None:
     anchor = DensityAnchor.from_test_weight(720.0, 7.2, 1.5, 0.15)
     assert anchor.density_kg_m3 == pytest.approx(1080.0)
     assert anchor.std_dev_kg_m3 == pytest.approx(1080.0 * np.hypot(0.01, 0.1))

@@ -50,7 +50,7 @@ def repeatedly(times: int, values: dict[str, float], log_bias: float) -> tuple[D
 
 
 @pytest.mark.parametrize("log_bias", [-0.1, 0.0, 0.1])
-def test_many_lessons_know_the_scale_no_better_than_one_exact_one(log_bias: float) -> None:
+def test_many_updates_determine_the_scale_no_better_than_one_exact_one(log_bias: float) -> None:
     _, before = flow(KNOWN, TRUE)
     floor = 1.0 / np.hypot(1.0 / before, 1.0 / LASTING_SD)
     deviations = []

@@ -95,7 +95,7 @@ def test_what_came_before_the_first_sweep_stays_as_it_was() -> None:
 
 
 @pytest.mark.parametrize("kinds", [("sweep",), ("sweep", "sweep", "ticket")])
-def test_a_lesson_that_replaces_what_was_known_replaces_it_here(kinds: tuple[str, ...]) -> None:
+def test_an_update_that_replaces_what_was_known_replaces_it_here(kinds: tuple[str, ...]) -> None:
     """As weighed loads do that have to find the machine's scale anew: less is known of some directions after it."""
     lessons = [*history(kinds, [0.9] * len(kinds)), *history(("ticket",), (0.8,))]
     anew = replace(lessons[-1], state=1.3 * START, covariance=9.0 * COVARIANCE)

@@ -171,7 +171,7 @@ def test_weighed_loads_of_one_flow_give_one_coefficient() -> None:
     assert 0.008 < found.relative_std_dev < 0.025
 
 
-def test_what_cannot_be_fitted_is_said() -> None:
+def test_what_cannot_be_fitted_is_reported() -> None:
     with pytest.raises(ValueError, match="rows at 60, 70 deg; alpha_beta holds at one plate angle"):
         fit_table(MACHINE, rows(FLOWS[:, None], np.array([60.0, 70.0])), "alpha_beta")
     with pytest.raises(ValueError, match="2 loads at 70 deg; expected 3 or more"):
@@ -199,7 +199,7 @@ def test_a_curve_goes_through_files_and_processes_unchanged(kind: str, tmp_path:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         ("estimator: gamma\n", "estimator: is 'gamma'; expected one of alpha_beta, table"),
         ("friction: 0.2\n", "is a parameter file; expected a curve"),
@@ -216,11 +216,11 @@ def test_a_curve_goes_through_files_and_processes_unchanged(kind: str, tmp_path:
         ),
     ],
 )
-def test_a_wrong_file_costs_one_line(text: str, told: str, tmp_path: Path) -> None:
+def test_a_wrong_file_costs_one_line(text: str, reported: str, tmp_path: Path) -> None:
     (tmp_path / "c.yaml").write_text(text)
     with pytest.raises(InputError) as caught:
         flow_curve_file.load(tmp_path / "c.yaml")
-    assert told in str(caught.value)
+    assert reported in str(caught.value)
 
 
 def test_without_a_curve_the_physics_counts() -> None:

@@ -51,7 +51,7 @@ def test_a_flow_declared_steady_stays_steady() -> None:
     assert estimate(wandering(0.3, rng), prior_sd=0.0) == 0.0
 
 
-def test_windows_that_tell_nothing_leave_the_prior() -> None:
+def test_windows_without_information_leave_the_prior() -> None:
     """A log-normal of one e, cut off at three, has this root mean square; worked out by hand from the normal distribution."""
     found = process_sd(np.zeros(ANGLES.size), np.full(ANGLES.size, 1e4), ANGLES, TIME_S, TIME_CONSTANT_S, 0.06)
     assert found == pytest.approx(0.06 * np.sqrt(np.exp(2.0) * 0.84134 / 0.9973), rel=0.01)

@@ -32,7 +32,7 @@ def test_exponential_flow_is_found_exactly(start: float, growth: float, at: floa
 
 
 @pytest.mark.parametrize("at", [0.0, 29.5], ids=["before the first visit", "after the last"])
-def test_nothing_is_said_outside(at: float) -> None:
+def test_nothing_is_reported_outside(at: float) -> None:
     value, sd = bracketed(visits(np.full(6, 9.0)), np.array([at]), 0.0)
     assert np.isnan(value[0])
     assert np.isnan(sd[0])
@@ -84,12 +84,12 @@ def test_errors_that_visits_share_are_those_of_many_simulated_sweeps() -> None:
     at_home, away = np.isin(time_s, home_s), np.isin(time_s, away_s)
     seen = walk[:, at_home] + sd * rng.standard_normal((count, 3))
     error = np.array([np.interp(away_s, home_s, row) for row in seen]) - walk[:, away]
-    told = covariance(Visits(home_s, np.zeros(3), np.full(3, sd)), away_s, wander)
-    np.testing.assert_allclose(told, np.cov(error.T), atol=0.03 * told.max())
+    reported = covariance(Visits(home_s, np.zeros(3), np.full(3, sd)), away_s, wander)
+    np.testing.assert_allclose(reported, np.cov(error.T), atol=0.03 * reported.max())
     one = bracketed(Visits(home_s, np.zeros(3), np.full(3, sd)), away_s, wander)[1]
-    np.testing.assert_allclose(np.sqrt(np.diag(told)), one)
+    np.testing.assert_allclose(np.sqrt(np.diag(reported)), one)
 
 
-def test_nothing_is_said_of_errors_outside() -> None:
-    told = covariance(visits(np.full(6, 9.0)), np.array([0.0, 20.0, 29.5]), 1e-4)
-    assert np.array_equal(np.isfinite(told), np.outer([False, True, False], [False, True, False]))
+def test_nothing_is_reported_of_errors_outside() -> None:
+    reported = covariance(visits(np.full(6, 9.0)), np.array([0.0, 20.0, 29.5]), 1e-4)
+    assert np.array_equal(np.isfinite(reported), np.outer([False, True, False], [False, True, False]))

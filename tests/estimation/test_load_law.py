@@ -33,7 +33,7 @@ def load(law: str, flow: float, seed: int, size: float = 90.0, speed_power: floa
 
 
 @pytest.mark.parametrize("law", SHARE)
-def test_three_loads_teach_the_curve_of_a_sensor_that_is_not_the_models(law):
+def test_three_loads_determine_the_curve_of_a_sensor_that_is_not_the_models(law):
     found = calibrate_loads(MODEL, SHIPPED, [load(law, flow, 1) for flow in (4.5, 10.0, 17.0)])
     assert not found.refused
     errors = np.array([departure(MODEL, found.parameter_set, load(law, flow, 2)) for flow in (5.0, 7.0, 12.0, 15.0, 18.0)])
@@ -42,7 +42,7 @@ def test_three_loads_teach_the_curve_of_a_sensor_that_is_not_the_models(law):
     assert found.another_law is not None
 
 
-def test_a_curve_of_its_own_is_said_and_keeps_sweeps_from_teaching():
+def test_a_curve_of_its_own_is_reported_and_keeps_sweeps_from_updating():
     found = calibrate_loads(MODEL, SHIPPED, [load("power 1.2", flow, 1) for flow in (4.5, 10.0, 17.0, 7.0)])
     assert any("another curve over the flow than the model's" in sentence for sentence in found.sentences)
     assert EFFECT in found.parameter_set.effects

@@ -48,7 +48,7 @@ def test_one_load_far_from_the_shipped_crop_is_learnt(factor):
     assert np.isnan(found.loads[0].left_out_error)
 
 
-def test_three_loads_teach_the_scale_and_its_dependence_on_the_load():
+def test_three_loads_determine_the_scale_and_its_dependence_on_the_load():
     found = calibrate_loads(MODEL, SHIPPED, [load("a", 4.0), load("b", 11.0), load("c", 19.0)])
     assert found.load_dependence
     assert not found.refused
@@ -61,7 +61,7 @@ def test_three_loads_teach_the_scale_and_its_dependence_on_the_load():
 
 
 @pytest.mark.parametrize("tare_kg", [1500.0, 2200.0])
-def test_a_constant_in_every_weighed_mass_is_told_where_it_explains_the_loads_as_well(tare_kg):
+def test_a_constant_in_every_weighed_mass_is_reported_where_it_explains_the_loads_as_well(tare_kg):
     fair = [load(str(flow), flow, truth=dict(SHIPPED.values), sd=0.001) for flow in (5.0, 9.0, 14.0, 19.0)]
     assert calibrate_loads(MODEL, SHIPPED, fair).constant is None
     wrong = [replace(one, weighed_kg=one.weighed_kg + tare_kg) for one in fair]
@@ -77,7 +77,7 @@ def test_another_grain_is_no_constant():
     assert found.constant is None
 
 
-def test_loads_at_one_flow_hold_what_they_cannot_tell():
+def test_loads_at_one_flow_hold_what_they_do_not_determine():
     found = calibrate_loads(MODEL, SHIPPED, [load(str(k), 10.0, seed=k) for k in range(3)])
     assert not found.load_dependence
     assert abs(error_pct(found.parameter_set, 10.0)) < 0.5
@@ -135,7 +135,7 @@ def test_a_scale_that_changes_by_a_lot_is_asked_about(factor, asked):
     assert any("in the unit of their column" in sentence for sentence in found.sentences) is asked
 
 
-def test_among_three_nobody_can_tell_which_one_is_wrong():
+def test_among_three_the_wrong_one_is_not_identifiable():
     found = calibrate_loads(MODEL, SHIPPED, [load("a", 6.0), load("b", 11.0), load("c", 16.0, 1.2)])
     assert found.outliers == ()
 
@@ -160,7 +160,7 @@ def test_a_gain_that_no_restitution_has_is_carried_by_an_exchange_coefficient(ga
     assert set(known.covariance_names) == {"friction", "density", form}
 
 
-def test_sweeps_beside_the_loads_teach_friction():
+def test_sweeps_beside_the_loads_determine_friction():
     wide = replace(SHIPPED, covariance=np.diag([0.06**2, 150.0**2, 0.15**2]))
     rng, sweeps = np.random.default_rng(1), []
     for flow in (8.0, 14.0):
@@ -191,7 +191,7 @@ def test_the_stated_deviation_covers_further_loads():
     assert np.mean(inside < 0.5) < 0.7
 
 
-def test_what_contradicts_is_said_in_per_cent_of_the_measured_mass():
+def test_what_contradicts_is_reported_in_per_cent_of_the_measured_mass():
     before = [load("a", 6.0), load("b", 11.0), load("c", 16.0)]
     found = contradicted(MODEL, SHIPPED, before, load("d", 9.0, 1.2))
     assert found == pytest.approx(0.2, abs=0.02)

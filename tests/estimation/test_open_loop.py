@@ -141,7 +141,7 @@ def test_standard_deviation_matches_drawn_parameters_and_noise() -> None:
     assert flows.std() == pytest.approx(float(estimate.std_dev_kg_s), rel=0.15)
 
 
-def test_the_window_s_own_noise_is_told_apart_from_the_parameters() -> None:
+def test_the_window_s_own_noise_is_separated_from_the_parameters() -> None:
     noise_only = loop((0.0, 0.0, 0.0)).estimate(60.0, ANGLE, SPEED, 1.5)
     both = loop((0.02, 0.03, 40.0)).estimate(60.0, ANGLE, SPEED, 1.5)
     parameters_only = loop((0.02, 0.03, 40.0)).estimate(60.0, ANGLE, SPEED)

@@ -104,14 +104,14 @@ def test_a_steady_rate_is_learnt() -> None:
     assert ahead.parameters.values["friction"] == pytest.approx(live[-1] * 1.1, rel=0.01)
 
 
-def test_later_lessons_better_the_past() -> None:
+def test_later_updates_improve_the_past() -> None:
     truth, live, _, later = trended(0.02)
     early = slice(0, 15)
     error = np.abs(np.subtract(live, truth))[early].mean()
     assert np.abs(np.subtract(later, truth))[early].mean() < 0.6 * error
 
 
-def test_smoothing_is_the_least_squares_fit_of_all_lessons() -> None:
+def test_smoothing_is_the_least_squares_fit_of_all_updates() -> None:
     """Three states of one parameter, two lessons: against the joint Gaussian, conditioned at once."""
     sd, rate_sd, noise = 0.02, 0.3, 0.01
     known, steps = begin(replace(KNOWN, covariance=np.diag([sd**2, 1e-8, 1e-8])), {"friction": rate_sd}), []
@@ -128,7 +128,7 @@ def test_smoothing_is_the_least_squares_fit_of_all_lessons() -> None:
     assert smoothed(steps, known)[0]["friction"] == pytest.approx(start, abs=2e-4)
 
 
-def test_a_widened_lesson_counts_with_the_width_it_was_given() -> None:
+def test_a_widened_update_counts_with_the_width_it_was_given() -> None:
     known, _ = advance(begin(KNOWN, {"friction": 0.3}), STILL, 1.0, 1e6)
     wide = replace(known.parameters, covariance=4.0 * known.parameters.covariance)
     posterior = measured(wide, "friction", 0.3, 0.001)

@@ -119,7 +119,7 @@ def test_a_model_that_is_right_is_hardly_corrected(rows: Measurements) -> None:
     assert found.model_error < 0.004
 
 
-def test_sweeps_teach_nothing_beside_it(corrected: ParameterSet) -> None:
+def test_sweeps_update_nothing_beside_it(corrected: ParameterSet) -> None:
     assert "stop-gap" in refusal(corrected)
     assert without_stop_gap(corrected).effects == ()
 

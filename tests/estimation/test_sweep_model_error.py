@@ -38,7 +38,7 @@ def _found(change: np.ndarray, seeds: range, known: ParameterSet = PARAMETERS) -
     return model_error(MODEL, known, [_sweep(change, seed) for seed in seeds], tolerance=0.005)
 
 
-def test_without_sweeps_nothing_is_said() -> None:
+def test_without_sweeps_nothing_is_reported() -> None:
     assert model_error(MODEL, PARAMETERS, []) == NO_ERROR
 
 
@@ -79,7 +79,7 @@ def test_what_the_covariance_explains_is_no_error_of_the_model() -> None:
     assert unsure.home < 0.5 * sure.home
 
 
-def test_more_sweeps_say_it_the_more_surely() -> None:
+def test_more_sweeps_raise_the_confidence() -> None:
     change = np.log(1.0 + 0.04 / np.tan(ANGLES))
     assert _found(change, range(12)).away > 0.0
     assert _found(change, range(12)).home > _found(np.zeros(6), range(12)).home

@@ -58,14 +58,14 @@ def test_it_is_what_a_sweep_without_noise_then_leaves(flow: float, loop: ClosedL
     assert (stated.at_home_sd, stated.with_sweep_sd) == pytest.approx(tuple(expected), rel=0.06)
 
 
-def test_kernels_of_a_known_bias_leave_nothing_for_a_sweep_to_tell() -> None:
+def test_kernels_of_a_known_bias_leave_a_sweep_no_information() -> None:
     alone, heard = worth(), worth(channels=OtherChannels(kernels_sd=0.005))
     assert alone.ratio > 1.2
     assert heard.at_home_sd < 0.006
     assert heard.ratio < 1.05
 
 
-def test_a_bias_that_a_weighed_load_fixed_adds_nothing_to_what_that_load_taught() -> None:
+def test_a_bias_that_a_weighed_load_fixed_adds_nothing_to_that_update() -> None:
     """Where the bias's error is that of the mean force's flow, both together know the flow no better."""
     known = replace(KNOWN, covariance=np.diag([1e-12, 0.08**2, 1e-6]))
     gain = worth(known=known).at_home_sd
@@ -97,6 +97,6 @@ def test_a_sweep_and_a_channel_never_make_the_flow_less_certain(
 
 
 @pytest.mark.parametrize(("known", "flow"), [(ParameterSet(VALUES), 12.0), (KNOWN, 500.0)])
-def test_without_variance_or_a_force_nothing_is_said(known: ParameterSet, flow: float) -> None:
+def test_without_variance_or_a_force_nothing_is_reported(known: ParameterSet, flow: float) -> None:
     plan = SweepPlan(window_times_s(STOPS), np.radians(STOPS), HOME_RAD, SPEED, flow, 0.01, nan)
     assert sweep_worth(MODEL, known, plan, OtherChannels(), LOOP) is None

@@ -44,7 +44,7 @@ def test_the_time_constant_is_found_within_its_deviation(tau_s, sign):
     assert found.misfit < 0.03
 
 
-def test_sparser_samples_still_tell():
+def test_sparser_samples_still_suffice():
     found = tap_response([struck(0.008, interval_s=4e-3, taps=12)], 4e-3, full_scale_mv=4000.0)
     assert found.response_s == pytest.approx(0.008, rel=0.08)
     assert abs(found.response_s - 0.008) < 4.0 * found.std_dev_s
@@ -61,7 +61,7 @@ def test_a_cell_faster_than_the_samples_is_refused():
     assert "faster samples would show it" in found.refused
 
 
-def test_taps_that_do_not_count_are_told_by_reason():
+def test_taps_that_do_not_count_are_reported_by_reason():
     hard, close = struck(0.008, height_mv=3900.0, seed=5), struck(0.008, apart_s=0.2, seed=6)
     found = tap_response([struck(0.008), hard, close], 1e-3, full_scale_mv=4000.0)
     assert found.left_out["beyond the sensor's range"] >= 1

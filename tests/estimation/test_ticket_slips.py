@@ -49,7 +49,7 @@ def said(found: LoadCalibration) -> str:
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("count", [2, 3])
 @pytest.mark.parametrize("factor", [1.0 / 0.45359237, 0.45359237])
-def test_a_ticket_of_two_or_three_in_another_unit_teaches_nothing_and_is_named(law: str, count: int, factor: float) -> None:
+def test_a_ticket_of_two_or_three_in_another_unit_updates_nothing_and_is_named(law: str, count: int, factor: float) -> None:
     right = loads(law, count, 1)
     found = calibrate_loads(MODEL, SHIPPED, [weighing(right[0], factor * right[0].weighed_kg), *right[1:]])
     assert found.refused
@@ -61,7 +61,7 @@ def test_a_ticket_of_two_or_three_in_another_unit_teaches_nothing_and_is_named(l
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_pounds_among_three_or_four_are_said_to_be_pounds(law: str) -> None:
+def test_pounds_among_three_or_four_are_reported_to_be_pounds(law: str) -> None:
     for count in (3, 4):
         right = loads(law, count, 2)
         found = calibrate_loads(MODEL, SHIPPED, [weighing(right[0], right[0].weighed_kg / 0.45359237), *right[1:]])
@@ -71,7 +71,7 @@ def test_pounds_among_three_or_four_are_said_to_be_pounds(law: str) -> None:
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("count", [3, 4])
-def test_two_exchanged_tickets_teach_nothing(law: str, count: int) -> None:
+def test_two_exchanged_tickets_update_nothing(law: str, count: int) -> None:
     right = loads(law, count, 3)
     wrong = [weighing(right[0], right[-1].weighed_kg), *right[1:-1], weighing(right[-1], right[0].weighed_kg)]
     found = calibrate_loads(MODEL, SHIPPED, wrong)
@@ -91,7 +91,7 @@ def test_digits_exchanged_in_one_of_four_are_named_with_the_mass_that_was_meant(
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
-def test_right_tickets_are_believed(law: str, count: int) -> None:
+def test_right_tickets_are_accepted(law: str, count: int) -> None:
     found = calibrate_loads(MODEL, SHIPPED, loads(law, count, 5))
     assert not found.refused
     assert found.outliers == ()

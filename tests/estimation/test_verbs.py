@@ -155,7 +155,9 @@ def test_estimate_refuses_noise_that_is_none(capsys: pytest.CaptureFixture[str],
 
 
 @pytest.mark.parametrize(("out", "problem"), [("nowhere/x.yaml", "there is no folder"), (".", "is a folder")])
-def test_calibrate_tells_before_the_fit_that_it_cannot_write(capsys: pytest.CaptureFixture[str], out: str, problem: str) -> None:
+def test_calibrate_reports_before_the_fit_that_it_cannot_write(
+    capsys: pytest.CaptureFixture[str], out: str, problem: str
+) -> None:
     assert problem in run(capsys, "calibrate", DATA / "dem_table.csv", "--out", out, code=2)
 
 
@@ -187,7 +189,7 @@ def test_what_predict_writes_estimate_and_calibrate_read(
         ("paddle_momentum_kg_m_s", "9", "line 2: momentum_kg_m_s: is 9, where force_n says"),
     ],
 )
-def test_a_load_or_reading_told_twice_must_agree(
+def test_a_load_or_reading_in_two_columns_must_agree(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, verb: str, column: str, value: str, problem: str
 ) -> None:
     lines = list(csv.DictReader(io.StringIO(run(capsys, "predict", "--mass-flow", "5,10", "--plate-angle", "50,70"))))
@@ -233,7 +235,7 @@ def test_calibrate_recovers_generated_parameters(capsys: pytest.CaptureFixture[s
     assert sum(b["starts"] for b in found["basins"]) == 5
 
 
-def test_calibrate_holds_and_frees_what_it_is_told(capsys: pytest.CaptureFixture[str], sweep_table: Path) -> None:
+def test_calibrate_holds_and_frees_the_parameters_given(capsys: pytest.CaptureFixture[str], sweep_table: Path) -> None:
     found = document(capsys, "calibrate", sweep_table, "--starts", "2", "--fix", "density=1150", "--free", "friction,restitution")
     assert set(found["parameters"]) == {"friction", "restitution"}
     assert found["fixed"]["density"] == 1150.0

@@ -190,10 +190,10 @@ def test_each_second_of_a_pass_has_its_own_point_wherever_in_the_second_the_rows
         assert seconds - 9 <= len(times_s) <= seconds - 7
 
 
-@pytest.mark.parametrize(("name", "told"), [("p.txt", True), ("p.zip", True), ("p.geojson", False)])
-def test_formats_that_cannot_say_that_the_delay_is_taken_out_are_named(exported, capsys, name: str, told: bool) -> None:
+@pytest.mark.parametrize(("name", "reported"), [("p.txt", True), ("p.zip", True), ("p.geojson", False)])
+def test_formats_that_cannot_say_that_the_delay_is_taken_out_are_named(exported, capsys, name: str, reported: bool) -> None:
     exported(name, *WORDS)
-    assert ("flow delay of 10 s is taken out" in capsys.readouterr().err) is told
+    assert ("flow delay of 10 s is taken out" in capsys.readouterr().err) is reported
 
 
 def test_agleader_text_gives_the_same_yield(exported):

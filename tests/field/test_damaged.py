@@ -25,21 +25,21 @@ def test_a_sample_of_damaged_files() -> None:
 def test_whole_ones_are_maps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for path in base_files(tmp_path):
         code = cli.main(["map", str(path), "--out", str(tmp_path / "out"), "--products", "none", "--json"])
-        told = capsys.readouterr()
-        assert code == 0, told.err
-        assert json.loads(told.out)["mass_kg"]["integrated"] > 0
+        reported = capsys.readouterr()
+        assert code == 0, reported.err
+        assert json.loads(reported.out)["mass_kg"]["integrated"] > 0
 
 
 def test_missing_and_damaged_logs_are_named(harvests: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["map", str(harvests / "isoxml"), "--out", str(tmp_path / "out"), "--products", "none", "--json"]) == 0
-    told = capsys.readouterr()
-    (source,) = json.loads(told.out)["sources"]
+    reported = capsys.readouterr()
+    (source,) = json.loads(reported.out)["sources"]
     why = {one["part"]: one["why"] for one in source["skipped"]}
     assert "missing" in why["TLG00001"]
     assert "well-formed" in why["TLG00003"]
     assert "TLG00006" not in why
     assert source["points"] == 187
-    assert sum("TLG00003" in line for line in told.err.splitlines()) == 1
+    assert sum("TLG00003" in line for line in reported.err.splitlines()) == 1
 
 
 def test_machine_total_is_near_the_integral(harvests: Path) -> None:
@@ -81,7 +81,7 @@ def test_a_broken_task_file_leaves_the_logs(harvests: Path, tmp_path: Path) -> N
     assert table.sources[0].skipped[0].part == "TASKDATA.XML"
 
 
-def test_rows_that_are_no_rows_are_told(corn: Path, tmp_path: Path) -> None:
+def test_rows_that_are_no_rows_are_reported(corn: Path, tmp_path: Path) -> None:
     lines = corn.read_text().splitlines()[:300]
     lines[10] = "a,b,c"
     lines[20] = lines[20].replace(",", ",x", 1)
@@ -129,7 +129,7 @@ def test_a_zip_of_several_reads_what_it_can(corn: Path, tmp_path: Path) -> None:
     assert table.sources[0].skipped[0].part == "notes.txt"
 
 
-def test_a_member_that_is_named_at_length_is_told_in_brief(tmp_path: Path) -> None:
+def test_a_long_member_name_is_shortened_in_the_report(tmp_path: Path) -> None:
     path = tmp_path / "all.zip"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr(f"{'a' * 5000}.txt", "bring oil")

@@ -62,8 +62,8 @@ def test_texts(content: str, encoding: str, down: list[float] | None, tmp_path: 
     looks_right(table)
     if down is not None:
         assert np.array_equal(table["header_down"], down, equal_nan=True)
-    told = any("neither on nor off" in note for note in table.sources[0].notes)
-    assert told == ("Betrieb" in content)
+    reported = any("neither on nor off" in note for note in table.sources[0].notes)
+    assert reported == ("Betrieb" in content)
 
 
 @pytest.mark.parametrize("clock", ["moments", "days", "both"])

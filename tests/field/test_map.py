@@ -28,9 +28,9 @@ ROOT = Path(__file__).parents[2]
 
 def mapped(capsys: pytest.CaptureFixture[str], out: Path, *words: str | Path) -> dict[str, Any]:
     code = cli.main(["map", *map(str, words), "--out", str(out), "--json"])
-    told = capsys.readouterr()
-    assert code == 0, told.err
-    document: dict[str, Any] = json.loads(told.out)
+    reported = capsys.readouterr()
+    assert code == 0, reported.err
+    document: dict[str, Any] = json.loads(reported.out)
     return document
 
 
@@ -166,7 +166,7 @@ def test_products_are_sources(
     assert again["mass_kg"]["integrated"] == pytest.approx(expected, rel=1e-3)
 
 
-def test_report_needs_no_network_and_keeps_names_harmless(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_report_needs_no_network_and_escapes_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "field.txt"
     ag_leader(path, delay_s=9, seed=4, passes=12)
     mapped(capsys, tmp_path / "out", path, "--field", "</script><img src=x onerror=alert(1)>", "--products", "report")
@@ -251,7 +251,7 @@ def test_a_pause_within_a_log_is_no_way_that_was_cut(tmp_path: Path, capsys: pyt
     assert found[1]["mass_kg"]["integrated"] == pytest.approx(found[0]["mass_kg"]["integrated"], rel=0.001)
 
 
-def test_rows_told_twice_count_once(corn: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rows_given_twice_count_once(corn: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = corn.read_text().splitlines()
     path = tmp_path / "twice.txt"
     path.write_text("\n".join(line for line in lines for _ in range(2)) + "\n")
@@ -332,9 +332,9 @@ def test_refusals_are_one_line(words: list[str], says: str, tmp_path: Path, caps
     if "--out" not in given:
         given += ["--out", str(tmp_path / "out")]
     assert cli.main(["map", *given]) == 2
-    told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("yieldmon: ")]
-    assert len(told) == 1
-    assert says in told[0]
+    reported = [line for line in capsys.readouterr().err.splitlines() if line.startswith("yieldmon: ")]
+    assert len(reported) == 1
+    assert says in reported[0]
     assert not (tmp_path / "out").exists()
 
 

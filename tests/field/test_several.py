@@ -24,10 +24,10 @@ WRITTEN = ("--products", "geopackage,geotiff")
 
 def mapped(capsys: pytest.CaptureFixture[str], *words: str | Path) -> tuple[dict[str, Any], str]:
     code = cli.main(["map", *map(str, words), "--out", "unused", "--products", "none", "--json"])
-    told = capsys.readouterr()
-    assert code == 0, told.err
-    document: dict[str, Any] = json.loads(told.out)
-    return document, told.err
+    reported = capsys.readouterr()
+    assert code == 0, reported.err
+    document: dict[str, Any] = json.loads(reported.out)
+    return document, reported.err
 
 
 @pytest.fixture(autouse=True)
@@ -61,7 +61,7 @@ def test_two_combines_keep_their_own_delays(order: str, tmp_path: Path, capsys: 
     assert mass["kept"] + sum(mass["left_out_by_reason"].values()) == pytest.approx(mass["integrated"], abs=1.0)
 
 
-def test_a_small_file_takes_what_its_machine_tells_elsewhere(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_small_file_takes_what_its_machine_reports_elsewhere(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ag_leader(tmp_path / "monday.txt", delay_s=LATE, seed=5)
     rows = (tmp_path / "monday.txt").read_text().splitlines()
     (tmp_path / "tuesday.txt").write_text("\n".join(rows[-92 * 2 :]))
@@ -143,9 +143,9 @@ def test_crops_have_thresholds_of_their_own(tmp_path: Path, capsys: pytest.Captu
     moved = [[row[0], f"{float(row[1]) + 0.02:.8f}", *row[2:]] for row in heavy]
     (tmp_path / "both.txt").write_text("\n".join(",".join(row) for row in [*rows, *moved]))
     alone, _ = mapped(capsys, tmp_path / "one.txt")
-    together, told = mapped(capsys, tmp_path / "both.txt")
+    together, reported = mapped(capsys, tmp_path / "both.txt")
     assert together["points_by_reason"]["kept"] == pytest.approx(2 * alone["points_by_reason"]["kept"], rel=0.02)
-    assert "2 crops (Corn, Silage)" in told
+    assert "2 crops (Corn, Silage)" in reported
 
 
 def zipped(path: Path, members: dict[str, Path | bytes]) -> Path:
@@ -219,8 +219,8 @@ def test_depth_and_number_are_bounded(how: str, tmp_path: Path, capsys: pytest.C
         inner.mkdir(parents=True)
         shutil.copy(tmp_path / "field.txt", inner)
     assert cli.main(["map", str(path), "--out", "unused"]) == 2
-    told = capsys.readouterr().err.splitlines()
-    assert "folders or zips deep" in told[-1]
+    reported = capsys.readouterr().err.splitlines()
+    assert "folders or zips deep" in reported[-1]
 
 
 @pytest.mark.parametrize(
@@ -265,9 +265,9 @@ def test_a_few_points_are_no_yield_and_no_nonsense(rows: int, tmp_path: Path, ca
     ag_leader(tmp_path / "field.txt", delay_s=LATE, seed=5, passes=2)
     few = (tmp_path / "field.txt").read_text().splitlines()[40 : 40 + rows]
     (tmp_path / "field.txt").write_text("\n".join(few))
-    _, told = mapped(capsys, tmp_path / "field.txt")
-    assert "nan" not in told
-    assert "no yield: no point is kept" in told
+    _, reported = mapped(capsys, tmp_path / "field.txt")
+    assert "nan" not in reported
+    assert "no yield: no point is kept" in reported
 
 
 def test_a_cleaned_text_is_not_shifted_again(corn: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -277,9 +277,9 @@ def test_a_cleaned_text_is_not_shifted_again(corn: Path, tmp_path: Path, capsys:
         out = tmp_path / decision
         assert cli.main(["map", str(source), "--out", str(out), "--json", "--products", "agleader"]) == 0
         first = json.loads(capsys.readouterr().out)
-        again, told = mapped(capsys, out / "agleader_clean.txt")
+        again, reported = mapped(capsys, out / "agleader_clean.txt")
         assert first["delay"]["flow_s"]["decision"] == decision
-        assert f"flow delay of {first['delay']['flow_s']['value']:.1f} s taken out" in told
+        assert f"flow delay of {first['delay']['flow_s']['value']:.1f} s taken out" in reported
         assert again["delay"]["flow_s"]["value"] == 0.0
         assert again["mass_kg"]["kept"] == pytest.approx(first["mass_kg"]["kept"], rel=0.03)
         assert again["crop"] == first["crop"]
@@ -322,7 +322,7 @@ def test_grain_at_the_fields_edge_is_kept(seed: int, tmp_path: Path, capsys: pyt
 
 
 def test_task_data_of_two_machines_at_once(harvests: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The same log again 300 m further, at the same times: by another device, or by one that is not told."""
+    """The same log again 300 m further, at the same times: by another device, or by one that is not named."""
     alone, _ = mapped(capsys, harvests / "isoxml")
     log = (harvests / "isoxml" / "TLG00006.bin").read_bytes()
     for device, other in (("another", "DVC-2"), ("untold", "DVC-1")):

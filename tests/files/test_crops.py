@@ -24,7 +24,7 @@ def test_all_eight_are_there():
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_crop_measures_with_an_honest_uncertainty_and_outlives_its_file(name, tmp_path):
+def test_a_crop_measures_within_its_stated_uncertainty_and_outlives_its_file(name, tmp_path):
     known = crop(name).parameters()
     machine = Machine()
     model = ForwardModel(machine, known.effects)

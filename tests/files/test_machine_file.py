@@ -73,7 +73,7 @@ def test_a_missing_key_is_named(tmp_path):
         machine_file.load(path)
 
 
-def test_what_a_task_controller_is_told_makes_the_round_trip(tmp_path):
+def test_what_a_task_controller_gets_makes_the_round_trip(tmp_path):
     machine = replace(Machine(), implement=Implement(working_width_m=9.1, connector_type=2, grain_delay_s=12.0))
     path = tmp_path / "machine.yaml"
     path.write_text(yaml.safe_dump(machine_file.to_document(machine)), encoding="utf-8")

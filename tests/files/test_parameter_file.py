@@ -116,7 +116,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
     assert path.read_bytes() == before
 
 
-def test_a_number_that_is_cut_off_is_refused_or_told(tmp_path, caplog):
+def test_a_number_that_is_cut_off_is_refused_or_reported(tmp_path, caplog):
     """The rest of a number is a number as well, and a file that a full stick or a broken copy left ends anywhere."""
     path = tmp_path / "cut.yaml"
     parameter_file.save(parameter_file.load(), path)

@@ -77,7 +77,7 @@ def test_a_place_for_no_file_is_named(tmp_path: Path, name: str, problem: str) -
     assert caught.value.where == str(tmp_path / name)
 
 
-def test_a_full_medium_is_told_with_the_path(tmp_path: Path) -> None:
+def test_a_full_medium_is_reported_with_the_path(tmp_path: Path) -> None:
     path = tmp_path / "x.csv"
     path.symlink_to("/dev/full")
     with pytest.raises(OSError, match="No space left") as caught, scratch_for(path) as scratch:
@@ -87,7 +87,7 @@ def test_a_full_medium_is_told_with_the_path(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("opened", [Path, str], ids=["as a path", "as text"])
-def test_a_scratch_file_that_cannot_be_made_is_told_by_the_files_own_name(tmp_path: Path, opened: type) -> None:
+def test_a_scratch_file_that_cannot_be_made_is_reported_by_the_files_own_name(tmp_path: Path, opened: type) -> None:
     path = tmp_path / "x.csv"
 
     def write() -> None:

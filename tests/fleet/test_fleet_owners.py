@@ -296,8 +296,8 @@ def test_days_that_the_source_has_no_longer_are_named(tree: Path, tmp_path: Path
 def test_interrupted(tmp_path: Path, when: str) -> None:
     """Ctrl-C as a terminal sends it, a signal to the whole process group, and again while the workers are stopped."""
     source, out = logs.tree(tmp_path / "tree", machines=2, days=20), tmp_path / "out"
-    told = ["-X", "importtime"] if when != "at work" else []
-    command = [sys.executable, *told, "-c", INTERRUPTIBLE, "fleet", "run", str(source), "--out", str(out)]
+    reported = ["-X", "importtime"] if when != "at work" else []
+    command = [sys.executable, *reported, "-c", INTERRUPTIBLE, "fleet", "run", str(source), "--out", str(out)]
     said = tmp_path / "said"
     with said.open("w") as stream:
         running = subprocess.Popen([*command, "--workers", "1"], cwd=ROOT, start_new_session=True, stderr=stream)

@@ -1,6 +1,6 @@
 """A task controller to test against, written from ISO 11783-10 and independent of the product: bytes in, bytes out.
 
-It keeps what it was told and checks it as it goes; `complaints` holds what a strict server would object to.
+It keeps what it was sent and checks it as it goes; `complaints` holds what a strict server would object to.
 """
 
 from __future__ import annotations

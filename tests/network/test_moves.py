@@ -49,14 +49,14 @@ def test_names_that_move_without_end_bring_few_questions_of_ours() -> None:
     assert len(asked) <= 6
 
 
-def test_an_address_that_a_lower_name_takes_is_told_for_a_minute() -> None:
+def test_an_address_that_a_lower_name_takes_is_reported_for_a_minute() -> None:
     """It may take it, and nobody expects our figures from the new one."""
     node, lower = claimed(), Name(identity_number=0, arbitrary_address_capable=False)
     claim(node, lower, 131, 10.0)
     assert node.address is None
     assert node.troubles(10.0) == (f"the lower NAME {lower} took our address 131; ours is none yet (1 lost so far)",)
     node.poll(10.3)
-    told = f"the lower NAME {lower} took our address 131; ours is {node.address} (1 lost so far)"
+    reported = f"the lower NAME {lower} took our address 131; ours is {node.address} (1 lost so far)"
     assert node.address not in (None, 131)
-    assert node.troubles(69.0) == (told,)
+    assert node.troubles(69.0) == (reported,)
     assert node.troubles(71.0) == ()

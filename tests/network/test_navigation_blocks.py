@@ -36,15 +36,15 @@ def test_a_block_says_what_its_frames_say(group: int) -> None:
     rows = np.arange(len(data)) * 3
     times = 100.0 + 0.1 * np.arange(len(data))
     payload = np.array([int.from_bytes(one[:8].ljust(8, b"\0"), "little") for one in data], np.uint64)
-    told = read_block(group, rows, times, payload, np.array([len(one) for one in data], np.uint8))
+    reported = read_block(group, rows, times, payload, np.array([len(one) for one in data], np.uint8))
     by_frame: dict[Quantity, list[tuple[int, float, float]]] = {}
     for row, time_s, one in zip(rows.tolist(), times.tolist(), data, strict=True):
         for reading in read(Payload(time_s, group, 0x1C, 255, 6, one)):
             if reading.quantity is not Quantity.TIME:
                 by_frame.setdefault(reading.quantity, []).append((row, time_s, reading.value))
     assert by_frame
-    assert {quantity for quantity, at in told} == set(by_frame)
-    for (quantity, _), column in told.items():
+    assert {quantity for quantity, at in reported} == set(by_frame)
+    for (quantity, _), column in reported.items():
         expected = by_frame[quantity]
         assert column.rows.tolist() == [row for row, _, _ in expected]
         assert column.time_s.tolist() == [time_s for _, time_s, _ in expected]

@@ -111,16 +111,18 @@ def test_the_address_of_a_lower_name_is_not_claimed_at_the_start(name: Name, hol
     assert ((sent.identifier & 0xFF) == US) is claims_ours
 
 
-@pytest.mark.parametrize(("frames_s", "told"), [((2.0,), False), ((2.0, 4.0), True), ((2.0, 14.0), False), ((2.0, 10.0), True)])
-def test_one_stray_frame_from_our_address_in_ten_seconds_is_no_trouble(frames_s: tuple[float, ...], told: bool) -> None:
+@pytest.mark.parametrize(
+    ("frames_s", "reported"), [((2.0,), False), ((2.0, 4.0), True), ((2.0, 14.0), False), ((2.0, 10.0), True)]
+)
+def test_one_stray_frame_from_our_address_in_ten_seconds_is_no_trouble(frames_s: tuple[float, ...], reported: bool) -> None:
     """A node that has just lost the address may still have had one under way."""
     node = node_at()
     for now_s in frames_s:
         node.feed(0x18FF1600 | US, bytes(8), now_s)
-    assert any("sends from our address" in trouble for trouble in node.troubles(frames_s[-1])) is told
+    assert any("sends from our address" in trouble for trouble in node.troubles(frames_s[-1])) is reported
 
 
-def test_cannot_claim_is_said_late_and_again_when_asked() -> None:
+def test_cannot_claim_is_reported_late_and_again_when_asked() -> None:
     node = node_at(name=FIXED)
     assert node.feed(*claim(US, BELOW_FIXED), 1.0).frames == []
     due_s = node.due_s
@@ -275,18 +277,18 @@ def test_several_codes_as_can_j1939_sees_them() -> None:
     assert found == [[(c.spn, c.fmi, 1) for c in CODES], [(520192, 9, 1)]]
 
 
-def test_a_code_that_comes_and_goes_while_a_message_is_under_way_is_told() -> None:
+def test_a_code_that_comes_and_goes_during_a_transfer_is_sent() -> None:
     node, listener = node_at(), Reassembler()
     short = TroubleCode(520200, 31)
     sent = node.report_trouble(CODES, 1.0)
     assert node.report_trouble([*CODES, short], 1.01) == []
     assert node.report_trouble(CODES, 1.02) == []
     sent += run(node, [], 1.03)
-    told = [[c.spn for c in read(p.data)] for f in sent for p in listener.feed(f.identifier, f.data, 1.0)]
-    assert told == [[c.spn for c in CODES], [*[c.spn for c in CODES], short.spn]]
+    reported = [[c.spn for c in read(p.data)] for f in sent for p in listener.feed(f.identifier, f.data, 1.0)]
+    assert reported == [[c.spn for c in CODES], [*[c.spn for c in CODES], short.spn]]
     last = run(node, node.report_trouble(CODES, 5.0), 5.0)
-    told = [[c.spn for c in read(p.data)] for f in last for p in listener.feed(f.identifier, f.data, 5.0)]
-    assert told == [[c.spn for c in CODES]]
+    reported = [[c.spn for c in read(p.data)] for f in last for p in listener.feed(f.identifier, f.data, 5.0)]
+    assert reported == [[c.spn for c in CODES]]
 
 
 def test_peers_that_ask_and_do_not_answer_keep_no_trouble_code_back() -> None:
@@ -294,8 +296,8 @@ def test_peers_that_ask_and_do_not_answer_keep_no_trouble_code_back() -> None:
     for peer in range(40, 60):
         assert len(answers(node, f"18EA83{peer:02X}#DAFE00")) == (peer < 56)
     sent = run(node, node.report_trouble(CODES, 1.0), 1.0)
-    told = [[c.spn for c in read(p.data)] for f in sent for p in listener.feed(f.identifier, f.data, 1.0)]
-    assert told == [[c.spn for c in CODES]]
+    reported = [[c.spn for c in read(p.data)] for f in sent for p in listener.feed(f.identifier, f.data, 1.0)]
+    assert reported == [[c.spn for c in CODES]]
 
 
 def test_cleared_codes_go_to_dm2_and_away() -> None:

@@ -105,7 +105,7 @@ def test_sequence(prepare: str, expected: list[str], version: int) -> None:
     assert bench.states[0] == (0.1, ClientState.RESTING)
 
 
-def test_nothing_is_said_for_six_seconds_nor_before_the_server() -> None:
+def test_nothing_is_reported_for_six_seconds_nor_before_the_server() -> None:
     bench = Bench(TaskServer(silent=True))
     bench.run(20.0)
     assert bench.client.state is ClientState.WAITING_FOR_SERVER
@@ -136,7 +136,7 @@ def test_pool_says_what_the_machine_file_says() -> None:
     assert objects[0][1]["name"] == int(NAME)
 
 
-def test_pool_without_a_width_promises_no_area() -> None:
+def test_pool_without_a_width_offers_no_area() -> None:
     objects = parse_pool(device(Implement()).pool(3), 3)
     variables = {v["ddi"] for table, v in objects.values() if table == "DPD"}
     assert variables == {87, 90, 99, 119, 182, 183, 239, 57343}
@@ -329,7 +329,7 @@ def test_unknown_values_are_left_out() -> None:
     assert raw_values(replace(SECOND, ground_speed_m_s=0.1), 9.1).keys() == raw_values(SECOND, None).keys()
 
 
-def test_a_total_that_the_server_sets_near_the_end_of_its_range_is_said_as_far_as_it_fits() -> None:
+def test_a_total_that_the_server_sets_near_the_end_of_its_range_is_reported_as_far_as_it_fits() -> None:
     bench = connected()
     bench.command(Command.SET_AND_ACKNOWLEDGE, 90, 2**31 - 10)
     bench.command(Command.TIME_INTERVAL, 90, 1000)

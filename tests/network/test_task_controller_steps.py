@@ -156,7 +156,7 @@ PROBLEMS = {
 
 
 @pytest.mark.parametrize("start", PROBLEMS)
-def test_a_refusal_is_told_and_tried_again_after_a_minute(start: Callable[[], Client]) -> None:
+def test_a_refusal_is_reported_and_tried_again_after_a_minute(start: Callable[[], Client]) -> None:
     heard, problem = PROBLEMS[start]
     for later_s, state in ((60.0 - BEYOND_S, C.RESTING), (60.0, C.WAITING_FOR_SERVER)):
         client = start()
@@ -244,18 +244,18 @@ def test_the_client_task_is_sent_every_two_seconds_with_the_servers_task() -> No
     assert Client().poll(100.0) == [], "nobody is there"
 
 
-def test_after_the_address_has_gone_nothing_is_said() -> None:
+def test_after_the_address_has_gone_nothing_is_reported() -> None:
     client = connected()
     client.client.stop()
     assert (client.state, client.poll(1000.0), client.hear(STATUS)) == (C.RESTING, [], [])
 
 
-@pytest.mark.parametrize("told", [0, 1, 2, 3, 4, 5, 255])
-def test_the_pool_is_of_the_older_version(told: int) -> None:
+@pytest.mark.parametrize("reported", [0, 1, 2, 3, 4, 5, 255])
+def test_the_pool_is_of_the_older_version(reported: int) -> None:
     client = version()
-    client.hear(bytes([0x10, told, 10, 0x01, 0, 0, 0, 0]))
+    client.hear(bytes([0x10, reported, 10, 0x01, 0, 0, 0, 0]))
     client.hear(b"\x11" + NO_LABEL)
-    assert client.hear(b"\x51\x00" + b"\xff" * 6) == said(b"\x61" + device().pool(min(max(told, 1), 4)))
+    assert client.hear(b"\x51\x00" + b"\xff" * 6) == said(b"\x61" + device().pool(min(max(reported, 1), 4)))
 
 
 @pytest.mark.parametrize("length", [0, 1, 7])
@@ -301,7 +301,7 @@ def test_totals_are_set_by_the_server_and_count_on(ddi: int, value: int) -> None
 
 
 @pytest.mark.parametrize("change", [TASK_STATUS, STATUS])
-def test_totals_begin_with_a_task_and_are_told_at_its_end(change: bytes) -> None:
+def test_totals_begin_with_a_task_and_are_sent_at_its_end(change: bytes) -> None:
     client = connected()
     client.client.update(SECOND, client.now_s)
     client.hear(b"\x23\x00\x5a\x00" + (500).to_bytes(4, "little"))
@@ -309,9 +309,9 @@ def test_totals_begin_with_a_task_and_are_told_at_its_end(change: bytes) -> None
     assert client.hear(TASK_STATUS) == []
     ask = b"\x22\x00\x5a\x00" + bytes(4)
     assert client.hear(ask)[0].data[4:] == bytes(4), "a task begins at 0"
-    told = client.hear(change)
-    assert [out.data[2] for out in told] == ([] if change is TASK_STATUS else [90, 183, 116, 119])
-    assert {out.priority for out in told} <= {3}
+    reported = client.hear(change)
+    assert [out.data[2] for out in reported] == ([] if change is TASK_STATUS else [90, 183, 116, 119])
+    assert {out.priority for out in reported} <= {3}
 
 
 def test_commands_and_refusals_have_the_standards_numbers() -> None:

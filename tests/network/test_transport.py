@@ -179,7 +179,7 @@ def ours(path: Path) -> list[tuple[int, int, int, bytes]]:
 
 
 def theirs(path: Path) -> list[tuple[int, int, bytes]]:
-    """What can-j1939 makes of the same frames; it must be told to take connections to 0x06."""
+    """What can-j1939 makes of the same frames; it has to be set up to take connections to 0x06."""
     found: list[tuple[int, int, bytes]] = []
     ecu = j1939.ElectronicControlUnit(send_message=lambda *args, **kwargs: None)
     try:

@@ -72,7 +72,7 @@ WAITS = {
     "our next window": ([request_to_send(20, 1), part(1)], T2_S, [abort(3)]),
     "others' first part": ([request_to_send(20, us=OTHER)], T2_S, []),
     "others' next part": ([request_to_send(20, us=OTHER), part(1, us=OTHER)], T2_S, []),
-    "others who are told to wait": ([request_to_send(20, us=OTHER), f"1CEC1740#1100FFFFFF{GROUP}"], T2_S, []),
+    "others that are made to wait": ([request_to_send(20, us=OTHER), f"1CEC1740#1100FFFFFF{GROUP}"], T2_S, []),
     "others of another group": ([request_to_send(20, us=OTHER), "1CEC1740#1100FFFFFFEBFE00"], T2_S - 1.0, []),
     "a broadcast's first part": ([broadcast(20)], T1_S, []),
     "a broadcast's next part": ([broadcast(20), part(1, us=0xFF)], T1_S, []),

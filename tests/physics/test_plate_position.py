@@ -88,7 +88,7 @@ def test_machine_files_say_how_far_the_plate_moves(tmp_path: Path) -> None:
     path.write_text(json.dumps(document))
     assert machine_file.load(path).plate_travel_m == (-0.03, 0.05)
     assert "plate_travel_m" not in machine_file.to_document(MACHINE)
-    for wrong, told in (
+    for wrong, reported in (
         ([0.01, 0.05], "plate_travel_m is (0.01, 0.05), expected [at most 0, at least 0] m"),
         ([-0.3, 0.0], "plate_travel_m lets the plate into the paddles' way"),
         (0.1, "plate_travel_m: is 0.1; expected [towards the elevator, away from it] in m"),
@@ -96,7 +96,7 @@ def test_machine_files_say_how_far_the_plate_moves(tmp_path: Path) -> None:
         path.write_text(json.dumps(document | {"plate_travel_m": wrong}))
         with pytest.raises(InputError) as caught:
             machine_file.load(path)
-        assert told in str(caught.value)
+        assert reported in str(caught.value)
 
 
 def test_predict_takes_positions(capsys: pytest.CaptureFixture[str]) -> None:

@@ -324,7 +324,7 @@ def test_plate_angle_offset_is_in_the_truth_and_not_in_the_feedback(combine):
     assert vehicle.truth.columns["plate_angle_deg"][-1] == pytest.approx(73.0)
 
 
-def test_chain_slip_brings_fewer_heavier_paddles_at_the_same_told_speed(combine):
+def test_chain_slip_brings_fewer_heavier_paddles_at_the_same_reported_speed(combine):
     plain, slipping = (
         combine(flow=steady(10.0), **QUIET),
         combine(flow=steady(10.0), effects={"chain_slip": {"share": 0.1}}, **QUIET),
@@ -338,14 +338,14 @@ def test_chain_slip_brings_fewer_heavier_paddles_at_the_same_told_speed(combine)
 
 def test_moisture_runs_to_its_end(combine):
     vehicle = combine(crop={"moisture_pct": 20, "end_moisture_pct": 16, "moisture_noise_pct": 0})
-    told = [f.signals["Moisture"] for f in all_frames(vehicle) if f.message == frames.GRAIN_CONDITION]
-    assert (told[9], told[-1]) == (pytest.approx(18.0), pytest.approx(16.0))
+    reported = [f.signals["Moisture"] for f in all_frames(vehicle) if f.message == frames.GRAIN_CONDITION]
+    assert (reported[9], reported[-1]) == (pytest.approx(18.0), pytest.approx(16.0))
     assert vehicle.truth.columns["moisture_pct"][-1] == pytest.approx(16.0)
 
 
-def test_the_plates_sensor_sees_pulses_at_the_speed_that_is_told(combine):
+def test_the_plates_sensor_sees_pulses_at_the_reported_speed(combine):
     vehicle = combine(flow=steady(10.0), elevator={"speed_rpm": 480, "noise_pct": 0, "droop_pct_at_25_kg_s": 0})
     voltage = vehicle.samples_until(1e9).sample_mv[2000:18000]
-    told = vehicle.truth.columns["elevator_speed_rpm"][-1]
-    pattern_hz = told * RPM * MACHINE.sprocket_pitch_radius_m / MACHINE.pattern_length_m
+    reported = vehicle.truth.columns["elevator_speed_rpm"][-1]
+    pattern_hz = reported * RPM * MACHINE.sprocket_pitch_radius_m / MACHINE.pattern_length_m
     assert spectrum(voltage, 2 * pattern_hz) > 20.0 * spectrum(voltage, 2.3 * pattern_hz)

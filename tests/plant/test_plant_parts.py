@@ -205,9 +205,9 @@ def test_the_plate_stops_when_commands_stop():
 def test_actuator_faults_one_second_after_a_command(fault, plate_deg, shown_deg, state):
     plate = actuator(fault, lag_s=0.01)
     assert drive(plate, command(40.0), seconds=1.0)[-1] == pytest.approx(plate_deg, abs=0.3)
-    shown, told = plate.feedback()
+    shown, reported = plate.feedback()
     assert shown == pytest.approx(shown_deg, abs=0.3)
-    assert told == state
+    assert reported == state
 
 
 def test_a_silent_actuator_moves_and_says_nothing_and_a_noisy_one_scatters():

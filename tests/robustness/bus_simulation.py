@@ -10,7 +10,7 @@ are the daemon's own, on one thread and on a clock that only the simulation move
 
 Invariants: no mass without its time, whatever the clock is set to, and the fault says so; a forged sensor, speed or angle is said
 within two seconds, and a second that is not what the same machine measures unforged is not ok and in no total, while what follows
-counts again; a frame of ours that another node repeats is no echo; nothing waits longer than it is told to; a thread that hangs
+counts again; a frame of ours that another node repeats is no echo; nothing waits longer than it may; a thread that hangs
 is said after two seconds; a mass that its signal cannot carry has been said before; every fault is in each message of them. Ends
 with 1 when one is broken.
 """

@@ -121,14 +121,14 @@ def measure(folder: Path, seconds: float, *, waveform: bool = False) -> list[Pha
                 share = 100.0 * (cpu_time_s(daemon.pid) - cpu_s) / wall_s
                 phases.append(listener.phase(name, (player.sent - sent) / wall_s, share))
         said = status()
-        told, seen = said["bus"], said["waveform"]
+        reported, seen = said["bus"], said["waveform"]
         if waveform and (seen["shape_verdict"] != "used" or seen["kernel_verdict"] in ("not_looked_at", "too_early")):
             raise SystemExit(f"the waveform was not looked at: pulses {seen['shape_verdict']}, kernels {seen['kernel_verdict']}")
         # The status is of the last window's end; a second of nominal traffic came after it at most.
-        missing = player.own_sent - told["received"] - player.own_sent * 1.1 / player.played_s
-        if told["dropped"] or told["late"] or missing > 0.0:
-            counts = f"{told['received']} of {player.own_sent} frames received, {told['dropped']} dropped, {told['late']} late"
-            print(f"daemon: {counts}", file=sys.stderr)
+        missing = player.own_sent - reported["received"] - player.own_sent * 1.1 / player.played_s
+        if reported["dropped"] or reported["late"] or missing > 0.0:
+            received = f"{reported['received']} of {player.own_sent} frames received"
+            print(f"daemon: {received}, {reported['dropped']} dropped, {reported['late']} late", file=sys.stderr)
         return phases
     finally:
         daemon.send_signal(signal.SIGTERM)
@@ -153,7 +153,7 @@ def traffic(duration_s: float, empty_s: float = EMPTY_S) -> list[Any]:
 
 
 class Player:
-    """Sends frames against absolute deadlines, others' frames between them when told."""
+    """Sends frames against absolute deadlines, others' frames between them where asked for."""
 
     def __init__(self, bus: Any, messages: list[Any]) -> None:
         import can

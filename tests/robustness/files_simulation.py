@@ -290,7 +290,7 @@ def saves(rng: random.Random) -> None:
                     mode = name.parent.stat().st_mode & 0o777
                     require(mode == 0o700 or name.parent == folder, f"a scratch folder of mode {mode:o}")
                     name.write_text("x", encoding="utf-8")
-        require(scratch[0] != scratch[1], "a scratch name that can be told beforehand")
+        require(scratch[0] != scratch[1], "a scratch name that can be predicted")
         require(bool(path.stat().st_mode & stat.S_IROTH), f"a parameter file of mode {path.stat().st_mode & 0o777:o}")
 
 

@@ -43,7 +43,7 @@ class _Fork:
     def _be_the_process(self, path: str, limit_s: float) -> None:
         leave = os._exit
 
-        def told(code: int) -> None:
+        def reported(code: int) -> None:
             if guided.current is not None:
                 self._steps.write_bytes(pickle.dumps(guided.current.counted()))
             leave(code)
@@ -52,7 +52,7 @@ class _Fork:
         gc.disable()  # its pages are this process's as long as nothing writes to them
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
         try:
-            with mock.patch("os._exit", told):
+            with mock.patch("os._exit", reported):
                 mf4_reading.main(path, limit_s)
         finally:
             leave(1)

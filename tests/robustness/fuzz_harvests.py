@@ -149,19 +149,19 @@ def mutated(path: Path, others: Sequence[Path], folder: Path, rng: random.Random
 
 def finding(path: Path, out: Path) -> tuple[int | None, str]:
     """Exit code and what is wrong with it; empty if nothing."""
-    told = io.StringIO()
+    reported = io.StringIO()
     started = time.process_time()
     try:
-        with contextlib.redirect_stderr(told), contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+        with contextlib.redirect_stderr(reported), contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
             warnings.simplefilter("error", RuntimeWarning)
             code = cli.main(["map", str(path), "--out", str(out), "--products", "report", "--json"])
     except BaseException:  # noqa: BLE001 - whatever it is, it is a finding
         return None, traceback.format_exc()
-    lines = [line for line in told.getvalue().splitlines() if line.startswith("yieldmon: ")]
+    lines = [line for line in reported.getvalue().splitlines() if line.startswith("yieldmon: ")]
     if code not in (0, 1, 2):
         return code, f"exit code {code}"
     if code and (not lines or len(lines[-1]) > 2000):
-        return code, f"no line: {told.getvalue()[-300:]}"
+        return code, f"no line: {reported.getvalue()[-300:]}"
     if time.process_time() - started > SLOW_S:
         return code, f"took {time.process_time() - started:.0f} s"
     return code, ""

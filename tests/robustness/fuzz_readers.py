@@ -210,12 +210,12 @@ def _turn(name: str, cpu_minutes: float, seed: int, options: list[str]) -> dict[
             check=False,
         )
         try:
-            told = json.loads(done.stdout)
+            reported = json.loads(done.stdout)
         except ValueError:
-            told = {"outcomes": {name: {f"escape process ended with {done.returncode}": 1}}, "peak_memory_mb": 0}
+            reported = {"outcomes": {name: {f"escape process ended with {done.returncode}": 1}}, "peak_memory_mb": 0}
             for left in Path(scratch).rglob(READERS[name].file):
                 print(f"{name}: ended with {done.returncode}: {kept(KEPT, name, left.read_bytes())}", file=sys.stderr, flush=True)
-    outcomes, escapes = told["outcomes"][name], {}
+    outcomes, escapes = reported["outcomes"][name], {}
     for key in [key for key in outcomes if key.startswith("escape")]:
         escapes[key.removeprefix("escape ")] = outcomes.pop(key)
     return {
@@ -226,13 +226,13 @@ def _turn(name: str, cpu_minutes: float, seed: int, options: list[str]) -> dict[
         "files": sum(outcomes.get(key, 0) for key in ("read", "refused", "raised")),
         **outcomes,
         "escapes": escapes,
-        "peak_memory_mb": told["peak_memory_mb"],
+        "peak_memory_mb": reported["peak_memory_mb"],
     }
 
 
 def _commit() -> str:
-    told = subprocess.run(["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False)
-    return told.stdout.strip()
+    reported = subprocess.run(["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False)
+    return reported.stdout.strip()
 
 
 def main(arguments: list[str]) -> int:

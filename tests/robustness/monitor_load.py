@@ -6,7 +6,7 @@ The monitor is a process of its own on a pseudo-terminal and hears the bus by py
 frames and those that answer them are filled up with three other nodes' to F frames a second; 1,800 fill 250 kbit/s. Every screen
 that it draws is kept: a row has jumped when it is not where it was on the screen before although that showed the same rows, and
 the last screen's counts, identifier by identifier, are held against what was sent. Where the kernel dropped datagrams at the
-monitor's socket, these are told and counted and dropped together must be what was sent.
+monitor's socket, these are those counted and dropped together must be what was sent.
 """
 
 from __future__ import annotations

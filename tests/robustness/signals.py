@@ -68,11 +68,11 @@ def bombard(folder: Path, count: int, minutes: float, seed: int) -> dict[str, An
         except subprocess.TimeoutExpired:
             daemon.kill()
             code = None
-    told = status.get("configuration", {})
+    reported, before = (found.get("configuration", {}) for found in (status, quiet))
     return {
-        "signals": sent, "bursts": bursts, "alive": alive, "stale": status.get("stale"), "reloads": told.get("reloads"),
-        "bursts_lost": lost, "reloads_without_signal": told.get("reloads", 0) - quiet.get("configuration", {}).get("reloads", 0),
-        "reload": told.get("reload"), "exit": code, "stop_s": round(time.monotonic() - asked_s, 2),
+        "signals": sent, "bursts": bursts, "alive": alive, "stale": status.get("stale"), "reloads": reported.get("reloads"),
+        "bursts_lost": lost, "reloads_without_signal": reported.get("reloads", 0) - before.get("reloads", 0),
+        "reload": reported.get("reload"), "exit": code, "stop_s": round(time.monotonic() - asked_s, 2),
     }  # fmt: skip
 
 

@@ -61,7 +61,7 @@ class World:
     clock_s: float = 1.7e9
     measured_kg: float = 0.0
     committed_kg: float = 0.0
-    told: list[str] = field(default_factory=list)
+    reported: list[str] = field(default_factory=list)
     troubles: Counter[str] = field(default_factory=Counter)
     broken: list[str] = field(default_factory=list)
     tickets: int = 0

@@ -166,14 +166,14 @@ def live(folder: Path, hours: float, real_time: bool) -> dict[str, object]:
     operator = Operator(daemon.configuration.socket_path, daemon.request_reload)
     before: tuple[float, int] | None = None
     most_mb = 0.0
-    told = 0.0
+    reported = 0.0
     while not machine.ended.wait(0.02):
         if not thread.is_alive():
             sys.exit("the daemon ended")
         operator.act(machine.now_s)
-        if machine.now_s // 3600 > told:
-            told += 1
-            print(f"{told:.0f} h, {resident_mb():.1f} MB, {time.monotonic() - begin_s:.0f} s", file=sys.stderr)
+        if machine.now_s // 3600 > reported:
+            reported += 1
+            print(f"{reported:.0f} h, {resident_mb():.1f} MB, {time.monotonic() - begin_s:.0f} s", file=sys.stderr)
         if machine.now_s >= hours * 360.0:
             if before is None:
                 gc.collect()

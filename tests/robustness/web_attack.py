@@ -45,7 +45,7 @@ def connected(port: int, seconds: float = 5.0) -> socket.socket:
 
 
 class Attack:
-    """Threads of attackers until `stop`; `answers` counts what they were told, by kind and status."""
+    """Threads of attackers until `stop`; `answers` counts their answers, by kind and status."""
 
     def __init__(self, port: int, control: Path, connections: int, seed: int) -> None:
         self.answers: Counter[str] = Counter()

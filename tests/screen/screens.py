@@ -64,12 +64,12 @@ def traffic(seconds: int = 12) -> Traffic:
 
 
 def _messages(tick: int, at: float) -> list[can.Message]:
-    told = [Frame(at, frames.ELEVATOR_SPEED, {"ElevatorSpeed": 400.0 + tick % 7})]
+    reported = [Frame(at, frames.ELEVATOR_SPEED, {"ElevatorSpeed": 400.0 + tick % 7})]
     samples = {f"Sample{k}": float(900 + 37 * ((tick + k) % 11)) for k in range(4)}
-    told.append(Frame(at, frames.IMPACT_SENSOR_SAMPLES, {**samples, "SampleCounter": tick % 256, "SensorStatus": 0}))
+    reported.append(Frame(at, frames.IMPACT_SENSOR_SAMPLES, {**samples, "SampleCounter": tick % 256, "SensorStatus": 0}))
     if tick % 20 == 0:
         second = tick // 20
-        told += [
+        reported += [
             Frame(at, frames.PLATE_ACTUATOR_FEEDBACK, {"PlateAngle": 70.0 + 0.1 * (second % 2), "ActuatorState": 0}),
             Frame(at, frames.GRAIN_CONDITION, {"Moisture": 17.24, "GrainTemperature": 21.5, "TestWeight": 718.0}),
             Frame(at, frames.MASS_FLOW, {
@@ -80,7 +80,7 @@ def _messages(tick: int, at: float) -> list[can.Message]:
             Frame(at, frames.TANK_SCALE, {"TankMass": NOT_AVAILABLE, "TankScaleStatus": 1}),
             Frame(at, frames.VEHICLE_POSITION, {"Latitude": 40.0621234, "Longitude": -88.1957123}),
         ]  # fmt: skip
-    messages = [CODEC.encode(frame) for frame in told]
+    messages = [CODEC.encode(frame) for frame in reported]
     messages.append(can.Message(timestamp=at, arbitration_id=0x0CF00400, is_extended_id=True, data=bytes([240, tick % 256] * 4)))
     if tick % 10 == 0:
         messages.append(can.Message(timestamp=at, arbitration_id=0x123, is_extended_id=False, data=b"\x01\xff"))

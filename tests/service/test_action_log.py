@@ -1,4 +1,4 @@
-"""What operators told: which tickets still wait to be learnt from, or for their loads to be measured again."""
+"""What operators entered: which tickets still wait to be learnt from, or for their loads to be measured again."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from yieldmon.service.action_log import ActionLog
 from yieldmon.service.batch import Ticket
 
 
-def test_tickets_that_teach_wait_until_they_are_taken_or_taken_back() -> None:
+def test_tickets_that_update_wait_until_they_are_taken_or_taken_back() -> None:
     log = ActionLog((), (), 5.0)
     tickets = [Ticket(float(n), n, n, 100.0 + n, 99.0, "") for n in range(1, 4)]
     assert [log.ticket(ticket, is_reference=ticket.first_load != 2) for ticket in tickets] == [1, 2, 3]

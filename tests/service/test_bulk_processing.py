@@ -214,7 +214,7 @@ def test_an_empty_log_among_others_changes_nothing(log, tmp_path):
     assert rows_of(process_in_bulk, [empty, log, empty])[0] == rows_of(process_in_bulk, [log])[0]
 
 
-def test_progress_is_told(log):
+def test_progress_is_reported(log):
     seen = []
     _, summary = rows_of(process_in_bulk, [log], progress=seen.append)
     assert sum(item.frames for item in seen if not isinstance(item, EndOfLog)) == summary.frames

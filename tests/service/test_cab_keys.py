@@ -13,19 +13,19 @@ from yieldmon.units import Units
 
 
 class Cab:
-    """A screen without a terminal. told: the last sentence about a request."""
+    """A screen without a terminal. reported: the last sentence about a request."""
 
     def __init__(self, bench: Bench, link: DaemonLink) -> None:
-        self.bench, self.link, self.dialog, self.told = bench, link, Dialog(mass), ""
+        self.bench, self.link, self.dialog, self.reported = bench, link, Dialog(mass), ""
 
     def look(self) -> None:
         for news in self.link.news():
             if isinstance(news, str):
-                self.told = news
+                self.reported = news
 
     def press(self, *keys: str) -> str:
         """Presses keys; waits for what comes of the request, if there is one, else returns the question."""
-        self.told = ""
+        self.reported = ""
         sent = [self.dialog.press(key, self.bench.status, Units()) for key in keys]
         if not any(sent):
             return self.dialog.prompt
@@ -33,10 +33,10 @@ class Cab:
 
         def answered() -> bool:
             self.look()
-            return bool(self.told)
+            return bool(self.reported)
 
         wait_for(answered, f"what comes of {keys}")
-        return self.told
+        return self.reported
 
 
 def test_every_key_does_on_the_daemon_what_it_asks(tmp_path) -> None:
@@ -54,11 +54,11 @@ def test_every_key_does_on_the_daemon_what_it_asks(tmp_path) -> None:
         assert cab.press("t", *"2 50kg", "\r", "y").startswith("ticket for load 2: it is still open")
         assert cab.press("l", "s", "y") == "load 2 is complete"
         measured_kg = bench.status["load"]["mass_kg"]
-        told = cab.press("t", *f"2 {1.02 * measured_kg:.4f}kg", "\r", "y")
-        assert told == "ticket for load 2 taken: +2.0 % against what was measured"
+        reported = cab.press("t", *f"2 {1.02 * measured_kg:.4f}kg", "\r", "y")
+        assert reported == "ticket for load 2 taken: +2.0 % against what was measured"
         assert [anchor.load_number for anchor in bench.daemon.monitor.anchors] == [2]
-        told = cab.press("t", *"1 9kg", "\r", "y")
-        assert told == "ticket for load 1: nothing was measured for it; expected a load with a measured mass"
+        reported = cab.press("t", *"1 9kg", "\r", "y")
+        assert reported == "ticket for load 1: nothing was measured for it; expected a load with a measured mass"
         assert cab.press("w", "y") == "a sweep begins as soon as the conditions hold"
         bench.play(12, 0.0)
         bench.played()

@@ -52,7 +52,7 @@ def ask(monitor: Told, **request: object) -> dict:
     return dict(commands.execute({"command": "ticket", **request}, monitor, journal(), 1.7e9))
 
 
-def test_a_ticket_for_several_loads_is_shared_out_by_mass_and_its_doubt_by_variance() -> None:
+def test_a_ticket_for_several_loads_is_shared_out_by_mass_and_its_uncertainty_by_variance() -> None:
     monitor = Told({1: True, 2: True})
     answer = ask(monitor, first_load=1, last_load=2, mass_kg=4400.0, std_dev_kg=20.0)
     assert answer["factor"] == pytest.approx(1.1)
@@ -62,7 +62,7 @@ def test_a_ticket_for_several_loads_is_shared_out_by_mass_and_its_doubt_by_varia
 
 
 @pytest.mark.parametrize("complete", [{2: True}, {1: False, 2: True}], ids=["before the start", "not measured whole"])
-def test_a_ticket_that_cannot_teach_says_so(complete: dict[int, bool]) -> None:
+def test_a_ticket_that_cannot_update_says_so(complete: dict[int, bool]) -> None:
     monitor = Told(complete)
     answer = ask(monitor, first_load=1, last_load=2, mass_kg=4400.0)
     assert (answer["anchor"], answer["why_no_anchor"]) == (False, "not every second of it was measured")
@@ -73,7 +73,7 @@ def test_a_ticket_that_cannot_teach_says_so(complete: dict[int, bool]) -> None:
 @pytest.mark.parametrize(
     ("mass_kg", "teaches"), [(3.0, False), (599.0, False), (601.0, True), (14_990.0, True), (15_010.0, False)]
 )
-def test_a_ticket_in_another_unit_is_kept_and_teaches_nothing(mass_kg: float, teaches: bool) -> None:
+def test_a_ticket_in_another_unit_is_kept_and_updates_nothing(mass_kg: float, teaches: bool) -> None:
     monitor = Told({1: True})
     answer = ask(monitor, first_load=1, mass_kg=mass_kg)
     assert answer["factor"] == pytest.approx(mass_kg / 3000.0)
@@ -96,7 +96,7 @@ STORED = StoredLoad(Load(1, "north", "corn", 99.0, 104.0, 50.0, 45.0), SECONDS, 
     ],
     ids=["earlier run", "doubted", "a second missing", "this run's own word counts", "this run did not see it whole"],
 )
-def test_a_load_of_an_earlier_run_teaches_as_the_store_has_it(
+def test_a_load_of_an_earlier_run_updates_as_the_store_has_it(
     measured_now: dict[int, bool], stored: StoredLoad, learnt: list[int], why: str
 ) -> None:
     monitor, got_to_know = Told(measured_now), []
@@ -108,7 +108,7 @@ def test_a_load_of_an_earlier_run_teaches_as_the_store_has_it(
     assert [number for number, _, _ in monitor.tickets] == [1] * (not why)
 
 
-def test_a_ticket_for_another_crop_than_the_one_in_use_teaches_nothing() -> None:
+def test_a_ticket_for_another_crop_than_the_one_in_use_updates_nothing() -> None:
     monitor = Told({1: True, 2: True})
     known = journal()
     known.name_load(None, "wheat")
@@ -160,13 +160,13 @@ def test_a_ticket_that_makes_no_sense_is_refused(request_: dict, problem: str) -
 def test_a_ticket_waits_until_its_loads_are_closed(totals: Totals, first: int, last: int | None, problem: str) -> None:
     monitor = Told({1: True, 2: True})
     monitor.totals = totals
-    told = ""
+    reported = ""
     try:
         ask(monitor, first_load=first, last_load=last, mass_kg=1000.0)
     except InputError as error:
-        told = str(error)
-    assert told.startswith(problem)
-    assert bool(told) is bool(problem)
+        reported = str(error)
+    assert reported.startswith(problem)
+    assert bool(reported) is bool(problem)
     assert bool(monitor.tickets) is not bool(problem)
 
 
@@ -204,13 +204,13 @@ def test_the_range_of_a_weighed_mass(mass_kg: float, taken: bool) -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "reset"), [(1235, True), (1234, False), (1236, False), ("1235", False), (None, False), (0, False)]
+    ("reported", "reset"), [(1235, True), (1234, False), (1236, False), ("1235", False), (None, False), (0, False)]
 )
-def test_totals_are_reset_by_their_figure_alone(told: object, reset: bool) -> None:
+def test_totals_are_reset_by_their_figure_alone(reported: object, reset: bool) -> None:
     calls = []
     monitor = SimpleNamespace(totals=Totals(total_kg=1234.6, load_number=7), reset_totals=lambda: calls.append(1) or [])
     log = journal()
-    request = {"command": "totals-reset", "total_kg": told, "who": "anna"}
+    request = {"command": "totals-reset", "total_kg": reported, "who": "anna"}
     if reset:
         assert commands.execute(request, monitor, log, 1.7e9) == {"total_kg": 1234.6, "load": 7}
     else:

@@ -223,7 +223,7 @@ def test_grain_may_come_and_go_at_one_force(written):
     )
 
 
-def test_all_faults_are_told_at_once(written, capsys):
+def test_all_problems_are_reported_at_once(written, capsys):
     path = written("store: {size_mb: -1, siz_mb: 3}\nlogging: {level: loud}")
     assert cli.main(["check-config", str(path)]) == 2
     captured = capsys.readouterr()

@@ -73,13 +73,13 @@ BAD = [
 @pytest.mark.parametrize(("request_line", "message"), BAD, ids=[f"{case[0][:12]!r}" for case in BAD])
 def test_a_bad_request_gets_an_error_and_stops_nothing(path, request_line, message):
     try:
-        told = json.loads(raw(path, request_line))
+        reported = json.loads(raw(path, request_line))
     except (ConnectionResetError, BrokenPipeError):
         # What was sent beyond the limit was never read.
         assert len(request_line) > MAX_REQUEST_BYTES
     else:
-        assert told["ok"] is False
-        assert message in told["error"]
+        assert reported["ok"] is False
+        assert message in reported["error"]
     assert ask(path, {"command": "status"})
 
 
@@ -104,7 +104,7 @@ def test_only_the_daemons_user_or_its_group(tmp_path):
     server.stop()
 
 
-def test_another_user_is_told_how_to_ask(path):
+def test_another_user_learns_how_to_ask(path):
     """Whoever owns the socket: as somebody else, or without a right to it."""
     path.chmod(0o000)
     user = os.geteuid()
@@ -117,7 +117,7 @@ def test_another_user_is_told_how_to_ask(path):
         os.seteuid(user)
 
 
-def test_an_unknown_group_is_told(tmp_path):
+def test_an_unknown_group_is_reported(tmp_path):
     with pytest.raises(InputError, match=r"status\.group: 'no-such-group'; expected a group of this system"):
         ControlServer(tmp_path / "s.sock", "no-such-group", answer)
 
@@ -204,7 +204,7 @@ def test_peers_that_are_cut_off_while_they_speak_end_nothing(path):
             peer.close()
 
 
-def test_beyond_eight_at_once_an_asker_is_told_so(tmp_path):
+def test_beyond_eight_at_once_a_request_is_refused(tmp_path):
     gate, begun = threading.Event(), threading.Semaphore(0)
 
     def slow(request: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -100,7 +100,7 @@ def test_faults_on_the_bus_in_status_and_in_the_store(tmp_path):
     assert ("SensorMissing", False) in events
 
 
-def test_a_silent_bus_is_told_of_all_the_same(tmp_path):
+def test_a_silent_bus_is_reported(tmp_path):
     with running(tmp_path, "bus: {idle_after_s: 0.5}", silence_s=SILENCE_S) as bench:
         wait_for(lambda: any(s["SensorMissing"] for s in bench.published(frames.YIELD_MONITOR_STATUS)), "SensorMissing")
         assert {flow["EstimateQuality"] for flow in bench.published(frames.MASS_FLOW)} == {EstimateQuality.NOT_AVAILABLE}
@@ -185,7 +185,7 @@ def test_a_stop_writes_everything_whatever_cannot_be_taken_away(tmp_path, monkey
 
 
 def test_a_command_that_was_not_answered_is_not_carried_out_later():
-    """The operator who was told so gives it again."""
+    """The operator gives it again after this answer."""
     queued = CommandQueue(patience_s=0.01)
     with pytest.raises(ControlError, match="did not answer in time; nothing was done"):
         queued.ask({"command": "load-start"})
@@ -329,7 +329,7 @@ def test_a_store_that_is_opened_again_after_a_reload_is_the_one_of_the_start(tmp
     assert [row.number for row in rows] == list(range(1, len(rows) + 1))
 
 
-def test_no_commit_tells_of_a_parameter_file_without_its_parameters(tmp_path, monkeypatch):
+def test_no_commit_names_a_parameter_file_without_its_parameters(tmp_path, monkeypatch):
     """A power cut between two commits would leave the start after it with what was learnt before the file."""
     batches, submit = [], StoreWriter.submit
     monkeypatch.setattr(StoreWriter, "submit", lambda writer, batch: (batches.append(batch), submit(writer, batch)))
@@ -393,7 +393,7 @@ def test_reload_takes_a_good_configuration_and_refuses_a_bad_one(tmp_path):
         assert bench.daemon.monitor.settings.sweep.interval_s == 7200.0
 
 
-def test_what_waits_for_a_start_is_told_against_what_this_one_began_with(tmp_path):
+def test_what_waits_for_a_start_is_reported_against_what_this_one_began_with(tmp_path):
     with running(tmp_path) as bench:
         texts = (
             "store: {size_mb: 64}\nbus: {transmit_max_age_s: 60}",
@@ -518,17 +518,17 @@ def test_status_without_a_daemon_is_one_line(tmp_path, capsys):
     assert capsys.readouterr().err.endswith("no daemon answers there; is the service running?\n")
 
 
-def test_the_service_manager_is_told(tmp_path):
+def test_the_service_manager_is_notified(tmp_path):
     manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     manager.bind(str(tmp_path / "notify"))
     manager.settimeout(0.2)
-    told = []
+    reported = []
 
     def listen() -> list[str]:
         with suppress(TimeoutError):
             while True:
-                told.append(manager.recv(4096).decode().partition("\n")[0])
-        return told
+                reported.append(manager.recv(4096).decode().partition("\n")[0])
+        return reported
 
     with running(tmp_path, notify=manager) as bench:
         bench.play(3, EMPTY_MV)
@@ -539,9 +539,9 @@ def test_the_service_manager_is_told(tmp_path):
         wait_for(lambda: "RELOADING=1" in listen(), "the reload")
     listen()
     manager.close()
-    order = [line for line in told if line in ("READY=1", "RELOADING=1", "STOPPING=1")]
+    order = [line for line in reported if line in ("READY=1", "RELOADING=1", "STOPPING=1")]
     assert order == ["READY=1", "RELOADING=1", "READY=1", "STOPPING=1"]
-    assert told.count("WATCHDOG=1") <= windows + 2, "fed by windows, not by a timer"
+    assert reported.count("WATCHDOG=1") <= windows + 2, "fed by windows, not by a timer"
 
 
 def test_metrics_file_is_written_and_taken_away(tmp_path, request):

@@ -71,7 +71,7 @@ def test_the_flow_is_the_curves_and_its_deviation_is_stated(kind: str, folder: P
     assert frame.signals["ImpactGain"] is NOT_AVAILABLE
 
 
-def test_a_weighed_load_that_contradicts_is_told_and_changes_nothing(folder: Path) -> None:
+def test_a_weighed_load_that_contradicts_is_reported_and_changes_nothing(folder: Path) -> None:
     monitor = monitor_of(configuration.load(folder / "with-table.yaml"))
     before = monitor.estimator
     for frame in traffic():
@@ -112,7 +112,7 @@ def test_check_config_says_what_the_curve_ends(folder: Path, capsys: pytest.Capt
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "reported"),
     [
         ("estimator_file: gone.yaml\n", "gone.yaml: No such file or directory"),
         (
@@ -131,14 +131,14 @@ def test_check_config_says_what_the_curve_ends(folder: Path, capsys: pytest.Capt
     ],
 )
 def test_a_wrong_estimator_file_costs_a_line(
-    content: str, told: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    content: str, reported: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     flow_curve_file.save(flow_curve_file.load(folder / "table.yaml"), tmp_path / "table.yaml")
     parameter_file.save(parameter_file.load(), tmp_path / "params.yaml")
     (tmp_path / "c.yaml").write_text(content)
     assert main(["check-config", str(tmp_path / "c.yaml")]) == 2
     err = capsys.readouterr().err
-    assert told in err
+    assert reported in err
     assert err.count("\n") == 1
 
 

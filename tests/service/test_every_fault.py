@@ -212,7 +212,7 @@ def leave_the_calibrated_speeds(bench: Bench) -> None:
 
 
 class PlateNode:
-    """An actuator that does as it is told, and grain whose force follows the angle as `force_at` (deg) says, home being 1."""
+    """An actuator that follows its commands, and grain whose force follows the angle as `force_at` (deg) says, home being 1."""
 
     def __init__(self, force_at: Callable[[float], float]) -> None:
         self._force_at = force_at

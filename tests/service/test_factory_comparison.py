@@ -69,10 +69,10 @@ def test_verbs_show_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert cli.main(["process", str(log), "--out", str(table), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert problems(document, "process") == []
-    told = document["factory"]
-    assert told["factory_mean_kg_s"] == 9.0
-    assert told["seconds"] >= 5
-    assert told["our_mean_kg_s"] > 0.0
+    reported = document["factory"]
+    assert reported["factory_mean_kg_s"] == 9.0
+    assert reported["seconds"] >= 5
+    assert reported["our_mean_kg_s"] > 0.0
     assert cli.main(["plot", "flow", str(table), "--out", str(picture)]) == 0
     assert "factory monitor" in picture.read_text()
     capsys.readouterr()

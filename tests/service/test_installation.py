@@ -304,12 +304,12 @@ def test_the_service_starts_where_its_interface_is_there(
         return subprocess.CompletedProcess(command, 0 if managed else 3)
 
     monkeypatch.setattr(subprocess, "run", run)
-    told = Told()
-    bring_up(told, interface)
+    reported = Told()
+    bring_up(reported, interface)
     assert asked == [["systemctl", "is-active", "--quiet", "systemd-networkd.service"]]
-    assert (told.ran, len(told.said)) == (ran, said)
-    assert any(f"no {interface} yet" in line for line in told.said) is (interface != "lo")
-    assert any(f"ip link set {interface} up" in line for line in told.said) is not managed
+    assert (reported.ran, len(reported.said)) == (ran, said)
+    assert any(f"no {interface} yet" in line for line in reported.said) is (interface != "lo")
+    assert any(f"ip link set {interface} up" in line for line in reported.said) is not managed
 
 
 class Recorded:

@@ -48,21 +48,21 @@ def test_lines_come_in_order(pipe: tuple[int, int]) -> None:
     assert os.read(pipe[0], 4096).decode().splitlines() == [f"{number} \\udcff" for number in range(50)]
 
 
-def test_a_journal_that_takes_nothing_for_a_while_is_told_what_it_missed(pipe: tuple[int, int]) -> None:
+def test_a_journal_that_takes_nothing_for_a_while_gets_what_it_missed(pipe: tuple[int, int]) -> None:
     lines = JournalLines(pipe[1])
     for number in range(CAPACITY + 500):
         lines.handle(record(f"{number:100}"))
     assert not lines.finish(0.05)
-    told = ""
+    reported = ""
 
     def all_told() -> bool:
-        nonlocal told
-        told += os.read(pipe[0], 65536).decode()
-        return f"{CAPACITY + 499:100}\n" in told
+        nonlocal reported
+        reported += os.read(pipe[0], 65536).decode()
+        return f"{CAPACITY + 499:100}\n" in reported
 
     wait_for(all_told, "the last line")
-    numbers = [int(line) for line in told.splitlines() if line.strip().isdigit()]
-    left_out = [int(line.split()[2]) for line in told.splitlines() if "left out" in line]
+    numbers = [int(line) for line in reported.splitlines() if line.strip().isdigit()]
+    left_out = [int(line.split()[2]) for line in reported.splitlines() if "left out" in line]
     assert numbers == sorted(numbers)
     assert len(numbers) + sum(left_out) == CAPACITY + 500
     assert sum(left_out) >= 1

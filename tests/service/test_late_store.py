@@ -244,7 +244,7 @@ AMOUNTS = st.integers(0, 240).map(lambda number: number / 4.0)
     ("metrics", "refused"), [("m.prom", False), ("yieldmon.sqlite", True), ("./x/../yieldmon.sqlite-wal", True), ("link", False)]
 )
 def test_a_configuration_is_read_although_the_stores_disk_does_not_answer(tmp_path, monkeypatch, metrics, refused):
-    """Files are then told apart by their names alone."""
+    """Files are then distinguished by their names alone."""
     gate, real = threading.Event(), os.path.realpath
     (tmp_path / "link").symlink_to(tmp_path / STORE)
     path = tmp_path / "c.yaml"
@@ -311,7 +311,7 @@ def test_totals_of_two_monitors_are_those_of_one_that_measured_all(first, second
 
 
 @pytest.mark.parametrize("limit", [0, 1, 3])
-def test_the_first_beyond_the_limit_is_told_once(limit):
+def test_the_first_beyond_the_limit_is_reported_once(limit):
     kept = KeptInput(limit)
     assert [kept.add(10.0 + number) for number in range(limit + 3)] == [number == limit for number in range(limit + 3)]
     assert kept.full

@@ -75,7 +75,7 @@ def test_a_fault_is_reported_once_and_again_to_another_monitor():
     assert faults.changes(3.0, **how, network=[]) == {FaultCode.STORE_FAILING: "provoked"}
 
 
-def test_a_fault_that_lasts_is_told_to_the_monitor_of_a_reload(tmp_path: Path):
+def test_a_fault_that_lasts_is_reported_to_the_monitor_of_a_reload(tmp_path: Path):
     (tmp_path / "yieldmon.sqlite").write_bytes(b"SQLite format 3\x00" + b"\xaa" * 5000)
     with running(tmp_path) as bench:
         bench.play(3, 0.0)
@@ -180,7 +180,7 @@ def test_a_peer_that_dribbles_its_request_is_cut_off_after_the_whole_time(tmp_pa
     server.stop()
 
 
-def test_peers_that_ask_nothing_shut_nobody_out_and_take_no_threads(tmp_path: Path):
+def test_peers_that_ask_nothing_leave_room_for_others_and_take_no_threads(tmp_path: Path):
     server = ControlServer(tmp_path / "s.sock", None, lambda request: {"fine": True})
     server.start()
     before = threading.active_count()

@@ -29,7 +29,7 @@ def test_the_watchdogs_time(environment: dict[str, str], watchdog_s: float | Non
     assert ServiceManager(environment).watchdog_s == watchdog_s
 
 
-def test_a_manager_that_reads_nothing_holds_nobody_up_and_is_told_the_rest_later(tmp_path: Path) -> None:
+def test_a_manager_that_reads_nothing_blocks_no_caller_and_gets_the_rest_later(tmp_path: Path) -> None:
     """As systemd itself may hang; its socket takes some messages and no more."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         manager.bind(str(tmp_path / "n"))

@@ -116,12 +116,12 @@ def test_a_lower_name_takes_the_address_and_frames_follow(
         assert cli.main(["status", "--socket", str(tmp_path / "yieldmon.sock")]) == 0
         assert f"address {taken}: the preferred {US} is another node's" in capsys.readouterr().out
 
-        def told() -> bool:
+        def reported() -> bool:
             bench.play(1, 0.0)
             bench.played()
             return f"took our address {US}; ours is {taken}" in bench.faults.get("NetworkFault", "")
 
-        wait_for(told, "the fault")
+        wait_for(reported, "the fault")
 
 
 def hostile_second(bench: Bench, name: str) -> None:
@@ -154,11 +154,11 @@ def test_a_hostile_node_stops_nothing(tmp_path: Path, name: str) -> None:
         assert sum(row["lost_frames"] + row["surplus_frames"] + row["repeated_frames"] for row in rows) == 0
         assert all(row["mass_kg"] > 0.0 for row in rows[-4:])
 
-        def told() -> bool:
+        def reported() -> bool:
             hostile_second(bench, name)
             return "NetworkFault" in bench.faults
 
-        wait_for(told, "NetworkFault")
+        wait_for(reported, "NetworkFault")
 
 
 def test_network_off_sends_as_the_dbc_says(tmp_path: Path) -> None:
@@ -266,12 +266,12 @@ def test_task_controller_takes_our_pool_and_our_flow(tmp_path: Path) -> None:
                 )
             )
 
-            def told() -> bool:
+            def reported() -> bool:
                 bench.play(1, 0.0)
                 bench.played()
                 return len(server.values) >= 3
 
-            wait_for(told, "values")
+            wait_for(reported, "values")
     assert server.complaints == []
     assert {ddi for _, _, ddi, _ in server.values} == {90}
     assert server.said[-1] == "activate"
@@ -321,7 +321,7 @@ def test_a_task_controller_gets_the_device_of_another_header(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("path", RECORDINGS, ids=lambda p: p.stem)
-def test_a_tractors_network_traffic_leaves_us_alone(tmp_path: Path, path: Path) -> None:
+def test_a_tractors_network_traffic_changes_nothing(tmp_path: Path, path: Path) -> None:
     """Its requests to all may be answered; those to its own nodes are not ours, and nothing of it is a fault."""
     with running(tmp_path, TEXT) as bench:
         claimed(bench)

@@ -34,7 +34,7 @@ class Run:
         return self.history.undo(version, in_use, self.crop, "anna", 9.0)
 
 
-def test_what_comes_into_use_is_numbered_told_and_brought_once() -> None:
+def test_what_comes_into_use_is_numbered_reported_and_brought_once() -> None:
     run = Run()
     run.learns(1, 800.0, "file")
     run.learns(2, 810.0)
@@ -69,8 +69,8 @@ def test_an_undo_brings_back_what_was_before_under_a_new_number() -> None:
     learnt = run.learns(2, 850.0)
     found, crop = run.undo(2, learnt)
     assert (found.version, found.values["density"], crop, run.history.version) == (3, 800.0, "", 3)
-    told = [(action.kind, action.who, action.time_s, action.document.get("reason")) for action in run.log][2:]
-    assert told == [("parameters-undo", "anna", 9.0, None), ("parameters", "anna", 5.0, "version 2 undone: as version 1")]
+    reported = [(action.kind, action.who, action.time_s, action.document.get("reason")) for action in run.log][2:]
+    assert reported == [("parameters-undo", "anna", 9.0, None), ("parameters", "anna", 5.0, "version 2 undone: as version 1")]
     assert [row.document["origin"] for row in list(run.log)[3:]] == ["undo"]
 
 
@@ -99,7 +99,7 @@ def test_what_cannot_be_undone(version: int, wrong: str) -> None:
     with pytest.raises(InputError) as caught:
         run.undo(version, chosen)
     assert wrong in str(caught.value)
-    assert [action.number for action in run.log] == before, "nothing is told that did not happen"
+    assert [action.number for action in run.log] == before, "nothing is recorded that did not happen"
 
 
 def test_a_change_of_crop_keeps_what_was_known_and_takes_what_is_known_of_the_other() -> None:
@@ -121,7 +121,7 @@ def test_a_change_of_crop_keeps_what_was_known_and_takes_what_is_known_of_the_ot
     ]  # fmt: skip
 
 
-def test_an_undo_of_another_crops_lesson_leaves_those_in_use() -> None:
+def test_an_undo_of_another_crops_update_leaves_those_in_use() -> None:
     run = Run(crop="wheat")
     run.learns(1, 800.0, "file")
     corn = run.learns(2, 850.0)

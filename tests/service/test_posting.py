@@ -86,7 +86,7 @@ def test_a_step_with_a_widening_that_makes_no_sense_is_none(widening: float | st
     assert step_from_document({**lesson(3.0, 0.02, known(2, 830.0)).document, "widening": widening}) is None
 
 
-def test_a_step_of_a_store_before_0_2_counts_whatever_taught_it() -> None:
+def test_a_step_of_a_store_before_0_2_counts_whatever_its_source() -> None:
     document = dict(lesson(3.0, 0.02, known(2, 830.0)).document)
     del document["widening"], document["sweep_alone"]
     found = step_from_document(document)
@@ -94,7 +94,7 @@ def test_a_step_of_a_store_before_0_2_counts_whatever_taught_it() -> None:
     assert (found.widening, found.sweep_alone) == (1.0, False)
 
 
-def test_what_a_sweep_taught_is_not_posted() -> None:
+def test_an_update_by_a_sweep_is_not_posted() -> None:
     """A sweep moves the density by far, a ticket brings it to 840 kg/m3: loads are as the ticket alone has them."""
     _, before = advance(begin(known(), {}), DriftRates({"density": 0.01}, {}, {}), 2.0, 0.0)
     swept = replace(known(2, 950.0), covariance=np.array([[1.0]]))
@@ -106,8 +106,8 @@ def test_what_a_sweep_taught_is_not_posted() -> None:
             CalibrationStep(1, 0.0, 2.0 * HOUR_S, before, (950.0,), sweep_alone=alone),
             CalibrationStep(2, 2.0 * HOUR_S, 4.0 * HOUR_S, between, (840.0,)),
         ]
-        told = [Step(version, step.end_s, step_document(step)) for version, step in zip((2, 3), steps, strict=True)]
-        lines.append(posting.timeline(told, learnt))
+        reported = [Step(version, step.end_s, step_document(step)) for version, step in zip((2, 3), steps, strict=True)]
+        lines.append(posting.timeline(reported, learnt))
     for line in lines:
         assert line.versions == {1, 2, 3}
         assert line.at(4.0 * HOUR_S).values["density"] == pytest.approx(840.0, abs=0.01)
@@ -118,7 +118,7 @@ def test_what_a_sweep_taught_is_not_posted() -> None:
 
 
 @pytest.mark.parametrize("wandering", [0.0, 0.02, 0.2])
-def test_a_lesson_corrects_the_hours_before_it_by_as_much_as_they_have_in_common(wandering: float) -> None:
+def test_an_update_corrects_the_hours_before_it_by_as_much_as_they_have_in_common(wandering: float) -> None:
     early = 30.0**2 / (30.0**2 + (wandering * 800.0) ** 2 * 4.0)
     learnt = known(2, 840.0)
     line = posting.timeline([lesson(4.0, wandering, learnt)], learnt)
@@ -129,7 +129,7 @@ def test_a_lesson_corrects_the_hours_before_it_by_as_much_as_they_have_in_common
 
 
 @pytest.mark.parametrize(("density", "from_s"), [(860.0, -np.inf), (980.0, 30.0 * HOUR_S)])
-def test_a_lesson_that_contradicts_the_drift_says_nothing_of_the_days_before(density: float, from_s: float) -> None:
+def test_an_update_that_contradicts_the_drift_says_nothing_of_the_days_before(density: float, from_s: float) -> None:
     """The density is expected to 40 kg/m3 when the second lesson comes, 48 hours after the first."""
     _, step = advance(begin(known(2, 820.0), {}), DriftRates({"density": 0.005}, {}, {}), 48.0, 0.0)
     second = CalibrationStep(2, 30.0 * HOUR_S, 78.0 * HOUR_S, step, (density,))
@@ -152,14 +152,14 @@ def test_loads_of_other_parameters_stay_as_they_were_measured() -> None:
     assert found[1] != 1.0
 
 
-def test_a_lesson_that_does_not_follow_on_the_one_before_speaks_for_its_own_time_only() -> None:
+def test_an_update_that_does_not_follow_on_the_one_before_speaks_for_its_own_time_only() -> None:
     learnt = known(5, 840.0)
     line = posting.timeline([lesson(4.0, 0.0, known(2, 820.0))], learnt)
     assert line.versions == {5}
     assert line.at(0.0).values["density"] == 840.0
 
 
-def test_lessons_that_lead_to_themselves_come_to_an_end() -> None:
+def test_updates_that_lead_to_themselves_come_to_an_end() -> None:
     """As a store that was tampered with may have them."""
     learnt = known(2, 840.0)
     step = lesson(4.0, 0.0, learnt)
@@ -229,7 +229,7 @@ def ask(tmp_path, capsys, *words: str) -> dict:
     return json.loads(capsys.readouterr().out)
 
 
-def test_the_daemon_posts_after_a_ticket_lists_who_told_it_and_takes_it_back(tmp_path, capsys) -> None:
+def test_the_daemon_posts_after_a_ticket_lists_who_entered_it_and_takes_it_back(tmp_path, capsys) -> None:
     with running(tmp_path) as bench:
         bench.play(14, 0.0)
         for _ in range(2):

@@ -68,7 +68,7 @@ def test_missing_inputs_by_their_share():
         ({"missing": {"moisture": 0.25, "position": 1.0}}, ["missing: moisture in 25 % of the seconds, position in 100 % of"]),
     ],
 )
-def test_it_is_said_where_there_is_something_to_say(document, begins):
+def test_it_is_reported_where_there_is_something_to_say(document, begins):
     lines = record_lines(document)
     assert len(lines) == len(begins)
     assert all(line.startswith(begin) for line, begin in zip(lines, begins, strict=True))

@@ -71,7 +71,7 @@ def test_names_of_loads_are_no_formulas_and_no_commands_to_a_terminal(tmp_path: 
     assert "\x1b" not in text
 
 
-def test_damaged_seconds_are_left_out_and_told(tmp_path: Path, caplog):
+def test_damaged_seconds_are_left_out_and_reported(tmp_path: Path, caplog):
     import sqlite3
 
     path = tmp_path / "s.sqlite"

@@ -141,7 +141,7 @@ def no_room(store: Store) -> None:
     raise sqlite3.OperationalError("database or disk is full")
 
 
-def test_a_store_that_cannot_be_read_at_all_is_told_by_what_is_wrong_with_it(tmp_path, monkeypatch, caplog):
+def test_a_store_that_cannot_be_read_at_all_is_reported_with_its_problem(tmp_path, monkeypatch, caplog):
     """Not by why the ways around that lead nowhere, and not taken for one that holds nothing."""
     path = tmp_path / "yieldmon.sqlite"
     with Store(path):
@@ -197,7 +197,7 @@ def test_a_store_with_a_journal_is_not_read_past_it(tmp_path):
         Store(path, immutable=True)
 
 
-def test_a_power_cut_mid_load_leaves_a_load_that_teaches_nothing(tmp_path):
+def test_a_power_cut_mid_load_leaves_a_load_that_updates_nothing(tmp_path):
     """Seconds between the cut and the start are missing from its mass: the ticket corrects it and is no reference."""
     with running(tmp_path) as bench:
         warm_up(bench)

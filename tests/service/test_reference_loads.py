@@ -77,7 +77,7 @@ def test_a_load_as_the_engine_takes_it() -> None:
 
 
 class Kept:
-    """What a store holds of this load and of what was told."""
+    """What a store holds of this load and of what was entered."""
 
     path = Path("yieldmon.sqlite")
 
@@ -124,7 +124,7 @@ def undone(at_s: float) -> Action:
         ((Action(1, 102.0, "ticket", "", {"second": 3, "signs": "grain"}),), False),
     ],
 )
-def test_a_zero_against_the_signs_of_grain_is_doubted_until_the_next(actions: tuple[Action, ...], doubted: bool) -> None:
+def test_a_zero_against_the_signs_of_grain_is_suspect_until_the_next(actions: tuple[Action, ...], doubted: bool) -> None:
     (stored,) = of_store(Kept(*actions), [4])  # type: ignore[arg-type]
     assert stored.doubted is doubted
     assert stored.seconds == SECONDS

@@ -94,10 +94,10 @@ def test_a_total_is_reset_only_with_its_own_figure(bench: Bench, off_kg: float) 
 
 @pytest.mark.parametrize("mass_kg", [0.001, 1_000_000, 10.0])
 def test_the_last_masses_that_a_ticket_may_have(bench: Bench, mass_kg: float) -> None:
-    told = bench.daemon.command({**TICKET, "mass_kg": mass_kg, "note": "x" * 80, "std_dev_kg": 0.001})
-    assert (told["weighed_mass_kg"], told["first_load"], told["last_load"]) == (mass_kg, 1, 1)
-    assert told["factor"] == pytest.approx(mass_kg / told["measured_mass_kg"])
-    undone = bench.daemon.command({"command": "ticket-undo", "ticket": told["ticket"]})
-    assert (undone["ticket"], undone["first_load"], undone["last_load"]) == (told["ticket"], 1, 1)
-    with pytest.raises(InputError, match=f"ticket {told['ticket']}: is undone already"):
-        bench.daemon.command({"command": "ticket-undo", "ticket": told["ticket"]})
+    reported = bench.daemon.command({**TICKET, "mass_kg": mass_kg, "note": "x" * 80, "std_dev_kg": 0.001})
+    assert (reported["weighed_mass_kg"], reported["first_load"], reported["last_load"]) == (mass_kg, 1, 1)
+    assert reported["factor"] == pytest.approx(mass_kg / reported["measured_mass_kg"])
+    undone = bench.daemon.command({"command": "ticket-undo", "ticket": reported["ticket"]})
+    assert (undone["ticket"], undone["first_load"], undone["last_load"]) == (reported["ticket"], 1, 1)
+    with pytest.raises(InputError, match=f"ticket {reported['ticket']}: is undone already"):
+        bench.daemon.command({"command": "ticket-undo", "ticket": reported["ticket"]})

@@ -88,8 +88,10 @@ def test_bulk_and_one_by_one_are_the_same(log: Path) -> None:
 
 def test_best_source_is_used_and_said(log: Path) -> None:
     rows = {round(row.time_s - START_S): row for row in rows_of(process_in_bulk, log)}
-    told = [(s, rows[s].latitude_deg, rows[s].position_group, rows[s].ground_speed_m_s, rows[s].speed_group) for s in (8, 15, 30)]
-    assert told == [
+    reported = [
+        (s, rows[s].latitude_deg, rows[s].position_group, rows[s].ground_speed_m_s, rows[s].speed_group) for s in (8, 15, 30)
+    ]
+    assert reported == [
         (8, pytest.approx(40.0), None, pytest.approx(2.0, abs=0.01), None),
         (15, pytest.approx(41.0), 129029, pytest.approx(3.0, abs=0.01), 129026),
         (30, pytest.approx(40.0), None, pytest.approx(2.0, abs=0.01), None),

@@ -100,7 +100,7 @@ def test_an_exception_in_the_journal_ends_the_process_and_writes_what_there_is(t
         assert len(store.seconds()) >= 3
 
 
-def test_an_answer_tells_its_age(tmp_path: Path, monkeypatch):
+def test_an_answer_states_its_age(tmp_path: Path, monkeypatch):
     later_s = [0.0]
     monkeypatch.setattr("yieldmon.service.daemon.monotonic", lambda: time.monotonic() + later_s[0])
     with running(tmp_path) as bench:
@@ -140,7 +140,7 @@ def test_signals_in_bursts_are_taken_between_any_two_instructions(tmp_path: Path
 
 
 @pytest.mark.parametrize("folder", [False, True], ids=["its files", "its folder"])
-def test_a_store_that_is_removed_is_told_and_written_anew_from_memory(tmp_path: Path, folder: bool):
+def test_a_store_that_is_removed_is_reported_and_written_anew_from_memory(tmp_path: Path, folder: bool):
     state = tmp_path / "state"
     state.mkdir()
     path = state / "yieldmon.sqlite"

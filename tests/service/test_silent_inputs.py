@@ -38,7 +38,7 @@ FRAMES = [
         ("message: Group, source: {identity_number: 7}", "it comes from 17, 18 only"),
     ],
 )
-def test_what_comes_instead_is_said(mapped: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_comes_instead_is_reported(mapped: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = tmp_path / "bus.log"
     with can.Logger(str(log)) as logger:
         for number, (identifier, extended, data) in enumerate(FRAMES * 3):
@@ -60,7 +60,7 @@ def test_what_comes_instead_is_said(mapped: str, said: str, tmp_path: Path, caps
         ("not_available: [4000]", "no usable value; expected"),
     ],
 )
-def test_what_cannot_be_true_is_said_with_its_value(
+def test_what_cannot_be_true_is_reported_with_its_value(
     scale: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = tmp_path / "bus.log"

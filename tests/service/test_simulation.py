@@ -23,7 +23,7 @@ def test_simulated_days_break_no_invariant():
 
 
 @pytest.mark.parametrize("mend", ["rescue", "removed files", "witness of commits", "stores read from a copy"])
-def test_a_mend_undone_is_found(mend):
+def test_a_correction_taken_out_is_found(mend):
     assert found_without(store_simulation.MENDS[mend], 20, 7).found
 
 
@@ -36,7 +36,7 @@ def test_simulated_harvests_on_a_bus_break_no_invariant():
 @pytest.mark.parametrize(
     "mend", ["waiting on monotonic time", "each echo once", "signs of life of the transmitter", "contested mass apart"]
 )
-def test_a_mend_undone_on_a_bus_is_found(mend):
+def test_a_correction_taken_out_on_a_bus_is_found(mend):
     assert found_without(bus_simulation.MENDS[mend], 2, 7).found
 
 
@@ -54,9 +54,9 @@ def test_simulated_lives_of_process_and_files_break_no_invariant(simulation, liv
         (files_simulation, "modes of what is saved"), (files_simulation, "names of parents"),
     ],
 )  # fmt: skip
-def test_a_mend_undone_in_process_and_files_is_found(simulation, mend):
+def test_a_correction_taken_out_in_process_and_files_is_found(simulation, mend):
     assert found_without(simulation.MENDS[mend], 2, 7).found
 
 
-def test_each_point_of_the_list_has_a_mend_that_can_be_undone():
+def test_each_point_of_the_list_has_a_correction_that_can_be_taken_out():
     assert {number for share in SHARES for mend in share.simulation.mends.values() for number in mend.points} == set(POINTS)

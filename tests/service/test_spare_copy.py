@@ -136,7 +136,7 @@ def refuse_to_read(monkeypatch: pytest.MonkeyPatch, begin: int, end: int) -> Non
     monkeypatch.setattr("os.pread", pread)
 
 
-def test_sectors_that_cannot_be_read_are_zero_in_the_copy_and_told(tmp_path, monkeypatch):
+def test_sectors_that_cannot_be_read_are_zero_in_the_copy_and_reported(tmp_path, monkeypatch):
     path = tmp_path / "s.sqlite"
     content = os.urandom(3_000_000)
     path.write_bytes(content)

@@ -62,7 +62,7 @@ def test_a_stall_of_the_receiver_is_no_jump_of_the_clock(tmp_path: Path):
 
 
 def test_other_nodes_frames_alone_keep_time_going(tmp_path: Path):
-    """Inputs silent on a bus that never is: what is missing is told, and the watchdog fed, all the same."""
+    """Inputs silent on a bus that never is: what is missing is reported, and the watchdog fed."""
     forged = {"MassFlowRate": 9.0, "MassFlowStdDev": 0.1, "EstimateQuality": 0, "WindowCounter": 3}
     enough = threading.Event()
 

@@ -206,7 +206,7 @@ def test_files_that_are_not_ours_are_left_alone(tmp_path):
 
 
 @pytest.mark.parametrize("offset", [0, 3 * 4096 + 100], ids=["header", "table"])
-def test_a_damaged_store_is_told_and_can_be_set_aside(path, offset):
+def test_a_damaged_store_is_reported_and_can_be_set_aside(path, offset):
     with Store(path) as store:
         store.commit([batch(n) for n in range(1, 300)])
     content = bytearray(path.read_bytes())

@@ -80,7 +80,7 @@ def test_a_journal_without_its_store_is_not_thrown_away(tmp_path: Path, path: Pa
     found = recover(orphan, Retention(), lambda: Store(orphan))
     assert found.note.startswith("damaged, set aside as s.sqlite.damaged-")
     assert kept in [aside.read_bytes() for aside in place.glob("s.sqlite.damaged-*-wal")]
-    # Of the pages that the last commits wrote; what only the file had is gone, and told.
+    # Of the pages that the last commits wrote; what only the file had is gone, and reported.
     assert found.memory.last_second == 43
     assert found.memory.last_batch == 43
     assert "saved: 2 of state, 1 of load, 43 of second" in found.note
@@ -185,7 +185,7 @@ def test_damage_in_an_event_table_is_found_at_opening(path, table):
         assert store.last_batch() == 40
 
 
-def test_damage_found_in_use_is_mended_and_nothing_that_waits_is_lost(path, monkeypatch):
+def test_damage_found_in_use_is_repaired_and_nothing_that_waits_is_lost(path, monkeypatch):
     """The table of seconds is not looked at as a whole: the first batch that touches the damage finds it."""
     opened, connections = [], connections_made(monkeypatch)
 
@@ -212,7 +212,7 @@ def test_damage_found_in_use_is_mended_and_nothing_that_waits_is_lost(path, monk
 
 
 @pytest.mark.parametrize("gone", ["", "-wal", "both", "replaced"])
-def test_files_removed_while_in_use_are_told_and_written_anew(path, gone):
+def test_files_removed_while_in_use_are_reported_and_written_anew(path, gone):
     writer = StoreWriter(lambda: Store(path), 100, path=path)
     writer.start()
     writer.submit(batch(41))
@@ -236,8 +236,8 @@ def test_files_removed_while_in_use_are_told_and_written_anew(path, gone):
         assert b"something else" in kept
 
 
-@pytest.mark.parametrize(("cut", "told"), [("", "set aside"), ("-wal", "its last 2 commits are missing")])
-def test_files_that_are_cut_short_while_in_use_are_told(path, cut, told):
+@pytest.mark.parametrize(("cut", "reported"), [("", "set aside"), ("-wal", "its last 2 commits are missing")])
+def test_files_that_are_cut_short_while_in_use_are_reported(path, cut, reported):
     """SQLite goes on with what it has in memory, into files that nobody can read."""
     writer = StoreWriter(lambda: Store(path), 100, retry_s=0.01, path=path)
     writer.start()
@@ -247,7 +247,7 @@ def test_files_that_are_cut_short_while_in_use_are_told(path, cut, told):
     os.truncate(path.with_name(path.name + cut), 0)
     writer.submit(batch(43))
     assert writer.wait_until_written(PATIENCE_S)
-    assert told in writer.health().replaced_because
+    assert reported in writer.health().replaced_because
     writer.submit(batch(44))
     writer.stop()
     with Store(path) as store:
@@ -303,7 +303,7 @@ def closed_after_41(path: Path) -> StoreWriter:
 
 
 @pytest.mark.parametrize("before", ["the first batch", "a later one"])
-def test_files_removed_while_the_writer_has_them_closed_are_told(path, before):
+def test_files_removed_while_the_writer_has_them_closed_are_reported(path, before):
     writer = StoreWriter(lambda: Store(path), 100, path=path)
     writer.expect(40)
     if before == "a later one":
@@ -317,7 +317,7 @@ def test_files_removed_while_the_writer_has_them_closed_are_told(path, before):
     assert f"its last {missing} commits are missing" in writer.health().replaced_because
 
 
-def test_files_removed_before_the_first_batch_are_told_where_the_state_was_lost(path):
+def test_files_removed_before_the_first_batch_are_reported_where_the_state_was_lost(path):
     """A store without its state has no batch to miss."""
     with sqlite3.connect(path) as database:
         database.execute("DELETE FROM state")
@@ -371,15 +371,15 @@ def test_a_store_of_another_machine_put_there_while_closed_is_set_aside(path, tm
         assert store.last_batch() == 1000
 
 
-@pytest.mark.parametrize(("more", "told"), [(60, False), (61, True)])
-def test_a_start_on_a_store_with_more_commits_than_were_made_here_says_so(path, more, told):
+@pytest.mark.parametrize(("more", "reported"), [(60, False), (61, True)])
+def test_a_start_on_a_store_with_more_commits_than_were_made_here_says_so(path, more, reported):
     witness(path, 40)
     with Store(path) as store:
         store.commit([batch(40 + more, state=state(40 + more))])
     witness(path, 40)
     recovery = recover(path, Retention(), lambda: Store(path))
     assert recovery.last_batch == 40 + more
-    assert (f"{more} commits more" in recovery.note) is told
+    assert (f"{more} commits more" in recovery.note) is reported
 
 
 def test_an_open_store_says_that_its_file_is_not_there(path):
@@ -390,7 +390,7 @@ def test_an_open_store_says_that_its_file_is_not_there(path):
             store.require_attached()
 
 
-def test_a_store_put_back_from_a_copy_is_told(path):
+def test_a_store_put_back_from_a_copy_is_reported(path):
     copy = path.read_bytes()
     with Store(path) as store:
         store.commit([batch(n, state=state(n)) for n in (41, 42)])
@@ -455,7 +455,7 @@ def test_a_header_that_speaks_of_an_older_version_does_not_switch_the_checks_off
         Store(path)
 
 
-def test_damaged_seconds_are_left_out_of_an_export_and_told(path, tmp_path):
+def test_damaged_seconds_are_left_out_of_an_export_and_reported(path, tmp_path):
     change(path, "UPDATE second SET mass_kg = 1e6 WHERE number IN (7, 9)")
     bad: list[int] = []
     with Store.reading(path) as store:
@@ -482,7 +482,7 @@ def test_zeroed_cells_bring_no_other_seconds_unsaid(path: Path, length: int) -> 
     assert said > 2
 
 
-def test_a_store_that_was_never_committed_to_is_mended_like_any_other(tmp_path: Path) -> None:
+def test_a_store_that_was_never_committed_to_is_repaired_like_any_other(tmp_path: Path) -> None:
     """Without a commit nothing but the note of its beginning says that the bytes were ours."""
     path = tmp_path / "new.sqlite"
     recover(path, Retention(), lambda: Store(path))
@@ -523,7 +523,7 @@ def test_a_crafted_store_is_refused(tmp_path, sql):
         read_only(path)
 
 
-def test_a_ticket_told_twice_is_entered_once(path):
+def test_a_ticket_given_twice_is_entered_once(path):
     ticket = Ticket(1.0, 1, 1, 9.0, 10.0)
     with Store(path) as store:
         store.commit([batch(41, tickets=(ticket,)), batch(42, tickets=(ticket,))])
@@ -533,7 +533,7 @@ def test_a_ticket_told_twice_is_entered_once(path):
 @pytest.mark.parametrize(
     ("one", "other"), [((1, "a"), (1, "b")), ((1.0,), (1.0 + 1e-12,)), ((None,), ("",)), (("a", "b"), ("ab", ""))]
 )
-def test_a_checksum_tells_rows_apart(one, other):
+def test_a_checksum_distinguishes_rows(one, other):
     assert row_checksum("load", *one) != row_checksum("load", *other)
     assert row_checksum("load", *one) != row_checksum("sweep", *one)
 
@@ -602,7 +602,7 @@ def test_removed_files_that_cannot_be_written_anew_yet_stay_open(
         assert [row.number for row in store.seconds()] == list(range(1, 43))
 
 
-def test_a_store_whose_name_is_no_utf_8_is_read_and_mended(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_store_whose_name_is_no_utf_8_is_read_and_repaired(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.CRITICAL, "yieldmon")  # pytest-xdist cannot hand on lines with such a name
     folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff\xfe ?#%"))
     folder.mkdir()

@@ -67,13 +67,13 @@ def test_the_journal_of_another_store_is_set_aside(tmp_path: Path, noted: bool) 
     assert aside.read_bytes() == others["-wal"]
 
 
-def test_a_journal_over_the_file_of_another_store_is_said(tmp_path: Path) -> None:
+def test_a_journal_over_the_file_of_another_store_is_reported(tmp_path: Path) -> None:
     ours, others = killed(tmp_path / "a", 5, 3), killed(tmp_path / "b", 6, 2)
     found = start(tmp_path, {**ours, "": others[""]})
     assert "its file and its journal are of two stores" in found.note or "another store than was written here" in found.note
 
 
-def test_another_store_in_the_place_of_ours_is_said_until_it_is_ours(tmp_path: Path) -> None:
+def test_another_store_in_the_place_of_ours_is_reported_until_it_is_ours(tmp_path: Path) -> None:
     ours, others = killed(tmp_path / "a", 5, 3), killed(tmp_path / "b", 6, 2)
     found = start(tmp_path, {**others, ".last": ours[".last"]})
     assert "another store than was written here: the totals may be another machine's" in found.note
@@ -121,7 +121,7 @@ def test_a_note_with_a_changed_digit_is_none(tmp_path: Path, at: int) -> None:
     assert (witnessed(path), witnessed_store(path)) == (0, 0)
 
 
-def test_all_files_of_another_computers_store_are_told_once(tmp_path: Path) -> None:
+def test_all_files_of_another_computers_store_are_reported_once(tmp_path: Path) -> None:
     """Card and files of one machine in another one: each file fits the others."""
     path = tmp_path / "s.sqlite"
 

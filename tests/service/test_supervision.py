@@ -196,21 +196,21 @@ def test_the_prometheus_file_is_written_again_after_a_thread_that_died(tmp_path:
 def test_a_disk_that_holds_up_tickets_leaves_status_its_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     gate = threading.Event()
     monkeypatch.setattr(daemon, "of_path", lambda path, numbers: gate.wait(PATIENCE_S) and ())
-    told: list[str] = []
+    reported: list[str] = []
 
     def ticket() -> None:
         try:
             ask(tmp_path / "yieldmon.sock", {"command": "ticket", "first_load": 1, "mass_kg": 100.0}, PATIENCE_S)
         except ControlError as error:
-            told.append(str(error))
+            reported.append(str(error))
 
     with running(tmp_path) as bench:
         bench.play(2, 0.0)
         asking = [threading.Thread(target=ticket) for _ in range(8)]
         for thread in asking:
             thread.start()
-        wait_for(lambda: len(told) == 6, "those that the disk has no place for")
-        assert set(told) == {"the disk does not answer; nothing was done"}
+        wait_for(lambda: len(reported) == 6, "those that the disk has no place for")
+        assert set(reported) == {"the disk does not answer; nothing was done"}
         assert answers(bench, tmp_path / "yieldmon.sock")
         gate.set()
         for thread in asking:

@@ -108,7 +108,7 @@ def test_the_table_as_csv_is_the_table(clean: Path, tmp_path: Path) -> None:
         assert again.columns[name] == pytest.approx(values, rel=1e-5, nan_ok=True)
 
 
-def test_flow_is_that_of_the_parameters_given_not_of_what_sweeps_taught(clean: Path) -> None:
+def test_flow_is_that_of_the_parameters_given_not_of_those_after_sweeps(clean: Path) -> None:
     assert sweep_table.given_parameters(clean).values == SHIPPED.values
 
 
@@ -229,7 +229,7 @@ def diagnosed(strong: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[P
 
 def test_the_effect_is_named_adopted_and_kept_with_what_was_known(diagnosed: tuple[Path, dict[str, Any], str]) -> None:
     """Friction of 0.2 on the plate, from 18 sweeps; the model's own gravity stays and is not found anew."""
-    folder, found, told = diagnosed
+    folder, found, reported = diagnosed
     out = folder / "undone.yaml"
     for path in folder.glob("new*"):
         shutil.copy(path, folder / path.name.replace("new", "undone"))
@@ -241,7 +241,7 @@ def test_the_effect_is_named_adopted_and_kept_with_what_was_known(diagnosed: tup
     adopted = parameter_file.load(out)
     assert set(adopted.effects) == {"gravity", *(effect["name"] for effect in found["effects"])}
     assert adopted.provenance["parent_version"] == "1"
-    assert "scale of flow and gain" in told
+    assert "scale of flow and gain" in reported
     assert main(["diagnose", "--rollback", str(out)]) == 0
     assert parameter_file.load(out).values == SHIPPED.values
 

@@ -68,7 +68,7 @@ TICKETS = ((2, TRUE), (3, 1.003 * TRUE), (4, 0.998 * TRUE), (5, 1.12 * TRUE))
 
 def learnt(folder, capsys, runs: tuple[int, ...]) -> tuple[list, list[str]]:
     """What the tickets teach, so many of them in each run of the daemon, and why each taught as it did."""
-    season, told, left = Season(folder, capsys), [], list(TICKETS)
+    season, reported, left = Season(folder, capsys), [], list(TICKETS)
     for place, count in enumerate(runs):
         with running(folder, start_s=season.now_s) as bench:
             if place == 0:
@@ -77,17 +77,17 @@ def learnt(folder, capsys, runs: tuple[int, ...]) -> tuple[list, list[str]]:
                 bench.play(2, 0.0)
                 bench.played()
                 assert season.ticket(bench, *left.pop(0))["why_no_anchor"] == ""
-                told.append(bench.daemon.monitor.outcome.reason)
+                reported.append(bench.daemon.monitor.outcome.reason)
             season.now_s = bench.now_s
-    return season.lessons(), told
+    return season.lessons(), reported
 
 
-def test_tickets_teach_the_same_after_restarts(tmp_path, capsys) -> None:
-    through, told = learnt(tmp_path / "a", capsys, (4,))
+def test_tickets_update_the_same_after_restarts(tmp_path, capsys) -> None:
+    through, reported = learnt(tmp_path / "a", capsys, (4,))
     anew, told_anew = learnt(tmp_path / "b", capsys, (0, 1, 2, 1))
     assert [origin for origin, _, _ in through] == [origin for origin, _, _ in anew] == ["file", "ticket", "ticket", "ticket"]
-    assert "contradicts the 3 weighed before" in told[3]
-    assert told_anew == told
+    assert "contradicts the 3 weighed before" in reported[3]
+    assert told_anew == reported
     for (_, values, covariance), (_, values_anew, covariance_anew) in zip(through, anew, strict=True):
         assert values_anew == pytest.approx(values, rel=1e-9)
         assert [math.sqrt(row[i]) for i, row in enumerate(covariance_anew)] == pytest.approx(
@@ -95,7 +95,7 @@ def test_tickets_teach_the_same_after_restarts(tmp_path, capsys) -> None:
         )
 
 
-def test_tickets_that_wait_for_another_crop_teach_it_after_restarts(tmp_path, capsys) -> None:
+def test_tickets_that_wait_for_another_crop_update_it_after_restarts(tmp_path, capsys) -> None:
     season = Season(tmp_path / "a", capsys)
     with running(season.folder) as bench:
         season.harvest(bench)
@@ -117,7 +117,7 @@ def test_tickets_that_wait_for_another_crop_teach_it_after_restarts(tmp_path, ca
     assert season.lessons()[-1][0] == "ticket"
 
 
-def test_a_ticket_that_teaches_after_a_restart_is_taken_back_with_what_it_taught(tmp_path, capsys) -> None:
+def test_a_ticket_that_updates_after_a_restart_is_undone_with_its_update(tmp_path, capsys) -> None:
     season = Season(tmp_path / "a", capsys)
     with running(season.folder) as bench:
         season.harvest(bench)

@@ -13,7 +13,7 @@ PATIENCE_S = 60.0
 
 
 class FakeBus:
-    """Takes frames while `open` is set; refuses when told to."""
+    """Takes frames while `open` is set; refuses when asked to."""
 
     def __init__(self) -> None:
         self.open = threading.Event()
@@ -165,7 +165,7 @@ def test_a_frame_may_wait_so_long(bus, clock, started, waited_s, sent):
     assert not started.counters().late_now(clock.now_s + 2.0)
 
 
-def test_a_refused_frame_is_told_for_two_seconds_with_its_reason_and_is_no_echo(bus, clock, started):
+def test_a_refused_frame_is_reported_for_two_seconds_with_its_reason_and_is_no_echo(bus, clock, started):
     assert not started.counters().failing(0.0)
     bus.refuse = True
     transmitted(started, frame(1))
@@ -201,7 +201,7 @@ def test_an_interface_that_has_shown_none_of_the_first_frames_shows_none(clock, 
     assert started.is_echo(frame(99)) is is_ours
 
 
-def test_an_interface_that_was_asked_to_show_frames_is_believed(bus, clock):
+def test_an_interface_that_was_asked_to_show_frames_is_relied_on(bus, clock):
     transmitter = Transmitter(bus.send, 4, 0.5, clock, ASKED_ECHO_S)
     transmitter.start()
     for number in range(25):

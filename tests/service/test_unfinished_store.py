@@ -95,7 +95,7 @@ def test_one_of_an_older_version_is_remembered_whole(tmp_path, monkeypatch, jour
     assert found.last_batch > 0
 
 
-def test_one_that_is_too_large_for_memory_is_told(tmp_path, monkeypatch, caplog):
+def test_one_that_is_too_large_for_memory_is_reported(tmp_path, monkeypatch, caplog):
     monkeypatch.setattr(store_file, "LARGEST_COPY_BYTES", 1)
     path = begun(tmp_path / "s.sqlite", 3, journal=False)
     fill(monkeypatch)

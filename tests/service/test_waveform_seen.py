@@ -35,7 +35,7 @@ def load_start(monitor, journal, **request):
     return monitor.kernel_weight_g
 
 
-def test_the_kernels_weight_is_the_one_told_then_the_crop_s_then_the_configured(tmp_path: Path) -> None:
+def test_the_kernel_weight_is_the_entered_one_then_the_crop_s_then_the_configured(tmp_path: Path) -> None:
     monitor, journal = started(tmp_path)
     assert load_start(monitor, journal) == 300.0
     assert load_start(monitor, journal, thousand_kernel_weight_g=352.0) == 352.0

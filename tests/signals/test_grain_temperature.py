@@ -62,22 +62,22 @@ def recorded(folder: Path, conditions: list[can.Message], settings: str) -> list
 
 
 def test_of_the_shipped_message(tmp_path: Path) -> None:
-    told = [shipped(BEGIN_S + 0.5 * k, 21.5) for k in range(2 * SECONDS)]
-    found = recorded(tmp_path, told, "{}")
+    reported = [shipped(BEGIN_S + 0.5 * k, 21.5) for k in range(2 * SECONDS)]
+    found = recorded(tmp_path, reported, "{}")
     assert found
     assert {float(value) for value in found} == {21.5}
 
 
 @pytest.mark.parametrize("value", [NOT_AVAILABLE, 250.0, -200.0], ids=["not available", "too hot", "too cold"])
 def test_a_value_that_cannot_be_true_is_not_recorded(value: Value, tmp_path: Path) -> None:
-    told = [shipped(BEGIN_S + 0.5 * k, value) for k in range(2 * SECONDS)]
-    assert set(recorded(tmp_path, told, "{}")) == {""}
+    reported = [shipped(BEGIN_S + 0.5 * k, value) for k in range(2 * SECONDS)]
+    assert set(recorded(tmp_path, reported, "{}")) == {""}
 
 
 def test_of_a_probe_with_a_dbc_of_its_own(tmp_path: Path) -> None:
     """The maker's is used, and the shipped message, which comes as well, is not."""
-    told = [probe(BEGIN_S + 0.5 * k, 18.25) for k in range(2 * SECONDS)]
-    told += [shipped(BEGIN_S + 0.25 + 0.5 * k, 40.0) for k in range(2 * SECONDS)]
-    found = recorded(tmp_path, told, MAPPED)
+    reported = [probe(BEGIN_S + 0.5 * k, 18.25) for k in range(2 * SECONDS)]
+    reported += [shipped(BEGIN_S + 0.25 + 0.5 * k, 40.0) for k in range(2 * SECONDS)]
+    found = recorded(tmp_path, reported, MAPPED)
     assert found
     assert [float(value) for value in found] == pytest.approx([18.25] * len(found))

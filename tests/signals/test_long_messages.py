@@ -267,10 +267,10 @@ def test_can_fd_in_logs_and_in_what_signals_lists(dbc: Path, tmp_path: Path, cap
     assert [block.long[row] for row in np.flatnonzero(block.length > 8).tolist()] == [LONG64] * 50
     assert block.take(np.flatnonzero(block.length > 8)).long == dict.fromkeys(range(50), LONG64)
     assert main(["signals", str(log), "--dbc", str(dbc)]) == 0
-    said, told = capsys.readouterr()
+    said, reported = capsys.readouterr()
     assert "Single 412.5 to 412.5 rpm" in said
     assert "Last 400 to 400 rpm" in said
-    assert "1 messages of several frames lack one" in told
+    assert "1 messages of several frames lack one" in reported
     config = tmp_path / "c.yaml"
     config.write_text(f"signals:\n  elevator_speed: {{dbc: {dbc}, message: Long, signal: Single}}\n")
     assert main(["check-config", str(config), "--log", str(log)]) == 2

@@ -241,9 +241,9 @@ def test_a_message_that_nothing_uses_may_contradict_itself(
     log.write_text("".join(f"({100 + 0.1 * n:.6f}) can0 7CF#0102030405060708\n" for n in range(50)))
     capsys.readouterr()
     assert main(["signals", str(log), "--dbc", str(tmp_path / "counts.dbc")]) == 0
-    told = capsys.readouterr()
-    assert "counts.dbc: a message is not used: " in told.err
-    assert "Odd" in told.err or "A has factor 0" in told.err
+    reported = capsys.readouterr()
+    assert "counts.dbc: a message is not used: " in reported.err
+    assert "Odd" in reported.err or "A has factor 0" in reported.err
     path.write_text(f"signals:\n  {IMPACT.replace('Bridge', 'Odd')}\n")
     assert "signals fit, do not overlap" in said(capsys, path)
 

@@ -125,7 +125,7 @@ def test_one_line_names_the_key(name: str, dbc: Path, capsys: pytest.CaptureFixt
 
 
 @pytest.mark.parametrize("text", [FLOW, ANGLE, f"{ANGLE}\n    {MODE}"])
-def test_what_is_sent_is_told(text: str, dbc: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_sent_is_reported(text: str, dbc: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = dbc.with_name("c.yaml")
     path.write_text(f"outputs:\n  signals:\n    {text}\n")
     assert main(["check-config", str(path)]) == 0

@@ -287,7 +287,7 @@ BA_DEF_DEF_ "VFrameFormat" "{kind}";
     assert json.loads(capsys.readouterr().out)["signals"]["elevator_speed"]["values"] == frames
 
 
-def test_damage_of_a_log_is_said_once(
+def test_damage_of_a_log_is_reported_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
     log = tmp_path / "damaged.log"
@@ -313,7 +313,7 @@ def test_two_files_of_one_name(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert found["candidates"]["impact_voltage"][0]["dbc"] == two
 
 
-def test_samples_that_no_cell_gives_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_samples_that_no_cell_gives_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = drive(MULTIPLEXED, tmp_path)
     config = tmp_path / "wrong.yaml"
     config.write_text(MULTIPLEXED.config.replace("mux: 0,", "mux: 0, unit: V,"))
@@ -336,7 +336,7 @@ def test_a_source_by_its_whole_name(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert list(values.values()) == [60, 60, 0]
 
 
-def test_a_rate_that_is_not_the_recorded_one_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_rate_that_is_not_the_recorded_one_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = drive(COUNTS, tmp_path)
     config = tmp_path / "wrong.yaml"
     config.write_text(COUNTS.config.replace("rate_hz: 100", "rate_hz: 50"))
@@ -345,7 +345,7 @@ def test_a_rate_that_is_not_the_recorded_one_is_said(tmp_path: Path, capsys: pyt
     assert "100 samples per second; expected 50" in error
 
 
-def test_what_a_slow_sensor_costs_is_said_before(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_a_slow_sensor_costs_is_reported_before(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check-config", str(NEWTONS.write(tmp_path)), "--json"]) == 0
     notes = " ".join(json.loads(capsys.readouterr().out)["notes"])
     assert "10 samples per second" in notes
@@ -354,7 +354,7 @@ def test_what_a_slow_sensor_costs_is_said_before(tmp_path: Path, capsys: pytest.
 
 
 @pytest.mark.parametrize("rpm", [400.0, 500.0])
-def test_what_is_said_covers_what_10_hz_samples_cost(rpm: float, tmp_path: Path) -> None:
+def test_what_is_reported_covers_what_10_hz_samples_cost(rpm: float, tmp_path: Path) -> None:
     """Of the virtual combine: scatter about the mean and the mean's own error, of the true flow."""
     stated = aliasing_pct(configuration.load(NEWTONS.write(tmp_path)))[f"{rpm:g}"]
     for seed in (1, 2):

@@ -32,7 +32,7 @@ def outcomes(harvest: tuple[seasons.Season, ParameterSet]) -> list[study.Outcome
     return [study.run(*harvest, strategy, SETTINGS) for strategy in study.STRATEGIES]
 
 
-def test_each_lesson_betters_the_season(outcomes: list[study.Outcome]) -> None:
+def test_each_source_of_information_reduces_the_season_s_error(outcomes: list[study.Outcome]) -> None:
     never, mapped, swept, ticketed, weighed = (o.mean_abs_load_error_pct for o in outcomes)
     assert never > mapped > swept > ticketed > weighed
 

@@ -15,7 +15,7 @@ KEPT = json.loads((Path(identifiability.__file__).parent / "identifiability.json
 
 
 @pytest.mark.parametrize("flow_kg_s", [5.0, 12.0])
-def test_only_kernels_speak_of_the_scale(flow_kg_s: float) -> None:
+def test_only_kernels_determine_the_scale(flow_kg_s: float) -> None:
     known = identifiability.rows(flow_kg_s, "as shipped", "as shipped")
     for name, rows in known.items():
         moved = float(np.abs(rows @ SCALE).max()) / float(np.abs(rows).max())
@@ -33,7 +33,7 @@ def test_the_kept_table_is_what_the_study_says_and_no_sweep_makes_anything_worse
         assert all(row["with_a_sweep_pct"][name] <= sd + 0.01 for name, sd in row["at_home_pct"].items())
 
 
-def test_a_season_s_first_load_is_measured_before_anything_teaches() -> None:
+def test_a_season_s_first_load_is_measured_before_any_update() -> None:
     alone, taught = (teaching.season(7, teaches=teaches, tickets=(), loads=3) for teaches in (False, True))
     assert alone[0] == taught[0]
     assert len(alone) == 3

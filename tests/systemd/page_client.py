@@ -33,14 +33,14 @@ def page_pid() -> int:
 
 def live_rows() -> list[list[float | None]]:
     """The first seconds that a live page is shown."""
-    told: dict[str, Any] = {}
+    reported: dict[str, Any] = {}
     deadline = time.monotonic() + PATIENCE_S
     with urllib.request.urlopen(PAGE + "/api/live", timeout=PATIENCE_S) as lines:
         # A line comes at least every ten seconds.
         for line in lines:
-            assert time.monotonic() < deadline, f"no seconds, but {told}\n{journal()}"
+            assert time.monotonic() < deadline, f"no seconds, but {reported}\n{journal()}"
             if line.startswith(b"data: "):
-                told = json.loads(line.removeprefix(b"data: "))
-                if told["rows"]:
-                    return list(told["rows"])
-    raise AssertionError(f"the page ended its live state after {told}\n{journal()}")
+                reported = json.loads(line.removeprefix(b"data: "))
+                if reported["rows"]:
+                    return list(reported["rows"])
+    raise AssertionError(f"the page ended its live state after {reported}\n{journal()}")

@@ -119,15 +119,15 @@ def test_it_is_ready_and_publishes_each_second() -> None:
     assert counters == list(range(counters[0], counters[0] + len(counters))), ask(SYSTEM_SOCKET, {"command": "status"})["bus"]
 
 
-def test_status_tells_what_it_measures(daemon_command: Path) -> None:
+def test_status_states_what_it_measures(daemon_command: Path) -> None:
     eventually(lambda: ask(SYSTEM_SOCKET, {"command": "status"})["total"]["mass_kg"] > 0.0, "grain measured")
-    told = json.loads(run(str(daemon_command), "status", "--json"))
-    assert told["bus"]["channel"] == "can0"
-    assert told["bus"]["frames_per_s"] > 0
-    assert (told["bus"]["dropped"], told["bus"]["kernel_drops"]) == (0, 0)
-    assert told["total"]["mass_kg"] > 0.0
-    assert told["store"]["failing"] is None
-    assert told["store"]["file"] == str(STORE)
+    reported = json.loads(run(str(daemon_command), "status", "--json"))
+    assert reported["bus"]["channel"] == "can0"
+    assert reported["bus"]["frames_per_s"] > 0
+    assert (reported["bus"]["dropped"], reported["bus"]["kernel_drops"]) == (0, 0)
+    assert reported["total"]["mass_kg"] > 0.0
+    assert reported["store"]["failing"] is None
+    assert reported["store"]["file"] == str(STORE)
 
 
 def test_the_page_shows_what_the_daemon_measures() -> None:

@@ -116,7 +116,7 @@ def test_reload_with_a_bad_configuration_fails_and_leaves_it_running(started: in
     assert int(show("MainPID")) == started
 
 
-def test_a_configuration_refused_at_the_start_is_not_tried_again_until_it_is_mended(started: int) -> None:
+def test_a_configuration_refused_at_the_start_is_not_tried_again_until_it_is_corrected(started: int) -> None:
     run("systemctl", "stop", UNIT)
     good = CONFIGURATION.read_text(encoding="utf-8")
     CONFIGURATION.write_text(probe.WRONG, encoding="utf-8")
@@ -168,8 +168,8 @@ def test_networkd_takes_the_interface_by_the_shipped_file() -> None:
         flags = Path("/sys/class/net/can0/flags")
         eventually(lambda: int(flags.read_text(encoding="ascii"), 16) & 1 == 1, "can0 brought up")
         assert "/etc/systemd/network/80-can0.network" in run("networkctl", "status", "--no-pager", "can0")
-        told = run("journalctl", "--no-pager", "-o", "cat", "-p", "warning", "-u", "systemd-networkd.service")
-        assert "80-can0.network" not in told
+        reported = run("journalctl", "--no-pager", "-o", "cat", "-p", "warning", "-u", "systemd-networkd.service")
+        assert "80-can0.network" not in reported
     finally:
         delete_interface()
         run("systemctl", "stop", "systemd-networkd.service", "systemd-networkd.socket")

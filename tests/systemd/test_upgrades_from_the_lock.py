@@ -93,8 +93,8 @@ def test_installed_upgraded_and_rolled_back_under_any_umask(wheel: Path, interpr
 def test_every_package_is_the_locks(wheel: Path) -> None:
     # By its own path: through the link, Python does not find that it is an environment's.
     python = HOME / "releases" / released() / "bin" / "python"
-    told = run(str(python), "-m", "pip", "list", "--format", "freeze")
-    installed = {line.strip().lower().replace("_", "-") for line in told.splitlines() if line}
+    reported = run(str(python), "-m", "pip", "list", "--format", "freeze")
+    installed = {line.strip().lower().replace("_", "-") for line in reported.splitlines() if line}
     lock = (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines()
     pinned = {line.split()[0].split(";")[0].lower() for line in lock if "==" in line and not line.startswith((" ", "#"))}
     ours = {"pip", "setuptools", "yieldmon"}

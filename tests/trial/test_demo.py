@@ -19,7 +19,7 @@ def demo():
     return run
 
 
-def test_the_default_scenario_keeps_the_promise(demo, capsys, tmp_path):
+def test_the_default_scenario_stays_within_the_stated_error(demo, capsys, tmp_path):
     picture = tmp_path / "demo.png"
     found = demo("--duration", "120", "--seed", "1", "--picture", str(picture), capsys=capsys)
     assert set(found) >= {"flow_error_pct", "mass_error_pct", "windows", "sweeps", "bands"}
@@ -63,7 +63,7 @@ def test_the_configured_machine_is_the_one_simulated(capsys, tmp_path):
 
 
 @pytest.mark.parametrize("picture", ["x.pdf", "x", "nowhere/x.png", "."])
-def test_a_picture_that_cannot_be_is_told_before_the_run(picture, capsys):
+def test_a_picture_that_cannot_be_written_is_reported_before_the_run(picture, capsys):
     assert main(["demo", "--picture", picture]) == 2
     out, err = capsys.readouterr()
     assert out == ""

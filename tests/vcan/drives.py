@@ -48,7 +48,7 @@ class Drive:
 
     @property
     def codes(self) -> set[str]:
-        """Faults that were told at any time."""
+        """Faults that were reported at any time."""
         return {event.code for event in self.events if event.active}
 
 

@@ -52,7 +52,7 @@ def test_socketcan_holds_three_seconds_of_a_full_bus(vcan0: str) -> None:
         assert (received, kernel_drops_of(bus)) == (full_bus_frames, 0)
 
 
-def test_kernel_drops_are_counted_and_told(vcan0: str) -> None:
+def test_kernel_drops_are_counted_and_reported(vcan0: str) -> None:
     sent = 4000
     with open_bus("socketcan", vcan0, receive_buffer_bytes=64 * 1024) as bus, open_bus("socketcan", vcan0) as peer:
         for _ in range(sent):
@@ -104,7 +104,7 @@ def test_receiver_takes_full_bus_speed_without_loss(vcan0: str) -> None:
     ids=["down and up", "deleted and made anew"],
 )
 def test_interface_pulled_and_put_back(vcan1: str, pull: list[str], put_back: list[str]) -> None:
-    """Five times over: told once each way, and frames flow again."""
+    """Five times over: reported once each way, and frames flow again."""
 
     def run(commands: list[str]) -> None:
         for command in commands:

@@ -68,9 +68,9 @@ def test_our_message_from_cansend_is_a_conflict(vcan0: str, tmp_path: Path) -> N
         eventually(lambda: node.windows > 1, "windows on a silent bus")
         assert "OutputConflict" not in node.faults, "our own frames are no conflict"
 
-        def told() -> bool:
+        def reported() -> bool:
             subprocess.run(["cansend", vcan0, f"{identifier:08X}#0000000000000000"], check=True)
             return "OutputConflict" in node.faults
 
-        eventually(told, "OutputConflict")
+        eventually(reported, "OutputConflict")
         assert node.faults["OutputConflict"] == "MassFlow from another node"

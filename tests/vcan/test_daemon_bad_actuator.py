@@ -67,7 +67,7 @@ def test_stuck_away_from_home(vcan0: str, tmp_path: Path) -> None:
     flow_went_on(done)
 
 
-def test_lying(vcan0: str, tmp_path: Path) -> None:
+def test_implausible_feedback(vcan0: str, tmp_path: Path) -> None:
     """The plate never moves and its feedback says that it did: the force tells."""
     done = swept(vcan0, tmp_path, "65, 77", faulty("lying", 0.0))
     assert done.status["sweep"]["aborted_because"] == SweepAbort.FORCE_DOES_NOT_FOLLOW

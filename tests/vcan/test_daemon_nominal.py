@@ -48,8 +48,8 @@ def test_no_frame_and_no_sample_is_lost(nominal: Drive) -> None:
     # The seconds in which the combine starts and ends lack a part.
     first_s, last_s = (next(f.time_s for f in log if f.message in frames.INPUTS) for log in (nominal.log, nominal.log[::-1]))
     assert min(row.coverage for row in nominal.rows if first_s + 2.5 < row.time_s < last_s) > 0.999
-    told = {event.code for event in nominal.events if event.active and first_s + 2.5 < event.time_s < last_s}
-    assert not told & {"FramesLost", "SensorMissing", "SpeedMissing", "PlateFeedbackStale", "ClockJumped"}
+    reported = {event.code for event in nominal.events if event.active and first_s + 2.5 < event.time_s < last_s}
+    assert not reported & {"FramesLost", "SensorMissing", "SpeedMissing", "PlateFeedbackStale", "ClockJumped"}
     assert not nominal.codes & {"BusError", "OutputConflict"}
 
 
@@ -84,13 +84,13 @@ def test_the_sweep_runs_through_and_ends_at_home(nominal: Drive) -> None:
     steps = {row.sweep_step for row in nominal.rows if row.sweep_step >= 0}
     defaults = SweepSettings()
     assert steps == set(range(len(sweep_sequence(defaults.angles_deg, HOME_DEG, defaults.home_every))))
-    told = nominal.values(frames.PLATE_ACTUATOR_FEEDBACK, "PlateAngle")
-    assert min(told) == pytest.approx(LOWEST_DEG, abs=TOLERANCE_DEG)
-    assert max(told) == pytest.approx(HIGHEST_DEG, abs=TOLERANCE_DEG)
+    reported = nominal.values(frames.PLATE_ACTUATOR_FEEDBACK, "PlateAngle")
+    assert min(reported) == pytest.approx(LOWEST_DEG, abs=TOLERANCE_DEG)
+    assert max(reported) == pytest.approx(HIGHEST_DEG, abs=TOLERANCE_DEG)
     assert nominal.true_angles_deg[-1] == pytest.approx(HOME_DEG, abs=TOLERANCE_DEG)
 
 
-def test_the_sweep_is_told_throughout(nominal: Drive) -> None:
+def test_the_sweep_is_reported_throughout(nominal: Drive) -> None:
     states = nominal.values(frames.SELF_CALIBRATION_STATUS, "SweepState")
     assert len(states) == pytest.approx(len(nominal.of(frames.MASS_FLOW)), abs=1)
     assert SweepState.MEASURING in states

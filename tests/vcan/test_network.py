@@ -104,7 +104,7 @@ def test_j1939acd_contests_our_address(vcan0: str, tmp_path: Path, name: str, ou
             rival.wait(5.0)
 
 
-def test_a_tractors_network_traffic_leaves_us_alone(vcan0: str, tmp_path: Path) -> None:
+def test_a_tractors_network_traffic_changes_nothing(vcan0: str, tmp_path: Path) -> None:
     with daemon(vcan0, tmp_path) as node, can.Bus(vcan0, interface="socketcan") as peer:
         eventually(lambda: claimed(node), "the claim")
         for path in RECORDINGS:

@@ -56,10 +56,10 @@ def test_a_tractors_bus_beside_ours(vcan0: str, tmp_path: Path, speed: int) -> N
         rows, events = store.seconds(), store.faults()
     # The seconds in which combine and tractor start lack a part.
     begun = next(place for place, row in enumerate(rows) if row.coverage > 0.0)
-    told = {event.code for event in events if event.active and event.time_s > rows[begun + 5].time_s}
-    assert not told & WRONG
+    reported = {event.code for event in events if event.active and event.time_s > rows[begun + 5].time_s}
+    assert not reported & WRONG
     # One of the tractor's own nodes sends from 0x83, too, in the recordings that are not the excerpt.
-    assert ("NetworkFault" in told) == any(m.arbitration_id & 0xFF == US for m in recorded if m.is_extended_id)
+    assert ("NetworkFault" in reported) == any(m.arbitration_id & 0xFF == US for m in recorded if m.is_extended_id)
     rows = rows[begun + 5 : begun + windows]
     assert len(rows) == windows - 5
     assert sum(row.lost_frames + row.surplus_frames for row in rows) == 0

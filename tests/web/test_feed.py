@@ -92,7 +92,7 @@ def test_many_pages_cost_the_daemon_no_more_than_one(daemon: StandIn) -> None:
     assert together <= alone + 2 <= 8
 
 
-def test_nobody_watches_and_nobody_asks(daemon: StandIn) -> None:
+def test_without_a_page_the_daemon_is_not_asked(daemon: StandIn) -> None:
     async def drive() -> int:
         feed = Feed(daemon.socket)
         async with aclosing(feed.watch()) as events:
@@ -121,7 +121,7 @@ def test_watchers_are_bounded(daemon: StandIn) -> None:
     asyncio.run(drive())
 
 
-def test_faults_and_the_daemons_end_are_told(daemon: StandIn) -> None:
+def test_faults_and_the_daemons_end_are_reported(daemon: StandIn) -> None:
     async def drive() -> None:
         async with aclosing(Feed(daemon.socket).watch()) as events:
             assert (await next_event(events))["faults"] == []
@@ -201,7 +201,7 @@ def test_an_unexpected_failure_cuts_one_page_off_and_the_others_go_on(daemon: St
     assert asyncio.run(drive()) in ([], [4, 5])
 
 
-def test_a_look_that_hangs_is_told_to_those_who_watch(daemon: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_look_that_hangs_is_reported_to_open_pages(daemon: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
     """On a disk that does not answer, say; the daemon's last answer would pass for what is."""
     daemon.seconds(5)
     gate, ahead_s, ask = threading.Event(), [0.0], feed.ask
@@ -219,8 +219,8 @@ def test_a_look_that_hangs_is_told_to_those_who_watch(daemon: StandIn, monkeypat
             assert (await next_event(events))["problem"] is None
             assert "event: alive" in await anext(events)
             ahead_s[0] = 60.0
-            told = await next_event(events)
-            assert told["problem"].startswith("this page's look at the daemon and its store has been taking 6")
+            reported = await next_event(events)
+            assert reported["problem"].startswith("this page's look at the daemon and its store has been taking 6")
             gate.set()
             async with asyncio.timeout(60.0):
                 while (event := await next_event(events))["problem"] is not None:

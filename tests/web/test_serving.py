@@ -93,11 +93,11 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 def test_a_process_that_may_send_no_signal_ends_by_one(daemon: StandIn, number: int, code: int) -> None:
     words = ["web", "--socket", str(daemon.socket), "--listen", "127.0.0.1:0"]
     with forked.running(*words, before=NO_SIGNALS) as process:
-        told = urlsplit(process.stderr.readline().removeprefix("yieldmon: ").strip())
-        assert told.hostname is not None
-        assert told.port is not None
+        reported = urlsplit(process.stderr.readline().removeprefix("yieldmon: ").strip())
+        assert reported.hostname is not None
+        assert reported.port is not None
         # The first answer comes from a server that listens to signals.
-        assert status((told.hostname, told.port)) == 200
+        assert status((reported.hostname, reported.port)) == 200
         process.send_signal(number)
         assert (process.stderr.read(), process.wait()) == ("", code)
 
@@ -130,7 +130,7 @@ def test_half_a_request_is_not_waited_for(impatient: tuple[str, int]) -> None:
         assert [ends(connection) for connection in connections] == [True] * len(BEGUN)
 
 
-def test_200_silent_connections_shut_nobody_out(address: tuple[str, int]) -> None:
+def test_200_silent_connections_leave_room_for_others(address: tuple[str, int]) -> None:
     with ExitStack() as stack:
         silent = [stack.enter_context(socket.create_connection(address)) for _ in range(200)]
         assert status(address) == 200

@@ -35,7 +35,7 @@ def on_page_markdown(markdown: str, /, *, page: Any, files: Files, **_: Any) -> 
     here = page.file.src_uri
     in_repository = here if here.startswith(RECORDS) else f"docs/{here}"
 
-    def mended(match: re.Match[str]) -> str:
+    def rewritten(match: re.Match[str]) -> str:
         picture, text, target, anchor = match[1], match[2], match[3], match[4] or ""
         if "://" in target or target.startswith(("mailto:", "/")):
             return match[0]
@@ -46,4 +46,4 @@ def on_page_markdown(markdown: str, /, *, page: Any, files: Files, **_: Any) -> 
         # A missing page stays a link, about which mkdocs then complains; what is there but not in the site is only named.
         return text if (ROOT / wanted).exists() else match[0]
 
-    return _LINK.sub(mended, markdown)
+    return _LINK.sub(rewritten, markdown)

@@ -39,7 +39,7 @@ class Policy:
     """Share of what several effects change that they may undo among themselves: beyond, they are terms of a series and no causes,
     unless other laws of the others could not serve either."""
     tie: float = 6.0
-    """Chi-square distance (over the best one's misfit, where above 1) within which the data cannot tell two effects apart."""
+    """Chi-square distance (over the best one's misfit, where above 1) within which the data do not distinguish two effects."""
     near: float = 30.0
     """Chi-square (over the misfit) beyond a tie within which a rival is fitted from other starts before it is ruled out."""
     nearest: int = 6

@@ -127,7 +127,7 @@ def _named(diagnosis: Diagnosis) -> tuple[Step, ...]:
 
 
 def _cause(step: Step) -> str:
-    """One named effect in a sentence; one of several where these data cannot tell them apart."""
+    """One named effect in a sentence; one of several where these data do not distinguish them."""
     if not step.equivalent:
         return f"Cause ({step.confidence:.2f}): {registry()[step.added].summary.rstrip('.').lower()}."
     names = ", ".join((step.added, *step.equivalent))

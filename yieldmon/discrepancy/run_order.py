@@ -1,6 +1,6 @@
 """Whether a drift over a run, or an error between runs of different speeds, explains rows as well as an effect does.
 
-Speeds that are run one after the other cannot be told from time: a gain or zero that changes meanwhile is an effect of speed to
+Speeds that are run one after the other are confounded with time: a gain or zero that changes meanwhile is an effect of speed to
 such rows. (On designs whose run order guards against a drift: Box, Hunter and Hunter, Statistics for Experimenters, chapter 4.)
 """
 

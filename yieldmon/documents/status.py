@@ -97,7 +97,7 @@ class StatusWaveform(TypedDict):
 
 class StatusSweep(TypedDict):
     """Sweeps of the plate. due_in_s: null where none comes by schedule. last_update: what the last whole sweep or weighed mass
-    changed, or why nothing. declined: sweeps that were due and would not have told enough (`sweep.when: information`)."""
+    changed, or why nothing. declined: sweeps that were due and not worth making (`sweep.when: information`)."""
 
     state: str
     progress_pct: float

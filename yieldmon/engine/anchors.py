@@ -76,7 +76,7 @@ class TankScale:
         self._pending = self._start = self._last = None
 
     def doubt_zero(self) -> None:
-        """What is measured now rests on a zero that is doubted: no update, but the scale still tells the mass."""
+        """What is measured now rests on a suspect zero: no update, but the scale still gives the mass."""
         self._complete, self._zero_doubted = False, True
 
     def empty_since(self, time_s: float) -> None:

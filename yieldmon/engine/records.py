@@ -341,7 +341,7 @@ class SelfCalibrator(Protocol):
     def sweep_worth(
         self, record: WindowRecord, stops_deg: Sequence[float], channels: OtherChannels, estimator: FlowEstimator
     ) -> SweepWorth | None:
-        """What a sweep would tell that begins now. record: the last window, at home; stops_deg: plate angle of each window of
+        """What a sweep from now on is worth. record: the last window, at home; stops_deg: plate angle of each window of
         the sweep; None: not known."""
 
     def forget(self, load_numbers: frozenset[int], unused: Sequence[ReferenceMass]) -> None:

@@ -1,6 +1,6 @@
 """Whether weighed masses contradict the calibration: the one moment at which an error of scale can be seen.
 
-A sweep cannot tell flow, density and impact gain apart, so chain slip, wear or a wrong gain show in nothing but a scale. A
+A sweep cannot separate flow, density and impact gain, so chain slip, wear or a wrong gain show in nothing but a scale. A
 weighed mass is held against what the parameters in use make of the same grain; the first that they cannot explain raises the
 alarm, the next that agrees with them, or a calibration from outside, ends it.
 """

@@ -166,7 +166,7 @@ class SweepSettings:
 
     enabled: bool = True
     when: str = "interval"
-    """`interval`: whenever that has passed; `information`: only where it would then tell more of the flow than harvesting on."""
+    """`interval`: whenever that has passed; `information`: only where the flow is then better known than by harvesting on."""
     worth_ratio: float = 1.05
     """The flow's standard deviation after as long at home over that after the sweep, from which a sweep is worth making."""
     interval_s: float = 1800.0

@@ -19,7 +19,7 @@ from .priors import Bounds, Prior, fitting_bounds, follows_scale, start_ranges
 from .scatter_law import fit_variances, usual_deviation
 
 LEAST_PURE_DOF = 8
-"""Degrees of freedom of the replicates from which they part noise from the model's own error, and tell its law."""
+"""Degrees of freedom of the replicates from which they part noise from the model's own error, and determine its law."""
 ROBUST_SCALE = 1.5
 """Residuals beyond this many noise standard deviations lose weight (soft L1)."""
 

@@ -81,11 +81,11 @@ def pooled(start: ParameterSet, machines: Sequence[MachineLoads], settings: Load
     Parameters
     ----------
     start : ParameterSet
-        The crop's shipped parameters, whose deviations are what is believed of the crop before.
+        The crop's shipped parameters, whose deviations are the prior of the crop.
     machines : sequence of MachineLoads
         At least LEAST_MACHINES, each with a load or more.
     settings : LoadSettings, optional
-        What is believed of a load.
+        The prior of a load.
 
     Returns
     -------

@@ -53,7 +53,7 @@ _NAMED = 0.8
 _MOST_STRAIN, _MOST_LEFT = 5.0, 0.3
 """Standard deviations of density, gain and curve, all together, and ln error of a load, beyond which no machine explains them."""
 _DOUBTFUL = 2.5
-"""Standard deviations by any curve beyond which a load that contradicts the model's own is not believed at once."""
+"""Standard deviations by any curve beyond which a load that contradicts the model's own is not accepted at once."""
 _CONTRADICTED = 2.0
 """Standard deviations, rms, by which loads left out are further off than another curve or scatter explains."""
 _LEFT_OUT_WEIGHT = 0.632

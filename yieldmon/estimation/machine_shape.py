@@ -88,7 +88,7 @@ def calibrate_machine_shape(pulses: PulseModel, waves: Sequence[WeighedWave]) ->
     Returns
     -------
     MachineShape
-        Its law has a term with load, or with plate angle, where the pulses' range is wide enough to tell it.
+        Its law has a term with load, or with plate angle, where the pulses' range is wide enough to determine it.
 
     Raises
     ------
@@ -144,13 +144,13 @@ def _kind(pulses: PulseModel, waves: Sequence[WeighedWave]) -> _Kind:
 
 
 def _terms(points: Sequence[ArrivalPoint]) -> tuple[int, ...]:
-    """Places of the terms that the points' range can tell, fewer than points."""
+    """Places of the terms that the points' range determines, fewer than points."""
     cosines = np.cos([point.plate_angle_rad for point in points])
     by_load = bool(np.ptp([np.log(point.fill) for point in points]) >= _LEAST_LOG_FILLS)
     by_angle = bool(np.ptp(cosines) >= _LEAST_COSINES)
     several = bool(np.unique(cosines.round(1)).size >= _LEAST_ANGLES)
     free = (True, by_load, by_angle, by_load and by_angle, by_angle and several)
-    wanted = [place for place, told in enumerate(free) if told]
+    wanted = [place for place, determined in enumerate(free) if determined]
     return tuple(wanted[: max(1, len(points) // 2)])
 
 

@@ -173,9 +173,9 @@ def residual_of_pulses(samples_n: Array, phase: Array, folded: FoldedPattern, sp
 
 _TINY = 1e-300
 _LEAST_DETERMINANT = 1e-6
-"""Of the three changes' normal equations, each change scaled to one, below which a pulse's own are not told apart."""
+"""Of the three changes' normal equations, each change scaled to one, below which a pulse's own are not separated."""
 _LEAST_OF_A_PULSE = 12
-"""Samples of a pulse that tell its size and time; of one cut off by the window's ends fewer may be left."""
+"""Samples of a pulse that determine its size and time; of one cut off by the window's ends fewer may be left."""
 
 
 def _between(patterns_n: Sequence[Array], phase: Array) -> list[Array]:

@@ -23,7 +23,7 @@ _LEAST_SAMPLES = 2.0
 _FORGOTTEN_AFTER = 60
 """Windows since the last one of a kind after which its mean no longer stands for it: pulses change with the grain."""
 _LOG_FORCE, _ANGLE_RAD, _LOG_SPEED = 0.1, float(np.deg2rad(2.0)), 0.03
-"""Steps by which pulses are told apart."""
+"""Steps by which pulses are distinguished."""
 _BETWEEN_BINS = 2.0 / 3.0
 """Of a bin's variance, what the straight line between two bins has in the mean."""
 

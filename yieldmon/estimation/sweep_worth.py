@@ -1,4 +1,4 @@
-"""What a sweep would tell of the flow, before it is made: its standard deviation after a sweep, and after as long at home.
+"""How much a sweep would improve the flow, before it is made: its standard deviation after a sweep, and after as long at home.
 
 Linear about the parameters in use, as the closed loop reads a sweep: a flow that wanders, the model's error once for each plate
 angle, and only what `partial_update.determined_part` would take. The flow of the same sweep is not known and counts for nothing.

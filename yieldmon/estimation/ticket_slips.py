@@ -49,7 +49,7 @@ class Slip:
 
 
 def slips(weighed_kg: Array) -> tuple[Slip, ...]:
-    """All for loads of these tickets, (n,); none for a single load, which is believed."""
+    """All for loads of these tickets, (n,); none for a single load, which is accepted."""
     return tuple(_each(weighed_kg)) if weighed_kg.size > 1 else ()
 
 

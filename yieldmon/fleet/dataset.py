@@ -77,7 +77,7 @@ class Dataset:
         Raises InputError for a folder that holds something else, or links to places elsewhere.
         """
         self._files.invalidate_cache()
-        self._refuse_strangers()
+        self._refuse_foreign()
         self._refuse_links()
         self._files.makedirs(self._root, exist_ok=True)
         token = uuid.uuid4().hex
@@ -223,20 +223,20 @@ class Dataset:
         names = (entry["name"].rstrip("/").rpartition("/")[2] for entry in entries if entry["type"] == kind)
         return sorted(f"{folder}/{name}" if folder else name for name in names if name.startswith(begin))
 
-    def _refuse_strangers(self) -> None:
+    def _refuse_foreign(self) -> None:
         if not self._files.exists(self._root):
             return
         if not self._files.isdir(self._root):
             raise InputError(self.address, "is a file", "a folder for the dataset")
         names = [path.rstrip("/").rpartition("/")[2] for path in self._files.ls(self._root, detail=False)]
         own = (_FAILED, _RUN, _TEMPORARY, "")
-        strangers = [name for name in names if name not in own and not name.startswith("machine=") and name[:1] != "."]
-        if not strangers and not {_FAILED, _RUN} & {*names}:
+        foreign = [name for name in names if name not in own and not name.startswith("machine=") and name[:1] != "."]
+        if not foreign and not {_FAILED, _RUN} & {*names}:
             # What another program has partitioned the same way: not to be cleaned.
             marked = any(self._files.exists(f"{self._root}/{name}/{MARK}") for name in self._partitions())
-            strangers = [] if marked else [name for name in names if name.startswith("machine=")]
-        if strangers:
-            raise InputError(self.address, f"holds {strangers[0]}", "an empty folder, or a dataset of `fleet run`")
+            foreign = [] if marked else [name for name in names if name.startswith("machine=")]
+        if foreign:
+            raise InputError(self.address, f"holds {foreign[0]}", "an empty folder, or a dataset of `fleet run`")
 
     def _refuse_links(self) -> None:
         """Cleaning and writing would go through them to what is no part of the dataset."""

@@ -40,7 +40,7 @@ POLICY = Policy(starts=3)
 
 @dataclass(frozen=True)
 class Named:
-    """An effect that a diagnosis names. equivalent: those that its data cannot tell from it; values: of its parameters."""
+    """An effect that a diagnosis names. equivalent: those that its data do not distinguish from it; values: of its parameters."""
 
     effect: str
     equivalent: tuple[str, ...] = ()

@@ -38,7 +38,7 @@ class Sweep(Section):
 
     enabled: bool = choice(_S.enabled, "drive the plate at all")
     when: Literal["interval", "information"] = choice(
-        _S.when, "begin one whenever the interval has passed, or only where it would tell more of the flow than harvesting on"
+        _S.when, "begin one whenever the interval has passed, or only where the flow is then better known than by harvesting on"
     )
     worth_ratio: float = quantity(
         _S.worth_ratio, 1.0, 10.0, "1", "with information: flow's std dev after as long at home over that after a sweep, at least"

@@ -92,13 +92,14 @@ class Daemon:
         self.configuration = configuration
         self._at_start = configuration
         self._manager = ServiceManager(environment)
-        self._reloads = Reloads(Reloading(reload, reading_s), self._manager)
+        self._reloads = Reloads(Reloading(reload, reading_s))
         self._bus = BusNode(configuration, bus_factory=bus_factory, silence_s=silence_s, clock=network_clock)
+        self._receiver, self._transmitter = self._bus.receiver, self._bus.transmitter
         self._stop_writing_s = stop_writing_s
         self.started = threading.Event()
         """Set once frames are taken and commands answered."""
-        # A plain flag: a signal handler runs between any two instructions of this thread, where it may hold any lock.
-        self._stop_wanted = False
+        # Plain flags: a signal handler runs between any two instructions of this thread, where it may hold any lock.
+        self._stop_wanted = self._reload_wanted = False
         self._commands = CommandQueue(answers_within_s)
         self._rows: deque[SecondRow] = deque(maxlen=_LAST_ROWS)
         self._record: WindowRecord | None = None
@@ -128,12 +129,12 @@ class Daemon:
     @property
     def receiver(self) -> Receiver:
         """Takes frames off the bus."""
-        return self._bus.receiver
+        return self._receiver
 
     @property
     def transmitter(self) -> Transmitter:
         """Sends frames."""
-        return self._bus.transmitter
+        return self._transmitter
 
     @property
     def writer(self) -> StoreWriter:
@@ -156,7 +157,7 @@ class Daemon:
 
     def request_reload(self) -> None:
         """Read the configuration anew soon."""
-        self._reloads.request()
+        self._reload_wanted = True
 
     def run(self) -> int:
         """Run until asked to stop; returns the exit code.
@@ -171,20 +172,20 @@ class Daemon:
 
     def _run(self) -> int:
         # Frames are kept from here on, however long the disk takes.
-        self._bus.receiver.start()
+        self._receiver.start()
         try:
             self._reading_store = reading = StoreReading(self._take_store)
             reading.wait(self._store_patience_s, lambda: self._stop_wanted)
             if not reading.done and self._stop_wanted:
                 _log.error("%s: the disk has not answered since the start", self.configuration.store_path)
-                self._bus.receiver.stop()
+                self._receiver.stop()
                 return 0
             self._begin(reading)
             self._answer = self._snapshot()
             status = self.configuration.document.status
             control = ControlServer(self.configuration.socket_path, status.group, self.command)
         except BaseException:
-            self._bus.receiver.stop()
+            self._receiver.stop()
             raise
         metrics = MetricsFile(self.configuration.prometheus_path, status.prometheus_interval_s, self._status)
         self._supervisors = [Supervisor("control", control), Supervisor("metrics", metrics)]
@@ -223,8 +224,8 @@ class Daemon:
 
         return ended(
             self._manager.stopping,
-            self._bus.transmitter.stop,
-            self._bus.receiver.stop,
+            self._transmitter.stop,
+            self._receiver.stop,
             self._commit,
             write,
             metrics.stop,
@@ -312,8 +313,7 @@ class Daemon:
             if isinstance(item, BusEvent):
                 self._bus.take_event(item)
             else:
-                for frame in self._bus.hear(item):
-                    windows += self._feed(frame)
+                windows += self._take_message(item)
                 heard_bus_s = item.timestamp
         if heard_bus_s is not None:
             self._bus.time.heard(heard_bus_s, monotonic())
@@ -329,16 +329,24 @@ class Daemon:
         between_windows = bool(windows or not items)
         if self._reading_store is not None and self._reading_store.done and between_windows:
             self._take_late_store(self._reading_store)
-        # A quiet bus has no window to miss.
-        if self._reloads.look(self._use, between_windows=between_windows):
-            self._answer = self._snapshot()
-            self._manager.ready()
+        if self._reload_wanted and not self._reloads.under_way:
+            # Before the reading: what is written from now on may need another one.
+            self._reload_wanted = False
+            self._manager.reloading()
+            self._reloads.begin()
+        # Between two windows a new monitor has least to miss; a quiet bus has none.
+        if between_windows and self._reloads.due:
+            self._do_reload()
         require_alive(self._threads())
 
     def _threads(self) -> dict[str, bool]:
         """Those without which measuring is of no use, and whether they are alive."""
         own = {} if self._reading_store is not None else {"store": self._writer.alive}
-        return {"receive": self._bus.receiver.alive, "transmit": self._bus.transmitter.alive, **own}
+        return {"receive": self._receiver.alive, "transmit": self._transmitter.alive, **own}
+
+    def _take_message(self, message: can.Message) -> int:
+        """One message; returns how many windows it closed."""
+        return sum(self._feed(frame) for frame in self._bus.hear(message))
 
     def _feed(self, item: frames.Frame | float) -> int:
         """A frame, or a bus time up to which there is none; returns how many windows that closed."""
@@ -393,7 +401,7 @@ class Daemon:
         """Reports to the monitor each condition that came, went or changed."""
         changed = self._bus.faults.changes(
             monotonic(),
-            sent=self._bus.transmitter.counters(),
+            sent=self._transmitter.counters(),
             hangs_s=self._bus.hangs_s(),
             store=self._writer.health(),
             store_note=self._store_note,
@@ -463,6 +471,11 @@ class Daemon:
             version = self._monitor.estimator.parameters.version
             open_load = totals.load_number if totals.load_open else None
             self._poster.start(self._monitor.machine, self._journal.actions.take_waiting(), version, open_load, now_s)
+
+    def _do_reload(self) -> None:
+        self._reloads.take(self._use)
+        self._answer = self._snapshot()
+        self._manager.ready()
 
     def _use(self, new: Configuration) -> list[str]:
         """Goes on with a configuration; returns its sections that will be taken at the next start only."""

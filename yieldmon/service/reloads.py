@@ -1,4 +1,4 @@
-"""Requests to read the configuration anew, and what came of the last one."""
+"""Readings of the configuration while the daemon runs, and what came of the last one."""
 
 from __future__ import annotations
 
@@ -7,14 +7,13 @@ from collections.abc import Callable, Sequence
 
 from yieldmon.errors import InputError
 from yieldmon.service.configuration import Configuration
-from yieldmon.service.notify import ServiceManager
 from yieldmon.service.reloading import Reloading
 
 _log = logging.getLogger(__name__)
 
 
 class Reloads:
-    """One reading at a time; a request during one is met by another after it.
+    """One reading at a time, and what became of it.
 
     Attributes
     ----------
@@ -24,31 +23,31 @@ class Reloads:
         What came of the last one.
     """
 
-    def __init__(self, reading: Reloading, manager: ServiceManager) -> None:
+    def __init__(self, reading: Reloading) -> None:
         self._reading = reading
-        self._manager = manager
-        # A plain flag: a signal handler runs between any two instructions of the engine's thread, where it may hold any lock.
-        self._wanted = False
         self.count = 0
         self.note = "none since the start"
 
-    def request(self) -> None:
-        """Read the configuration anew soon; may be called from a signal handler."""
-        self._wanted = True
+    @property
+    def under_way(self) -> bool:
+        """Whether a reading is awaited."""
+        return self._reading.under_way
 
-    def look(self, use: Callable[[Configuration], Sequence[str]], *, between_windows: bool) -> bool:
-        """Begin a reading where one is wanted, and take one that has ended; whether one was taken or refused.
+    @property
+    def due(self) -> bool:
+        """Whether a reading has ended, or takes longer than it may."""
+        return self._reading.due()
+
+    def begin(self) -> None:
+        """Begin a reading."""
+        self._reading.begin()
+
+    def take(self, use: Callable[[Configuration], Sequence[str]]) -> None:
+        """Take the configuration that was read, or go on with the one before and say so; to be called when it is due.
 
         use: takes the configuration and returns the sections that will be taken at the next start only; raises InputError or
-        OSError where it cannot be used. between_windows: a new monitor has least to miss there.
+        OSError where it cannot be used.
         """
-        if self._wanted and not self._reading.under_way:
-            # Before the reading: what is written from now on may need another one.
-            self._wanted = False
-            self._manager.reloading()
-            self._reading.begin()
-        if not (between_windows and self._reading.due()):
-            return False
         self.count += 1
         try:
             new = self._reading.result()
@@ -61,4 +60,3 @@ class Reloads:
             # A file that could not be read this time is no reason to stop measuring.
             self.note = f"refused: {error}"
             _log.error("reload refused, the old configuration stays in use: %s", error)
-        return True

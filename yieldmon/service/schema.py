@@ -129,7 +129,7 @@ CREATE TABLE load_area (
 ) STRICT;
 """
 
-# What was told and taught with who did it and when, and the steps between lessons.
+# What was entered and updated, by whom and when, and the steps between updates.
 _VERSION_8 = """
 CREATE TABLE action (              -- what an operator told, what the monitor learnt, and what took either back
     number INTEGER PRIMARY KEY,

@@ -167,8 +167,8 @@ class Store(StoredRows):
         self._database.execute("PRAGMA synchronous = FULL")
         self._database.execute("PRAGMA wal_autocheckpoint = 256")
         self._database.execute(f"PRAGMA journal_size_limit = {_JOURNAL_BYTES}")
-        if self._version() < schema.VERSION:
-            self._migrate()
+        for step in range(self._version(), schema.VERSION):
+            self._migrate(step)
 
     def _check_content(self) -> None:
         version = self._version()
@@ -186,15 +186,14 @@ class Store(StoredRows):
         self._unchecked_to = self._mark("unchecked_seconds")
         self.last_second()
 
-    def _migrate(self) -> None:
-        # All versions' steps at once: each commit of its own would wait for the medium, and a new store needs all of them.
+    def _migrate(self, step: int) -> None:
         with self._transaction():
-            for step in range(self._version(), schema.VERSION):
-                for statement in statements(schema.MIGRATIONS[step]):
-                    self._database.execute(statement)
+            for statement in statements(schema.MIGRATIONS[step]):
+                self._database.execute(statement)
             self._database.execute(f"PRAGMA application_id = {schema.APPLICATION_ID}")
-            self._database.execute(f"PRAGMA user_version = {schema.VERSION}")
-            write_mark(self._database, "schema", schema.VERSION)
+            self._database.execute(f"PRAGMA user_version = {step + 1}")
+            if step + 1 >= schema.CHECKED_FROM:
+                write_mark(self._database, "schema", step + 1)
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:

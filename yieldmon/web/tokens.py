@@ -56,7 +56,7 @@ def read_token(path: Path) -> str:
 
 
 def same(given: str, token: str) -> bool:
-    """Whether two texts are equal, in a time that does not tell where they differ."""
+    """Whether two texts are equal, in a time that does not depend on where they differ."""
     return hmac.compare_digest(given.encode("utf-8", "surrogatepass"), token.encode())
 
 

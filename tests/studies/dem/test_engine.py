@@ -45,7 +45,7 @@ def test_physics(check: object) -> None:
 
 
 def test_a_check_can_fail() -> None:
-    """A bounce is told from one of another restitution: 0.75 is not 0.70 to 0.002."""
+    """A bounce is distinguished from one of another restitution: 0.75 is not 0.70 to 0.002."""
     grains = checks.bounces(0.70, 2.0e-6, count=5)
     e = -grains["end_velocity_m_s"][:, 0] / grains["start_velocity_m_s"][:, 0]
     assert np.all(np.abs(e - 0.70) < 0.002)

@@ -1,4 +1,4 @@
-"""What the engine is told."""
+"""The engine's input script."""
 
 from __future__ import annotations
 

@@ -133,9 +133,9 @@ def test_the_open_loop_reaches_its_goal(judged: float, learnt_at: float, column:
 
 
 @pytest.mark.slow
-def test_diagnosis_that_is_told_the_plates_end_names_what_the_records_show() -> None:
+def test_diagnosis_with_the_plates_end_names_what_the_records_show() -> None:
     """Normal-only readings at the engine's accuracy: the two effects on release, near what the stream's own records give."""
-    found = report.diagnosed(0.3, "momentum_kg_m_s", report.ENGINE_ACCURACY, told=True)
+    found = report.diagnosed(0.3, "momentum_kg_m_s", report.ENGINE_ACCURACY, given=True)
     assert found.verdict == "effect"
     assert set(found.choice.named) == {"stream_rise", "unpushed_layers"}
     assert found.held_out is not None

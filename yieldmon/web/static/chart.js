@@ -5,7 +5,7 @@ const colour = (name) => getComputedStyle(document.documentElement).getPropertyV
 const MINUTE = 60;
 const DAY = 86400;
 
-// Twenty-four hours, and no more than the axis' steps tell apart.
+// Twenty-four hours, and no more than the axis' steps resolve.
 function moment(seconds, step) {
   const text = new Date(1000 * seconds).toLocaleString("sv");
   return step >= DAY ? text.slice(2, 10) : text.slice(11, step >= MINUTE ? 16 : 19);
