@@ -114,9 +114,10 @@ class MessageSeen:
 class Candidate:
     """A signal that could serve a quantity.
 
-    unit: as the DBC says; mux: value of the multiplexer with which it is sent most; source: of the sender where the DBC does not
-    distinguish it from others; node: the sender's NAME then, where one was heard; moved: that node was heard at several addresses;
-    span: lowest and highest value; not_available: raw values that the DBC's value table calls so; score: how well it fits, above 0.
+    unit: as the DBC says; mux: value of the multiplexer with which it is sent most; source: of the sender where the DBC does
+    not distinguish it from others; node: the sender's NAME then, where one was heard; moved: that node was heard at several
+    addresses; span: lowest and highest value; not_available: raw values that the DBC's value table calls so; score: how well
+    it fits, above 0.
     """
 
     quantity: str
