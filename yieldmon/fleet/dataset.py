@@ -28,7 +28,7 @@ from urllib.parse import unquote
 from yieldmon.errors import InputError
 from yieldmon.files import digests
 from yieldmon.fleet.filesystem import filesystem_of, is_remote
-from yieldmon.fleet.manifest import name_of
+from yieldmon.fleet.names import name_of
 
 MARK = "_COMMITTED"
 _FAILED, _RUN, _TEMPORARY = "_failed", "_run", "_temporary"

@@ -13,36 +13,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote, unquote
 
 from yieldmon.bus.logs import SUFFIXES
 from yieldmon.errors import InputError, reason
 from yieldmon.files import delimited
 from yieldmon.fleet.filesystem import filesystem_of, is_remote
+from yieldmon.fleet.names import folder_of, is_name
 
 CONFIG, TICKETS = "config.yaml", "tickets.csv"
 _UNREAD_COMPRESSIONS = (".zst", ".bz2", ".xz", ".lz4", ".7z", ".zip")
-_MOST_BYTES = 200
-"""Of a name as a folder's."""
 _REQUIRED = ("machine", "day", "log")
 _OPTIONAL = ("config", "tickets", "crop")
-
-
-def folder_of(name: str) -> str:
-    """A machine's or day's name as a partition's folder has it: what is no letter, digit, '.', '_', '-' or '~' as %XX, as Hive,
-    DuckDB and Arrow read it."""
-    return quote(name, safe="")
-
-
-def name_of(folder: str) -> str | None:
-    """The name that `folder_of` gives that folder; None where there is none."""
-    name = unquote(folder)
-    return name if _is_name(name) and folder_of(name) == folder else None
-
-
-def _is_name(text: str) -> bool:
-    plain = text[:1].isalnum() and text.isprintable() and text == text.strip() and not {"/", "\\"} & {*text}
-    return plain and len(folder_of(text)) <= _MOST_BYTES
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,7 +249,7 @@ def _is_log(name: str) -> bool:
 
 
 def _name(text: str, where: str) -> str:
-    if not _is_name(text):
+    if not is_name(text):
         expected = "a name that begins with a letter or digit, without '/', '\\' and control characters, at most 200 bytes (%XX)"
         raise InputError(where, f"is {text[:120]!r}", expected)
     return text

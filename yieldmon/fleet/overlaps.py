@@ -3,7 +3,7 @@ recorders' logs that overlap."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +17,8 @@ _LOGS = f"""
 SELECT machine, day, name, first_number, last_number, least(start_s, end_s) AS from_s, greatest(start_s, end_s) AS to_s FROM loads
 WHERE kind = '{tables.LOG}' AND seconds > 0 AND start_s IS NOT NULL AND end_s IS NOT NULL ORDER BY machine, day, first_number
 """
-_SECONDS = "SELECT time_s, duration_s, mass_kg FROM {} WHERE number BETWEEN ? AND ? ORDER BY number"
+_COLUMNS = ("number", "time_s", "duration_s", "mass_kg")
+_SECONDS = f"SELECT {', '.join(_COLUMNS)} FROM {{}}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,37 +52,68 @@ def overlaps(query: Query) -> list[Overlap]:
         by_machine.setdefault(row["machine"], []).append(row)
     found = []
     for logs in by_machine.values():
-        seconds: dict[tuple[str, int], NDArray[np.float64]] = {}
-        for first, second in _meeting(logs):
-            for log in (first, second):
-                if (log["day"], log["first_number"]) not in seconds:
-                    seconds[log["day"], log["first_number"]] = _seconds(query, log)
-            ours, theirs = (seconds[log["day"], log["first_number"]] for log in (first, second))
+        days = _Days(query)
+        meeting = _meeting(logs)
+        last = {logs[place]["day"]: (first, second) for first, second in meeting for place in (first, second)}
+        for first, second in meeting:
+            ours, theirs = (days.seconds(logs[place]) for place in (first, second))
             again = _within(theirs, ours)
             mass_kg = float(theirs[again, 2].sum())
             if mass_kg > 0.0 and ours[_within(ours, theirs), 2].sum() > 0.0:
-                where = second["machine"], second["day"], second["name"], first["day"], first["name"]
+                log, other = logs[second], logs[first]
+                where = log["machine"], log["day"], log["name"], other["day"], other["name"]
                 found.append(Overlap(*where, int(again.sum()), mass_kg))
+            for day in {logs[first]["day"], logs[second]["day"]}:
+                if last[day] == (first, second):
+                    days.forget(day)
     return found
 
 
-def _meeting(logs: Sequence[dict[str, Any]]) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
-    """The pairs of logs whose first and last times overlap, in the logs' order."""
+def _meeting(logs: Sequence[dict[str, Any]]) -> list[tuple[int, int]]:
+    """The pairs of logs, by place, whose first and last times overlap, in the logs' order."""
     found, under_way = [], list[int]()
     for i in sorted(range(len(logs)), key=lambda i: float(logs[i]["from_s"])):
         under_way = [k for k in under_way if logs[k]["to_s"] > logs[i]["from_s"]]
         found += [(min(i, k), max(i, k)) for k in under_way if logs[i]["to_s"] > logs[i]["from_s"]]
         under_way.append(i)
-    for first, second in sorted(found):
-        yield logs[first], logs[second]
+    return sorted(found)
 
 
-def _seconds(query: Query, log: dict[str, Any]) -> NDArray[np.float64]:
-    """End, duration and mass of a log's seconds in the order of their ends, shape (n, 3)."""
-    records = query.of_partition("records", log["machine"], log["day"])
-    rows = query.rows(_SECONDS.format(records), (log["first_number"], log["last_number"]))
-    found = np.array([(row["time_s"], row["duration_s"], row["mass_kg"]) for row in rows], np.float64).reshape(-1, 3)
-    return found[np.argsort(found[:, 0], kind="stable")]
+class _Days:
+    """The seconds of a machine's days, each day read once."""
+
+    def __init__(self, query: Query) -> None:
+        self._query = query
+        self._read: dict[str, NDArray[np.float64]] = {}
+        self._of_logs: dict[tuple[str, int], NDArray[np.float64]] = {}
+
+    def seconds(self, log: dict[str, Any]) -> NDArray[np.float64]:
+        """End, duration and mass of a log's seconds in the order of their ends, shape (n, 3)."""
+        day, first, last = log["day"], log["first_number"], log["last_number"]
+        if (day, first) not in self._of_logs:
+            if day not in self._read:
+                self._read[day] = _by_number(self._query, log["machine"], day)
+            numbers = self._read[day][:, 0]
+            found = self._read[day][np.searchsorted(numbers, first) : np.searchsorted(numbers, last, side="right"), 1:]
+            self._of_logs[day, first] = _sorted(found, 0)
+        return self._of_logs[day, first]
+
+    def forget(self, day: str) -> None:
+        """A day that is not asked for any more."""
+        self._read.pop(day, None)
+        for key in [key for key in self._of_logs if key[0] == day]:
+            del self._of_logs[key]
+
+
+def _by_number(query: Query, machine: str, day: str) -> NDArray[np.float64]:
+    """Number, end, duration and mass of a day's seconds, shape (n, 4)."""
+    columns = query.columns(_SECONDS.format(query.of_partition("records", machine, day)))
+    return _sorted(np.stack([columns[name].astype(np.float64) for name in _COLUMNS], axis=-1), 0)
+
+
+def _sorted(rows: NDArray[np.float64], column: int) -> NDArray[np.float64]:
+    order = rows[:, column]
+    return rows if np.all(order[1:] >= order[:-1]) else rows[np.argsort(order, kind="stable")]
 
 
 def _within(those: NDArray[np.float64], these: NDArray[np.float64]) -> NDArray[np.bool_]:

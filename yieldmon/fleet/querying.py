@@ -6,6 +6,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from yieldmon.errors import InputError
 from yieldmon.fleet import tables
 from yieldmon.fleet.dataset import Commit, Dataset
@@ -18,6 +21,7 @@ class Query:
         self._database = database
         self.dataset = dataset
         self.commits = tuple(commits)
+        self._by_place = {(commit.machine, commit.day): commit for commit in self.commits}
 
     def rows(self, statement: str, values: Sequence[Any] = ()) -> list[dict[str, Any]]:
         """What a statement gives, a mapping a row. Raises InputError where a table cannot be read."""
@@ -26,10 +30,16 @@ class Query:
             names = [column[0] for column in found.description]
             return [dict(zip(names, row, strict=True)) for row in found.fetchall()]
 
+    def columns(self, statement: str) -> dict[str, NDArray[Any]]:
+        """What a statement gives, an array a column, for many rows of numbers; null is nan. Raises InputError as `rows`."""
+        with _readable(self.dataset.address):
+            found = self._database.execute(statement).fetchnumpy()
+        return {name: np.ma.filled(column, np.nan) if np.ma.isMaskedArray(column) else column for name, column in found.items()}
+
     def of_partition(self, table: str, machine: str, day: str) -> str:
         """A table of one partition, to stand behind FROM: without a look at the files of all others, as a view takes."""
-        [commit] = (commit for commit in self.commits if (commit.machine, commit.day) == (machine, day))
-        return f"read_parquet({_quoted(_located(self.dataset, commit, table))}, hive_partitioning=false)"
+        located = _located(self.dataset, self._by_place[machine, day], table)
+        return f"read_parquet({_quoted(located)}, hive_partitioning=false)"
 
     def table(self, statement: str, values: Sequence[Any] = ()) -> Any:
         """The same as a pyarrow table."""
