@@ -94,7 +94,8 @@ def test_what_another_program_has_partitioned_alike_is_not_cleaned(tmp_path: Pat
     [
         b"", b"{", b"[]", b"null", b"\xff", b"[" * 100_000, b"{}", b'{"key": 1, "files": {}, "poisoned": []}',
         b'{"key": "a", "files": [], "poisoned": []}', b'{"key": "a", "files": {"records.parquet": 1}, "poisoned": []}',
-        b'{"key": "a", "files": {}, "poisoned": [1]}', b'{"key": "a", "files": {}, "poisoned": [{"where": "a"}]}',
+        b'{"key": "a", "files": {}, "poisoned": [1]}',
+        b'{"key": "a", "files": {}, "poisoned": [], "samples": []}', b'{"key": "a", "files": {}, "poisoned": [{"where": "a"}]}',
     ],
 )  # fmt: skip
 def test_a_damaged_mark_is_one_line_and_the_next_run_begins_that_day_anew(

@@ -48,6 +48,18 @@ def drawn(rng: np.random.Generator, begin_s: float) -> list[tuple[float, float, 
     return [(float(end), 1.0, float(mass)) for end, mass in zip(kept, masses, strict=True)]
 
 
+BEGINS = {"d1": (0.0, 15.0, 200.0), "d2": (20.0,), "d3": (210.0, 500.0), "d4": (1000.0,)}
+"""Of each day's logs."""
+
+
+def drawn_days(dataset: Path, seed: int, epoch_s: float) -> dict[str, list[Log]]:
+    rng = np.random.default_rng([190, seed])
+    days = {name: [(f"{k}.log", drawn(rng, epoch_s + begin)) for k, begin in enumerate(found)] for name, found in BEGINS.items()}
+    for name, found in days.items():
+        day(dataset, name, found)
+    return days
+
+
 def by_all_pairs(days: dict[str, list[Log]]) -> list[Overlap]:
     logs = [(name, *log) for name, found in sorted(days.items()) for log in found]
     found = []
@@ -64,11 +76,7 @@ def by_all_pairs(days: dict[str, list[Log]]) -> list[Overlap]:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_overlaps_are_those_of_all_pairs_of_seconds(seed: int, tmp_path: Path) -> None:
-    rng = np.random.default_rng([190, seed])
-    begins = {"d1": (0.0, 15.0, 200.0), "d2": (20.0,), "d3": (210.0, 500.0), "d4": (1000.0,)}
-    days = {name: [(f"{k}.log", drawn(rng, begin)) for k, begin in enumerate(found)] for name, found in begins.items()}
-    for name, found in days.items():
-        day(tmp_path, name, found)
+    days = drawn_days(tmp_path, seed, 1.7e9)
     with opened(str(tmp_path), (tables.LOADS,)) as query:
         said = overlaps(query)
     expected = by_all_pairs(days)
@@ -77,3 +85,10 @@ def test_overlaps_are_those_of_all_pairs_of_seconds(seed: int, tmp_path: Path) -
         (o.day, o.log, o.other_day, o.other_log, o.seconds) for o in expected
     ]
     assert [o.mass_kg for o in said] == pytest.approx([o.mass_kg for o in expected])
+
+
+def test_times_that_are_no_dates_say_nothing_of_one_another(tmp_path: Path) -> None:
+    """As those of .asc files, which begin at 0 each."""
+    drawn_days(tmp_path, 0, 0.0)
+    with opened(str(tmp_path), (tables.LOADS,)) as query:
+        assert overlaps(query) == []

@@ -119,6 +119,39 @@ def test_report_names_logs_of_a_machine_that_overlap(tmp_path: Path, capsys: pyt
     assert "at times that d1 a.log has too" in later["problem"]
 
 
+def test_report_names_logs_with_the_samples_of_another_at_other_times(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By a recorder whose clock is five and a half hours ahead, and converted to times from the log's begin; not of a log that
+    only resembles another."""
+    source, out = tmp_path / "tree", str(tmp_path / "out")
+    text = logs.write(source / "m0/d1/a.log", 60.0).read_text()
+    for name, shift_s in (("d1/ahead.log", 19800.0), ("d2/from_begin.log", -logs.START_S)):
+        (source / "m0" / name).parent.mkdir(exist_ok=True)
+        shifted = re.sub(r"^\((\S+)\)", lambda found, s=shift_s: f"({float(found[1]) + s:.6f})", text, flags=re.MULTILINE)
+        (source / "m0" / name).write_text(shifted)
+    logs.write(source / "m0/d3/other.log", 60.0, logs.START_S + 1000.0)
+    assert measure(source, out) == 0
+    capsys.readouterr()
+    assert main(["fleet", "report", out, "--json"]) == 0
+    assert [(item["day"], item["problem"]) for item in json.loads(capsys.readouterr().out)["doubtful"]] == [
+        ("d1", "ahead.log holds the samples of d1 a.log at other times, and they are counted again"),
+        ("d2", "from_begin.log holds the samples of d1 a.log at other times, and they are counted again"),
+    ]
+
+
+def test_report_names_days_without_a_zero(tmp_path: Path) -> None:
+    source, out = tmp_path / "tree", str(tmp_path / "out")
+    lines = logs.text(60.0).splitlines(keepends=True)
+    (source / "m0/d1").mkdir(parents=True)
+    (source / "m0/d1/in grain.log").write_text("".join(lines[len(lines) * 2 // 3 :]))
+    assert measure(source, out) == 0
+    found = summarise(out)
+    [item] = found["doubtful"]
+    assert item["problem"].startswith("no zero of the sensor is known, so none of the ")
+    assert found["totals"]["mass_kg"] == 0.0
+
+
 def test_report_counts_faults(season: Path) -> None:
     days = summarise(str(season / "first"))["days"]
     machines = summarise(str(season / "first"))["machines"]

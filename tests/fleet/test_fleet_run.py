@@ -208,6 +208,26 @@ def test_a_log_that_is_compressed_in_another_way_is_named(tmp_path: Path, name: 
     assert [Path(log).name for log in found.partitions[0].logs] == ["a.log"]
 
 
+def test_logs_of_a_day_are_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    """Since they are one record, and a ticket's number counts them."""
+    names = ["1.log", "2.log", "9.blf", "10.log", "11.log.gz", "run 2.log", "run 10.log", "ü1.log"]
+    (tmp_path / "m" / "d").mkdir(parents=True)
+    for name in sorted(names):
+        (tmp_path / "m" / "d" / name).write_bytes(b"")
+    [partition] = manifest.load(str(tmp_path)).partitions
+    assert [Path(log).name for log in partition.logs] == names
+
+
+@pytest.mark.parametrize("name", ["._a.log", ".DS_Store", "Thumbs.db", "notes.txt"])
+def test_what_file_managers_leave_is_no_log(tmp_path: Path, name: str) -> None:
+    for each in ("a.log", name):
+        logs.write(tmp_path / "m" / "d" / each)
+    found = manifest.load(str(tmp_path))
+    assert [Path(log).name for log in found.partitions[0].logs] == ["a.log"]
+    assert [Path(path).name for path in found.left_out] == [name]
+    assert found.refused == ()
+
+
 def test_a_manifest_is_a_tree_in_a_table(tree: Path, tmp_path: Path) -> None:
     table = tmp_path / "fleet.csv"
     rows = [f"{m},{d},{tree / m / d / 'a.log'}" for m in ("m0", "m1") for d in ("2026-10-01", "2026-10-02")]

@@ -385,7 +385,7 @@ def _read_binary(path: Path, suffix: str, compressed: bool, notes: LogNotes) -> 
         except Exception as error:  # noqa: BLE001 - parsers of binary formats raise anything on damaged bytes
             stream = getattr(reader, "file", None)
             place = f"frame {count + 1}" if stream is None or stream.closed else f"byte {stream.tell()}"
-            problem = str(error) if suffix == ".mf4" else f"{type(error).__name__} {error}"
+            problem = str(error) if suffix in (".mf4", ".db") else f"{type(error).__name__} {error}"
             if flaw is not None:
                 # The reader was shown what stands before the flaw, and may have missed the rest of a frame.
                 place, problem = f"byte {flaw[0]}", flaw[1]

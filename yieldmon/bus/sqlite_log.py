@@ -32,7 +32,7 @@ class SqliteLog:
             self._database.setlimit(_LIMIT_LENGTH, _LARGEST_VALUE_BYTES)
             found = self._database.execute("SELECT type, sql FROM sqlite_schema WHERE name = 'messages'").fetchone()
             if found is None or found[0] != "table" or "GENERATED" in str(found[1]).upper() or "VIRTUAL" in str(found[1]).upper():
-                raise ValueError("has no plain table 'messages'")
+                raise ValueError("no table 'messages' as python-can's SqliteWriter makes it")
         except BaseException:
             self._database.close()
             raise

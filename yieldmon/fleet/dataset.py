@@ -198,6 +198,7 @@ class Dataset:
     def _mark(self, name: str, content: bytes) -> dict[str, Any]:
         found = _checked(f"{self._root}/{name}", content, _MARK)
         listed = all(isinstance(item, dict) and {*item} == {"where", "problem"} for item in found["poisoned"])
+        listed = listed and isinstance(found.get("samples", {}), dict)
         if not listed or not all(isinstance(entry, dict) and "sha256" in entry for entry in found["files"].values()):
             raise _damaged(f"{self._root}/{name}")
         return found

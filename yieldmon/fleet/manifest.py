@@ -18,10 +18,12 @@ from yieldmon.bus.logs import SUFFIXES
 from yieldmon.errors import InputError, reason
 from yieldmon.files import delimited
 from yieldmon.fleet.filesystem import filesystem_of, is_remote
-from yieldmon.fleet.names import folder_of, is_name
+from yieldmon.fleet.names import folder_of, in_order, is_name
 
 CONFIG, TICKETS = "config.yaml", "tickets.csv"
 _UNREAD_COMPRESSIONS = (".zst", ".bz2", ".xz", ".lz4", ".7z", ".zip")
+_NO_LOGS = ("thumbs.db",)
+"""Files that file managers leave and that end as a log may."""
 _REQUIRED = ("machine", "day", "log")
 _OPTIONAL = ("config", "tickets", "crop")
 
@@ -181,7 +183,7 @@ def _refusal(folder: str, error: InputError | PermissionError) -> InputError:
 
 
 def _logs(files: Any, day: str, left_out: list[str], refused: list[InputError]) -> list[str]:
-    """The logs of a day, by name; what else is in its folder goes to the other two lists."""
+    """The logs of a day, by name with numbers as such; what else is in its folder goes to the other two lists."""
     logs = []
     for path, kind in _entries(files, day):
         name = path.rpartition("/")[2]
@@ -189,13 +191,13 @@ def _logs(files: Any, day: str, left_out: list[str], refused: list[InputError]) 
             continue
         if other := _unread_compression(name):
             refused.append(InputError(path, f"is compressed as {other}, which is not read", "the log as it is, or as .gz"))
-        elif not _is_log(name):
+        elif name.startswith(".") or name.lower() in _NO_LOGS or not _is_log(name):
             left_out.append(path)
         elif kind == _FILE:
             logs.append(path)
         else:
             refused.append(InputError(path, "is not a file, or is a link to nothing", "a log"))
-    return logs
+    return sorted(logs, key=lambda path: in_order(path.rpartition("/")[2]))
 
 
 def _astray(files: Any, path: str) -> list[str]:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from math import isfinite
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from yieldmon.bus.loading import iter_blocks
 from yieldmon.bus.logs import LogNotes
@@ -17,6 +20,7 @@ from yieldmon.engine.learning import ParametersChanged
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.plate import SweepEnded
 from yieldmon.engine.results import Result, WindowResult
+from yieldmon.engine.runs import FrameRun
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file, ticket_file
@@ -30,6 +34,8 @@ from yieldmon.service.configuration import Configuration
 from yieldmon.service.rows import SecondRow
 from yieldmon.service.tables import open_table
 
+_SAMPLES_BYTES = 16
+
 
 @dataclass(frozen=True, slots=True)
 class Poisoned:
@@ -41,16 +47,19 @@ class Poisoned:
 
 @dataclass(frozen=True)
 class Measured:
-    """A partition's record in short (as `process --json`), the crop, and what could not be used of it."""
+    """A partition's record in short (as `process --json`), the crop, what could not be used of it, and by each log's name a hash
+    of its impact sensors' samples, whatever their times."""
 
     document: ProcessSummary
     crop: str
     poisoned: tuple[Poisoned, ...]
+    samples: Mapping[str, str]
 
 
 @dataclass(slots=True)
 class _Span:
-    """A log's frames, in time and number, how many the engine took, and the first of the rows that came while it was read."""
+    """A log's frames, in time and number, how many the engine took, the first of the rows that came while it was read, and a hash
+    of each impact sensor's samples."""
 
     log: str
     first_row: int
@@ -58,6 +67,21 @@ class _Span:
     ours: int = 0
     start_s: float = float("nan")
     end_s: float = float("nan")
+    sensors: dict[int, Any] = field(default_factory=dict)
+
+    def take(self, run: FrameRun) -> None:
+        if not isfinite(self.start_s):
+            self.start_s = float(run.times_s[0])
+        self.end_s = float(run.times_s[-1])
+        for number, samples in enumerate(run.samples):
+            if samples.rows.size:
+                digest = self.sensors.setdefault(number, hashlib.blake2b(digest_size=_SAMPLES_BYTES))
+                digest.update(np.ascontiguousarray(samples.rows))
+
+    @property
+    def samples(self) -> str:
+        """Counters and samples of all sensors; "" where there are none."""
+        return "-".join(self.sensors[number].hexdigest() for number in sorted(self.sensors))
 
 
 @dataclass
@@ -83,9 +107,7 @@ class _Taken:
         span.frames += stretch.frames
         span.ours += stretch.ours
         for run in stretch.runs:
-            if not isfinite(span.start_s):
-                span.start_s = float(run.times_s[0])
-            span.end_s = float(run.times_s[-1])
+            span.take(run)
 
     def results(self, results: Sequence[Result]) -> None:
         for result in results:
@@ -165,7 +187,8 @@ def measure(
     tables.write(tables.FAULTS, taken.faults, folder / "faults.parquet")
     crop = crop or configured.parameters.provenance.get("crop", "")
     document["damages"] = [by_name(text, names) for text in [*document["damages"], *_without_ours(taken)]]
-    return Measured(document, crop, (*poisoned, *unmatched))
+    samples = {names[span.log]: span.samples for span in taken.spans if span.log and span.samples}
+    return Measured(document, crop, (*poisoned, *unmatched), samples)
 
 
 def by_name(text: str, names: Mapping[str, str]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from urllib.parse import quote, unquote
 
 _MOST_BYTES = 200
@@ -24,3 +25,9 @@ def is_name(text: str) -> bool:
     """Whether a machine or day can be called so."""
     plain = text[:1].isalnum() and text.isprintable() and text == text.strip() and not {"/", "\\"} & {*text}
     return plain and len(folder_of(text)) <= _MOST_BYTES
+
+
+def in_order(name: str) -> tuple[list[tuple[int, str]], str]:
+    """To sort names by: numbers in them as such, so that 10.log comes behind 9.log."""
+    parts = [(int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"(\d+)", name)]
+    return parts, name

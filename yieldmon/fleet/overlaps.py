@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 from yieldmon.fleet import tables
 from yieldmon.fleet.querying import Query
 
+EARLIEST_DATE_S = 1e8
+"""Bus time before this (1973) counts from a recorder's start and is no date: two logs that begin so share no time."""
 _LOGS = f"""
 SELECT machine, day, name, first_number, last_number, least(start_s, end_s) AS from_s, greatest(start_s, end_s) AS to_s FROM loads
-WHERE kind = '{tables.LOG}' AND seconds > 0 AND start_s IS NOT NULL AND end_s IS NOT NULL ORDER BY machine, day, first_number
+WHERE kind = '{tables.LOG}' AND seconds > 0 AND least(start_s, end_s) > {EARLIEST_DATE_S} ORDER BY machine, day, first_number
 """
 _COLUMNS = ("number", "time_s", "duration_s", "mass_kg")
 _SECONDS = f"SELECT {', '.join(_COLUMNS)} FROM {{}}"

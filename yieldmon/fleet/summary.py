@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from math import sqrt
 from typing import Any
 
 from yieldmon.engine.faults import FaultCode
 from yieldmon.errors import InputError
 from yieldmon.fleet import tables
-from yieldmon.fleet.overlaps import Overlap, overlaps
+from yieldmon.fleet.names import in_order
+from yieldmon.fleet.overlaps import EARLIEST_DATE_S, Overlap, overlaps
 from yieldmon.fleet.querying import Query, opened
 
 Rows = list[dict[str, Any]]
@@ -42,8 +42,6 @@ WHERE kind = 'ticket' AND weighed_kg > 0 ORDER BY machine, day, name
 """
 
 
-_EARLIEST_DATE_S = 1e8
-"""Bus time before this (1973) counts from a recorder's start and is no date."""
 _OF_NOTHING = hashlib.sha256().hexdigest()
 """What empty logs have in common is no mass."""
 
@@ -59,8 +57,8 @@ def summarise(address: str) -> dict[str, Any]:
     Returns
     -------
     dict
-        totals; machines, by name; days, by machine and day; tickets; failed and poisoned; doubtful: damaged logs, logs that are
-        there twice, and logs of a machine that overlap in time.
+        totals; machines, by name; days, by machine and day; tickets; failed and poisoned; doubtful: damaged logs, days without a
+        zero, logs that are there twice, and logs of a machine that overlap in time or hold the same samples at other times.
 
     Raises
     ------
@@ -103,7 +101,7 @@ def summarise(address: str) -> dict[str, Any]:
         "tickets": tickets,
         "failed": failed,
         "poisoned": poisoned,
-        "doubtful": _doubtful(days, overlapping, address),
+        "doubtful": _doubtful(days, overlapping, _samples(query), address),
     }  # fmt: skip
 
 
@@ -111,20 +109,31 @@ def _in_order(rows: Rows) -> Rows:
     """Days by machine and then by date, where a machine's logs hold it, else by name with numbers in it as such."""
     ordered: Rows = []
     for days in _by_machine(rows).values():
-        dated = all((row["start_s"] or 0.0) > _EARLIEST_DATE_S for row in days)
-        ordered += sorted(days, key=lambda row: (row["start_s"] if dated else 0.0, _natural(row["day"])))
+        dated = all((row["start_s"] or 0.0) > EARLIEST_DATE_S for row in days)
+        ordered += sorted(days, key=lambda row: (row["start_s"] if dated else 0.0, in_order(row["day"])))
     return ordered
 
 
-def _natural(name: str) -> list[tuple[int, str]]:
-    return [(int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"(\d+)", name)]
+_Log = tuple[str, str, str]
+"""Machine, day and name."""
 
 
-def _doubtful(days: Rows, overlapping: Iterable[Overlap], address: str) -> Rows:
-    """Days whose mass may be too small, for damage, or too large, for a log or time that is counted twice."""
+def _samples(query: Query) -> dict[_Log, str]:
+    """What each log's samples are known by; none of days that a yieldmon before this one measured."""
+    return {
+        (commit.machine, commit.day, str(name)): str(digest)
+        for commit in query.commits
+        for name, digest in commit.content.get("samples", {}).items()
+    }
+
+
+def _doubtful(days: Rows, overlapping: Sequence[Overlap], samples: Mapping[_Log, str], address: str) -> Rows:
+    """Days whose mass may be too small, for damage or want of a zero, or too large, for a log or time that is counted twice."""
     found: Rows = []
+    overlap = {(e.machine, e.day, e.log): (e.machine, e.other_day, e.other_log) for e in overlapping}
+    first_samples: dict[tuple[str, str], _Log] = {}
     first: dict[str, str] = {}
-    digests: dict[tuple[str, str, str], str] = {}
+    digests: dict[_Log, str] = {}
     for row in days:
         where = {"machine": row["machine"], "day": row["day"]}
         try:
@@ -136,7 +145,15 @@ def _doubtful(days: Rows, overlapping: Iterable[Overlap], address: str) -> Rows:
         if damages:
             more = f" (and {len(damages) - 1} more)" if len(damages) > 1 else ""
             found.append({**where, "problem": f"damaged: {damages[0]}{more}"})
+        if row["seconds"] and not row["zero_known"]:
+            found.append({**where, "problem": f"no zero of the sensor is known, so none of the {row['seconds']} s has a flow"})
         for name, digest in logs:
+            log = row["machine"], row["day"], name
+            if content := samples.get(log):
+                other = first_samples.setdefault((row["machine"], content), log)
+                if other != log and digests[other] != digest and overlap.get(log) != other:
+                    problem = f"{name} holds the samples of {other[1]} {other[2]} at other times, and they are counted again"
+                    found.append({**where, "problem": problem})
             digests[row["machine"], row["day"], name] = digest
             if digest == _OF_NOTHING:
                 continue

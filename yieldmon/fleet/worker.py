@@ -159,7 +159,7 @@ def _measured(task: Task, dataset: Dataset) -> Outcome:
         content = {
             "key": identity.key, "software": asdict(identity.software), "parameters_sha256": identity.parameters_sha256,
             "inputs_sha256": identity.inputs_sha256, "poisoned": [asdict(item) for item in measured.poisoned],
-            "damages": document["damages"],
+            "damages": document["damages"], "samples": dict(measured.samples),
         }  # fmt: skip
         dataset.commit(partition.name, output, content, task.token)
         damages = tuple(document["damages"])
