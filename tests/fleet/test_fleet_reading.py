@@ -119,9 +119,7 @@ def test_report_names_logs_of_a_machine_that_overlap(tmp_path: Path, capsys: pyt
     assert "at times that d1 a.log has too" in later["problem"]
 
 
-def test_report_names_logs_with_the_samples_of_another_at_other_times(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_report_names_logs_with_the_samples_of_another_at_other_times(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """By a recorder whose clock is five and a half hours ahead, and converted to times from the log's begin; not of a log that
     only resembles another."""
     source, out = tmp_path / "tree", str(tmp_path / "out")

@@ -150,9 +150,9 @@ def _doubtful(days: Rows, overlapping: Sequence[Overlap], samples: Mapping[_Log,
         for name, digest in logs:
             log = row["machine"], row["day"], name
             if content := samples.get(log):
-                other = first_samples.setdefault((row["machine"], content), log)
-                if other != log and digests[other] != digest and overlap.get(log) != other:
-                    problem = f"{name} holds the samples of {other[1]} {other[2]} at other times, and they are counted again"
+                earlier = first_samples.setdefault((row["machine"], content), log)
+                if earlier != log and digests[earlier] != digest and overlap.get(log) != earlier:
+                    problem = f"{name} holds the samples of {earlier[1]} {earlier[2]} at other times, and they are counted again"
                     found.append({**where, "problem": problem})
             digests[row["machine"], row["day"], name] = digest
             if digest == _OF_NOTHING:
