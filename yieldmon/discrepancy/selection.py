@@ -181,7 +181,9 @@ class Search:
         if tied > self.policy.largest_class:
             return f"{tied} effects explain these rows alike"
         gap = lack_of_fit(current, self.noise)
-        left = (current.chi2 - current.dof) / self.excess
+        # Beside rivals that are hardly worse, an effect has to explain what the model's own error may have made as well.
+        owned = by_own_error(current) if far_ahead(current, steps, self.policy) else 0.0
+        left = (current.chi2 - current.dof - owned) / self.excess
         searched = rows_searched(current)
         other_law = left_by_own_law(current, steps, self.noise, self.excess, self.policy)
         refuted = gap.p_value < self.policy.gap_p and not other_law
@@ -469,6 +471,11 @@ def far_ahead(found: Fit, steps: Sequence[Step], policy: Policy) -> bool:
     return len(found.effects) == 1 and steps[0].margin >= chosen_from_all(policy.per_parameter)
 
 
+def by_own_error(found: Fit) -> float:
+    """Chi-square that the model's own error makes in the mean."""
+    return float(np.sum(off(found.own_error, found.tangent()) ** 2))
+
+
 def left_by_own_law(found: Fit, steps: Sequence[Step], noise: Noise, excess: float, policy: Policy) -> bool:
     """Whether one effect, far ahead of all others, leaves a gap by its law as written, a small one that another shape explains.
 
@@ -476,8 +483,7 @@ def left_by_own_law(found: Fit, steps: Sequence[Step], noise: Noise, excess: flo
     """
     if not far_ahead(found, steps, policy):
         return False
-    own = float(np.sum(off(found.own_error, found.tangent()) ** 2))
-    small = found.chi2 - found.dof - own <= policy.own_law_share * excess
+    small = found.chi2 - found.dof - by_own_error(found) <= policy.own_law_share * excess
     written = lack_of_fit(found, noise, laws=False)
     return small and written.p_value < policy.gap_p <= lack_of_fit(found, noise, beside=of_other_laws(found, FREE_SHAPE)).p_value
 
