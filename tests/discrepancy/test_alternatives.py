@@ -167,3 +167,35 @@ def test_own_error_of_the_model_is_no_gap_of_a_law(make_rows, start) -> None:
     steps = (Step("zero_offset", (), (), 1.0, "zero_offset", margin=50.0),)
     assert left_by_own_law(alone, steps, noise, excess, Policy(own_law_share=share))
     assert not left_by_own_law(alone, steps, noise, excess, Policy(own_law_share=share - own / excess))
+
+
+@pytest.mark.parametrize(("margin", "refused"), [(50.0, False), (15.0, True)], ids=["far ahead", "a rival is near"])
+def test_own_error_of_the_model_is_no_excess_that_an_effect_far_ahead_leaves(make_rows, start, margin, refused) -> None:
+    effects, alter = by_speed("zero_offset", 4.0, 0.02)
+    base, noise = published(make_rows(effects, alter=alter, noise=0.0005), start)
+    alone = fit(base.frame, ("zero_offset",), base.values)
+    own = float(np.sum(model_error.off(alone.own_error, alone.tangent()) ** 2))
+    most = (alone.chi2 - alone.dof - 0.5 * own) / (base.chi2 - base.dof)
+    policy = Policy(gap_p=0.0, unexplained_share=most, unexplained_f=1e9)
+    search = Search(base=base, noise=noise, effects=(), rng=np.random.default_rng(1), policy=policy)
+    found = search.against(alone, (Step("zero_offset", (), (), 1.0, "zero_offset", margin=margin),))
+    assert ("of the excess is left" in found) == refused
+
+
+@pytest.mark.parametrize(("own_law_share", "left"), [(0.3, ("zero_offset",)), (0.01, None)], ids=["a name", "too much is left"])
+def test_an_effect_that_only_mends_the_law_of_another_is_left_out(make_rows, start, own_law_share, left) -> None:
+    effects, alter = by_speed("zero_offset", 4.0, 0.4)
+    base, noise = published(make_rows(effects, alter=alter), start)
+    library = ("zero_offset", "speed_dependent_shape")
+    both = fit(base.frame, library, base.values)
+    policy = Policy(own_law_share=own_law_share, unexplained_share=0.4)
+    search = Search(base=base, noise=noise, effects=library, rng=np.random.default_rng(1), policy=policy)
+    fewer = search.without_unneeded(both, 0.0)
+    assert (fewer and fewer[0].effects) == left
+
+
+def test_no_effect_is_left_out_that_is_needed(make_rows, start) -> None:
+    base, noise = published(make_rows({"zero_offset": 4.0, "speed_dependent_shape": -1.0}), start)
+    library = ("zero_offset", "speed_dependent_shape")
+    search = Search(base=base, noise=noise, effects=library, rng=np.random.default_rng(1))
+    assert search.without_unneeded(fit(base.frame, library, base.values), 0.0) is None

@@ -171,6 +171,8 @@ class Search:
             return Choice(verdict, self.base, self.base, base_gap, base_gap, (), looked_at, p_any)
         current, steps, rivals = self.prune_ambiguous(current, order, places, p_any)
         against = self.against(current, steps)
+        if against and (fewer := self.without_unneeded(current, p_any)) is not None:
+            (current, steps, rivals), against = fewer, ""
         verdict = "unknown" if against else "effect"
         gap = lack_of_fit(current, self.noise)
         return Choice(verdict, self.base, current, base_gap, gap, steps, looked_at, p_any, rivals, against)
@@ -429,6 +431,21 @@ class Search:
             current, order, places = self._exchange(fewer, kept, {})
             steps, rivals = self._steps(current, by_weight(current, order), places, p_any)
         return current, steps, rivals
+
+    def without_unneeded(self, current: Fit, p_any: float) -> tuple[Fit, tuple[Step, ...], tuple[Fit, ...]] | None:
+        """The fit and its steps without the effect that another law of the others serves best for; None where what is left is no
+        name, or where each effect is needed."""
+        each = needed(current, misfit([current]), self.policy.per_parameter)
+        weakest = min(each, key=lambda one: one.evidence, default=None)
+        if weakest is None or weakest.evidence >= self.policy.least_evidence:
+            return None
+        kept = [e for e in current.effects if e != weakest.effect]
+        fewer = fit(current.frame, kept, current.values)
+        if fewer is None:
+            return None
+        fewer, found, places = self._exchange(fewer, kept, {})
+        steps, rivals = self._steps(fewer, by_weight(fewer, found), places, p_any)
+        return None if self.against(fewer, steps) else (fewer, steps, rivals)
 
     def refined(self, found: Sequence[Candidate], name: str, current: Fit) -> tuple[Candidate, ...]:
         """The candidates for the place of `name`; those that miss a tie by little are fitted from other starts."""
