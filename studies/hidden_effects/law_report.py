@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import textwrap
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -141,9 +142,11 @@ def table(records: Sequence[Record], *, by_map_that_ships: bool = False) -> list
     commits = ", ".join(sorted({r["commit"] for r in records}))
     salts = ", ".join(sorted({str(r["salt"]) for r in records}))
     lines = [
-        f"{len(records)} cases, salt {salts}, commit {commits}; each name's confidence {how}.",
-        f"Visible: the published model leaves {law_cases.VISIBLE:g} sd or more. Within: in the first class, of at most",
-        f"{LARGEST_CLASS}.",
+        *textwrap.wrap(
+            f"{len(records)} cases, salt {salts}, commit {commits}; each name's confidence {how}. Visible: the published model "
+            f"leaves {law_cases.VISIBLE:g} sd or more. Within: in the first class, of at most {LARGEST_CLASS}.",
+            width=128,
+        ),
         "",
         "| cases | number | within class | first | a wrong name | unknown | none |",
         "|---|---|---|---|---|---|---|",
