@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
     out.mkdir(parents=True, exist_ok=True)
     written = write_products(out, result, formats, args.grid, progress)
     document = summary.document(result) | {"files": [str(path) for path in written]}
-    _print_summary(document, result)
+    _print_summary(result)
     if args.json:
         print_json(document, indent=1)
     return 0
@@ -134,7 +134,7 @@ def _by_reason(skipped: Iterable[Skipped]) -> dict[str, list[str]]:
     return parts
 
 
-def _print_summary(document: dict[str, object], result: harvest.HarvestMap) -> None:
+def _print_summary(result: harvest.HarvestMap) -> None:
     totals = result.totals
     lines = summary.delay_lines(result)
     if result.transport is not None:

@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
             _refuse_empty(args.log, traffic)
             _print_once(traffic, codec, cab, args.json)
         elif args.json:
-            _print_lines(source, traffic, codec, record)
+            _print_lines(source, traffic, record)
         else:
             _show(source, traffic, codec, cab, record, stack)
         _refuse_empty(args.log, traffic)
@@ -281,7 +281,7 @@ def _show(source: Source, traffic: Traffic, codec: Codec, cab: _Cab, record: _Re
         _refreshes(source, traffic, record, act)
 
 
-def _print_lines(source: Source, traffic: Traffic, codec: Codec, record: _Recorder) -> None:
+def _print_lines(source: Source, traffic: Traffic, record: _Recorder) -> None:
     reported_s, reported_frames = -float("inf"), 0
 
     def report() -> None:

@@ -80,9 +80,7 @@ def binary_log(points: Sequence[YieldPoint], reference_moisture_pct: float) -> t
     return b"".join(records), totals
 
 
-def task_file(
-    points: Sequence[YieldPoint], totals: Mapping[int, int], log_bytes: int, field: str, reference_moisture_pct: float
-) -> ET.Element:
+def task_file(points: Sequence[YieldPoint], totals: Mapping[int, int], log_bytes: int, field: str) -> ET.Element:
     """TASKDATA.XML's root. Raises ValueError without points."""
     if not points:
         raise ValueError("no points")
@@ -105,7 +103,7 @@ def files(points: Sequence[YieldPoint], field: str, reference_moisture_pct: floa
     """File name -> content of a TASKDATA folder."""
     log, totals = binary_log(points, reference_moisture_pct)
     return {
-        FILES[0]: task_data.as_file(task_file(points, totals, len(log), field, reference_moisture_pct)),
+        FILES[0]: task_data.as_file(task_file(points, totals, len(log), field)),
         FILES[1]: task_data.as_file(task_data.log_header(ENTRIES)),
         FILES[2]: log,
     }

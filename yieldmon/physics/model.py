@@ -201,7 +201,7 @@ class ForwardModel:
         throw = self._throw(conditions, parameters)
         momentum = throw.momentum(_offered_kg(throw, conditions))
         if overfull == "raise":
-            self._refuse_overfull(throw, conditions, momentum)
+            self._refuse_overfull(throw, conditions)
         return momentum
 
     def force(self, conditions: Conditions, parameters: Parameters, *, overfull: str = "raise") -> AnyArray:
@@ -225,7 +225,7 @@ class ForwardModel:
         throw = self._throw(conditions, parameters)
         momentum = throw.momentum(_offered_kg(throw, conditions))
         if overfull == "raise":
-            self._refuse_overfull(throw, conditions, momentum)
+            self._refuse_overfull(throw, conditions)
         return momentum * throw.passes_per_s
 
     def derivatives(
@@ -295,7 +295,7 @@ class ForwardModel:
             conditions.plate_position_m,
         )
 
-    def _refuse_overfull(self, throw: Throw, conditions: Conditions, momentum: AnyArray) -> None:
+    def _refuse_overfull(self, throw: Throw, conditions: Conditions) -> None:
         mass, full = np.broadcast_arrays(real(throw.load_mass(_offered_kg(throw, conditions))), real(throw.full_mass_kg))
         over = (mass > full * (1.0 + 1e-12)) | (mass < 0.0)
         if np.any(over):
