@@ -134,6 +134,11 @@ class DaemonKeeper(Keeper):
         )
         self._told(self.daemon.weigh(records[-1], self.anchors, self.estimator), end)
 
+    def _follow(self, stop: int) -> None:
+        outcome = self.daemon.follow(self._records(np.arange(stop - 1, stop))[0], self.estimator)
+        if outcome is not None:
+            self._told(outcome, stop)
+
     def _told(self, outcome: CalibrationOutcome, stop: int) -> None:
         if outcome.estimator is not None:
             self.estimator = outcome.estimator

@@ -41,6 +41,7 @@ from yieldmon.service.document import Document
 from yieldmon.units import S_PER_DAY
 
 Array = NDArray[np.float64]
+_FOLLOWED_KG = 20_000.0
 _POSTED_DAYS = posting.SPAN_S / S_PER_DAY
 """Days of harvest that a ticket's posting reaches back over, as the daemon's."""
 
@@ -271,6 +272,7 @@ class Keeper:
                 place = stop
             if place < end and self.strategy.sweeps and place >= int(self.next_sweep_s):
                 place = self._try_sweep(place, end)
+        self._follow(end)
         hour = float(self.season.time_s[end - 1]) / 3600.0
         self.load_of_day.append(number)
         if self.strategy.tank_scale:
@@ -418,6 +420,14 @@ class Keeper:
             self.updates += 1
         self.taught.append(DriftLesson(came, self.drifting.state, self.drifting.joint, widening, sweep_alone))
         self._remember(hour)
+
+    def _follow(self, stop: int) -> None:
+        """A drift that has been learnt moves the parameters between lessons, as in the daemon."""
+        harvested_kg = float(np.nansum(self.flow[self.grown_to[1] : stop]))
+        if harvested_kg >= _FOLLOWED_KG and np.any(self.drifting.rates):
+            came = self._grow(stop)
+            self.taught.append(DriftLesson(came, self.drifting.state, self.drifting.joint))
+            self._remember(float(self.season.time_s[stop - 1]) / 3600.0)
 
     def _grow(self, stop: int) -> Advance:
         """What is known at the end of window `stop` - 1, and how it came."""

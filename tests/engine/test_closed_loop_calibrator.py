@@ -321,6 +321,72 @@ def test_a_steady_drift_is_expected_once_it_has_been_seen() -> None:
     assert estimator.parameters.values["friction"] < prior.prior
 
 
+def _second(hour: float) -> WindowRecord:
+    """A second of harvest at 12 kg/s, between sweeps."""
+    return records(12.0, start_s=3600.0 * hour)[0]
+
+
+def test_between_lessons_the_parameters_go_on_as_they_drift() -> None:
+    calibrator = ClosedLoopCalibrator(MODEL, STEADY)
+    estimator = taught(calibrator, range(20), OpenLoop(MODEL, EXACT_PRIOR))
+    version, restitution = estimator.parameters.version, estimator.parameters.values["restitution"]
+    steps = []
+    for minute in range(19 * 60 + 10, 30 * 60, 10):
+        outcome = calibrator.follow(_second(minute / 60.0), estimator)
+        if outcome is None:
+            continue
+        assert isinstance(outcome.estimator, OpenLoop)
+        assert outcome.step is not None
+        estimator, steps = outcome.estimator, [*steps, outcome.step]
+    assert estimator.parameters.values["friction"] == pytest.approx(rising(30)["friction"], rel=0.01)
+    assert estimator.parameters.values["restitution"] == restitution
+    # A step for each 20 t at most, one after the other.
+    assert 475.0 / 30.0 < len(steps) <= 475.0 / 20.0
+    assert [step.from_version for step in steps] == list(range(version, version + len(steps)))
+    assert [step.begin_s for step in steps[1:]] == [step.end_s for step in steps[:-1]]
+    assert not any(step.sweep_alone for step in steps)
+    # A lesson after them goes on from there.
+    outcome = calibrator.update(records(12.0, start_s=3600.0 * 30, values=rising(30)), estimator)
+    assert outcome.step is not None
+    assert outcome.step.begin_s == steps[-1].end_s
+
+
+def test_no_drift_is_followed_before_one_is_known() -> None:
+    far = _second(50.0)
+    assert ClosedLoopCalibrator(MODEL, STEADY).follow(far, OpenLoop(MODEL, EXACT_PRIOR)) is None
+    without = ClosedLoopCalibrator(MODEL, dataclasses.replace(STEADY, steady_per_kilotonne={}))
+    estimator = taught(without, range(2), OpenLoop(MODEL, EXACT_PRIOR))
+    assert without.follow(far, estimator) is None
+    calibrator = ClosedLoopCalibrator(MODEL, STEADY)
+    taught(calibrator, range(2), OpenLoop(MODEL, EXACT_PRIOR))
+    assert calibrator.follow(far, OpenLoop(MODEL, EXACT_PRIOR)) is None, "parameters from outside"
+
+
+def test_no_drift_is_followed_to_an_end_of_the_physical_range() -> None:
+    calibrator = ClosedLoopCalibrator(MODEL, STEADY)
+    estimator = taught(calibrator, range(20), OpenLoop(MODEL, EXACT_PRIOR))
+    state = calibrator.snapshot(0.0, 0.0)
+    assert state is not None
+    kilotonnes = (0.99 / estimator.parameters.values["friction"] - 1.0) / state.rates[0]
+    last_h = 19.0 + 30.0 / 3600.0
+    assert calibrator.follow(_second(last_h + 1e6 * kilotonnes / 12.0 / 3600.0), estimator) is None
+    assert calibrator.follow(_second(last_h + 0.5e6 * kilotonnes / 12.0 / 3600.0), estimator) is not None
+
+
+def test_a_drift_that_is_followed_is_no_calibration() -> None:
+    """The age since the last lesson goes on, and the event says what moved the parameters."""
+    calibrator = ClosedLoopCalibrator(MODEL, STEADY)
+    estimator = taught(calibrator, range(20), OpenLoop(MODEL, EXACT_PRIOR))
+    learning = Learning(EngineSettings(), MACHINE, estimator, calibrator)
+    learning.use(estimator, 100.0)
+    sweep = SweepMachine(EngineSettings().sweep, EngineSettings().plate, float(np.degrees(MACHINE.home_plate_angle_rad)))
+    (changed,) = learning.learn(10.0, _second(30.0), sweep)
+    assert (changed.origin, changed.reason) == ("drift", "moved by steady drift")
+    assert learning.estimator.parameters is changed.parameters
+    assert learning.calibration_age_s == 100.0
+    assert learning.learn(11.0, _second(30.0), sweep) == ()
+
+
 def test_what_was_learnt_of_the_drift_outlives_a_restart() -> None:
     calibrator = ClosedLoopCalibrator(MODEL, STEADY)
     estimator = taught(calibrator, range(20), OpenLoop(MODEL, EXACT_PRIOR))

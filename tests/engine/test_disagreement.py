@@ -12,6 +12,7 @@ from tests.plant_sweeps import MACHINE, MOISTURE_PCT, NONE, STRONG, Effects, sho
 from yieldmon.engine.disagreement import Disagreement, DisagreementState
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.settings import DisagreementSettings, EngineSettings
 from yieldmon.engine.state import EngineState
 from yieldmon.estimation.parameters import ParameterSet
@@ -94,6 +95,58 @@ def test_a_sweep_that_says_nothing_is_passed_over(windows: list) -> None:
     target = Disagreement(SETTINGS, MACHINE)
     target.add(windows, SHIPPED)
     assert target.state.patterns == ()
+
+
+def begun_sweep(effects: Effects, steps: int, seed: int = 5) -> list[WindowRecord]:
+    """The windows of a sweep's first steps: home, 40, 40, home, 40, 40, home."""
+    windows = sweep_windows(MACHINE, shown_force(MACHINE, effects), flow_kg_s=11.0, seed=seed, wander=0.01)
+    return [w for w in windows if w.sweep_step < steps]
+
+
+def test_a_sweep_under_way_shows_the_models_error_from_the_first_visit_home_on() -> None:
+    target = Disagreement(SETTINGS, MACHINE)
+    target.look(begun_sweep(STRONG, 3), SHIPPED)
+    assert target.model_error(SHIPPED).away < 0.01, "nothing brackets the windows away from home yet"
+    target.look(begun_sweep(STRONG, 4), SHIPPED)
+    found = target.model_error(SHIPPED)
+    # Plate friction of 0.2 adds 17 % of force at 40 deg and 5 % at home.
+    assert 0.02 < found.home < 0.15
+    assert 0.05 < found.away < 0.3
+    target.look(begun_sweep(NONE, 4), SHIPPED)
+    clean = target.model_error(SHIPPED)
+    assert clean.home < 0.5 * found.home
+    assert clean.away < 0.5 * found.away
+
+
+@pytest.mark.parametrize("usable", [True, False])
+def test_what_a_sweep_showed_that_ended_early_is_kept_where_its_forces_hold(usable: bool) -> None:
+    target = Disagreement(SETTINGS, MACHINE)
+    for seed in range(SETTINGS.keep_sweeps + 4):
+        target.look(begun_sweep(STRONG, 7, seed), SHIPPED)
+        target.end_early(usable=usable)
+    assert len(target.state.unfinished) == (SETTINGS.keep_sweeps if usable else 0)
+    assert (target.model_error(SHIPPED).home > 0.02) is usable
+    assert target.state.patterns == ()
+    assert not target.present, "whole sweeps alone say that the model disagrees"
+
+
+def test_parts_of_sweeps_outlive_a_restart_and_older_states_have_none() -> None:
+    target = Disagreement(SETTINGS, MACHINE)
+    target.look(begun_sweep(STRONG, 7), SHIPPED)
+    target.end_early(usable=True)
+    data = json.loads(json.dumps(replace(EngineState(), disagreement=target.state).as_dict()))
+    assert EngineState.from_dict(data).disagreement == target.state
+    del data["disagreement"]["unfinished"]
+    assert EngineState.from_dict(data).disagreement == DisagreementState()
+
+
+def test_a_whole_sweep_counts_once() -> None:
+    windows = sweep_windows(MACHINE, shown_force(MACHINE, STRONG), flow_kg_s=11.0, seed=5)
+    one, other = Disagreement(SETTINGS, MACHINE), Disagreement(SETTINGS, MACHINE)
+    one.look(windows[:8], SHIPPED)
+    for target in (one, other):
+        target.add(windows, SHIPPED)
+    assert one.model_error(SHIPPED) == other.model_error(SHIPPED)
 
 
 def disagreeing() -> Monitor:

@@ -25,7 +25,9 @@ class CalibratorSettings:
     density_ratio: parameter density over test weight, from a calibration in which both were known; None: test weight is not used.
     """
 
-    closed_loop: ClosedLoopSettings = field(default_factory=lambda: ClosedLoopSettings(flow="process", model_error=0.01))
+    closed_loop: ClosedLoopSettings = field(
+        default_factory=lambda: ClosedLoopSettings(flow="process", model_error=0.01, kept_ratio=1.0)
+    )
     drift: DriftRates = field(default_factory=DriftRates)
     steady_per_kilotonne: Mapping[str, float] = field(default_factory=steady_defaults)
     anchor_error: float = 0.005

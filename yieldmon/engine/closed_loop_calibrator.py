@@ -33,7 +33,7 @@ from yieldmon.estimation.admission import allowing_for, refusal
 from yieldmon.estimation.angle_pattern import EFFECT, with_pattern
 from yieldmon.estimation.closed_loop import self_calibrate, update_from_tickets
 from yieldmon.estimation.closed_loop_inputs import MassAnchor
-from yieldmon.estimation.closed_loop_outcome import Outcome
+from yieldmon.estimation.closed_loop_outcome import Outcome, ScaleReport
 from yieldmon.estimation.common_bias import CommonBias, KernelLesson
 from yieldmon.estimation.load_inputs import LoadSettings
 from yieldmon.estimation.load_pattern import EFFECT as LOAD_PATTERN
@@ -50,6 +50,8 @@ _WORSE = 1.5
 """Of the bias's prior variance, the lasting one of a lesson beyond which it is not of that bias any more."""
 _LESSON_SDS = 3.0
 """Deviations of a difference beyond which a lesson contradicts and teaches nothing."""
+_FOLLOWED_KG = 20_000.0
+"""Of grain, after which a steady drift that has been learnt moves the parameters without a lesson."""
 _LEAST_LOAD_ERROR = 1e-4
 """Of a weighed load's measured mass."""
 
@@ -191,6 +193,24 @@ class ClosedLoopCalibrator:
             f"{100.0 * taught.bias.variance**0.5:.1f} %"
         )
         return CalibrationOutcome(OpenLoop(self._model, known), reason)
+
+    def follow(self, record: WindowRecord, estimator: FlowEstimator) -> CalibrationOutcome | None:
+        """See records.SelfCalibrator."""
+        known = self._drifting
+        if known is None or not record.total_kg - self._at_kg >= _FOLLOWED_KG:
+            return None
+        used = self._in_use(estimator)
+        if known.parameters is not used or not np.any(known.rates):
+            return None
+        drifting, step = self._prior(used, float("nan"), record.time_s, record.total_kg)
+        if refusal(drifting.parameters) and not refusal(used):
+            return None
+        still = ScaleReport(0.0, 0.0, 0.0, False, ())
+        nothing = Outcome(drifting.parameters, False, True, "", "", (), (), still, 0.0, 0, 1.0, ())
+        last, moment = self.last, (record.time_s, record.total_kg, self._moisture_pct)
+        taken = self._taken(nothing, drifting, used, moment, step)
+        self.last = last
+        return replace(taken, reason="moved by steady drift", moved_by_moisture=False)
 
     def sweep_worth(
         self, record: WindowRecord, stops_deg: Sequence[float], channels: OtherChannels, estimator: FlowEstimator

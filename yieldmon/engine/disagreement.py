@@ -61,10 +61,12 @@ class SweepPattern:
 
 @dataclass(frozen=True, slots=True)
 class DisagreementState:
-    """What outlives a restart: the patterns kept, oldest first, and whether the model is said to disagree."""
+    """What outlives a restart: the patterns kept, oldest first, whether the model is said to disagree, and the patterns of sweeps
+    that ended early, oldest first."""
 
     patterns: tuple[SweepPattern, ...] = ()
     present: bool = False
+    unfinished: tuple[SweepPattern, ...] = ()
 
 
 class Disagreement:
@@ -75,6 +77,7 @@ class Disagreement:
         self._machine = machine
         self._state = DisagreementState()
         self._region = ""
+        self._under_way: SweepPattern | None = None
 
     @property
     def state(self) -> DisagreementState:
@@ -98,23 +101,38 @@ class Disagreement:
 
     def add(self, records: Sequence[WindowRecord], parameters: ParameterSet) -> None:
         """Take the usable windows of one whole sweep, with the parameters in use; one without a pattern is passed over."""
-        columns = {name: np.array([getattr(record, name) for record in records]) for name in _COLUMNS}
-        parameters = without_pattern(parameters)
-        reduced = reduce_sweep(self._model(parameters), parameters, **columns) if records else None
-        if reduced is None:
+        self._under_way = None
+        pattern = self._pattern(records, parameters)
+        if pattern is None:
             return
-        pattern = SweepPattern.of(float(records[-1].time_s), reduced)
-        kept = DisagreementState((*self._state.patterns, pattern)[-self._settings.keep_sweeps :], self._state.present)
-        misfit = self._misfit(kept, parameters)
+        kept = replace(self._state, patterns=(*self._state.patterns, pattern)[-self._settings.keep_sweeps :])
+        misfit = self._misfit(kept, without_pattern(parameters))
         self._state = replace(kept, present=misfit.disagrees)
         self._region = _in_words(misfit, len(kept.patterns))
 
+    def look(self, records: Sequence[WindowRecord], parameters: ParameterSet) -> None:
+        """Take the usable windows of a sweep so far, in place of those taken before. They count in `model_error` alone."""
+        self._under_way = self._pattern(records, parameters)
+
+    def end_early(self, *, usable: bool) -> None:
+        """The sweep under way will not be whole. usable: what was looked at is kept."""
+        pattern, self._under_way = self._under_way, None
+        if pattern is not None and usable:
+            self._state = replace(self._state, unfinished=(*self._state.unfinished, pattern)[-self._settings.keep_sweeps :])
+
     def model_error(self, parameters: ParameterSet) -> ModelError:
-        """How far the force by these parameters may be off, by the patterns kept."""
-        sweeps = [pattern.reduced() for pattern in self._state.patterns]
+        """How far the force by these parameters may be off, by the patterns kept and that of the sweep under way."""
+        under_way = () if self._under_way is None else (self._under_way,)
+        sweeps = [pattern.reduced() for pattern in (*self._state.patterns, *self._state.unfinished, *under_way)]
         if not sweeps:
             return NO_ERROR
         return model_error(self._model(parameters), parameters, sweeps, tolerance=self._settings.tolerance)
+
+    def _pattern(self, records: Sequence[WindowRecord], parameters: ParameterSet) -> SweepPattern | None:
+        columns = {name: np.array([getattr(record, name) for record in records]) for name in _COLUMNS}
+        parameters = without_pattern(parameters)
+        reduced = reduce_sweep(self._model(parameters), parameters, **columns) if records else None
+        return None if reduced is None else SweepPattern.of(float(records[-1].time_s), reduced)
 
     def _model(self, parameters: ParameterSet) -> ForwardModel:
         return ForwardModel(self._machine, parameters.effects)

@@ -34,13 +34,15 @@ from yieldmon.physics.machine import Machine
 
 _KEPT_TICKETS = 12
 """That outlive a restart."""
+_FORCES_HOLD = frozenset({SweepAbort.FLOW_CHANGED, SweepAbort.SPEED_CHANGED, SweepAbort.NOT_MEASURED, SweepAbort.OPERATOR})
+"""Ends of a sweep that leave what was measured until then usable."""
 
 
 @dataclass(frozen=True, slots=True)
 class ParametersChanged:
-    """Other parameters from now on. origin: "sweep", "ticket" (a reference mass alone) or "kernels"; reason: one sentence; step:
-    see `records.CalibrationOutcome`. moisture_pct: of the grain for which they hold, nan where it is not known; None: as measured
-    now."""
+    """Other parameters from now on. origin: "sweep", "ticket" (a reference mass alone), "kernels" or "drift"; reason: one
+    sentence; step: see `records.CalibrationOutcome`. moisture_pct: of the grain for which they hold, nan where it is not known;
+    None: as measured now."""
 
     parameters: ParameterSet
     origin: str
@@ -75,6 +77,9 @@ class Learning:
         self.forces = LoadForceSums()
         self._weighed_s = float("-inf")
         self._sweep_records: list[WindowRecord] = []
+        self._sweeping = False
+        self._looked_step = 0
+        """Of the sweep under way, at which its pattern was last looked at."""
 
     @property
     def anchors(self) -> tuple[ReferenceMass, ...]:
@@ -306,15 +311,24 @@ class Learning:
         """
         sweep.by_schedule = self.calibrator is None or (self._sweeps_teach and self._worth_making(at_s, record, sweep, channels))
         if not sweep.visiting and not sweep.completed:
+            if self._sweeping:
+                self._end_early(record, sweep.abort_reason)
             self._sweep_records = [*self._sweep_records, record][-sweep.lead :] if sweep.lead else []
-            return self._learn_from_masses(record)
+            return self._learn_from_masses(record) or self._follow_drift(record)
+        self._sweeping = not sweep.completed
         if record.usable_for_calibration:
             self._sweep_records.append(record)
+            if sweep.is_home_again(record.sweep_step) and record.sweep_step != self._looked_step:
+                # Home again: the flow of the visits since is known, and with it how far the force was off there.
+                self._looked_step = record.sweep_step
+                self._look(self._sweep_records)
         if not sweep.completed:
             return ()
         records, self._sweep_records = self._sweep_records, []
+        self._looked_step = 0
         if sweep.implausible_feedback():
             sweep.abort(at_s, SweepAbort.FORCE_DOES_NOT_FOLLOW)
+            self._end_early(record, sweep.abort_reason)
             return ()
         self.disagreement.add(records, self.estimator.parameters)
         self.judge_model()
@@ -326,6 +340,19 @@ class Learning:
             changed = self._take(self.calibrator.update(records, self.estimator, use_sweep=not self.disagreement.present))
         sweep.finish(at_s, bool(changed))
         return (*weighed, *changed)
+
+    def _look(self, records: Sequence[WindowRecord]) -> None:
+        self.disagreement.look(records, self.estimator.parameters)
+        self.judge_model()
+
+    def _end_early(self, record: WindowRecord, reason: SweepAbort | None) -> None:
+        """The sweep under way has ended with this window; what it has shown of the model's error until then is kept."""
+        self._sweeping, self._looked_step = False, 0
+        if reason is SweepAbort.FLOW_CHANGED:
+            # The window that ended it was as good as those before it, and may be the visit home that they need.
+            self._look([*self._sweep_records, record])
+        self.disagreement.end_early(usable=reason in _FORCES_HOLD)
+        self.judge_model()
 
     def _worth_making(self, at_s: float, record: WindowRecord, sweep: SweepMachine, channels: OtherChannels | None) -> bool:
         """Whether a sweep may begin by schedule; one that is due and not worth making is declined."""
@@ -361,6 +388,14 @@ class Learning:
             self._compare()
             return ()
         return self._take(self.calibrator.weigh(record, self.anchors, self.estimator))
+
+    def _follow_drift(self, record: WindowRecord) -> tuple[ParametersChanged, ...]:
+        """Between lessons the parameters go on as the lessons together say that they drift."""
+        outcome = self.calibrator.follow(record, self.estimator) if self.calibrator is not None else None
+        if outcome is None or outcome.estimator is None:
+            return ()
+        self._put(outcome.estimator, self.calibration_age_s, weighed=self._weighed)
+        return (ParametersChanged(outcome.estimator.parameters, "drift", outcome.reason, outcome.step, nan),)
 
     def _compare(self) -> None:
         """Nothing learns: hold new masses against what was counted."""

@@ -338,6 +338,10 @@ class SelfCalibrator(Protocol):
     def hear(self, record: WindowRecord, lesson: KernelLesson, estimator: FlowEstimator) -> CalibrationOutcome:
         """What kernel noise changes. record: the last window."""
 
+    def follow(self, record: WindowRecord, estimator: FlowEstimator) -> CalibrationOutcome | None:
+        """Where the drift that has been learnt has led the parameters since the last update; None: no further than is worth a
+        step. record: the last window."""
+
     def sweep_worth(
         self, record: WindowRecord, stops_deg: Sequence[float], channels: OtherChannels, estimator: FlowEstimator
     ) -> SweepWorth | None:

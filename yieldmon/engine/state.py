@@ -83,8 +83,11 @@ class EngineState:
             if undo is not None:
                 by_scale = tuple((int(number), float(kg)) for number, kg in undo["by_scale"])
                 undo = ZeroUndo(_zero(undo["before"]), bool(undo["suspect"]), by_scale)
+            kept = data["disagreement"]
             disagreement = DisagreementState(
-                tuple(_pattern(pattern) for pattern in data["disagreement"]["patterns"]), data["disagreement"]["present"]
+                tuple(_pattern(pattern) for pattern in kept["patterns"]),
+                kept["present"],
+                tuple(_pattern(pattern) for pattern in kept.get("unfinished", ())),
             )
             calibrator = None if data["calibrator"] is None else _calibrator(data["calibrator"])
             parts = {

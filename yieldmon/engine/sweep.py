@@ -165,6 +165,10 @@ class SweepMachine:
             return 100.0
         return 100.0 * max(0, self.step) / len(self.sequence) if self.visiting else 0.0
 
+    def is_home_again(self, step: int) -> bool:
+        """Whether a step of the sweep is a visit home after one away from it."""
+        return step > 0 and self.sequence[step] == self._home_deg
+
     def remaining_s(self, now_s: float) -> float:
         """Time until the next sweep is due, s; 0 when it is."""
         return self.first_after_s if self._due_s is None else max(0.0, self._due_s - now_s)

@@ -41,7 +41,7 @@ def draw(time_s: Sequence[float], sets: Sequence[ParameterSet], origins: Sequenc
         values, spreads = held
         band(axes, shown, values, spreads, color=MODEL, step="post", label="90 % interval")
         axes.step(shown, values, where="post", color=MODEL, lw=1.2)
-        for origin, marker in (("file", "s"), ("sweep", "o"), ("ticket", "^"), ("kernels", "D")):
+        for origin, marker in (("file", "s"), ("sweep", "o"), ("ticket", "^"), ("kernels", "D"), ("drift", ".")):
             chosen = np.array([one == origin for one in origins])
             if chosen.any():
                 axes.plot(hours[chosen], value[chosen], marker, color=MODEL, ms=4, label=f"from {origin}")
