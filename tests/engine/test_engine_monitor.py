@@ -403,6 +403,9 @@ class Scales:
         known = replace(estimator.parameters, version=estimator.parameters.version + 1)
         return CalibrationOutcome(ForceProportional(parameters=known), "weighed", weighed=True)
 
+    def follow(self, record, estimator):  # type: ignore[no-untyped-def]
+        return None
+
     def snapshot(self, now_s, total_kg):  # type: ignore[no-untyped-def]
         return None
 

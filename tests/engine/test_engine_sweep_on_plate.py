@@ -48,6 +48,9 @@ class Teacher:
     def weigh(self, record: WindowRecord, anchors: Sequence[ReferenceMass], estimator: FlowEstimator) -> CalibrationOutcome:
         raise AssertionError("nothing was weighed")
 
+    def follow(self, record: WindowRecord, estimator: FlowEstimator) -> None:
+        return None
+
     def snapshot(self, now_s: float, total_kg: float) -> None:
         return None
 
