@@ -27,16 +27,18 @@ _APART = 3
 _CHANGING = 0.1
 """Of the mean force from one window to the next, relative; within such a window the pulses are not of one load."""
 
+_BY_PHASE_EVERY = 3
+"""Windows; a third of them tells noise between the pulses well enough."""
 _EVERY, _FEW = 5, 20
 """The mean over the windows kept moves slowly: it is formed anew after so many, and always while there are few."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Noise:
-    """Of one window with grain; flow_kg_s: by the mean force, of the estimator in use."""
+    """Of one window with grain; flow_kg_s: by the mean force, of the estimator in use. by_phase: of every third window."""
 
     density: Density
-    by_phase: PhaseNoise
+    by_phase: PhaseNoise | None
     force_n: float
     plate_angle_rad: float
     speed_rad_s: float
@@ -69,6 +71,7 @@ class KernelChannel:
         self._apparent: KernelImpulse | None = None
         self._heard = 0
         """Windows since that was found."""
+        self._until_by_phase = 0
         self._force_before_n = 0.0
         self._quiet: deque[Density] = deque(maxlen=settings.kernel_windows)
         self._quiet_mean: Density | None = None
@@ -139,13 +142,14 @@ class KernelChannel:
     def _steady_share(self, interval_s: float) -> float:
         """What of the windows' noise beyond the empty machine's stays between the pulses."""
         low_hz, high_hz = self._band_hz(interval_s)
-        if not high_hz > low_hz:
+        shown = [(noise.by_phase, noise) for noise in self._loaded if noise.by_phase is not None]
+        if not (high_hz > low_hz and shown):
             return 0.0
         empty = self._empty_noise()
-        speeds = [noise.speed_rad_s for noise in self._loaded]
+        speeds = [noise.speed_rad_s for _, noise in shown]
         return noise_by_phase.steady_noise(
-            [noise.by_phase for noise in self._loaded],
-            [noise.impulse_per_kg for noise in self._loaded],
+            [by_phase for by_phase, _ in shown],
+            [noise.impulse_per_kg for _, noise in shown],
             quiet_n2=noise_by_phase.band_power(empty.frequency_hz, empty.density, low_hz, high_hz),
             pattern_s=self._machine.pattern_length_m / self._machine.paddle_speed_m_s(sum(speeds) / len(speeds)),
             interval_s=interval_s,
@@ -173,15 +177,18 @@ class KernelChannel:
         crest = float(np.mean(mean.mean_n**2) / np.mean(mean.mean_n) ** 2)
         shown = kernel_noise.in_pulses(kernel_noise.density(left, trace.interval_s, segment=SEGMENT), crest)
         shown = replace(shown, density=shown.density / (1.0 + own))
-        low_hz, high_hz = self._band_hz(trace.interval_s)
-        by_phase = noise_by_phase.noise_by_phase(
-            left / (1.0 + own) ** 0.5, force_n, trace.phase, interval_s=trace.interval_s, low_hz=low_hz, high_hz=high_hz
-        )
+        by_phase = self._by_phase(left / (1.0 + own) ** 0.5, force_n, trace) if self._until_by_phase == 0 else None
+        self._until_by_phase = (self._until_by_phase - 1) % _BY_PHASE_EVERY
         moisture_pct = reading.inputs.fresh["moisture"]
         self._heard += 1
         self._loaded.append(
             _Noise(shown, by_phase, reading.force_n, window.plate_angle_rad, window.speed_rad_s, moisture_pct, flow_kg_s)
         )
+
+    def _by_phase(self, left_n: Array, force_n: Array, trace: Trace) -> PhaseNoise:
+        low_hz, high_hz = self._band_hz(trace.interval_s)
+        given = {"interval_s": trace.interval_s, "low_hz": low_hz, "high_hz": high_hz}
+        return noise_by_phase.noise_by_phase(left_n, force_n, trace.phase, **given)
 
     def _estimate_anew(self, estimator: FlowEstimator) -> None:
         """The flows of the windows kept, by another estimator."""
