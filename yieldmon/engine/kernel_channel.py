@@ -27,15 +27,15 @@ _APART = 3
 _CHANGING = 0.1
 """Of the mean force from one window to the next, relative; within such a window the pulses are not of one load."""
 
-_BY_PHASE_EVERY = 3
-"""Windows; a third of them tells noise between the pulses well enough."""
+_BY_PHASE_EVERY = 5
+"""Windows; a fifth of them tells noise between the pulses well enough."""
 _EVERY, _FEW = 5, 20
 """The mean over the windows kept moves slowly: it is formed anew after so many, and always while there are few."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Noise:
-    """Of one window with grain; flow_kg_s: by the mean force, of the estimator in use. by_phase: of every third window."""
+    """Of one window with grain; flow_kg_s: by the mean force, of the estimator in use. by_phase: of every fifth window."""
 
     density: Density
     by_phase: PhaseNoise | None

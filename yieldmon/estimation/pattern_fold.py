@@ -164,13 +164,16 @@ def residual_of_pulses(samples_n: Array, phase: Array, folded: FoldedPattern, sp
         return np.asarray(np.bincount(pulse, weights=values), dtype=np.float64)
 
     changes /= np.maximum(np.sqrt([sums(change * change) for change in changes]), _TINY)[:, pulse]
-    normal = np.array([[sums(one * other) for one in changes] for other in changes]).transpose(2, 0, 1)
+    normal = np.empty((int(pulse.max()) + 1, len(changes), len(changes)))
+    for row, column in _HALF_OF_NORMAL:
+        normal[:, row, column] = normal[:, column, row] = sums(changes[row] * changes[column])
     of_left = np.array([sums(change * left) for change in changes]).T
     known = (np.bincount(pulse) >= _LEAST_OF_A_PULSE) & (np.linalg.det(normal) > _LEAST_DETERMINANT)
     sizes = np.linalg.solve(np.where(known[:, None, None], normal, np.eye(len(changes))), (known[:, None] * of_left)[..., None])
     return np.asarray(left - (changes * sizes[pulse, :, 0].T).sum(axis=0))
 
 
+_HALF_OF_NORMAL = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _TINY = 1e-300
 _LEAST_DETERMINANT = 1e-6
 """Of the three changes' normal equations, each change scaled to one, below which a pulse's own are not separated."""
