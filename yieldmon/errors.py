@@ -100,12 +100,3 @@ def reading(path: object, expected: str) -> Iterator[None]:
         yield
     except OSError as error:
         raise InputError(str(path), reason(error), expected) from error
-
-
-def read_whole(path: object, expected: str, most_bytes: int) -> bytes:
-    """A file's content. Raises InputError for one that cannot be read, or is longer: a device or a pipe may have no end."""
-    with reading(path, expected), open(str(path), "rb") as file:
-        content = file.read(most_bytes + 1)
-    if len(content) > most_bytes:
-        raise InputError(str(path), f"is longer than {most_bytes / 1e6:.0f} MB", expected)
-    return content

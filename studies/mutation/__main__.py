@@ -1,6 +1,7 @@
 """How many small changes of service, bus, engine and network the tests find.
 
     python -m studies.mutation record --map FILE [TESTS]       # once: which lines each test runs
+    python -m studies.mutation carry --map FILE                # moves a map of an earlier commit to the present lines
     python -m studies.mutation unreached --map FILE            # functions with lines that no test runs
     python -m studies.mutation --map FILE --sample 60 --seed 1 # a sample; a line each, then the score
     python -m studies.mutation --map FILE --package engine --sample 20
@@ -26,7 +27,7 @@ from pathlib import Path
 
 from studies.mutation.judge import LOADED, Confirming, Trial, Verdict
 from studies.mutation.mutants import PACKAGES, Mutant, mutants, mutated
-from studies.mutation.reach import Reach, modules, record
+from studies.mutation.reach import Reach, carry, modules, record
 
 ROOT = Path(__file__).resolve().parents[2]
 GOAL = 0.9
@@ -106,7 +107,7 @@ def interval(killed: int, count: int) -> tuple[float, float]:
 def main() -> int:
     """Prints a line for each mutant, and the score as JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("judge", "record", "unreached"), nargs="?", default="judge")
+    parser.add_argument("what", choices=("judge", "record", "carry", "unreached"), nargs="?", default="judge")
     parser.add_argument("tests", nargs="*", help="record: files or folders of tests; default: those of and around the packages")
     parser.add_argument("--map", type=Path, help="file of the map from lines to tests, outside the checkout")
     parser.add_argument("--workers", type=int, default=2, help="record: so many processes")
@@ -125,6 +126,10 @@ def main() -> int:
     packages = tuple(args.package or PACKAGES)
     if args.what == "record":
         return record(args.map.absolute(), args.tests, args.workers, ROOT)
+    if args.what == "carry":
+        for path in carry(args.map.absolute(), ROOT):
+            print(f"{path}: its text when the map was made is in no commit; judged by all tests of the module")
+        return 0
     if args.what == "unreached":
         return _unreached(Reach(args.map, ROOT), packages)
     for name in LOADED:

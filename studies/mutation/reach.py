@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import difflib
 import functools
 import hashlib
 import json
@@ -70,6 +71,61 @@ def record(map_file: Path, tests: Iterable[str], workers: int, root: Path) -> in
 def modules(packages: Iterable[str], root: Path) -> list[str]:
     """Paths of the packages' modules."""
     return [str(path.relative_to(root)) for package in packages for path in sorted((root / "yieldmon" / package).rglob("*.py"))]
+
+
+def carry(map_file: Path, root: Path) -> list[str]:
+    """Moves a map made of an earlier commit, and perhaps in another checkout, to the modules as they are; those it could not.
+
+    A line that stayed keeps its tests. A line that is new has those of the lines that it replaced and of the two around them.
+    """
+    about = _about(map_file)
+    data = coverage.CoverageData(basename=str(map_file))
+    data.read()
+    measured = {name: file for file in data.measured_files() for name in [file[file.index("/yieldmon/") + 1 :]]}
+    by_test: dict[str, dict[str, set[int]]] = defaultdict(lambda: defaultdict(set))
+    lost = []
+    for path in modules(PACKAGES, root):
+        lines = data.contexts_by_lineno(measured[path]) if path in measured else {}
+        if about["modules"].get(path) not in (None, _digest(root / path)):
+            before = _text_of(root, path, about["modules"][path])
+            if before is None:
+                lost.append(path)
+                continue
+            lines = _moved(lines, before, (root / path).read_text(encoding="utf-8"))
+        about["modules"][path] = _digest(root / path)
+        for line, tests in lines.items():
+            for test in tests:
+                by_test[test][str(root / path)].add(line)
+    data.erase()
+    moved = coverage.CoverageData(basename=str(map_file))
+    for test, files in by_test.items():
+        moved.set_context(test)
+        moved.add_lines(files)
+    moved.write()
+    _beside(map_file).write_text(json.dumps(about), encoding="utf-8")
+    return lost
+
+
+def _text_of(root: Path, path: str, digest: str) -> str | None:
+    """A module's text as it once was, from the history; None where no commit has it."""
+    listed = subprocess.run(("git", "log", "--format=%H", "--", path), cwd=root, capture_output=True, text=True, check=True)
+    for commit in listed.stdout.split():
+        shown = subprocess.run(("git", "show", f"{commit}:{path}"), cwd=root, capture_output=True, check=False)
+        if hashlib.sha256(shown.stdout).hexdigest()[:16] == digest:
+            return shown.stdout.decode("utf-8")
+    return None
+
+
+def _moved(lines: dict[int, list[str]], before: str, now: str) -> dict[int, set[str]]:
+    matching = difflib.SequenceMatcher(None, before.splitlines(), now.splitlines(), autojunk=False)
+    found: dict[int, set[str]] = {}
+    for what, old, old_end, new, new_end in matching.get_opcodes():
+        if what == "equal":
+            found |= {new + i + 1: set(lines.get(old + i + 1, ())) for i in range(new_end - new)}
+        else:
+            around = {test for line in range(old, old_end + 2) for test in lines.get(line, ())} - {""}
+            found |= {line + 1: set(around) for line in range(new, new_end)}
+    return {line: tests for line, tests in found.items() if tests}
 
 
 class Reach:

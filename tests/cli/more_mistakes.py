@@ -278,7 +278,7 @@ MISTAKES = {
     "process log.log --out p.yaml": "--out p.yaml: exists already; expected another name, or --force to replace it",
     "process other.db log.log --delay 3 --out x.csv": "LOG: names a store together with other sources; expected one store alone",
     "process other.db --zero-mv 120 --out x.csv": "other.db: is an SQLite file of another program; expected a store of this",
-    "process other.db --out x.csv": "other.db: is a store, measured already; expected --params, --estimator,",
+    "process other.db --out x.csv": "other.db: is an SQLite file of another program; expected a store of this",
     "ticket 1 5t --std-dev heavy": "--std-dev: 'heavy'; expected kilograms above 0, such as 9120, 9120kg, 9.12t or",
     "ticket 1-x 5t": "LOAD: '1-x'; expected a number such as 7, or FIRST-LAST such as 7-9",
     "ticket 1.5 5t": "LOAD: '1.5'; expected a number such as 7, or FIRST-LAST such as 7-9",

@@ -215,3 +215,19 @@ def test_a_bus_log_in_a_database_is_no_store(capsys, tmp_path) -> None:
         found[suffix] = json.loads(capsys.readouterr().out)
     assert found[".db"]["total_mass_kg"] == pytest.approx(found[".log"]["total_mass_kg"], rel=1e-5)
     assert found[".db"]["total_mass_kg"] > 50.0
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"frames, they say " * 99, "frame 1: DatabaseError file is not a database; reading stopped; no frame in the whole file"),
+        (b"", "frame 1: ValueError has no plain table 'messages'; reading stopped; no frame in the whole file"),
+        (b"SQLite format 3\0" + bytes(4080), "file is not a database; expected a daemon's store"),
+    ],
+    ids=["text", "empty", "begins as a database does"],
+)
+@pytest.mark.parametrize("options", [[], ["--zero-mv", "500"]], ids=["plain", "again"])
+def test_what_is_called_db_and_is_neither_log_nor_store_is_not_called_one(capsys, tmp_path, content, said, options) -> None:
+    (tmp_path / "day.db").write_bytes(content)
+    assert main(["process", str(tmp_path / "day.db"), "--out", str(tmp_path / "o.csv"), *options]) == 2
+    assert said in capsys.readouterr().err.splitlines()[-1]

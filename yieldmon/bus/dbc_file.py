@@ -6,7 +6,8 @@ import logging
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from yieldmon.errors import InputError, read_whole
+from yieldmon.bounded import read_whole
+from yieldmon.errors import InputError
 
 if TYPE_CHECKING:
     from cantools.database.can import Database, Message

@@ -19,12 +19,14 @@ from yieldmon.bus.logs import (
     LogNotes,
     candump_frame,
     early_end_of,
+    endless,
     line_problem,
     log_format,
     open_bytes,
     read_log,
     reading_log,
     refuse_unreadable,
+    require_log,
     without_byte_order_mark,
 )
 from yieldmon.bus.packed import Wanted, dropped_by_recorder, read_blocks
@@ -71,6 +73,7 @@ def iter_blocks(
     notes = notes if notes is not None else LogNotes()
     suffix = log_format(path)[0]
     if suffix == PACKED_SUFFIX:
+        require_log(path)
 
         def count(can_id: int, frames: int) -> None:
             notes.count(frames)
@@ -92,28 +95,41 @@ def _candump_blocks(path: Path, notes: LogNotes, chunk_bytes: int, compiled: boo
     channels: list[str] = []
     line = 1
     with reading_log(path), open_bytes(path, log_format(path)[1]) as stream:
-        for chunk in _whole_lines(stream, path, chunk_bytes):
-            parsed = _parse(chunk, path, notes, channels, line, compiled)
-            line += parsed.lines
-            columns = (parsed.time_s, parsed.can_id, parsed.length, parsed.payload, parsed.channel)
-            yield FrameBlock(*columns, tuple(channels), parsed.long)
-        early_end = early_end_of(stream)
+        try:
+            for chunk in _whole_lines(stream, path, chunk_bytes):
+                parsed = _parse(chunk, path, notes, channels, line, compiled)
+                line += parsed.lines
+                columns = (parsed.time_s, parsed.can_id, parsed.length, parsed.payload, parsed.channel)
+                yield FrameBlock(*columns, tuple(channels), parsed.long)
+            early_end = early_end_of(stream)
+        except _Endless as given_up:
+            early_end = str(given_up)
     if early_end is not None:
         notes.damage(f"{path}:{line}", early_end)
     refuse_unreadable(notes)
 
 
+class _Endless(Exception):
+    """A line is given up."""
+
+
 def _whole_lines(stream: io.BufferedReader, path: Path, chunk_bytes: int) -> Iterator[bytes]:
     """Chunks that end with a line's end, but for the last. A cut line at the early end of a stream is left out."""
     carried = without_byte_order_mark(stream.read(chunk_bytes), path)
+    left_out = 0
     while piece := stream.read(chunk_bytes):
         end = carried.rfind(b"\n") + 1
         if end:
             yield carried[:end]
+            left_out = 0
         rest = carried[end:]
         if len(rest) > 2 * LONGEST_LINE_BYTES:
             # Too long for a line already: its beginning is enough to say so.
+            left_out += len(rest) - 2 * LONGEST_LINE_BYTES
             rest = rest[: 2 * LONGEST_LINE_BYTES]
+            given_up = endless(left_out + len(rest))
+            if given_up is not None:
+                raise _Endless(given_up)
         carried = rest + piece
     if early_end_of(stream) is not None:
         carried = carried[: carried.rfind(b"\n") + 1]

@@ -14,13 +14,14 @@ import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import can
 
+from yieldmon.bounded import require_file
 from yieldmon.bus import mf4
 from yieldmon.bus.blf_check import first_flaw
 from yieldmon.bus.candump import dropped_frames, parse_line
@@ -45,6 +46,8 @@ SUFFIXES = (*TEXT_SUFFIXES, *BINARY_SUFFIXES, PACKED_SUFFIX)
 #: Longest line that is looked at. The longest line of any text format, a CAN FD frame in .asc, has under 400
 #: characters.
 LONGEST_LINE_BYTES = 4096
+#: Of a longer line the rest is passed over, up to so much, behind which nothing more is looked for.
+LONGEST_SKIPPED_BYTES = 256 * 1024 * 1024
 #: Control characters that stand in no text log: all but tab, line feed and carriage return.
 _CONTROL_BYTE = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")
 #: A compressed log is unpacked up to this size, and to half of the room that there is.
@@ -164,9 +167,13 @@ def read_log(path: Path | str, notes: LogNotes | None = None) -> Iterator[can.Me
     refuse_unreadable(notes)
 
 
-def reading_log(path: Path | str) -> AbstractContextManager[None]:
-    """Raises InputError for a log that the system does not let be read."""
-    return reading(path, "a readable CAN log")
+@contextmanager
+def reading_log(path: Path | str) -> Iterator[None]:
+    """Raises InputError for a log that the system does not let be read, and for a device or a pipe: some formats are read from
+    several places, and neither says when it ends."""
+    with reading(path, "a readable CAN log"):
+        require_file(path, "a CAN log")
+        yield
 
 
 def refuse_unreadable(notes: LogNotes) -> None:
@@ -237,8 +244,11 @@ class _Lines:
             self.number += 1
             if self.number == 1:
                 raw = without_byte_order_mark(raw, self._path)
-            self._skip_rest_of_long_line(raw)
             problem = line_problem(raw)
+            given_up = self._skip_rest_of_long_line(raw)
+            if given_up is not None:
+                self.damage(given_up)
+                raise StopIteration
             if problem is None:
                 return raw.decode("utf-8", errors="replace").rstrip("\r\n")
             self.damage(problem)
@@ -263,13 +273,20 @@ class _Lines:
             raise StopIteration
         return raw
 
-    def _skip_rest_of_long_line(self, raw: bytes) -> None:
-        if len(raw) > LONGEST_LINE_BYTES:
+    def _skip_rest_of_long_line(self, raw: bytes) -> str | None:
+        """Why it is given up, None where the line came to its end."""
+        length = len(raw)
+        if length > LONGEST_LINE_BYTES:
             while raw and not raw.endswith(b"\n"):
+                given_up = endless(length)
+                if given_up is not None:
+                    return given_up
                 try:
                     raw = self._read_line()
                 except StopIteration:
                     break
+                length += len(raw)
+        return None
 
 
 def without_byte_order_mark(start: bytes, path: Path) -> bytes:
@@ -277,6 +294,13 @@ def without_byte_order_mark(start: bytes, path: Path) -> bytes:
     if start.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise InputError(str(path), "UTF-16 text", "UTF-8 or ASCII")
     return start.removeprefix(b"\xef\xbb\xbf")
+
+
+def endless(line_bytes: int) -> str | None:
+    """Why a line of which so much has come is given up, and the file with it; None while its end may be waited for."""
+    if line_bytes <= LONGEST_SKIPPED_BYTES:
+        return None
+    return f"a line longer than {LONGEST_SKIPPED_BYTES / 1e6:.0f} MB; reading stopped"
 
 
 def line_problem(raw: bytes) -> str | None:

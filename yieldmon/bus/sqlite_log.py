@@ -11,6 +11,7 @@ from urllib.parse import quote
 
 import can
 
+SUFFIX = ".db"
 _COLUMNS = "ts, arbitration_id, extended, remote, error, dlc, data"
 _LARGEST_VALUE_BYTES = 4096
 _LIMIT_LENGTH = 0

@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from yieldmon import bounded
 from yieldmon.cli import _outputs, model_options
 from yieldmon.cli._units import add_units
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file, strict_yaml, table, whole_file
+from yieldmon.files.delimited import LARGEST_BYTES
 from yieldmon.files.units import units_of
 from yieldmon.physics.machine import RPM
 from yieldmon.physics.model import ForwardModel
@@ -123,12 +125,15 @@ def _seconds(path: str) -> list[SecondRow]:
 
 
 def _truth(path: str) -> tuple[Array, Array, Array]:
+    expected = f"a CSV with the columns {', '.join(TRUTH_COLUMNS)}"
+    content = bounded.read_whole(path, expected, LARGEST_BYTES)
     try:
-        with open(path, encoding="utf-8", newline="") as stream:
-            rows = list(csv.DictReader(stream))
+        rows = list(csv.DictReader(bounded.split(content.decode("utf-8"), path, expected)))
         columns = [np.array([float(row[name]) for row in rows]) for name in TRUTH_COLUMNS]
+    except InputError:
+        raise
     except (KeyError, ValueError, TypeError, csv.Error) as error:
-        raise InputError(path, f"is not a truth table: {error}", f"a CSV with the columns {', '.join(TRUTH_COLUMNS)}") from error
+        raise InputError(path, f"is not a truth table: {error}", expected) from error
     if not rows:
         raise InputError(path, "holds no rows", "a row a second")
     return columns[0], columns[1], columns[2]

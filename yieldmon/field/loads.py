@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from yieldmon import bounded
 from yieldmon.errors import InputError
 from yieldmon.files import ticket_file
+from yieldmon.files.delimited import LARGEST_BYTES
 
 from .placed import measured_mass_kg
 from .sources.delimited import delimiter_of
@@ -61,11 +63,11 @@ def read_tickets(path: Path) -> list[Ticket]:
     """
     wanted = "CSV with load,weighed_kg[,sd_kg]"
     try:
-        text = path.read_text(encoding="utf-8-sig")
-        lines = [line for line in text.splitlines() if line.strip(" \t,;")]
+        text = bounded.read_whole(path, wanted, LARGEST_BYTES).decode("utf-8-sig")
+        lines = [line for line in bounded.split(text, str(path), wanted) if line.strip(" \t,;")]
         delimiter = delimiter_of(lines[0]) if lines else ","
         rows = list(csv.DictReader(lines, delimiter=delimiter, skipinitialspace=True))
-    except (OSError, UnicodeError, csv.Error) as error:
+    except (UnicodeError, csv.Error) as error:
         raise InputError(str(path), f"cannot be read: {error}", wanted) from error
     if not lines:
         raise InputError(str(path), "has no tickets", "at least one row")

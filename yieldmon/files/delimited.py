@@ -16,7 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from yieldmon.errors import InputError, brief, read_whole
+from yieldmon import bounded
+from yieldmon.errors import InputError, brief
 from yieldmon.repeats import repeated
 
 UNKNOWN = ("", "-", "nan", "na", "n/a", "null")
@@ -64,7 +65,7 @@ def plain_number(cell: str) -> float:
 def read(path: str | Path) -> TextTable:
     """A table with a header line; empty lines and lines that begin with # are passed over. Raises InputError."""
     where = str(path)
-    raw = read_whole(path, "a readable CSV file", LARGEST_BYTES)
+    raw = bounded.read_whole(path, "a readable CSV file", LARGEST_BYTES)
     cells = _workbook(raw, where) if raw.startswith(_ZIP) else _separated(raw, where)
     if not cells:
         raise InputError(where, "is empty", "a header line and rows")
@@ -103,7 +104,9 @@ def _comma_hint(row: list[str], wanted: int) -> str:
 
 def _separated(raw: bytes, where: str) -> list[tuple[int, list[str]]]:
     text = _text(raw, where)
-    first = next((line for line in text.splitlines() if line.strip() and not line.startswith("#")), "")
+    first = next(
+        (line for line in bounded.split(text, where, "a plain CSV file") if line.strip() and not line.startswith("#")), ""
+    )
     separator = max(_SEPARATORS, key=first.count)
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
     found: list[tuple[int, list[str]]] = []

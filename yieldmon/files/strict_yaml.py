@@ -9,10 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import os
 import re
-import select
-import time
 from collections.abc import Callable, Hashable
 from math import isfinite
 from pathlib import Path
@@ -23,14 +20,13 @@ from yaml.composer import Composer
 from yaml.constructor import SafeConstructor
 from yaml.resolver import Resolver
 
+from yieldmon.bounded import PATIENCE_S, content
 from yieldmon.errors import InputError, reason
 
 MAX_BYTES = 100_000
 MAX_DEPTH = 20
 _PASSING = frozenset({errno.EIO, errno.ENOMEM, errno.EMFILE, errno.ENFILE, errno.EINTR, errno.ESTALE, errno.ETIMEDOUT})
 """What a file cannot be blamed for: another try may succeed."""
-PATIENCE_S = 5.0
-"""For a pipe or a device: a reload waits for it."""
 _WHOLE = 2**63
 """Whole numbers are smaller than this: databases and tables have room for no larger ones."""
 
@@ -191,35 +187,10 @@ def load(path: Path | str) -> Any:
     return parse(read(path), str(path))
 
 
-def _content(path: str, most: int) -> bytes:
-    """A file's first bytes, or a pipe's. Raises OSError, and InputError for what gives nothing and does not end."""
-    end_s = time.monotonic() + PATIENCE_S
-    # A pipe without a writer is empty; opening it the usual way would wait for ever, and so would reading a terminal.
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    try:
-        content = bytearray()
-        waiting = select.poll()
-        waiting.register(descriptor, select.POLLIN)
-        while len(content) < most:
-            with contextlib.suppress(BlockingIOError):
-                piece = os.read(descriptor, most - len(content))
-                if not piece:
-                    break
-                content += piece
-                continue
-            left_s = end_s - time.monotonic()
-            if left_s <= 0.0:
-                raise InputError(path, f"does not end within {PATIENCE_S:.0f} s", "a file")
-            waiting.poll(1000.0 * left_s)
-        return bytes(content)
-    finally:
-        os.close(descriptor)
-
-
 def read(path: Path | str) -> str:
     """The text of the file at `path`, no more of it than parse() refuses. Raises InputError when it cannot be read."""
     try:
-        return _content(str(path), MAX_BYTES + 1).decode("utf-8")
+        return content(str(path), MAX_BYTES + 1, PATIENCE_S).decode("utf-8")
     except OSError as error:
         if error.errno in _PASSING:
             # A read's error does not name its file.

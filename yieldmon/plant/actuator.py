@@ -35,7 +35,7 @@ class ActuatorFault(StrEnum):
 class ActuatorSettings(BaseModel):
     """Motion of the plate; angles in deg."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
     rate_deg_s: Annotated[float, Field(gt=0, le=90)] = 10.0
     lag_s: Annotated[float, Field(ge=0.01, le=5)] = 0.15

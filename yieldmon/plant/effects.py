@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 
 class _Effect(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
 class Gravity(_Effect):
@@ -160,7 +160,7 @@ def _switched(value: Any) -> Any:
 class Effects(BaseModel):
     """Effects in force; None is off. In YAML: ``air_drag: {terminal_speed_m_s: 9}``, ``air_drag: on``, ``gravity: off``."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
     gravity: Gravity | None = Gravity()
     air_drag: AirDrag | None = None

@@ -17,7 +17,7 @@ from yieldmon.plant.profiles import SAMPLE_INTERVAL_S, Harvest, correlated_noise
 class ElevatorSettings(BaseModel):
     """Speed of the upper sprocket, rpm, and how steady it is."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
     speed_rpm: Annotated[float, Field(ge=250, le=599)] = 400.0
     droop_pct_at_25_kg_s: Annotated[float, Field(ge=0, le=20)] = 3.0

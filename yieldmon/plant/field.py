@@ -14,7 +14,7 @@ _M_PER_DEG_LATITUDE = 111_195.0
 class FieldSettings(BaseModel):
     """Where the field lies and how it is driven."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
     latitude_deg: Annotated[float, Field(ge=-80, le=80)] = 40.0621
     longitude_deg: Annotated[float, Field(ge=-180, le=180)] = -88.1957

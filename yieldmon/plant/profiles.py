@@ -25,7 +25,7 @@ _SMALLEST_FLOW_KG_S = 0.02
 
 
 class _Piece(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
 class Steady(_Piece):
@@ -92,7 +92,7 @@ Piece = Annotated[Steady | Ramp | Step | Oscillating | StopAndGo | Off, Field(di
 class FlowProfile(BaseModel):
     """Pieces of flow in order; after the last one they begin again. `variation_pct` is a slow random factor on all of them."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
     pieces: Annotated[list[Piece], Field(min_length=1)]
     variation_pct: Annotated[float, Field(ge=0, le=50)] = 2.0

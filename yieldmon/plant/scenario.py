@@ -21,9 +21,12 @@ from yieldmon.plant.profiles import FlowProfile, Steady
 from yieldmon.plant.sensor import SensorFault, SensorSettings
 from yieldmon.plant.tank import TankSettings
 
+_BY_NAME = Field(strict=False)
+"""Strict would want a member, which no file can hold."""
+
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
 class Crop(_Section):
@@ -88,19 +91,19 @@ class _Timed(_Section):
 class TimedActuatorFault(_Timed):
     """An actuator fault from start_s to end_s."""
 
-    kind: ActuatorFault
+    kind: Annotated[ActuatorFault, _BY_NAME]
 
 
 class TimedSensorFault(_Timed):
     """A sensor fault from start_s to end_s."""
 
-    kind: SensorFault
+    kind: Annotated[SensorFault, _BY_NAME]
 
 
 class TimedSilence(_Timed):
     """A message that is not sent (`error: false`) or that says "error" (`error: true`)."""
 
-    message: Channel
+    message: Annotated[Channel, _BY_NAME]
     error: bool = False
 
 

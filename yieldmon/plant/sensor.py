@@ -30,7 +30,7 @@ class SensorFault(StrEnum):
 class SensorSettings(BaseModel):
     """Zero, noise and response of the cell. Voltages in mV, forces in N."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
     zero_mv: Annotated[float, Field(ge=0, le=2000)] = 500.0
     drift_mv_per_sqrt_h: Annotated[float, Field(ge=0, le=100)] = 1.0

@@ -14,7 +14,7 @@ from yieldmon.frames import ScaleStatus
 class TankSettings(BaseModel):
     """Size, unloading and scale of the tank. With `scale: off` there are no TankScale frames."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
     capacity_kg: Annotated[float, Field(gt=100, le=30000)] = 9000.0
     unload_from_kg: Annotated[float, Field(gt=0, le=30000)] = 4000.0

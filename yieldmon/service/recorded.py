@@ -13,6 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from yieldmon import bounded
+from yieldmon.bus.sqlite_log import SUFFIX as LOG_SUFFIX
 from yieldmon.bus.sqlite_log import is_log
 from yieldmon.errors import InputError, brief
 from yieldmon.estimation.parameters import ParameterSet
@@ -26,6 +28,7 @@ _log = logging.getLogger(__name__)
 
 STORE_SUFFIXES = (".sqlite", ".sqlite3", ".db")
 SUFFIXES = (*STORE_SUFFIXES, ".csv", ".jsonl", ".parquet")
+_MAGIC = b"SQLite format 3\0"
 
 _HINTS = typing.get_type_hints(SecondRow)
 _OPTIONAL = {name for name, hint in _HINTS.items() if isinstance(hint, types.UnionType)}
@@ -49,8 +52,17 @@ def is_store(path: str | Path) -> bool:
 
 
 def is_store_not_log(path: str | Path) -> bool:
-    """`is_store` where bus logs stand beside stores: python-can names a log in a database .db as well."""
-    return is_store(path) and not is_log(path)
+    """`is_store` where bus logs stand beside stores: python-can names a log in a database .db as well; a file of that name that is no
+    database is a damaged log, or none."""
+    return is_store(path) and (Path(path).suffix.lower() != LOG_SUFFIX or (not is_log(path) and not _is_no_database(path)))
+
+
+def _is_no_database(path: str | Path) -> bool:
+    """Whether a file is there that does not begin as SQLite's do."""
+    if not Path(path).is_file():
+        return False
+    with Path(path).open("rb") as file:
+        return file.read(len(_MAGIC)) != _MAGIC
 
 
 def read_seconds(path: Path | str) -> list[SecondRow]:
@@ -177,9 +189,8 @@ def _tables(path: Path, suffix: str) -> Iterable[Mapping[str, Any]]:
                 raise InputError(str(path), brief(error), "a Parquet file") from error
             return rows
         with path.open(encoding="utf-8", newline="") as stream:
-            if suffix == ".csv":
-                return list(csv.DictReader(stream))
-            return [json.loads(line) for line in stream]
+            lines = bounded.lines(stream, str(path), "a table that `yieldmon process` wrote")
+            return list(csv.DictReader(lines)) if suffix == ".csv" else [json.loads(line) for line in lines]
     except UnicodeDecodeError as error:
         raise InputError(str(path), f"byte {error.start} is not UTF-8", "a table that `yieldmon process` wrote") from error
     except (json.JSONDecodeError, csv.Error, RecursionError) as error:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from yieldmon import bounded
 from yieldmon.errors import InputError
 from yieldmon.field.table import Array, Label, Skipped
 from yieldmon.files.delimited import plain_number
@@ -82,7 +83,8 @@ def rows_of(path: Path, encoding: str, delimiter: str) -> Iterator[tuple[int, li
     """Number (from 1) and fields of each row that is not empty. Raises InputError for content without rows."""
     csv.field_size_limit(1 << 20)
     with path.open(encoding=encoding, errors="replace", newline="") as stream:
-        reader = csv.reader(stream, delimiter=delimiter, skipinitialspace=True)
+        lines = bounded.lines(stream, str(path), "a delimited text file")
+        reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
         while True:
             try:
                 row = next(reader)

@@ -1,0 +1,107 @@
+"""Reading that comes to an end, whatever a path leads to: a device, a pipe, a line of gigabytes."""
+
+from __future__ import annotations
+
+import os
+import select
+import stat
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from itertools import count
+from typing import TextIO
+
+from yieldmon.errors import InputError, reading
+
+LONGEST_LINE = 16 * 1024 * 1024
+"""Characters of a line of a table. Lines of real tables have some hundred."""
+PATIENCE_S = 5.0
+"""For a pipe or a terminal that gives nothing: a reload waits for it."""
+_PIPE_PATIENCE_S = 60.0
+"""For a table or DBC that a command is handed through a pipe."""
+_STEP_BYTES = 1024 * 1024
+_KINDS = {stat.S_IFCHR: "a device", stat.S_IFBLK: "a device", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
+
+
+def require_file(path: object, expected: str) -> None:
+    """For what is read several times, or at any length: neither can be done with a device, a pipe or a socket.
+
+    Raises InputError for these, and OSError for a path that leads nowhere; a folder is left to the one who opens it.
+    """
+    kind = _KINDS.get(stat.S_IFMT(os.stat(str(path)).st_mode))
+    if kind is not None:
+        raise InputError(str(path), f"is {kind}", f"{expected} that is a file")
+
+
+def content(path: str, most_bytes: int, patience_s: float) -> bytes:
+    """A file's first bytes, or a pipe's.
+
+    Parameters
+    ----------
+    path : str
+    most_bytes : int
+        Whatever follows is left unread.
+    patience_s : float
+        For a pipe or a terminal to come to an end.
+
+    Raises
+    ------
+    OSError
+        As the system has it.
+    InputError
+        A pipe or a terminal did not come to an end.
+    """
+    end_s = time.monotonic() + patience_s
+    # A pipe without a writer is empty; opening it the usual way would wait for ever, and so would reading a terminal.
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        found = bytearray()
+        waiting = select.poll()
+        waiting.register(descriptor, select.POLLIN)
+        while len(found) < most_bytes:
+            with suppress(BlockingIOError):
+                piece = os.read(descriptor, min(most_bytes - len(found), _STEP_BYTES))
+                if not piece:
+                    break
+                found += piece
+                continue
+            left_s = end_s - time.monotonic()
+            if left_s <= 0.0:
+                raise InputError(path, f"does not end within {patience_s:.0f} s", "a file")
+            waiting.poll(1000.0 * left_s)
+        return bytes(found)
+    finally:
+        os.close(descriptor)
+
+
+def read_whole(path: object, expected: str, most_bytes: int) -> bytes:
+    """A file's content. Raises InputError for one that cannot be read, or is longer: a device or a pipe may have no end."""
+    with reading(path, expected):
+        found = content(str(path), most_bytes + 1, _PIPE_PATIENCE_S)
+    if len(found) > most_bytes:
+        raise InputError(str(path), f"is longer than {most_bytes / 1e6:.0f} MB", expected)
+    return found
+
+
+def lines(stream: TextIO, where: str, expected: str) -> Iterator[str]:
+    """The lines of a text stream with their ends. Raises InputError, naming the line, for one longer than LONGEST_LINE."""
+    for number in count(1):
+        line = stream.readline(LONGEST_LINE + 1)
+        if len(line) > LONGEST_LINE:
+            raise _too_long(where, number, expected)
+        if not line:
+            return
+        yield line
+
+
+def split(text: str, where: str, expected: str) -> list[str]:
+    """The lines of a text without their ends. Raises InputError, naming the line, for one longer than LONGEST_LINE."""
+    found = text.splitlines()
+    for number, line in enumerate(found, 1):
+        if len(line) > LONGEST_LINE:
+            raise _too_long(where, number, expected)
+    return found
+
+
+def _too_long(where: str, number: int, expected: str) -> InputError:
+    return InputError(f"{where}: line {number}", f"has more than {LONGEST_LINE} characters", expected)
