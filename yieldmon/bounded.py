@@ -20,7 +20,13 @@ PATIENCE_S = 5.0
 _PIPE_PATIENCE_S = 60.0
 """For a table or DBC that a command is handed through a pipe."""
 _STEP_BYTES = 1024 * 1024
-_KINDS = {stat.S_IFCHR: "a device", stat.S_IFBLK: "a device", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
+_KINDS = {
+    stat.S_IFREG: "a file",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFSOCK: "a socket",
+}
 
 
 def require_file(path: object, expected: str) -> None:
@@ -28,9 +34,21 @@ def require_file(path: object, expected: str) -> None:
 
     Raises InputError for these, and OSError for a path that leads nowhere; a folder is left to the one who opens it.
     """
-    kind = _KINDS.get(stat.S_IFMT(os.stat(str(path)).st_mode))
-    if kind is not None:
+    kind = _KINDS.get(stat.S_IFMT(os.stat(str(path)).st_mode), "a folder")
+    if kind not in ("a file", "a folder"):
         raise InputError(str(path), f"is {kind}", f"{expected} that is a file")
+
+
+def why_no_file(path: object) -> str:
+    """What is wrong with a path that is not a file's: nothing is there, or something else.
+
+    >>> why_no_file("/no/such"), why_no_file("/dev/null")
+    ('no such file', 'is a device')
+    """
+    try:
+        return f"is {_KINDS.get(stat.S_IFMT(os.stat(str(path)).st_mode), 'a folder')}"
+    except OSError:
+        return "no such file"
 
 
 def content(path: str, most_bytes: int, patience_s: float) -> bytes:

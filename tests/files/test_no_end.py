@@ -177,3 +177,18 @@ def test_stops_at_the_limit_exactly(monkeypatch):
     assert bounded.split("1234567890\n12", "f", "text") == ["1234567890", "12"]
     with pytest.raises(InputError, match=r"^f: line 2: has more than 10 characters; expected text$"):
         bounded.split("1\n12345678901\n", "f", "text")
+
+
+@pytest.mark.parametrize("name", ["x.csv", "x.jsonl", "x.parquet", "x.sqlite", "x.db"])
+def test_a_record_that_is_no_file_is_named_as_what_it_is(name, endless):
+    path, kind = endless(name)
+    with pytest.raises(InputError, match=f"{name}: is a {kind}; expected "):
+        recorded.read_seconds(path)
+
+
+def test_task_data_are_read_up_to_a_limit(tmp_path):
+    path = tmp_path / "TASKDATA.XML"
+    path.write_bytes(b'<ISO11783_TaskData VersionMajor="4">')
+    os.truncate(path, (1 << 30) + 1)
+    with pytest.raises(InputError, match="larger than 1073741824 bytes"):
+        sources.read(path, ReadOptions())

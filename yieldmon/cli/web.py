@@ -6,6 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from yieldmon.bounded import why_no_file
 from yieldmon.cli._daemon import add_daemon_arguments, daemon_socket
 from yieldmon.errors import InputError
 
@@ -42,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     token = read_token(args.token_file) if args.token_file is not None else None
     check_access(listen, token)
     if args.store is not None and not args.store.is_file():
-        raise InputError(str(args.store), "no such file", "a daemon's store")
+        raise InputError(str(args.store), why_no_file(args.store), "a daemon's store")
     sources = Sources(
         daemon=daemon_socket(args),
         store=args.store,

@@ -52,8 +52,9 @@ def is_store(path: str | Path) -> bool:
 
 
 def is_store_not_log(path: str | Path) -> bool:
-    """`is_store` where bus logs stand beside stores: python-can names a log in a database .db as well; a file of that name that is no
-    database is a damaged log, or none."""
+    """`is_store` where bus logs stand beside stores: python-can names a log in a database .db as well, and a file of that name
+    that is no database is a damaged log, or none.
+    """
     return is_store(path) and (Path(path).suffix.lower() != LOG_SUFFIX or (not is_log(path) and not _is_no_database(path)))
 
 
@@ -94,7 +95,7 @@ def read_seconds(path: Path | str) -> list[SecondRow]:
     if suffix not in SUFFIXES:
         raise InputError(str(path), f"unknown kind of record {suffix!r}", f"a name that ends in one of {', '.join(SUFFIXES)}")
     if not path.is_file():
-        raise InputError(str(path), "no such file", "a store, or a table that `yieldmon process` wrote")
+        raise InputError(str(path), bounded.why_no_file(path), "a store, or a table that `yieldmon process` wrote")
     damaged: list[int] = []
     if suffix in STORE_SUFFIXES:
         with opened(path) as store:

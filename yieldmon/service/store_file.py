@@ -12,6 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from urllib.parse import quote
 
+from yieldmon.bounded import why_no_file
 from yieldmon.errors import InputError
 from yieldmon.service import schema
 from yieldmon.service.checksums import row_checksum
@@ -194,7 +195,7 @@ def read_only(path: Path) -> sqlite3.Connection:
     Raises InputError when there is no such file, it is no yieldmon store, is damaged, or is of a newer version than this one.
     """
     if not path.is_file():
-        raise InputError(str(path), "is a folder" if path.is_dir() else "no such file", "a daemon's store")
+        raise InputError(str(path), why_no_file(path), "a daemon's store")
     path = where_sqlite_writes(path)
     # Reading beside a writer needs the writer's journal index; without a journal the file alone is the whole store.
     journal = path.with_name(f"{path.name}-wal").exists()

@@ -9,6 +9,7 @@ from contextlib import closing
 from pathlib import Path
 from urllib.parse import quote
 
+from yieldmon.bounded import why_no_file
 from yieldmon.errors import InputError
 
 _KINDS = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "image/webp"}
@@ -29,7 +30,7 @@ class Tiles:
         self._path = path
         expected = "an MBTiles file with PNG, JPEG or WebP tiles"
         if not path.is_file():
-            raise InputError(str(path), "no such file", expected)
+            raise InputError(str(path), why_no_file(path), expected)
         try:
             with closing(self._opened(_FIRST_LOOK_S)) as database:
                 low, high = database.execute("SELECT min(zoom_level), max(zoom_level) FROM tiles").fetchone()

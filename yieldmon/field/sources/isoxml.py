@@ -108,13 +108,13 @@ def _open(path: Path) -> Folder:
         return Folder(
             str(path),
             {child.name.upper(): child.name for child in folder.iterdir() if child.is_file()},
-            lambda name: (folder / name).read_bytes(),
+            lambda name: _content(folder / name),
         )
     if not zipfile.is_zipfile(path):
         return Folder(
             str(path),
             {child.name.upper(): child.name for child in path.parent.iterdir() if child.is_file()} | {TASK_FILE: path.name},
-            lambda name: (path.parent / name).read_bytes(),
+            lambda name: _content(path.parent / name),
         )
     with zipfile.ZipFile(path) as archive:
         members = [info for info in archive.infolist() if not info.is_dir()]
@@ -128,11 +128,20 @@ def _open(path: Path) -> Folder:
 
     def get(name: str) -> bytes:
         with zipfile.ZipFile(path) as archive:
-            if archive.getinfo(name).file_size > MAX_MEMBER_BYTES:
-                raise OSError(f"larger than {MAX_MEMBER_BYTES} bytes")
+            _refuse_large(archive.getinfo(name).file_size)
             return archive.read(name)
 
     return Folder(str(path), here, get)
+
+
+def _content(path: Path) -> bytes:
+    _refuse_large(path.stat().st_size)
+    return path.read_bytes()
+
+
+def _refuse_large(size: int) -> None:
+    if size > MAX_MEMBER_BYTES:
+        raise OSError(f"larger than {MAX_MEMBER_BYTES} bytes")
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from yieldmon import bounded
 from yieldmon.errors import InputError, brief
 from yieldmon.field.table import Array, HarvestTable, Label, Skipped, joined
 
@@ -25,6 +26,7 @@ KIND = "GeoPackage, GeoJSON or shapefile"
 ORDER = 30
 _SUFFIXES = (".gpkg", ".geojson", ".json", ".shp", ".gml", ".fgb", ".kml")
 _WGS84 = "EPSG:4326"
+_LARGEST_METADATA_BYTES = 16_000_000
 _POSITION = ("longitude", "latitude")
 
 
@@ -275,7 +277,7 @@ def _metadata(path: Path, member: str) -> _Metadata:
         else:
             folder = path if path.is_dir() else path.parent
             beside = [c for c in sorted(folder.iterdir()) if c.name.startswith(stem) and c.name.lower().endswith("metadata.json")]
-            text = beside[0].read_bytes() if beside else b""
+            text = bounded.read_whole(beside[0], "JSON", _LARGEST_METADATA_BYTES) if beside else b""
         document = json.loads(text) if text else {}
         units = {str(one["Name"]): str(one.get("Unit", "")) for one in document.get("DataAttributes", [])}
         return _Metadata(units, str(document.get("CropToken", "")), str(document.get("FieldName", "")))
