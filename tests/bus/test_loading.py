@@ -26,7 +26,8 @@ def quiet() -> LogNotes:
 def content(block: FrameBlock) -> list[tuple]:
     names = [block.channels[index] for index in block.channel]
     columns = (block.time_s, block.can_id, block.length, block.payload)
-    return list(zip(*(column.tolist() for column in columns), names, strict=True))
+    whole = [block.long.get(row) for row in range(len(names))]
+    return list(zip(*(column.tolist() for column in columns), names, whole, strict=True))
 
 
 def assert_same(path: Path, chunk_bytes: int, compiled: bool | None = None) -> None:

@@ -94,6 +94,48 @@ def test_reading(group: int, data: bytes, expected: dict[str, float]) -> None:
     assert values(group, data) == pytest.approx(expected)
 
 
+def _date_and_time(days: int, ten_thousandths: int) -> bytes:
+    return struct.pack("<BBHI", 0, 0xF0, days, ten_thousandths)
+
+
+def _rapid(latitude: int, longitude: int) -> bytes:
+    return struct.pack("<ii", latitude, longitude)
+
+
+@pytest.mark.parametrize(
+    ("group", "last", "expected", "next_one"),
+    [
+        # A day with a leap second has 86,401 s.
+        (126992, _date_and_time(10, 864_010_000), {"time_s": 10 * 86400 + 86401.0}, _date_and_time(10, 864_010_001)),
+        (126992, _date_and_time(0xFFFC, 0), {"time_s": 0xFFFC * 86400.0}, _date_and_time(0xFFFD, 0)),
+        (129025, _rapid(900_000_000, 0), {"latitude_deg": 90.0, "longitude_deg": 0.0}, _rapid(900_000_001, 0)),
+        (129025, _rapid(-900_000_000, 0), {"latitude_deg": -90.0, "longitude_deg": 0.0}, _rapid(-900_000_001, 0)),
+        (129025, _rapid(0, 1_800_000_000), {"latitude_deg": 0.0, "longitude_deg": 180.0}, _rapid(0, 1_800_000_001)),
+        (129025, _rapid(0, -1_800_000_000), {"latitude_deg": 0.0, "longitude_deg": -180.0}, _rapid(0, -1_800_000_001)),
+        (
+            65256,
+            struct.pack("<HHHH", 0xFAFF, 0xFFFF, 0, 0),
+            {"course_deg": 0xFAFF / 128},
+            struct.pack("<HHHH", 0xFB00, 0xFFFF, 0, 0),
+        ),
+        (65265, b"\xff\xff\xfa" + bytes(5), {"ground_speed_m_s": 0xFAFF / 256 / 3.6}, b"\xff\x00\xfb" + bytes(5)),
+        (65097, struct.pack("<HIBB", 0xFAFF, 0, 0, 1), {"ground_speed_m_s": 64.255}, struct.pack("<HIBB", 0xFB00, 0, 0, 1)),
+        # Seconds come in quarters and up to 62.5, which a leap second needs; 250 is the last code of a value.
+        (65254, bytes([250, 0, 0, 1, 4, 0, 0, 0]), {"time_s": 473_385_600 + 62.5}, bytes([251, 0, 0, 1, 4, 0, 0, 0])),
+        (65254, bytes([0, 59, 23, 12, 124, 124, 0, 0]), {"time_s": 4_417_977_540.0}, bytes([0, 60, 23, 12, 124, 124, 0, 0])),
+    ],
+)
+def test_the_last_value_and_the_one_behind_it(group: int, last: bytes, expected: dict[str, float], next_one: bytes) -> None:
+    assert values(group, last) == pytest.approx(expected, rel=1e-12)
+    assert values(group, next_one) == {}
+
+
+@pytest.mark.parametrize("length", range(8))
+@pytest.mark.parametrize("group", [65267, 65256, 65265, 65254, 65096, 65097, 129025, 129026, 129029, 126992])
+def test_data_that_are_cut_say_nothing(group: int, length: int) -> None:
+    assert values(group, bytes(length)) == {}
+
+
 def test_best_source_and_the_next_one() -> None:
     navigation = Navigation(timeout_s=2.0)
     wheel = struct.pack("<HIBB", 2500, 0, 0, 1)

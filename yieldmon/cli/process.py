@@ -130,11 +130,11 @@ def _store_again(args: argparse.Namespace, loaded: configuration.Configuration, 
         raise InputError("LOG", "names a store together with other sources", "one store alone")
     if not 0 <= args.delay <= _LONGEST_DELAY_S:
         raise InputError("--delay", f"is {args.delay}", f"0 to {_LONGEST_DELAY_S} s")
-    with recorded.opened(Path(args.logs[0])):
-        """What is none is named as such first."""
     if args.params is None and args.estimator is None and args.zero_mv is None and not args.delay:
         expected = "--params, --estimator, --zero-mv or --delay to measure it again"
-        raise InputError(args.logs[0], "is a store, measured already", expected)
+        # What is no store is named as that.
+        with recorded.opened(Path(args.logs[0])):
+            raise InputError(args.logs[0], "is a store, measured already", expected)
     rows = recorded.read_seconds(args.logs[0])
     parameters = loaded.parameters
     if args.params is None and args.estimator is None:
